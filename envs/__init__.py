@@ -1,0 +1,1 @@
+"""Tasks, the batched environment, its Gymnasium and Stable-Baselines3 faces, rendering."""

@@ -1,0 +1,1 @@
+"""Success tables, figures, videos and the `landing-eval` command."""

@@ -1,0 +1,1 @@
+"""Parameters, equations, MJCF, native plugins and the two plants."""

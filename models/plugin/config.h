@@ -1,0 +1,113 @@
+// What both plugins share: reading attributes, caching the result, reading commands.
+#pragma once
+
+#include <mujoco/mujoco.h>
+
+#include <cstring>
+#include <string>
+#include <vector>
+
+namespace inclined_landing {
+
+// Reads `count` finite numbers of one attribute; an absent attribute leaves `values` as they are.
+// On failure returns false and puts a sentence into `error`.
+bool ReadNumbers(const mjModel* m, int instance, const char* plugin, const char* attribute,
+                 int count, double* values, std::string* error);
+
+// "<plugin>: attribute '<attribute>' must be <rule>".
+std::string Refusal(const char* plugin, const char* attribute, const char* rule);
+
+// The raw attribute text of an instance, a block of zero-terminated strings.
+struct Text {
+  const char* data;
+  std::size_t size;
+};
+
+inline Text ConfigText(const mjModel* m, int instance) {
+  const std::size_t begin = m->plugin_attradr[instance];
+  const std::size_t end = instance + 1 < m->nplugin
+                              ? static_cast<std::size_t>(m->plugin_attradr[instance + 1])
+                              : static_cast<std::size_t>(m->npluginattr);
+  return {m->plugin_attr + begin, end - begin};
+}
+
+// The parsed configuration of an instance, or null if the text is not valid.
+//
+// `Config` needs a default constructor and `bool Parse(const mjModel*, int, std::string* error)`.
+// Each thread keeps its own few most recent texts. The key is the text itself, never a pointer, so
+// a model that reuses another's memory, or two models in one batch, cannot read a stale value.
+template <typename Config>
+const Config* CachedConfig(const mjModel* m, int instance) {
+  struct Entry {
+    std::vector<char> text;
+    bool valid;
+    Config config;
+  };
+  constexpr std::size_t kCapacity = 16;
+  thread_local std::vector<Entry> entries;
+  thread_local std::size_t next = 0;
+
+  const Text text = ConfigText(m, instance);
+  for (const Entry& entry : entries) {
+    if (entry.text.size() == text.size &&
+        std::memcmp(entry.text.data(), text.data, text.size) == 0) {
+      return entry.valid ? &entry.config : nullptr;
+    }
+  }
+  Entry entry{{text.data, text.data + text.size}, false, Config{}};
+  std::string error;
+  entry.valid = entry.config.Parse(m, instance, &error);
+  if (entries.size() < kCapacity) {
+    entries.reserve(kCapacity);
+    entries.push_back(std::move(entry));
+    next = entries.size() - 1;
+  } else {
+    next = (next + 1) % kCapacity;
+    entries[next] = std::move(entry);
+  }
+  return entries[next].valid ? &entries[next].config : nullptr;
+}
+
+// Whether the engine lets this actuator act (actuation enabled, its group not disabled).
+inline bool ActuatorEnabled(const mjModel* m, int actuator) {
+  if (m->opt.disableflags & mjDSBL_ACTUATION) return false;
+  const int group = m->actuator_group[actuator];
+  return group < 0 || group > 30 || !(m->opt.disableactuator & (1 << group));
+}
+
+// The command the engine would use: delayed, clamped to ctrlrange, 0 if it is not a number.
+inline mjtNum Command(const mjModel* m, const mjData* d, int actuator) {
+  const int address = m->actuator_ctrladr[actuator];
+  mjtNum command = d->ctrl[address];
+  if (m->actuator_delay[actuator] > 0) {
+    mjtNum interpolated = 0;
+    const mjtNum* sample = mj_readCtrl(m, d, actuator, d->time, &interpolated,
+                                       m->actuator_history[2 * actuator + 1]);
+    command = sample ? *sample : interpolated;
+  }
+  if (mju_isBad(command)) return 0;
+  if (m->actuator_ctrllimited[address] && !(m->opt.disableflags & mjDSBL_CLAMPCTRL)) {
+    const mjtNum* range = m->actuator_ctrlrange + 2 * address;
+    command = mju_clip(command, range[0], range[1]);
+  }
+  return command;
+}
+
+// The hooks: model fields that scale an actuator, neutral at MuJoCo's defaults (1, 1, 0, 0).
+struct Hooks {
+  mjtNum gain_scale;
+  mjtNum time_scale;
+  const mjtNum* bias;
+
+  Hooks(const mjModel* m, int actuator)
+      : gain_scale(m->actuator_gainprm[actuator * mjNGAIN]),
+        time_scale(mju_max(mjMINVAL, m->actuator_dynprm[actuator * mjNDYN])),
+        bias(m->actuator_biasprm + actuator * mjNBIAS) {}
+};
+
+// Checks what both plugins need of the actuators of an instance: at least one, each on a site,
+// with `actdim` activations. On failure returns false and puts a sentence into `error`.
+bool CheckActuators(const mjModel* m, int instance, const char* plugin, int actdim,
+                    std::string* error);
+
+}  // namespace inclined_landing

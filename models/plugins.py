@@ -1,0 +1,77 @@
+"""Loader of the native plugins (`plugin/README.md`).
+
+`import mujoco` calls :func:`load` through the entry point group `mujoco.plugins`; call it yourself
+before compiling a model if entry points may be off. This module imports nothing heavy.
+"""
+
+import ctypes
+import dataclasses
+import json
+import sys
+from pathlib import Path
+
+NAMES = ("inclined_landing.rotors", "inclined_landing.attitude")
+_LIBRARIES = ("libinclined_landing.so", "libinclined_landing.dylib")
+_REMEDY = "reinstall the package in this environment (pip install --force-reinstall --no-deps .)"
+
+_handle: ctypes.CDLL | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class PluginStatus:
+    """What :func:`loaded` found."""
+
+    names: tuple[str, ...]  # plugins of this package that MuJoCo knows
+    library: Path | None  # the shared library, None when it was not built
+    built_for: str | None  # MuJoCo version of the build
+    defaults: dict  # plugin -> attribute -> default at build time
+
+
+def load() -> None:
+    """Register the plugins with MuJoCo; does nothing the second time.
+
+    Raises ImportError when the library is missing or was built for another MuJoCo version.
+    """
+    global _handle
+    if _handle is not None:
+        return
+    import mujoco  # may be half initialised: this is also called by `import mujoco`
+
+    if _handle is not None:  # a first import of mujoco has just called load()
+        return
+    library, build = _find()
+    if library is None:
+        raise ImportError(
+            "the native plugins of inclined_landing are not built (a C++17 compiler is needed); "
+            + _REMEDY
+        )
+    running = mujoco.mj_versionString()
+    if build["mujoco"] != running:
+        raise ImportError(
+            f"the native plugins of inclined_landing were built for MuJoCo {build['mujoco']}, but "
+            f"MuJoCo {running} is installed; {_REMEDY}"
+        )
+    _handle = ctypes.CDLL(str(library))
+
+
+def loaded() -> PluginStatus:
+    """Which plugins are registered, from which library, built for which MuJoCo."""
+    library, build = _find()
+    names = ()
+    if _handle is not None:
+        _handle.mjp_getPlugin.restype = ctypes.c_void_p
+        _handle.mjp_getPlugin.argtypes = (ctypes.c_char_p, ctypes.POINTER(ctypes.c_int))
+        names = tuple(n for n in NAMES if _handle.mjp_getPlugin(n.encode(), None))
+    defaults = {name: build[name] for name in ("rotors", "attitude") if name in build}
+    return PluginStatus(names, library, build.get("mujoco"), defaults)
+
+
+def _find() -> tuple[Path | None, dict]:
+    """The library and its build record; an editable install keeps them apart from the sources."""
+    package = sys.modules[__package__]
+    for folder in map(Path, package.__path__):
+        for name in _LIBRARIES:
+            record = folder / "_build.json"
+            if (folder / name).exists() and record.exists():
+                return folder / name, json.loads(record.read_text("utf-8"))
+    return None, {}

@@ -1,0 +1,1 @@
+"""PPO configuration, curriculum, callbacks and the `landing-train` command."""
