@@ -1,0 +1,117 @@
+"""`BatchEnv`: n episodes of one task in one plant, stepped by one call.
+
+The Gymnasium and Stable-Baselines3 faces are thin shells over this class.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from inclined_landing.envs.tasks import Task
+from inclined_landing.envs.tasks.base import Judgement, Start
+from inclined_landing.models.errors import UserError
+
+
+@dataclasses.dataclass
+class Step:
+    """The outcome of one control step of every vehicle; arrays are fresh."""
+
+    observation: np.ndarray  # (n, o) float32
+    reward: np.ndarray  # (n,)
+    terminated: np.ndarray  # (n,) bool
+    truncated: np.ndarray  # (n,) bool
+    success: np.ndarray  # (n,) bool
+    terms: dict[str, np.ndarray]  # reward terms, (n,) each; they sum to the reward
+
+
+class BatchEnv:
+    """n vehicles of a plant on a task. Nothing is reset by itself: call `reset(ids)`.
+
+    Per-vehicle records of the running episodes: `length`, `total` (sum of rewards), `contact_steps`
+    (steps in contact with the platform or within the plant's keep-out zone), `touched`
+    (did any part touch the platform so far).
+    """
+
+    def __init__(self, task: Task, plant, seed: int | None = None):
+        self.task, self.plant, self.n = task, plant, plant.n
+        self.rng = np.random.default_rng(seed)
+        n = self.n
+        self.length = np.zeros(n, int)
+        self.total = np.zeros(n)
+        self.contact_steps = np.zeros(n, int)
+        self.touched = np.zeros(n, bool)
+        self.commands = np.zeros((n, 4))
+        self._start = Start(
+            np.zeros((n, plant.state.shape[1])),
+            np.zeros(n),
+            np.zeros(n, bool),
+            np.full(n, np.nan),
+        )
+        self._action_size = len(task.action_names)
+
+    def seed(self, seed: int | None) -> None:
+        """Restart the random starts from `seed`."""
+        self.rng = np.random.default_rng(seed)
+
+    def reset(self, ids=None, state: np.ndarray | None = None) -> np.ndarray:
+        """Begin new episodes for the vehicles `ids` (all by default); return their observations.
+
+        state (k, 13): given starts instead of random ones.
+        """
+        ids = np.arange(self.n) if ids is None else np.asarray(ids)
+        if state is not None:
+            state = np.asarray(state, float)
+            if state.shape != (len(ids), self.plant.state.shape[1]):
+                raise UserError(
+                    f"reset of {len(ids)} vehicles needs states of shape "
+                    f"({len(ids)}, {self.plant.state.shape[1]}), not {state.shape}"
+                )
+            if not np.isfinite(state).all():
+                raise UserError("a start state holds NaN or infinity")
+        start = self.task.sample(self.rng, len(ids)) if state is None else self.task.start(state)
+        for name in ("state", "inclination", "present", "goal_size"):
+            getattr(self._start, name)[ids] = getattr(start, name)
+        self.plant.set_platform(ids, start.inclination, start.present)
+        self.plant.reset(ids, start.state)
+        self.length[ids] = 0
+        self.total[ids] = 0.0
+        self.contact_steps[ids] = 0
+        self.touched[ids] = False
+        return self.task.observe(self.plant.state[ids])
+
+    def step(self, actions: np.ndarray) -> Step:
+        """Apply actions (n, a), clipped to [-1, 1], for one control period.
+
+        Raises UserError when an action has the wrong shape or is not finite.
+        """
+        actions = np.asarray(actions, float)
+        if actions.shape != (self.n, self._action_size):
+            raise UserError(
+                f"actions must have shape ({self.n}, {self._action_size}), not {actions.shape}"
+            )
+        if not np.isfinite(actions).all():
+            raise UserError("an action is NaN or infinite")
+        actions = np.clip(actions, -1.0, 1.0)
+        self.commands = self.task.commands(actions)
+        self.plant.step(self.commands)
+        contacts = self.plant.contacts
+        self.contact_steps += contacts.platform_near
+        self.touched |= contacts.platform
+        verdict: Judgement = self.task.judge(
+            self.plant.state, actions, contacts, self._start, self.contact_steps
+        )
+        self.length += 1
+        reward = verdict.reward
+        self.total += reward
+        terminated = verdict.terminated
+        truncated = ((self.length >= self.task.max_steps) | verdict.cut) & ~terminated
+        return Step(
+            self.task.observe(self.plant.state),
+            reward,
+            terminated,
+            truncated,
+            verdict.success,
+            verdict.terms,
+        )

@@ -1,0 +1,168 @@
+"""`InclinedLanding`: reach the landing pose over the slope, the paper's planar task.
+
+Observation (5,): x, z [m], vx, vz [m/s], pitch [rad].
+Action (2,) in [-1, 1]: thrust, PWM = centre + 16500 a (centre 42000 as in the paper, or the true
+hover); pitch command, 30 deg times a. Roll and yaw-rate commands are zero.
+
+Goal s_g = [0, 1.25, 0, 0, inclination]; goal box |s - s_g| < [d, d, min(10d, 1.5), min(10d, 1.5),
+0.25d] with d from 0.25 (easiest) to 0.10 (the task).
+
+Reward per step: 0 in the goal box; otherwise -1 (`time`), a further -1 near the bounds of the arena
+(`bounds`), or a further -6 on the platform (`obstacle`): the paper's -1, -2 and -7.
+
+An episode ends in the goal box, or is truncated after 300 steps. The goal box is not yet a landing:
+its centre hovers 9 cm above the slope, and entries into it may be moving.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from inclined_landing.envs.tasks.base import Judgement, Start, hover_states, resolve_pwm_centre
+from inclined_landing.models import geometry
+from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, VX, VZ, X, Z
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.scene import compile_scene
+
+_COLUMNS = [X, Z, VX, VZ, PITCH]
+GOAL_HEIGHT = 0.10  # of the goal above the centre of the surface, m
+GOAL_SIZE = 0.10  # d of the task itself
+EASIEST_GOAL_SIZE = 0.25
+BOUND_MARGIN = 0.10  # closer than this to the arena's bounds counts as near them, m
+START_CLEARANCE = 0.05  # starts keep this distance to the platform, m
+START_MARGIN = 0.10  # and this one to the arena's bounds, m
+LOWEST_START = 1.2  # random starts lie in the upper half of the arena, m
+PAPER_STARTS = ((0.0, 2.0), (-1.5, 1.6), (1.5, 1.8))  # x, z of the paper's table
+MAX_STEPS = 300
+
+
+@dataclasses.dataclass(frozen=True)
+class Conditions:
+    """What an episode starts under. The defaults are the task; a curriculum passes easier ones.
+
+    The last three fields are training aids: the task itself never uses them.
+    """
+
+    start_reach: float = 3.3  # starts lie within this of the goal in x and in z, m
+    tilt: float = 1.0  # goal and platform inclination as a share of the task's
+    goal_size: float = GOAL_SIZE  # d
+    platform: bool = True
+    lowest_start: float = LOWEST_START  # m
+    contact_limit: int = 0  # truncate after this many steps in contact (0: never)
+    goal_while_touching: bool = True  # does the goal box count while touching the platform
+
+
+class InclinedLanding:
+    """The task for vehicles of one kind and one platform inclination [rad]."""
+
+    name = "landing"
+    observation_names = ("x", "z", "vx", "vz", "pitch")
+    observation_scale = np.array([1.0, 1.0, 2.0, 2.0, 0.5])
+    observation_centre = np.array([0.0, 1.25, 0.0, 0.0, 0.0])
+    action_names = ("thrust", "pitch")
+    max_steps = MAX_STEPS
+
+    def __init__(
+        self,
+        vehicle: Vehicle | None = None,
+        *,
+        inclination: float | None = None,
+        pwm_centre: float | str = "paper",
+    ):
+        self.vehicle = v = vehicle or load_vehicle()
+        given = v.platform_inclination if inclination is None else inclination
+        self.inclination = v.check_inclination(given)
+        self.pwm_centre = resolve_pwm_centre(pwm_centre, v)
+        self.options = {"inclination": self.inclination, "pwm_centre": pwm_centre}
+        self.conditions = Conditions()
+        self._shapes = geometry.shapes_of(compile_scene(v))
+
+    @property
+    def goal_position(self) -> tuple[float, float]:
+        """(x, z) of the goal [m]."""
+        return 0.0, self.vehicle.platform_surface_height + GOAL_HEIGHT
+
+    def sample(self, rng: np.random.Generator, k: int) -> Start:
+        """k starts at rest, uniform over the conditions' box, clear of the platform."""
+        c, v = self.conditions, self.vehicle
+        gx, gz = self.goal_position
+        m = START_MARGIN
+        low = [max(gx - c.start_reach, v.arena_x[0] + m), max(gz - c.start_reach, c.lowest_start)]
+        high = [min(gx + c.start_reach, v.arena_x[1] - m), min(gz + c.start_reach, v.arena_z[1] - m)]
+        positions = np.zeros((k, 3))
+        todo = np.arange(k)
+        for _ in range(1000):
+            positions[np.ix_(todo, [0, 2])] = rng.uniform(low, high, (len(todo), 2))
+            start = self.start(hover_states(positions[todo], v))
+            todo = todo[self.start_clearance(start) < START_CLEARANCE]
+            if not len(todo):
+                return self.start(hover_states(positions, v))
+        raise UserError(
+            f"no start clear of the platform was found within {c.start_reach:g} m of the goal"
+        )
+
+    def start(self, state: np.ndarray) -> Start:
+        """Starts from given states (k, 13) under the present conditions."""
+        k, c = len(state), self.conditions
+        return Start(
+            state,
+            np.full(k, self.inclination * c.tilt),
+            np.full(k, c.platform),
+            np.full(k, c.goal_size),
+        )
+
+    def start_clearance(self, start: Start) -> np.ndarray:
+        """(k,) distance of the real shapes to the platform [m]; inf without a platform."""
+        position, _ = geometry.platform_poses(start.inclination, start.present, self.vehicle)
+        distance = geometry.clearances(start.state, start.inclination, position, self._shapes)
+        return distance[:, :2].min(axis=(1, 2))
+
+    def commands(self, actions: np.ndarray) -> np.ndarray:
+        """Plant commands (n, 4) for actions (n, 2) in [-1, 1]."""
+        v = self.vehicle
+        u = np.zeros((len(actions), 4))
+        u[:, PWM] = np.clip(self.pwm_centre + v.command_pwm_span * actions[:, 0], *v.command_pwm_range)
+        u[:, PITCH_COMMAND] = v.command_angle_limit * actions[:, 1]
+        return u
+
+    def observe(self, state: np.ndarray) -> np.ndarray:
+        """[x z vx vz pitch] (n, 5), float32."""
+        return state[:, _COLUMNS].astype(np.float32)
+
+    def in_goal(self, state: np.ndarray, inclination, goal_size) -> np.ndarray:
+        """(n,) bool: inside the goal box of size d = goal_size (n,) for platforms at inclination."""
+        gx, gz = self.goal_position
+        d = np.asarray(goal_size)
+        speed = np.minimum(10 * d, 1.5)
+        return (
+            (np.abs(state[:, X] - gx) < d)
+            & (np.abs(state[:, Z] - gz) < d)
+            & (np.abs(state[:, VX]) < speed)
+            & (np.abs(state[:, VZ]) < speed)
+            & (np.abs(state[:, PITCH] - inclination) < 0.25 * d)
+        )
+
+    def near_bounds(self, state: np.ndarray) -> np.ndarray:
+        """(n,) bool: within BOUND_MARGIN of the arena's bounds in x or z, or beyond."""
+        (x0, x1), (z0, z1) = self.vehicle.arena_x, self.vehicle.arena_z
+        x, z, m = state[:, X], state[:, Z], BOUND_MARGIN
+        return (x < x0 + m) | (x > x1 - m) | (z < z0 + m) | (z > z1 - m)
+
+    def judge(self, state, actions, contacts, start: Start, in_contact) -> Judgement:
+        """See the module's docstring; the arguments are those of `Task.judge`."""
+        c = self.conditions
+        goal = self.in_goal(state, start.inclination, start.goal_size)
+        obstacle = contacts.platform_near
+        if not c.goal_while_touching:
+            goal &= ~obstacle
+        paid = ~goal
+        terms = {
+            "time": -1.0 * paid,
+            "bounds": -1.0 * (paid & ~obstacle & self.near_bounds(state)),
+            "obstacle": -6.0 * (paid & obstacle),
+        }
+        cut = (in_contact >= c.contact_limit) & ~goal if c.contact_limit else np.zeros_like(goal)
+        return Judgement(terms, goal, goal, cut)

@@ -1,0 +1,153 @@
+"""The vehicle's collision shapes against the platform's, without an engine.
+
+The shapes are read from the compiled MuJoCo scene, so that the analytic plant and the start filters
+see what the engine sees. A vehicle is a set of spheres (foot capsules as their end points, rotor
+discs and the body box as points on their outline), the platform a set of boxes.
+"""
+
+import dataclasses
+import math
+
+import mujoco
+import numba
+import numpy as np
+
+from inclined_landing.models.attitude import rotation
+from inclined_landing.models.parameters import Vehicle
+
+PARTS = ("feet", "body", "rotors")
+PART_BODIES = ("feet", "crazyflie", "rotors")
+SURFACES = ("slab", "base", "floor")
+PLATFORM_BODIES = ("platform", "base_left", "base_right", "base_core")
+PLATFORM_GEOMS = ("slab", "wall_left", "wall_right", "core")
+_GEOM_SURFACE = (0, 1, 1, 1)  # surface index of each platform geom
+_PARKED = -100.0  # height of an absent platform [m]
+_RIM_POINTS = 16
+
+
+@dataclasses.dataclass(frozen=True)
+class Shapes:
+    """Collision shapes: spheres in the body frame, boxes in the frames of the platform bodies."""
+
+    centres: np.ndarray  # (k, 3) m, vehicle frame
+    radii: np.ndarray  # (k,) m
+    parts: np.ndarray  # (k,) index into PARTS
+    box_centres: np.ndarray  # (4, 3) m, in the frame of PLATFORM_BODIES
+    box_sizes: np.ndarray  # (4, 3) half sizes, m
+    reach: float  # no shape is farther than this from the vehicle's origin, m
+
+
+def shapes_of(model: mujoco.MjModel) -> Shapes:
+    """Read the shapes of a compiled scene."""
+    centres, radii, parts = [], [], []
+    for part, body in enumerate(PART_BODIES):
+        identity = model.body(body).id
+        for geom in range(model.ngeom):
+            if model.geom_bodyid[geom] != identity or not model.geom_contype[geom]:
+                continue
+            offset = model.geom_pos[geom] + (0 if body == "crazyflie" else model.body_pos[identity])
+            frame = np.zeros(9)
+            mujoco.mju_quat2Mat(frame, model.geom_quat[geom])
+            points, radius = _outline(int(model.geom_type[geom]), model.geom_size[geom])
+            centres.append(offset + points @ frame.reshape(3, 3).T)
+            radii += [radius] * len(points)
+            parts += [part] * len(points)
+    centres, radii = np.concatenate(centres), np.array(radii)
+    geoms = [model.geom(name) for name in PLATFORM_GEOMS]
+    return Shapes(
+        centres,
+        radii,
+        np.array(parts),
+        np.array([g.pos for g in geoms]),
+        np.array([g.size for g in geoms]),
+        float((np.linalg.norm(centres, axis=1) + radii).max()),
+    )
+
+
+def _outline(kind: int, size: np.ndarray) -> tuple[np.ndarray, float]:
+    """Sphere centres (k, 3) in the geom frame and their radius [m] for one geom."""
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return np.zeros((1, 3)), size[0]
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        return np.array([[0, 0, -size[1]], [0, 0, size[1]]]), size[0]
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+        return signs * size, 0.0
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        angle = np.arange(_RIM_POINTS) * (2 * np.pi / _RIM_POINTS)
+        rim = size[0] - size[1]  # the sphere of radius size[1] ends where the disc ends
+        return np.stack([rim * np.cos(angle), rim * np.sin(angle), 0 * angle], axis=1), size[1]
+    raise ValueError(f"no outline for a collision geom of type {kind}")
+
+
+def platform_poses(inclination, present, vehicle: Vehicle):
+    """Poses of PLATFORM_BODIES for platforms of the given inclinations.
+
+    inclination (n,) [rad], present (n,) bool. Returns positions (n, 4, 3) [m] and quaternions
+    (n, 4, 4). The slab's top surface passes through (0, 0, surface_height); the walls stand under
+    its two edges, the core fills the space below the lower edge. Absent platforms are parked far
+    below the floor.
+    """
+    inclination = np.asarray(inclination, float)
+    present = np.asarray(present, bool)
+    n = len(inclination)
+    height, half = vehicle.platform_surface_height, vehicle.slab_half_length
+    underside = vehicle.platform_thickness / np.cos(inclination)  # measured vertically
+    run, rise = half * np.cos(inclination), -half * np.sin(inclination)
+    position = np.zeros((n, 4, 3))
+    position[:, 0, 2] = height
+    position[:, 1, 0], position[:, 1, 2] = -run, height - rise - underside
+    position[:, 2, 0], position[:, 2, 2] = run, height + rise - underside
+    position[:, 3, 2] = height - np.abs(rise) - underside
+    position[~present, :, 2] = _PARKED
+    quaternion = np.zeros((n, 4, 4))
+    quaternion[..., 0] = 1.0
+    quaternion[:, 0, 0], quaternion[:, 0, 2] = np.cos(inclination / 2), np.sin(inclination / 2)
+    return position, quaternion
+
+
+@numba.njit(cache=True)
+def _clearances(state, inclination, position, centres, radii, parts, boxes, sizes, reach, out):
+    """Smallest distance (n, 3 surfaces, 3 parts) of the vehicle's shapes to the scene [m]."""
+    rotated = np.empty(3)
+    for i in range(state.shape[0]):
+        out[i, :, :] = np.inf
+        r = rotation(state[i, 6], state[i, 7], state[i, 8])
+        near_floor = state[i, 2] < 2.0 * reach
+        si, ci = math.sin(inclination[i]), math.cos(inclination[i])
+        for k in range(centres.shape[0]):
+            for a in range(3):
+                rotated[a] = state[i, a] + (
+                    r[a, 0] * centres[k, 0] + r[a, 1] * centres[k, 1] + r[a, 2] * centres[k, 2]
+                )
+            part = parts[k]
+            if near_floor:
+                out[i, 2, part] = min(out[i, 2, part], rotated[2] - radii[k])
+            for b in range(sizes.shape[0]):
+                dx = rotated[0] - position[i, b, 0]
+                dy = rotated[1] - position[i, b, 1]
+                dz = rotated[2] - position[i, b, 2]
+                if b == 0:  # only the slab is tilted
+                    dx, dz = ci * dx - si * dz, si * dx + ci * dz
+                dx = abs(dx - boxes[b, 0]) - sizes[b, 0]
+                dy = abs(dy - boxes[b, 1]) - sizes[b, 1]
+                dz = abs(dz - boxes[b, 2]) - sizes[b, 2]
+                outside = math.sqrt(max(dx, 0.0) ** 2 + max(dy, 0.0) ** 2 + max(dz, 0.0) ** 2)
+                distance = outside + min(max(dx, dy, dz), 0.0) - radii[k]
+                surface = 0 if b == 0 else 1
+                out[i, surface, part] = min(out[i, surface, part], distance)
+
+
+def clearances(state, inclination, position, shapes: Shapes, out=None) -> np.ndarray:
+    """Signed distance [m] of every part to every surface, (n, 3 surfaces, 3 parts).
+
+    state (n, 13), inclination (n,) [rad], position (n, 4, 3) from `platform_poses`. Negative where
+    shapes overlap. The floor's entry is inf for vehicles well above it.
+    """
+    out = np.empty((len(state), 3, 3)) if out is None else out
+    s = shapes
+    _clearances(
+        state, inclination, position, s.centres, s.radii, s.parts, s.box_centres, s.box_sizes,
+        s.reach, out,
+    )  # fmt: skip
+    return out

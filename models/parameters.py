@@ -1,0 +1,174 @@
+"""Reader of `crazyflie.toml`, the one source of every physical constant.
+
+`load_vehicle()` gives the values as a frozen :class:`Vehicle`; `constants()` gives unit, source and
+uncertainty beside each value.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import tomllib
+from importlib import resources
+from pathlib import Path
+
+from inclined_landing.models.errors import UserError
+
+_FIELDS = ("value", "unit", "source", "uncertainty")
+
+
+@dataclasses.dataclass(frozen=True)
+class Constant:
+    """One entry of the vehicle file."""
+
+    section: str
+    name: str
+    value: float | tuple[float, ...]
+    unit: str
+    source: str
+    uncertainty: float | tuple[float, ...] | str
+
+
+@dataclasses.dataclass(frozen=True)
+class Vehicle:
+    """The constants of one vehicle and its arena, SI units; field `a_b` is entry `b` of table `a`.
+
+    Use :func:`dataclasses.replace` for a variant.
+    """
+
+    body_mass: float
+    body_inertia: tuple[float, float, float]
+    environment_gravity: float
+    thrust_lag_rate: float
+    thrust_state_gain: float
+    thrust_direct_gain: float
+    motor_count: float
+    motor_pwm_to_force: tuple[float, float, float]
+    motor_pwm_to_speed: tuple[float, float]
+    drag_coefficients: tuple[float, float, float]
+    attitude_gain: float
+    attitude_time_constant: float
+    attitude_bandwidth: float
+    attitude_yaw_bandwidth: float
+    attitude_torque_limit: float
+    attitude_yaw_torque_limit: float
+    command_control_period: float
+    command_pwm_range: tuple[float, float]
+    command_angle_limit: float
+    command_yaw_rate_limit: float
+    command_pwm_centre: float
+    command_pwm_span: float
+    arena_x: tuple[float, float]
+    arena_y: tuple[float, float]
+    arena_z: tuple[float, float]
+    platform_surface_height: float
+    platform_width: float
+    platform_depth: float
+    platform_thickness: float
+    platform_inclination: float
+    platform_max_inclination: float
+    contact_friction: float
+    contact_solref: tuple[float, float]
+
+    @property
+    def thrust_per_pwm(self) -> float:
+        """Steady total thrust per PWM [N/PWM] of the transfer function."""
+        return self.thrust_state_gain / self.thrust_lag_rate + self.thrust_direct_gain
+
+    @property
+    def hover_pwm(self) -> float:
+        """PWM at which the transfer function carries the weight (about 34 100)."""
+        return self.body_mass * self.environment_gravity / self.thrust_per_pwm
+
+    @property
+    def hover_lag(self) -> float:
+        """Lag state Omega in hover [PWM s]."""
+        return self.hover_pwm / self.thrust_lag_rate
+
+    @property
+    def static_hover_pwm(self) -> float:
+        """PWM at which the *static* map carries the weight (the paper quotes 42 000)."""
+        a, b, c = self.motor_pwm_to_force
+        force = self.body_mass * self.environment_gravity / self.motor_count
+        return (-b + math.sqrt(b * b - 4 * a * (c - force))) / (2 * a)
+
+    @property
+    def slab_half_length(self) -> float:
+        """Half the slab's length along the slope [m]: `width` is horizontal at the default angle."""
+        return 0.5 * self.platform_width / math.cos(self.platform_inclination)
+
+    def check_inclination(self, inclination: float) -> float:
+        """Return `inclination` [rad] if the platform supports it, else raise UserError."""
+        limit = self.platform_max_inclination
+        if not (math.isfinite(inclination) and abs(inclination) <= limit + 1e-12):
+            raise UserError(
+                f"platform inclination {math.degrees(inclination):g} deg is outside the supported "
+                f"range of -{math.degrees(limit):.0f} to {math.degrees(limit):.0f} deg"
+            )
+        return float(inclination)
+
+
+def constants(path: str | Path | None = None) -> list[Constant]:
+    """Every entry of the vehicle file (default: the shipped `crazyflie.toml`), in file order.
+
+    Raises UserError, naming file and entry, when the file is unreadable or an entry is incomplete.
+    """
+    name = str(path) if path is not None else "crazyflie.toml"
+    try:
+        if path is None:
+            text = resources.files("inclined_landing.models").joinpath(name).read_text("utf-8")
+        else:
+            text = Path(path).read_text("utf-8")
+        tables = tomllib.loads(text)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise UserError(f"vehicle file {name} cannot be read: {error}") from error
+    entries = []
+    for section, table in tables.items():
+        if not isinstance(table, dict):
+            raise UserError(f"vehicle file {name}: entry {section} stands outside any table")
+        for key, entry in table.items():
+            if not isinstance(entry, dict) or set(entry) != set(_FIELDS):
+                raise UserError(
+                    f"vehicle file {name}: entry {section}.{key} must have exactly the fields "
+                    + ", ".join(_FIELDS)
+                )
+            value = entry["value"]
+            value = tuple(map(float, value)) if isinstance(value, list) else float(value)
+            if not all(map(math.isfinite, value if isinstance(value, tuple) else (value,))):
+                raise UserError(f"vehicle file {name}: {section}.{key} is not a finite number")
+            entries.append(
+                Constant(section, key, value, entry["unit"], entry["source"], entry["uncertainty"])
+            )
+    return entries
+
+
+@functools.lru_cache(maxsize=8)
+def load_vehicle(path: str | Path | None = None) -> Vehicle:
+    """Read a vehicle file (default: the shipped Crazyflie 2.1).
+
+    Raises UserError when an entry is missing, unknown, or has the wrong number of values.
+    """
+    name = str(path) if path is not None else "crazyflie.toml"
+    values = {f"{c.section}_{c.name}": c.value for c in constants(path)}
+    fields = {f.name for f in dataclasses.fields(Vehicle)}
+    for problem, names in (("lacks", fields - set(values)), ("has unknown", set(values) - fields)):
+        if names:
+            raise UserError(f"vehicle file {name} {problem} entries: {', '.join(sorted(names))}")
+    if path is not None:
+        reference = dataclasses.asdict(load_vehicle())
+        for field, value in values.items():
+            if len(_tuple(value)) != len(_tuple(reference[field])):
+                raise UserError(
+                    f"vehicle file {name}: {field} needs {len(_tuple(reference[field]))} value(s), "
+                    f"it has {len(_tuple(value))}"
+                )
+    vehicle = Vehicle(**values)
+    for field in ("body_mass", "thrust_lag_rate", "attitude_time_constant", "attitude_bandwidth"):
+        if getattr(vehicle, field) <= 0:
+            raise UserError(f"vehicle file {name}: {field} must be positive")
+    return vehicle
+
+
+def _tuple(value) -> tuple:
+    return value if isinstance(value, tuple) else (value,)

@@ -1,0 +1,397 @@
+"""One interface, two plants: the paper's equations and the MuJoCo vehicle, n vehicles each.
+
+Everything above this module is written once against it. A plant is stepped with the paper's commands
+u = [PWM, roll, pitch, yaw rate] (n, 4) held for one control period, and shows
+
+- `state` (n, 13): columns of `attitude.py`, a copy refreshed by every call;
+- `contacts`: what the vehicles' parts touched during the last control step;
+- `reset(ids, state)`: full state, lag included; `save()` / `restore()`: everything that a replay needs;
+- `set_platform(ids, inclination, present)` and `perturb(**changes)`, per vehicle, no recompiling.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from typing import Literal
+
+import mujoco
+import mujoco.batch
+import numba
+import numpy as np
+
+from inclined_landing.models import analytic, geometry, perturbation
+from inclined_landing.models.attitude import (
+    LAG,
+    PITCH,
+    ROLL,
+    STATE_SIZE,
+    VX,
+    WX,
+    WZ,
+    YAW,
+    body_rates,
+    euler_angles,
+    quaternion,
+)
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.scene import compile_scene
+
+Attitude = Literal["rate_loop", "kinematic"]
+PLANTS = ("mujoco", "analytic")
+
+
+@dataclasses.dataclass
+class Contacts:
+    """Contacts of the last control step; axes are vehicle, surface (slab, base, floor), part.
+
+    Parts are feet, body, rotors. `near` includes a keep-out zone if the plant has one, `touch` does
+    not. `force` is the largest net force on the part during the step [N]; NaN in the analytic plant,
+    whose vehicles pass through surfaces.
+    """
+
+    near: np.ndarray  # (n, 3, 3) bool
+    touch: np.ndarray  # (n, 3, 3) bool
+    force: np.ndarray  # (n, 3, 3) N
+
+    @property
+    def platform(self) -> np.ndarray:
+        """(n,) bool: any part touches slab or base."""
+        return self.touch[:, :2].any(axis=(1, 2))
+
+    @property
+    def platform_near(self) -> np.ndarray:
+        """(n,) bool: any part within the keep-out zone of slab or base, or touching."""
+        return self.near[:, :2].any(axis=(1, 2))
+
+
+@dataclasses.dataclass
+class Snapshot:
+    """Everything `Plant.restore` needs; opaque to the caller."""
+
+    arrays: dict[str, np.ndarray]
+
+
+class _Plant:
+    """What both plants share: platform poses, perturbations, snapshots."""
+
+    def __init__(self, n: int, vehicle: Vehicle | None, attitude: Attitude, keep_out: float):
+        if attitude not in ("rate_loop", "kinematic"):
+            raise UserError(f"attitude must be 'rate_loop' or 'kinematic', not {attitude!r}")
+        if n < 1:
+            raise UserError(f"a plant needs at least one vehicle, not {n}")
+        self.n = n
+        self.vehicle = vehicle or load_vehicle()
+        self.attitude = attitude
+        self.keep_out = keep_out
+        self.control_period = self.vehicle.command_control_period
+        self.state = np.zeros((n, STATE_SIZE))
+        self.contacts = Contacts(
+            np.zeros((n, 3, 3), bool), np.zeros((n, 3, 3), bool), np.zeros((n, 3, 3))
+        )
+        self.inclination = np.full(n, self.vehicle.platform_inclination)
+        self.present = np.ones(n, bool)
+        self.perturbation = perturbation.neutral(n)
+        self._constants = analytic.pack(self.vehicle)
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        c = self.contacts
+        return {
+            "state": self.state,
+            "near": c.near,
+            "touch": c.touch,
+            "force": c.force,
+            "inclination": self.inclination,
+            "present": self.present,
+            "perturbation": self.perturbation,
+        }
+
+    def save(self) -> Snapshot:
+        """Everything a later bit-for-bit replay needs."""
+        return Snapshot({name: array.copy() for name, array in self._arrays().items()})
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Return to a snapshot of a plant of the same kind and size."""
+        own = self._arrays()
+        if set(own) != set(snapshot.arrays) or self.n != len(snapshot.arrays["state"]):
+            raise UserError("the snapshot belongs to a plant of another kind or size")
+        for name, array in own.items():
+            array[:] = snapshot.arrays[name]
+        self._apply_perturbation()
+
+    def perturb(self, **changes) -> None:
+        """Set named deviations (see `perturbation.NAMES`) to a number or an (n,) array."""
+        self.perturbation[:] = perturbation.perturb(self.perturbation, **changes)
+        self._apply_perturbation()
+
+    def _apply_perturbation(self) -> None:
+        """Hook for plants that keep the perturbation elsewhere too."""
+
+    def _clear_contacts(self, ids) -> None:
+        self.contacts.near[ids] = False
+        self.contacts.touch[ids] = False
+        self.contacts.force[ids] = 0.0
+
+
+class AnalyticPlant(_Plant):
+    """The equations of `analytic.py`; obstacles are detected geometrically, never felt.
+
+    substeps: RK4 steps per control period. The default of one is the paper's 0.02 s.
+    """
+
+    kind = "analytic"
+
+    def __init__(
+        self,
+        n: int,
+        vehicle: Vehicle | None = None,
+        *,
+        attitude: Attitude = "kinematic",
+        keep_out: float = 0.0,
+        substeps: int = 1,
+    ):
+        super().__init__(n, vehicle, attitude, keep_out)
+        if substeps < 1:
+            raise UserError(f"substeps must be at least 1, not {substeps}")
+        self.substeps = substeps
+        self.shapes = geometry.shapes_of(compile_scene(self.vehicle))
+        self._position, _ = geometry.platform_poses(
+            self.inclination, self.present, self.vehicle
+        )
+        self._distance = np.empty((n, 3, 3))
+        self.contacts.force[:] = np.nan
+
+    def _arrays(self):
+        return super()._arrays() | {"position": self._position}
+
+    def _clear_contacts(self, ids) -> None:
+        super()._clear_contacts(ids)
+        self.contacts.force[ids] = np.nan
+
+    def set_platform(self, ids, inclination, present=True) -> None:
+        """Platform inclination [rad] and presence of the vehicles `ids`."""
+        self.inclination[ids] = inclination
+        self.present[ids] = present
+        self._position[ids] = geometry.platform_poses(
+            self.inclination[ids], self.present[ids], self.vehicle
+        )[0]
+
+    def reset(self, ids, state: np.ndarray) -> None:
+        """Put the vehicles `ids` into `state` (k, 13), contacts cleared."""
+        self.state[ids] = state
+        self._clear_contacts(ids)
+
+    def step(self, commands: np.ndarray) -> None:
+        """Advance every vehicle by one control period under commands (n, 4)."""
+        analytic.step(
+            self.state,
+            np.ascontiguousarray(commands, dtype=float),
+            self._constants,
+            self.perturbation,
+            self.attitude == "rate_loop",
+            self.control_period / self.substeps,
+            self.substeps,
+        )
+        geometry.clearances(
+            self.state, self.inclination, self._position, self.shapes, self._distance
+        )
+        np.less(self._distance, self.keep_out, out=self.contacts.near)
+        np.less(self._distance, 0.0, out=self.contacts.touch)
+
+
+class MujocoPlant(_Plant):
+    """The MJCF vehicle on `mujoco.batch`: real bodies, native actuator plugins, real contact.
+
+    attitude: "rate_loop" is the physical vehicle; "kinematic" sets the body rates to the paper's
+    first-order loops at every control tick (free flight only: a vehicle that touched something
+    keeps its physical rates), the mode for exact comparison.
+    integrator, timestep: of the engine; the control period must be a whole number of time steps.
+    keep_out: sensor-only zone around the platform [m] in which contacts count as `near`.
+    threads: 0 takes all cores.
+    """
+
+    kind = "mujoco"
+
+    def __init__(
+        self,
+        n: int,
+        vehicle: Vehicle | None = None,
+        *,
+        attitude: Attitude = "rate_loop",
+        keep_out: float = 0.0,
+        integrator: str = "RK4",
+        timestep: float = 0.004,
+        threads: int = 0,
+        torque_limit: bool = True,
+    ):
+        super().__init__(n, vehicle, attitude, keep_out)
+        self.substeps = round(self.control_period / timestep)
+        if self.substeps < 1 or abs(self.substeps * timestep - self.control_period) > 1e-12:
+            raise UserError(
+                f"the control period {self.control_period:g} s is not a whole number of "
+                f"time steps of {timestep:g} s"
+            )
+        self.model = compile_scene(
+            self.vehicle,
+            integrator=integrator,
+            timestep=timestep,
+            keep_out=keep_out,
+            torque_limit=torque_limit,
+        )
+        self.shapes = geometry.shapes_of(self.model)
+        threads = min(threads or len(os.sched_getaffinity(0)), n)
+        self.batch = mujoco.batch.Batch(self.model, n, threads)
+        bind = self.batch.bind
+        self._qpos, self._qvel, self._act = bind("qpos"), bind("qvel"), bind("act")
+        self._ctrl, self._warmstart, self._time = bind("ctrl"), bind("qacc_warmstart"), bind("time")
+        self._mocap_pos, self._mocap_quat = bind("mocap_pos"), bind("mocap_quat")
+        self._mocap = [int(self.model.body(b).mocapid[0]) for b in geometry.PLATFORM_BODIES]
+        self._warning = self.batch.warning
+        self._sensors = np.zeros((n, self.substeps, self.model.nsensordata))
+        self._perturbed = False
+        self.set_platform(np.arange(n), self.inclination)
+        self.reset(np.arange(n), self.state)
+
+    def _arrays(self):
+        return super()._arrays() | {"engine": self.batch.state}
+
+    def set_platform(self, ids, inclination, present=True) -> None:
+        """Platform inclination [rad] and presence of the vehicles `ids`."""
+        self.inclination[ids] = inclination
+        self.present[ids] = present
+        position, quat = geometry.platform_poses(
+            self.inclination[ids], self.present[ids], self.vehicle
+        )
+        for k, mocap in enumerate(self._mocap):
+            self._mocap_pos[ids, mocap] = position[:, k]
+            self._mocap_quat[ids, mocap] = quat[:, k]
+
+    def reset(self, ids, state: np.ndarray) -> None:
+        """Put the vehicles `ids` into `state` (k, 13): pose, rates, lag; contacts cleared."""
+        ids = np.asarray(ids)
+        if ids.dtype == bool:
+            ids = np.flatnonzero(ids)
+        state = np.ascontiguousarray(state, dtype=float)
+        _write_state(ids, state, self._qpos, self._qvel, self._act)
+        self._ctrl[ids] = 0.0
+        self._warmstart[ids] = 0.0
+        self._time[ids] = 0.0
+        self.state[ids] = state
+        self._clear_contacts(ids)
+
+    def step(self, commands: np.ndarray) -> None:
+        """Advance every vehicle by one control period under commands (n, 4).
+
+        Contacts are the maximum over the control step's substeps, each seen at its beginning.
+        """
+        self._ctrl[:] = commands
+        if self.attitude == "kinematic":
+            touched = self.contacts.touch.any(axis=(1, 2))
+            _synchronise_rates(
+                self._qpos, self._qvel, self._ctrl, self._constants, self.perturbation, touched
+            )
+        self.batch.rollout(
+            self.substeps, record=("sensordata",), out={"sensordata": self._sensors}
+        )
+        c = self.contacts
+        _read_contacts(self._sensors, self.keep_out > 0.0, c.near, c.touch, c.force)
+        _read_state(self._qpos, self._qvel, self._act, self.state)
+        if not np.isfinite(self.state).all():
+            bad = np.flatnonzero(~np.isfinite(self.state).all(axis=1))
+            raise FloatingPointError(f"the engine diverged for vehicles {bad[:5].tolist()}")
+
+    def _apply_perturbation(self) -> None:
+        if not self._perturbed and (self.perturbation == perturbation.NEUTRAL).all():
+            return
+        self._perturbed = True
+        p, expand = self.perturbation, self.batch.expand
+        model = self.model
+        thrust = model.actuator("thrust").id
+        gain, dynamics, bias = (expand(f"actuator_{k}prm") for k in ("gain", "dyn", "bias"))
+        gain[:, thrust, 0] = p[:, perturbation.THRUST_SCALE]
+        dynamics[:, thrust, 0] = p[:, perturbation.LAG_SCALE]
+        bias[:, thrust, 0] = p[:, perturbation.THRUST_BIAS]
+        bias[:, thrust, 1] = p[:, perturbation.DRAG_CHANGE]
+        for loop in (model.actuator(name).id for name in ("roll", "pitch")):
+            gain[:, loop, 0] = p[:, perturbation.GAIN_SCALE]
+            dynamics[:, loop, 0] = p[:, perturbation.TIME_CONSTANT_SCALE]
+        if (p[:, perturbation.MASS_SCALE] != 1.0).any() or self.batch.expanded("body_mass") is not None:
+            body = model.body("crazyflie").id
+            mass = expand("body_mass")
+            mass[:, body] = model.body_mass[body] * p[:, perturbation.MASS_SCALE]
+            self.batch.set_const()
+
+
+def make_plant(kind: str, n: int, vehicle: Vehicle | None = None, **options):
+    """A plant by name: "mujoco" or "analytic"."""
+    if kind == "mujoco":
+        return MujocoPlant(n, vehicle, **options)
+    if kind == "analytic":
+        return AnalyticPlant(n, vehicle, **options)
+    raise UserError(f"unknown plant {kind!r}; known are {' and '.join(PLANTS)}")
+
+
+@numba.njit(cache=True)
+def _write_state(ids, state, qpos, qvel, act):
+    for k in range(len(ids)):
+        i, s = ids[k], state[k]
+        qpos[i, :3] = s[:3]
+        qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6] = quaternion(s[ROLL], s[PITCH], s[YAW])
+        qvel[i, :3] = s[VX : VX + 3]
+        qvel[i, 3:6] = s[WX : WX + 3]
+        act[i, 0] = s[LAG]
+
+
+@numba.njit(cache=True)
+def _read_state(qpos, qvel, act, state):
+    for i in range(state.shape[0]):
+        q, s = qpos[i], state[i]
+        s[:3] = q[:3]
+        s[VX : VX + 3] = qvel[i, :3]
+        s[ROLL], s[PITCH], s[YAW] = euler_angles(q[3], q[4], q[5], q[6])
+        s[WX : WZ + 1] = qvel[i, 3:6]
+        s[LAG] = act[i, 0]
+
+
+@numba.njit(cache=True)
+def _synchronise_rates(qpos, qvel, ctrl, c, p, touched):
+    for i in range(qpos.shape[0]):
+        if touched[i]:
+            continue
+        roll, pitch, _ = euler_angles(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
+        a, b, d = analytic.loop_rates(roll, pitch, ctrl[i], c, p[i])
+        qvel[i, 3], qvel[i, 4], qvel[i, 5] = body_rates(roll, pitch, a, b, d)
+
+
+@numba.njit(cache=True)
+def _read_contacts(sensors, zone, near, touch, force):
+    """Fold the (n, substeps, 60) contact sensors into (n, 3, 3) arrays, maximum over substeps.
+
+    Sensors come in the order slab, three base geoms, floor, each feet, body, rotors, each found and
+    net force. The forces on one part by the base's geoms are added as vectors.
+    """
+    net = np.empty(3)
+    for i in range(sensors.shape[0]):
+        near[i] = False
+        touch[i] = False
+        force[i] = 0.0
+        for s in range(sensors.shape[1]):
+            row = sensors[i, s]
+            for surface in range(3):
+                first = 0 if surface == 0 else (1 if surface == 1 else 4)
+                last = 1 if surface == 0 else (4 if surface == 1 else 5)
+                for part in range(3):
+                    found = False
+                    net[:] = 0.0
+                    for geom in range(first, last):
+                        k = 4 * (3 * geom + part)
+                        if row[k] > 0.0:
+                            found = True
+                            net += row[k + 1 : k + 4]
+                    if found:
+                        near[i, surface, part] = True
+                        size = np.sqrt(net[0] ** 2 + net[1] ** 2 + net[2] ** 2)
+                        force[i, surface, part] = max(force[i, surface, part], size)
+                        if size > 0.0 or not zone:
+                            touch[i, surface, part] = True

@@ -1,0 +1,161 @@
+"""The MuJoCo scene: shapes from `mjcf/`, numbers from `crazyflie.toml`.
+
+The XML files hold no physical constant. `build_spec` fills them in through MjSpec; the result compiles
+in plain MuJoCo wherever this package is installed (its plugins load with `import mujoco`).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from importlib import resources
+
+import mujoco
+
+from inclined_landing.models import geometry, plugins
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+
+INTEGRATORS = {
+    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+}
+_VISUAL_GROUPS = (1, 2)
+_WALL_HALF_HEIGHT = 0.8  # m; reaches below the floor at every inclination
+_WALL_HALF_THICKNESS = 0.01  # m
+
+
+def build_spec(
+    vehicle: Vehicle | None = None,
+    *,
+    visuals: bool = True,
+    keep_out: float = 0.0,
+    timestep: float = 0.004,
+    integrator: str = "RK4",
+    torque_limit: bool = True,
+) -> mujoco.MjSpec:
+    """The scene as an MjSpec.
+
+    visuals: keep the purely visual geoms (they cost time in simulation and change no physics).
+    keep_out: zone around slab and base [m] in which contacts are reported without force.
+    torque_limit: clamp the attitude torques to the vehicle's authority.
+    Raises UserError for an unknown integrator or a negative zone or time step.
+    """
+    v = vehicle or load_vehicle()
+    plugins.load()
+    if integrator not in INTEGRATORS:
+        raise UserError(f"unknown integrator {integrator!r}; known are {', '.join(INTEGRATORS)}")
+    if not (math.isfinite(timestep) and timestep > 0):
+        raise UserError(f"timestep must be positive, not {timestep!r}")
+    if not (math.isfinite(keep_out) and keep_out >= 0):
+        raise UserError(f"keep_out must not be negative, it is {keep_out!r}")
+    with resources.as_file(resources.files("inclined_landing.models") / "mjcf") as folder:
+        spec = mujoco.MjSpec.from_file(str(folder / "landing.xml"))
+    spec.option.timestep = timestep
+    spec.option.integrator = INTEGRATORS[integrator]
+    spec.option.gravity = [0, 0, -v.environment_gravity]
+    _fill_vehicle(spec, v, torque_limit)
+    _fill_platform(spec, v, keep_out)
+    for geom in list(spec.geoms):
+        if geom.contype or geom.conaffinity:
+            geom.friction[0] = v.contact_friction
+            geom.solref[:2] = v.contact_solref
+        elif not visuals and geom.group in _VISUAL_GROUPS:
+            spec.delete(geom)
+    return spec
+
+
+def _fill_vehicle(spec: mujoco.MjSpec, v: Vehicle, torque_limit: bool) -> None:
+    body = spec.body("crazyflie")
+    body.explicitinertial = True
+    body.mass = v.body_mass
+    body.inertia = v.body_inertia
+    numbers = {
+        "rotors": {
+            "lag_rate": v.thrust_lag_rate,
+            "state_gain": v.thrust_state_gain,
+            "direct_gain": v.thrust_direct_gain,
+            "drag": v.drag_coefficients,
+            "pwm_to_force": v.motor_pwm_to_force,
+            "pwm_to_speed": v.motor_pwm_to_speed,
+            "motors": v.motor_count,
+        },
+        "attitude": {
+            "gain": v.attitude_gain,
+            "time_constant": v.attitude_time_constant,
+            "bandwidth": v.attitude_bandwidth,
+            "yaw_bandwidth": v.attitude_yaw_bandwidth,
+        },
+    }
+    for plugin in spec.plugins:
+        plugin.config = {key: _text(value) for key, value in numbers[plugin.name].items()}
+    ranges = {
+        "thrust": (0.0, v.command_pwm_range[1]),
+        "roll": (-v.command_angle_limit, v.command_angle_limit),
+        "pitch": (-v.command_angle_limit, v.command_angle_limit),
+        "yaw_rate": (-v.command_yaw_rate_limit, v.command_yaw_rate_limit),
+    }
+    for name, limits in ranges.items():
+        actuator = spec.actuator(name)
+        actuator.ctrllimited = True
+        actuator.ctrlrange = limits
+        if torque_limit and name != "thrust":
+            limit = v.attitude_yaw_torque_limit if name == "yaw_rate" else v.attitude_torque_limit
+            actuator.forcelimited = True
+            actuator.forcerange = (-limit, limit)
+    for key in spec.keys:
+        if key.name == "hover":
+            key.act = [v.hover_lag]
+            key.ctrl = [v.hover_pwm, 0, 0, 0]
+
+
+def _fill_platform(spec: mujoco.MjSpec, v: Vehicle, keep_out: float) -> None:
+    """Sizes of slab, walls and core, posed at the vehicle file's inclination.
+
+    In the frames of their mocap bodies the slab's top surface, the walls' outer upper edges and the
+    core's top pass through the origin, which is what `geometry.platform_poses` poses.
+    """
+    half_depth, thickness = 0.5 * v.platform_depth, _WALL_HALF_THICKNESS
+    slab = spec.geom("slab")
+    slab.size = [v.slab_half_length, half_depth, 0.5 * v.platform_thickness]
+    slab.pos = [0, 0, -slab.size[2]]
+    for name, side in (("wall_left", 1), ("wall_right", -1)):
+        wall = spec.geom(name)
+        wall.size = [thickness, half_depth, _WALL_HALF_HEIGHT]
+        wall.pos = [side * thickness, 0, -_WALL_HALF_HEIGHT]
+    core = spec.geom("core")
+    narrowest = v.slab_half_length * math.cos(v.platform_max_inclination)
+    core.size = [narrowest - 2 * thickness, half_depth, _WALL_HALF_HEIGHT]
+    core.pos = [0, 0, -_WALL_HALF_HEIGHT]
+    positions, quaternions = geometry.platform_poses([v.platform_inclination], [True], v)
+    for k, (body, geom) in enumerate(zip(geometry.PLATFORM_BODIES, geometry.PLATFORM_GEOMS)):
+        spec.body(body).pos = positions[0, k]
+        spec.body(body).alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        spec.body(body).quat = quaternions[0, k]
+        spec.geom(geom).gap = keep_out
+
+
+def _text(value) -> str:
+    values = value if isinstance(value, tuple) else (value,)
+    return " ".join(repr(float(x)) for x in values)
+
+
+@functools.lru_cache(maxsize=16)
+def compile_scene(
+    vehicle: Vehicle,
+    *,
+    keep_out: float = 0.0,
+    timestep: float = 0.004,
+    integrator: str = "RK4",
+    torque_limit: bool = True,
+) -> mujoco.MjModel:
+    """The compiled scene for simulation, without visual geoms; one model per set of arguments."""
+    return build_spec(
+        vehicle,
+        visuals=False,
+        keep_out=keep_out,
+        timestep=timestep,
+        integrator=integrator,
+        torque_limit=torque_limit,
+    ).compile()
