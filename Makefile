@@ -1,0 +1,47 @@
+# make            install into .venv (again after a change of the C++ or the dependencies)
+# make demo       train, evaluate and film a short landing run into runs/demo
+# make test       style, import contract and tests
+# make lint       style, formatting and import contract
+# make bench      simulation speed
+#
+# PYTHON=python3.12  the interpreter to build .venv with
+# PIP_ARGS=...       extra arguments for pip (constraints.txt says how to choose a torch build)
+
+PYTHON ?= python3
+PIP_ARGS ?=
+BIN := .venv/bin
+INSTALLED := .venv/.installed
+SOURCES := pyproject.toml constraints.txt models/crazyflie.toml $(wildcard models/plugin/*)
+
+.PHONY: install demo test lint bench
+install: $(INSTALLED)
+
+demo: $(INSTALLED)
+	$(BIN)/landing-train landing --out runs/demo
+
+test: $(INSTALLED)
+	$(BIN)/ruff check
+	$(BIN)/lint-imports --no-logo
+	$(BIN)/pytest -n 2 --dist loadfile
+
+lint: $(INSTALLED)
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/lint-imports --no-logo
+
+bench: $(INSTALLED)
+	$(BIN)/landing-eval benchmark
+
+$(INSTALLED): $(SOURCES)
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
+	  { echo "error: $(PYTHON) is missing or older than Python 3.11; name another one with" \
+	         "'make PYTHON=python3.12'." >&2; exit 2; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+	  { echo "error: $(PYTHON) cannot create virtual environments; install its venv module" \
+	         "(on Debian and Ubuntu: apt install python3-venv)." >&2; exit 2; }
+	@for compiler in "$$CXX" c++ g++ clang++; do command -v "$$compiler" >/dev/null && exit 0; done; \
+	  echo "error: no C++ compiler was found for the native plugins; install one (on Debian and" \
+	       "Ubuntu: apt install g++) or name it in CXX." >&2; exit 2
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install $(PIP_ARGS) -c constraints.txt -e '.[test]'
+	@touch $@
