@@ -132,8 +132,6 @@ bool CheckAxes(const mjModel* m, int instance, std::string* error) {
       *error = plugin + ": the actuators of one instance must act on one body";
     } else if (std::abs(quat[0]) < 1 - 1e-12) {
       *error = plugin + ": the site of an actuator must have the axes of its body";
-    } else if (m->actuator_trnid[2 * i + 1] >= 0) {
-      *error = plugin + ": an actuator must not have a refsite";
     } else {
       taken[axis] = true;
       body = m->site_bodyid[site];

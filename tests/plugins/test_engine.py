@@ -1,0 +1,216 @@
+"""What both plugins owe the engine: commands, switches, state, several models at once."""
+
+import copy
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import mujoco
+import mujoco.batch
+import numpy as np
+import pytest
+
+NAMES = ("thrust", "roll", "pitch", "yaw_rate")
+
+
+def all_actuators(build, **attributes):
+    return "".join(build.actuator(name, **attributes) for name in NAMES)
+
+
+def fly(model, data, commands):
+    """Step once per row of `commands` (k, 4); returns qpos, qvel and act of every step, joined."""
+    rows = []
+    for row in commands:
+        data.ctrl[:] = row
+        mujoco.mj_step(model, data)
+        rows.append(np.concatenate([data.qpos, data.qvel, data.act]))
+    return np.array(rows)
+
+
+def commands(k=50, seed=0):
+    """(k, 4) random commands within the vehicle's bounds."""
+    low, high = np.array([0, -0.5, -0.5, -3]), np.array([60000, 0.5, 0.5, 3])
+    return np.random.default_rng(seed).uniform(low, high, (k, 4))
+
+
+@pytest.mark.parametrize("flag", ["enable", "disable"])
+def test_command_is_clamped_to_ctrlrange_unless_disabled(build, flag):
+    model = build(actuators=all_actuators(build, ctrlrange="-0.2 0.2"))
+    model.opt.disableflags = mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL if flag == "disable" else 0
+    outside = build.data(model, [900, 0.5, -0.5, 2])
+    inside = build.data(model, [0.2, 0.2, -0.2, 0.2])
+    same = np.array_equal(outside.actuator_force, inside.actuator_force)
+    assert same == (flag == "enable")
+    assert (outside.act_dot[0] == inside.act_dot[0]) == (flag == "enable")
+
+
+def test_command_that_is_not_a_number_counts_as_zero(build):
+    model = build()
+    data = build.data(model, [np.nan, np.inf, 0, 0], 1000)
+    zero = build.data(model, 0.0, 1000)
+    np.testing.assert_array_equal(data.actuator_force, zero.actuator_force)
+    np.testing.assert_array_equal(data.act_dot, zero.act_dot)
+
+
+@pytest.mark.parametrize("integrator", ["RK4", "implicitfast"])
+@pytest.mark.parametrize("interp", ["zoh", "linear"])
+def test_delay_is_the_engines(build, integrator, interp):
+    """Beside a native motor with the same delay, the direct thrust is its force times the gain."""
+    delayed = {"delay": "0.003", "nsample": "3", "interp": interp}
+    attributes = " ".join(f'{key}="{value}"' for key, value in delayed.items())
+    native = f'<motor name="native" site="com" gear="0 0 0 0 0 0" {attributes}/>'
+    model = build(
+        rotors={"state_gain": "0", "direct_gain": "2"},
+        actuators=build.actuator("thrust", **delayed) + build.actuator("roll", **delayed) + native,
+        integrator=integrator,
+    )
+    data = build.data(model)
+    torques = []
+    for k in range(12):
+        data.ctrl[:] = [k, 0.1 if k >= 4 else 0, k]
+        mujoco.mj_step(model, data)
+        assert data.actuator_force[0] == 2 * data.actuator_force[2]
+        torques.append(data.actuator_force[1])
+    # the command given at step 4 is first felt three steps later
+    assert np.flatnonzero(torques)[0] in ((7,) if integrator != "RK4" else (6, 7))
+
+
+def test_disabled_group_neither_pushes_nor_drags_nor_spins(build):
+    actuators = "".join(build.actuator(n, group=str(i)) for i, n in enumerate(NAMES))
+    model = build(actuators=actuators)
+    for i in range(4):
+        model.opt.disableactuator = 1 << i
+        data = build.data(model, [30000, 0.1, 0.1, 1], 2000, velocity=(1, 1, 1))
+        assert list(data.actuator_force == 0) == [k == i for k in range(4)]
+        assert np.any(data.qfrc_passive != 0) == (i != 0)
+        assert (data.act_dot[0] == 0) == (i == 0)
+    mujoco.mj_step(model, data)
+
+
+def test_disabled_actuation(build):
+    model = build()
+    model.opt.disableflags = mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    data = build.data(model, [30000, 0.1, 0.1, 1], 2000, velocity=(1, 1, 1))
+    assert np.all(data.actuator_force == 0)
+    assert np.all(data.qfrc_passive == 0)
+
+
+def test_replay_from_the_saved_state_is_bit_equal(build):
+    model = build()
+    data = build.data(model, 0.0)
+    fly(model, data, commands(20, seed=1))
+    signature = mujoco.mjtState.mjSTATE_INTEGRATION
+    state = np.empty(mujoco.mj_stateSize(model, signature))
+    mujoco.mj_getState(model, data, state, signature)
+    first = fly(model, data, commands())
+    mujoco.mj_setState(model, data, state, signature)
+    np.testing.assert_array_equal(fly(model, data, commands()), first)
+    fresh = mujoco.MjData(model)
+    mujoco.mj_setState(model, fresh, state, signature)
+    np.testing.assert_array_equal(fly(model, fresh, commands()), first)
+
+
+@pytest.mark.parametrize(
+    "duplicate", [copy.copy, lambda data: pickle.loads(pickle.dumps(data))], ids=["copy", "pickle"]
+)
+def test_duplicated_data_flies_on_alike(build, duplicate):
+    model = build()
+    data = build.data(model, 0.0)
+    fly(model, data, commands(20, seed=1))
+    twin = duplicate(data)
+    np.testing.assert_array_equal(fly(model, twin, commands()), fly(model, data, commands()))
+    del data
+    fly(model, twin, commands(5))
+
+
+def test_reset_clears_the_lag(build):
+    model = build()
+    data = build.data(model, 0.0)
+    first = fly(model, data, commands())
+    mujoco.mj_resetData(model, data)
+    mujoco.mj_forward(model, data)
+    data.qacc_warmstart[:] = 0
+    np.testing.assert_array_equal(fly(model, data, commands()), first)
+
+
+def test_saved_model_keeps_its_attributes(build, tmp_path):
+    model = build(rotors={"lag_rate": "4"}, attitude={"gain": "0.5"})
+    mujoco.mj_saveModel(model, str(tmp_path / "vehicle.mjb"))
+    again = mujoco.MjModel.from_binary_path(str(tmp_path / "vehicle.mjb"))
+    np.testing.assert_array_equal(
+        fly(again, mujoco.MjData(again), commands()), fly(model, mujoco.MjData(model), commands())
+    )
+
+
+def variants(build, count=40):
+    """More models than one thread remembers parsed texts for."""
+    return [
+        build(rotors={"lag_rate": repr(5.0 + i)}, attitude={"gain": repr(0.5 + 0.01 * i)})
+        for i in range(count)
+    ]
+
+
+def test_models_with_different_attributes_side_by_side(build):
+    models = variants(build)
+    alone = [fly(model, mujoco.MjData(model), commands(5)) for model in models]
+    data = [mujoco.MjData(model) for model in models]
+    for k, row in enumerate(commands(5)):
+        for i, model in enumerate(models):
+            step = fly(model, data[i], row[None])
+            np.testing.assert_array_equal(step[0], alone[i][k])
+    assert len({row[-1, -1] for row in alone}) == len(models)
+
+
+def test_model_in_reused_memory_does_not_inherit_attributes(build):
+    for gain in ("1e-4", "2e-4", "3e-4", "1e-4"):  # same length of text, memory freed each time
+        model = build(rotors={"state_gain": gain})
+        assert build.data(model, 0.0, 1000).actuator_force[0] == 1000 * float(gain)
+        del model
+
+
+def test_models_on_several_threads(build):
+    models = variants(build, 8)
+    alone = [fly(model, mujoco.MjData(model), commands()) for model in models]
+    with ThreadPoolExecutor(4) as pool:
+        threaded = pool.map(lambda m: fly(m, mujoco.MjData(m), commands()), models * 4)
+    for result, single in zip(threaded, alone * 4, strict=True):
+        np.testing.assert_array_equal(result, single)
+
+
+def test_batch_with_hooks_per_simulation(build):
+    """`expand` gives each simulation its own hooks; each flies like a model of its own."""
+    n, rows = 6, commands(10)
+    model = build()
+    batch = mujoco.batch.Batch(model, n, 2)
+    gain, dyn, bias = (batch.expand(f"actuator_{name}prm") for name in ("gain", "dyn", "bias"))
+    rng = np.random.default_rng(3)
+    gain[:, :, 0] = rng.uniform(0.7, 1.3, (n, 4))
+    dyn[:, :, 0] = rng.uniform(0.7, 1.3, (n, 4))
+    bias[:, :, 0] = rng.uniform(-0.01, 0.01, (n, 4))
+    bias[:, 0, 1] = rng.uniform(-0.5, 0.5, n)
+    qpos, act, ctrl = batch.bind("qpos"), batch.bind("act"), batch.bind("ctrl")
+    for row in rows:
+        ctrl[:] = row
+        batch.step()
+    for i in range(n):
+        single = build()
+        single.actuator_gainprm[:] = gain[i]
+        single.actuator_dynprm[:] = dyn[i]
+        single.actuator_biasprm[:] = bias[i]
+        data = mujoco.MjData(single)
+        fly(single, data, rows)
+        np.testing.assert_array_equal(qpos[i], data.qpos)
+        np.testing.assert_array_equal(act[i], data.act)
+
+
+def test_batch_of_models_with_different_attributes(build):
+    models = variants(build, 4)
+    batch = mujoco.batch.Batch(models[0], len(models), 2)
+    batch.set_models(models)
+    qpos, ctrl = batch.bind("qpos"), batch.bind("ctrl")
+    for row in commands(10):
+        ctrl[:] = row
+        batch.step()
+    for i, model in enumerate(models):
+        data = mujoco.MjData(model)
+        fly(model, data, commands(10))
+        np.testing.assert_array_equal(qpos[i], data.qpos)

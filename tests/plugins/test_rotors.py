@@ -1,0 +1,216 @@
+"""inclined_landing.rotors: thrust, lag and drag, every attribute, hook and refusal."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+INTEGRATORS = ("RK4", "Euler", "implicit", "implicitfast", "discrete")
+# Both sides evaluate the same few double-precision operations in another order.
+ROUNDING = 1e-12
+
+
+def speed_sum(force, a, b, c, slope, idle, motors):
+    """Sum of rotor speeds [rad/s] at total thrust `force` [N], by the textbook quadratic root."""
+    each = force / motors
+    if each < c:
+        return motors * idle * each / c
+    pwm = (-b + math.sqrt(b * b - 4 * a * (c - each))) / (2 * a)
+    return motors * (slope * pwm + idle)
+
+
+def drag(build, data, **changed):
+    """World drag force (3,) [N] from the equation in plugin/README.md, for `data` as it stands."""
+    v = build.vehicle
+    values = {
+        "state_gain": v.thrust_state_gain,
+        "direct_gain": v.thrust_direct_gain,
+        "drag": v.drag_coefficients,
+        "pwm_to_force": v.motor_pwm_to_force,
+        "pwm_to_speed": v.motor_pwm_to_speed,
+        "motors": v.motor_count,
+    } | changed
+    thrust = values["state_gain"] * data.act[0] + values["direct_gain"] * data.ctrl[0]
+    speeds = speed_sum(thrust, *values["pwm_to_force"], *values["pwm_to_speed"], values["motors"])
+    rotation = data.body("crazyflie").xmat.reshape(3, 3)
+    return rotation @ (np.array(values["drag"]) * speeds * (rotation.T @ data.qvel[:3]))
+
+
+def moving(build, model, pwm=30000.0):
+    """The vehicle tilted and under way, lag settled at `pwm`."""
+    act = pwm / build.vehicle.thrust_lag_rate
+    return build.data(
+        model, [pwm, 0, 0, 0], act, velocity=(1.0, -2.0, 0.5), quat=(0.9, 0.2, -0.3, 0.1)
+    )
+
+
+def test_hover_force_carries_the_weight(build):
+    v = build.vehicle
+    model = build()
+    data = build.data(model, [v.hover_pwm, 0, 0, 0], v.hover_lag)
+    weight = v.body_mass * v.environment_gravity
+    assert data.actuator_force[0] == pytest.approx(weight, rel=ROUNDING)
+    # the extra body of the test model weighs 1e-9 kg, 3e-8 of the vehicle
+    assert abs(data.qacc[2]) < 1e-6
+
+
+def test_free_fall_without_command(build):
+    data = build.data(build(), 0.0, 0.0, velocity=(1, 2, 3))
+    assert data.actuator_force[0] == 0
+    assert np.all(data.qfrc_passive == 0)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_step_response_reaches_63_percent_after_one_time_constant(build, integrator):
+    rate = build.vehicle.thrust_lag_rate
+    model = build(integrator=integrator, timestep=1 / rate / 16)
+    data = build.data(model, [20000, 0, 0, 0])
+    mujoco.mj_step(model, data, 16)
+    # RK4 loses (lambda h)^5/120 per step, 16 (1/16)^5/120 = 1.3e-7 at most; the others are exact
+    tolerance = 1.3e-7 if integrator == "RK4" else ROUNDING
+    assert data.act[0] * rate / 20000 == pytest.approx(1 - math.exp(-1), abs=tolerance)
+
+
+def test_lag_rate(build):
+    data = build.data(build(rotors={"lag_rate": "4"}), [20000, 0, 0, 0], 1000)
+    assert data.act_dot[0] == pytest.approx(20000 - 4 * 1000, rel=ROUNDING)
+
+
+def test_state_gain(build):
+    data = build.data(build(rotors={"state_gain": "3e-4"}), 0.0, 1000)
+    assert data.actuator_force[0] == pytest.approx(0.3, rel=ROUNDING)
+
+
+def test_direct_gain(build):
+    data = build.data(build(rotors={"direct_gain": "5e-6"}), [20000, 0, 0, 0])
+    assert data.actuator_force[0] == pytest.approx(0.1, rel=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {},
+        {"drag": (-1e-6, -2e-6, -3e-6)},
+        {"pwm_to_force": (4e-11, 5e-7, 1e-4)},
+        {"pwm_to_speed": (0.02, 100.0)},
+        {"motors": 6},
+    ],
+    ids=lambda changed: next(iter(changed), "defaults"),
+)
+@pytest.mark.parametrize("pwm", [45000.0, 1000.0], ids=["above idle force", "below idle force"])
+def test_drag_and_its_attributes(build, changed, pwm):
+    text = {key: " ".join(map(repr, np.atleast_1d(v).tolist())) for key, v in changed.items()}
+    data = moving(build, build(rotors=text), pwm)
+    expected = drag(build, data, **changed)
+    # the textbook root loses half the digits near PWM 0 (difference of nearly equal numbers)
+    np.testing.assert_allclose(data.qfrc_passive[:3], expected, rtol=1e-9)
+    np.testing.assert_allclose(data.qfrc_passive[3:], 0, atol=1e-15)
+
+
+def test_static_map_without_quadratic_term(build):
+    data = moving(build, build(rotors={"pwm_to_force": "0 2e-6 1e-4"}), 30000.0)
+    expected = drag(build, data, pwm_to_force=(1e-20, 2e-6, 1e-4))
+    np.testing.assert_allclose(data.qfrc_passive[:3], expected, rtol=1e-3)
+    assert np.isfinite(data.qfrc_passive).all()
+
+
+def test_drag_acts_at_the_centre_of_mass(build):
+    model = build(inertial='pos="0.02 0.01 -0.03" mass="0.03" diaginertia="1e-5 2e-5 3e-5"')
+    data = moving(build, model)
+    force = data.qfrc_passive[:3]
+    rotation = data.body("crazyflie").xmat.reshape(3, 3)
+    torque = np.cross([0.02, 0.01, -0.03], rotation.T @ force)
+    assert np.linalg.norm(force) > 1e-3
+    np.testing.assert_allclose(data.qfrc_passive[3:6], torque, atol=1e-15)
+
+
+def test_drag_is_relative_to_the_wind(build):
+    model = build()
+    model.opt.wind[:] = (1.0, -2.0, 0.5)
+    data = moving(build, model)
+    np.testing.assert_allclose(data.qfrc_passive, 0, atol=1e-18)
+
+
+def test_hook_thrust_scale(build):
+    model = build()
+    before = moving(build, model).actuator_force[0]
+    model.actuator_gainprm[0, 0] = 0.88
+    assert moving(build, model).actuator_force[0] == pytest.approx(0.88 * before, rel=ROUNDING)
+
+
+def test_hook_thrust_bias(build):
+    model = build()
+    before = moving(build, model).actuator_force[0]
+    model.actuator_biasprm[0, 0] = -0.01
+    assert moving(build, model).actuator_force[0] == pytest.approx(before - 0.01, rel=ROUNDING)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_hook_lag_scale_slows_the_lag_and_keeps_the_steady_thrust(build, integrator):
+    rate = build.vehicle.thrust_lag_rate
+    model = build(integrator=integrator, timestep=1 / rate / 16)
+    model.actuator_dynprm[0, 0] = 2.0
+    data = build.data(model, [20000, 0, 0, 0])
+    mujoco.mj_step(model, data, 32)
+    tolerance = 1.3e-7 if integrator == "RK4" else ROUNDING
+    assert data.act[0] * rate / 20000 == pytest.approx(1 - math.exp(-1), abs=tolerance)
+    mujoco.mj_step(model, data, 32 * 40)
+    assert data.act[0] * rate / 20000 == pytest.approx(1, rel=ROUNDING)
+
+
+def test_hook_drag_change(build):
+    model = build()
+    before = moving(build, model).qfrc_passive.copy()
+    model.actuator_biasprm[0, 1] = 0.5
+    np.testing.assert_allclose(moving(build, model).qfrc_passive, 1.5 * before, rtol=ROUNDING)
+    model.actuator_biasprm[0, 1] = -1.0
+    assert np.all(moving(build, model).qfrc_passive == 0)
+
+
+@pytest.mark.parametrize(
+    ("attribute", "text", "rule"),
+    [
+        ("lag_rate", "0", "greater than 0"),
+        ("lag_rate", "fast", "1 finite number, it is 'fast'"),
+        ("lag_rate", "1 2", "1 finite number"),
+        ("lag_rate", "inf", "1 finite number"),
+        ("state_gain", "-1", "at least 0"),
+        ("direct_gain", "-1", "at least 0"),
+        ("drag", "-1 -1", "3 finite numbers"),
+        ("drag", "-1 -1 1", "at most 0"),
+        ("pwm_to_force", "1 2", "3 finite numbers"),
+        ("pwm_to_force", "1e-11 0 0", "linear > 0"),
+        ("pwm_to_speed", "1", "2 finite numbers"),
+        ("pwm_to_speed", "-1 1", "at least 0"),
+        ("motors", "2.5", "a whole number"),
+        ("motors", "0", "a whole number"),
+    ],
+)
+def test_wrong_attribute_is_refused_in_a_sentence(build, attribute, text, rule):
+    with pytest.raises(ValueError, match=f"rotors: attribute '{attribute}' must be .*{rule}"):
+        build(rotors={attribute: text})
+
+
+def test_unknown_attribute_is_refused(build):
+    with pytest.raises(ValueError, match="unrecognized attribute 'plugin:lagrate'"):
+        build(rotors={"lagrate": "1"})
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"actdim": None}, 'must have actdim="1"'),
+        ({"actdim": "2"}, 'must have actdim="1", it has 2'),
+        ({"site": None, "joint": "hinge", "gear": "1"}, "'thrust' must act on a site"),
+    ],
+    ids=["no actdim", "actdim 2", "joint"],
+)
+def test_wrong_actuator_is_refused_in_a_sentence(build, changed, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        build(actuators=build.actuator("thrust", **changed) + build.actuator("roll"))
+
+
+def test_instance_without_actuator_is_refused(build):
+    with pytest.raises(ValueError, match="rotors: the instance must drive at least one actuator"):
+        build(actuators=build.actuator("roll"))
