@@ -16,10 +16,8 @@ NAMES = (
     "time_constant_scale",  # attitude time constant tau times this
     "mass_scale",  # mass times this, inertia unchanged
 )
-(
-    *(THRUST_SCALE, THRUST_BIAS, LAG_SCALE, DRAG_CHANGE),
-    *(GAIN_SCALE, TIME_CONSTANT_SCALE, MASS_SCALE),
-) = range(len(NAMES))
+THRUST_SCALE, THRUST_BIAS, LAG_SCALE, DRAG_CHANGE = 0, 1, 2, 3
+GAIN_SCALE, TIME_CONSTANT_SCALE, MASS_SCALE = 4, 5, 6
 NEUTRAL = (1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1.0)
 _POSITIVE = {"lag_scale", "time_constant_scale", "mass_scale"}
 

@@ -26,7 +26,7 @@ from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 _COLUMNS = [0, 1, 2, 3, 4, 5, ROLL, PITCH]
 GOAL = (0.0, 0.0, 1.2)  # m
-START_BOX = ((-2.0, 2.0), (-1.2, 1.2), (0.4, 2.2))  # m
+START_BOX = ((-2.5, 2.5), (-1.3, 1.3), (0.2, 2.2))  # m
 TOLERANCE = 0.05  # m
 MAX_STEPS = 300
 

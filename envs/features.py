@@ -1,0 +1,21 @@
+"""Fixed scaling of the observations inside the policy network.
+
+A policy file then takes the task's raw observation and carries no separate statistics.
+"""
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+
+class ScaledObservation(BaseFeaturesExtractor):
+    """(observation - centre) / scale, clipped to +-10."""
+
+    def __init__(self, observation_space: Box, centre: list[float], scale: list[float]):
+        super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
+        self.register_buffer("centre", torch.tensor(centre, dtype=torch.float32))
+        self.register_buffer("scale", torch.tensor(scale, dtype=torch.float32))
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        return ((observations - self.centre) / self.scale).clamp(-10.0, 10.0)

@@ -1,0 +1,93 @@
+"""Pinhole and orthographic views: pixels to rays and points to pixels."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+FAR = 1e4  # m; parallel rays are cast from a point this far away
+_FOCUS = np.array([0.0, 0.0, 1.2])  # parallel rays are exact on the plane through this point
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """One camera at one moment.
+
+    origin (3,) m; axes (3, 3) with rows right, up, forward; extent: the image's height, in metres for
+    an orthographic view, in units of the distance for a perspective one (2 tan(fovy / 2)).
+    """
+
+    origin: np.ndarray
+    axes: np.ndarray
+    extent: float
+    orthographic: bool
+    width: int
+    height: int
+
+    @property
+    def eye(self) -> np.ndarray:
+        """The point (3,) that all rays start from."""
+        if not self.orthographic:
+            return self.origin
+        depth = (_FOCUS - self.origin) @ self.axes[2]
+        return self.origin + (depth - FAR) * self.axes[2]
+
+    @property
+    def offset(self) -> float:
+        """Axial distance from the eye to the camera [m]."""
+        return float((self.origin - self.eye) @ self.axes[2])
+
+    @property
+    def pixel(self) -> float:
+        """Size of a pixel: metres (orthographic) or metres per metre of distance (perspective)."""
+        return self.extent / self.height
+
+    def rays(self, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+        """Directions (n, 3) through image points (pixel (0, 0) has its centre at 0.5, 0.5).
+
+        They are scaled so that the hit distance is the axial distance from `eye`.
+        """
+        pixel = self.pixel / FAR if self.orthographic else self.pixel
+        right = (column - 0.5 * self.width) * pixel
+        up = (0.5 * self.height - row) * pixel
+        return self.axes[2] + right[:, None] * self.axes[0] + up[:, None] * self.axes[1]
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Image points (n, 2) as column, row, and axial distances from `eye` (n,) of points (n, 3)."""
+        local = (np.asarray(points, float) - self.origin) @ self.axes.T
+        depth = local[:, 2]
+        size = self.pixel if self.orthographic else self.pixel * np.maximum(depth, 1e-6)
+        column = 0.5 * self.width + local[:, 0] / size
+        row = 0.5 * self.height - local[:, 1] / size
+        return np.stack([column, row], axis=1), depth + self.offset
+
+    def pixel_size(self, depth):
+        """Size of a pixel [m] at the axial distance `depth` from `eye`."""
+        return self.pixel * (np.ones_like(depth) if self.orthographic else depth)
+
+
+def view_of(model, data, camera: int | str, width: int, height: int) -> View:
+    """The view of a camera of the model, after `mj_camlight`."""
+    k = model.camera(camera).id if isinstance(camera, str) else camera
+    right, up, back = data.cam_xmat[k].reshape(3, 3).T
+    orthographic = bool(model.cam_projection[k])
+    fovy = float(model.cam_fovy[k])
+    extent = fovy if orthographic else 2.0 * np.tan(0.5 * np.radians(fovy))
+    return View(data.cam_xpos[k].copy(), np.stack([right, up, -back]), extent, orthographic, width, height)
+
+
+def look_at(
+    position, target, width: int, height: int, *, fovy: float = 45.0, extent: float | None = None
+) -> View:
+    """A free view from `position` (3,) towards `target` (3,), z up.
+
+    fovy in degrees; with `extent` [m] the view is orthographic and shows that height.
+    """
+    position, target = np.asarray(position, float), np.asarray(target, float)
+    forward = (target - position) / np.linalg.norm(target - position)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(right, forward), forward])
+    size = 2.0 * np.tan(0.5 * np.radians(fovy)) if extent is None else extent
+    return View(position, axes, size, extent is not None, width, height)

@@ -1,0 +1,148 @@
+"""What is drawn over a picture: polylines and arrows with depth test, the caption bar."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from inclined_landing.envs.rendering.camera import View
+
+_BIAS = 0.004  # m; a line this much behind a surface still shows
+_TEXT = np.array([0.08, 0.12, 0.22], np.float32)
+_BAR = 0.78  # opacity of the caption bar
+
+
+@dataclasses.dataclass
+class Canvas:
+    """A part of the picture: colour (h, w, 3) and depth (h, w), its corner at (column, row)."""
+
+    colour: np.ndarray
+    depth: np.ndarray
+    column: int
+    row: int
+
+    def blend(self, index: np.ndarray, rgb: np.ndarray, alpha: np.ndarray) -> None:
+        """Put colours (n, 3), weighted by alpha (n,), over the pixels of flat `index` (n,)."""
+        flat = self.colour.reshape(-1, 3)
+        old = flat[index]
+        flat[index] = old + alpha[:, None] * (rgb - old)
+
+
+def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.0) -> None:
+    """A smooth line through points (k, 3) [m], hidden where the canvas is nearer.
+
+    width: pixels, a number or (k,); colour: (3,) or (k, 3) in 0..1; alpha: a number or (k,).
+    """
+    points = np.asarray(points, float)
+    k = len(points)
+    if k < 2:
+        return
+    pixel, depth = view.project(points)
+    values = np.column_stack(
+        [
+            pixel,
+            depth,
+            np.broadcast_to(np.asarray(width, float), (k,)),
+            np.broadcast_to(np.asarray(colour, float), (k, 3)),
+            np.broadcast_to(np.asarray(alpha, float), (k,)),
+        ]
+    )
+    in_front = depth > 1e-3
+    values, pixel = values[in_front], pixel[in_front]
+    if len(values) < 2:
+        return
+    height, breadth = canvas.depth.shape
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(pixel, axis=0).T))])
+    if length[-1] > 20 * (view.width + view.height):
+        return  # seen from within: nothing sensible to draw
+    along = np.linspace(0.0, length[-1], max(int(2.0 * length[-1]), 2))
+    samples = np.column_stack([np.interp(along, length, value) for value in values.T])
+    reach = int(np.ceil(0.5 * samples[:, 3].max() + 0.5))
+    base = np.floor(samples[:, :2]).astype(int)
+    span = np.arange(-reach, reach + 1)
+    column = base[:, 0, None, None] + span[None, None, :]
+    row = base[:, 1, None, None] + span[None, :, None]
+    distance = np.hypot(
+        column + 0.5 - samples[:, 0, None, None], row + 0.5 - samples[:, 1, None, None]
+    )
+    cover = np.clip(0.5 * samples[:, 3, None, None] + 0.5 - distance, 0.0, 1.0)
+    column, row = column - canvas.column, row - canvas.row
+    inside = (column >= 0) & (column < breadth) & (row >= 0) & (row < height) & (cover > 0)
+    sample, i, j = np.nonzero(inside)
+    index = row[sample, i, 0] * breadth + column[sample, 0, j]
+    cover = cover[inside]
+    visible = samples[sample, 2] < canvas.depth.reshape(-1)[index] + _BIAS
+    sample, index, cover = sample[visible], index[visible], cover[visible]
+    best = np.zeros(height * breadth)
+    np.maximum.at(best, index, cover)
+    owner = np.zeros(height * breadth, int)
+    winner = cover == best[index]
+    owner[index[winner]] = sample[winner]
+    touched = np.flatnonzero(best)
+    chosen = samples[owner[touched]]
+    canvas.blend(touched, chosen[:, 4:7].astype(np.float32), (best[touched] * chosen[:, 7]).astype(np.float32))
+
+
+def draw_arrow(canvas: Canvas, view: View, start, vector, *, radius: float, colour) -> None:
+    """An arrow from `start` (3,) along `vector` (3,) [m] with a shaft of `radius` [m]."""
+    start, vector = np.asarray(start, float), np.asarray(vector, float)
+    length = float(np.linalg.norm(vector))
+    if length < 1e-6:
+        return
+    head = min(4.5 * radius, 0.6 * length)
+    neck = start + vector * (1.0 - head / length)
+    tip = start + vector
+    _, depth = view.project(np.stack([start, neck, tip]))
+    pixels = 2.0 * radius / view.pixel_size(np.maximum(depth, 1e-3))
+    colour = np.asarray(colour, float)
+    for share, tone in ((1.0, 0.62 * colour), (0.72, 0.85 * colour), (0.34, colour)):
+        draw_polyline(canvas, view, [start, neck], width=share * pixels[:2], colour=tone)
+    for share, tone in ((1.0, 0.70 * colour), (0.7, 0.92 * colour), (0.32, np.minimum(1.15 * colour, 1))):
+        widths = share * np.array([2.3 * pixels[1], 0.4])
+        draw_polyline(canvas, view, [neck, tip], width=widths, colour=tone)
+
+
+@functools.lru_cache(maxsize=8)
+def _font(size: int):
+    from matplotlib import font_manager
+    from PIL import ImageFont
+
+    path = font_manager.findfont(font_manager.FontProperties(family="DejaVu Sans Mono"))
+    return ImageFont.truetype(path, size)
+
+
+@functools.lru_cache(maxsize=64)
+def _text_mask(text: str, size: int, width: int, height: int, right: bool) -> np.ndarray:
+    """Coverage (height, width) in 0..1 of one line of text."""
+    from PIL import Image, ImageDraw
+
+    image = Image.new("L", (width, height))
+    x = width - 10 if right else 10
+    ImageDraw.Draw(image).text(
+        (x, height / 2), text, fill=255, font=_font(size), anchor="rm" if right else "lm"
+    )
+    return np.asarray(image, np.float32) / 255.0
+
+
+def caption_height(height: int) -> int:
+    """Rows that the caption bar takes in a picture of `height` rows."""
+    return max(18, round(0.048 * height))
+
+
+def draw_caption(frame: np.ndarray, text: str, note: str = "") -> None:
+    """Write `text` (and `note` at the right) on a bar at the bottom of frame (h, w, 3) uint8."""
+    height, width = frame.shape[:2]
+    bar = caption_height(height)
+    size = max(9, round(0.026 * height))
+    columns = len(text) + (len(note) + 3 if note else 0)
+    while size > 7 and columns * 0.602 * size > width - 20:
+        size -= 1
+    cover = _text_mask(text, size, width, bar, False)
+    if note:
+        cover = np.maximum(cover, 0.6 * _text_mask(note, size, width, bar, True))
+    strip = frame[height - bar :]
+    colour = strip.astype(np.float32) * ((1.0 - _BAR) / 255.0) + _BAR * np.float32([0.97, 0.98, 1.0])
+    colour += cover[:, :, None] * (_TEXT - colour)
+    strip[:] = (colour * 255.0 + 0.5).astype(np.uint8)

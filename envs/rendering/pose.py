@@ -1,0 +1,64 @@
+"""What a renderer needs to know of a moment: where the vehicle and the platform are."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+
+_PARKED = -10.0  # m; a platform below this height is absent
+
+
+@dataclasses.dataclass(frozen=True)
+class Pose:
+    """qpos (7,): vehicle position [m] and quaternion; the slab's position (3,) and quaternion (4,)."""
+
+    qpos: np.ndarray
+    platform_pos: np.ndarray
+    platform_quat: np.ndarray
+
+    @property
+    def platform_key(self):
+        """Equal for equal platform poses, None for an absent platform."""
+        if self.platform_pos[2] < _PARKED:
+            return None
+        return (*np.round(self.platform_pos, 9), *np.round(self.platform_quat, 9))
+
+
+def qpos_of_state(state) -> np.ndarray:
+    """qpos (..., 7) of states (..., 13): Euler angles R = Rz(yaw) Rx(roll) Ry(pitch)."""
+    state = np.asarray(state, float)
+    half = 0.5 * state[..., 6:9]
+    (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(half), -1, 0), np.moveaxis(np.sin(half), -1, 0)
+    w, x, y, z = cr * cp, sr * cp, cr * sp, sr * sp  # Rx(roll) Ry(pitch)
+    quaternion = [cy * w - sy * z, cy * x - sy * y, cy * y + sy * x, cy * z + sy * w]
+    return np.concatenate([state[..., :3], np.stack(quaternion, axis=-1)], axis=-1)
+
+
+def pose_of(scene, vehicle: Vehicle, inclination: float | None = None) -> Pose:
+    """The pose in an MjData, a qpos (7,), a state (13,) or a Pose; None: far from the scene.
+
+    inclination [rad] poses the platform where `scene` does not say; default: the vehicle file's.
+    Raises UserError for anything else.
+    """
+    if isinstance(scene, Pose):
+        return scene
+    if isinstance(scene, mujoco.MjData):
+        body = scene.model.body("platform")
+        qpos = scene.qpos[:7].copy()
+        k = int(body.mocapid[0])
+        if inclination is None and k >= 0:
+            return Pose(qpos, scene.mocap_pos[k].copy(), scene.mocap_quat[k].copy())
+    else:
+        qpos = np.array([0, 0, -100, 1, 0, 0, 0] if scene is None else scene, float)
+        if qpos.shape == (13,):
+            qpos = qpos_of_state(qpos)
+        if qpos.shape != (7,):
+            raise UserError(f"a vehicle pose is a qpos (7,) or a state (13,), not {qpos.shape}")
+    angle = 0.5 * (vehicle.platform_inclination if inclination is None else inclination)
+    position = np.array([0.0, 0.0, vehicle.platform_surface_height])
+    return Pose(qpos, position, np.array([np.cos(angle), 0.0, np.sin(angle), 0.0]))

@@ -1,0 +1,115 @@
+"""The scene as it is drawn: pure MjSpec transformations of the scene that is simulated."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.scene import build_spec
+
+SCALE = 3.0  # the vehicle is a few pixels wide in a full view: it is drawn this much larger
+VISUAL_GROUP = 2
+_HIDDEN_GROUP = 3  # collision shapes
+_CLOSE_CAMERAS = ("closeup", "onboard")
+_BASE_GEOMS = ("wall_left", "wall_right", "core")
+_FRAME_RADIUS = 0.006  # m
+_FRAME_COLOUR = (0.33, 0.45, 0.67, 1.0)
+
+
+def default_scale(camera) -> float:
+    """1 for cameras that sit close to the vehicle, `SCALE` for all others."""
+    return 1.0 if camera in _CLOSE_CAMERAS else SCALE
+
+
+def rendering_model(
+    vehicle: Vehicle | None = None, *, platform=None, scale: float = SCALE
+) -> mujoco.MjModel:
+    """The model that the renderers draw: visuals only, a closed base, the arena's edges.
+
+    platform: (position (3,), quaternion (4,)) of the slab, (None, None) for an arena without one;
+    default: as in the vehicle file. scale: size of the drawn vehicle, see `scale_vehicle`.
+    """
+    vehicle = vehicle or load_vehicle()
+    spec = build_spec(vehicle)
+    strip_physics(spec)
+    add_frame(spec, vehicle)
+    scale_vehicle(spec, scale)
+    body = spec.body("platform")
+    position, quaternion = (body.pos, body.quat) if platform is None else platform
+    if position is None:
+        spec.delete(body)
+        for name in _BASE_GEOMS:
+            spec.geom(name).group = _HIDDEN_GROUP
+    else:
+        body.pos, body.quat = position, quaternion
+        add_prism(spec, position, quaternion)
+    return spec.compile()
+
+
+def strip_physics(spec: mujoco.MjSpec) -> None:
+    """Remove actuators, sensors and keyframes: a drawn model is never stepped."""
+    for element in [*spec.actuators, *spec.sensors, *spec.keys]:
+        spec.delete(element)
+
+
+def scale_vehicle(spec: mujoco.MjSpec, factor: float) -> None:
+    """Draw the vehicle `factor` times its size, anchored at the centre of its four foot tips.
+
+    The feet then stand on the surface that the real feet stand on. Only visual geoms change.
+    """
+    feet = [geom for geom in spec.geoms if geom.name.startswith("foot_")]
+    anchor = np.array([0.0, 0.0, min(geom.pos[2] - geom.size[0] for geom in feet)])
+    for geom in spec.geoms:
+        if geom.group != VISUAL_GROUP:
+            continue
+        if np.isfinite(geom.fromto[0]):
+            ends = np.asarray(geom.fromto).reshape(2, 3)
+            geom.fromto = (anchor + factor * (ends - anchor)).ravel()
+        else:
+            geom.pos = anchor + factor * (np.asarray(geom.pos) - anchor)
+        geom.size = factor * np.asarray(geom.size)
+
+
+def add_prism(spec: mujoco.MjSpec, position, quaternion) -> None:
+    """Replace the base's collision blocks by the closed prism between the slab and the floor.
+
+    Its eight corners are the slab's lower corners and their projections on the floor, for any pose of
+    the slab.
+    """
+    slab = spec.geom("slab")
+    half = np.asarray(slab.size) * [1.0, 1.0, 2.0] - [0.002, 0.002, 0.0]
+    frame = np.zeros(9)
+    mujoco.mju_quat2Mat(frame, np.asarray(quaternion, float))
+    signs = np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)], float)
+    corners = np.column_stack([signs * half[:2], np.full(4, -half[2])])
+    top = np.asarray(position) + corners @ frame.reshape(3, 3).T
+    bottom = top * [1.0, 1.0, 0.0]
+    faces = []
+    for i in range(4):
+        j = (i + 1) % 4
+        faces += [(i, 4 + j, j), (i, 4 + i, 4 + j)]
+    faces += [(0, 1, 2), (0, 2, 3), (4, 6, 5), (4, 7, 6)]
+    mesh = spec.add_mesh(name="prism")
+    mesh.uservert = np.vstack([top, bottom]).ravel()
+    mesh.userface = np.array(faces).ravel()
+    spec.worldbody.add_geom(
+        name="prism", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="prism", group=1,
+        contype=0, conaffinity=0, material="base",
+    )  # fmt: skip
+    for name in _BASE_GEOMS:
+        spec.geom(name).group = _HIDDEN_GROUP
+
+
+def add_frame(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
+    """The twelve edges of the arena as thin bars."""
+    x, y, z = vehicle.arena_x, vehicle.arena_y, vehicle.arena_z
+    corners = np.array([(a, b, c) for a in x for b in y for c in z])
+    for i in range(8):
+        for bit in (1, 2, 4):
+            if not i & bit:
+                spec.worldbody.add_geom(
+                    name=f"frame_{i}_{bit}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, group=1,
+                    contype=0, conaffinity=0, size=[_FRAME_RADIUS, 0, 0], rgba=_FRAME_COLOUR,
+                    fromto=[*corners[i], *corners[i | bit]],
+                )  # fmt: skip

@@ -1,0 +1,15 @@
+"""Spaces of a task, shared by the Gymnasium and Stable-Baselines3 faces."""
+
+import numpy as np
+from gymnasium.spaces import Box
+
+
+def observation_space(task) -> Box:
+    """Unbounded Box (o,), float32: positions may leave the arena, where the reward says so."""
+    size = len(task.observation_names)
+    return Box(-np.inf, np.inf, (size,), np.float32)
+
+
+def action_space(task) -> Box:
+    """Box (a,) from -1 to 1, float32."""
+    return Box(-1.0, 1.0, (len(task.action_names),), np.float32)
