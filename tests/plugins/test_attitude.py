@@ -135,12 +135,13 @@ def test_axis_without_actuator_gets_no_torque(build):
     assert pitch == pytest.approx(expected(build, [0, 0.2, 0])[1], abs=TOLERANCE)
 
 
-def test_torque_is_finite_at_90_degrees_of_roll(build):
+def test_torque_is_bounded_at_90_degrees_of_roll(build):
     model = build()
     data = build.data(model, [0, 0.1, 0.1, 1], quat=(1, 1, 0, 0))
     data.qvel[3:6] = 1, 2, 3
     mujoco.mj_forward(model, data)
-    assert np.isfinite(data.actuator_force).all()
+    # the Euler rates stay below |w|/0.05 = 75 rad/s, their products times the inertia below 0.2 N m
+    assert np.abs(data.actuator_force).max() < 0.5
     build.run(model, data, 1.0)
     assert np.abs(euler_angles(*data.qpos[3:7])[:2]).max() < 0.2  # recovered
 
