@@ -7,6 +7,7 @@ import dataclasses
 import mujoco
 import numpy as np
 
+from inclined_landing.models.attitude import quaternion
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
@@ -32,11 +33,9 @@ class Pose:
 def qpos_of_state(state) -> np.ndarray:
     """qpos (..., 7) of states (..., 13): Euler angles R = Rz(yaw) Rx(roll) Ry(pitch)."""
     state = np.asarray(state, float)
-    half = 0.5 * state[..., 6:9]
-    (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(half), -1, 0), np.moveaxis(np.sin(half), -1, 0)
-    w, x, y, z = cr * cp, sr * cp, cr * sp, sr * sp  # Rx(roll) Ry(pitch)
-    quaternion = [cy * w - sy * z, cy * x - sy * y, cy * y + sy * x, cy * z + sy * w]
-    return np.concatenate([state[..., :3], np.stack(quaternion, axis=-1)], axis=-1)
+    quaternions = [quaternion(*angles) for angles in state[..., 6:9].reshape(-1, 3)]
+    turned = np.reshape(quaternions, (*state.shape[:-1], 4))
+    return np.concatenate([state[..., :3], turned], axis=-1)
 
 
 def pose_of(scene, vehicle: Vehicle, inclination: float | None = None) -> Pose:

@@ -19,15 +19,15 @@ from inclined_landing.envs.rendering.pose import Pose, pose_of
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
-# Light in display units: what an upward white surface receives from the sky and from the sun.
-_SKY, _GROUND, _SUN = 0.60, 0.40, 0.46
+# Light in display units: what a white surface receives from above, below, the sun and +x.
+_SKY, _GROUND, _SUN, _SIDE = 0.62, 0.46, 0.42, 0.05
 _SUN_RADIUS = 0.02  # rad; gives the platform's shadow its soft edge
 _SHADOW_BIAS = 1.5e-3  # m
 _SKY_LOW, _SKY_HIGH = np.array([0.90, 0.93, 0.97]), np.array([0.82, 0.87, 0.94])
-_FLOOR = np.array([[0.905, 0.915, 0.93], [0.81, 0.845, 0.885]])  # squares of 1 m
-_WALL, _WALL_LINE = np.array([0.945, 0.965, 1.0]), np.array([0.72, 0.78, 0.88])
+_FLOOR = np.array([[0.865, 0.875, 0.9], [0.79, 0.815, 0.85]])  # squares of 1 m
+_WALL, _WALL_LINE = np.array([0.935, 0.958, 1.0]), np.array([0.76, 0.81, 0.90])
 _TRAIL, _FORCE = np.array([0.88, 0.16, 0.11]), np.array([0.93, 0.17, 0.10])
-_SCENE, _VEHICLE, _UNSEEN = 0, 2, 5  # geom groups of the private copy of the model
+_SCENE, _FRAME, _VEHICLE, _UNSEEN = 0, 1, 2, 5  # geom groups of the private copy of the model
 _EDGE = np.array([(i, j) for j in (0.25, 0.75) for i in (0.25, 0.75)])  # sub-pixel positions
 _FINE = np.array([(i, j) for j in (0.125, 0.375, 0.625, 0.875) for i in (0.125, 0.375, 0.625, 0.875)])
 
@@ -37,9 +37,9 @@ class Ghost:
     """A translucent copy of the vehicle: qpos (7,), colour (3,) mixed in, alpha, casts a shadow."""
 
     qpos: np.ndarray
-    colour: tuple[float, float, float] = (0.25, 0.75, 0.35)
-    alpha: float = 0.35
-    tint: float = 0.6
+    colour: tuple[float, float, float] = (0.12, 0.62, 0.30)
+    alpha: float = 0.45
+    tint: float = 0.8
     shadow: bool = False
 
 
@@ -76,6 +76,7 @@ class _Scene:
         group = np.full(m.ngeom, _UNSEEN)
         group[~moving & shown] = _SCENE
         group[self.parts] = _VEHICLE
+        group[[k for k in range(m.ngeom) if m.geom(k).name.startswith("frame_")]] = _FRAME
         m.geom_group[:] = group
         self.phase = np.array([self._blade_angle(k) for k in self.discs])
         direction = m.light_dir[0] / np.linalg.norm(m.light_dir[0])
@@ -157,24 +158,25 @@ class _Scene:
             shade = shade + 0.30 * np.exp(-np.hypot(*outside.T) / 0.16)
         return np.minimum(shade, 0.6)
 
-    def shade(self, geom, points, normal, ray, footprint, visible):
-        """Colours (n, 3) of hits seen along `ray` (n, 3), with the sun `visible` (n,) or shaded."""
-        unit = ray / np.linalg.norm(ray, axis=1, keepdims=True)
-        normal = np.where(np.einsum("ij,ij->i", normal, unit)[:, None] > 0, -normal, normal)
+    def shade(self, geom, points, normal, ray, footprint):
+        """Colours (n, 3) of hits seen along `ray` (n, 3): in the shade, and what the sun adds."""
+        unit = ray / np.sqrt(np.einsum("ij,ij->i", ray, ray))[:, None]
+        slope = np.einsum("ij,ij->i", normal, unit)
+        normal = np.where(slope[:, None] > 0, -normal, normal)
         sun = -self.sun[2]
-        up = 0.5 + 0.5 * normal[:, 2]
-        ambient = _GROUND + (_SKY - _GROUND) * up + 0.05 * normal[:, 0] * (normal[:, 2] < 0.7)
+        ambient = 0.5 * (_SKY + _GROUND) + 0.5 * (_SKY - _GROUND) * normal[:, 2] + _SIDE * normal[:, 0]
         facing = np.maximum(normal @ sun, 0.0)
-        base = self.albedo(geom, points, footprint)
         halfway = sun - unit
-        halfway /= np.linalg.norm(halfway, axis=1, keepdims=True)
+        halfway /= np.sqrt(np.einsum("ij,ij->i", halfway, halfway))[:, None]
         gloss = np.maximum(np.einsum("ij,ij->i", normal, halfway), 0.0)
-        glow = self.specular[geom] * gloss ** (8.0 + 60.0 * self.shininess[geom]) * 0.35
-        rim = 0.10 * self.specular[geom] * (1.0 + np.einsum("ij,ij->i", normal, unit)) ** 3
-        emission = self.emission[geom][:, None]
-        direct = visible * _SUN * facing / sun[2]
-        colour = base * (np.maximum(ambient + direct, 0.0)[:, None] * (1 - emission) + emission)
-        return colour + (glow * visible * (facing > 0) + rim * (normal[:, 2] > -0.5))[:, None]
+        specular = self.specular[geom]
+        glow = 0.35 * specular * gloss ** (8.0 + 60.0 * self.shininess[geom]) * (facing > 0)
+        rim = 0.10 * specular * (1.0 - np.abs(slope)) ** 3
+        emission = self.emission[geom]
+        base = self.albedo(geom, points, footprint)
+        shaded = base * (ambient * (1 - emission) + emission)[:, None] + rim[:, None]
+        direct = base * (_SUN / sun[2] * facing * (1 - emission))[:, None] + glow[:, None]
+        return shaded, direct
 
 
 def _checker(xy: np.ndarray, footprint: np.ndarray) -> np.ndarray:
@@ -186,9 +188,9 @@ def _checker(xy: np.ndarray, footprint: np.ndarray) -> np.ndarray:
     return _FLOOR[0] + mix[:, None] * (_FLOOR[1] - _FLOOR[0])
 
 
-def _grid(xz: np.ndarray, footprint: np.ndarray, line: float = 0.009) -> np.ndarray:
-    """Lines every half metre, smoothed over the footprint."""
-    distance = np.abs(np.mod(xz + 0.25, 0.5) - 0.25)
+def _grid(xz: np.ndarray, footprint: np.ndarray, line: float = 0.008) -> np.ndarray:
+    """Lines every metre, smoothed over the footprint."""
+    distance = np.abs(np.mod(xz + 0.5, 1.0) - 0.5)
     wide = np.maximum(footprint, 1e-4)[:, None]
     cover = np.clip((0.5 * (line + wide) - distance) / wide, 0.0, 1.0)
     cover = np.minimum(cover, line / wide).max(axis=1)
@@ -265,13 +267,15 @@ class RayRenderer:
         """One frame (height, width, 3) uint8.
 
         scene: MjData of the landing scene, a qpos (7,), a state (13,) or a `Pose`; inclination [rad]
-        of the platform where `scene` does not say. trail: points (k, 3) [m], trail_colour (3,) or
-        (k, 3). ghosts: `Ghost`s or qpos (7,). forces: pairs (point (3,) [m], arrow (3,) [m]).
+        of the platform where `scene` does not say. trail: states (k, 13), followed by the centre of
+        the vehicle as drawn, or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts: `Ghost`s or qpos (7,). forces: pairs (point (3,) [m], arrow (3,) [m]).
         """
         pose = pose_of(scene, self.vehicle, inclination)
         stage = self._stage(pose)
         stage.place(pose.qpos)
         view = self._view()
+        if trail is not None and np.shape(trail)[1:] == (13,):
+            trail = scenery.drawn_centres(stage.model, trail, self.scale)
         back = self._background(view)
         ghosts = [g if isinstance(g, Ghost) else Ghost(np.asarray(g, float)) for g in ghosts]
         copies = [(g.qpos, g) for g in ghosts] + ([(pose.qpos, None)] if show_vehicle else [])
@@ -347,7 +351,7 @@ class RayRenderer:
         """Colour with and without sun (n, 3), depth (n,), point (n, 3) and label (n,) of pixels."""
         scene = self._scene
         rays = view.rays(column, row)
-        geom, distance, normal = scene.cast(view.eye, rays, _SCENE)
+        geom, distance, normal = scene.cast(view.eye, rays, _SCENE, _FRAME)
         hit = np.flatnonzero(geom >= 0)
         n = len(rays)
         lit, dark = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
@@ -364,9 +368,9 @@ class RayRenderer:
             turned = normal @ scene.sun[2] < 0
             visible = np.zeros(len(hit), bool)
             visible[turned] = scene.sunlit(place[turned], _SCENE, offset=sun)
-            shade = scene.shade(geom[hit], place, normal, ray, footprint, np.zeros(len(hit)))
-            dark[hit] = shade
-            lit[hit] = scene.shade(geom[hit], place, normal, ray, footprint, visible.astype(float))
+            shaded, direct = scene.shade(geom[hit], place, normal, ray, footprint)
+            dark[hit] = shaded
+            lit[hit] = shaded + visible[:, None] * direct
             depth[hit], points[hit] = t, place
             label[hit] = 2 * geom[hit] + (visible | ~turned)
         return lit, dark, depth, points, label
@@ -555,8 +559,9 @@ class RayRenderer:
         if len(hit):
             ray, t = rays[hit], distance[hit]
             points = view.eye + t[:, None] * ray
-            visible = scene.sunlit(points, _SCENE, _VEHICLE).astype(float)
-            colour = scene.shade(geom[hit], points, normal[hit], ray, view.pixel_size(t), visible)
+            visible = scene.sunlit(points, _SCENE, _VEHICLE)
+            shaded, direct = scene.shade(geom[hit], points, normal[hit], ray, view.pixel_size(t))
+            colour = shaded + visible[:, None] * direct
             if ghost is not None:
                 grey = colour.mean(axis=1, keepdims=True)
                 tinted = np.asarray(ghost.colour) * (0.45 + 0.75 * grey)

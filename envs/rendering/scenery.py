@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from inclined_landing.envs.rendering.pose import qpos_of_state
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.scene import build_spec
 
@@ -14,7 +15,6 @@ _HIDDEN_GROUP = 3  # collision shapes
 _CLOSE_CAMERAS = ("closeup", "onboard")
 _BASE_GEOMS = ("wall_left", "wall_right", "core")
 _FRAME_RADIUS = 0.006  # m
-_FRAME_COLOUR = (0.33, 0.45, 0.67, 1.0)
 
 
 def default_scale(camera) -> float:
@@ -44,6 +44,8 @@ def rendering_model(
     else:
         body.pos, body.quat = position, quaternion
         add_prism(spec, position, quaternion)
+    for geom in spec.geoms:  # the engine's ray culling knows colliding geoms only
+        geom.contype = geom.conaffinity = 1
     return spec.compile()
 
 
@@ -71,6 +73,19 @@ def scale_vehicle(spec: mujoco.MjSpec, factor: float) -> None:
         geom.size = factor * np.asarray(geom.size)
 
 
+def drawn_centres(model: mujoco.MjModel, states, factor: float) -> np.ndarray:
+    """Where `scale_vehicle` puts the centre of mass of states (k, 13): points (k, 3) [m]."""
+    qpos = qpos_of_state(states)
+    feet = [k for k in range(model.ngeom) if model.geom(k).name.startswith("foot_")]
+    low = (model.geom_pos[feet, 2] - model.geom_size[feet, 0]).min()
+    frame = np.zeros(9)
+    points = qpos[:, :3].copy()
+    for point, turn in zip(points, qpos[:, 3:]):
+        mujoco.mju_quat2Mat(frame, turn)
+        point += (1.0 - factor) * low * frame.reshape(3, 3)[:, 2]
+    return points
+
+
 def add_prism(spec: mujoco.MjSpec, position, quaternion) -> None:
     """Replace the base's collision blocks by the closed prism between the slab and the floor.
 
@@ -88,8 +103,8 @@ def add_prism(spec: mujoco.MjSpec, position, quaternion) -> None:
     faces = []
     for i in range(4):
         j = (i + 1) % 4
-        faces += [(i, 4 + j, j), (i, 4 + i, 4 + j)]
-    faces += [(0, 1, 2), (0, 2, 3), (4, 6, 5), (4, 7, 6)]
+        faces += [(i, j, 4 + j), (i, 4 + j, 4 + i)]
+    faces += [(0, 2, 1), (0, 3, 2), (4, 5, 6), (4, 6, 7)]
     mesh = spec.add_mesh(name="prism")
     mesh.uservert = np.vstack([top, bottom]).ravel()
     mesh.userface = np.array(faces).ravel()
@@ -110,6 +125,6 @@ def add_frame(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
             if not i & bit:
                 spec.worldbody.add_geom(
                     name=f"frame_{i}_{bit}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, group=1,
-                    contype=0, conaffinity=0, size=[_FRAME_RADIUS, 0, 0], rgba=_FRAME_COLOUR,
+                    contype=0, conaffinity=0, size=[_FRAME_RADIUS, 0, 0], material="frame",
                     fromto=[*corners[i], *corners[i | bit]],
                 )  # fmt: skip
