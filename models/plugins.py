@@ -12,7 +12,7 @@ from pathlib import Path
 
 NAMES = ("inclined_landing.rotors", "inclined_landing.attitude")
 _LIBRARIES = ("libinclined_landing.so", "libinclined_landing.dylib")
-_REMEDY = "reinstall the package in this environment (pip install --force-reinstall --no-deps .)"
+_REMEDY = "run `make` in the repository, or reinstall the package in this environment"
 
 _handle: ctypes.CDLL | None = None
 
