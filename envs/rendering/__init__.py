@@ -1,0 +1,63 @@
+"""Pictures of the landing scene.
+
+    renderer = make_renderer(640, 480, camera="hero")
+    frame = renderer.render(data, trail=states, ghosts=[goal], caption="t 1.10 s")
+
+Two backends draw the same scene: "ray" casts rays with MuJoCo and needs no OpenGL, "gl" is MuJoCo's
+own renderer. "auto" takes OpenGL where it runs on hardware, rays otherwise.
+"""
+
+from __future__ import annotations
+
+from inclined_landing.envs.rendering.camera import View, look_at
+from inclined_landing.envs.rendering.contacts import contact_arrows
+from inclined_landing.envs.rendering.ghost import Ghost
+from inclined_landing.envs.rendering.pose import Pose, qpos_of_state
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+
+BACKENDS = ("auto", "gl", "ray")
+CAMERAS = ("side", "hero", "pad", "track", "chase", "closeup", "onboard")
+
+__all__ = [
+    "BACKENDS",
+    "CAMERAS",
+    "Ghost",
+    "Pose",
+    "View",
+    "contact_arrows",
+    "look_at",
+    "make_renderer",
+    "qpos_of_state",
+]
+
+
+def make_renderer(
+    width: int = 640,
+    height: int = 480,
+    camera: str | View = "hero",
+    backend: str = "auto",
+    *,
+    vehicle: Vehicle | None = None,
+    scale: float | None = None,
+):
+    """A renderer with `render(scene, ...) -> (height, width, 3) uint8` and `close()`.
+
+    camera: one of CAMERAS or, for rays, a `View`. scale: size of the drawn vehicle, by default 3 (it
+    is a few pixels wide otherwise; the caption says so) and 1 for cameras close to it.
+    Raises UserError for an unknown backend or camera, and for "gl" where OpenGL is missing.
+    """
+    if backend not in BACKENDS:
+        raise UserError(f"unknown rendering backend {backend!r}; known are {', '.join(BACKENDS)}")
+    if backend == "auto":
+        from inclined_landing.envs.rendering.gl import probe
+
+        on_hardware = not isinstance(camera, View) and probe().hardware
+        backend = "gl" if on_hardware else "ray"
+    if backend == "gl":
+        from inclined_landing.envs.rendering.gl import GLRenderer
+
+        return GLRenderer(vehicle, width, height, camera, scale)
+    from inclined_landing.envs.rendering.ray import RayRenderer
+
+    return RayRenderer(vehicle, width, height, camera, scale)

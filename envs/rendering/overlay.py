@@ -10,6 +10,7 @@ import numpy as np
 from inclined_landing.envs.rendering.camera import View
 
 _BIAS = 0.004  # m; a line this much behind a surface still shows
+TRAIL, FORCE = np.array([0.88, 0.16, 0.11]), np.array([0.93, 0.17, 0.10])
 _TEXT = np.array([0.08, 0.12, 0.22], np.float32)
 _BAR = 0.78  # opacity of the caption bar
 

@@ -15,9 +15,10 @@ import numpy as np
 
 from inclined_landing.envs.rendering import overlay, scenery
 from inclined_landing.envs.rendering.camera import FAR, View, view_of
-from inclined_landing.envs.rendering.pose import Pose, pose_of
-from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.envs.rendering.ghost import Ghost
+from inclined_landing.envs.rendering.pose import pose_of
+from inclined_landing.envs.rendering.stage import Stage
+from inclined_landing.models.parameters import Vehicle
 
 # Light in display units: what a white surface receives from above, below, the sun and +x.
 _SKY, _GROUND, _SUN, _SIDE = 0.62, 0.46, 0.42, 0.05
@@ -26,21 +27,9 @@ _SHADOW_BIAS = 1.5e-3  # m
 _SKY_LOW, _SKY_HIGH = np.array([0.90, 0.93, 0.97]), np.array([0.82, 0.87, 0.94])
 _FLOOR = np.array([[0.865, 0.875, 0.9], [0.79, 0.815, 0.85]])  # squares of 1 m
 _WALL, _WALL_LINE = np.array([0.935, 0.958, 1.0]), np.array([0.76, 0.81, 0.90])
-_TRAIL, _FORCE = np.array([0.88, 0.16, 0.11]), np.array([0.93, 0.17, 0.10])
 _SCENE, _FRAME, _VEHICLE, _UNSEEN = 0, 1, 2, 5  # geom groups of the private copy of the model
 _EDGE = np.array([(i, j) for j in (0.25, 0.75) for i in (0.25, 0.75)])  # sub-pixel positions
 _FINE = np.array([(i, j) for j in (0.125, 0.375, 0.625, 0.875) for i in (0.125, 0.375, 0.625, 0.875)])
-
-
-@dataclasses.dataclass(frozen=True)
-class Ghost:
-    """A translucent copy of the vehicle: qpos (7,), colour (3,) mixed in, alpha, casts a shadow."""
-
-    qpos: np.ndarray
-    colour: tuple[float, float, float] = (0.12, 0.62, 0.30)
-    alpha: float = 0.45
-    tint: float = 0.8
-    shadow: bool = False
 
 
 @dataclasses.dataclass
@@ -221,8 +210,8 @@ def _grown(mask: np.ndarray) -> np.ndarray:
     return tall
 
 
-class RayRenderer:
-    """Pictures of the landing scene, `(height, width, 3)` uint8; see `make_renderer`."""
+class RayRenderer(Stage):
+    """Pictures of the landing scene cast ray by ray; see `make_renderer`."""
 
     backend = "ray"
 
@@ -234,23 +223,16 @@ class RayRenderer:
         camera: str | View = "hero",
         scale: float | None = None,
     ):
-        if width < 16 or height < 16:
-            raise UserError(f"a picture needs at least 16 x 16 pixels, not {width} x {height}")
-        self.vehicle = vehicle or load_vehicle()
-        self.width, self.height, self.camera = int(width), int(height), camera
-        self.scale = scenery.default_scale(camera) if scale is None else float(scale)
-        self._scene: _Scene | None = None
-        self._platform = None
-        self._backgrounds: dict = {}
-        self._stage(pose_of(None, self.vehicle))
-        if isinstance(camera, str):
-            names = [self._scene.model.camera(k).name for k in range(self._scene.model.ncam)]
-            if camera not in names:
-                raise UserError(f"unknown camera {camera!r}; known are {', '.join(names)}")
+        self._background_of: tuple = (None, None)
+        super().__init__(vehicle, width, height, camera, scale)
+
+    def _prepare(self, model: mujoco.MjModel) -> None:
+        self._scene = _Scene(model)
+        self._background_of = (None, None)
 
     def close(self) -> None:
-        """Forget the kept backgrounds."""
-        self._backgrounds.clear()
+        """Forget the kept background."""
+        self._background_of = (None, None)
 
     def render(
         self,
@@ -271,11 +253,11 @@ class RayRenderer:
         the vehicle as drawn, or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts: `Ghost`s or qpos (7,). forces: pairs (point (3,) [m], arrow (3,) [m]).
         """
         pose = pose_of(scene, self.vehicle, inclination)
-        stage = self._stage(pose)
-        stage.place(pose.qpos)
+        self.stage(pose)
+        self._scene.place(pose.qpos)
         view = self._view()
         if trail is not None and np.shape(trail)[1:] == (13,):
-            trail = scenery.drawn_centres(stage.model, trail, self.scale)
+            trail = scenery.drawn_centres(self._scene.model, trail, self.scale)
         back = self._background(view)
         ghosts = [g if isinstance(g, Ghost) else Ghost(np.asarray(g, float)) for g in ghosts]
         copies = [(g.qpos, g) for g in ghosts] + ([(pose.qpos, None)] if show_vehicle else [])
@@ -286,26 +268,17 @@ class RayRenderer:
             part = frame[drawn.row : drawn.row + h, drawn.column : drawn.column + w]
             part[:] = _shown(drawn.colour)
         if caption:
-            note = "" if self.scale == 1 else f"vehicle drawn {self.scale:g}x"
-            overlay.draw_caption(frame, caption, note)
+            overlay.draw_caption(frame, caption, scenery.scale_note(self.scale))
         return frame
 
     def view(self, scene, inclination: float | None = None) -> View:
         """The view that `render` uses for this scene: projects points to pixels."""
         pose = pose_of(scene, self.vehicle, inclination)
-        self._stage(pose).place(pose.qpos)
+        self.stage(pose)
+        self._scene.place(pose.qpos)
         return self._view()
 
     # --- scene and background -------------------------------------------------------------------
-
-    def _stage(self, pose: Pose) -> _Scene:
-        key = pose.platform_key
-        if key != self._platform:
-            platform = (None, None) if key is None else (pose.platform_pos, pose.platform_quat)
-            model = scenery.rendering_model(self.vehicle, platform=platform, scale=self.scale)
-            self._scene, self._platform = _Scene(model), key
-            self._backgrounds.clear()
-        return self._scene
 
     def _view(self) -> View:
         if isinstance(self.camera, View):
@@ -313,14 +286,13 @@ class RayRenderer:
         return self._scene.view(self.camera, self.width, self.height)
 
     def _background(self, view: View) -> _Background:
+        """The picture without the vehicle: kept while neither camera nor platform moves."""
         key = (view.origin.tobytes(), view.axes.tobytes())
-        if key not in self._backgrounds:
-            fixed = isinstance(self.camera, View) or self._scene.model.cam_bodyid[
-                self._scene.model.camera(self.camera).id
-            ] == 0
-            self._backgrounds.clear()
-            self._backgrounds[key] = self._draw_background(view, fine=bool(fixed))
-        return self._backgrounds[key]
+        if key != self._background_of[0]:
+            model = self._scene.model
+            fixed = isinstance(self.camera, View) or not model.cam_bodyid[model.camera(self.camera).id]
+            self._background_of = (key, self._draw_background(view, fine=bool(fixed)))
+        return self._background_of[1]
 
     def _draw_background(self, view: View, fine: bool) -> _Background:
         scene, h, w = self._scene, self.height, self.width
@@ -419,13 +391,13 @@ class RayRenderer:
             scene.place(qpos)
             self._draw_vehicle(canvas, view, box, ghost)
         if trail is not None and len(trail) >= 2:
-            colour = _TRAIL if trail_colour is None else trail_colour
+            colour = overlay.TRAIL if trail_colour is None else trail_colour
             width = max(1.6, self.height / 260)
             fade = 0.95 if trail_colour is not None else np.linspace(0.45, 0.95, len(trail))
             overlay.draw_polyline(canvas, view, trail, width=width, colour=colour, alpha=fade)
         for point, vector in forces:
             radius = 0.0022 * self.scale
-            overlay.draw_arrow(canvas, view, point, vector, radius=radius, colour=_FORCE)
+            overlay.draw_arrow(canvas, view, point, vector, radius=radius, colour=overlay.FORCE)
         return canvas
 
     def _bounds(self, view: View):

@@ -22,6 +22,11 @@ def default_scale(camera) -> float:
     return 1.0 if camera in _CLOSE_CAMERAS else SCALE
 
 
+def scale_note(scale: float) -> str:
+    """What the caption says about the vehicle's drawn size."""
+    return "" if scale == 1.0 else f"vehicle drawn {scale:g}x"
+
+
 def rendering_model(
     vehicle: Vehicle | None = None, *, platform=None, scale: float = SCALE
 ) -> mujoco.MjModel:

@@ -1,0 +1,246 @@
+"""MuJoCo's own OpenGL renderer, behind a probe.
+
+Without OpenGL MuJoCo 4.0 raises at the first renderer and aborts the process at the second. So the
+libraries are looked for with ctypes first; nothing here runs at import and no environment variable of
+MuJoCo is set.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+import functools
+
+import mujoco
+import numpy as np
+
+from inclined_landing.envs.rendering import overlay, scenery
+from inclined_landing.envs.rendering.camera import View
+from inclined_landing.envs.rendering.ghost import Ghost
+from inclined_landing.envs.rendering.pose import pose_of
+from inclined_landing.envs.rendering.stage import Stage
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+
+_REMEDY = "install it with `apt-get install libegl1 libgl1` (or `libosmesa6`), or use backend='ray'"
+_EGL_PLATFORM_DEVICE, _EGL_EXTENSIONS = 0x313F, 0x3055
+_MAX_GEOMS = 20000
+
+
+@dataclasses.dataclass(frozen=True)
+class Probe:
+    """What this machine offers: kind "egl", "osmesa" or "" (nothing), on hardware or not."""
+
+    kind: str
+    hardware: bool
+    missing: str
+
+
+def _library(*names: str) -> ctypes.CDLL | None:
+    for name in names:
+        try:
+            return ctypes.CDLL(name)
+        except OSError:
+            continue
+    return None
+
+
+def _egl_devices(egl: ctypes.CDLL) -> list[bool]:
+    """One entry per EGL device that initialises: True for hardware."""
+    egl.eglGetProcAddress.restype = ctypes.c_void_p
+    egl.eglInitialize.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+    kinds = {
+        "eglQueryDevicesEXT": (ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p),
+        "eglGetPlatformDisplayEXT": (
+            ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p,
+        ),
+        "eglQueryDeviceStringEXT": (ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int),
+    }  # fmt: skip
+    calls = {}
+    for name, kind in kinds.items():
+        address = egl.eglGetProcAddress(name.encode())
+        if not address:
+            return []
+        calls[name] = ctypes.CFUNCTYPE(*kind)(address)
+    devices, count = (ctypes.c_void_p * 16)(), ctypes.c_int()
+    if not calls["eglQueryDevicesEXT"](16, devices, ctypes.byref(count)):
+        return []
+    found = []
+    for device in devices[: count.value]:
+        display = calls["eglGetPlatformDisplayEXT"](_EGL_PLATFORM_DEVICE, device, None)
+        # never terminated: a display is shared with every other user in the process
+        if display and egl.eglInitialize(display, None, None):
+            extensions = calls["eglQueryDeviceStringEXT"](device, _EGL_EXTENSIONS) or b""
+            found.append(b"EGL_MESA_device_software" not in extensions)
+    return found
+
+
+@functools.cache
+def probe() -> Probe:
+    """Look for OpenGL without touching MuJoCo's: EGL first, then OSMesa."""
+    missing = []
+    egl, gl = _library("libEGL.so.1"), _library("libOpenGL.so.0", "libGL.so.1")
+    if egl is None:
+        missing.append("libEGL")
+    if gl is None:
+        missing.append("libGL")
+    if egl is not None and gl is not None:
+        devices = _egl_devices(egl)
+        if devices:
+            return Probe("egl", any(devices), "")
+        missing.append("an EGL device")
+    if _library("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so") is not None:
+        return Probe("osmesa", False, "")
+    return Probe("", False, " and ".join([*missing, "libOSMesa"]))
+
+
+def _context(width: int, height: int):
+    """A current OpenGL context of MuJoCo; raises UserError with the remedy."""
+    found = probe()
+    if not found.kind:
+        raise UserError(f"OpenGL rendering is not possible here, {found.missing} is missing: {_REMEDY}.")
+    try:
+        if found.kind == "egl":
+            from mujoco.egl import GLContext
+        else:
+            from mujoco.osmesa import GLContext
+        context = GLContext(width, height)
+        context.make_current()
+    except (ImportError, RuntimeError) as error:
+        raise UserError(f"OpenGL rendering failed to start ({error}): {_REMEDY}.") from error
+    return context
+
+
+class GLRenderer(Stage):
+    """Pictures of the landing scene drawn by MuJoCo's OpenGL renderer; see `make_renderer`."""
+
+    backend = "gl"
+
+    def __init__(
+        self,
+        vehicle: Vehicle | None = None,
+        width: int = 640,
+        height: int = 480,
+        camera: str = "hero",
+        scale: float | None = None,
+    ):
+        if isinstance(camera, View):
+            raise UserError("a free View is drawn by backend='ray' only; name a camera of the scene")
+        self._gl = self._mjr = None
+        self._gl = _context(width, height)
+        super().__init__(vehicle, width, height, camera, scale)
+
+    def _prepare(self, model: mujoco.MjModel) -> None:
+        self._gl.make_current()
+        if self._mjr is not None:
+            self._mjr.free()
+        model.vis.global_.offwidth, model.vis.global_.offheight = self.width, self.height
+        self.model, self.data = model, mujoco.MjData(model)
+        self._ghost_data = mujoco.MjData(model)
+        self._scene = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
+        self._option = mujoco.MjvOption()
+        self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._mjr)
+        self._vehicle_root = model.body("crazyflie").id
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        if self._mjr is not None:
+            self._gl.make_current()
+            self._mjr.free()
+        if self._gl is not None:
+            self._gl.free()
+        self._gl = self._mjr = None
+
+    def render(
+        self,
+        scene,
+        *,
+        inclination: float | None = None,
+        trail=None,
+        trail_colour=None,
+        ghosts=(),
+        forces=(),
+        caption: str = "",
+        show_vehicle: bool = True,
+    ) -> np.ndarray:
+        """One frame (height, width, 3) uint8; arguments as for `RayRenderer.render`."""
+        if self._gl is None:
+            raise UserError("this renderer was closed")
+        pose = pose_of(scene, self.vehicle, inclination)
+        self.stage(pose)
+        self._place(self.data, pose.qpos)
+        self._gl.make_current()
+        camera = mujoco.MjvCamera()
+        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self.model.camera(self.camera).id
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(
+            self.model, self.data, self._option, None, camera, everything, self._scene
+        )
+        if not show_vehicle:
+            self._recolour(0, lambda rgba: 0.0 * rgba, others=False)
+        for ghost in ghosts:
+            ghost = ghost if isinstance(ghost, Ghost) else Ghost(np.asarray(ghost, float))
+            self._add_ghost(ghost)
+        if trail is not None and len(trail) > 1:
+            self._add_trail(np.asarray(trail, float), trail_colour)
+        for point, vector in forces:
+            arrow = mujoco.mjtGeom.mjGEOM_ARROW
+            self._connect(arrow, 0.0044 * self.scale, point, np.add(point, vector), (*overlay.FORCE, 1))
+        rect = mujoco.MjrRect(0, 0, self.width, self.height)
+        frame = np.empty((self.height, self.width, 3), np.uint8)
+        mujoco.mjr_render(rect, self._scene, self._mjr)
+        mujoco.mjr_readPixels(frame, None, rect, self._mjr)
+        frame = np.ascontiguousarray(frame[::-1])
+        if caption:
+            overlay.draw_caption(frame, caption, scenery.scale_note(self.scale))
+        return frame
+
+    def _place(self, data: mujoco.MjData, qpos: np.ndarray) -> None:
+        data.qpos[:7] = qpos
+        mujoco.mj_kinematics(self.model, data)
+        mujoco.mj_comPos(self.model, data)
+        mujoco.mj_camlight(self.model, data)
+
+    def _recolour(self, first: int, change, others: bool) -> None:
+        """Apply `change` to the vehicle's colours from scene geom `first`; hide the rest if `others`."""
+        for geom in self._scene.geoms[first : self._scene.ngeom]:
+            if geom.objtype != mujoco.mjtObj.mjOBJ_GEOM:
+                continue
+            body = self.model.geom_bodyid[geom.objid]
+            if self.model.body_rootid[body] == self._vehicle_root:
+                geom.rgba[:] = change(np.array(geom.rgba))
+            elif others:
+                geom.rgba[3] = 0.0
+
+    def _add_ghost(self, ghost: Ghost) -> None:
+        self._place(self._ghost_data, ghost.qpos)
+        first = self._scene.ngeom
+        mujoco.mjv_addGeoms(
+            self.model, self._ghost_data, self._option, mujoco.MjvPerturb(),
+            mujoco.mjtCatBit.mjCAT_DYNAMIC.value, self._scene,
+        )  # fmt: skip
+        colour = np.array(ghost.colour)
+
+        def change(rgba):
+            rgb = rgba[:3] + ghost.tint * (colour * (0.45 + 0.75 * rgba[:3].mean()) - rgba[:3])
+            return np.append(rgb, ghost.alpha * rgba[3])
+
+        self._recolour(first, change, others=True)
+
+    def _add_trail(self, trail: np.ndarray, colour) -> None:
+        if trail.shape[1] == 13:
+            trail = scenery.drawn_centres(self.model, trail, self.scale)
+        colours = np.broadcast_to(overlay.TRAIL if colour is None else colour, (len(trail), 3))
+        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+        for k in range(len(trail) - 1):
+            self._connect(capsule, 0.004, trail[k], trail[k + 1], (*colours[k], 0.9))
+
+    def _connect(self, kind, width: float, start, end, rgba) -> None:
+        if self._scene.ngeom >= self._scene.maxgeom:
+            return
+        geom = self._scene.geoms[self._scene.ngeom]
+        colour = np.array(rgba, np.float32)
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
+        mujoco.mjv_connector(geom, kind, width, np.asarray(start, float), np.asarray(end, float))
+        self._scene.ngeom += 1
