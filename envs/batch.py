@@ -55,6 +55,19 @@ class BatchEnv:
         """Restart the random starts from `seed`."""
         self.rng = np.random.default_rng(seed)
 
+    def episode_state(self) -> dict[str, np.ndarray]:
+        """Copies of the per-vehicle records, for `restore_episodes`."""
+        return {name: array.copy() for name, array in self._records().items()}
+
+    def restore_episodes(self, records: dict[str, np.ndarray]) -> None:
+        """Continue the episodes that `episode_state` recorded; the plant is restored apart."""
+        for name, array in self._records().items():
+            array[:] = records[name]
+
+    def _records(self) -> dict[str, np.ndarray]:
+        own = ("length", "total", "contact_steps", "touched")
+        return {name: getattr(self, name) for name in own} | vars(self._start)
+
     def reset(self, ids=None, state: np.ndarray | None = None) -> np.ndarray:
         """Begin new episodes for the vehicles `ids` (all by default); return their observations.
 

@@ -43,10 +43,11 @@ MAX_STEPS = 300
 class Conditions:
     """What an episode starts under. The defaults are the task; a curriculum passes easier ones.
 
-    The last three fields are training aids: the task itself never uses them.
+    The last two fields are training aids: the task itself never uses them.
     """
 
-    start_reach: float = 3.3  # starts lie within this of the goal in x and in z, m
+    start_reach: float = 3.3  # starts lie within this of the goal in x, m
+    start_reach_z: float | None = None  # and in z; None: the same
     tilt: float = 1.0  # goal and platform inclination as a share of the task's
     goal_size: float = GOAL_SIZE  # d
     platform: bool = True
@@ -90,8 +91,9 @@ class InclinedLanding:
         c, v = self.conditions, self.vehicle
         gx, gz = self.goal_position
         m = START_MARGIN
-        low = [max(gx - c.start_reach, v.arena_x[0] + m), max(gz - c.start_reach, c.lowest_start)]
-        high = [min(gx + c.start_reach, v.arena_x[1] - m), min(gz + c.start_reach, v.arena_z[1] - m)]
+        rx, rz = c.start_reach, c.start_reach if c.start_reach_z is None else c.start_reach_z
+        low = [max(gx - rx, v.arena_x[0] + m), max(gz - rz, c.lowest_start)]
+        high = [min(gx + rx, v.arena_x[1] - m), min(gz + rz, v.arena_z[1] - m)]
         positions = np.zeros((k, 3))
         todo = np.arange(k)
         for _ in range(1000):

@@ -1,0 +1,258 @@
+"""Curricula: which conditions episodes start under, and when that changes.
+
+A curriculum is an object with a rule. It is told of every finished episode, asked once per rollout to
+`advance`, logged, and checkpointed through `state` / `restore`. The environment reads its `conditions`
+and never changes them.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Protocol
+
+import numpy as np
+
+from inclined_landing.envs.tasks.landing import EASIEST_GOAL_SIZE, GOAL_SIZE, Conditions
+from inclined_landing.models.errors import UserError
+
+
+class Curriculum(Protocol):
+    """What the training callback needs."""
+
+    name: str
+    level: float  # 0 easiest, 1 the task itself
+
+    def conditions(self) -> Conditions | None:
+        """Conditions of the next episodes; None where the task has none."""
+
+    def episode(self, success: bool, length: int) -> None:
+        """A training episode has ended."""
+
+    def advance(self, steps: int) -> None:
+        """A rollout has ended; `steps` environment steps have been made so far."""
+
+    def learning_rate_share(self, steps: int, total: int) -> float:
+        """Share of the initial learning rate at `steps` of `total`."""
+
+    def gamma(self) -> float:
+        """Discount factor of the next rollout."""
+
+    def log(self) -> dict[str, float]:
+        """Numbers for the learning curves."""
+
+    def state(self) -> dict:
+        """Everything `restore` needs, JSON types only."""
+
+    def restore(self, state: dict) -> None:
+        """Continue from a `state`."""
+
+
+class NoCurriculum:
+    """The task as it is, gamma as given, learning rate falling linearly to zero."""
+
+    name = "none"
+    level = 1.0
+
+    def __init__(self, gamma: float, training_aids: bool = False):
+        self._gamma = gamma
+        self._conditions = Conditions(**_AIDS) if training_aids else None
+
+    def conditions(self) -> Conditions | None:
+        return self._conditions
+
+    def episode(self, success: bool, length: int) -> None:
+        return
+
+    def advance(self, steps: int) -> None:
+        return
+
+    def learning_rate_share(self, steps: int, total: int) -> float:
+        return max(0.0, 1.0 - steps / total)
+
+    def gamma(self) -> float:
+        return self._gamma
+
+    def log(self) -> dict[str, float]:
+        return {"level": self.level}
+
+    def state(self) -> dict:
+        return {}
+
+    def restore(self, state: dict) -> None:
+        return
+
+
+# Training aids of the MuJoCo plant: a real contact upsets the vehicle, which then lies on the slab
+# for the rest of the episode and teaches nothing.
+_AIDS = {"contact_limit": 8, "goal_while_touching": False}
+
+
+class AdaptiveCurriculum:
+    """One difficulty variable, raised when the measured success of training episodes allows it.
+
+    With level l from 0 to 1: starts spread from 0.5 m to 3.3 m by l = 0.8, the goal tilts by l = 0.6,
+    the platform appears at l = 0.3, the goal box shrinks from 0.25 to 0.10 from l = 0.4 on.
+
+    Rule, once per rollout: if the success rate of the last `window` episodes exceeds `gate`, l rises by
+    `step` and the window is emptied; otherwise, above `floor`, l creeps up by `creep`. Episodes solved
+    within two steps do not count. The learning rate stays constant until l = 1 and then falls linearly
+    to zero at the end of the run.
+    """
+
+    name = "adaptive"
+
+    def __init__(
+        self,
+        gamma: float = 0.99,
+        *,
+        window: int = 60,
+        gate: float = 0.7,
+        floor: float = 0.3,
+        step: float = 0.06,
+        creep: float = 0.003,
+    ):
+        self._gamma, self.gate, self.floor, self.step, self.creep = gamma, gate, floor, step, creep
+        self.level = 0.0
+        self._recent: deque[bool] = deque(maxlen=window)
+        self._full_at: int | None = None
+
+    def conditions(self) -> Conditions:
+        l = self.level  # noqa: E741
+        shrink = np.clip((l - 0.4) / 0.6, 0.0, 1.0)
+        return Conditions(
+            start_reach=0.5 + 2.8 * min(1.0, l / 0.8),
+            tilt=min(1.0, l / 0.6),
+            goal_size=float(EASIEST_GOAL_SIZE + (GOAL_SIZE - EASIEST_GOAL_SIZE) * shrink),
+            platform=l >= 0.3,
+            **_AIDS,
+        )
+
+    @property
+    def success(self) -> float:
+        """Success rate of the window, 0 while it is empty."""
+        return float(np.mean(self._recent)) if self._recent else 0.0
+
+    def episode(self, success: bool, length: int) -> None:
+        if not (success and length <= 2):
+            self._recent.append(bool(success))
+
+    def advance(self, steps: int) -> None:
+        if self.level >= 1.0:
+            return
+        if len(self._recent) == self._recent.maxlen and self.success > self.gate:
+            self.level = min(1.0, self.level + self.step)
+            self._recent.clear()
+        elif self.success > self.floor:
+            self.level = min(1.0, self.level + self.creep)
+        if self.level >= 1.0:
+            self._full_at = steps
+
+    def learning_rate_share(self, steps: int, total: int) -> float:
+        if self._full_at is None or total <= self._full_at:
+            return 1.0
+        return max(0.0, (total - steps) / (total - self._full_at))
+
+    def gamma(self) -> float:
+        return self._gamma
+
+    def log(self) -> dict[str, float]:
+        c = self.conditions()
+        return {
+            "level": self.level,
+            "success": self.success,
+            "start_reach": c.start_reach,
+            "tilt": c.tilt,
+            "goal_size": c.goal_size,
+            "platform": float(c.platform),
+        }
+
+    def state(self) -> dict:
+        return {
+            "level": self.level,
+            "recent": [bool(x) for x in self._recent],
+            "full_at": self._full_at,
+        }
+
+    def restore(self, state: dict) -> None:
+        self.level, self._full_at = state["level"], state["full_at"]
+        self._recent.clear()
+        self._recent.extend(state["recent"])
+
+
+class PaperCurriculum:
+    """The paper's schedule, by episodes and steps, whatever the success, with the numbers of its
+    authors' public training code.
+
+    Starts within 0.2 m of the goal at first, growing by 1/6000 m per episode (in height by three
+    quarters of that, to 1.2 m at most); the goal box shrinks from 0.25 to 0.10 over episodes 2500 to
+    7500; the goal tilts by 1/6000 of the inclination per episode from 400 000 steps on; the platform
+    appears at 800 000 steps. Gamma rises from 0.97 to 0.99 over the same 800 000 steps. The learning
+    rate is constant and there are no training aids.
+    """
+
+    name = "paper"
+
+    def __init__(self):
+        self.episodes = self.tilting_episodes = self.steps = 0
+
+    @property
+    def level(self) -> float:
+        c = self.conditions()
+        shrink = (EASIEST_GOAL_SIZE - c.goal_size) / (EASIEST_GOAL_SIZE - GOAL_SIZE)
+        return float(np.mean([min(1.0, c.start_reach / 3.3), c.tilt, shrink, c.platform]))
+
+    def conditions(self) -> Conditions:
+        shrink = np.clip((self.episodes - 2500) / 5000, 0.0, 1.0)
+        reach = 0.2 + self.episodes / 6000
+        return Conditions(
+            start_reach=min(3.3, reach),
+            start_reach_z=min(1.2, 0.2 + 0.75 * self.episodes / 6000),
+            tilt=min(1.0, self.tilting_episodes / 6000),
+            goal_size=float(EASIEST_GOAL_SIZE + (GOAL_SIZE - EASIEST_GOAL_SIZE) * shrink),
+            platform=self.steps >= 800_000,
+            lowest_start=1.0,
+        )
+
+    def episode(self, success: bool, length: int) -> None:
+        self.episodes += 1
+        self.tilting_episodes += self.steps >= 400_000
+
+    def advance(self, steps: int) -> None:
+        self.steps = steps
+
+    def learning_rate_share(self, steps: int, total: int) -> float:
+        return 1.0
+
+    def gamma(self) -> float:
+        return 0.97 + 0.02 * min(1.0, self.steps / 800_000)
+
+    def log(self) -> dict[str, float]:
+        c = self.conditions()
+        return {
+            "level": self.level,
+            "start_reach": c.start_reach,
+            "tilt": c.tilt,
+            "goal_size": c.goal_size,
+            "platform": float(c.platform),
+        }
+
+    def state(self) -> dict:
+        return {
+            "episodes": self.episodes,
+            "tilting_episodes": self.tilting_episodes,
+            "steps": self.steps,
+        }
+
+    def restore(self, state: dict) -> None:
+        self.episodes, self.steps = state["episodes"], state["steps"]
+        self.tilting_episodes = state["tilting_episodes"]
+
+
+def make_curriculum(name: str, task: str, gamma: float) -> Curriculum:
+    """A curriculum by name: adaptive or paper (landing only), or none."""
+    if name == "none":
+        return NoCurriculum(gamma, training_aids=task == "landing")
+    if task != "landing" or name not in ("adaptive", "paper"):
+        known = "adaptive, paper or none" if task == "landing" else "none"
+        raise UserError(f"unknown curriculum {name!r} for task {task}: it must be {known}")
+    return AdaptiveCurriculum(gamma) if name == "adaptive" else PaperCurriculum()
