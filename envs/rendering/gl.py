@@ -234,7 +234,7 @@ class GLRenderer(Stage):
         colours = np.broadcast_to(overlay.TRAIL if colour is None else colour, (len(trail), 3))
         capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
         for k in range(len(trail) - 1):
-            self._connect(capsule, 0.004, trail[k], trail[k + 1], (*colours[k], 0.9))
+            self._connect(capsule, 0.0013 * self.scale, trail[k], trail[k + 1], (*colours[k], 0.9))
 
     def _connect(self, kind, width: float, start, end, rgba) -> None:
         if self._scene.ngeom >= self._scene.maxgeom:

@@ -56,6 +56,7 @@ class _Scene:
         self.specular = np.where(has, m.mat_specular[material], 0.2) if m.nmat else np.full(m.ngeom, 0.2)
         self.shininess = np.where(has, m.mat_shininess[material], 0.3) if m.nmat else np.full(m.ngeom, 0.3)
         self.emission = np.where(has, m.mat_emission[material], 0.0) if m.nmat else np.zeros(m.ngeom)
+        frame = [k for k in range(m.ngeom) if m.geom(k).name.startswith("frame_")]
         self.floor, self.wall = m.geom("floor").id, m.geom("back_wall").id
         moving = m.body_rootid[m.geom_bodyid] == m.body_rootid[self.body]
         shown = m.geom_group <= scenery.VISUAL_GROUP
@@ -65,7 +66,8 @@ class _Scene:
         group = np.full(m.ngeom, _UNSEEN)
         group[~moving & shown] = _SCENE
         group[self.parts] = _VEHICLE
-        group[[k for k in range(m.ngeom) if m.geom(k).name.startswith("frame_")]] = _FRAME
+        group[frame] = _FRAME
+        self.emission[self.wall], self.emission[frame] = 0.9, 0.6  # evenly lit, whatever faces the sun
         m.geom_group[:] = group
         self.phase = np.array([self._blade_angle(k) for k in self.discs])
         direction = m.light_dir[0] / np.linalg.norm(m.light_dir[0])

@@ -1,0 +1,180 @@
+"""Videos and stroboscopic pictures of recorded flights."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import pathlib
+import tempfile
+from collections.abc import Iterator
+
+import numpy as np
+
+from inclined_landing.envs.rendering import Ghost, make_renderer, qpos_of_state
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+
+FPS = 50.0  # one frame for every control step
+_EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # along a strobe picture
+
+
+@dataclasses.dataclass(frozen=True)
+class Flight:
+    """A recorded episode.
+
+    t (T,) s; state (T, 13), columns as in `models.attitude`; commands (T, 4): PWM, roll, pitch [rad],
+    yaw rate [rad/s]; goal (5,) or (8,): where the vehicle should come to, None if there is none;
+    inclination of the platform [rad], None without a platform.
+    """
+
+    t: np.ndarray
+    state: np.ndarray
+    commands: np.ndarray
+    goal: np.ndarray | None = None
+    inclination: float | None = None
+
+    def __post_init__(self):
+        rows = len(self.t)
+        for name, width in (("state", 13), ("commands", 4)):
+            shape = np.shape(getattr(self, name))
+            if shape != (rows, width):
+                raise UserError(
+                    f"a flight of {rows} samples has {name} ({rows}, {width}), not {shape}"
+                )
+        if rows < 2:
+            raise UserError("a flight needs at least two samples")
+        if not np.isfinite(self.state).all():
+            raise UserError("a flight's states must be finite")
+
+
+def goal_ghost(flight: Flight, vehicle: Vehicle) -> Ghost | None:
+    """The translucent vehicle at the goal: [x z vx vz theta] or [x y z vx vy vz phi theta]."""
+    if flight.goal is None:
+        return None
+    goal = np.asarray(flight.goal, float)
+    state = np.zeros(13)
+    if goal.shape == (5,):
+        state[[0, 2, 7]] = goal[[0, 1, 4]]
+    elif goal.shape == (8,):
+        state[[0, 1, 2, 6, 7]] = goal[[0, 1, 2, 6, 7]]
+    else:
+        raise UserError(f"a goal is a planar (5,) or a spatial (8,) state, not {goal.shape}")
+    return Ghost(qpos_of_state(state))
+
+
+def caption_of(flight: Flight, k: int) -> str:
+    """The line under frame k."""
+    s, pwm = flight.state[k], flight.commands[k, 0]
+    planar = np.abs(flight.state[:, 1]).max() < 0.01
+    across = "" if planar else f"y {s[1]:+5.2f}  "
+    return (
+        f"t {flight.t[k]:4.2f} s   x {s[0]:+5.2f}  {across}z {s[2]:4.2f} m   "
+        f"pitch {np.degrees(s[7]):+6.1f} deg   PWM {pwm:6.0f}"
+    )
+
+
+def render_flight(
+    flight: Flight,
+    *,
+    camera: str = "hero",
+    width: int = 640,
+    height: int = 480,
+    backend: str = "auto",
+    fps: float = FPS,
+    trail: bool = True,
+    vehicle: Vehicle | None = None,
+) -> Iterator[np.ndarray]:
+    """Frames (height, width, 3) uint8 at `fps` frames per second of flight, the last one included."""
+    if not fps > 0:
+        raise UserError(f"fps must be positive, not {fps!r}")
+    vehicle = vehicle or load_vehicle()
+    times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
+    frames = np.minimum(np.searchsorted(flight.t, times - 1e-9), len(flight.t) - 1)
+    goal = goal_ghost(flight, vehicle)
+    close = camera in ("closeup", "onboard")
+    with make_renderer(width, height, camera, backend, vehicle=vehicle) as renderer:
+        for k in frames:
+            yield renderer.render(
+                flight.state[k],
+                inclination=flight.inclination,
+                trail=flight.state[: k + 1] if trail and not close else None,
+                ghosts=[goal] if goal is not None and not close else [],
+                caption=caption_of(flight, k),
+            )
+
+
+def strobe(
+    flight: Flight,
+    *,
+    camera: str = "hero",
+    width: int = 1280,
+    height: int = 720,
+    copies: int = 10,
+    spacing: float = 0.13,
+    backend: str = "auto",
+    vehicle: Vehicle | None = None,
+) -> np.ndarray:
+    """One picture of the whole flight: copies of the vehicle along its way, the last one solid.
+
+    Copies are at least `spacing` [m] apart, coloured from early (violet) to late (orange).
+    """
+    vehicle = vehicle or load_vehicle()
+    chosen = _spread(flight.state, copies, spacing)
+    share = np.linspace(0.0, 1.0, len(flight.state))[:, None]
+    colours = _EARLY + share * (_LATE - _EARLY)
+    ghosts = [
+        Ghost(qpos_of_state(flight.state[k]), tuple(colours[k]), alpha=0.8, tint=0.55, shadow=True)
+        for k in chosen
+    ]
+    goal = goal_ghost(flight, vehicle)
+    with make_renderer(width, height, camera, backend, vehicle=vehicle) as renderer:
+        return renderer.render(
+            flight.state[-1],
+            inclination=flight.inclination,
+            trail=flight.state,
+            trail_colour=colours,
+            ghosts=ghosts + ([goal] if goal is not None else []),
+        )
+
+
+def _spread(state: np.ndarray, copies: int, spacing: float) -> list[int]:
+    """Samples that are evenly spread along the path, without the last."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1))])
+    count = int(np.clip(way[-1] / spacing, 1, copies))
+    marks = np.linspace(0.0, way[-1], count + 1)[:-1]
+    return [int(np.searchsorted(way, mark)) for mark in marks]
+
+
+def write_video(path, frames, fps: float = FPS) -> pathlib.Path:
+    """Write frames (h, w, 3) uint8 to an .mp4 or .gif file; returns its path.
+
+    The file appears under its name when it is complete. Raises UserError for another suffix and for
+    no frames.
+    """
+    path = pathlib.Path(path)
+    codec = {".mp4": "h264", ".gif": "gif"}.get(path.suffix.lower())
+    if codec is None:
+        raise UserError(f"a video is an .mp4 or .gif file, not {path.name!r}")
+    frames = iter(frames)
+    first = next(frames, None)
+    if first is None:
+        raise UserError(f"no frames for {path.name}")
+    import imageio_ffmpeg
+    import mediapy
+
+    mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    os.close(handle)
+    quality = {"qp": 20} if codec == "h264" else {}
+    try:
+        with mediapy.VideoWriter(name, first.shape[:2], fps=fps, codec=codec, **quality) as writer:
+            writer.add_image(first)
+            for frame in frames:
+                writer.add_image(frame)
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        pathlib.Path(name).unlink(missing_ok=True)
+        raise
+    return path
