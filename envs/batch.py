@@ -101,9 +101,7 @@ class BatchEnv:
         """
         actions = np.asarray(actions, float)
         if actions.shape != (self.n, self._action_size):
-            raise UserError(
-                f"actions must have shape ({self.n}, {self._action_size}), not {actions.shape}"
-            )
+            raise UserError(f"actions must have shape ({self.n}, {self._action_size}), not {actions.shape}")
         if not np.isfinite(actions).all():
             raise UserError("an action is NaN or infinite")
         actions = np.clip(actions, -1.0, 1.0)

@@ -103,9 +103,7 @@ class TaskEnv(gym.Env):
         if self._renderer is None:
             from inclined_landing.envs.rendering import make_renderer
 
-            self._renderer = make_renderer(
-                self.task.vehicle, backend=self._backend, **self._picture
-            )
+            self._renderer = make_renderer(self.task.vehicle, backend=self._backend, **self._picture)
         plant = self.batch.plant
         inclination = float(plant.inclination[0]) if plant.present[0] else None
         return self._renderer.render(plant.state[0], inclination=inclination)

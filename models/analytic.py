@@ -160,9 +160,7 @@ def step(state, commands, c, p, rate_loop, dt, substeps):
         s[LAG] = y[_OMEGA]
         if not rate_loop:
             y[_RATES], y[_RATES + 1], y[_RATES + 2] = loop_rates(y[_PHI], y[_THETA], u, c, p[i])
-        s[WX], s[WY], s[WZ] = body_rates(
-            y[_PHI], y[_THETA], y[_RATES], y[_RATES + 1], y[_RATES + 2]
-        )
+        s[WX], s[WY], s[WZ] = body_rates(y[_PHI], y[_THETA], y[_RATES], y[_RATES + 1], y[_RATES + 2])
 
 
 @numba.njit(cache=True, inline="always")

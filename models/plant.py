@@ -87,9 +87,7 @@ class _Plant:
         self.keep_out = keep_out
         self.control_period = self.vehicle.command_control_period
         self.state = np.zeros((n, STATE_SIZE))
-        self.contacts = Contacts(
-            np.zeros((n, 3, 3), bool), np.zeros((n, 3, 3), bool), np.zeros((n, 3, 3))
-        )
+        self.contacts = Contacts(np.zeros((n, 3, 3), bool), np.zeros((n, 3, 3), bool), np.zeros((n, 3, 3)))
         self.inclination = np.full(n, self.vehicle.platform_inclination)
         self.present = np.ones(n, bool)
         self.perturbation = perturbation.neutral(n)
@@ -156,9 +154,7 @@ class AnalyticPlant(_Plant):
             raise UserError(f"substeps must be at least 1, not {substeps}")
         self.substeps = substeps
         self.shapes = geometry.shapes_of(compile_scene(self.vehicle))
-        self._position, _ = geometry.platform_poses(
-            self.inclination, self.present, self.vehicle
-        )
+        self._position, _ = geometry.platform_poses(self.inclination, self.present, self.vehicle)
         self._distance = np.empty((n, 3, 3))
         self.contacts.force[:] = np.nan
 
@@ -173,9 +169,9 @@ class AnalyticPlant(_Plant):
         """Platform inclination [rad] and presence of the vehicles `ids`."""
         self.inclination[ids] = inclination
         self.present[ids] = present
-        self._position[ids] = geometry.platform_poses(
-            self.inclination[ids], self.present[ids], self.vehicle
-        )[0]
+        self._position[ids] = geometry.platform_poses(self.inclination[ids], self.present[ids], self.vehicle)[
+            0
+        ]
 
     def reset(self, ids, state: np.ndarray) -> None:
         """Put the vehicles `ids` into `state` (k, 13), contacts cleared."""
@@ -193,9 +189,7 @@ class AnalyticPlant(_Plant):
             self.control_period / self.substeps,
             self.substeps,
         )
-        geometry.clearances(
-            self.state, self.inclination, self._position, self.shapes, self._distance
-        )
+        geometry.clearances(self.state, self.inclination, self._position, self.shapes, self._distance)
         np.less(self._distance, self.keep_out, out=self.contacts.near)
         np.less(self._distance, 0.0, out=self.contacts.touch)
 
@@ -260,9 +254,7 @@ class MujocoPlant(_Plant):
         """Platform inclination [rad] and presence of the vehicles `ids`."""
         self.inclination[ids] = inclination
         self.present[ids] = present
-        position, quat = geometry.platform_poses(
-            self.inclination[ids], self.present[ids], self.vehicle
-        )
+        position, quat = geometry.platform_poses(self.inclination[ids], self.present[ids], self.vehicle)
         for k, mocap in enumerate(self._mocap):
             self._mocap_pos[ids, mocap] = position[:, k]
             self._mocap_quat[ids, mocap] = quat[:, k]
@@ -291,9 +283,7 @@ class MujocoPlant(_Plant):
             _synchronise_rates(
                 self._qpos, self._qvel, self._ctrl, self._constants, self.perturbation, touched
             )
-        self.batch.rollout(
-            self.substeps, record=("sensordata",), out={"sensordata": self._sensors}
-        )
+        self.batch.rollout(self.substeps, record=("sensordata",), out={"sensordata": self._sensors})
         c = self.contacts
         _read_contacts(self._sensors, self.keep_out > 0.0, c.near, c.touch, c.force)
         _read_state(self._qpos, self._qvel, self._act, self.state)

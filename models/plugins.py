@@ -42,8 +42,7 @@ def load() -> None:
     library, build = _find()
     if library is None:
         raise ImportError(
-            "the native plugins of inclined_landing are not built (a C++17 compiler is needed); "
-            + _REMEDY
+            "the native plugins of inclined_landing are not built (a C++17 compiler is needed); " + _REMEDY
         )
     running = mujoco.mj_versionString()
     if build["mujoco"] != running:

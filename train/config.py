@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 
@@ -110,6 +109,3 @@ class TrainConfig:
     def as_json(self) -> dict:
         """The configuration with JSON types only."""
         return dataclasses.asdict(self) | {"out": str(self.out)}
-
-
-Arguments = Annotated[TrainConfig, tyro.conf.arg(name="")]

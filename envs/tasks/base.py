@@ -80,9 +80,7 @@ def resolve_pwm_centre(centre, vehicle: Vehicle) -> float:
     low, high = vehicle.command_pwm_range
     if isinstance(centre, (int, float)) and low <= centre <= high:
         return float(centre)
-    raise UserError(
-        f"pwm_centre must be 'paper', 'hover' or a PWM from {low:g} to {high:g}, not {centre!r}"
-    )
+    raise UserError(f"pwm_centre must be 'paper', 'hover' or a PWM from {low:g} to {high:g}, not {centre!r}")
 
 
 def hover_states(positions: np.ndarray, vehicle: Vehicle) -> np.ndarray:

@@ -102,9 +102,7 @@ class InclinedLanding:
             todo = todo[self.start_clearance(start) < START_CLEARANCE]
             if not len(todo):
                 return self.start(hover_states(positions, v))
-        raise UserError(
-            f"no start clear of the platform was found within {c.start_reach:g} m of the goal"
-        )
+        raise UserError(f"no start clear of the platform was found within {c.start_reach:g} m of the goal")
 
     def start(self, state: np.ndarray) -> Start:
         """Starts from given states (k, 13) under the present conditions."""

@@ -1,0 +1,120 @@
+"""What happens around PPO's iterations: curriculum, evaluation, checkpoints, video, progress."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from stable_baselines3.common.callbacks import BaseCallback
+
+from inclined_landing.train.curriculum import Curriculum
+
+
+class Clock:
+    """Seconds of training, evaluation and video apart, continued after a resume."""
+
+    def __init__(self, spent: dict[str, float] | None = None):
+        self.spent = {"training": 0.0, "evaluation": 0.0, "video": 0.0, **(spent or {})}
+        self._name, self._since = "training", time.monotonic()
+
+    def switch(self, name: str) -> None:
+        """Charge the time since the last switch, then charge to `name`."""
+        now = time.monotonic()
+        self.spent[self._name] += now - self._since
+        self._name, self._since = name, now
+
+    def total(self) -> float:
+        """Seconds charged to anything so far."""
+        self.switch(self._name)
+        return sum(self.spent.values())
+
+
+class CurriculumCallback(BaseCallback):
+    """Feeds finished episodes to the curriculum and applies its conditions once per rollout."""
+
+    def __init__(self, curriculum: Curriculum, total_steps: int, learning_rate: float):
+        super().__init__()
+        self.curriculum, self.total, self.rate = curriculum, total_steps, learning_rate
+
+    def _on_training_start(self) -> None:
+        self._apply()
+
+    def _on_step(self) -> bool:
+        for info in self.locals["infos"]:
+            if "episode" in info:
+                self.curriculum.episode(info["is_success"], info["episode"]["l"])
+        return True
+
+    def _on_rollout_end(self) -> None:
+        self.curriculum.advance(self.num_timesteps)
+        self._apply()
+        for name, value in self.curriculum.log().items():
+            self.logger.record(f"curriculum/{name}", value)
+
+    def _apply(self) -> None:
+        conditions = self.curriculum.conditions()
+        if conditions is not None:
+            self.training_env.env.task.conditions = conditions
+        gamma = self.curriculum.gamma()
+        self.model.gamma = self.model.rollout_buffer.gamma = gamma
+        share = self.curriculum.learning_rate_share(self.num_timesteps, self.total)
+        rate = max(self.rate * share, 1e-3 * self.rate)
+        self.model.lr_schedule = lambda _: rate
+
+
+class Every(BaseCallback):
+    """Calls `action(iteration)` before a rollout, every `interval` iterations; 0: never.
+
+    At that moment the previous iteration's update is done, so that the policy, the vehicles and the
+    random states belong together. `action` returns False to stop the training.
+    """
+
+    def __init__(self, interval: int, action: Callable[[int], bool | None], per_iteration: int):
+        super().__init__()
+        self.interval, self.action, self.per_iteration = interval, action, per_iteration
+        self.stop = False
+
+    def _on_rollout_start(self) -> None:
+        iteration = self.num_timesteps // self.per_iteration
+        if self.interval and iteration and iteration % self.interval == 0:
+            self.stop = self.action(iteration) is False
+
+    def _on_step(self) -> bool:
+        return not self.stop
+
+
+class ProgressCallback(BaseCallback):
+    """A rich progress bar over environment steps with the curriculum's level beside it."""
+
+    def __init__(self, total_steps: int, curriculum: Curriculum):
+        super().__init__()
+        self.total, self.curriculum = total_steps, curriculum
+        self.notice = ""
+
+    def _on_training_start(self) -> None:
+        self.bar = Progress(
+            TextColumn("training"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[notice]}"),
+        )
+        self.bar.start()
+        self.item = self.bar.add_task("", total=self.total, notice="", completed=self.num_timesteps)
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        notice = f"level {self.curriculum.level:.2f}{self.notice}"
+        done = min(self.num_timesteps, self.total)
+        self.bar.update(self.item, completed=done, notice=notice)
+
+    def _on_training_end(self) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop drawing (also after an interruption)."""
+        if getattr(self, "bar", None) is not None:
+            self.bar.stop()
