@@ -1,0 +1,39 @@
+"""Numbers with their uncertainty."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def proportion(successes: int, trials: int) -> dict:
+    """Share of successes with its Wilson 95 % interval (null without trials)."""
+    result = {"count": int(successes), "of": int(trials), "share": None, "interval": None}
+    if trials:
+        from scipy.stats import binomtest
+
+        interval = binomtest(int(successes), int(trials)).proportion_ci(method="wilson")
+        result["share"] = successes / trials
+        result["interval"] = [float(interval.low), float(interval.high)]
+    return result
+
+
+def spread(values) -> dict:
+    """Median, 5 % and 95 % quantiles, smallest and largest of the values that are not NaN."""
+    values = np.asarray(values, float)
+    values = values[~np.isnan(values)]
+    names = ("min", "p5", "median", "p95", "max")
+    if not len(values):
+        return dict.fromkeys(names)
+    return dict(zip(names, map(float, np.quantile(values, [0, 0.05, 0.5, 0.95, 1]))))
+
+
+def mean(values) -> dict:
+    """Mean with the 95 % interval of Student's t, for more than one value."""
+    values = np.asarray(values, float)
+    result = {"mean": float(values.mean()), "interval": None}
+    if len(values) > 1:
+        from scipy.stats import t
+
+        half = t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+        result["interval"] = [result["mean"] - float(half), result["mean"] + float(half)]
+    return result

@@ -1,0 +1,115 @@
+"""The success report as tables for people."""
+
+from __future__ import annotations
+
+import math
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+_GROUPS = {
+    "paper_starts": "paper's three",
+    "scattered_starts": "paper's, +-0.1 m",
+    "grid": "frozen grid",
+}
+
+
+def show(report: dict) -> None:
+    """Print the report of `success.evaluate`."""
+    console = Console()
+    plant = {"mujoco": "MuJoCo", "analytic": "analytic"}[report["plant"]]
+    title = f"{report['policy']}: {report['task']}, {plant} plant, seed {report['seed']}"
+    if report["task"] == "landing":
+        angle = math.degrees(report["task_options"]["inclination"])
+        title += f", {angle:.1f} deg"
+        console.print(_landing(report, title))
+        console.print(_entry(report))
+    else:
+        console.print(_setpoint(report, title))
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold")
+    for k, column in enumerate(columns):
+        table.add_column(column, justify="left" if k == 0 else "right")
+    return table
+
+
+def _landing(report: dict, title: str) -> Table:
+    table = _table(title, "starts", "thrust", "flights", "success", "strict", "touched", "time to goal [s]")
+    for condition in report["conditions"]:
+        scale = f"x {condition['thrust_scale']:g}"
+        for name, label in _GROUPS.items():
+            row = condition[name]
+            table.add_row(
+                label,
+                scale,
+                str(row["success"]["of"]),
+                _share(row["success"]),
+                _share(row["strict"]),
+                str(row["touched"]["count"]),
+                _spread(row["time_to_goal"]),
+            )
+        table.add_section()
+    first, second = report["paper"]
+    table.add_row("paper's results", "", str(first["of"]), f"{100 * first['share']:.1f} %", "", "", "")
+    table.add_row("", "", "", f"{100 * second['share']:.1f} %", "", "", "")
+    table.caption = "95 % Wilson intervals; times: median (5 % to 95 %)"
+    return table
+
+
+def _entry(report: dict) -> Table:
+    scales = [condition["thrust_scale"] for condition in report["conditions"]]
+    table = _table(
+        "At goal-box entry, and after cutting the motors there (frozen grid)",
+        "",
+        *(f"thrust x {scale:g}" for scale in scales),
+    )
+    entries = [condition["entry"] for condition in report["conditions"]]
+    cuts = [condition["motors_cut"] for condition in report["conditions"]]
+
+    def row(label, sources, key, text):
+        table.add_row(label, *(text(source[key]) if source else "-" for source in sources))
+
+    row("speed [m/s]", entries, "speed", _spread)
+    row("towards the surface [m/s]", entries, "normal_speed", _spread)
+    row("along the surface [m/s]", entries, "tangential_speed", _spread)
+    row("pitch error [rad]", entries, "pitch_error", lambda s: _spread(s, 3))
+    row("moving away", entries, "moving_away", _share)
+    table.add_section()
+    row("motors cut: touches the slope", cuts, "touchdown", _share)
+    row("touchdown, into the surface [m/s]", cuts, "normal_speed", _spread)
+    row("touchdown, along the surface [m/s]", cuts, "tangential_speed", _spread)
+    row("at rest on its feet after 2 s", cuts, "at_rest_on_feet", _share)
+    return table
+
+
+def _setpoint(report: dict, title: str) -> Table:
+    table = _table(title, "thrust", "flights", "error after 3 s [cm]", "95 % interval", "p95", "< 5 cm")
+    for condition in report["conditions"]:
+        error, within = condition["error"], condition["within"]
+        low, high = error["interval"]
+        table.add_row(
+            f"x {condition['thrust_scale']:g}",
+            str(within["of"]),
+            f"{100 * error['mean']:.2f}",
+            f"{100 * low:.2f} to {100 * high:.2f}",
+            f"{100 * error['p95']:.2f}",
+            _share(within),
+        )
+    return table
+
+
+def _share(value: dict) -> str:
+    if value["share"] is None:
+        return "-"
+    low, high = value["interval"]
+    return f"{100 * value['share']:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
+
+
+def _spread(value: dict, digits: int = 2) -> str:
+    if value["median"] is None:
+        return "-"
+    f = f".{digits}f"
+    return f"{value['median']:{f}} ({value['p5']:{f}} to {value['p95']:{f}})"
