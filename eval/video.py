@@ -22,8 +22,8 @@ _EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # al
 class Flight:
     """A recorded episode.
 
-    t (T,) s; state (T, 13), columns as in `models.attitude`; commands (T, 4): PWM, roll, pitch [rad],
-    yaw rate [rad/s]; goal (5,) or (8,): where the vehicle should come to, None if there is none;
+    t (T,) s; state (T, 13), columns as in `models.attitude`; commands (T, 4): PWM, roll, pitch
+    [rad], yaw rate [rad/s]; goal (5,) or (8,): where the vehicle should come to, None if there is none;
     inclination of the platform [rad], None without a platform.
     """
 
@@ -38,16 +38,14 @@ class Flight:
         for name, width in (("state", 13), ("commands", 4)):
             shape = np.shape(getattr(self, name))
             if shape != (rows, width):
-                raise UserError(
-                    f"a flight of {rows} samples has {name} ({rows}, {width}), not {shape}"
-                )
+                raise UserError(f"a flight of {rows} samples has {name} ({rows}, {width}), not {shape}")
         if rows < 2:
             raise UserError("a flight needs at least two samples")
         if not np.isfinite(self.state).all():
             raise UserError("a flight's states must be finite")
 
 
-def goal_ghost(flight: Flight, vehicle: Vehicle) -> Ghost | None:
+def goal_ghost(flight: Flight) -> Ghost | None:
     """The translucent vehicle at the goal: [x z vx vz theta] or [x y z vx vy vz phi theta]."""
     if flight.goal is None:
         return None
@@ -84,13 +82,13 @@ def render_flight(
     trail: bool = True,
     vehicle: Vehicle | None = None,
 ) -> Iterator[np.ndarray]:
-    """Frames (height, width, 3) uint8 at `fps` frames per second of flight, the last one included."""
+    """Frames (height, width, 3) uint8, `fps` of them for a second of flight."""
     if not fps > 0:
         raise UserError(f"fps must be positive, not {fps!r}")
     vehicle = vehicle or load_vehicle()
     times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
     frames = np.minimum(np.searchsorted(flight.t, times - 1e-9), len(flight.t) - 1)
-    goal = goal_ghost(flight, vehicle)
+    goal = goal_ghost(flight)
     close = camera in ("closeup", "onboard")
     with make_renderer(width, height, camera, backend, vehicle=vehicle) as renderer:
         for k in frames:
@@ -123,17 +121,16 @@ def strobe(
     share = np.linspace(0.0, 1.0, len(flight.state))[:, None]
     colours = _EARLY + share * (_LATE - _EARLY)
     ghosts = [
-        Ghost(qpos_of_state(flight.state[k]), tuple(colours[k]), alpha=0.8, tint=0.55, shadow=True)
+        Ghost(qpos_of_state(flight.state[k]), tuple(colours[k]), alpha=0.8, tint=0.7, shadow=True)
         for k in chosen
     ]
-    goal = goal_ghost(flight, vehicle)
     with make_renderer(width, height, camera, backend, vehicle=vehicle) as renderer:
         return renderer.render(
             flight.state[-1],
             inclination=flight.inclination,
             trail=flight.state,
             trail_colour=colours,
-            ghosts=ghosts + ([goal] if goal is not None else []),
+            ghosts=ghosts,
         )
 
 

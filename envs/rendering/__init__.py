@@ -43,8 +43,8 @@ def make_renderer(
 ):
     """A renderer with `render(scene, ...) -> (height, width, 3) uint8` and `close()`.
 
-    camera: one of CAMERAS or, for rays, a `View`. scale: size of the drawn vehicle, by default 3 (it
-    is a few pixels wide otherwise; the caption says so) and 1 for cameras close to it.
+    camera: one of CAMERAS or, for rays, a `View`. scale: size of the drawn vehicle, by default 3
+    (it is a few pixels wide otherwise; the caption says so) and 1 for cameras close to it.
     Raises UserError for an unknown backend or camera, and for "gl" where OpenGL is missing.
     """
     if backend not in BACKENDS:

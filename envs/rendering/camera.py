@@ -10,12 +10,20 @@ FAR = 1e4  # m; parallel rays are cast from a point this far away
 _FOCUS = np.array([0.0, 0.0, 1.2])  # parallel rays are exact on the plane through this point
 
 
+def dot(vectors: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Scalar products (n,) of vectors (n, 3) with one vector (3,) or row by row with (n, 3).
+
+    Without the threads of a linear-algebra library: the same bits on every machine.
+    """
+    return np.einsum("ij,j->i" if other.ndim == 1 else "ij,ij->i", vectors, other)
+
+
 @dataclasses.dataclass(frozen=True)
 class View:
     """One camera at one moment.
 
-    origin (3,) m; axes (3, 3) with rows right, up, forward; extent: the image's height, in metres for
-    an orthographic view, in units of the distance for a perspective one (2 tan(fovy / 2)).
+    origin (3,) m; axes (3, 3) with rows right, up, forward; extent: the image's height, in metres
+    for an orthographic view, in units of the distance for a perspective one (2 tan(fovy / 2)).
     """
 
     origin: np.ndarray
@@ -54,12 +62,12 @@ class View:
         return self.axes[2] + right[:, None] * self.axes[0] + up[:, None] * self.axes[1]
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Image points (n, 2) as column, row, and axial distances from `eye` (n,) of points (n, 3)."""
-        local = (np.asarray(points, float) - self.origin) @ self.axes.T
-        depth = local[:, 2]
+        """Columns and rows (n, 2) and axial distances from `eye` (n,) of points (n, 3)."""
+        local = np.asarray(points, float) - self.origin
+        right, up, depth = (dot(local, axis) for axis in self.axes)
         size = self.pixel if self.orthographic else self.pixel * np.maximum(depth, 1e-6)
-        column = 0.5 * self.width + local[:, 0] / size
-        row = 0.5 * self.height - local[:, 1] / size
+        column = 0.5 * self.width + right / size
+        row = 0.5 * self.height - up / size
         return np.stack([column, row], axis=1), depth + self.offset
 
     def pixel_size(self, depth):
@@ -74,7 +82,8 @@ def view_of(model, data, camera: int | str, width: int, height: int) -> View:
     orthographic = bool(model.cam_projection[k])
     fovy = float(model.cam_fovy[k])
     extent = fovy if orthographic else 2.0 * np.tan(0.5 * np.radians(fovy))
-    return View(data.cam_xpos[k].copy(), np.stack([right, up, -back]), extent, orthographic, width, height)
+    axes = np.stack([right, up, -back])
+    return View(data.cam_xpos[k].copy(), axes, extent, orthographic, width, height)
 
 
 def look_at(

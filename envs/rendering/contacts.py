@@ -11,8 +11,8 @@ def contact_arrows(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """(point (3,), arrow (3,)) [m] for every contact that carries force, on the vehicle.
 
-    The arrow is the force that the world exerts on the vehicle. At a standstill a foot carries about
-    0.08 N. `data` must hold a forward pass.
+    The arrow is the force that the world exerts on the vehicle; `data` must hold a forward pass.
+    The points are those of the real vehicle: draw it at scale 1.
     """
     arrows = []
     root = model.body("crazyflie").id

@@ -1,8 +1,8 @@
 """MuJoCo's own OpenGL renderer, behind a probe.
 
 Without OpenGL MuJoCo 4.0 raises at the first renderer and aborts the process at the second. So the
-libraries are looked for with ctypes first; nothing here runs at import and no environment variable of
-MuJoCo is set.
+libraries are looked for with ctypes first; nothing here runs at import and no environment variable
+of MuJoCo is set.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _context(width: int, height: int):
     """A current OpenGL context of MuJoCo; raises UserError with the remedy."""
     found = probe()
     if not found.kind:
-        raise UserError(f"OpenGL rendering is not possible here, {found.missing} is missing: {_REMEDY}.")
+        raise UserError(f"no OpenGL rendering here, {found.missing} is missing: {_REMEDY}.")
     try:
         if found.kind == "egl":
             from mujoco.egl import GLContext
@@ -125,7 +125,7 @@ class GLRenderer(Stage):
         scale: float | None = None,
     ):
         if isinstance(camera, View):
-            raise UserError("a free View is drawn by backend='ray' only; name a camera of the scene")
+            raise UserError("only backend='ray' draws a free View; name a camera of the scene")
         self._gl = self._mjr = None
         self._gl = _context(width, height)
         super().__init__(vehicle, width, height, camera, scale)
@@ -172,11 +172,10 @@ class GLRenderer(Stage):
         self._place(self.data, pose.qpos)
         self._gl.make_current()
         camera = mujoco.MjvCamera()
-        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self.model.camera(self.camera).id
+        camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        camera.fixedcamid = self.model.camera(self.camera).id
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
-        mujoco.mjv_updateScene(
-            self.model, self.data, self._option, None, camera, everything, self._scene
-        )
+        mujoco.mjv_updateScene(self.model, self.data, self._option, None, camera, everything, self._scene)
         if not show_vehicle:
             self._recolour(0, lambda rgba: 0.0 * rgba, others=False)
         for ghost in ghosts:
@@ -186,7 +185,8 @@ class GLRenderer(Stage):
             self._add_trail(np.asarray(trail, float), trail_colour)
         for point, vector in forces:
             arrow = mujoco.mjtGeom.mjGEOM_ARROW
-            self._connect(arrow, 0.0044 * self.scale, point, np.add(point, vector), (*overlay.FORCE, 1))
+            tip, width = np.add(point, vector), 0.0044 * self.scale
+            self._connect(arrow, width, point, tip, (*overlay.FORCE, 1))
         rect = mujoco.MjrRect(0, 0, self.width, self.height)
         frame = np.empty((self.height, self.width, 3), np.uint8)
         mujoco.mjr_render(rect, self._scene, self._mjr)
@@ -203,7 +203,7 @@ class GLRenderer(Stage):
         mujoco.mj_camlight(self.model, data)
 
     def _recolour(self, first: int, change, others: bool) -> None:
-        """Apply `change` to the vehicle's colours from scene geom `first`; hide the rest if `others`."""
+        """Change the vehicle's colours from scene geom `first`; `others`: hide the rest."""
         for geom in self._scene.geoms[first : self._scene.ngeom]:
             if geom.objtype != mujoco.mjtObj.mjOBJ_GEOM:
                 continue

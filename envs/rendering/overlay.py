@@ -12,7 +12,7 @@ from inclined_landing.envs.rendering.camera import View
 _BIAS = 0.004  # m; a line this much behind a surface still shows
 TRAIL, FORCE = np.array([0.88, 0.16, 0.11]), np.array([0.93, 0.17, 0.10])
 _TEXT = np.array([0.08, 0.12, 0.22], np.float32)
-_BAR = 0.78  # opacity of the caption bar
+_BAR, _BAR_COLOUR = 0.78, np.float32([0.97, 0.98, 1.0])  # opacity and colour of the caption bar
 
 
 @dataclasses.dataclass
@@ -65,9 +65,7 @@ def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.
     span = np.arange(-reach, reach + 1)
     column = base[:, 0, None, None] + span[None, None, :]
     row = base[:, 1, None, None] + span[None, :, None]
-    distance = np.hypot(
-        column + 0.5 - samples[:, 0, None, None], row + 0.5 - samples[:, 1, None, None]
-    )
+    distance = np.hypot(column + 0.5 - samples[:, 0, None, None], row + 0.5 - samples[:, 1, None, None])
     cover = np.clip(0.5 * samples[:, 3, None, None] + 0.5 - distance, 0.0, 1.0)
     column, row = column - canvas.column, row - canvas.row
     inside = (column >= 0) & (column < breadth) & (row >= 0) & (row < height) & (cover > 0)
@@ -83,7 +81,7 @@ def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.
     owner[index[winner]] = sample[winner]
     touched = np.flatnonzero(best)
     chosen = samples[owner[touched]]
-    canvas.blend(touched, chosen[:, 4:7].astype(np.float32), (best[touched] * chosen[:, 7]).astype(np.float32))
+    canvas.blend(touched, chosen[:, 4:7], best[touched] * chosen[:, 7])
 
 
 def draw_arrow(canvas: Canvas, view: View, start, vector, *, radius: float, colour) -> None:
@@ -100,7 +98,8 @@ def draw_arrow(canvas: Canvas, view: View, start, vector, *, radius: float, colo
     colour = np.asarray(colour, float)
     for share, tone in ((1.0, 0.62 * colour), (0.72, 0.85 * colour), (0.34, colour)):
         draw_polyline(canvas, view, [start, neck], width=share * pixels[:2], colour=tone)
-    for share, tone in ((1.0, 0.70 * colour), (0.7, 0.92 * colour), (0.32, np.minimum(1.15 * colour, 1))):
+    bright = np.minimum(1.15 * colour, 1.0)
+    for share, tone in ((1.0, 0.70 * colour), (0.7, 0.92 * colour), (0.32, bright)):
         widths = share * np.array([2.3 * pixels[1], 0.4])
         draw_polyline(canvas, view, [neck, tip], width=widths, colour=tone)
 
@@ -144,6 +143,6 @@ def draw_caption(frame: np.ndarray, text: str, note: str = "") -> None:
     if note:
         cover = np.maximum(cover, 0.6 * _text_mask(note, size, width, bar, True))
     strip = frame[height - bar :]
-    colour = strip.astype(np.float32) * ((1.0 - _BAR) / 255.0) + _BAR * np.float32([0.97, 0.98, 1.0])
+    colour = strip.astype(np.float32) * ((1.0 - _BAR) / 255.0) + _BAR * _BAR_COLOUR
     colour += cover[:, :, None] * (_TEXT - colour)
     strip[:] = (colour * 255.0 + 0.5).astype(np.uint8)

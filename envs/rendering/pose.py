@@ -16,7 +16,7 @@ _PARKED = -10.0  # m; a platform below this height is absent
 
 @dataclasses.dataclass(frozen=True)
 class Pose:
-    """qpos (7,): vehicle position [m] and quaternion; the slab's position (3,) and quaternion (4,)."""
+    """The vehicle's qpos (7,): position [m], quaternion; the slab's position and quaternion."""
 
     qpos: np.ndarray
     platform_pos: np.ndarray

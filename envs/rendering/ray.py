@@ -1,8 +1,8 @@
 """A ray-cast renderer on `mujoco.mj_multiRay`: no OpenGL, deterministic.
 
 The picture is made of layers. The background (floor, wall, platform, arena edges) depends on the
-camera and the platform's pose only and is kept; each frame casts rays for the pixels that the vehicle
-and its shadow can touch. Rays of one cast share their origin, so parallel rays (sunlight,
+camera and the platform's pose only and is kept; each frame casts rays for the pixels that the
+vehicle and its shadow can touch. Rays of one cast share their origin, so parallel rays (sunlight,
 orthographic cameras) start from a point 10 km away.
 """
 
@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from inclined_landing.envs.rendering import overlay, scenery
-from inclined_landing.envs.rendering.camera import FAR, View, view_of
+from inclined_landing.envs.rendering.camera import FAR, View, dot, view_of
 from inclined_landing.envs.rendering.ghost import Ghost
 from inclined_landing.envs.rendering.pose import pose_of
 from inclined_landing.envs.rendering.stage import Stage
@@ -23,13 +23,15 @@ from inclined_landing.models.parameters import Vehicle
 # Light in display units: what a white surface receives from above, below, the sun and +x.
 _SKY, _GROUND, _SUN, _SIDE = 0.62, 0.46, 0.42, 0.05
 _SUN_RADIUS = 0.02  # rad; gives the platform's shadow its soft edge
+_TALLEST = 2.0  # m; the soft edge of a shadow grows with the height of what casts it
 _SHADOW_BIAS = 1.5e-3  # m
 _SKY_LOW, _SKY_HIGH = np.array([0.90, 0.93, 0.97]), np.array([0.82, 0.87, 0.94])
 _FLOOR = np.array([[0.865, 0.875, 0.9], [0.79, 0.815, 0.85]])  # squares of 1 m
 _WALL, _WALL_LINE = np.array([0.935, 0.958, 1.0]), np.array([0.76, 0.81, 0.90])
 _SCENE, _FRAME, _VEHICLE, _UNSEEN = 0, 1, 2, 5  # geom groups of the private copy of the model
+_KEPT_GHOSTS = 32
 _EDGE = np.array([(i, j) for j in (0.25, 0.75) for i in (0.25, 0.75)])  # sub-pixel positions
-_FINE = np.array([(i, j) for j in (0.125, 0.375, 0.625, 0.875) for i in (0.125, 0.375, 0.625, 0.875)])
+_FINE = np.array([(i / 8, j / 8) for j in (1, 3, 5, 7) for i in (1, 3, 5, 7)])
 
 
 @dataclasses.dataclass
@@ -39,6 +41,7 @@ class _Background:
     depth: np.ndarray  # (h, w) float32, axial distance from the eye [m]
     light: np.ndarray  # (h, w, 3) float32, the surface points in the frame of the light [m]
     frame: np.ndarray  # (h, w, 3) uint8, `lit` as it is shown
+    ghosts: dict = dataclasses.field(default_factory=dict)  # layers seen from the same camera
 
 
 class _Scene:
@@ -49,13 +52,11 @@ class _Scene:
         m = model
         joint = m.joint("crazyflie")
         self.body, self.qpos = int(joint.bodyid[0]), int(joint.qposadr[0])
-        material = m.geom_matid
-        has = material >= 0
-        self.rgba = m.geom_rgba.copy()
-        self.rgba[has] = m.mat_rgba[material[has]]
-        self.specular = np.where(has, m.mat_specular[material], 0.2) if m.nmat else np.full(m.ngeom, 0.2)
-        self.shininess = np.where(has, m.mat_shininess[material], 0.3) if m.nmat else np.full(m.ngeom, 0.3)
-        self.emission = np.where(has, m.mat_emission[material], 0.0) if m.nmat else np.zeros(m.ngeom)
+        material, has = m.geom_matid, m.geom_matid >= 0
+        self.rgba = np.where(has[:, None], m.mat_rgba[material], m.geom_rgba)
+        self.specular = np.where(has, m.mat_specular[material], 0.2)
+        self.shininess = np.where(has, m.mat_shininess[material], 0.3)
+        self.emission = np.where(has, m.mat_emission[material], 0.0)
         frame = [k for k in range(m.ngeom) if m.geom(k).name.startswith("frame_")]
         self.floor, self.wall = m.geom("floor").id, m.geom("back_wall").id
         moving = m.body_rootid[m.geom_bodyid] == m.body_rootid[self.body]
@@ -67,16 +68,18 @@ class _Scene:
         group[~moving & shown] = _SCENE
         group[self.parts] = _VEHICLE
         group[frame] = _FRAME
-        self.emission[self.wall], self.emission[frame] = 0.9, 0.6  # evenly lit, whatever faces the sun
+        self.emission[self.wall], self.emission[frame] = 0.9, 0.6  # even light
         m.geom_group[:] = group
         self.phase = np.array([self._blade_angle(k) for k in self.discs])
         direction = m.light_dir[0] / np.linalg.norm(m.light_dir[0])
         side = np.cross(direction, [0.0, 1.0, 0.0])
         side /= np.linalg.norm(side)
-        self.sun = np.stack([side, np.cross(direction, side), direction])  # rows; the last points down
+        self.sun = np.stack([side, np.cross(direction, side), direction])  # rows, the last one down
         self.sun_eye = np.array([0.0, 0.0, 1.0]) - FAR * direction
         self.base = self._base_rectangle()
+        self.casters = np.flatnonzero((group == _SCENE) & (m.geom_rbound > 0))  # planes have none
         self.place(np.array([0.0, 0.0, -100.0, 1.0, 0.0, 0.0, 0.0]))
+        self.shadow_box = self._shadow_box()
 
     def _blade_angle(self, disc: int) -> tuple[float, float]:
         """Angle of a blade on its disc [rad] and the sense of rotation, 1 or -1."""
@@ -96,6 +99,14 @@ class _Scene:
         centre = self.model.geom_pos[mesh] + frame.reshape(3, 3) @ size[:3]
         half = np.abs(frame.reshape(3, 3)) @ size[3:]
         return np.stack([centre[:2] - half[:2], centre[:2] + half[:2]])
+
+    def _shadow_box(self) -> np.ndarray:
+        """Rectangle [low (2,), high (2,)] across the light that holds all static shadows."""
+        if not len(self.casters):
+            return np.zeros((2, 2))
+        centre = self.data.geom_xpos[self.casters] @ self.sun[:2].T
+        bound = self.model.geom_rbound[self.casters][:, None] + 2.0 * _SUN_RADIUS * _TALLEST
+        return np.stack([(centre - bound).min(axis=0), (centre + bound).max(axis=0)])
 
     def place(self, qpos: np.ndarray) -> None:
         self.data.qpos[self.qpos : self.qpos + 7] = qpos
@@ -120,11 +131,17 @@ class _Scene:
             )  # fmt: skip
         return geom, distance, normal
 
+    def may_be_shadowed(self, points: np.ndarray) -> np.ndarray:
+        """False (n,) where points (n, 3) lie outside every shadow of the platform."""
+        low, high = self.shadow_box
+        u, v = dot(points, self.sun[0]), dot(points, self.sun[1])
+        return (u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1])
+
     def sunlit(self, points: np.ndarray, *groups: int, offset=(0.0, 0.0)) -> np.ndarray:
         """True (n,) where no geom of the groups stands between the sun and points (n, 3)."""
         eye = self.sun_eye + FAR * (offset[0] * self.sun[0] + offset[1] * self.sun[1])
         ray = points - eye
-        axial = ray @ self.sun[2]
+        axial = dot(ray, self.sun[2])
         _, distance, _ = self.cast(eye, ray / axial[:, None], *groups, normals=False)
         return (distance < 0) | (distance > axial - _SHADOW_BIAS)
 
@@ -145,21 +162,20 @@ class _Scene:
         """How much less sky the floor (n, 3) sees beside the wall and the base."""
         shade = 0.12 * np.exp((points[:, 1] - self.model.geom_pos[self.wall][1]) / 0.4)
         if self.base is not None:
-            outside = np.maximum(np.maximum(self.base[0] - points[:, :2], points[:, :2] - self.base[1]), 0)
+            low, high = self.base
+            outside = np.maximum(np.maximum(low - points[:, :2], points[:, :2] - high), 0.0)
             shade = shade + 0.30 * np.exp(-np.hypot(*outside.T) / 0.16)
         return np.minimum(shade, 0.6)
 
-    def shade(self, geom, points, normal, ray, footprint):
-        """Colours (n, 3) of hits seen along `ray` (n, 3): in the shade, and what the sun adds."""
-        unit = ray / np.sqrt(np.einsum("ij,ij->i", ray, ray))[:, None]
-        slope = np.einsum("ij,ij->i", normal, unit)
+    def shade(self, geom, points, normal, unit, footprint):
+        """Colours (n, 3) of hits seen along `unit` (n, 3): in the shade, and what the sun adds."""
+        slope = dot(normal, unit)
         normal = np.where(slope[:, None] > 0, -normal, normal)
         sun = -self.sun[2]
-        ambient = 0.5 * (_SKY + _GROUND) + 0.5 * (_SKY - _GROUND) * normal[:, 2] + _SIDE * normal[:, 0]
-        facing = np.maximum(normal @ sun, 0.0)
-        halfway = sun - unit
-        halfway /= np.sqrt(np.einsum("ij,ij->i", halfway, halfway))[:, None]
-        gloss = np.maximum(np.einsum("ij,ij->i", normal, halfway), 0.0)
+        ambient = 0.5 * (_SKY + _GROUND) + 0.5 * (_SKY - _GROUND) * normal[:, 2]
+        ambient += _SIDE * normal[:, 0]
+        facing = np.maximum(dot(normal, sun), 0.0)
+        gloss = np.maximum(dot(normal, _unit(sun - unit)), 0.0)
         specular = self.specular[geom]
         glow = 0.35 * specular * gloss ** (8.0 + 60.0 * self.shininess[geom]) * (facing > 0)
         rim = 0.10 * specular * (1.0 - np.abs(slope)) ** 3
@@ -168,6 +184,11 @@ class _Scene:
         shaded = base * (ambient * (1 - emission) + emission)[:, None] + rim[:, None]
         direct = base * (_SUN / sun[2] * facing * (1 - emission))[:, None] + glow[:, None]
         return shaded, direct
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (n, 3) of length one."""
+    return vectors / np.sqrt(dot(vectors, vectors))[:, None]
 
 
 def _checker(xy: np.ndarray, footprint: np.ndarray) -> np.ndarray:
@@ -250,9 +271,10 @@ class RayRenderer(Stage):
     ) -> np.ndarray:
         """One frame (height, width, 3) uint8.
 
-        scene: MjData of the landing scene, a qpos (7,), a state (13,) or a `Pose`; inclination [rad]
-        of the platform where `scene` does not say. trail: states (k, 13), followed by the centre of
-        the vehicle as drawn, or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts: `Ghost`s or qpos (7,). forces: pairs (point (3,) [m], arrow (3,) [m]).
+        scene: MjData of the landing scene, a qpos (7,), a state (13,) or a `Pose`; inclination
+        [rad] of the platform where `scene` does not say. trail: states (k, 13), followed by the
+        centre of the vehicle as drawn, or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts:
+        `Ghost`s or qpos (7,). forces: pairs (point (3,) [m], arrow (3,) [m]).
         """
         pose = pose_of(scene, self.vehicle, inclination)
         self.stage(pose)
@@ -292,8 +314,8 @@ class RayRenderer(Stage):
         key = (view.origin.tobytes(), view.axes.tobytes())
         if key != self._background_of[0]:
             model = self._scene.model
-            fixed = isinstance(self.camera, View) or not model.cam_bodyid[model.camera(self.camera).id]
-            self._background_of = (key, self._draw_background(view, fine=bool(fixed)))
+            fixed = isinstance(self.camera, View) or model.camera(self.camera).bodyid[0] == 0
+            self._background_of = (key, self._draw_background(view, fine=fixed))
         return self._background_of[1]
 
     def _draw_background(self, view: View, fine: bool) -> _Background:
@@ -311,15 +333,13 @@ class RayRenderer(Stage):
             # every sub-sample sees its own point of the sun's disc: soft shadows
             turn, radius = 2.399963 * k, _SUN_RADIUS * np.sqrt((k + 0.5) / len(offsets)) * fine
             sun = (radius * np.cos(turn), radius * np.sin(turn))
-            sample = self._scene_samples(
-                view, column[index] - 0.5 + dx, row[index] - 0.5 + dy, sun
-            )
+            sample = self._scene_samples(view, column[index] - 0.5 + dx, row[index] - 0.5 + dy, sun)
             sums[0] += sample[0]
             sums[1] += sample[1]
         lit[index], dark[index] = sums[0] / len(offsets), sums[1] / len(offsets)
-        light = (points @ scene.sun.T).astype(np.float32).reshape(h, w, 3)
+        light = np.stack([dot(points, axis) for axis in scene.sun], axis=1).astype(np.float32)
         lit, dark = lit.reshape(h, w, 3), dark.reshape(h, w, 3)
-        return _Background(lit, dark, depth.reshape(h, w), light, _shown(lit))
+        return _Background(lit, dark, depth.reshape(h, w), light.reshape(h, w, 3), _shown(lit))
 
     def _scene_samples(self, view: View, column, row, sun):
         """Colour with and without sun (n, 3), depth (n,), point (n, 3) and label (n,) of pixels."""
@@ -330,23 +350,25 @@ class RayRenderer(Stage):
         n = len(rays)
         lit, dark = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
         depth, points = np.full(n, np.inf, np.float32), np.full((n, 3), 1e6)
-        unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-        lit[:] = _SKY_LOW + np.clip(unit[:, 2], 0, 1)[:, None] * (_SKY_HIGH - _SKY_LOW)
-        dark[:] = lit
         label = np.full(n, -1, np.int64)
+        missed = geom < 0
+        if missed.any():
+            height = np.clip(_unit(rays[missed])[:, 2], 0, 1)[:, None]
+            lit[missed] = dark[missed] = _SKY_LOW + height * (_SKY_HIGH - _SKY_LOW)
         if len(hit):
-            ray, t, normal = rays[hit], distance[hit], normal[hit]
+            geom, ray, t, normal = geom[hit], rays[hit], distance[hit], normal[hit]
+            unit = _unit(ray)
             place = view.eye + t[:, None] * ray
-            towards = np.abs(np.einsum("ij,ij->i", normal, unit[hit]))
+            towards = np.abs(dot(normal, unit))
             footprint = view.pixel_size(t) / np.maximum(towards, 0.03)
-            turned = normal @ scene.sun[2] < 0
-            visible = np.zeros(len(hit), bool)
-            visible[turned] = scene.sunlit(place[turned], _SCENE, offset=sun)
-            shaded, direct = scene.shade(geom[hit], place, normal, ray, footprint)
+            visible = dot(normal, scene.sun[2]) < 0
+            shadowed = np.flatnonzero(visible & scene.may_be_shadowed(place))
+            visible[shadowed] = scene.sunlit(place[shadowed], _SCENE, offset=sun)
+            shaded, direct = scene.shade(geom, place, normal, unit, footprint)
             dark[hit] = shaded
             lit[hit] = shaded + visible[:, None] * direct
             depth[hit], points[hit] = t, place
-            label[hit] = 2 * geom[hit] + (visible | ~turned)
+            label[hit] = 2 * geom + visible
         return lit, dark, depth, points, label
 
     # --- the moving part ------------------------------------------------------------------------
@@ -386,12 +408,9 @@ class RayRenderer(Stage):
                 inner = light[box[1] - r0 : box[3] - r0, box[0] - c0 : box[2] - c0]
                 inner *= 1.0 - strength * cover
             index = np.flatnonzero(light.ravel() < 1.0)
-            canvas.blend(
-                index, back.dark[part].reshape(-1, 3)[index], 1.0 - light.ravel()[index]
-            )
+            canvas.blend(index, back.dark[part].reshape(-1, 3)[index], 1.0 - light.ravel()[index])
         for _, qpos, ghost, box in sorted(casters, key=lambda item: -item[0]):
-            scene.place(qpos)
-            self._draw_vehicle(canvas, view, box, ghost)
+            self._draw_vehicle(canvas, view, qpos, box, ghost)
         if trail is not None and len(trail) >= 2:
             colour = overlay.TRAIL if trail_colour is None else trail_colour
             width = max(1.6, self.height / 260)
@@ -428,13 +447,11 @@ class RayRenderer(Stage):
         low = (centre - bound).min(axis=0) - 0.02
         high = (centre + bound).max(axis=0) + 0.02
         # the shadow lies on surfaces farther along the light within the silhouette's rectangle
-        start = np.array([[a, b, c] for a in (low[0], high[0]) for b in (low[1], high[1]) for c in (low[2],)])
         reach = []
-        for corner in start:
+        for corner in ((a, b, low[2]) for a in (low[0], high[0]) for b in (low[1], high[1])):
             point = corner @ scene.sun
-            down = scene.sun[2]
-            fall = max((point[2] + 0.3) / -down[2], 0.0)
-            reach += [point, point + fall * down]
+            fall = max((point[2] + 0.3) / -scene.sun[2, 2], 0.0)
+            reach += [point, point + fall * scene.sun[2]]
         box = _clip(_box_of(view, np.array(reach), 2), self.width, self.height)
         if box is None:
             return None
@@ -450,7 +467,8 @@ class RayRenderer(Stage):
         index = np.nonzero(inside[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1])
         u, v, along = (back.light[r0:r1, c0:c1][index].T).astype(float)
         extent = (high - low)[:2].max()
-        texel = float(np.clip(0.8 * view.pixel_size(back.depth[r0:r1, c0:c1][index].min()), extent / 400, extent / 40))
+        pixel = view.pixel_size(back.depth[r0:r1, c0:c1][index].min())
+        texel = float(np.clip(1.2 * pixel, extent / 400, extent / 40))
         size = np.ceil((high - low)[:2] / texel).astype(int) + 1
         silhouette = self._silhouette(low, size, texel)
         blur = _box_blur(silhouette, max(1, round(0.0025 * self.scale / texel)))
@@ -459,14 +477,14 @@ class RayRenderer(Stage):
         return (int(c0), int(r0), int(c1), int(r1)), cover
 
     def _silhouette(self, low, size, texel) -> np.ndarray:
-        """What the placed vehicle keeps of the sunlight, (size[1], size[0]) in the light's frame."""
+        """Sunlight that the placed vehicle keeps: (size[1], size[0]) in the light's frame."""
         scene = self._scene
         a, b = np.meshgrid(np.arange(size[0]) * texel + low[0], np.arange(size[1]) * texel + low[1])
         a, b = a.ravel(), b.ravel()
         depth = low[2]
         points = a[:, None] * scene.sun[0] + b[:, None] * scene.sun[1] + depth * scene.sun[2]
         ray = points - scene.sun_eye
-        ray /= (ray @ scene.sun[2])[:, None]
+        ray /= dot(ray, scene.sun[2])[:, None]
         geom, _, _ = scene.cast(scene.sun_eye, ray, _VEHICLE, normals=False)
         opaque = (geom >= 0).astype(np.float32)
         light = np.zeros_like(opaque)
@@ -477,12 +495,37 @@ class RayRenderer(Stage):
             if abs(slope) < 1e-3:
                 continue
             offset = points - centre
-            offset -= (offset @ normal / slope)[:, None] * scene.sun[2]
-            inside = np.einsum("ij,ij->i", offset, offset) < scene.model.geom_size[k][0] ** 2
+            offset -= (dot(offset, normal) / slope)[:, None] * scene.sun[2]
+            inside = dot(offset, offset) < scene.model.geom_size[k][0] ** 2
             light = np.maximum(light, inside * 0.16)
         return np.maximum(opaque, light).reshape(size[1], size[0])
 
-    def _draw_vehicle(self, canvas: overlay.Canvas, view: View, box, ghost: Ghost | None) -> None:
+    def _draw_vehicle(self, canvas: overlay.Canvas, view: View, qpos, box, ghost) -> None:
+        """Put the vehicle, or a ghost of it, over the canvas where it is nearer."""
+        if ghost is None:
+            pixels, colour, cover, near = self._vehicle_layer(view, qpos, box, None)
+        else:  # ghosts often stay where they are
+            kept = self._background_of[1].ghosts
+            key = (qpos.tobytes(), tuple(ghost.colour), ghost.tint)
+            if key not in kept:
+                if len(kept) >= _KEPT_GHOSTS:
+                    kept.clear()
+                kept[key] = self._vehicle_layer(view, qpos, box, ghost)
+            pixels, colour, cover, near = kept[key]
+        index = (pixels[0] - canvas.row) * canvas.depth.shape[1] + pixels[1] - canvas.column
+        kept = np.flatnonzero(near < canvas.depth.ravel()[index] + _SHADOW_BIAS)
+        index, colour, cover, near = index[kept], colour[kept], cover[kept], near[kept]
+        strength = 1.0 if ghost is None else ghost.alpha
+        flat = canvas.colour.reshape(-1, 3)
+        flat[index] = flat[index] * (1.0 - strength * cover)[:, None] + strength * colour
+        if ghost is None:
+            solid = cover > 0.5
+            depths = canvas.depth.reshape(-1)
+            depths[index[solid]] = near[solid]
+
+    def _vehicle_layer(self, view: View, qpos, box, ghost: Ghost | None):
+        """Covered pixels (rows, columns), their colour weighted by coverage, coverage, depth."""
+        self._scene.place(qpos)
         scene = self._scene
         c0, r0, c1, r1 = box
         h, w = r1 - r0, c1 - c0
@@ -511,21 +554,12 @@ class RayRenderer(Stage):
         colour[edge] = rgb[k:].reshape(-1, parts, 3).mean(axis=1)
         cover[edge] = alpha[k:].reshape(-1, parts).mean(axis=1)
         near[edge] = depth[k:].reshape(-1, parts).min(axis=1)
-        rows = np.arange(r0, r1) - canvas.row
-        columns = np.arange(c0, c1) - canvas.column
-        index = (rows[:, None] * canvas.depth.shape[1] + columns).ravel()
-        kept = np.flatnonzero((cover > 0) & (near < canvas.depth.ravel()[index] + _SHADOW_BIAS))
-        index, colour, cover, near = index[kept], colour[kept], cover[kept], near[kept]
-        strength = 1.0 if ghost is None else ghost.alpha
-        flat = canvas.colour.reshape(-1, 3)
-        flat[index] = flat[index] * (1.0 - strength * cover)[:, None] + strength * colour
-        if ghost is None:
-            solid = cover > 0.5
-            depths = canvas.depth.reshape(-1)
-            depths[index[solid]] = near[solid]
+        kept = np.flatnonzero(cover > 0)
+        pixels = (r0 + kept // w, c0 + kept % w)
+        return pixels, colour[kept], cover[kept], near[kept]
 
     def _vehicle_samples(self, view: View, rays, geom, distance, normal, ghost: Ghost | None):
-        """Colour weighted by coverage (n, 3), coverage (n,) and depth (n,) of rays at the vehicle."""
+        """Colour weighted by coverage (n, 3), coverage (n,) and depth (n,) along rays."""
         scene = self._scene
         n = len(rays)
         rgb, alpha, depth = np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf)
@@ -534,7 +568,7 @@ class RayRenderer(Stage):
             ray, t = rays[hit], distance[hit]
             points = view.eye + t[:, None] * ray
             visible = scene.sunlit(points, _SCENE, _VEHICLE)
-            shaded, direct = scene.shade(geom[hit], points, normal[hit], ray, view.pixel_size(t))
+            shaded, direct = scene.shade(geom[hit], points, normal[hit], _unit(ray), view.pixel_size(t))
             colour = shaded + visible[:, None] * direct
             if ghost is not None:
                 grey = colour.mean(axis=1, keepdims=True)
@@ -544,11 +578,11 @@ class RayRenderer(Stage):
         for k, (phase, sense) in zip(scene.discs, scene.phase):
             frame = scene.data.geom_xmat[k].reshape(3, 3)
             centre, radius = scene.data.geom_xpos[k], scene.model.geom_size[k][0]
-            slope = rays @ frame[:, 2]
+            slope = dot(rays, frame[:, 2])
             t = ((centre - view.eye) @ frame[:, 2]) / np.where(np.abs(slope) < 1e-9, 1e-9, slope)
             with np.errstate(over="ignore", invalid="ignore"):
                 offset = view.eye + t[:, None] * rays - centre
-                reach = np.sqrt(np.einsum("ij,ij->i", offset, offset))
+                reach = np.sqrt(dot(offset, offset))
             near = np.flatnonzero((reach < 1.1 * radius) & (t > 0))
             if not len(near):
                 continue
@@ -556,8 +590,8 @@ class RayRenderer(Stage):
             tilt = np.maximum(np.abs(slope[near]), 0.03)
             soft = view.pixel_size(t) / tilt
             cover = np.clip((radius - r) / soft + 0.5, 0.0, 1.0)
-            local = offset[near] @ frame[:, :2]
-            behind = np.mod(sense * (phase - np.arctan2(local[:, 1], local[:, 0])), np.pi)
+            x, y = dot(offset[near], frame[:, 0]), dot(offset[near], frame[:, 1])
+            behind = np.mod(sense * (phase - np.arctan2(y, x)), np.pi)
             blur = 0.5 * np.exp(-behind / 0.30) * np.clip(r / radius * 3.0, 0, 1)
             rim = 0.12 * (r / radius) ** 8
             own = scene.rgba[k]

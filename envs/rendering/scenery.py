@@ -27,9 +27,7 @@ def scale_note(scale: float) -> str:
     return "" if scale == 1.0 else f"vehicle drawn {scale:g}x"
 
 
-def rendering_model(
-    vehicle: Vehicle | None = None, *, platform=None, scale: float = SCALE
-) -> mujoco.MjModel:
+def rendering_model(vehicle: Vehicle | None = None, *, platform=None, scale: float = SCALE) -> mujoco.MjModel:
     """The model that the renderers draw: visuals only, a closed base, the arena's edges.
 
     platform: (position (3,), quaternion (4,)) of the slab, (None, None) for an arena without one;
@@ -94,8 +92,8 @@ def drawn_centres(model: mujoco.MjModel, states, factor: float) -> np.ndarray:
 def add_prism(spec: mujoco.MjSpec, position, quaternion) -> None:
     """Replace the base's collision blocks by the closed prism between the slab and the floor.
 
-    Its eight corners are the slab's lower corners and their projections on the floor, for any pose of
-    the slab.
+    Its eight corners are the slab's lower corners and their projections on the floor, for any pose
+    of the slab.
     """
     slab = spec.geom("slab")
     half = np.asarray(slab.size) * [1.0, 1.0, 2.0] - [0.002, 0.002, 0.0]
