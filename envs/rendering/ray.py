@@ -27,6 +27,7 @@ _TALLEST = 2.0  # m; the soft edge of a shadow grows with the height of what cas
 _SHADOW_BIAS = 1.5e-3  # m
 _SKY_LOW, _SKY_HIGH = np.array([0.90, 0.93, 0.97]), np.array([0.82, 0.87, 0.94])
 _FLOOR = np.array([[0.865, 0.875, 0.9], [0.79, 0.815, 0.85]])  # squares of 1 m
+_HAZE = np.array([0.865, 0.895, 0.935])  # of the floor far away
 _WALL, _WALL_LINE = np.array([0.935, 0.958, 1.0]), np.array([0.76, 0.81, 0.90])
 _SCENE, _FRAME, _VEHICLE, _UNSEEN = 0, 1, 2, 5  # geom groups of the private copy of the model
 _KEPT_GHOSTS = 32
@@ -152,6 +153,8 @@ class _Scene:
         if on.any():
             colour[on] = _checker(points[on, :2], footprint[on])
             colour[on] *= (1.0 - self._corner_shade(points[on]))[:, None]
+            haze = np.clip((np.hypot(*points[on, :2].T) - 6.0) / 12.0, 0.0, 1.0)[:, None]
+            colour[on] += haze * (_HAZE - colour[on])
         on = geom == self.wall
         if on.any():
             colour[on] = _grid(points[on][:, [0, 2]], footprint[on])

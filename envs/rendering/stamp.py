@@ -1,0 +1,75 @@
+"""Cut-out pictures of the vehicle seen from the side, to be placed in diagrams."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from inclined_landing.envs.rendering import scenery
+from inclined_landing.envs.rendering.camera import look_at
+from inclined_landing.envs.rendering.ghost import Ghost
+from inclined_landing.envs.rendering.pose import Pose, qpos_of_state
+from inclined_landing.envs.rendering.ray import RayRenderer
+from inclined_landing.models.attitude import STATE_SIZE
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+
+_PLACE = np.array([0.0, 0.0, 1.2])  # m; every copy is drawn here, alone under the same light
+_NOWHERE = np.array([0.0, 0.0, -100.0])
+
+
+@dataclasses.dataclass(frozen=True)
+class Stamp:
+    """rgba (k, k, 4) uint8 and half its side [m]; the centre of mass is in the middle.
+
+    x points right and z up in it.
+    """
+
+    rgba: np.ndarray
+    half: float
+
+
+class StampMaker:
+    """Draws vehicles in any attitude, `scale` times their size, orthographic, along +y.
+
+    pixels: side of the stamps. The vehicle is scaled about its centre of mass, so that a stamp in the
+    middle of its position shows where the vehicle is.
+    """
+
+    def __init__(self, vehicle: Vehicle | None = None, *, scale: float = scenery.SCALE, pixels: int = 384):
+        self.scale, self.pixels = scale, pixels
+        self._renderer = RayRenderer(vehicle, pixels, pixels, "side", scale)
+        self._renderer.stage(
+            Pose(np.array([*_PLACE, 1.0, 0.0, 0.0, 0.0]), _NOWHERE, np.array([1.0, 0, 0, 0]))
+        )
+        self._kept: dict[tuple, Stamp] = {}
+
+    def __call__(self, attitude, colour=None, tint: float = 0.7) -> Stamp:
+        """The stamp at attitude (3,): roll, pitch, yaw [rad]; tinted if a colour (3,) in 0..1 is given."""
+        attitude = np.asarray(attitude, float)
+        if attitude.shape != (3,) or not np.isfinite(attitude).all():
+            raise UserError("an attitude is three finite angles: roll, pitch and yaw")
+        key = (attitude.tobytes(), None if colour is None else tuple(np.asarray(colour, float)), tint)
+        if key not in self._kept:
+            self._kept[key] = self._draw(attitude, colour, tint)
+        return self._kept[key]
+
+    def _draw(self, attitude, colour, tint) -> Stamp:
+        state = np.zeros(STATE_SIZE)
+        state[:3], state[6:9] = _PLACE, attitude
+        scene, n = self._renderer._scene, self.pixels
+        centre = scenery.drawn_centres(scene.model, state[None], self.scale)[0]
+        qpos = qpos_of_state(state)
+        scene.place(qpos)
+        drawn = np.concatenate([scene.parts, scene.discs])
+        away = np.linalg.norm(scene.data.geom_xpos[drawn] - centre, axis=1)
+        half = 1.02 * float((away + scene.model.geom_rbound[drawn]).max())
+        view = look_at(centre - [0.0, 2.0, 0.0], centre, n, n, extent=2.0 * half)
+        ghost = None if colour is None else Ghost(qpos, tuple(colour), alpha=1.0, tint=tint)
+        (row, column), rgb, cover, _ = self._renderer._vehicle_layer(view, qpos, (0, 0, n, n), ghost)
+        picture = np.zeros((n, n, 4))
+        picture[:, :, :3] = rgb.sum(axis=0) / cover.sum()  # what resampling mixes in at the edges
+        picture[row, column, :3] = rgb / cover[:, None]
+        picture[row, column, 3] = cover
+        return Stamp((np.clip(picture, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8), half)
