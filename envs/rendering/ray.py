@@ -163,7 +163,8 @@ class _Scene:
 
     def _corner_shade(self, points: np.ndarray) -> np.ndarray:
         """How much less sky the floor (n, 3) sees beside the wall and the base."""
-        shade = 0.12 * np.exp((points[:, 1] - self.model.geom_pos[self.wall][1]) / 0.4)
+        beside = np.minimum(points[:, 1] - self.model.geom_pos[self.wall][1], 0.0)
+        shade = 0.12 * np.exp(beside / 0.4)
         if self.base is not None:
             low, high = self.base
             outside = np.maximum(np.maximum(low - points[:, :2], points[:, :2] - high), 0.0)
