@@ -7,6 +7,7 @@ Wrong input ends with one sentence on stderr and exit code 2.
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,21 +18,28 @@ import tyro
 from inclined_landing.models.errors import UserError
 
 PolicyFile = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
-Plant = Annotated[str, tyro.conf.arg(metavar="{mujoco,analytic}")]
+PlantName = Annotated[str, tyro.conf.arg(metavar="{mujoco,analytic}")]
 TaskName = Annotated[str | None, tyro.conf.arg(metavar="{landing,setpoint}")]
+Degrees = Annotated[float | None, tyro.conf.arg(metavar="DEG")]
+Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
+File = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+Flag = tyro.conf.FlagCreatePairsOff[bool]
+Scales = Annotated[
+    tuple[tuple[float, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X [X ...]")
+]
 
 
 def success(
     policy: PolicyFile,
     /,
     task: TaskName = None,
-    plant: Plant = "mujoco",
-    thrust_scale: tyro.conf.UseAppendAction[tuple[float, ...]] = (),
-    inclination: float | None = None,
-    vehicle: Path | None = None,
+    plant: PlantName = "mujoco",
+    thrust_scale: Scales = (),
+    inclination: Degrees = None,
+    vehicle: File = None,
     seed: int = 0,
-    json: bool = False,
-    out: Path | None = None,
+    json: Flag = False,
+    out: Folder = None,
 ) -> None:
     """Success table of a policy: how often, how fast and how hard it reaches its goal.
 
@@ -39,7 +47,7 @@ def success(
         policy: policy file, or the name of a shipped policy (landing, setpoint).
         task: the task the policy must be for; needed for a plain Stable-Baselines3 file.
         plant: the physics to fly in.
-        thrust_scale: total thrust times this; repeat the option for one row each (default 1).
+        thrust_scale: total thrust times this, one row for each value (default: 1).
         inclination: of the platform in degrees, where it differs from the training's.
         vehicle: vehicle file (TOML), where it differs from the shipped one.
         seed: of the random starts.
@@ -52,7 +60,7 @@ def success(
         policy,
         task=task,
         plant=plant,
-        thrust_scale=thrust_scale or (1.0,),
+        thrust_scale=tuple(itertools.chain(*thrust_scale)) or (1.0,),
         inclination=inclination,
         vehicle=vehicle,
         seed=seed,
@@ -61,7 +69,51 @@ def success(
     )
 
 
-COMMANDS = {"success": success}
+def doctor(json: Flag = False) -> int:
+    """What is installed, what is missing, and what to do about it (exit code 2 if it matters).
+
+    Args:
+        json: print JSON, and nothing else, on standard output.
+    """
+    from inclined_landing.eval import doctor
+
+    return doctor.run(json=json)
+
+
+def benchmark(
+    policy: Annotated[str | None, tyro.conf.arg(metavar="POLICY")] = None,
+    runs: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR [DIR ...]")] = (),
+    quick: Flag = False,
+    training: bool = True,
+    seed: int = 0,
+    json: Flag = False,
+    out: Folder = None,
+) -> None:
+    """What a step, an action, a picture and a training cost on this machine (a few minutes).
+
+    Args:
+        policy: landing policy for the latency (default: an untrained one of the usual size).
+        runs: finished landing-train folders, for the time to 99 % success.
+        quick: fewer repeats, under a minute.
+        training: measure training speed against SB3's defaults on one plain environment.
+        seed: of actions and trainings.
+        json: print JSON, and nothing else, on standard output.
+        out: new folder for benchmark.json.
+    """
+    from inclined_landing.eval import benchmark
+
+    benchmark.run(
+        policy=policy,
+        finished=runs,
+        quick=quick,
+        training=training,
+        seed=seed,
+        json=json,
+        out=out,
+    )
+
+
+COMMANDS = {"success": success, "doctor": doctor, "benchmark": benchmark}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -116,9 +116,7 @@ def locate(name: str | Path) -> Path:
     if str(name) in SHIPPED:
         path = Path(str(resources.files("inclined_landing.eval") / "policies" / f"{name}.zip"))
         if not path.is_file():
-            raise UserError(
-                f"no {name} policy is shipped with this installation ({path} is missing)"
-            )
+            raise UserError(f"no {name} policy is shipped with this installation ({path} is missing)")
         return path
     path = Path(name)
     if path.is_dir():
@@ -157,8 +155,7 @@ def load_policy(
         raise UserError(f"policy {path} was trained for the task {trained}, not for {wanted}")
     if not (wanted or trained):
         raise UserError(
-            f"policy {path} does not say which task it was trained for; "
-            f"name the task ({' or '.join(TASKS)})"
+            f"policy {path} does not say which task it was trained for; name the task ({' or '.join(TASKS)})"
         )
     if task is None or isinstance(task, str):
         task = _build_task(trained or wanted, metadata, vehicle, inclination, path)
@@ -179,11 +176,11 @@ def _build_task(name, metadata, vehicle, inclination, path) -> Task:
         raise UserError(f"policy {path}: task_options in its {STAMP} is not a table")
     options = dict(options)
     if inclination is not None:
+        if name != "landing":
+            raise UserError(f"policy {path} is for the task {name}, which has no inclined platform")
         options["inclination"] = inclination
     if vehicle is not None:
-        options["pwm_centre"] = resolve_pwm_centre(
-            options.get("pwm_centre", "paper"), load_vehicle()
-        )
+        options["pwm_centre"] = resolve_pwm_centre(options.get("pwm_centre", "paper"), load_vehicle())
     return make_task(name, vehicle, **options)
 
 
@@ -195,15 +192,12 @@ def _open(path: Path) -> zipfile.ZipFile:
     except OSError as error:
         raise UserError(f"policy {path} cannot be read: {error.strerror}") from error
     except zipfile.BadZipFile as error:
-        raise UserError(
-            f"policy {path} is not a zip file as Stable-Baselines3 saves them"
-        ) from error
+        raise UserError(f"policy {path} is not a zip file as Stable-Baselines3 saves them") from error
     missing = {"data", "policy.pth"} - set(archive.namelist())
     if missing:
         archive.close()
         raise UserError(
-            f"policy {path} is not a Stable-Baselines3 policy: the zip lacks "
-            + " and ".join(sorted(missing))
+            f"policy {path} is not a Stable-Baselines3 policy: the zip lacks " + " and ".join(sorted(missing))
         )
     return archive
 
@@ -242,21 +236,13 @@ def _actor(tensors: dict[str, np.ndarray], data: dict, path: Path) -> dict:
     """The fields of `Policy` that make up the network."""
     prefix = "mlp_extractor.policy_net."
     hidden = sorted(
-        {
-            int(name.removeprefix(prefix).split(".")[0])
-            for name in tensors
-            if name.startswith(prefix)
-        }
+        {int(name.removeprefix(prefix).split(".")[0]) for name in tensors if name.startswith(prefix)}
     )
     layers = [f"{prefix}{k}" for k in hidden] + ["action_net"]
-    extractor = {
-        name.split(".", 1)[1] for name in tensors if name.startswith("features_extractor.")
-    }
+    extractor = {name.split(".", 1)[1] for name in tensors if name.startswith("features_extractor.")}
     complete = all(f"{layer}.{part}" in tensors for layer in layers for part in ("weight", "bias"))
     if not complete or "log_std" not in tensors or extractor - {"centre", "scale"}:
-        raise UserError(
-            f"policy {path} is not a PPO policy with a plain network and continuous actions"
-        )
+        raise UserError(f"policy {path} is not a PPO policy with a plain network and continuous actions")
     weights = tuple(np.ascontiguousarray(tensors[f"{layer}.weight"].T) for layer in layers)
     biases = tuple(tensors[f"{layer}.bias"] for layer in layers)
     inputs = weights[0].shape[0]

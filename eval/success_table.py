@@ -10,14 +10,17 @@ from rich.table import Table
 
 _GROUPS = {
     "paper_starts": "paper's three",
-    "scattered_starts": "paper's, +-0.1 m",
+    "scattered_starts": "paper's +-0.1 m",
     "grid": "frozen grid",
 }
+_PIPED_WIDTH = 120  # columns
 
 
 def show(report: dict) -> None:
     """Print the report of `success.evaluate`."""
-    console = Console()
+    console = Console(markup=False, highlight=False)
+    if not console.is_terminal:
+        console.width = _PIPED_WIDTH
     plant = {"mujoco": "MuJoCo", "analytic": "analytic"}[report["plant"]]
     title = f"{report['policy']}: {report['task']}, {plant} plant, seed {report['seed']}"
     if report["task"] == "landing":
@@ -37,7 +40,7 @@ def _table(title: str, *columns: str) -> Table:
 
 
 def _landing(report: dict, title: str) -> Table:
-    table = _table(title, "starts", "thrust", "flights", "success", "strict", "touched", "time to goal [s]")
+    table = _table(title, "starts", "thrust", "flights", "success [%]", "strict [%]", "touched", "time [s]")
     for condition in report["conditions"]:
         scale = f"x {condition['thrust_scale']:g}"
         for name, label in _GROUPS.items():
@@ -52,10 +55,15 @@ def _landing(report: dict, title: str) -> Table:
                 _spread(row["time_to_goal"]),
             )
         table.add_section()
-    first, second = report["paper"]
-    table.add_row("paper's results", "", str(first["of"]), f"{100 * first['share']:.1f} %", "", "", "")
-    table.add_row("", "", "", f"{100 * second['share']:.1f} %", "", "", "")
-    table.caption = "95 % Wilson intervals; times: median (5 % to 95 %)"
+    for result in report["paper"]:
+        share = f"{100 * result['share']:.1f}"
+        if "of" in result:
+            share += f" ({result['count']} of {result['of']})"
+        table.add_row("paper's results", "", "", share)
+    table.caption = (
+        "success: the goal box within 300 steps; strict: and no touch before; "
+        "95 % Wilson intervals; time to the goal: median (5 % to 95 %)"
+    )
     return table
 
 
@@ -76,17 +84,19 @@ def _entry(report: dict) -> Table:
     row("towards the surface [m/s]", entries, "normal_speed", _spread)
     row("along the surface [m/s]", entries, "tangential_speed", _spread)
     row("pitch error [rad]", entries, "pitch_error", lambda s: _spread(s, 3))
-    row("moving away", entries, "moving_away", _share)
+    row("moving away [%]", entries, "moving_away", _share)
     table.add_section()
-    row("motors cut: touches the slope", cuts, "touchdown", _share)
+    row("motors cut: touches the slope [%]", cuts, "touchdown", _share)
     row("touchdown, into the surface [m/s]", cuts, "normal_speed", _spread)
     row("touchdown, along the surface [m/s]", cuts, "tangential_speed", _spread)
-    row("at rest on its feet after 2 s", cuts, "at_rest_on_feet", _share)
+    row("at rest on its feet after 2 s [%]", cuts, "at_rest_on_feet", _share)
     return table
 
 
 def _setpoint(report: dict, title: str) -> Table:
-    table = _table(title, "thrust", "flights", "error after 3 s [cm]", "95 % interval", "p95", "< 5 cm")
+    table = _table(
+        title, "thrust", "flights", "error after 3 s [cm]", "95 % interval", "p95 [cm]", "< 5 cm [%]"
+    )
     for condition in report["conditions"]:
         error, within = condition["error"], condition["within"]
         low, high = error["interval"]
@@ -105,7 +115,7 @@ def _share(value: dict) -> str:
     if value["share"] is None:
         return "-"
     low, high = value["interval"]
-    return f"{100 * value['share']:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
+    return f"{100 * value['share']:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
 
 
 def _spread(value: dict, digits: int = 2) -> str:
