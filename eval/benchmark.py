@@ -47,6 +47,8 @@ def run(
     out: Path | None = None,
 ) -> None:
     """The command. Prints a table, or JSON alone."""
+    if seed < 0:
+        raise UserError(f"--seed must not be negative, it is {seed}")
     if out is not None:
         runs.check_new_run(out)
     to_99 = time_to_99(finished) if finished else None

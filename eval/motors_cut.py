@@ -26,7 +26,7 @@ class Aftermath:
     """One entry per vehicle; speeds are those of the centre of mass, NaN without a touchdown."""
 
     touched: np.ndarray  # (n,) bool: did any part reach the slab
-    normal_speed: np.ndarray  # (n,) m/s into the surface, at the first touch
+    normal_speed: np.ndarray  # (n,) m/s into the surface, up to 8 ms before the first touch
     tangential_speed: np.ndarray  # (n,) m/s along the surface, unsigned
     at_rest: np.ndarray  # (n,) bool: at the end still, feet and nothing else on the slab
 
@@ -60,13 +60,16 @@ def cut_motors(states: np.ndarray, inclination: float, vehicle: Vehicle) -> Afte
     commands = np.zeros((n, 4))
     touched = np.zeros(n, bool)
     normal_speed, tangential_speed = np.full(n, np.nan), np.full(n, np.nan)
+    before = now = states[:, VX : VZ + 1].copy()
     for _ in range(round(DURATION / _TIMESTEP)):
-        before = plant.state[:, VX : VZ + 1].copy()
+        # A touch is seen at the beginning of a step, but the stages of the step before may have met
+        # the surface already: the last velocity free of contact is one step older.
+        before, now = now, plant.state[:, VX : VZ + 1].copy()
         plant.step(commands)
-        now = plant.contacts.touch[:, 0].any(axis=1) & ~touched
-        touched |= now
+        first = plant.contacts.touch[:, 0].any(axis=1) & ~touched
+        touched |= first
         away, along = split_velocity(before, inclination)
-        normal_speed[now], tangential_speed[now] = -away[now], along[now]
+        normal_speed[first], tangential_speed[first] = -away[first], along[first]
     state, touch = plant.state, plant.contacts.touch
     still = (np.linalg.norm(state[:, VX : VZ + 1], axis=1) < REST_SPEED) & (
         np.linalg.norm(state[:, WX : WZ + 1], axis=1) < REST_RATE

@@ -65,6 +65,8 @@ def run(
     for scale in thrust_scale:
         if not (math.isfinite(scale) and 0 < scale <= 3):
             raise UserError(f"--thrust-scale must be above 0 and at most 3, not {scale:g}")
+    if seed < 0:
+        raise UserError(f"--seed must not be negative, it is {seed}")
     if out is not None:
         runs.check_new_run(out)
     flown = load_vehicle(vehicle) if vehicle is not None else None

@@ -1,0 +1,231 @@
+"""`landing-eval`: help, JSON, and one sentence with exit code 2 for whatever is wrong."""
+
+import json
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import PPO
+
+from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.tasks import make_task
+from inclined_landing.envs.tasks.base import hover_states
+from inclined_landing.eval import benchmark, cli, doctor, policy
+from inclined_landing.eval.plain_env import PlainLandingEnv
+from inclined_landing.models import plugins
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plant import make_plant
+
+
+@pytest.fixture(scope="module")
+def landing_policy(tmp_path_factory):
+    """Hovers: all weights zero."""
+    path = tmp_path_factory.mktemp("policy") / "hover.zip"
+    network = PPO("MlpPolicy", PlainLandingEnv(), seed=0, device="cpu")
+    with torch.no_grad():
+        for parameter in network.policy.parameters():
+            parameter.zero_()
+    network.save(path)
+    policy.stamp(path, {"task": "landing", "task_options": {"pwm_centre": "hover"}})
+    return path
+
+
+def test_help_is_fast_and_light():
+    code = (
+        "import sys; from inclined_landing.eval import cli\n"
+        "try: cli.main(['--help'])\nexcept SystemExit: pass\n"
+        "assert not {'torch', 'mujoco', 'numba', 'scipy'} & set(sys.modules), 'heavy'"
+    )
+    began = time.monotonic()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert all(name in done.stdout for name in cli.COMMANDS)
+    assert time.monotonic() - began < 3.0  # 0.15 s on a quiet machine
+
+
+def test_success_prints_json_alone(landing_policy, capsys, tmp_path):
+    out = tmp_path / "run"
+    arguments = ["--plant", "analytic", "--json", "--seed", "3", "--out", str(out)]
+    scales = ["--thrust-scale", "1", "0.9", "--inclination", "-20"]
+    assert cli.main(["success", str(landing_policy), *arguments, *scales]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert [c["thrust_scale"] for c in report["conditions"]] == [1.0, 0.9]
+    assert report["seed"] == 3 and report["plant"] == "analytic"
+    assert report["task_options"]["inclination"] == pytest.approx(np.radians(-20))
+    assert json.loads((out / "success.json").read_text("utf-8")) == report
+    assert sorted(p.name for p in out.iterdir()) == ["flights.csv", "success.json"]
+    flown = sum(c[g]["success"]["of"] for c in report["conditions"] for g in c if "start" in g)
+    flown += sum(c["grid"]["success"]["of"] for c in report["conditions"])
+    assert len((out / "flights.csv").read_text().splitlines()) == 1 + flown
+
+
+def test_success_prints_a_table_for_people(landing_policy, capsys):
+    assert cli.main(["success", str(landing_policy), "--plant", "analytic"]) == 0
+    text = capsys.readouterr().out
+    for piece in ("frozen grid", "strict [%]", "93.3 (28 of 30)", "86.7", "[m/s]", "251"):
+        assert piece in text
+
+
+BAD = [
+    (["success", "none.zip"], "none.zip does not exist"),
+    (["success", "{policy}", "--task", "setpoint"], "trained for the task landing, not for setpoint"),
+    (["success", "{policy}", "--task", "hover"], "unknown task 'hover'"),
+    (["success", "{policy}", "--plant", "moon"], "unknown plant 'moon'; known are mujoco and"),
+    (["success", "{policy}", "--inclination", "80"], "outside the supported range of -50 to 50 deg"),
+    (["success", "{policy}", "--inclination", "nan"], "outside the supported range"),
+    (["success", "{policy}", "--thrust-scale", "0"], "--thrust-scale must be above 0"),
+    (["success", "{policy}", "--thrust-scale", "nan"], "--thrust-scale must be above 0"),
+    (["success", "{policy}", "--vehicle", "none.toml"], "vehicle file none.toml cannot be read"),
+    (["success", "{policy}", "--out", "{full}"], "exists and is not empty"),
+    (["success", "{policy}", "--seed", "-1"], "--seed must not be negative"),
+    (["benchmark", "--runs", "{full}"], "is not a finished training run"),
+    (["benchmark", "--out", "{full}"], "exists and is not empty"),
+    (["benchmark", "--policy", "none.zip"], "none.zip does not exist"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "sentence"), BAD, ids=[" ".join(a) for a, _ in BAD])
+def test_wrong_input(landing_policy, tmp_path, monkeypatch, capsys, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "x").touch()
+    words = [a.format(policy=landing_policy, full=tmp_path / "full") for a in arguments]
+    if "--out" not in words:
+        words += ["--out", str(tmp_path / "new")]
+    assert cli.main(words) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert sentence in printed.err and printed.err.count("\n") == 1
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["full", "x"]
+
+
+def test_a_diverging_simulation_is_one_sentence(landing_policy, monkeypatch, capsys):
+    from inclined_landing.models.plant import AnalyticPlant
+
+    def diverge(self, commands):
+        raise FloatingPointError("the engine diverged for vehicles [0]")
+
+    monkeypatch.setattr(AnalyticPlant, "step", diverge)
+    assert cli.main(["success", str(landing_policy), "--plant", "analytic"]) == 2
+    assert "diverged" in capsys.readouterr().err
+
+
+def test_interruption_and_missing_plugins_end_cleanly(monkeypatch, capsys):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    def broken():
+        raise ImportError("the native plugins of inclined_landing are not built")
+
+    monkeypatch.setattr(cli, "COMMANDS", {"wait": interrupted, "load": broken})
+    assert cli.main(["wait"]) == 130
+    assert cli.main(["load"]) == 2
+    assert capsys.readouterr().err.splitlines() == [
+        "landing-eval: interrupted",
+        "landing-eval: the native plugins of inclined_landing are not built",
+    ]
+
+
+# ---- doctor
+
+
+def test_doctor_is_content_here(capsys):
+    assert cli.main(["doctor", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["healthy"] and report["versions"]["mujoco"] == "4.0.0"
+    checks = {check["name"]: check for check in report["checks"]}
+    assert checks["native plugins"]["ok"] and checks["simulation"]["ok"]
+    assert cli.main(["doctor"]) == 0
+    assert "native plugins" in capsys.readouterr().out
+
+
+def test_doctor_names_the_remedy(monkeypatch, capsys):
+    def missing():
+        raise ImportError("the native plugins of inclined_landing are not built")
+
+    monkeypatch.setattr(plugins, "load", missing)
+    assert cli.main(["doctor"]) == 2
+    text = " ".join(capsys.readouterr().out.split())
+    assert "are not built" in text and "native plugins: run `make` in the repository" in text
+
+
+def test_doctor_finds_a_missing_package(monkeypatch):
+    monkeypatch.setattr(
+        doctor.importlib.metadata, "requires", lambda name: ["numpy>=2", "nosuch>=1", "x; extra == 'a'"]
+    )
+    finding = doctor._packages()
+    assert not finding.ok and finding.detail == "missing: nosuch"
+
+
+# ---- benchmark
+
+
+def test_the_plain_environment_is_the_same_task():
+    """Bit for bit: the baseline solves neither an easier nor another problem."""
+    task = make_task("landing")
+    batch, plain = BatchEnv(task, make_plant("mujoco", 1)), PlainLandingEnv()
+    rng, rewards = np.random.default_rng(0), set()
+    for x, z in [(0.0, 1.5), (0.8, 1.3), (-3.2, 2.2), (0.0, 1.25)]:
+        state = hover_states(np.array([[x, 0.0, z]]), load_vehicle())
+        first, _ = plain.reset(seed=0, options={"state": state[0]})
+        np.testing.assert_array_equal(first, batch.reset(state=state)[0])
+        for _ in range(150):
+            action = rng.uniform(-1, 1, 2) - [0.6, 0.2]
+            observation, reward, terminated, _, _ = plain.step(action)
+            step = batch.step(action[None])
+            np.testing.assert_array_equal(observation, step.observation[0])
+            assert reward == step.reward[0] and terminated == step.terminated[0]
+            rewards.add(reward)
+            if terminated:
+                break
+    assert rewards >= {-1.0, -2.0, -7.0}
+
+
+def test_the_plain_environment_pays_the_goal_and_truncates():
+    plain = PlainLandingEnv(pwm_centre=load_vehicle().hover_pwm)
+    plain.reset(seed=0, options={"state": hover_states(np.array([[1.5, 0, 1.8]]), load_vehicle())[0]})
+    for k in range(300):
+        _, reward, terminated, truncated, _ = plain.step(np.zeros(2))
+        assert (reward, terminated, truncated) == (-1.0, False, k == 299)
+    plain.goal[4] = 0.0  # level: then the middle of the box is reached by hovering there
+    plain.reset(seed=0, options={"state": hover_states(np.array([[0, 0, 1.25]]), load_vehicle())[0]})
+    assert plain.step(np.zeros(2))[1:4] == (0.0, True, False)
+
+
+def test_benchmark_rows(landing_policy):
+    rows = benchmark.environments(1, 0)
+    assert [row["plant"] for row in rows] == ["mujoco RK4", "mujoco implicitfast", "analytic"]
+    for row in rows:
+        assert 0 < row["steps_per_second"]["median"] < 2 * row["bare_steps_per_second"]["median"]
+    latency = benchmark.policy_latency(policy.load_policy(landing_policy), 20, 0)
+    assert latency["predict_us"]["median"] < latency["sb3_predict_us"]["median"]
+    frames = benchmark.video(2)
+    assert frames[0]["backend"] == "ray" and frames[0]["cpu_ms"]["median"] > 0
+
+
+def test_time_to_99_reads_run_folders(tmp_path):
+    def finished(name, first):
+        (tmp_path / name).mkdir()
+        metrics = {
+            "seed": 1,
+            "versions": {"cpu": "a"},
+            "evaluations": {"first_at_99_percent": first},
+        }
+        (tmp_path / name / "metrics.json").write_text(json.dumps(metrics))
+        return tmp_path / name
+
+    folders = [
+        finished("a", {"steps": 100, "training_seconds": 10.0}),
+        finished("b", {"steps": 300, "training_seconds": 30.0}),
+        finished("c", None),
+    ]
+    result = benchmark.time_to_99(folders)
+    assert result["reached"] == 2 and len(result["runs"]) == 3
+    assert result["seconds"]["median"] == 20.0 and result["steps"]["max"] == 300
+    (tmp_path / "a" / "metrics.json").write_text("{}")
+    with pytest.raises(UserError, match="is not the metrics of a training run"):
+        benchmark.time_to_99(folders)

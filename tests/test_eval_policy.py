@@ -1,0 +1,227 @@
+"""Policy files: what is read is what SB3 would do, and what is wrong is said in one sentence."""
+
+import json
+import zipfile
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import PPO
+
+from inclined_landing.envs.features import ScaledObservation
+from inclined_landing.envs.tasks import make_task
+from inclined_landing.eval import policy
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+
+STAMP = {"task": "landing", "task_options": {"pwm_centre": "hover"}, "seed": 3}
+
+
+class Spaces(gym.Env):
+    """An environment of given shapes, for building networks only."""
+
+    def __init__(self, observations: int, actions: int):
+        self.observation_space = gym.spaces.Box(-np.inf, np.inf, (observations,), np.float32)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (actions,), np.float32)
+
+
+def model(observations=5, actions=2, **policy_kwargs) -> PPO:
+    env = Spaces(observations, actions)
+    return PPO("MlpPolicy", env, seed=0, device="cpu", policy_kwargs=policy_kwargs)
+
+
+def saved(path, network: PPO, stamp=STAMP):
+    network.save(path)
+    if stamp is not None:
+        policy.stamp(path, stamp)
+    return path
+
+
+SCALED = {
+    "features_extractor_class": ScaledObservation,
+    "features_extractor_kwargs": {"centre": [0, 1.25, 0, 0, 0], "scale": [1, 1, 2, 2, 0.5]},
+}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        SCALED,
+        {"net_arch": [32], "activation_fn": torch.nn.ReLU},
+        {"net_arch": {"pi": [], "vf": [8]}},
+    ],
+    ids=["default", "scaled", "relu", "linear"],
+)
+def test_predict_is_sb3s(tmp_path, options):
+    network = model(**options)
+    with torch.no_grad():  # actions beyond the bounds too
+        network.policy.action_net.weight.mul_(300.0)
+    loaded = policy.load_policy(saved(tmp_path / "p.zip", network))
+    rows = np.random.default_rng(1).normal(scale=4.0, size=(500, 5)).astype(np.float32)
+    wanted, _ = network.predict(rows, deterministic=True)
+    assert np.abs(wanted).max() == 1.0
+    # SB3 sums in float32: 64 terms of size 1 at 6e-8 each, before a gain of about 3
+    np.testing.assert_allclose(loaded.predict(rows), wanted, atol=3e-5)
+
+
+def test_an_action_does_not_depend_on_its_neighbours(tmp_path):
+    loaded = policy.load_policy(saved(tmp_path / "p.zip", model(**SCALED)))
+    rows = np.random.default_rng(1).normal(size=(37, 5))
+    together = loaded.predict(rows)
+    assert together.dtype == np.float32
+    np.testing.assert_array_equal(together, [loaded.predict(row) for row in rows])
+
+
+def test_hand_made_network(tmp_path):
+    network = model(**SCALED)
+    with torch.no_grad():
+        for parameter in network.policy.parameters():
+            parameter.zero_()
+        network.policy.action_net.bias.copy_(torch.tensor([0.25, 3.0]))
+    loaded = policy.load_policy(saved(tmp_path / "p.zip", network))
+    np.testing.assert_array_equal(loaded.predict(np.ones((2, 5))), [[0.25, 1.0]] * 2)
+
+
+def test_the_stamp_builds_the_task(tmp_path):
+    path = saved(tmp_path / "p.zip", model())
+    loaded = policy.load_policy(path)
+    assert loaded.metadata == STAMP and loaded.name == "p"
+    assert loaded.task.name == "landing"
+    assert loaded.task.pwm_centre == load_vehicle().hover_pwm
+    tilted = policy.load_policy(path, inclination=-0.2)
+    assert tilted.task.inclination == -0.2
+
+
+def test_another_vehicle_keeps_the_action_map_of_training(tmp_path):
+    import dataclasses
+
+    path = saved(tmp_path / "p.zip", model())
+    heavy = dataclasses.replace(load_vehicle(), body_mass=0.04)
+    loaded = policy.load_policy(path, vehicle=heavy)
+    assert loaded.task.vehicle is heavy
+    assert loaded.task.pwm_centre == load_vehicle().hover_pwm
+
+
+def test_a_stamped_file_is_still_sb3s_and_can_be_stamped_again(tmp_path):
+    path = saved(tmp_path / "p.zip", model())
+    policy.stamp(path, STAMP | {"seed": 4})
+    with zipfile.ZipFile(path) as archive:
+        assert archive.namelist().count(policy.STAMP) == 1
+        assert json.loads(archive.read(policy.STAMP))["seed"] == 4
+    assert PPO.load(path, device="cpu").observation_space.shape == (5,)
+    assert [p.name for p in tmp_path.iterdir()] == ["p.zip"]
+
+
+def test_a_stamp_must_name_its_task(tmp_path):
+    model().save(tmp_path / "p.zip")
+    with pytest.raises(UserError, match="lacks task_options"):
+        policy.stamp(tmp_path / "p.zip", {"task": "landing"})
+
+
+def test_a_plain_sb3_file_needs_the_task(tmp_path):
+    path = saved(tmp_path / "p.zip", model(), stamp=None)
+    with pytest.raises(UserError, match="does not say which task"):
+        policy.load_policy(path)
+    assert policy.load_policy(path, "landing").metadata == {}
+    task = make_task("landing", pwm_centre="hover")
+    assert policy.load_policy(path, task).task is task
+
+
+def not_a_zip(path):
+    path.write_text("nothing")
+
+
+def another_zip(path):
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data", "{}")
+
+
+def setpoint_shape(path):
+    saved(path, model(8, 3))
+
+
+def setpoint_policy(path):
+    saved(path, model(8, 3), {"task": "setpoint", "task_options": {}})
+
+
+def nan_weights(path):
+    network = model()
+    with torch.no_grad():
+        network.policy.action_net.bias[0] = float("nan")
+    saved(path, network)
+
+
+def cut_short(path):
+    saved(path, model())
+    path.write_bytes(path.read_bytes()[:-2000])
+
+
+def damaged(path):
+    saved(path, model())
+    with zipfile.ZipFile(path) as source:
+        entries = {name: source.read(name) for name in source.namelist()}
+    entries["policy.pth"] = entries["policy.pth"][:500]
+    with zipfile.ZipFile(path, "w") as target:
+        for name, content in entries.items():
+            target.writestr(name, content)
+
+
+def discrete_actions(path):
+    env = Spaces(5, 2)
+    env.action_space = gym.spaces.Discrete(4)
+    PPO("MlpPolicy", env, device="cpu").save(path)
+
+
+def other_activation(path):
+    saved(path, model(activation_fn=torch.nn.SiLU))
+
+
+def damaged_stamp(path):
+    saved(path, model(), stamp=None)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(policy.STAMP, "{")
+
+
+def unknown_option(path):
+    saved(path, model(), {"task": "landing", "task_options": {"colour": 3}})
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda path: None, "does not exist"),
+        (lambda path: path.mkdir(), "is a folder"),
+        (not_a_zip, "is not a zip file"),
+        (another_zip, "lacks policy.pth"),
+        (setpoint_shape, "takes 8 observations and gives 3 actions, but the task landing has 5 and 2"),
+        (setpoint_policy, "was trained for the task setpoint, not for landing"),
+        (nan_weights, "NaN or infinite"),
+        (cut_short, "is not a "),
+        (damaged, "policy.pth in it is damaged"),
+        (discrete_actions, "not a PPO policy"),
+        (other_activation, "SiLU"),
+        (damaged_stamp, "inclined_landing.json in it is damaged"),
+        (unknown_option, "colour"),
+    ],
+)
+def test_wrong_files_are_one_sentence(tmp_path, make, sentence):
+    path = tmp_path / "p.zip"
+    make(path)
+    with pytest.raises(UserError, match=sentence) as error:
+        policy.load_policy(path, "landing")
+    assert "\n" not in str(error.value)
+
+
+def test_wrong_observations_and_tasks(tmp_path):
+    path = saved(tmp_path / "p.zip", model())
+    with pytest.raises(UserError, match="of 5 numbers"):
+        policy.load_policy(path).predict(np.zeros((3, 4)))
+    with pytest.raises(UserError, match="unknown task 'hover'"):
+        policy.load_policy(path, "hover")
+    with pytest.raises(UserError, match="outside the supported range"):
+        policy.load_policy(path, inclination=1.4)
+    other = saved(tmp_path / "s.zip", model(8, 3), {"task": "setpoint", "task_options": {}})
+    with pytest.raises(UserError, match="no inclined platform"):
+        policy.load_policy(other, inclination=-0.2)

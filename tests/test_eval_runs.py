@@ -1,0 +1,80 @@
+"""Run folders and files that appear whole or not at all."""
+
+import errno
+import json
+import os
+import pathlib
+
+import numpy as np
+import pytest
+
+from inclined_landing.eval import runs
+from inclined_landing.models.errors import UserError
+
+
+def test_json_holds_plain_values_only(tmp_path):
+    value = {"a": np.float32(0.5), "b": np.arange(2), "c": float("nan"), "d": (True, None)}
+    runs.write_json(tmp_path / "x.json", value)
+    assert json.loads((tmp_path / "x.json").read_text("utf-8")) == {
+        "a": 0.5, "b": [0, 1], "c": None, "d": [True, None],
+    }  # fmt: skip
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = tmp_path / "x.json"
+    path.write_text("old")
+    with pytest.raises(RuntimeError), runs.atomic(path) as part:
+        part.write_text("half")
+        raise RuntimeError
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_full_disk_is_one_sentence(tmp_path, monkeypatch):
+    def full(self, data):
+        with open(self, "wb") as file:
+            file.write(data[:3])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(pathlib.Path, "write_bytes", full)
+    with pytest.raises(UserError, match=r"cannot write .*x\.json: no space left on device"):
+        runs.write_json(tmp_path / "x.json", {"a": 1})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_folder_is_one_sentence(tmp_path):
+    with pytest.raises(UserError, match="no such file"):
+        runs.write_text(tmp_path / "none" / "x", "")
+
+
+def test_the_temporary_name_keeps_the_suffix(tmp_path):
+    with runs.atomic(tmp_path / "x.png") as part:
+        assert part.suffix == ".png" and part.parent == tmp_path
+        part.touch()
+    assert (tmp_path / "x.png").exists()
+
+
+def test_new_run_refuses_what_is_there(tmp_path):
+    assert runs.new_run(tmp_path / "a" / "b") == tmp_path / "a" / "b"
+    assert runs.new_run(tmp_path / "a" / "b").is_dir()  # empty: still new
+    (tmp_path / "a" / "file").touch()
+    with pytest.raises(UserError, match="exists and is not empty"):
+        runs.new_run(tmp_path / "a")
+    with pytest.raises(UserError, match="not a folder"):
+        runs.new_run(tmp_path / "a" / "file")
+    assert runs.new_run(tmp_path / "a", resumable="file") == tmp_path / "a"
+    with pytest.raises(UserError, match="cannot create"):
+        runs.new_run(tmp_path / "a" / "file" / "c")
+
+
+def test_a_run_without_a_name_gets_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folder = runs.new_run(None, "success")
+    assert folder.parent.name == "runs" and folder.name.startswith("success-")
+
+
+def test_versions_name_packages_and_machine():
+    versions = runs.versions()
+    assert versions["mujoco"] == "4.0.0"
+    assert {"python", "torch", "numba", "inclined-landing", "cpu", "git revision"} <= set(versions)
+    assert versions["cores"] >= 1

@@ -1,0 +1,222 @@
+"""The numbers of the success table, from cases whose answers are known."""
+
+import dataclasses
+import math
+from importlib import resources
+
+import numpy as np
+import pytest
+
+from inclined_landing.envs.tasks import make_task
+from inclined_landing.envs.tasks.base import hover_states
+from inclined_landing.eval import landing_starts, motors_cut, runs, statistics, success
+from inclined_landing.eval.flights import record_flight, record_flights
+from inclined_landing.models.attitude import LAG, PITCH, VX, VZ
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plant import make_plant
+
+ALPHA = load_vehicle().platform_inclination
+
+
+class Constant:
+    """A policy that always gives the same action."""
+
+    metadata, path, name = {}, "constant", "constant"
+
+    def __init__(self, task, *action):
+        self.task, self.action = task, np.array(action)
+
+    def predict(self, observation):
+        return np.tile(self.action, (len(observation), 1))
+
+
+@pytest.fixture(scope="module")
+def landing():
+    return make_task("landing", pwm_centre="hover")
+
+
+def pose(z, pitch=ALPHA):
+    """At rest over the middle of the slope."""
+    state = hover_states(np.array([[0.0, 0.0, z]]), load_vehicle())
+    state[:, PITCH] = pitch
+    return state
+
+
+# ---- statistics
+
+
+def test_wilson_interval_by_hand():
+    # p = 28/30, z = 1.959964: centre (p + z^2/60)/(1 + z^2/30) = 0.884144,
+    # half width z/(1 + z^2/30) sqrt(p (1 - p)/30 + z^2/3600) = 0.097379
+    result = statistics.proportion(28, 30)
+    assert result["share"] == 28 / 30
+    assert result["interval"] == pytest.approx([0.786765, 0.981523], abs=1e-6)
+
+
+def test_no_trials_no_interval():
+    assert statistics.proportion(0, 0) == {"count": 0, "of": 0, "share": None, "interval": None}
+    assert set(statistics.spread([np.nan]).values()) == {None}
+
+
+def test_mean_interval_by_hand():
+    # mean 2, standard deviation 1, n = 3: 4.302653/sqrt(3) = 2.484138
+    result = statistics.mean([1.0, 2.0, 3.0])
+    assert result["mean"] == 2.0
+    assert result["interval"] == pytest.approx([2 - 2.484138, 2 + 2.484138], abs=1e-6)
+
+
+# ---- starts
+
+
+def test_the_frozen_grid_is_what_its_rule_makes():
+    task = make_task("landing")
+    made = landing_starts.make_grid(task)
+    file = resources.files("inclined_landing.eval") / "starts" / "landing_grid.csv"
+    assert file.read_text("utf-8") == landing_starts.grid_text(made)
+    np.testing.assert_array_equal(landing_starts.grid(), made)
+
+
+def test_the_grid_covers_the_upper_half_clear_of_the_platform():
+    task, grid = make_task("landing"), landing_starts.grid()
+    assert len(grid) >= 200 and len(np.unique(grid, axis=0)) == len(grid)
+    low, high = task.vehicle.arena_z
+    assert (grid[:, 1] > (low + high) / 2).all() and (grid[:, 1] < high).all()
+    assert np.abs(grid[:, 0]).max() < task.vehicle.arena_x[1]
+    clearance = task.start_clearance(task.start(landing_starts.at_rest(task, grid)))
+    assert clearance.min() >= 0.05
+
+
+def test_scattered_starts_are_the_papers_within_ten_centimetres():
+    starts = landing_starts.scattered(5)
+    offset = starts.reshape(3, 10, 2) - np.array([(0, 2), (-1.5, 1.6), (1.5, 1.8)])[:, None]
+    assert 0.05 < np.abs(offset).max() <= 0.1
+    np.testing.assert_array_equal(starts, landing_starts.scattered(5))
+    assert (starts != landing_starts.scattered(6)).all()
+
+
+# ---- flights and strictness
+
+
+@pytest.mark.parametrize("plant", ["mujoco", "analytic"])
+def test_a_flight_that_touches_first_is_not_strict(landing, plant):
+    policy = Constant(landing, 0.0, ALPHA / load_vehicle().command_angle_limit)
+    at_goal = pose(landing.goal_position[1])
+    on_slope = pose(load_vehicle().platform_surface_height + 0.01)
+    flights = record_flights(policy, plant, np.concatenate([at_goal, on_slope]))
+    assert [f.success for f in flights] == [True, True]
+    assert [f.touched for f in flights] == [False, True]
+    assert [f.strict for f in flights] == [True, False]
+    summary = success.landing_summary(flights)
+    assert summary["success"]["count"] == 2
+    assert summary["strict"]["count"] == 1
+    assert summary["touched"]["count"] == 1
+
+
+def test_a_recorded_flight_replays(landing):
+    policy = Constant(landing, 0.1, -0.05)
+    start = hover_states(np.array([[1.5, 0.0, 1.8]]), load_vehicle())
+    flight = record_flight(policy, "mujoco", start[0])
+    assert len(flight.t) == landing.max_steps + 1
+    assert flight.duration == pytest.approx(6.0)
+    assert not flight.success and flight.inclination == ALPHA
+    np.testing.assert_array_equal(flight.state[0], start[0])
+    plant = make_plant("mujoco", 1)
+    plant.reset(np.arange(1), start)
+    for k in range(50):
+        plant.step(flight.commands[k][None])
+        np.testing.assert_array_equal(plant.state[0], flight.state[k + 1])
+    assert flight.goal.tolist() == [0.0, 1.25, 0.0, 0.0, ALPHA]
+
+
+def test_flights_do_not_depend_on_their_company(landing):
+    policy = Constant(landing, -0.1, 0.1)
+    states = hover_states(np.array([[1.0, 0, 2.0], [-1.0, 0, 1.6], [0.4, 0, 1.5]]), load_vehicle())
+    together = record_flights(policy, "mujoco", states, steps=80)
+    for flight, state in zip(together, states):
+        alone = record_flight(policy, "mujoco", state, steps=80)
+        np.testing.assert_array_equal(alone.state, flight.state)
+
+
+def test_record_flights_refuses_a_plant_of_another_size(landing):
+    with pytest.raises(UserError, match="2 vehicles, but 1 starts"):
+        record_flights(Constant(landing, 0, 0), make_plant("analytic", 2), pose(2.0))
+    with pytest.raises(UserError, match="1 to 300 control steps"):
+        record_flights(Constant(landing, 0, 0), "analytic", pose(2.0), steps=301)
+
+
+# ---- motors cut
+
+
+def test_velocities_split_along_the_slope():
+    velocity = np.array([[0.0, 0.0, -1.0], [math.cos(ALPHA), 0.3, -math.sin(ALPHA)]])
+    away, along = motors_cut.split_velocity(velocity, ALPHA)
+    assert away == pytest.approx([-math.cos(ALPHA), 0.0])
+    assert along == pytest.approx([abs(math.sin(ALPHA)), math.hypot(1, 0.3)])
+
+
+def test_cut_motors_fall_and_stay(landing):
+    state = pose(landing.goal_position[1])
+    state[:, LAG] = 0.0
+    after = motors_cut.cut_motors(state, ALPHA, load_vehicle())
+    gap = landing.start_clearance(landing.start(state))[0]
+    g = load_vehicle().environment_gravity
+    # free fall over the gap, parallel to the slope; the speed is taken up to two 4 ms steps early
+    speed = math.sqrt(2 * g * math.cos(ALPHA) * gap)
+    assert after.touched[0]
+    assert after.normal_speed[0] == pytest.approx(speed, abs=2 * 0.004 * g)
+    along = abs(math.tan(ALPHA)) * speed
+    assert after.tangential_speed[0] == pytest.approx(along, abs=2 * 0.004 * g)
+    assert after.at_rest[0]  # friction 0.8 holds on a slope of tan 0.48
+
+
+def test_cut_motors_slide_on_a_slippery_slope(landing):
+    slippery = dataclasses.replace(load_vehicle(), contact_friction=0.3)
+    after = motors_cut.cut_motors(pose(landing.goal_position[1]), ALPHA, slippery)
+    assert after.touched[0] and not after.at_rest[0]
+
+
+def test_cut_motors_beside_the_platform_never_land():
+    state = hover_states(np.array([[2.0, 0.0, 1.5]]), load_vehicle())
+    after = motors_cut.cut_motors(state, ALPHA, load_vehicle())
+    assert not after.touched[0] and not after.at_rest[0]
+    assert np.isnan(after.normal_speed[0])
+
+
+# ---- reports
+
+
+def test_landing_report_of_a_policy_that_hovers(landing):
+    report = success.evaluate(Constant(landing, 0.0, 0.0), plant="analytic", thrust_scales=(1.0, 0.9), seed=1)
+    hover, weak = report["conditions"]
+    assert (hover["thrust_scale"], weak["thrust_scale"]) == (1.0, 0.9)
+    for name, flights in (("paper_starts", 3), ("scattered_starts", 30), ("grid", 251)):
+        assert hover[name]["success"]["of"] == flights
+        assert hover[name]["success"]["count"] == 0
+        assert hover[name]["touched"]["count"] == 0
+    assert weak["paper_starts"]["touched"]["count"] == 1  # sinks onto the slope from (0, 2)
+    assert hover["entry"] is None and hover["motors_cut"] is None
+    assert hover["grid"]["left_out"] == 0
+    runs.to_json(report)
+
+
+def test_entry_statistics(landing):
+    policy = Constant(landing, 0.0, ALPHA / load_vehicle().command_angle_limit)
+    states = np.concatenate([pose(landing.goal_position[1])] * 4)
+    states[:, VX], states[:, VZ] = [0.5, -0.5, 0.0, 0.0], [0.0, 0.0, 0.5, -0.5]
+    entry = success._entry(record_flights(policy, "mujoco", states))
+    # normal (-0.434, 0, 0.901): only the second and the third move away
+    assert entry["moving_away"]["count"] == 2 and entry["moving_away"]["of"] == 4
+    assert entry["speed"]["median"] == pytest.approx(0.5, abs=0.1)  # 20 ms later
+    assert entry["normal_speed"]["max"] == pytest.approx(0.45, abs=0.1)
+
+
+def test_setpoint_report_of_a_policy_that_hovers():
+    task = make_task("setpoint", pwm_centre="hover")
+    report = success.evaluate(Constant(task, 0.0, 0.0, 0.0), plant="analytic", seed=2)
+    starts = task.sample(np.random.default_rng(2), 200).state
+    distance = np.linalg.norm(starts[:, :3] - [0, 0, 1.2], axis=1)
+    error = report["conditions"][0]["error"]
+    assert error["mean"] == pytest.approx(distance.mean(), abs=1e-9)
+    assert report["conditions"][0]["within"]["count"] == (distance < 0.05).sum()
+    assert report["paper"] is None
