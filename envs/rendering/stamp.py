@@ -45,7 +45,7 @@ class StampMaker:
         )
         self._kept: dict[tuple, Stamp] = {}
 
-    def __call__(self, attitude, colour=None, tint: float = 0.7) -> Stamp:
+    def __call__(self, attitude, colour=None, tint: float = 0.85) -> Stamp:
         """The stamp at attitude (3,): roll, pitch, yaw [rad]; tinted if a colour (3,) in 0..1 is given."""
         attitude = np.asarray(attitude, float)
         if attitude.shape != (3,) or not np.isfinite(attitude).all():
