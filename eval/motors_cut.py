@@ -44,8 +44,13 @@ def split_velocity(velocity: np.ndarray, inclination) -> tuple[np.ndarray, np.nd
     return away, np.linalg.norm(velocity - away[..., None] * normal, axis=-1)
 
 
-def cut_motors(states: np.ndarray, inclination: float, vehicle: Vehicle) -> Aftermath:
-    """Cut the motors at `states` (n, 13) over a platform inclined by `inclination` [rad]."""
+def cut_motors(
+    states: np.ndarray, inclination: float, vehicle: Vehicle, thrust_scale: float = 1.0
+) -> Aftermath:
+    """Cut the motors at `states` (n, 13) over a platform inclined by `inclination` [rad].
+
+    thrust_scale: of the thrust that still decays.
+    """
     n = len(states)
     unpowered = dataclasses.replace(
         vehicle,
@@ -57,6 +62,7 @@ def cut_motors(states: np.ndarray, inclination: float, vehicle: Vehicle) -> Afte
     ids = np.arange(n)
     plant.set_platform(ids, np.full(n, inclination))
     plant.reset(ids, states)
+    plant.perturb(thrust_scale=thrust_scale)
     commands = np.zeros((n, 4))
     touched = np.zeros(n, bool)
     normal_speed, tangential_speed = np.full(n, np.nan), np.full(n, np.nan)

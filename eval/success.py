@@ -140,7 +140,7 @@ def _landing(policy: Policy, plant: str, scale: float, seed: int):
     condition["grid"]["left_out"] = len(frozen) - len(grid)  # too close at this inclination
     arrived = [f for f in flights[-len(grid) :] if f.success]
     condition["entry"] = _entry(arrived)
-    condition["motors_cut"] = _motors_cut(arrived, task)
+    condition["motors_cut"] = _motors_cut(arrived, task, scale)
     return condition, flown
 
 
@@ -171,10 +171,11 @@ def _entry(arrived: Sequence[Flight]) -> dict | None:
     }
 
 
-def _motors_cut(arrived: Sequence[Flight], task) -> dict | None:
+def _motors_cut(arrived: Sequence[Flight], task, scale: float) -> dict | None:
     if not arrived:
         return None
-    after = cut_motors(np.array([f.state[-1] for f in arrived]), task.inclination, task.vehicle)
+    states = np.array([f.state[-1] for f in arrived])
+    after = cut_motors(states, task.inclination, task.vehicle, scale)
     return {
         "touchdown": proportion(after.touched.sum(), len(arrived)),
         "normal_speed": spread(after.normal_speed),

@@ -81,15 +81,15 @@ def _entry(report: dict) -> Table:
         table.add_row(label, *(text(source[key]) if source else "-" for source in sources))
 
     row("speed [m/s]", entries, "speed", _spread)
-    row("towards the surface [m/s]", entries, "normal_speed", _spread)
-    row("along the surface [m/s]", entries, "tangential_speed", _spread)
+    row("towards the slope [m/s]", entries, "normal_speed", _spread)
+    row("along the slope [m/s]", entries, "tangential_speed", _spread)
     row("pitch error [rad]", entries, "pitch_error", lambda s: _spread(s, 3))
     row("moving away [%]", entries, "moving_away", _share)
     table.add_section()
-    row("motors cut: touches the slope [%]", cuts, "touchdown", _share)
-    row("touchdown, into the surface [m/s]", cuts, "normal_speed", _spread)
-    row("touchdown, along the surface [m/s]", cuts, "tangential_speed", _spread)
-    row("at rest on its feet after 2 s [%]", cuts, "at_rest_on_feet", _share)
+    row("cut: touches the slope [%]", cuts, "touchdown", _share)
+    row("cut: touchdown, into it [m/s]", cuts, "normal_speed", _spread)
+    row("cut: touchdown, along it [m/s]", cuts, "tangential_speed", _spread)
+    row("cut: 2 s later at rest on feet [%]", cuts, "at_rest_on_feet", _share)
     return table
 
 
