@@ -23,6 +23,11 @@ TaskName = Annotated[str | None, tyro.conf.arg(metavar="{landing,setpoint}")]
 Degrees = Annotated[float | None, tyro.conf.arg(metavar="DEG")]
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+OutFolder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
+OutFile = Annotated[Path, tyro.conf.arg(metavar="FILE")]
+Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X,Z")]
+Camera = Annotated[str, tyro.conf.arg(metavar="{side,hero,pad,track,chase,closeup,onboard}")]
+Backend = Annotated[str, tyro.conf.arg(metavar="{auto,ray,gl}")]
 Flag = tyro.conf.FlagCreatePairsOff[bool]
 Scales = Annotated[
     tuple[tuple[float, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X [X ...]")
@@ -113,7 +118,133 @@ def benchmark(
     )
 
 
-COMMANDS = {"success": success, "doctor": doctor, "benchmark": benchmark}
+def figure(
+    policy: PolicyFile,
+    /,
+    out: OutFolder,
+    start: Starts = (),
+    task: TaskName = None,
+    plant: PlantName = "mujoco",
+    inclination: Degrees = None,
+) -> None:
+    """Stroboscopic trajectory with PWM and pitch over time, as PNG and PDF.
+
+    Args:
+        policy: policy file, or the name of a shipped policy (landing, setpoint).
+        out: folder for the files.
+        start: where to fly from, in metres: X,Z (landing) or X,Y,Z (setpoint); repeat the option for
+            more figures. Default: the paper's two cases, 1.5,1.8 and 0,2.
+        task: the task the policy must be for; needed for a plain Stable-Baselines3 file.
+        plant: the physics to fly in.
+        inclination: of the platform in degrees, where it differs from the training's.
+    """
+    from inclined_landing.eval import pictures
+
+    files = pictures.figure(policy, out, start, task=task, plant=plant, inclination=inclination)
+    print(*files, sep="\n")
+
+
+def video(
+    policy: PolicyFile,
+    /,
+    out: OutFile,
+    start: Starts = (),
+    camera: Camera = "hero",
+    gif: Flag = False,
+    width: int = 640,
+    height: int = 480,
+    backend: Backend = "auto",
+    slow: float = 1.0,
+    task: TaskName = None,
+    plant: PlantName = "mujoco",
+    inclination: Degrees = None,
+) -> None:
+    """Video of flights, one after the other.
+
+    Args:
+        policy: policy file, or the name of a shipped policy (landing, setpoint).
+        out: .mp4 or .gif file.
+        start: where to fly from, in metres: X,Z (landing) or X,Y,Z (setpoint); repeat the option for
+            more flights.
+        camera: where to look from.
+        gif: write a .gif beside the .mp4.
+        width: of the video, pixels.
+        height: of the video, pixels.
+        backend: OpenGL, ray casting, or OpenGL only where it runs on hardware.
+        slow: 2 plays at half speed.
+        task: the task the policy must be for; needed for a plain Stable-Baselines3 file.
+        plant: the physics to fly in.
+        inclination: of the platform in degrees, where it differs from the training's.
+    """
+    from inclined_landing.eval import pictures
+
+    flown = {"task": task, "plant": plant, "inclination": inclination}
+    look = {"camera": camera, "width": width, "height": height, "backend": backend}
+    files = pictures.video(policy, out, start, gif=gif, slow=slow, **look, **flown)
+    print(*files, sep="\n")
+
+
+def picture(
+    policy: PolicyFile,
+    /,
+    out: OutFile,
+    start: Annotated[str | None, tyro.conf.arg(metavar="X,Z")] = None,
+    camera: Camera = "hero",
+    width: int = 1280,
+    height: int = 720,
+    backend: Backend = "auto",
+    task: TaskName = None,
+    plant: PlantName = "mujoco",
+    inclination: Degrees = None,
+) -> None:
+    """One picture of a whole flight: copies of the vehicle along its way.
+
+    Args:
+        policy: policy file, or the name of a shipped policy (landing, setpoint).
+        out: .png file.
+        start: where to fly from, in metres: X,Z (landing) or X,Y,Z (setpoint).
+        camera: where to look from.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        backend: OpenGL, ray casting, or OpenGL only where it runs on hardware.
+        task: the task the policy must be for; needed for a plain Stable-Baselines3 file.
+        plant: the physics to fly in.
+        inclination: of the platform in degrees, where it differs from the training's.
+    """
+    from inclined_landing.eval import pictures
+
+    flown = {"task": task, "plant": plant, "inclination": inclination}
+    look = {"camera": camera, "width": width, "height": height, "backend": backend}
+    print(pictures.picture(policy, out, start, **look, **flown))
+
+
+def curves(
+    runs: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR [DIR ...]")
+    ],
+    /,
+    out: OutFile,
+) -> None:
+    """Learning curves of training runs of one task, several seeds with median and range.
+
+    Args:
+        runs: run folders of landing-train.
+        out: .png or .pdf file.
+    """
+    from inclined_landing.eval import pictures
+
+    print(pictures.curves(runs, out))
+
+
+COMMANDS = {
+    "success": success,
+    "doctor": doctor,
+    "benchmark": benchmark,
+    "figure": figure,
+    "video": video,
+    "picture": picture,
+    "curves": curves,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
