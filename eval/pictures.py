@@ -21,6 +21,7 @@ from inclined_landing.eval.figures.scene import platform_outline
 from inclined_landing.eval.figures.style import make_folder
 from inclined_landing.eval.flights import Flight, record_flights
 from inclined_landing.eval.policy import Policy, load_policy
+from inclined_landing.eval.success import SETPOINT_TIME
 from inclined_landing.eval.video import FPS, render_flight, strobe, write_video
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plant import PLANTS
@@ -46,7 +47,9 @@ def figure(policy: str, out: Path, starts: Sequence[str] = (), **options) -> lis
     else:
         names, points = ["trajectory"], [SETPOINT_START]
     files = []
-    for name, flight in zip(names, fly(loaded, points, options.get("plant", "mujoco"))):
+    landing, period = loaded.task.name == "landing", loaded.task.vehicle.command_control_period
+    steps = None if landing else round(SETPOINT_TIME / period)
+    for name, flight in zip(names, fly(loaded, points, options.get("plant", "mujoco"), steps)):
         drawn = trajectory_figure(flight, vehicle=loaded.task.vehicle)
         files += [save_figure(drawn, Path(out) / f"{name}{suffix}") for suffix in (".png", ".pdf")]
         report(flight, name)
@@ -60,8 +63,8 @@ def video(
     *,
     camera: str = "hero",
     gif: bool = False,
-    width: int = 640,
-    height: int = 480,
+    width: int = 960,
+    height: int = 540,
     backend: str = "auto",
     slow: float = 1.0,
     **options,
@@ -154,9 +157,9 @@ def load(
     return load_policy(policy, task, inclination=angle)
 
 
-def fly(policy: Policy, points: Sequence[tuple[float, ...]], plant: str = "mujoco") -> list[Flight]:
-    """Flights from hover at points (x, z) or (x, y, z) [m]."""
-    return record_flights(policy, plant, _states(points, policy.task))
+def fly(policy: Policy, points: Sequence[tuple[float, ...]], plant: str, steps: int | None = None):
+    """Flights from hover at points (x, z) or (x, y, z) [m], at most `steps` control steps long."""
+    return record_flights(policy, plant, _states(points, policy.task), steps=steps)
 
 
 def parse_start(text: str, task) -> tuple[float, ...]:

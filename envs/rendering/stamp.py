@@ -1,4 +1,4 @@
-"""Cut-out pictures of the vehicle seen from the side, to be placed in diagrams."""
+"""Cut-out pictures of the vehicle seen along an axis, to be placed in diagrams."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from inclined_landing.envs.rendering.pose import Pose, qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
 from inclined_landing.models.attitude import STATE_SIZE
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 _PLACE = np.array([0.0, 0.0, 1.2])  # m; every copy is drawn here, alone under the same light
 _NOWHERE = np.array([0.0, 0.0, -100.0])
@@ -21,25 +21,31 @@ _NOWHERE = np.array([0.0, 0.0, -100.0])
 
 @dataclasses.dataclass(frozen=True)
 class Stamp:
-    """rgba (k, k, 4) uint8 and half its side [m]; the centre of mass is in the middle.
-
-    x points right and z up in it.
-    """
+    """rgba (k, k, 4) uint8 and half its side [m]; the centre of mass is in the middle."""
 
     rgba: np.ndarray
     half: float
 
 
 class StampMaker:
-    """Draws vehicles in any attitude, `scale` times their size, orthographic, along +y.
+    """Draws vehicles in any attitude, `scale` times their size, orthographic.
 
-    pixels: side of the stamps. The vehicle is scaled about its centre of mass, so that a stamp in the
+    across: 0 shows x to the right and z up (seen from the side), 1 shows y to the right (from the
+    front). pixels: side of the stamps. The vehicle is scaled about its centre of mass, so that a stamp in the
     middle of its position shows where the vehicle is.
     """
 
-    def __init__(self, vehicle: Vehicle | None = None, *, scale: float = scenery.SCALE, pixels: int = 384):
-        self.scale, self.pixels = scale, pixels
-        self._renderer = RayRenderer(vehicle, pixels, pixels, "side", scale)
+    def __init__(
+        self,
+        vehicle: Vehicle | None = None,
+        *,
+        scale: float = scenery.SCALE,
+        pixels: int = 384,
+        across: int = 0,
+    ):
+        self.vehicle = vehicle or load_vehicle()
+        self.scale, self.pixels, self.across = scale, pixels, across
+        self._renderer = RayRenderer(self.vehicle, pixels, pixels, "side", scale)
         self._renderer.stage(
             Pose(np.array([*_PLACE, 1.0, 0.0, 0.0, 0.0]), _NOWHERE, np.array([1.0, 0, 0, 0]))
         )
@@ -65,7 +71,8 @@ class StampMaker:
         drawn = np.concatenate([scene.parts, scene.discs])
         away = np.linalg.norm(scene.data.geom_xpos[drawn] - centre, axis=1)
         half = 1.02 * float((away + scene.model.geom_rbound[drawn]).max())
-        view = look_at(centre - [0.0, 2.0, 0.0], centre, n, n, extent=2.0 * half)
+        aside = np.array([2.0, 0.0, 0.0] if self.across else [0.0, -2.0, 0.0])
+        view = look_at(centre + aside, centre, n, n, extent=2.0 * half)
         ghost = None if colour is None else Ghost(qpos, tuple(colour), alpha=1.0, tint=tint)
         (row, column), rgb, cover, _ = self._renderer._vehicle_layer(view, qpos, (0, 0, n, n), ghost)
         picture = np.zeros((n, n, 4))

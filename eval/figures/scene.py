@@ -1,4 +1,4 @@
-"""The landing scene as a drawing in the x-z plane: platform as shapes, vehicles as rendered stamps."""
+"""The scene as a drawing in the x-z or y-z plane: platform as shapes, vehicles as rendered stamps."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from inclined_landing.models.parameters import Vehicle
 TARGET = tuple(int(GREEN[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
 
 
-def draw_air(axes: Axes, x: tuple[float, float], z: tuple[float, float]) -> None:
-    """An empty scene over x and z [m], equal scales."""
+def draw_air(axes: Axes, x: tuple[float, float], z: tuple[float, float], name: str = "x") -> None:
+    """An empty scene over x (or y, by its name) and z [m], equal scales."""
     axes.set_facecolor(AIR)
     axes.grid(True)
-    axes.set(xlim=x, ylim=z, aspect="equal", xlabel="x [m]", ylabel="z [m]")
+    axes.set(xlim=x, ylim=z, aspect="equal", xlabel=f"{name} [m]", ylabel="z [m]")
 
 
 def platform_outline(inclination: float, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
@@ -43,9 +43,9 @@ def draw_platform(axes: Axes, inclination: float, vehicle: Vehicle) -> None:
 def draw_vehicle(
     axes: Axes, maker: StampMaker, state: np.ndarray, *, colour=None, alpha=1.0, zorder=4.0, gid=None
 ) -> AxesImage:
-    """A rendered copy at state (13,), its centre of mass at the state's x and z."""
+    """A rendered copy at state (13,), its centre of mass at the state's x (or y) and z."""
     stamp = maker(state[6:9], colour)
-    x, z = state[0], state[2]
+    x, z = state[maker.across], state[2]
     extent = (x - stamp.half, x + stamp.half, z - stamp.half, z + stamp.half)
     limits = axes.get_xlim(), axes.get_ylim()
     image = axes.imshow(

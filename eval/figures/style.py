@@ -50,7 +50,7 @@ def styled():
 
 
 def time_colours(share) -> np.ndarray:
-    """RGB (k, 3) for shares of the flight's time (k,): dark violet at 0 to orange at 1."""
+    """RGB (k, 3) for shares of the way flown (k,): dark violet at 0 to orange at 1."""
     return matplotlib.colormaps["plasma"](0.02 + 0.76 * np.asarray(share, float))[..., :3]
 
 

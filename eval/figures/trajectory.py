@@ -11,68 +11,95 @@ from matplotlib.transforms import ScaledTranslation
 from inclined_landing.envs.rendering.stamp import StampMaker
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.eval.figures.scene import TARGET, draw_air, draw_platform, draw_vehicle
-from inclined_landing.eval.figures.style import BLUE, GREEN, MUTED, ORANGE, panel, styled, time_colours
+from inclined_landing.eval.figures.style import (
+    BLUE,
+    GREEN,
+    MUTED,
+    ORANGE,
+    PURPLE,
+    panel,
+    styled,
+    time_colours,
+)
 from inclined_landing.eval.flights import Flight
-from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, X, Z
+from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, ROLL, ROLL_COMMAND, X, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 _WIDTH, _LEFT, _RIGHT = 7.0, 0.78, 0.16  # in
 _SCENE, _PWM, _PITCH = 3.05, 0.80, 1.20  # heights of the panels, in
+_SPACING = 0.15  # m; copies are at least about this apart
 _TURN = 0.12  # m; how much path a turn of one radian counts when copies are spread
-_LABELS = -0.46 / (_WIDTH - _LEFT - _RIGHT)  # of the vertical axes
+_SLOPE = ((-0.45, 1.15), (0.45, 1.35))  # m; is always shown of the platform
 _MARGIN = 0.27  # m around the flight
 _LOW = 0.85  # m; the scene is cut off here unless the flight goes lower
 
 
-def trajectory_figure(flight: Flight, *, copies: int = 11, vehicle: Vehicle | None = None) -> Figure:
+def trajectory_figure(flight: Flight, *, copies: int | None = None, vehicle: Vehicle | None = None) -> Figure:
     """Figure of one flight: vehicles in time order along the way, PWM and pitch over time.
 
-    copies: how many vehicles are drawn at most. Raises UserError for a flight of less than two samples
-    or with states that are not finite.
+    copies: how many vehicles are drawn at most (default: 11 landing, 8 set-point).
+    Raises UserError for a flight of less than two samples or with states that are not finite.
     """
     if len(flight.t) < 2 or not np.isfinite(flight.state).all():
         raise UserError("a trajectory figure needs a flight of at least two samples with finite states")
     vehicle = vehicle or load_vehicle()
-    chosen = spread_copies(flight.state, copies)
+    chosen = spread_copies(flight.state, copies or (11 if flight.inclination is not None else 8))
     gap, foot = 0.33, 0.50
     middle = foot + _PITCH + gap
     scene = middle + _PWM + 0.74
     with styled():
         figure = Figure(figsize=(_WIDTH, scene + _SCENE + 0.14))
         width = _WIDTH - _LEFT - _RIGHT
-        _draw_scene(panel(figure, _LEFT, scene, width, _SCENE), flight, chosen, vehicle, width / _SCENE)
+        if flight.inclination is not None:
+            axes = panel(figure, _LEFT, scene, width, _SCENE)
+            _draw_scene(axes, flight, chosen, StampMaker(vehicle), width / _SCENE)
+        else:
+            half = 0.5 * (width - 0.25)
+            side = panel(figure, _LEFT, scene, half, _SCENE)
+            front = panel(figure, _LEFT + half + 0.25, scene, half, _SCENE, sharey=side)
+            for across, axes in enumerate((side, front)):
+                _draw_scene(axes, flight, chosen, StampMaker(vehicle, across=across), half / _SCENE)
+            front.tick_params(labelleft=False)
+            front.set_ylabel("")
         pitch = panel(figure, _LEFT, foot, width, _PITCH)
         pwm = panel(figure, _LEFT, middle, width, _PWM, sharex=pitch)
         _draw_commands(pwm, pitch, flight, chosen, vehicle)
     return figure
 
 
+def progress(state: np.ndarray) -> np.ndarray:
+    """Share (T,) of the way that states (T, 13) have covered, turns counted; by index if at rest."""
+    step = np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1)
+    turn = np.abs(np.diff(state[:, [ROLL, PITCH]], axis=0)).sum(axis=1)
+    way = np.concatenate([[0.0], np.cumsum(step + _TURN * turn)])
+    return way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(state))
+
+
 def spread_copies(state: np.ndarray, copies: int) -> np.ndarray:
-    """Samples, first and last included, evenly spread along the way of states (T, 13), turns counted."""
-    step = np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1) + _TURN * np.abs(np.diff(state[:, PITCH]))
-    way = np.concatenate([[0.0], np.cumsum(step)])
-    count = int(np.clip(way[-1] / 0.17, 1, max(copies - 1, 1)))
-    samples = np.searchsorted(way, np.linspace(0.0, way[-1], count + 1) - 1e-9)
+    """At most `copies` samples of states (T, 13), first and last included, evenly spread on the way."""
+    length = np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1).sum()
+    count = int(np.clip(length / _SPACING, 1, max(copies - 1, 1)))
+    samples = np.searchsorted(progress(state), np.linspace(0.0, 1.0, count + 1) - 1e-9)
     return np.unique(np.minimum(samples, len(state) - 1))
 
 
-def _draw_scene(axes, flight: Flight, chosen, vehicle: Vehicle, ratio: float) -> None:
-    state, goal = flight.state, np.asarray(flight.goal, float)
-    landing = flight.inclination is not None
-    target = np.zeros(13)
-    if len(goal) == 5:
-        target[[X, Z, PITCH]] = goal[[0, 1, 4]]
-    else:
-        target[[0, 1, 2, 6, 7]] = goal[[0, 1, 2, 6, 7]]
-    shown = np.vstack([state[:, [X, Z]], target[[X, Z]], [[-0.45, 1.15], [0.45, 1.35]] * landing])
-    draw_air(axes, *_window(shown, ratio))
-    axes.yaxis.set_label_coords(_LABELS, 0.5)
+def _draw_scene(axes, flight: Flight, chosen, maker: StampMaker, ratio: float) -> None:
+    """The flight seen as the maker's stamps are: x or y to the right, z up."""
+    state, landing, plane = flight.state, flight.inclination is not None, [maker.across, Z]
+    target = _target(flight.goal)
+    points = np.vstack([state[:, plane], target[plane]])
     if landing:
-        draw_platform(axes, flight.inclination, vehicle)
-    maker = StampMaker(vehicle)
-    colours = time_colours(flight.t / flight.t[-1])
-    way = np.stack([state[:-1][:, [X, Z]], state[1:][:, [X, Z]]], axis=1)
+        window = _window(np.vstack([points, _SLOPE]), ratio, floor=_LOW)
+    else:  # both views get the same scale
+        widest = np.ptp(np.vstack([state[:, :2], target[:2]]), axis=0).max()
+        window = _window(points, ratio, least=(widest + 2.0 * _MARGIN) / ratio)
+    draw_air(axes, *window, "xy"[maker.across])
+    _place_label(axes)
+    if landing:
+        draw_platform(axes, flight.inclination, maker.vehicle)
+    colours = time_colours(progress(state))
+    way = np.stack([state[:-1][:, plane], state[1:][:, plane]], axis=1)
     axes.add_collection(
         LineCollection(way, colors=colours[:-1], lw=1.6, capstyle="round", zorder=3, gid="way"), autolim=False
     )
@@ -85,18 +112,42 @@ def _draw_scene(axes, flight: Flight, chosen, vehicle: Vehicle, ratio: float) ->
     for order, k in enumerate(chosen):
         above = 4.0 + 0.01 * order
         draw_vehicle(axes, maker, state[k], colour=colours[k], alpha=0.92, zorder=above, gid=f"copy {k}")
-    note = "quadrotor drawn at 3× size; green: target pose"
+    if maker.across:
+        return
+    note = f"quadrotor drawn at {maker.scale:g}× size; green: target pose"
     note += f" and goal box (±{100 * GOAL_SIZE:.0f} cm)" if landing else ""
     axes.text(0.012, 0.975, note, transform=axes.transAxes, va="top", size=8.5, color=MUTED)
 
 
-def _window(points: np.ndarray, ratio: float):
-    """Limits of x and z [m] that show all points (k, 2) in a box of width = ratio * height."""
+def _target(goal: np.ndarray) -> np.ndarray:
+    """State (13,) at a planar (5,) or spatial (8,) goal."""
+    state = np.zeros(13)
+    state[[X, Z, PITCH] if len(goal) == 5 else [X, 1, Z, ROLL, PITCH]] = (
+        goal[[0, 1, 4]] if len(goal) == 5 else goal[[0, 1, 2, 6, 7]]
+    )
+    return state
+
+
+def _window(points: np.ndarray, ratio: float, *, floor: float | None = None, least: float = 0.0):
+    """Limits of x (or y) and z [m] that show points (k, 2) in a box of width = ratio * height.
+
+    floor: the lower limit, unless points lie lower; without it, points are in the middle. least: the
+    height is at least this.
+    """
     low, high = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
-    low[1] = max(min(low[1], _LOW), -0.02)
-    height = max(high[1] - low[1] + 0.05, (high[0] - low[0]) / ratio)
-    spare = ratio * height - (high[0] - low[0])
-    return (low[0] - 0.5 * spare, high[0] + 0.5 * spare), (low[1], low[1] + height)
+    if floor is not None:
+        low[1] = min(low[1], floor)
+    height = max(high[1] - low[1], (high[0] - low[0]) / ratio, least)
+    bottom = low[1] if floor is not None else 0.5 * (low[1] + high[1] - height)
+    bottom = max(bottom, -0.02)  # the floor
+    left = 0.5 * (low[0] + high[0] - ratio * height)
+    return (left, left + ratio * height), (bottom, bottom + height)
+
+
+def _place_label(axes) -> None:
+    """Put the vertical axis' label where those of the other panels are."""
+    inches = axes.get_position().width * axes.figure.get_figwidth()
+    axes.yaxis.set_label_coords(-0.48 / inches, 0.5)
 
 
 def _draw_commands(pwm, pitch, flight: Flight, chosen, vehicle: Vehicle) -> None:
@@ -109,21 +160,28 @@ def _draw_commands(pwm, pitch, flight: Flight, chosen, vehicle: Vehicle) -> None
     degrees = np.degrees(flight.state[:, PITCH])
     command = np.degrees(flight.commands[:, PITCH_COMMAND])
     pitch.plot(t, degrees, color=ORANGE, label="pitch")
+    pitch.set_ylabel("pitch [deg]")
     pitch.plot(t, command, color=ORANGE, lw=1.2, ls=(0, (4, 1.5)), label="pitch command", **held)
-    if flight.inclination is not None:
+    if flight.inclination is None:
+        roll, command = np.degrees(flight.state[:, ROLL]), np.degrees(flight.commands[:, ROLL_COMMAND])
+        pitch.plot(t, roll, color=PURPLE, label="roll")
+        pitch.plot(t, command, color=PURPLE, lw=1.2, ls=(0, (4, 1.5)), label="roll command", **held)
+        pitch.set_ylabel("attitude [deg]")
+        degrees = np.concatenate([degrees, roll])
+    else:
         pitch.axhline(np.degrees(flight.inclination), color=MUTED, lw=1.2, ls=":", label="inclination")
     reach = max(36.0, 1.08 * np.abs(degrees).max())
-    pitch.set(xlabel="time [s]", ylabel="pitch [deg]", ylim=(-reach - 16, reach), yticks=[-30, 0, 30])
+    pitch.set(xlabel="time [s]", ylim=(-reach - 16, reach), yticks=[-30, 0, 30])
     pitch.set_xlim(-0.012 * end, 1.012 * end)
-    colours = time_colours(t[chosen] / end)
+    colours = time_colours(progress(flight.state)[chosen])
     for axes in (pwm, pitch):
         axes.grid(True, axis="y")
         axes.vlines(t[chosen], *axes.get_ylim(), color=colours, lw=0.6, alpha=0.35, zorder=1)
         axes.legend(
-            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderpad=0.25, borderaxespad=0,
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderpad=0.25, borderaxespad=0,
             handlelength=1.9, columnspacing=1.6,
         )  # fmt: skip
-        axes.yaxis.set_label_coords(_LABELS, 0.5)
+        _place_label(axes)
     foot = pitch.get_xaxis_transform()
     marks = pitch.vlines(t[chosen], 0.0, 0.12, color=colours, lw=3.2, transform=foot, zorder=3)
     marks.set_gid("copies")
