@@ -133,10 +133,11 @@ def constants(path: str | Path | None = None) -> list[Constant]:
                     f"vehicle file {name}: entry {section}.{key} must have exactly the fields "
                     + ", ".join(_FIELDS)
                 )
-            value = entry["value"]
-            value = tuple(map(float, value)) if isinstance(value, list) else float(value)
-            if not all(map(math.isfinite, value if isinstance(value, tuple) else (value,))):
+            given = entry["value"]
+            values = given if isinstance(given, list) else [given]
+            if not all(type(x) in (int, float) and math.isfinite(x) for x in values):
                 raise UserError(f"vehicle file {name}: {section}.{key} is not a finite number")
+            value = tuple(map(float, given)) if isinstance(given, list) else float(given)
             entries.append(
                 Constant(section, key, value, entry["unit"], entry["source"], entry["uncertainty"])
             )
@@ -158,10 +159,9 @@ def load_vehicle(path: str | Path | None = None) -> Vehicle:
     if path is not None:
         reference = dataclasses.asdict(load_vehicle())
         for field, value in values.items():
-            if len(_tuple(value)) != len(_tuple(reference[field])):
+            if _shape(value) != _shape(reference[field]):
                 raise UserError(
-                    f"vehicle file {name}: {field} needs {len(_tuple(reference[field]))} value(s), "
-                    f"it has {len(_tuple(value))}"
+                    f"vehicle file {name}: {field} needs {_shape(reference[field])}, it has {_shape(value)}"
                 )
     vehicle = Vehicle(**values)
     for field in ("body_mass", "thrust_lag_rate", "attitude_time_constant", "attitude_bandwidth"):
@@ -170,5 +170,5 @@ def load_vehicle(path: str | Path | None = None) -> Vehicle:
     return vehicle
 
 
-def _tuple(value) -> tuple:
-    return value if isinstance(value, tuple) else (value,)
+def _shape(value) -> str:
+    return f"a list of {len(value)}" if isinstance(value, tuple) else "one number"

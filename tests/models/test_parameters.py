@@ -1,0 +1,201 @@
+"""`crazyflie.toml` is complete, is refused when it is wrong, and is the only place of its numbers."""
+
+import ast
+import math
+import re
+from importlib import resources
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import constants, load_vehicle
+from inclined_landing.models.scene import build_spec
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("models", "envs", "eval", "train")
+# Sections whose numbers are the vehicle's own; arena and platform sizes are ordinary numbers such as 0.5.
+DISTINCTIVE = ("body", "thrust", "motor", "drag", "attitude")
+
+
+@pytest.fixture
+def text() -> str:
+    return (resources.files("inclined_landing.models") / "crazyflie.toml").read_text("utf-8")
+
+
+@pytest.fixture
+def load(tmp_path):
+    """Loader of a vehicle file with the given text."""
+
+    def load(text: str, name="vehicle.toml"):
+        path = tmp_path / name
+        path.write_text(text, "utf-8")
+        return load_vehicle(path)
+
+    return load
+
+
+@pytest.mark.parametrize("constant", constants(), ids=lambda c: f"{c.section}.{c.name}")
+def test_every_constant_has_unit_source_and_uncertainty(constant):
+    assert isinstance(constant.unit, str) and constant.unit.strip()
+    assert isinstance(constant.source, str) and constant.source.strip()
+    uncertainty = constant.uncertainty
+    if isinstance(uncertainty, str):
+        assert uncertainty.startswith("not ")  # "not published", "not measured"
+    else:
+        assert np.all(np.asarray(uncertainty) >= 0)
+        assert np.ndim(uncertainty) in (0, np.ndim(constant.value))
+    if "[E]" in constant.source:  # an estimate is never given as exact
+        assert isinstance(uncertainty, str) or np.all(np.asarray(uncertainty) > 0)
+
+
+def test_a_copy_of_the_file_loads_as_the_shipped_vehicle(load, text):
+    assert load(text) == load_vehicle()
+
+
+def test_a_variant_differs_where_it_says_so(load, text):
+    heavy = load(text.replace("value = 0.03303,", "value = 0.035,"))
+    assert heavy.body_mass == 0.035
+    assert heavy.thrust_lag_rate == load_vehicle().thrust_lag_rate
+
+
+def _without(line_start: str):
+    return lambda text: "\n".join(k for k in text.splitlines() if not k.startswith(line_start))
+
+
+WRONG = {
+    "missing entry": (_without("mass "), r"lacks entries: body_mass"),
+    "unknown entry": (
+        lambda t: t.replace(
+            "[thrust]", '[thrust]\nlag = { value = 1, unit = "1", source = "x", uncertainty = 0 }'
+        ),
+        r"has unknown entries: thrust_lag$",
+    ),
+    "too few values": (
+        lambda t: t.replace("[0.04076521, 380.8359]", "[0.04076521]"),
+        "motor_pwm_to_speed needs a list of 2, it has a list of 1",
+    ),
+    "too many values": (
+        lambda t: t.replace("value = 0.03303", "value = [0.03, 0.04]"),
+        "body_mass needs one number, it has a list of 2",
+    ),
+    "a list of one": (
+        lambda t: t.replace("value = 0.03303", "value = [0.03]"),
+        "body_mass needs one number, it has a list of 1",
+    ),
+    "one for a list": (
+        lambda t: t.replace("value = [-3.4, 3.4]", "value = 3.4"),
+        "arena_x needs a list of 2",
+    ),
+    "NaN": (lambda t: t.replace("value = 0.03303", "value = nan"), r"body\.mass is not a finite number"),
+    "infinite": (lambda t: t.replace("value = 15.467", "value = -inf"), r"thrust\.lag_rate is not a finite"),
+    "text": (lambda t: t.replace("value = 0.03303", 'value = "heavy"'), r"body\.mass is not a finite number"),
+    "no unit": (
+        lambda t: t.replace('value = 0.03303, unit = "kg",', "value = 0.03303,"),
+        r"body\.mass must have exactly the fields value, unit, source, uncertainty",
+    ),
+    "bare number": (lambda t: "mass = 0.03\n" + t, r"entry mass stands outside any table"),
+    "negative mass": (lambda t: t.replace("value = 0.03303", "value = -1.0"), r"body_mass must be positive"),
+    "not TOML": (lambda t: "<mujoco/>", r"cannot be read"),
+}
+
+
+@pytest.mark.parametrize("problem", WRONG)
+def test_wrong_files_are_refused_in_one_sentence(load, text, problem):
+    change, sentence = WRONG[problem]
+    changed = change(text)
+    assert changed != text
+    with pytest.raises(UserError, match=sentence) as error:
+        load(changed)
+    assert "vehicle.toml" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_missing_and_binary_files_are_refused(tmp_path):
+    with pytest.raises(UserError, match=r"nowhere\.toml cannot be read"):
+        load_vehicle(tmp_path / "nowhere.toml")
+    (tmp_path / "noise.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UserError, match=r"noise\.toml cannot be read"):
+        load_vehicle(tmp_path / "noise.toml")
+
+
+@pytest.mark.parametrize("wrong", [math.radians(50.1), -1.0, math.nan, math.inf])
+def test_inclinations_outside_the_range_are_refused(wrong):
+    with pytest.raises(UserError, match="outside the supported range of -50 to 50 deg"):
+        load_vehicle().check_inclination(wrong)
+
+
+def test_inclinations_up_to_the_limit_are_taken():
+    for degrees in (-50, 0, 50):
+        assert load_vehicle().check_inclination(math.radians(degrees)) == math.radians(degrees)
+
+
+def test_the_two_hover_points_differ():
+    """A trap of the paper: the transfer function that flies the vehicle hovers at 34 100 PWM, while the
+    42 000 at the centre of its action range is where the *static* map carries the weight."""
+    v = load_vehicle()
+    assert v.hover_pwm == pytest.approx(34_100, abs=50)  # "34 100", rounded to hundreds
+    # The paper rounds to thousands, and gives no mass for it.
+    assert v.static_hover_pwm == pytest.approx(v.command_pwm_centre, abs=500)
+    weight = v.body_mass * v.environment_gravity
+    a, b, c = v.motor_pwm_to_force
+    static = v.motor_count * (a * v.static_hover_pwm**2 + b * v.static_hover_pwm + c)
+    assert static == pytest.approx(weight, rel=1e-12)
+    # At 42 000 the equations therefore climb: nearly a quarter more than the weight.
+    assert v.thrust_per_pwm * v.command_pwm_centre / weight == pytest.approx(1.23, abs=0.01)
+
+
+def _python_numbers(source: str):
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
+            yield float(node.value)
+
+
+def _text_numbers(source: str):
+    source = re.sub(r"/\*.*?\*/|//[^\n]*|<!--.*?-->", "", source, flags=re.S)
+    for number in re.findall(r"(?<![\w.])[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?", source):
+        yield float(number)
+
+
+def _sources():
+    for folder in FOLDERS:
+        for path in (ROOT / folder).rglob("*"):
+            if path.suffix in (".py", ".cc", ".h", ".in", ".xml"):
+                yield path
+
+
+def test_no_number_of_the_vehicle_file_stands_anywhere_else():
+    """Same number, whatever its notation; short ones such as 4 motors or 1/10 s cannot be told apart."""
+    numbers = {}
+    for c in constants():
+        for value in c.value if isinstance(c.value, tuple) else (c.value,):
+            digits = f"{abs(value):.17g}".partition("e")[0].replace(".", "").strip("0")
+            if c.section in DISTINCTIVE and len(digits) >= 3:
+                numbers[abs(value)] = f"{c.section}.{c.name}"
+    assert len(numbers) >= 15
+    found, seen = [], 0
+    for path in _sources():
+        read = _python_numbers if path.suffix == ".py" else _text_numbers
+        for number in read(path.read_text("utf-8")):
+            seen += 1
+            for value, name in numbers.items():
+                if math.isclose(abs(number), value, rel_tol=1e-5):
+                    found.append(f"{path.relative_to(ROOT)}: {number} ({name})")
+    assert not found
+    assert seen > 500  # the readers read
+
+
+def test_the_xml_draws_the_slab_where_the_vehicle_file_puts_it():
+    """landing.xml holds a pose and a size to look at; the scene builder's must be the same."""
+    path = resources.files("inclined_landing.models") / "mjcf" / "landing.xml"
+    drawn = mujoco.MjSpec.from_file(str(path))
+    drawn.body("crazyflie").mass, drawn.body("crazyflie").inertia = 1.0, [1, 1, 1]
+    corners = []
+    for model in (drawn.compile(), build_spec().compile()):
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        slab = model.geom("slab")
+        corners.append(data.geom("slab").xpos + data.geom("slab").xmat.reshape(3, 3) @ slab.size)
+    np.testing.assert_allclose(*corners, atol=1e-5)  # the size is written with five digits
