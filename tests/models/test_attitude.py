@@ -1,0 +1,114 @@
+"""R = Rz(yaw) Rx(roll) Ry(pitch): its three forms agree, with MuJoCo and with the vehicle's signs."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from inclined_landing.models import attitude
+from inclined_landing.models.analytic import derivative
+from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE
+from inclined_landing.models.parameters import load_vehicle
+
+ROUNDING = 1e-14  # a dozen operations on numbers of size 1, each 1.1e-16
+angle = st.floats(-math.pi, math.pi)
+roll_angle = st.floats(-math.radians(80), math.radians(80))  # the chart ends at 90 deg
+rate = st.floats(-30, 30)
+
+
+def rx(a):
+    return np.array([[1, 0, 0], [0, math.cos(a), -math.sin(a)], [0, math.sin(a), math.cos(a)]])
+
+
+def ry(a):
+    return np.array([[math.cos(a), 0, math.sin(a)], [0, 1, 0], [-math.sin(a), 0, math.cos(a)]])
+
+
+def rz(a):
+    return np.array([[math.cos(a), -math.sin(a), 0], [math.sin(a), math.cos(a), 0], [0, 0, 1]])
+
+
+@given(angle, angle, angle)
+def test_the_matrix_is_a_rotation_and_the_product_of_three(roll, pitch, yaw):
+    r = attitude.rotation(roll, pitch, yaw)
+    np.testing.assert_allclose(r @ r.T, np.eye(3), atol=ROUNDING)
+    assert np.linalg.det(r) == pytest.approx(1.0, abs=ROUNDING)
+    np.testing.assert_allclose(r, rz(yaw) @ rx(roll) @ ry(pitch), atol=ROUNDING)
+
+
+@given(angle, angle, angle)
+def test_mujoco_makes_the_same_matrix_of_the_quaternion(roll, pitch, yaw):
+    quat, matrix = np.array(attitude.quaternion(roll, pitch, yaw)), np.zeros(9)
+    assert np.linalg.norm(quat) == pytest.approx(1.0, abs=ROUNDING)
+    mujoco.mju_quat2Mat(matrix, quat)
+    np.testing.assert_allclose(matrix.reshape(3, 3), attitude.rotation(roll, pitch, yaw), atol=ROUNDING)
+
+
+@given(roll_angle, angle, angle)
+def test_euler_angles_survive_the_quaternion(roll, pitch, yaw):
+    back = attitude.euler_angles(*attitude.quaternion(roll, pitch, yaw))
+    # asin magnifies rounding by 1/cos(80 deg) = 5.8; pitch and yaw may come back a turn away.
+    assert back[0] == pytest.approx(roll, abs=10 * ROUNDING)
+    for found, wanted in zip(back[1:], (pitch, yaw)):
+        assert math.remainder(found - wanted, 2 * math.pi) == pytest.approx(0, abs=10 * ROUNDING)
+
+
+@given(st.tuples(*[st.floats(-1, 1)] * 4))
+def test_any_quaternion_survives_the_euler_angles(numbers):
+    quat = np.array(numbers)
+    size = np.linalg.norm(quat)
+    assume(size > 0.1)
+    quat /= size
+    roll, pitch, yaw = attitude.euler_angles(*quat)
+    assume(abs(roll) < math.radians(89))
+    back = np.array(attitude.quaternion(roll, pitch, yaw))
+    # Rounding of 1e-16 divided by cos(89 deg)^2 = 3e-4; q and -q are the same attitude.
+    assert min(np.abs(back - quat).max(), np.abs(back + quat).max()) < 1e-11
+
+
+@given(roll_angle, angle, rate, rate, rate)
+def test_body_and_euler_rates_are_inverse(roll, pitch, a, b, c):
+    there = attitude.body_rates(roll, pitch, a, b, c)
+    # rates of 30 rad/s, 1/cos(80 deg) = 5.8
+    np.testing.assert_allclose(attitude.euler_rates(roll, pitch, *there), (a, b, c), atol=200 * ROUNDING)
+    there = attitude.euler_rates(roll, pitch, a, b, c)
+    np.testing.assert_allclose(attitude.body_rates(roll, pitch, *there), (a, b, c), atol=200 * ROUNDING)
+
+
+@given(roll_angle, angle, angle, st.tuples(rate, rate, rate))
+def test_body_rates_turn_the_matrix(roll, pitch, yaw, rates):
+    """dR/dt = R [omega]x, by a central difference along the Euler rates."""
+    angles, h = np.array([roll, pitch, yaw]), 1e-6
+    step = h * np.array(rates)
+    difference = (attitude.rotation(*(angles + step)) - attitude.rotation(*(angles - step))) / (2 * h)
+    wx, wy, wz = attitude.body_rates(roll, pitch, *rates)
+    cross = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
+    # Truncation h^2 (90 rad/s)^3 / 6 = 1.2e-7; cancellation 1e-16 / h = 1e-10.
+    np.testing.assert_allclose(difference, attitude.rotation(roll, pitch, yaw) @ cross, atol=5e-7)
+
+
+def test_rates_stay_finite_where_the_chart_ends():
+    assert np.isfinite(attitude.euler_rates(math.pi / 2, 0.3, 1.0, 2.0, 3.0)).all()
+
+
+def acceleration(column: int, angle: float) -> np.ndarray:
+    v = load_vehicle()
+    state = np.zeros(STATE_SIZE)
+    state[attitude.LAG], state[column] = v.hover_lag, angle
+    return derivative(state, [v.hover_pwm, 0, 0, 0], v)["acceleration"]
+
+
+def test_positive_pitch_accelerates_forward():
+    ax, ay, _ = acceleration(PITCH, 0.2)
+    assert ax == pytest.approx(load_vehicle().environment_gravity * math.sin(0.2), rel=1e-12)
+    assert ay == 0
+
+
+def test_positive_roll_accelerates_to_the_right():
+    """y points left, so the acceleration is negative (the authors' public code has it positive)."""
+    ax, ay, _ = acceleration(ROLL, 0.2)
+    assert ay == pytest.approx(-load_vehicle().environment_gravity * math.sin(0.2), rel=1e-12)
+    assert ax == 0
