@@ -28,7 +28,7 @@ from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 _WIDTH, _LEFT, _RIGHT = 7.0, 0.78, 0.16  # in
 _SCENE, _PWM, _PITCH = 3.05, 0.80, 1.20  # heights of the panels, in
-_SPACING = 0.15  # m; copies are at least about this apart
+_SPACING = 0.18  # m; copies are at least about this apart
 _TURN = 0.12  # m; how much path a turn of one radian counts when copies are spread
 _SLOPE = ((-0.45, 1.15), (0.45, 1.35))  # m; is always shown of the platform
 _MARGIN = 0.27  # m around the flight

@@ -1,0 +1,423 @@
+"""Figures show the numbers they are given; picture commands write whole files or one sentence."""
+
+import json
+import re
+import zlib
+
+import imageio_ffmpeg
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from matplotlib.colors import to_hex
+from PIL import Image
+from stable_baselines3 import PPO
+
+from inclined_landing.envs.rendering.stamp import StampMaker
+from inclined_landing.envs.tasks import make_task
+from inclined_landing.envs.tasks.landing import Conditions
+from inclined_landing.eval import cli, pictures, policy
+from inclined_landing.eval.figures import curriculum_figure, learning_curves, save_figure, trajectory_figure
+from inclined_landing.eval.figures.curriculum import start_box
+from inclined_landing.eval.figures.curves import band
+from inclined_landing.eval.figures.scene import platform_outline
+from inclined_landing.eval.figures.style import STAMP_DPI
+from inclined_landing.eval.flights import Flight
+from inclined_landing.eval.plain_env import PlainLandingEnv
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+
+SLOPE = load_vehicle().platform_inclination
+
+
+def landing_flight(**changes):
+    """A smooth way from (1.5, 1.8) to the goal in 1.2 s."""
+    t = np.linspace(0.0, 1.2, 61)
+    share = t / t[-1]
+    state = np.zeros((61, 13))
+    state[:, 0], state[:, 2] = 1.5 * (1 - share) ** 2, 1.25 + 0.55 * (1 - share)
+    state[:, 7] = SLOPE * share + 0.3 * np.sin(3 * share)
+    commands = np.zeros((61, 4))
+    commands[:, 0], commands[:, 2] = 34000 + 9000 * np.sin(5 * t), 0.5 * np.cos(4 * t)
+    fields = {
+        "task": "landing", "t": t, "state": state, "commands": commands, "actions": np.zeros((61, 2)),
+        "reward": np.zeros(61), "inclination": SLOPE, "goal": np.array([0, 1.25, 0, 0, SLOPE]),
+        "success": True, "touched": False,
+    }  # fmt: skip
+    return Flight(**fields | changes)
+
+
+def setpoint_flight():
+    flight = landing_flight(task="setpoint", inclination=None, goal=np.array([0, 0, 1.2, 0, 0, 0, 0, 0]))
+    flight.state[:, 1], flight.state[:, 6] = 0.8 * np.cos(flight.t), 0.2 * np.sin(flight.t)
+    flight.commands[:, 1] = 0.1
+    return flight
+
+
+def by_gid(artists, prefix):
+    return [a for a in artists if (a.get_gid() or "").startswith(prefix)]
+
+
+def middle(image):
+    left, right, bottom, top = image.get_extent()
+    return np.array([0.5 * (left + right), 0.5 * (bottom + top)])
+
+
+def test_curves_are_the_flight():
+    flight = landing_flight()
+    _, pitch, pwm = trajectory_figure(flight).axes
+    lines = {line.get_label(): line for axes in (pitch, pwm) for line in axes.lines}
+    expected = {
+        "pitch": np.degrees(flight.state[:, 7]),
+        "pitch command": np.degrees(flight.commands[:, 2]),
+        "PWM command": flight.commands[:, 0] / 1000,
+    }
+    for label, values in expected.items():
+        np.testing.assert_array_equal(lines[label].get_xdata(), flight.t)
+        np.testing.assert_allclose(lines[label].get_ydata(), values, rtol=1e-12)
+    # a command is held until the next one
+    assert lines["PWM command"].get_drawstyle() == lines["pitch command"].get_drawstyle() == "steps-post"
+    np.testing.assert_allclose(lines["inclination"].get_ydata(), np.degrees(SLOPE))
+
+
+def test_copies_stand_where_the_vehicle_was():
+    flight = landing_flight()
+    scene, pitch, _ = trajectory_figure(flight, copies=6).axes
+    copies = by_gid(scene.images, "copy")
+    samples = [int(image.get_gid().split()[1]) for image in copies]
+    assert samples[0] == 0 and samples[-1] == 60 and 3 <= len(samples) <= 6
+    for k, image in zip(samples, copies):
+        np.testing.assert_allclose(middle(image), flight.state[k, [0, 2]], atol=1e-12)
+    (marks,) = by_gid(pitch.collections, "copies")
+    np.testing.assert_array_equal([path[0][0] for path in marks.get_segments()], flight.t[samples])
+    # a mark has the colour of the way where its copy stands
+    (way,) = by_gid(scene.collections, "way")
+    for k, colour in zip(samples[:-1], marks.get_colors()):
+        assert to_hex(way.get_colors()[k]) == to_hex(colour)
+    np.testing.assert_array_equal(way.get_segments()[5], flight.state[5:7, [0, 2]])
+    (target,) = by_gid(scene.images, "target")
+    np.testing.assert_allclose(middle(target), flight.goal[:2], atol=1e-12)
+
+
+def test_platform_has_the_scene_s_shape():
+    vehicle = load_vehicle()
+    slab, base = platform_outline(SLOPE, vehicle)
+    np.testing.assert_allclose(slab[:2].mean(axis=0), [0.0, vehicle.platform_surface_height])
+    run, rise = slab[1] - slab[0]
+    assert run == pytest.approx(vehicle.platform_width)
+    assert rise / run == pytest.approx(np.tan(-SLOPE))
+    np.testing.assert_allclose(base[2:, 1], 0.0)
+
+
+def test_figure_tells_how_the_flight_ended():
+    def texts(**changes):
+        figure = trajectory_figure(landing_flight(**changes), copies=2)
+        return " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
+
+    assert "drawn at 3× size" in texts()
+    assert "goal box reached at 1.20 s" in texts()
+    assert "not reached in 1.20 s, platform touched" in texts(success=False, touched=True)
+
+
+def test_setpoint_flight_is_seen_from_two_sides():
+    flight = setpoint_flight()
+    side, front, attitude, _ = trajectory_figure(flight).axes
+    for axes, plane in ((side, [0, 2]), (front, [1, 2])):
+        for image in by_gid(axes.images, "copy"):
+            k = int(image.get_gid().split()[1])
+            np.testing.assert_allclose(middle(image), flight.state[k, plane], atol=1e-12)
+        assert not by_gid(axes.patches, "slab")
+    assert np.ptp(side.get_xlim()) == pytest.approx(np.ptp(front.get_xlim()))
+    roll = next(line for line in attitude.lines if line.get_label() == "roll")
+    np.testing.assert_allclose(roll.get_ydata(), np.degrees(flight.state[:, 6]))
+
+
+def test_flight_at_rest_has_a_figure():
+    flight = setpoint_flight()
+    flight.state[:] = flight.state[-1]
+    assert len(trajectory_figure(flight).axes) == 4
+
+
+def test_stamp_tilts_as_the_vehicle_does():
+    """Positive pitch lowers the nose (+x, right); positive roll lowers the right wing (-y, left)."""
+    for across, attitude in ((0, (0.0, 0.4, 0.0)), (1, (-0.4, 0.0, 0.0))):
+        maker = StampMaker(pixels=96, across=across)
+        cover = maker(attitude).rgba[:, :, 3] / 255.0
+        level = maker((0, 0, 0)).rgba[:, :, 3] / 255.0
+        rows = np.arange(96)[:, None]
+        height = [-(c * rows).sum() / c.sum() for c in (cover[:, :48], cover[:, 48:])]
+        assert height[0] - height[1] > 5
+        assert 0.02 < level.mean() < 0.5
+        assert not cover[[0, -1]].any() and not cover[:, [0, -1]].any()  # the whole vehicle is in it
+
+
+def test_stamp_is_the_vehicle_s_size():
+    """Front and rear motors are 65 mm apart: at scale 3 the feet are, too."""
+    maker = StampMaker(pixels=400)
+    stamp = maker((0, 0, 0))
+    feet = np.flatnonzero(stamp.rgba[:, :, 3].any(axis=1))[-3]
+    columns = np.flatnonzero(stamp.rgba[feet, :, 3] > 128)
+    pixel = 2 * stamp.half / 400
+    assert pixel * (columns.max() - columns.min()) == pytest.approx(3 * 0.065, abs=3 * 0.006)
+
+
+def test_png_and_pdf(tmp_path):
+    figure = trajectory_figure(landing_flight(), copies=5)
+    png = save_figure(figure, tmp_path / "new" / "way.png")
+    with Image.open(png) as image:
+        assert image.format == "PNG"
+        assert image.size == tuple(int(200 * inches) for inches in figure.get_size_inches())
+    pdf = save_figure(figure, tmp_path / "way.pdf").read_bytes()
+    assert pdf == save_figure(figure, tmp_path / "again.pdf").read_bytes()
+    assert pdf.startswith(b"%PDF") and len(pdf) < 1_500_000
+    # pictures are the vehicles alone, none of them covers a third of the page's width
+    pictures_in = re.findall(rb"/Subtype /Image.*?>>", pdf, re.S)
+    widths = [int(re.search(rb"/Width (\d+)", p).group(1)) for p in pictures_in if b"/SMask" in p]
+    assert len(widths) == len(by_gid(figure.axes[0].images, ""))
+    assert max(widths) < STAMP_DPI * figure.get_figwidth() / 3
+    # text is text, curves are paths
+    streams = [_inflate(s) for s in re.findall(rb"stream\r?\n(.*?)\r?\nendstream", pdf, re.S)]
+    page = max((s for s in streams if b"BT\n" in s), key=len)
+    letters = b"".join(re.findall(rb"\((.*?)\)", page)).replace(b"\0", b"")
+    assert all(word in letters for word in (b"time [s", b"hover", b"pitch command", b"target pose"))
+    assert page.count(b" l\n") > 150
+
+
+def _inflate(data):
+    try:
+        return zlib.decompress(data)
+    except zlib.error:
+        return b""
+
+
+def test_figures_refuse_what_they_cannot_draw(tmp_path):
+    flight = landing_flight()
+    flight.state[3, 0] = np.nan
+    with pytest.raises(UserError, match="finite"):
+        trajectory_figure(flight)
+    figure = trajectory_figure(landing_flight(), copies=2)
+    with pytest.raises(UserError, match=r"\.png or \.pdf"):
+        save_figure(figure, tmp_path / "way.jpg")
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match="cannot create the folder"):
+        save_figure(figure, tmp_path / "file" / "way.png")
+    with pytest.raises(UserError, match="at least one stage"):
+        curriculum_figure([])
+
+
+# --- learning curves ------------------------------------------------------------------------------
+
+
+def write_run(folder, task="landing", rate=1.0, rows=40):
+    folder.mkdir()
+    steps = 8192 * np.arange(1, rows + 1)
+    level = np.minimum(1.0, rate * np.arange(rows) / rows)
+    learning = {"steps": steps, "episode_reward": -100 + 90 * level, "episode_length": 200 - 100 * level}
+    pd.DataFrame(learning | {"level": level}).to_csv(folder / "learning.csv", index=False)
+    column = "strict_success" if task == "landing" else "mean_error"
+    values = level if task == "landing" else 2.0 * 0.02**level
+    pd.DataFrame({"steps": steps, column: values})[9::10].to_csv(folder / "evaluations.csv", index=False)
+    (folder / "run.json").write_text(json.dumps({"config": {"task": task}}))
+    return folder
+
+
+def test_one_run_is_one_line(tmp_path):
+    run = write_run(tmp_path / "a")
+    axes = learning_curves([run]).axes
+    assert [a.get_ylabel().split(" [")[0] for a in axes] == [
+        "strict success",
+        "curriculum level",
+        "episode length",
+        "episode reward",
+    ]
+    (line,) = by_gid(axes[0].lines, "run")
+    table = pd.read_csv(run / "evaluations.csv")
+    np.testing.assert_allclose(line.get_xdata(), table["steps"] / 1e6)
+    np.testing.assert_allclose(line.get_ydata(), 100 * table["strict_success"])
+    (paper,) = by_gid(axes[0].lines, "reference")
+    np.testing.assert_allclose(paper.get_ydata(), 100 * 28 / 30)
+    assert "93.3 %" in axes[0].texts[0].get_text()
+    assert not by_gid(axes[0].collections, "band")
+
+
+def test_seeds_have_median_and_range(tmp_path):
+    runs = [write_run(tmp_path / str(k), rate=rate) for k, rate in enumerate((0.5, 1.0, 3.0))]
+    level = learning_curves(runs).axes[1]
+    assert len(by_gid(level.lines, "run")) == 3
+    (median,) = by_gid(level.lines, "median")
+    np.testing.assert_allclose(median.get_ydata(), pd.read_csv(runs[1] / "learning.csv")["level"])
+    assert len(by_gid(level.collections, "band")) == 1
+
+
+def test_band_covers_common_steps_only():
+    x, middle_, low, high = band(
+        [(np.array([0.0, 2, 4]), np.array([0.0, 2, 4])), (np.array([1.0, 3]), np.ones(2))]
+    )
+    np.testing.assert_array_equal(x, [1, 2, 3])
+    np.testing.assert_allclose(low, [1, 1, 1])
+    np.testing.assert_allclose(high, [1, 2, 3])
+    np.testing.assert_allclose(middle_, [1, 1.5, 2])
+
+
+def test_setpoint_runs_show_the_error(tmp_path):
+    axes = learning_curves([write_run(tmp_path / "a", "setpoint")]).axes
+    assert axes[0].get_ylabel() == "mean error after 3 s [cm]" and axes[0].get_yscale() == "log"
+    assert len(axes) == 2
+
+
+def test_run_without_evaluations(tmp_path):
+    run = write_run(tmp_path / "a")
+    (run / "evaluations.csv").write_text("\n")
+    assert learning_curves([run]).axes[0].texts[0].get_text() == "no evaluations yet"
+
+
+def test_learning_curves_name_what_is_wrong(tmp_path):
+    good, other = write_run(tmp_path / "good"), write_run(tmp_path / "other", "setpoint")
+    with pytest.raises(UserError, match="at least one"):
+        learning_curves([])
+    with pytest.raises(UserError, match=r"nowhere does not exist"):
+        learning_curves([tmp_path / "nowhere"])
+    with pytest.raises(UserError, match=r"different tasks \(landing and setpoint\)"):
+        learning_curves([good, other])
+    pd.read_csv(good / "learning.csv").drop(columns="level").to_csv(good / "learning.csv", index=False)
+    with pytest.raises(UserError, match=r"learning\.csv lacks the column level"):
+        learning_curves([good])
+    (other / "run.json").write_text("{")
+    with pytest.raises(UserError, match="other cannot be read"):
+        learning_curves([other])
+    (other / "run.json").unlink()
+    with pytest.raises(UserError, match=r"holds no run\.json"):
+        learning_curves([other])
+
+
+# --- curriculum -----------------------------------------------------------------------------------
+
+STAGES = [
+    ("near", Conditions(start_reach=0.5, tilt=0.0, goal_size=0.25, platform=False)),
+    ("half", Conditions(start_reach=1.9, tilt=0.5, goal_size=0.2, lowest_start=1.0, start_reach_z=0.6)),
+    ("the task", Conditions()),
+]
+
+
+@pytest.mark.parametrize("conditions", [c for _, c in STAGES])
+def test_start_box_is_where_starts_come_from(conditions):
+    task = make_task("landing")
+    task.conditions = conditions
+    starts = task.sample(np.random.default_rng(0), 4000).state[:, [0, 2]]
+    low, high = start_box(task)
+    assert (starts >= low).all() and (starts <= high).all()
+    # of 4000 uniform numbers the extremes lie within 1 % of the range with certainty (1 - 4e-18)
+    np.testing.assert_allclose(starts.min(axis=0), low, atol=0.01 * (high - low).max())
+    np.testing.assert_allclose(starts.max(axis=0), high, atol=0.01 * (high - low).max())
+
+
+def test_curriculum_figure_shows_its_conditions():
+    task = make_task("landing")
+    before = task.conditions
+    axes = curriculum_figure(STAGES, task=task, starts=5).axes
+    assert task.conditions is before
+    for panel, (title, conditions) in zip(axes, STAGES, strict=True):
+        assert panel.get_title(loc="left").endswith(title)
+        assert len(by_gid(panel.images, "start")) == 5
+        assert bool(by_gid(panel.patches, "slab")) == conditions.platform
+        (box,) = by_gid(panel.patches, "goal box")
+        assert box.get_width() == pytest.approx(2 * conditions.goal_size)
+        (box,) = by_gid(panel.patches, "starts")
+        for image in by_gid(panel.images, "start"):
+            x, z = middle(image)
+            assert box.get_x() <= x <= box.get_x() + box.get_width()
+            assert box.get_y() <= z <= box.get_y() + box.get_height()
+        (target,) = by_gid(panel.images, "target")
+        np.testing.assert_allclose(middle(target), task.goal_position, atol=1e-12)
+
+
+# --- commands -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def hover_policy(tmp_path_factory):
+    """Keeps its height, level, until the time limit: all weights zero."""
+    path = tmp_path_factory.mktemp("policy") / "hover.zip"
+    network = PPO("MlpPolicy", PlainLandingEnv(), seed=0, device="cpu")
+    with torch.no_grad():
+        for parameter in network.policy.parameters():
+            parameter.zero_()
+    network.save(path)
+    policy.stamp(path, {"task": "landing", "task_options": {"pwm_centre": "hover"}})
+    return str(path)
+
+
+def test_figure_command_writes_the_paper_s_two_cases(hover_policy, tmp_path, capsys):
+    assert cli.main(["figure", hover_policy, "--out", str(tmp_path / "new"), "--plant", "analytic"]) == 0
+    names = {f"trajectory_{case}{suffix}" for case in ("above", "above_right") for suffix in (".png", ".pdf")}
+    assert {p.name for p in (tmp_path / "new").iterdir()} == names
+    out, err = capsys.readouterr()
+    assert len(out.split()) == 4
+    assert "from x 1.5, z 1.8 m: goal box not reached" in err and "from x 0, z 2 m" in err
+
+
+def test_video_command_flies_all_starts(hover_policy, tmp_path):
+    out = tmp_path / "two.mp4"
+    size = ["--width", "96", "--height", "64", "--backend", "ray"]
+    starts = ["--start", "-1.5,1.6", "--start", "1,2"]
+    arguments = [*size, *starts, "--plant", "analytic", "--slow", "0.25", "--gif"]
+    assert cli.main(["video", hover_policy, "--out", str(out), *arguments]) == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["two.gif", "two.mp4"]
+    for name, rate in (("two.mp4", 50.0), ("two.gif", 25.0)):
+        reader = imageio_ffmpeg.read_frames(str(tmp_path / name))
+        meta = next(reader)
+        assert tuple(meta["size"]) == (96, 64) and meta["fps"] == pytest.approx(rate)
+        # two flights of 6 s at four times the speed, 0.6 s of rest after each
+        assert len(list(reader)) / rate == pytest.approx(2 * (6.0 / 4 + 0.6), abs=0.1)
+
+
+def test_slow_video_has_every_sample_once(hover_policy):
+    loaded = pictures.load(hover_policy)
+    flights = pictures.fly(loaded, [(1.5, 1.8)], "analytic", steps=10)
+    look = {"camera": "side", "width": 64, "height": 48, "backend": "ray"}
+    frames = list(pictures.film(flights, 50.0, 25.0, **look))
+    assert len(frames) == 11 + 15 == pictures._frame_count(flights, 50.0, 25.0)
+    assert (frames[10] == frames[-1]).all()
+
+
+def test_picture_and_curves_commands(hover_policy, tmp_path):
+    out = tmp_path / "new" / "picture.png"
+    size = ["--width", "160", "--height", "90", "--backend", "ray", "--plant", "analytic"]
+    assert cli.main(["picture", hover_policy, "--out", str(out), "--start", "1,2", *size]) == 0
+    with Image.open(out) as image:
+        assert image.size == (160, 90)
+    run, curves = write_run(tmp_path / "run"), tmp_path / "curves.pdf"
+    assert cli.main(["curves", str(run), "--out", str(curves)]) == 0
+    assert curves.read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["video", "--out", "a.avi"], "a video is an .mp4 or .gif file, not 'a.avi'"),
+        (["video", "--out", "a.mp4", "--start", "1,2,3"], "--start must be X,Z in metres"),
+        (["video", "--out", "a.mp4", "--start", "9,1"], "x must be between -3.4 and 3.4 m"),
+        (["video", "--out", "a.mp4", "--start", "nan,1"], "--start must be X,Z in metres"),
+        (["video", "--out", "a.mp4", "--start", "0,1"], "--start 0,1 lies in the platform"),
+        (["video", "--out", "a.mp4", "--start", "0.3,1.28"], "lies in the platform"),
+        (["video", "--out", "a.mp4", "--slow", "0"], "--slow must be from 0.1 to 20, not 0"),
+        (["video", "--out", "a.mp4", "--width", "641"], "an even number of pixels"),
+        (["video", "--out", "a.mp4", "--camera", "top"], "unknown camera 'top'"),
+        (["video", "--out", "new/a.mp4", "--backend", "pen"], "unknown rendering backend 'pen'"),
+        (["video", "--out", "file/a.mp4", "--width", "64", "--height", "64"], "cannot write file/a.mp4"),
+        (["picture", "--out", "a.jpg"], "a picture is a .png file, not 'a.jpg'"),
+        (["figure", "--out", "file"], "cannot create the folder file"),
+        (["figure", "--out", "new", "--plant", "paper"], "unknown plant 'paper'"),
+        (["figure", "--out", "new", "--inclination", "70"], "outside the supported range"),
+        (["figure", "--out", "new", "--task", "setpoint"], "was trained for the task landing"),
+    ],
+)
+def test_commands_name_what_is_wrong(hover_policy, tmp_path, monkeypatch, capsys, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    command, *options = arguments
+    options += [] if "--plant" in options else ["--plant", "analytic"]
+    assert cli.main([command, hover_policy, *options]) == 2
+    err = capsys.readouterr().err.strip().splitlines()[-1]
+    assert err.startswith("landing-eval: ") and sentence in err
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
