@@ -12,6 +12,7 @@ u = [PWM, roll, pitch, yaw rate] (n, 4) held for one control period, and shows
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from typing import Literal
 
@@ -40,6 +41,8 @@ from inclined_landing.models.scene import compile_scene
 
 Attitude = Literal["rate_loop", "kinematic"]
 PLANTS = ("mujoco", "analytic")
+# The engine's warnings on which it silently resets a simulation.
+_DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
 
 
 @dataclasses.dataclass
@@ -81,6 +84,8 @@ class _Plant:
             raise UserError(f"attitude must be 'rate_loop' or 'kinematic', not {attitude!r}")
         if n < 1:
             raise UserError(f"a plant needs at least one vehicle, not {n}")
+        if not (math.isfinite(keep_out) and keep_out >= 0):
+            raise UserError(f"keep_out must not be negative, it is {keep_out!r}")
         self.n = n
         self.vehicle = vehicle or load_vehicle()
         self.attitude = attitude
@@ -220,6 +225,8 @@ class MujocoPlant(_Plant):
         torque_limit: bool = True,
     ):
         super().__init__(n, vehicle, attitude, keep_out)
+        if not (math.isfinite(timestep) and timestep > 0):
+            raise UserError(f"timestep must be positive, not {timestep!r}")
         self.substeps = round(self.control_period / timestep)
         if self.substeps < 1 or abs(self.substeps * timestep - self.control_period) > 1e-12:
             raise UserError(
@@ -269,6 +276,7 @@ class MujocoPlant(_Plant):
         self._ctrl[ids] = 0.0
         self._warmstart[ids] = 0.0
         self._time[ids] = 0.0
+        self._warning[ids] = 0
         self.state[ids] = state
         self._clear_contacts(ids)
 
@@ -276,6 +284,7 @@ class MujocoPlant(_Plant):
         """Advance every vehicle by one control period under commands (n, 4).
 
         Contacts are the maximum over the control step's substeps, each seen at its beginning.
+        Raises FloatingPointError, naming the vehicles, when the engine diverges; reset them to go on.
         """
         self._ctrl[:] = commands
         if self.attitude == "kinematic":
@@ -287,9 +296,9 @@ class MujocoPlant(_Plant):
         c = self.contacts
         _read_contacts(self._sensors, self.keep_out > 0.0, c.near, c.touch, c.force)
         _read_state(self._qpos, self._qvel, self._act, self.state)
-        if not np.isfinite(self.state).all():
-            bad = np.flatnonzero(~np.isfinite(self.state).all(axis=1))
-            raise FloatingPointError(f"the engine diverged for vehicles {bad[:5].tolist()}")
+        if self._warning[:, _DIVERGED, 1].any() or not np.isfinite(self.state).all():
+            bad = self._warning[:, _DIVERGED, 1].any(axis=1) | ~np.isfinite(self.state).all(axis=1)
+            raise FloatingPointError(f"the engine diverged for vehicles {np.flatnonzero(bad)[:5].tolist()}")
 
     def _apply_perturbation(self) -> None:
         if not self._perturbed and (self.perturbation == perturbation.NEUTRAL).all():
