@@ -1,0 +1,461 @@
+"""Both plants: full-state resets, replays, contact with the platform, and the batch itself."""
+
+import functools
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from inclined_landing.models import geometry
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, YAW, X, Z, euler_angles, quaternion
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.geometry import PART_BODIES, PARTS, PLATFORM_BODIES, PLATFORM_GEOMS, SURFACES
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plant import AnalyticPlant, MujocoPlant, make_plant
+
+V = load_vehicle()
+FEET, BODY, ROTORS = range(3)
+SLAB, BASE, FLOOR = range(3)
+INCLINATIONS = np.radians([-50, -25.7, -10, 0, 15, 50])
+# The feet's spheres end this far below the vehicle's origin; read from the compiled scene.
+MODEL = MujocoPlant(1).model
+FOOT = MODEL.geom("foot_front_left")
+FOOT_DEPTH = float(FOOT.size[0] - FOOT.pos[2])
+
+
+def hover(*positions, **columns) -> np.ndarray:
+    """States (n, 13) hovering at positions (x, y, z), with columns replaced."""
+    state = np.zeros((len(positions), 13))
+    state[:, :3], state[:, LAG] = positions, V.hover_lag
+    for name, value in columns.items():
+        state[:, {"vx": VX, "vz": VZ, "roll": ROLL, "pitch": PITCH, "yaw": YAW, "lag": LAG}[name]] = value
+    return state
+
+
+def on_slab(height, inclination=V.platform_inclination, along=0.0, **columns) -> np.ndarray:
+    """One state aligned with the slab, its feet `height` above it, `along` the slope from its middle."""
+    s, c = math.sin(inclination), math.cos(inclination)
+    up, slope = np.array([s, 0, c]), np.array([c, 0, -s])
+    position = [0, 0, V.platform_surface_height] + up * (FOOT_DEPTH + height) + slope * along
+    return hover(position, **({"pitch": inclination} | columns))
+
+
+def random_commands(steps, n, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform([10_000, -0.5, -0.5, -3], [60_000, 0.5, 0.5, 3], (steps, n, 4))
+
+
+def random_states(n, seed=0):
+    """Around and on the platform, moving and turning, with all kinds of lag."""
+    rng = np.random.default_rng(seed)
+    state = rng.uniform(-1, 1, (n, 13)) * [0.6, 0.3, 0.3, 2, 1, 2, 0.5, 0.5, 3, 2, 2, 2, 0]
+    state[:, Z] += 1.5
+    state[:, LAG] = rng.uniform(600, 3900, n)
+    return state
+
+
+def history(plant, commands):
+    """Everything visible after each step, as a list of arrays."""
+    rows = []
+    for row in commands:
+        plant.step(row)
+        c = plant.contacts
+        rows += [plant.state.copy(), c.near.copy(), c.touch.copy(), c.force.copy()]
+    return rows
+
+
+def assert_same(a, b):
+    for x, y in zip(a, b, strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+@pytest.fixture(params=["mujoco", "mujoco kinematic", "analytic", "analytic rate_loop"])
+def build(request):
+    kind, _, attitude = request.param.partition(" ")
+    options = {"attitude": attitude} if attitude else {}
+    return functools.partial(make_plant, kind, **options)
+
+
+def test_reset_then_replay_is_equal_bit_for_bit(build):
+    plant, states, commands = build(6), random_states(6), random_commands(40, 6)
+    plant.reset(np.arange(6), states)
+    np.testing.assert_array_equal(plant.state, states)
+    first = history(plant, commands)
+    plant.reset(np.arange(6), states)
+    assert not plant.contacts.touch.any() and not plant.contacts.near.any()
+    assert_same(history(plant, commands), first)
+    fresh = build(6)  # and nothing of the past survives
+    fresh.reset(np.arange(6), states)
+    assert_same(history(fresh, commands), first)
+
+
+def test_reset_of_a_few_leaves_the_others_alone(build):
+    plant, states, commands = build(6), random_states(6), random_commands(40, 6)
+    plant.reset(np.arange(6), states)
+    whole = history(plant, commands)
+    plant.reset(np.arange(6), states)
+    history(plant, commands[:20])
+    ids = np.array([1, 4])
+    plant.reset(ids, states[ids])
+    rest = np.array([0, 2, 3, 5])
+    joined = commands[20:].copy()
+    joined[:, ids] = commands[:20, ids]
+    later = history(plant, joined)
+    assert_same([a[rest] for a in later], [a[rest] for a in whole[80:]])
+    assert_same([a[ids] for a in later], [a[ids] for a in whole[:80]])
+
+
+def test_boolean_ids_are_taken(build):
+    plant, states = build(3), random_states(3)
+    plant.reset(np.array([True, False, True]), states[[0, 2]])
+    np.testing.assert_array_equal(plant.state[[0, 2]], states[[0, 2]])
+    assert not plant.state[1].any()
+
+
+def test_the_lag_is_part_of_the_state(build):
+    """Vehicles that differ in the lag alone fly apart."""
+    plant = build(2)
+    states = hover((0, 0, 2), (0, 0, 2))
+    states[1, LAG] *= 0.8
+    plant.reset(np.arange(2), states)
+    plant.step(np.tile([V.hover_pwm, 0, 0, 0], (2, 1)))
+    # A fifth of the weight is missing at first: g/5 for 0.02 s, most of it still at the end.
+    assert plant.state[0, VZ] - plant.state[1, VZ] == pytest.approx(0.2 * 0.02 * 9.81 * 0.85, rel=0.1)
+
+
+def test_restore_replays_bit_for_bit(build):
+    plant, commands = build(4), random_commands(60, 4)
+    plant.set_platform(np.arange(4), INCLINATIONS[:4], [True, True, False, True])
+    plant.reset(np.arange(4), random_states(4))
+    plant.perturb(thrust_scale=[1, 0.9, 1.1, 1], mass_scale=1.05)
+    history(plant, commands[:30])
+    snapshot = plant.save()
+    contacts = plant.contacts.touch.copy()
+    first = history(plant, commands[30:])
+    plant.perturb(thrust_scale=0.5, mass_scale=2.0)
+    plant.set_platform(np.arange(4), 0.0, True)
+    plant.restore(snapshot)
+    np.testing.assert_array_equal(plant.contacts.touch, contacts)
+    assert_same(history(plant, commands[30:]), first)
+    other = build(4)  # also into a plant that never heard of any of it
+    other.restore(snapshot)
+    assert_same(history(other, commands[30:]), first)
+
+
+def test_snapshots_of_another_kind_or_size_are_refused():
+    with pytest.raises(UserError, match="another kind or size"):
+        AnalyticPlant(2).restore(MujocoPlant(2).save())
+    with pytest.raises(UserError, match="another kind or size"):
+        AnalyticPlant(2).restore(AnalyticPlant(3).save())
+
+
+@pytest.mark.parametrize("integrator", ["RK4", "implicitfast"])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_batch_equals_single_simulations_bit_for_bit(threads, integrator):
+    n, steps = 6, 50
+    plant = MujocoPlant(n, threads=threads, integrator=integrator)
+    states, commands = random_states(n, 3), random_commands(steps, n, 3)
+    plant.set_platform(np.arange(n), INCLINATIONS)
+    plant.reset(np.arange(n), states)
+    touched, batch = np.zeros(n, bool), []
+    for row in commands:
+        plant.step(row)
+        batch.append(plant.state.copy())
+        touched |= plant.contacts.touch.any(axis=(1, 2))
+    assert touched.sum() >= 2 and not touched.all()  # with contact and without
+    positions, quaternions = geometry.platform_poses(INCLINATIONS, np.ones(n, bool), V)
+    for i in range(n):
+        data = mujoco.MjData(plant.model)
+        for k, name in enumerate(PLATFORM_BODIES):
+            mocap = plant.model.body(name).mocapid[0]
+            data.mocap_pos[mocap], data.mocap_quat[mocap] = positions[i, k], quaternions[i, k]
+        s = states[i]
+        data.qpos[:] = [*s[:3], *quaternion(*s[ROLL : YAW + 1])]
+        data.qvel[:], data.act[:] = [*s[VX : VZ + 1], *s[YAW + 1 : LAG]], s[LAG]
+        for step in range(steps):
+            data.ctrl[:] = commands[step, i]
+            mujoco.mj_step(plant.model, data, plant.substeps)
+            angles = euler_angles(*data.qpos[3:7])
+            single = [*data.qpos[:3], *data.qvel[:3], *angles, *data.qvel[3:6], data.act[0]]
+            np.testing.assert_array_equal(batch[step][i], single)
+
+
+def test_more_threads_than_vehicles_are_taken():
+    assert MujocoPlant(1, threads=8).n == 1
+
+
+# --- contact -----------------------------------------------------------------------------------------
+
+
+def engine_data(state, inclination, model=MODEL) -> mujoco.MjData:
+    """MjData with the vehicle at `state` (13,) and the platform at `inclination`."""
+    data = mujoco.MjData(model)
+    positions, quaternions = geometry.platform_poses([inclination], [True], V)
+    for k, name in enumerate(PLATFORM_BODIES):
+        mocap = model.body(name).mocapid[0]
+        data.mocap_pos[mocap], data.mocap_quat[mocap] = positions[0, k], quaternions[0, k]
+    data.qpos[:] = [*state[:3], *quaternion(*state[ROLL : YAW + 1])]
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
+def engine_distances(data, part: str) -> np.ndarray:
+    """(4,) MuJoCo's own distances of a part to the PLATFORM_GEOMS [m]."""
+    model, body = data.model, data.model.body(PART_BODIES[PARTS.index(part)])
+    geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body.id and model.geom_contype[g]]
+    return np.array([
+        min(mujoco.mj_geomDistance(model, data, g, model.geom(surface).id, 1.0, None) for g in geoms)
+        for surface in PLATFORM_GEOMS
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("inclination", INCLINATIONS)
+def test_clearances_agree_with_mujocos_geometry(inclination):
+    """The equations see spheres: feet exactly, rotor rims and the body box by points on their outline.
+
+    They lie inside the real shapes, so that a clearance is never less than the real distance. To a flat
+    face the body's corners and the feet are exact. A disc tilted by t exceeds it by the sagitta between 16
+    points of the rim, 22 mm (1 - cos(pi/16)) sin t, and by its rounded corner, 1.5 mm (sin t + cos t - 1):
+    together 0.94 mm at most. Against an *edge* of the platform, between the points, it is more.
+    """
+    plant = AnalyticPlant(1)
+    rng = np.random.default_rng(1)
+    compared = 0
+    position, _ = geometry.platform_poses([inclination], [True], V)
+    s, c = math.sin(inclination), math.cos(inclination)
+    for _ in range(60):
+        state = hover((rng.uniform(-0.6, 0.6), rng.uniform(-0.35, 0.35), 0))
+        surface = V.platform_surface_height - state[0, X] * math.tan(inclination)
+        state[0, Z] = surface + rng.uniform(0.05, 0.25) / c
+        state[0, ROLL : YAW + 1] = rng.uniform([-1, -1, -3], [1, 1, 3])
+        approximate = geometry.clearances(state, np.array([inclination]), position, plant.shapes)[0]
+        data = engine_data(state[0], inclination)
+        for k, part in enumerate(PARTS):
+            exact = engine_distances(data, part)
+            exact = np.array([exact[0], exact[1:].min()])
+            if exact.min() < 1e-3:
+                continue  # overlaps are measured another way
+            assert np.all(approximate[:2, k] >= exact - 1e-6)  # of the engine's own tolerance
+            # The slab's face is what is nearest where the whole vehicle is above its inside.
+            dx, dz = state[0, X], state[0, Z] - V.platform_surface_height
+            inside = abs(c * dx - s * dz) < V.slab_half_length - 0.07 and abs(state[0, 1]) < 0.18
+            if part == "feet":
+                assert approximate[0, k] == pytest.approx(exact[0], abs=1e-6)
+            elif inside:
+                compared += 1
+                assert approximate[0, k] <= exact[0] + 0.94e-3
+            else:  # a disc of 22 mm or a box of 60 mm, poked at its middle by an edge
+                assert approximate[0, k] <= exact[0] + 0.030
+    assert compared > 10
+
+
+@pytest.mark.parametrize("degrees", [-25.7, 0, 20])
+def test_at_rest_the_slab_carries_the_weight_on_the_feet(degrees):
+    alpha = math.radians(degrees)
+    plant = MujocoPlant(1)
+    plant.set_platform([0], alpha)
+    plant.reset([0], on_slab(0.002, alpha, lag=0.0))
+    # The attitude command that agrees with the slope, so that no torque acts.
+    command = np.array([[0.0, 0.0, alpha / V.attitude_gain, 0.0]])
+    for _ in range(100):
+        plant.step(command)
+    weight = V.body_mass * V.environment_gravity
+    touch, force = plant.contacts.touch[0], plant.contacts.force[0]
+    assert touch[SLAB, FEET] and touch.sum() == 1
+    assert force[SLAB, FEET] == pytest.approx(weight, rel=0.01)  # net force, friction included
+    # The friction cone of elliptic contact creeps at 0.1 mm/s; nothing else moves.
+    assert np.abs(plant.state[0, VX : VZ + 1]).max() < 1e-3
+    data = engine_data(plant.state[0], alpha)
+    data.ctrl[:] = command
+    data.qvel[:] = 0
+    mujoco.mj_forward(plant.model, data)
+    wrench, normal = np.zeros(6), 0.0
+    for k in range(data.ncon):
+        mujoco.mj_contactForce(plant.model, data, k, wrench)
+        normal += wrench[0]
+    assert data.ncon == 4
+    assert normal == pytest.approx(weight * math.cos(alpha), rel=0.01)
+
+
+@pytest.mark.parametrize("pitch, part", [(0.0, FEET), (math.pi / 2, ROTORS), (math.pi, BODY)])
+@pytest.mark.parametrize("surface", [SLAB, FLOOR])
+def test_contact_tells_parts_and_surfaces_apart(pitch, part, surface):
+    """Upright, nose down and upside down, 0.2 mm into a level slab or the floor."""
+    plant = MujocoPlant(1)
+    plant.set_platform([0], 0.0)
+    x, height = (0.0, V.platform_surface_height) if surface == SLAB else (1.5, 0.0)
+    state = hover((x, 0, height + 1), pitch=pitch)
+    lowest = geometry.platform_poses([0.0], [True], V)[0]
+    gap = geometry.clearances(state, np.zeros(1), lowest, plant.shapes)[0, SLAB].min()
+    state[0, Z] -= (gap if surface == SLAB else 1 - _depth(plant.shapes, pitch)) + 0.0002
+    plant.reset([0], state)
+    plant.step(np.array([[V.hover_pwm, 0, 0, 0]]))
+    touch = plant.contacts.touch[0]
+    assert touch[surface, part]
+    assert not touch[[k for k in range(3) if k != surface]].any()
+    if part != BODY:  # upside down the body stands 0.5 mm proud of the rotors: both may touch in 20 ms
+        assert touch.sum() == 1
+    assert not touch[surface, FEET] or part == FEET
+    assert plant.contacts.platform[0] == (surface == SLAB)
+    assert plant.contacts.force[0, surface, part] > 0
+    assert not plant.contacts.force[0][~touch].any()
+
+
+def _depth(shapes, pitch) -> float:
+    """How far the shapes reach below the origin [m]."""
+    z = -math.sin(pitch) * shapes.centres[:, 0] + math.cos(pitch) * shapes.centres[:, 2]
+    return float((shapes.radii - z).max())
+
+
+def test_flying_into_the_base_touches_the_base():
+    for sign in (1, -1):
+        plant = MujocoPlant(1)
+        plant.reset([0], hover((-sign * 0.55, 0, 0.7), vx=sign * 1.0))
+        for _ in range(20):
+            plant.step(np.array([[V.hover_pwm, 0, 0, 0]]))
+            if plant.contacts.touch.any():
+                break
+        assert plant.contacts.touch[0, BASE].any() and not plant.contacts.touch[0, [SLAB, FLOOR]].any()
+
+
+@pytest.mark.parametrize("kind", ["mujoco", "analytic"])
+def test_an_absent_platform_is_never_touched(kind):
+    plant = make_plant(kind, 2)
+    plant.set_platform(np.arange(2), V.platform_inclination, [False, True])
+    plant.reset(np.arange(2), hover((0, 0, 1.4), (0, 0, 1.4), vz=-2.0))
+    touched = np.zeros(2, bool)
+    for _ in range(25):
+        plant.step(np.tile([V.hover_pwm, 0, 0, 0], (2, 1)))
+        touched |= plant.contacts.platform
+    assert touched.tolist() == [False, True]
+    assert plant.state[0, Z] < 0.6  # it passed
+
+
+APPROACHES = {
+    "from above": lambda a: on_slab(0.03, a, vz=-0.15, pitch=0.0),
+    "from above, uphill": lambda a: on_slab(0.03, a, 0.25, vz=-0.15, pitch=0.0),
+    "from above, tilted": lambda a: on_slab(0.06, a, vz=-0.3, roll=0.3, pitch=0.1),
+    "beside the left edge": lambda a: hover((-0.55, 0.1, 0.3), vx=0.4),
+    "from the right": lambda a: hover((0.55, -0.1, 0.3), vx=-0.4),
+}
+
+
+@pytest.mark.parametrize("approach", APPROACHES)
+@pytest.mark.parametrize("degrees", [-45, -25.7, 0, 30])
+def test_geometric_and_physical_detection_agree(approach, degrees):
+    """Same first control step, give or take one: 0.94 mm of approximation and the paths' difference of
+    0.1 mm are less than the 3 mm that the vehicle moves in a step."""
+    alpha = math.radians(degrees)
+    state = APPROACHES[approach](alpha)
+    command = np.array([[V.hover_pwm, *(state[0, [ROLL, PITCH]] / V.attitude_gain), 0.0]])
+    first = {}
+    for plant in (MujocoPlant(1), AnalyticPlant(1, attitude="rate_loop", substeps=5)):
+        plant.set_platform([0], alpha)
+        plant.reset([0], state)
+        for step in range(60):
+            plant.step(command)
+            if plant.contacts.platform[0]:
+                first[plant.kind] = step
+                break
+    assert set(first) == {"mujoco", "analytic"}, first
+    assert first["mujoco"] > 2 and abs(first["mujoco"] - first["analytic"]) <= 1, first
+
+
+@pytest.mark.parametrize("kind", ["mujoco", "analytic"])
+def test_the_keep_out_zone_is_near_but_not_touch(kind):
+    plant = make_plant(kind, 3, keep_out=0.04)
+    states = np.concatenate([on_slab(h) for h in (0.001, 0.03, 0.06)])
+    plant.reset(np.arange(3), states)
+    # Held at the slope's attitude the vehicle slides along the surface: a few mm in one step.
+    plant.step(np.tile([V.hover_pwm, 0, V.platform_inclination / V.attitude_gain, 0], (3, 1)))
+    assert plant.contacts.platform_near.tolist() == [True, True, False]
+    assert not plant.contacts.platform[1:].any()
+    assert not plant.contacts.near[:, FLOOR].any()
+
+
+def test_the_keep_out_zone_has_no_force():
+    """Flights beside and onto the platform are the same bit for bit with a zone and without."""
+    flights = []
+    for keep_out in (0.0, 0.04):
+        plant = MujocoPlant(2, keep_out=keep_out)
+        plant.reset(np.arange(2), np.concatenate([on_slab(0.03, vz=0.1), on_slab(0.05, vz=0.5)]))
+        flights.append(history(plant, np.tile([V.hover_pwm, 0, 0, 0], (10, 2, 1))))
+        assert not plant.contacts.touch.any()
+    assert_same(flights[0][::4], flights[1][::4])
+    assert not any(force.any() for force in flights[1][3::4])
+
+
+def test_the_analytic_plant_feels_nothing():
+    plant = AnalyticPlant(1)
+    plant.reset([0], on_slab(-0.01))
+    plant.step(np.array([[V.hover_pwm, 0, 0, 0]]))
+    assert plant.contacts.touch[0, SLAB, FEET] and np.isnan(plant.contacts.force).all()
+
+
+def test_kinematic_mode_lets_go_after_contact():
+    """A vehicle that touches keeps its physical rates; the others are synchronised."""
+    plant = MujocoPlant(2, attitude="kinematic")
+    plant.reset(np.arange(2), np.concatenate([on_slab(0.0, pitch=0.0), hover((0, 0, 2.0))]))
+    command = np.tile([10_000.0, 0, 0.3, 0], (2, 1))
+    for _ in range(30):
+        plant.step(command)
+    assert plant.contacts.touch[0].any() and np.isfinite(plant.state).all()
+
+
+# --- errors ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options, sentence", [
+    ({"integrator": "rk4"}, "unknown integrator 'rk4'; known are RK4, implicitfast, Euler"),
+    ({"timestep": 0.003}, "control period 0.02 s is not a whole number of time steps of 0.003 s"),
+    ({"timestep": 0.03}, "not a whole number"),
+    ({"timestep": 0.0}, "timestep must be positive, not 0.0"),
+    ({"timestep": -0.004}, "timestep must be positive"),
+    ({"timestep": math.nan}, "timestep must be positive"),
+    ({"attitude": "quaternion"}, "attitude must be 'rate_loop' or 'kinematic', not 'quaternion'"),
+    ({"keep_out": -0.01}, "keep_out must not be negative, it is -0.01"),
+    ({"keep_out": math.nan}, "keep_out must not be negative, it is nan"),
+    ({"n": 0}, "at least one vehicle, not 0"),
+])  # fmt: skip
+def test_wrong_options_of_the_mujoco_plant(options, sentence):
+    with pytest.raises(UserError, match=sentence):
+        MujocoPlant(**({"n": 1} | options))
+
+
+@pytest.mark.parametrize("options, sentence", [
+    ({"substeps": 0}, "substeps must be at least 1, not 0"),
+    ({"attitude": ""}, "attitude must be 'rate_loop' or 'kinematic'"),
+    ({"keep_out": -1.0}, "keep_out must not be negative"),
+    ({"n": -3}, "at least one vehicle, not -3"),
+])  # fmt: skip
+def test_wrong_options_of_the_analytic_plant(options, sentence):
+    with pytest.raises(UserError, match=sentence):
+        AnalyticPlant(**({"n": 1} | options))
+
+
+def test_an_unknown_plant_is_refused():
+    with pytest.raises(UserError, match="unknown plant 'gazebo'; known are mujoco and analytic"):
+        make_plant("gazebo", 1)
+
+
+def test_divergence_is_an_error_that_names_the_vehicle():
+    """MuJoCo itself would put the vehicle back to the origin without a word."""
+    plant = MujocoPlant(3)
+    states = hover((0, 0, 2), (0, 0, 2), (0, 0, 2))
+    states[1, VX] = 1e20
+    plant.reset(np.arange(3), states)
+    with pytest.raises(FloatingPointError, match=r"the engine diverged for vehicles \[1\]"):
+        plant.step(np.zeros((3, 4)))
+    plant.reset([1], hover((0, 0, 2)))
+    plant.step(np.zeros((3, 4)))
+    assert np.isfinite(plant.state).all()
+
+
+def test_surfaces_and_parts_are_those_of_the_contact_sensors():
+    """15 sensors, surface by surface, feet, body, rotors: `plant.py` reads them by position."""
+    names = [MODEL.sensor(k).name for k in range(MODEL.nsensor)]
+    geoms = [*PLATFORM_GEOMS, "floor"]
+    assert names[: 3 * len(geoms)] == [f"{part}_{geom}" for geom in geoms for part in PARTS]
+    assert [MODEL.sensor(k).dim[0] for k in range(len(names))] == [4] * 15
+    assert SURFACES == ("slab", "base", "floor")
