@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from inclined_landing.envs.rendering import Ghost, make_renderer, qpos_of_state
+from inclined_landing.envs.rendering import Ghost, Pose, make_renderer, qpos_of_state
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
@@ -60,6 +60,13 @@ def goal_ghost(flight: Flight) -> Ghost | None:
     return Ghost(qpos_of_state(state))
 
 
+def scene_of(flight: Flight, k: int):
+    """What the renderers are given for sample k: the state, or a pose that says there is no platform."""
+    if flight.inclination is not None:
+        return flight.state[k]
+    return Pose(qpos_of_state(flight.state[k]), np.array([0.0, 0.0, -100.0]), np.array([1.0, 0, 0, 0]))
+
+
 def caption_of(flight: Flight, k: int) -> str:
     """The line under frame k."""
     s, pwm = flight.state[k], flight.commands[k, 0]
@@ -93,7 +100,7 @@ def render_flight(
     with make_renderer(width, height, camera, backend, vehicle=vehicle) as renderer:
         for k in frames:
             yield renderer.render(
-                flight.state[k],
+                scene_of(flight, k),
                 inclination=flight.inclination,
                 trail=flight.state[: k + 1] if trail and not close else None,
                 ghosts=[goal] if goal is not None and not close else [],
@@ -118,15 +125,16 @@ def strobe(
     """
     vehicle = vehicle or load_vehicle()
     chosen = _spread(flight.state, copies, spacing)
-    share = np.linspace(0.0, 1.0, len(flight.state))[:, None]
-    colours = _EARLY + share * (_LATE - _EARLY)
+    way = _way(flight.state)
+    share = way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(way))
+    colours = _EARLY + share[:, None] * (_LATE - _EARLY)
     ghosts = [
         Ghost(qpos_of_state(flight.state[k]), tuple(colours[k]), alpha=0.8, tint=0.7, shadow=True)
         for k in chosen
     ]
     with make_renderer(width, height, camera, backend, vehicle=vehicle) as renderer:
         return renderer.render(
-            flight.state[-1],
+            scene_of(flight, -1),
             inclination=flight.inclination,
             trail=flight.state,
             trail_colour=colours,
@@ -134,9 +142,14 @@ def strobe(
         )
 
 
+def _way(state: np.ndarray) -> np.ndarray:
+    """Length (T,) of the path flown until each of states (T, 13) [m]."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1))])
+
+
 def _spread(state: np.ndarray, copies: int, spacing: float) -> list[int]:
     """Samples that are evenly spread along the path, without the last."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1))])
+    way = _way(state)
     count = int(np.clip(way[-1] / spacing, 1, copies))
     marks = np.linspace(0.0, way[-1], count + 1)[:-1]
     return [int(np.searchsorted(way, mark)) for mark in marks]

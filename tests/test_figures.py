@@ -1,5 +1,6 @@
 """Figures show the numbers they are given; picture commands write whole files or one sentence."""
 
+import dataclasses
 import json
 import re
 import zlib
@@ -24,6 +25,7 @@ from inclined_landing.eval.figures.scene import platform_outline
 from inclined_landing.eval.figures.style import STAMP_DPI
 from inclined_landing.eval.flights import Flight
 from inclined_landing.eval.plain_env import PlainLandingEnv
+from inclined_landing.eval.video import render_flight
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
@@ -130,6 +132,17 @@ def test_setpoint_flight_is_seen_from_two_sides():
     assert np.ptp(side.get_xlim()) == pytest.approx(np.ptp(front.get_xlim()))
     roll = next(line for line in attitude.lines if line.get_label() == "roll")
     np.testing.assert_allclose(roll.get_ydata(), np.degrees(flight.state[:, 6]))
+
+
+def test_setpoint_video_has_no_platform():
+    """Far from the vehicle, a picture without a platform differs from one with it; two without agree."""
+    look = {"camera": "side", "width": 96, "height": 64, "backend": "ray"}
+    flight = setpoint_flight()
+    flight.state[:, :3] = -2.0, 0.0, 2.0
+    frame = next(render_flight(flight, **look))
+    with_platform = next(render_flight(dataclasses.replace(flight, inclination=SLOPE), **look))
+    dark = [picture[40, 48].max() < 120 for picture in (frame, with_platform)]  # the base's colour
+    assert dark == [False, True]
 
 
 def test_flight_at_rest_has_a_figure():
@@ -262,7 +275,13 @@ def test_band_covers_common_steps_only():
 def test_setpoint_runs_show_the_error(tmp_path):
     axes = learning_curves([write_run(tmp_path / "a", "setpoint")]).axes
     assert axes[0].get_ylabel() == "mean error after 3 s [cm]" and axes[0].get_yscale() == "log"
-    assert len(axes) == 2
+    assert len(axes) == 3
+
+
+def test_level_is_shown_where_it_moves(tmp_path):
+    run = write_run(tmp_path / "a", rate=0.0)
+    axes = learning_curves([run]).axes
+    assert len(axes) == 3 and "curriculum level" not in [a.get_ylabel() for a in axes]
 
 
 def test_run_without_evaluations(tmp_path):

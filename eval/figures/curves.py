@@ -60,6 +60,7 @@ _PANELS = {
             True,
         ),
         _REWARD,
+        _LEVEL,
     ),
 }
 
@@ -92,7 +93,8 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
     """Figure of success, curriculum, episodes and reward against environment steps.
 
     runs: run folders of one task, usually one for each seed. Each is a thin line; from two on, the
-    median is a thick line and the range from the worst to the best a band, as far as all runs reach.
+    median is a thick line and the range from the lowest to the highest a band, as far as all runs
+    reach. The curriculum's level is left out where it never changes.
     Raises UserError for no runs, runs of different tasks and folders that are no runs.
     """
     if not runs:
@@ -101,11 +103,13 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
     tasks = sorted({run.task for run in read})
     if len(tasks) > 1:
         raise UserError(f"the runs are of different tasks ({' and '.join(tasks)}); choose runs of one")
-    curves = _PANELS[tasks[0]]
+    moves = any(run.learning["level"].nunique() > 1 for run in read)
+    curves = [curve for curve in _PANELS[tasks[0]] if curve is not _LEVEL or moves]
     with styled():
-        rows = (len(curves) + 1) // 2
-        figure = Figure(figsize=(7.2, 0.45 + 2.05 * rows), layout="constrained")
-        grid = figure.subplots(rows, 2, sharex=True, squeeze=False)
+        columns = 2 if len(curves) == 4 else len(curves)  # two to four
+        rows = len(curves) // columns
+        figure = Figure(figsize=(3.4 * columns, 0.45 + 2.05 * rows), layout="constrained")
+        grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
         for axes, curve in zip(grid.ravel(), curves):
             _draw(axes, curve, [getattr(run, curve.table) for run in read])
         for axes in grid[-1]:
@@ -115,7 +119,7 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
         if len(read) > 1:
             handles = [
                 *grid[0, 0].plot([], [], color=MUTED, lw=2.2, label=f"median of {len(read)} seeds"),
-                grid[0, 0].fill_between([], [], color=MUTED, alpha=0.25, lw=0, label="worst to best"),
+                grid[0, 0].fill_between([], [], color=MUTED, alpha=0.25, lw=0, label="lowest to highest"),
                 *grid[0, 0].plot([], [], color=MUTED, lw=0.7, alpha=0.7, label="each seed"),
             ]
             figure.legend(handles=handles, loc="outside upper center", ncols=3)
