@@ -108,12 +108,12 @@ class BatchEnv:
         self.commands = self.task.commands(actions)
         self.plant.step(self.commands)
         contacts = self.plant.contacts
+        self.length += 1
         self.contact_steps += contacts.platform_near
         self.touched |= contacts.platform
         verdict: Judgement = self.task.judge(
-            self.plant.state, actions, contacts, self._start, self.contact_steps
+            self.plant.state, actions, contacts, self._start, self.length, self.contact_steps
         )
-        self.length += 1
         reward = verdict.reward
         self.total += reward
         terminated = verdict.terminated

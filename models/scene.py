@@ -70,6 +70,7 @@ def _fill_vehicle(spec: mujoco.MjSpec, v: Vehicle, torque_limit: bool) -> None:
     body = spec.body("crazyflie")
     body.explicitinertial = True
     body.mass = v.body_mass
+    body.ipos = [0, 0, 0]
     body.inertia = v.body_inertia
     numbers = {
         "rotors": {

@@ -42,7 +42,7 @@ class TrainConfig:
     """Physics threads (0: all cores)."""
 
     curriculum: str | None = None
-    """landing: adaptive (default), paper or none; setpoint: none."""
+    """landing: adaptive (default), paper or none; setpoint: effort (default) or none."""
     pwm_centre: str = "hover"
     """PWM at action 0: hover (of the equations) or paper (42 000)."""
 
@@ -52,8 +52,8 @@ class TrainConfig:
     """Steps of each vehicle between updates."""
     batch_size: int = 512
     """Samples in a minibatch."""
-    epochs: int = 5
-    """Passes over each rollout."""
+    epochs: int | None = None
+    """Passes over each rollout (default: 5 landing, 8 setpoint)."""
     learning_rate: float = 1e-3
     """Initial; the curriculum says when it falls."""
     gamma: float | None = None
@@ -88,7 +88,8 @@ class TrainConfig:
             self,
             out=self.out or Path("runs") / f"{self.task}-{self.seed}",
             steps=self.steps if self.steps is not None else (1_200_000 if landing else 1_000_000),
-            curriculum=self.curriculum or ("adaptive" if landing else "none"),
+            curriculum=self.curriculum or ("adaptive" if landing else "effort"),
+            epochs=self.epochs if self.epochs is not None else (5 if landing else 8),
             gamma=self.gamma if self.gamma is not None else (0.99 if landing else 0.97),
         )
         positive = ("steps", "environments", "rollout", "batch_size", "epochs", "checkpoint_every")

@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from inclined_landing.envs.tasks import setpoint
 from inclined_landing.envs.tasks.landing import EASIEST_GOAL_SIZE, GOAL_SIZE, Conditions
 from inclined_landing.models.errors import UserError
 
@@ -22,7 +23,7 @@ class Curriculum(Protocol):
     name: str
     level: float  # 0 easiest, 1 the task itself
 
-    def conditions(self) -> Conditions | None:
+    def conditions(self):
         """Conditions of the next episodes; None where the task has none."""
 
     def episode(self, success: bool, length: int) -> None:
@@ -248,11 +249,33 @@ class PaperCurriculum:
         self.tilting_episodes = state["tilting_episodes"]
 
 
+class EffortCurriculum(NoCurriculum):
+    """Set-point: no stages, but two training aids.
+
+    The task divides the effort by the distance to the goal, down to 1 mm: a policy that still
+    explores is punished hundredfold for being where it should be, and learns to stay away. In training
+    the divisor is at least 0.5 m. Episodes end after 150 steps, so that more of the data is approach.
+    The learning rate is constant for 60 % of the run and then falls linearly to zero.
+    """
+
+    name = "effort"
+
+    def conditions(self) -> setpoint.Conditions:
+        return setpoint.Conditions(effort_floor=0.5, episode_limit=150)
+
+    def learning_rate_share(self, steps: int, total: int) -> float:
+        return min(1.0, super().learning_rate_share(steps, total) / 0.4)
+
+
 def make_curriculum(name: str, task: str, gamma: float) -> Curriculum:
-    """A curriculum by name: adaptive or paper (landing only), or none."""
+    """A curriculum by name: adaptive or paper (landing), effort (setpoint), or none."""
     if name == "none":
         return NoCurriculum(gamma, training_aids=task == "landing")
-    if task != "landing" or name not in ("adaptive", "paper"):
-        known = "adaptive, paper or none" if task == "landing" else "none"
-        raise UserError(f"unknown curriculum {name!r} for task {task}: it must be {known}")
-    return AdaptiveCurriculum(gamma) if name == "adaptive" else PaperCurriculum()
+    if (task, name) == ("landing", "adaptive"):
+        return AdaptiveCurriculum(gamma)
+    if (task, name) == ("landing", "paper"):
+        return PaperCurriculum()
+    if (task, name) == ("setpoint", "effort"):
+        return EffortCurriculum(gamma)
+    known = "adaptive, paper or none" if task == "landing" else "effort or none"
+    raise UserError(f"unknown curriculum {name!r} for task {task}: it must be {known}")

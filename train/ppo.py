@@ -85,7 +85,7 @@ def training_state(model: PPO, env: BatchVecEnv) -> dict:
     batch = env.env
     return {
         "torch_rng": torch.get_rng_state(),
-        "numpy_rng": np.random.get_state(),
+        "numpy_rng": np.random.get_state(),  # noqa: NPY002 (SB3 shuffles with it)
         "start_rng": batch.rng.bit_generator.state,
         "plant": batch.plant.save().arrays,
         "episodes": batch.episode_state(),
@@ -110,6 +110,6 @@ def restore_model(path, state: dict, env: BatchVecEnv) -> PPO:
     model._last_episode_starts = state["last_episode_starts"]
     model.num_timesteps = state["num_timesteps"]
     model._n_updates = state["updates"]
-    np.random.set_state(state["numpy_rng"])
+    np.random.set_state(state["numpy_rng"])  # noqa: NPY002
     torch.set_rng_state(state["torch_rng"])
     return model

@@ -64,10 +64,11 @@ class Task(Protocol):
     def observe(self, state: np.ndarray) -> np.ndarray:
         """Observations (n, o), float32, of states (n, 13)."""
 
-    def judge(self, state, actions, contacts: Contacts, start: Start, in_contact) -> Judgement:
+    def judge(self, state, actions, contacts: Contacts, start: Start, length, in_contact) -> Judgement:
         """Reward terms, success and end of the step that led to `state`.
 
-        in_contact (n,): steps of this episode in contact with the platform so far.
+        length, in_contact (n,): steps of this episode so far, this one included, and those of them
+        in contact with the platform.
         """
 
 

@@ -151,7 +151,7 @@ class InclinedLanding:
         x, z, m = state[:, X], state[:, Z], BOUND_MARGIN
         return (x < x0 + m) | (x > x1 - m) | (z < z0 + m) | (z > z1 - m)
 
-    def judge(self, state, actions, contacts, start: Start, in_contact) -> Judgement:
+    def judge(self, state, actions, contacts, start: Start, length, in_contact) -> Judgement:
         """See the module's docstring; the arguments are those of `Task.judge`."""
         c = self.conditions
         goal = self.in_goal(state, start.inclination, start.goal_size)

@@ -10,6 +10,8 @@ Episodes are truncated after 300 steps and never terminated; `success` is e_p < 
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from inclined_landing.envs.tasks.base import Judgement, Start, hover_states, resolve_pwm_centre
@@ -25,10 +27,19 @@ from inclined_landing.models.attitude import (
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 _COLUMNS = [0, 1, 2, 3, 4, 5, ROLL, PITCH]
+EFFORT_FLOOR = 0.001  # m
+MAX_STEPS = 300
 GOAL = (0.0, 0.0, 1.2)  # m
 START_BOX = ((-2.5, 2.5), (-1.3, 1.3), (0.2, 2.2))  # m
 TOLERANCE = 0.05  # m
-MAX_STEPS = 300
+
+
+@dataclasses.dataclass(frozen=True)
+class Conditions:
+    """What a curriculum may ease. The default is the task."""
+
+    effort_floor: float = EFFORT_FLOOR  # smallest e_p in the effort term, m
+    episode_limit: int = MAX_STEPS  # truncate after this many steps
 
 
 class Setpoint:
@@ -45,6 +56,7 @@ class Setpoint:
         self.vehicle = vehicle or load_vehicle()
         self.pwm_centre = resolve_pwm_centre(pwm_centre, self.vehicle)
         self.options = {"pwm_centre": pwm_centre}
+        self.conditions = Conditions()
 
     def sample(self, rng: np.random.Generator, k: int) -> Start:
         """k starts at rest, uniform over START_BOX."""
@@ -73,7 +85,7 @@ class Setpoint:
         """(n,) distance to the goal [m]."""
         return np.linalg.norm(state[:, :3] - GOAL, axis=1)
 
-    def judge(self, state, actions, contacts, start: Start, in_contact) -> Judgement:
+    def judge(self, state, actions, contacts, start: Start, length, in_contact) -> Judgement:
         """See the module's docstring; the arguments are those of `Task.judge`."""
         e_p = self.position_error(state)
         effort = (actions[:, 1:] ** 2).sum(axis=1)
@@ -81,7 +93,7 @@ class Setpoint:
             "position": -e_p,
             "velocity": -0.2 * np.linalg.norm(state[:, VX : VZ + 1], axis=1),
             "attitude": -0.1 * np.linalg.norm(state[:, [ROLL, PITCH]], axis=1),
-            "effort": -0.1 * effort / np.maximum(e_p, 0.001),
+            "effort": -0.1 * effort / np.maximum(e_p, self.conditions.effort_floor),
         }
         never = np.zeros(len(state), bool)
-        return Judgement(terms, e_p < TOLERANCE, never, never)
+        return Judgement(terms, e_p < TOLERANCE, never, length >= self.conditions.episode_limit)
