@@ -24,11 +24,13 @@ from gymnasium.vector.utils import batch_space
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.spaces import action_space, observation_space
-from inclined_landing.envs.tasks import InclinedLanding, Setpoint, make_task
+from inclined_landing.envs.tasks import landing, make_task, setpoint
+from inclined_landing.models import geometry
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plant import make_plant
 
+_HISTORY = "\nVersion history: v0.\n"
 _METADATA = {"render_modes": ["rgb_array"], "render_fps": 50}
 
 
@@ -100,13 +102,15 @@ class TaskEnv(gym.Env):
         """The present moment as (height, width, 3) uint8; None without a render mode."""
         if self.render_mode is None:
             return None
-        if self._renderer is None:
-            from inclined_landing.envs.rendering import make_renderer
+        from inclined_landing.envs.rendering import make_renderer
+        from inclined_landing.envs.rendering.pose import Pose, qpos_of_state
 
-            self._renderer = make_renderer(self.task.vehicle, backend=self._backend, **self._picture)
+        if self._renderer is None:
+            self._renderer = make_renderer(vehicle=self.task.vehicle, backend=self._backend, **self._picture)
         plant = self.batch.plant
-        inclination = float(plant.inclination[0]) if plant.present[0] else None
-        return self._renderer.render(plant.state[0], inclination=inclination)
+        platform = geometry.platform_poses(plant.inclination, plant.present, self.task.vehicle)
+        position, quaternion = (array[0, 0] for array in platform)
+        return self._renderer.render(Pose(qpos_of_state(plant.state[0]), position, quaternion))
 
     def close(self) -> None:
         if self._renderer is not None:
@@ -189,30 +193,20 @@ class TaskVectorEnv(VectorEnv):
 
 
 class InclinedLandingEnv(TaskEnv):
-    __doc__ = f"""A Crazyflie reaches the landing pose over a slope (planar).
-
-    {InclinedLanding.__module__} is the manual: observation, action, reward and end of an episode.
-
-    Version history: v0.
-    """
-    task_name = InclinedLanding.name
+    __doc__ = landing.__doc__ + _HISTORY
+    task_name = landing.InclinedLanding.name
 
 
 class InclinedLandingVectorEnv(TaskVectorEnv):
     __doc__ = InclinedLandingEnv.__doc__
-    task_name = InclinedLanding.name
+    task_name = landing.InclinedLanding.name
 
 
 class SetpointEnv(TaskEnv):
-    __doc__ = f"""A Crazyflie flies to a point and stays there (three-dimensional).
-
-    {Setpoint.__module__} is the manual: observation, action, reward and end of an episode.
-
-    Version history: v0.
-    """
-    task_name = Setpoint.name
+    __doc__ = setpoint.__doc__ + _HISTORY
+    task_name = setpoint.Setpoint.name
 
 
 class SetpointVectorEnv(TaskVectorEnv):
     __doc__ = SetpointEnv.__doc__
-    task_name = Setpoint.name
+    task_name = setpoint.Setpoint.name
