@@ -1,0 +1,298 @@
+"""The faces of the environment: Gymnasium, its vector environment, and Stable-Baselines3."""
+
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env as gymnasium_check
+from gymnasium.vector import AutoresetMode
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_checker import check_env as sb3_check
+from stable_baselines3.common.evaluation import evaluate_policy
+
+from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.gym_env import InclinedLandingEnv, SetpointEnv
+from inclined_landing.envs.sb3 import BatchVecEnv
+from inclined_landing.envs.tasks import make_task
+from inclined_landing.envs.tasks.base import hover_states
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plant import make_plant
+
+V = load_vehicle()
+IDS = {"landing": "inclined_landing.envs:InclinedLanding-v0", "setpoint": "inclined_landing.envs:Setpoint-v0"}
+PICTURE = {"render_mode": "rgb_array", "width": 64, "height": 48, "render_backend": "ray"}
+SIZES = {"landing": (5, 2), "setpoint": (8, 3)}
+
+
+@pytest.fixture(params=["landing", "setpoint"])
+def task(request):
+    return request.param
+
+
+def hovering(*positions):
+    return hover_states(np.array(positions, float), V)
+
+
+def goal_state():
+    """At the centre of the landing's goal box: the next step ends the episode with success."""
+    state = hovering((0, 0, 1.25))
+    state[0, 7] = V.platform_inclination
+    return state
+
+
+def vec_env(n=3, task="landing", plant="analytic", seed=0, **options) -> BatchVecEnv:
+    return BatchVecEnv(BatchEnv(make_task(task, pwm_centre="hover"), make_plant(plant, n), seed), **options)
+
+
+# --- Gymnasium, one vehicle --------------------------------------------------------------------------
+
+
+def test_gymnasiums_checker_passes_on_registered_environments(task):
+    env = gym.make(IDS[task])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*Box observation space.*infinity")  # positions are free
+        gymnasium_check(env.unwrapped, skip_render_check=True)
+    assert env.observation_space.shape == (SIZES[task][0],) and env.action_space.shape == (SIZES[task][1],)
+
+
+@pytest.mark.parametrize("kind", [InclinedLandingEnv, SetpointEnv])
+def test_both_checkers_pass_with_rendering(kind):
+    env = kind(**PICTURE)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*(infinity|alternative render modes)")
+        gymnasium_check(env)
+        sb3_check(env)
+    env.reset(seed=0)
+    frame = env.render()
+    assert frame.shape == (48, 64, 3) and frame.dtype == np.uint8 and frame.std() > 5
+    env.close()
+    env.close()
+
+
+def test_the_platform_is_drawn_where_the_episode_has_one():
+    pictures = {}
+    for name, env in {
+        "default": InclinedLandingEnv(**PICTURE),
+        "steep": InclinedLandingEnv(inclination=-0.8, **PICTURE),
+        "set-point": SetpointEnv(**PICTURE),
+    }.items():
+        env.reset(options={"state": hovering((-0.8, 0, 1.9))[0]})
+        pictures[name] = env.render().astype(int)
+        env.close()
+    for a, b in (("default", "steep"), ("default", "set-point")):
+        assert (np.abs(pictures[a] - pictures[b]).max(axis=2) > 20).mean() > 0.02, (a, b)
+
+
+def test_other_render_modes_are_refused():
+    with pytest.raises(UserError, match="render_mode must be 'rgb_array' or None, not 'human'"):
+        InclinedLandingEnv(render_mode="human")
+    with pytest.raises(UserError, match="the vector environment does not render"):
+        gym.make_vec(IDS["landing"], num_envs=2, render_mode="rgb_array")
+
+
+@pytest.mark.parametrize("option", ["camera", "render_backend"])
+def test_unknown_cameras_and_backends_are_refused(option):
+    env = InclinedLandingEnv(**(PICTURE | {option: "polaroid"}))
+    env.reset(seed=0)
+    with pytest.raises(UserError, match=r"unknown .*polaroid"):
+        env.render()
+
+
+def test_without_a_render_mode_there_is_no_picture():
+    assert InclinedLandingEnv(plant="analytic").render() is None
+
+
+@pytest.mark.parametrize("plant", ["mujoco", "analytic"])
+def test_seeds_and_given_states(task, plant):
+    env = gym.make(IDS[task], plant=plant)
+    first, _ = env.reset(seed=3)
+    second, _ = env.reset()
+    np.testing.assert_array_equal(env.reset(seed=3)[0], first)
+    np.testing.assert_array_equal(env.reset()[0], second)
+    assert not np.array_equal(first, second)
+    state = hovering((1.0, 0, 1.8))[0]
+    observation, _ = env.reset(options={"state": state})
+    assert observation[0] == 1.0 and observation.dtype == np.float32
+
+
+def test_reward_terms_in_info_sum_to_the_reward(task):
+    env = gym.make(IDS[task], plant="analytic")
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        _, reward, *_, info = env.step(rng.uniform(-1, 1, SIZES[task][1]))
+        assert sum(info["reward_terms"].values()) == pytest.approx(reward, rel=1e-15)
+        assert isinstance(reward, float) and type(info["is_success"]) is bool
+
+
+def test_options_reach_task_plant_and_vehicle(tmp_path):
+    env = InclinedLandingEnv(
+        inclination=-0.2, pwm_centre="hover", plant_options={"integrator": "implicitfast", "keep_out": 0.02}
+    )
+    assert env.task.inclination == -0.2 and env.task.pwm_centre == V.hover_pwm
+    assert env.batch.plant.keep_out == 0.02
+    with pytest.raises(UserError, match=r"none\.toml cannot be read"):
+        InclinedLandingEnv(vehicle=tmp_path / "none.toml")
+    with pytest.raises(UserError, match="unknown plant"):
+        InclinedLandingEnv(plant="gazebo")
+    with pytest.raises(UserError, match="task setpoint"):
+        SetpointEnv(inclination=0.1)
+
+
+def test_episode_ends_after_300_steps_by_truncation(task):
+    env = gym.make(IDS[task], plant="analytic", pwm_centre="hover")
+    env.reset(options={"state": hovering((2, 0, 1.8))[0]})
+    for k in range(300):
+        *_, terminated, truncated, _ = env.step(np.zeros(SIZES[task][1]))
+        assert (terminated, truncated) == (False, k == 299)
+
+
+# --- Gymnasium, many vehicles ------------------------------------------------------------------------
+
+
+def make_vec(n=3, task="landing", **options):
+    return gym.make_vec(
+        IDS[task], num_envs=n, vectorization_mode="vector_entry_point",
+        **({"plant": "analytic", "pwm_centre": "hover"} | options),
+    )  # fmt: skip
+
+
+def test_make_vec_takes_the_batched_environment(task):
+    env = gym.make_vec(IDS[task], num_envs=5)
+    assert type(env.unwrapped).__name__.endswith("VectorEnv") and env.num_envs == 5
+    assert env.unwrapped.batch.n == 5 and env.unwrapped.batch.plant.kind == "mujoco"
+    assert env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    env.action_space.seed(0)
+    observation, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+    assert env.observation_space.contains(observation)
+    assert reward.shape == terminated.shape == truncated.shape == (5,)
+    assert terminated.dtype == truncated.dtype == bool
+    env.close()
+
+
+def test_vector_seeds():
+    a, b = make_vec(), make_vec()
+    np.testing.assert_array_equal(a.reset(seed=4)[0], b.reset(seed=4)[0])
+    np.testing.assert_array_equal(a.reset()[0], b.reset()[0])
+    assert not np.array_equal(a.reset(seed=5)[0], b.reset(seed=6)[0])
+
+
+def test_finished_episodes_restart_in_the_same_step():
+    env = make_vec()
+    env.reset(seed=0, options={"state": np.concatenate([hovering((2, 0, 1.8)), goal_state(), goal_state()])})
+    tilt = V.platform_inclination / V.attitude_gain / V.command_angle_limit
+    observation, reward, terminated, truncated, info = env.step([[0, 0], [0, tilt], [0, tilt]])
+    assert terminated.tolist() == [False, True, True] and not truncated.any()
+    assert reward.tolist() == [-1, 0, 0]
+    assert info["_final_obs"].tolist() == info["_final_info"].tolist() == [False, True, True]
+    assert info["final_obs"][0] is None
+    final = info["final_obs"][1]
+    # One step at the goal's attitude moves it by g sin(25.7 deg) (0.02 s)^2 / 2 = 0.9 mm.
+    np.testing.assert_allclose(final, [0, 1.25, 0, 0, V.platform_inclination], atol=0.1)
+    assert np.abs(final[:2] - [0, 1.25]).max() < 1e-3
+    assert info["final_info"]["is_success"].tolist() == [False, True, True]
+    assert info["final_info"]["episode_length"].tolist() == [0, 1, 1]
+    # Returned are the new episodes, at rest somewhere else.
+    assert not np.array_equal(observation[1], final) and not observation[1:, 2:].any()
+    np.testing.assert_array_equal(observation, env.unwrapped.task.observe(env.unwrapped.batch.plant.state))
+    assert env.unwrapped.batch.length.tolist() == [1, 0, 0]
+    assert "final_obs" not in env.step(np.zeros((3, 2)))[-1]
+
+
+def test_a_mask_resets_some_vehicles_only():
+    env = make_vec()
+    before, _ = env.reset(seed=0)
+    env.step(np.zeros((3, 2)))
+    mask = np.array([False, True, False])
+    after, _ = env.reset(options={"reset_mask": mask})
+    assert env.unwrapped.batch.length.tolist() == [1, 0, 1]
+    assert not np.array_equal(after[1], before[1])
+    given = hovering((1, 0, 1.7))
+    after, _ = env.reset(options={"reset_mask": mask, "state": given})
+    assert after[1, 0] == 1.0
+
+
+@pytest.mark.parametrize("plant", ["mujoco", "analytic"])
+def test_a_vector_equals_single_environments(task, plant):
+    """From given starts; the random restarts come from one generator and are not compared."""
+    vector = make_vec(2, task, plant=plant)
+    starts = hovering((1.0, 0, 1.8), (-1.5, 0, 2.0))
+    vector.reset(seed=0, options={"state": starts})
+    singles = [gym.make(IDS[task], plant=plant, pwm_centre="hover") for _ in range(2)]
+    for env, start in zip(singles, starts):
+        env.reset(options={"state": start})
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        actions = rng.uniform(-0.3, 0.3, (2, SIZES[task][1]))
+        observations, rewards, *_ = vector.step(actions)
+        for i, env in enumerate(singles):
+            observation, reward, *_ = env.step(actions[i])
+            np.testing.assert_array_equal(observation, observations[i])
+            assert reward == rewards[i]
+
+
+# --- Stable-Baselines3 -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("plant", ["mujoco", "analytic"])
+def test_terminal_observation_and_time_limit(plant):
+    """Vehicle 0 runs out of time, 1 reaches the goal in that very step, 2 goes on."""
+    env = vec_env(plant=plant)
+    env.reset()
+    env.env.reset(state=np.concatenate([hovering((2, 0, 1.8)), goal_state(), hovering((-2, 0, 1.8))]))
+    env.env.length[:] = [299, 299, 298]
+    tilt = V.platform_inclination / V.attitude_gain / V.command_angle_limit
+    observation, reward, done, infos = env.step(np.array([[0, 0], [0, tilt], [0, 0]], np.float32))
+    assert done.tolist() == [True, True, False] and reward.tolist() == [-1, 0, -1]
+    assert infos[0]["TimeLimit.truncated"] is True and infos[0]["is_success"] is False
+    assert infos[1]["TimeLimit.truncated"] is False and infos[1]["is_success"] is True
+    assert infos[2] == {}
+    np.testing.assert_allclose(infos[0]["terminal_observation"][:2], [2, 1.8], atol=1e-3)
+    np.testing.assert_allclose(infos[1]["terminal_observation"][:2], [0, 1.25], atol=1e-3)
+    assert not observation[:2, 2:].any()  # new episodes begin at rest
+    assert not np.shares_memory(observation, infos[0]["terminal_observation"])
+    assert [infos[i]["episode"]["l"] for i in (0, 1)] == [300, 300]
+    assert env.env.length.tolist() == [0, 0, 299]
+
+
+def test_episode_statistics_are_unscaled():
+    env = vec_env(2, reward_scale=0.1, info_terms=True)
+    env.reset()
+    env.env.reset(state=hovering((2, 0, 1.8), (-2, 0, 1.8)))
+    for _ in range(300):
+        _, reward, done, infos = env.step(np.zeros((2, 2)))
+        assert reward.dtype == np.float32 and np.allclose(reward, -0.1)
+        assert sum(infos[0]["reward_terms"].values()) == -1.0
+    assert done.all() and infos[0]["episode"]["r"] == -300 and infos[0]["episode"]["l"] == 300
+
+
+def test_vecenv_seeds(task):
+    a, b = (vec_env(4, task, seed=k) for k in (1, 2))
+    assert not np.array_equal(a.reset(), b.reset())
+    for env in (a, b):
+        env.seed(11)
+    first = a.reset()
+    np.testing.assert_array_equal(first, b.reset())
+    assert not np.array_equal(a.reset(), first)  # one seed serves one reset
+
+
+def test_vecenv_attributes():
+    env = vec_env(3)
+    assert env.get_attr("num_envs") == [3, 3, 3] and len(env.get_attr("env", [0, 2])) == 2
+    assert env.env_is_wrapped(gym.Wrapper) == [False] * 3
+    env.set_attr("reward_scale", 0.5)
+    assert env.reward_scale == 0.5
+    env.close()
+
+
+def test_ppo_learns_from_it_and_evaluates_on_it(task):
+    model = PPO("MlpPolicy", vec_env(4, task), n_steps=16, batch_size=32, n_epochs=1, seed=0, device="cpu")
+    model.learn(128)
+    assert all(np.isfinite(p.detach().numpy()).all() for p in model.policy.parameters())
+    rewards, lengths = evaluate_policy(model, vec_env(4, task), 4, return_episode_rewards=True, warn=False)
+    assert len(rewards) == len(lengths) >= 4

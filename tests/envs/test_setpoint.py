@@ -1,0 +1,106 @@
+"""`Setpoint`: observation, action map, reward and starts."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from inclined_landing.envs.tasks import Setpoint, make_task, setpoint
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+
+V = load_vehicle()
+TASK = Setpoint()
+
+
+def judge(state, action, task=TASK, length=1):
+    state, action = np.asarray(state, float)[None], np.asarray(action, float)[None]
+    return task.judge(
+        state, action, None, task.start(state), length=np.array([length]), in_contact=np.zeros(1)
+    )
+
+
+def state(position=setpoint.GOAL, velocity=(0, 0, 0), roll=0.0, pitch=0.0):
+    result = np.zeros(13)
+    result[:3], result[VX : VZ + 1], result[ROLL], result[PITCH] = position, velocity, roll, pitch
+    return result
+
+
+def test_reward_by_hand():
+    """e_p = 0.5, e_v = 2, e_att = 0.5, a_att^2 = 0.5; thrust costs nothing."""
+    verdict = judge(state((0.3, 0, 1.6), (0, 2, 0), 0.3, -0.4), [1.0, 0.5, -0.5])
+    assert verdict.reward[0] == pytest.approx(-0.5 - 0.2 * 2 - 0.1 * 0.5 - 0.1 * 0.5 / 0.5, rel=1e-14)
+
+
+def test_at_the_goal_effort_is_divided_by_a_millimetre_at_least():
+    assert judge(state(), [0.3, 0, 0]).reward[0] == 0
+    assert judge(state(), [0, 1, 0]).reward[0] == pytest.approx(-0.1 / 0.001)
+    nearly = state((0.002, 0, 1.2))
+    assert judge(nearly, [0, 0, 1]).terms["effort"][0] == pytest.approx(-0.1 / 0.002)
+
+
+number = st.floats(-5, 5)
+share = st.floats(-1, 1)
+
+
+@given(st.tuples(*[number] * 6), st.tuples(number, number), st.tuples(*[share] * 3))
+def test_terms_sum_to_the_reward_and_none_is_positive(motion, angles, action):
+    verdict = judge(state(motion[:3], motion[3:], *angles), action)
+    assert verdict.reward[0] == sum(term[0] for term in verdict.terms.values())
+    assert all(term[0] <= 0 for term in verdict.terms.values())
+    assert set(verdict.terms) == {"position", "velocity", "attitude", "effort"}
+    assert not verdict.terminated.any() and not verdict.cut.any()
+
+
+@pytest.mark.parametrize("distance, success", [(0.0, True), (0.0499, True), (0.0501, False)])
+def test_success_is_within_five_centimetres(distance, success):
+    for axis in np.eye(3):
+        assert judge(state(setpoint.GOAL + distance * axis), [0, 0, 0]).success.tolist() == [success]
+
+
+def test_observation():
+    assert TASK.observe(np.arange(13.0)[None]).tolist() == [[0, 1, 2, 3, 4, 5, 6, 7]]
+    assert TASK.observe(np.zeros((2, 13))).dtype == np.float32
+    assert len(TASK.observation_names) == 8 == len(TASK.observation_scale) == len(TASK.observation_centre)
+
+
+def test_action_map():
+    u = TASK.commands(np.array([[0, 1, -0.5], [1, 0, 0], [-1, 0, 0]]))
+    np.testing.assert_allclose(u[0], [42_000, math.radians(30), math.radians(-15), 0])
+    np.testing.assert_allclose(u[1:, 0], [58_500, 25_500])
+    assert make_task("setpoint", pwm_centre="hover").commands(np.zeros((1, 3)))[0, 0] == V.hover_pwm
+
+
+def test_conditions_ease_the_effort_and_shorten_episodes():
+    task = Setpoint()
+    assert task.conditions == setpoint.Conditions(setpoint.EFFORT_FLOOR, setpoint.MAX_STEPS)
+    task.conditions = setpoint.Conditions(effort_floor=0.5, episode_limit=150)
+    assert judge(state(), [0, 1, 0], task).reward[0] == pytest.approx(-0.1 / 0.5)
+    cuts = [judge(state(), [0, 0, 0], task, length).cut[0] for length in (149, 150, 151)]
+    assert cuts == [False, True, True]
+
+
+def test_starts_fill_their_box_at_rest_without_a_platform():
+    start = TASK.sample(np.random.default_rng(0), 2000)
+    low, high = np.array(setpoint.START_BOX).T
+    position = start.state[:, :3]
+    assert (position >= low).all() and (position <= high).all()
+    assert (np.ptp(position, axis=0) > 0.95 * (high - low)).all()
+    for (inner_low, inner_high), (outer_low, outer_high) in zip(
+        setpoint.START_BOX, (V.arena_x, V.arena_y, V.arena_z)
+    ):
+        assert outer_low < inner_low and inner_high < outer_high
+    assert not start.state[:, 3:LAG].any() and (start.state[:, LAG] == V.hover_lag).all()
+    assert not start.present.any() and np.isnan(start.goal_size).all()
+
+
+@pytest.mark.parametrize("options, sentence", [
+    ({"pwm_centre": "middle"}, "pwm_centre must be"),
+    ({"inclination": 0.1}, "task setpoint: .*inclination"),
+])  # fmt: skip
+def test_wrong_options_are_refused(options, sentence):
+    with pytest.raises(UserError, match=sentence):
+        make_task("setpoint", **options)
