@@ -219,9 +219,7 @@ def picture(
 
 
 def curves(
-    runs: Annotated[
-        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR [DIR ...]")
-    ],
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR [DIR ...]")],
     /,
     out: OutFile,
 ) -> None:

@@ -43,9 +43,7 @@ class Flight:
         return float(self.t[-1])
 
 
-def record_flights(
-    policy: Policy, plant, states: np.ndarray, *, steps: int | None = None
-) -> list[Flight]:
+def record_flights(policy: Policy, plant, states: np.ndarray, *, steps: int | None = None) -> list[Flight]:
     """Fly the deterministic policy from each of `states` (n, 13), all at once.
 
     plant: of n vehicles, or a name ("mujoco", "analytic") for a plain one of the task's vehicle.

@@ -19,7 +19,6 @@ from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import Conditions
 from inclined_landing.eval import cli, pictures, policy
 from inclined_landing.eval.figures import curriculum_figure, learning_curves, save_figure, trajectory_figure
-from inclined_landing.eval.figures.curriculum import start_box
 from inclined_landing.eval.figures.curves import band
 from inclined_landing.eval.figures.scene import platform_outline
 from inclined_landing.eval.figures.style import STAMP_DPI
@@ -323,7 +322,7 @@ def test_start_box_is_where_starts_come_from(conditions):
     task = make_task("landing")
     task.conditions = conditions
     starts = task.sample(np.random.default_rng(0), 4000).state[:, [0, 2]]
-    low, high = start_box(task)
+    low, high = task.start_box()
     assert (starts >= low).all() and (starts <= high).all()
     # of 4000 uniform numbers the extremes lie within 1 % of the range with certainty (1 - 4e-18)
     np.testing.assert_allclose(starts.min(axis=0), low, atol=0.01 * (high - low).max())

@@ -58,9 +58,7 @@ def test_strobe_draws_copies_along_the_way():
 
 
 def test_caption_names_time_place_attitude_and_command():
-    assert caption_of(flight(), 5) == (
-        "t 0.10 s   x +0.90  z 1.80 m   pitch  +17.2 deg   PWM  42000"
-    )
+    assert caption_of(flight(), 5) == ("t 0.10 s   x +0.90  z 1.80 m   pitch  +17.2 deg   PWM  42000")
 
 
 def test_wrong_flights_are_sentences(tmp_path):
@@ -75,5 +73,5 @@ def test_wrong_flights_are_sentences(tmp_path):
         list(render_flight(Flight(good.t, good.state, good.commands, np.zeros(3)), backend="ray"))
     with pytest.raises(UserError, match=r"\.mp4 or \.gif file, not 'flight\.avi'"):
         write_video(tmp_path / "flight.avi", [])
-    with pytest.raises(UserError, match="no frames for flight.mp4"):
+    with pytest.raises(UserError, match=r"no frames for flight\.mp4"):
         write_video(tmp_path / "flight.mp4", [])

@@ -16,6 +16,8 @@ _CLOSE_CAMERAS = ("closeup", "onboard")
 _BASE_GEOMS = ("wall_left", "wall_right", "core")
 _FRAME_RADIUS = 0.006  # m
 
+_UPPER_FRONT = (1, 4)  # the bar along x at the lowest y and the highest z
+
 
 def default_scale(camera) -> float:
     """1 for cameras that sit close to the vehicle, `SCALE` for all others."""
@@ -120,12 +122,12 @@ def add_prism(spec: mujoco.MjSpec, position, quaternion) -> None:
 
 
 def add_frame(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
-    """The twelve edges of the arena as thin bars."""
+    """The edges of the arena as thin bars, but for the upper front one: cameras look past it."""
     x, y, z = vehicle.arena_x, vehicle.arena_y, vehicle.arena_z
     corners = np.array([(a, b, c) for a in x for b in y for c in z])
     for i in range(8):
         for bit in (1, 2, 4):
-            if not i & bit:
+            if not i & bit and (i, bit) != _UPPER_FRONT:
                 spec.worldbody.add_geom(
                     name=f"frame_{i}_{bit}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, group=1,
                     contype=0, conaffinity=0, size=[_FRAME_RADIUS, 0, 0], material="frame",

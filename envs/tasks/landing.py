@@ -1,8 +1,23 @@
 """`InclinedLanding`: reach the landing pose over the slope, the paper's planar task.
 
-Observation (5,): x, z [m], vx, vz [m/s], pitch [rad].
-Action (2,) in [-1, 1]: thrust, PWM = centre + 16500 a (centre 42000 as in the paper, or the true
-hover); pitch command, 30 deg times a. Roll and yaw-rate commands are zero.
+Observation, float32, unbounded:
+
+| index | quantity | unit | inside the arena |
+|---|---|---|---|
+| 0 | x | m | -3.4 to 3.4 |
+| 1 | z | m | 0 to 2.4 |
+| 2 | vx | m/s | |
+| 3 | vz | m/s | |
+| 4 | pitch, positive accelerates +x | rad | |
+
+Action, float32, from -1 to 1; roll and yaw-rate commands are zero:
+
+| index | command | at action a | MuJoCo actuator |
+|---|---|---|---|
+| 0 | thrust | PWM = centre + 16500 a, cut to 10000 .. 60000 | `thrust` |
+| 1 | pitch | 30 deg times a | `pitch` |
+
+The centre is 42000 as in the paper, or the true hover of the equations (`pwm_centre="hover"`).
 
 Goal s_g = [0, 1.25, 0, 0, inclination]; goal box |s - s_g| < [d, d, min(10d, 1.5), min(10d, 1.5),
 0.25d] with d from 0.25 (easiest) to 0.10 (the task).
@@ -62,7 +77,6 @@ class InclinedLanding:
     name = "landing"
     observation_names = ("x", "z", "vx", "vz", "pitch")
     observation_scale = np.array([1.0, 1.0, 2.0, 2.0, 0.5])
-    observation_centre = np.array([0.0, 1.25, 0.0, 0.0, 0.0])
     action_names = ("thrust", "pitch")
     max_steps = MAX_STEPS
 
@@ -79,6 +93,7 @@ class InclinedLanding:
         self.pwm_centre = resolve_pwm_centre(pwm_centre, v)
         self.options = {"inclination": self.inclination, "pwm_centre": pwm_centre}
         self.conditions = Conditions()
+        self.observation_centre = np.array([*self.goal_position, 0.0, 0.0, 0.0])
         self._shapes = geometry.shapes_of(compile_scene(v))
 
     @property
@@ -86,14 +101,19 @@ class InclinedLanding:
         """(x, z) of the goal [m]."""
         return 0.0, self.vehicle.platform_surface_height + GOAL_HEIGHT
 
+    def start_box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper corner (2,), as x, z [m], of the box that random starts come from."""
+        c, v = self.conditions, self.vehicle
+        goal = np.array(self.goal_position)
+        reach = np.array([c.start_reach, c.start_reach if c.start_reach_z is None else c.start_reach_z])
+        low = np.maximum(goal - reach, [v.arena_x[0] + START_MARGIN, c.lowest_start])
+        high = np.minimum(goal + reach, [v.arena_x[1] - START_MARGIN, v.arena_z[1] - START_MARGIN])
+        return low, high
+
     def sample(self, rng: np.random.Generator, k: int) -> Start:
         """k starts at rest, uniform over the conditions' box, clear of the platform."""
         c, v = self.conditions, self.vehicle
-        gx, gz = self.goal_position
-        m = START_MARGIN
-        rx, rz = c.start_reach, c.start_reach if c.start_reach_z is None else c.start_reach_z
-        low = [max(gx - rx, v.arena_x[0] + m), max(gz - rz, c.lowest_start)]
-        high = [min(gx + rx, v.arena_x[1] - m), min(gz + rz, v.arena_z[1] - m)]
+        low, high = self.start_box()
         positions = np.zeros((k, 3))
         todo = np.arange(k)
         for _ in range(1000):

@@ -1,7 +1,22 @@
 """`Setpoint`: fly to a point and stay there, the paper's three-dimensional task.
 
-Observation (8,): x, y, z [m], vx, vy, vz [m/s], roll, pitch [rad].
-Action (3,) in [-1, 1]: thrust as in `InclinedLanding`; roll and pitch commands, 30 deg times a.
+Observation, float32, unbounded:
+
+| index | quantity | unit |
+|---|---|---|
+| 0, 1, 2 | x, y, z | m |
+| 3, 4, 5 | vx, vy, vz | m/s |
+| 6 | roll, positive accelerates -y | rad |
+| 7 | pitch, positive accelerates +x | rad |
+
+Action, float32, from -1 to 1; the yaw-rate command is zero:
+
+| index | command | at action a | MuJoCo actuator |
+|---|---|---|---|
+| 0 | thrust | PWM as in `InclinedLanding` | `thrust` |
+| 1 | roll | 30 deg times a | `roll` |
+| 2 | pitch | 30 deg times a | `pitch` |
+
 Reward: -e_p - 0.2 e_v - 0.1 e_att - 0.1 a_att^2 / max(e_p, 0.001), with e_p [m] the distance to the
 goal (0, 0, 1.2), e_v [m/s] the speed, e_att [rad] the norm of (roll, pitch) and a_att the norm of the
 two attitude actions.

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from inclined_landing.envs.rendering.stamp import StampMaker
-from inclined_landing.envs.tasks.landing import START_MARGIN, Conditions, InclinedLanding
+from inclined_landing.envs.tasks.landing import Conditions, InclinedLanding
 from inclined_landing.eval.figures.scene import TARGET, draw_air, draw_platform, draw_vehicle
 from inclined_landing.eval.figures.style import GREEN, INK, MUTED, panel, styled
 from inclined_landing.models.attitude import PITCH, X, Z
@@ -75,16 +75,6 @@ def curriculum_figure(
     return figure
 
 
-def start_box(task: InclinedLanding) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (2,) low and high, as x, z [m], of the box that `task.sample` draws starts from."""
-    c, v = task.conditions, task.vehicle
-    goal = np.array(task.goal_position)
-    reach = np.array([c.start_reach, c.start_reach if c.start_reach_z is None else c.start_reach_z])
-    low = np.maximum(goal - reach, [v.arena_x[0] + START_MARGIN, c.lowest_start])
-    high = np.minimum(goal + reach, [v.arena_x[1] - START_MARGIN, v.arena_z[1] - START_MARGIN])
-    return low, high
-
-
 def _draw_stage(axes: Axes, task: InclinedLanding, maker: StampMaker, states, x, z) -> None:
     c = task.conditions
     inclination = task.inclination * c.tilt
@@ -93,7 +83,7 @@ def _draw_stage(axes: Axes, task: InclinedLanding, maker: StampMaker, states, x,
         axes.spines[spine].set_visible(True)
     if c.platform:
         draw_platform(axes, inclination, task.vehicle)
-    low, high = start_box(task)
+    low, high = task.start_box()
     box = Rectangle(low, *(high - low), fill=False, ec=INK, lw=1.1, ls=(0, (4, 2)), zorder=3, gid="starts")
     axes.add_patch(box)
     for state in states:

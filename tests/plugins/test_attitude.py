@@ -94,9 +94,7 @@ def test_hooks_of_yaw(build):
     model = build()
     model.actuator_gainprm[3, 0] = 0.5
     model.actuator_dynprm[3, 0] = 2.0
-    want = expected(
-        build, COMMAND * [1, 1, 0.5], yaw_bandwidth=build.vehicle.attitude_yaw_bandwidth / 2
-    )
+    want = expected(build, COMMAND * [1, 1, 0.5], yaw_bandwidth=build.vehicle.attitude_yaw_bandwidth / 2)
     assert flown(build, model) == pytest.approx(want, abs=TOLERANCE)
 
 

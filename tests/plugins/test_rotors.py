@@ -40,9 +40,7 @@ def drag(build, data, **changed):
 def moving(build, model, pwm=30000.0):
     """The vehicle tilted and under way, lag settled at `pwm`."""
     act = pwm / build.vehicle.thrust_lag_rate
-    return build.data(
-        model, [pwm, 0, 0, 0], act, velocity=(1.0, -2.0, 0.5), quat=(0.9, 0.2, -0.3, 0.1)
-    )
+    return build.data(model, [pwm, 0, 0, 0], act, velocity=(1.0, -2.0, 0.5), quat=(0.9, 0.2, -0.3, 0.1))
 
 
 def test_hover_force_carries_the_weight(build):
