@@ -1,0 +1,272 @@
+"""The rules of the curricula, as their docstrings and the run's documentation state them."""
+
+import dataclasses
+import itertools
+import json
+import math
+
+import pytest
+
+from inclined_landing.envs.tasks import landing, setpoint
+from inclined_landing.models.errors import UserError
+from inclined_landing.train.curriculum import (
+    AdaptiveCurriculum,
+    NoCurriculum,
+    PaperCurriculum,
+    make_curriculum,
+)
+
+TASK = landing.Conditions()  # what is evaluated
+
+
+def episodes(curriculum, successes, failures=0, length=50):
+    for k in range(successes + failures):
+        curriculum.episode(k < successes, length)
+
+
+def as_task(conditions: landing.Conditions) -> landing.Conditions:
+    """Conditions without the training aids."""
+    return dataclasses.replace(
+        conditions,
+        contact_limit=TASK.contact_limit,
+        goal_while_touching=TASK.goal_while_touching,
+        start_reach_z=TASK.start_reach_z,
+    )
+
+
+def at_level(level) -> landing.Conditions:
+    curriculum = AdaptiveCurriculum()
+    curriculum.level = level
+    return curriculum.conditions()
+
+
+# --- adaptive ----------------------------------------------------------------------------------------
+
+
+def test_adaptive_begins_easy_and_ends_at_the_task():
+    first = at_level(0.0)
+    assert (first.start_reach, first.tilt, first.goal_size, first.platform) == (0.5, 0.0, 0.25, False)
+    assert first.start_reach > first.goal_size  # a first stage inside the goal box teaches nothing
+    last = at_level(1.0)
+    assert dataclasses.replace(as_task(last), start_reach=3.3, goal_size=0.1) == TASK
+    assert last.start_reach == pytest.approx(3.3) and last.goal_size == pytest.approx(0.1)
+    assert last.contact_limit == 8 and not last.goal_while_touching  # the aids of the MuJoCo plant
+
+
+@pytest.mark.parametrize("level, reach, tilt, goal, platform", [
+    (0.2, 1.2, 1 / 3, 0.25, False), (0.29, 1.515, 0.29 / 0.6, 0.25, False), (0.3, 1.55, 0.5, 0.25, True),
+    (0.4, 1.9, 2 / 3, 0.25, True), (0.6, 2.6, 1.0, 0.20, True), (0.8, 3.3, 1.0, 0.15, True),
+])  # fmt: skip
+def test_adaptive_stages(level, reach, tilt, goal, platform):
+    c = at_level(level)
+    assert (c.start_reach, c.tilt, c.goal_size) == pytest.approx((reach, tilt, goal))
+    assert c.platform is platform
+
+
+def test_difficulty_only_grows_with_the_level():
+    levels = [at_level(k / 100) for k in range(101)]
+    for a, b in itertools.pairwise(levels):
+        assert b.start_reach >= a.start_reach and b.tilt >= a.tilt
+        assert b.goal_size <= a.goal_size and b.platform >= a.platform
+        # A tilt step larger than the angle tolerance would lose the policy at once.
+        assert (b.tilt - a.tilt) * math.pi / 7 < 0.25 * b.goal_size
+
+
+def test_the_gate_needs_a_full_window_above_its_rate():
+    c = AdaptiveCurriculum(window=60, gate=0.7, step=0.06, floor=0.3, creep=0.003)
+    episodes(c, 59)
+    c.advance(1)
+    assert c.level == 0.003  # not full yet: creep only
+    episodes(c, 1)
+    c.advance(2)
+    assert c.level == pytest.approx(0.063)
+    assert c.success == 0.0  # the window is emptied
+    c.advance(3)
+    assert c.level == pytest.approx(0.063)
+
+
+def test_at_the_gate_itself_it_only_creeps():
+    c = AdaptiveCurriculum()
+    episodes(c, 42, 18)  # 70 % exactly
+    c.advance(1)
+    assert c.level == 0.003
+
+
+@pytest.mark.parametrize("successes, level", [(0, 0.0), (18, 0.0), (19, 0.003), (42, 0.003), (43, 0.06)])
+def test_floor_creep_and_gate(successes, level):
+    c = AdaptiveCurriculum()
+    episodes(c, successes, 60 - successes)
+    c.advance(1)
+    assert c.level == pytest.approx(level)
+
+
+def test_a_failing_policy_is_never_pushed():
+    c = AdaptiveCurriculum()
+    c.level = 0.5
+    for k in range(100):
+        episodes(c, 0, 20)
+        c.advance(k)
+    assert c.level == 0.5
+
+
+def test_episodes_solved_within_two_steps_do_not_count():
+    c = AdaptiveCurriculum()
+    episodes(c, 500, length=2)
+    c.advance(1)
+    assert c.level == 0.0 and c.success == 0.0
+    episodes(c, 60, length=3)
+    c.advance(2)
+    assert c.level == pytest.approx(0.06)
+    c = AdaptiveCurriculum()
+    episodes(c, 0, 10, length=2)  # failures of two steps do
+    episodes(c, 10)
+    assert c.success == 0.5
+
+
+def test_the_level_stops_at_one_and_the_learning_rate_falls_from_there():
+    c = AdaptiveCurriculum(step=0.5)
+    total = 1000
+    for k in (1, 2):
+        assert c.learning_rate_share(100 * k, total) == 1.0
+        episodes(c, 60)
+        c.advance(100 * k)
+    assert c.level == 1.0
+    assert c.learning_rate_share(200, total) == 1.0  # full difficulty was reached at 200 steps
+    assert c.learning_rate_share(600, total) == pytest.approx(0.5)
+    assert c.learning_rate_share(1000, total) == 0.0
+    assert c.learning_rate_share(1100, total) == 0.0
+
+
+def test_a_run_that_ends_before_full_difficulty_keeps_its_learning_rate():
+    c = AdaptiveCurriculum()
+    c.advance(1000)
+    assert c.learning_rate_share(1000, 1000) == 1.0
+
+
+# --- paper -------------------------------------------------------------------------------------------
+
+
+def paper(episode_count=0, steps=0, tilting=0) -> PaperCurriculum:
+    c = PaperCurriculum()
+    c.restore({"episodes": episode_count, "steps": steps, "tilting_episodes": tilting})
+    return c
+
+
+def test_the_paper_goes_by_episodes_and_steps_whatever_the_success():
+    good, bad = PaperCurriculum(), PaperCurriculum()
+    for k in range(50):
+        episodes(good, 100)
+        episodes(bad, 0, 100)
+        good.advance(20_000 * k)
+        bad.advance(20_000 * k)
+    assert good.conditions() == bad.conditions() and good.conditions() != PaperCurriculum().conditions()
+
+
+@pytest.mark.parametrize("count, reach, reach_z", [
+    (0, 0.2, 0.2), (6000, 1.2, 0.95), (8000, 0.2 + 8 / 6, 1.2), (12_000, 2.2, 1.2), (18_600, 3.3, 1.2),
+    (40_000, 3.3, 1.2),
+])  # fmt: skip
+def test_paper_starts_spread(count, reach, reach_z):
+    c = paper(count).conditions()
+    assert (c.start_reach, c.start_reach_z) == pytest.approx((reach, reach_z))
+
+
+@pytest.mark.parametrize("count, size", [(0, 0.25), (2500, 0.25), (5000, 0.175), (7500, 0.1), (9000, 0.1)])
+def test_paper_goal_box(count, size):
+    assert paper(count).conditions().goal_size == pytest.approx(size)
+
+
+def test_paper_tilt_begins_at_400_000_steps():
+    c = PaperCurriculum()
+    episodes(c, 1000)
+    c.advance(399_999)
+    episodes(c, 1000)
+    assert c.conditions().tilt == 0.0
+    c.advance(400_000)
+    episodes(c, 0, 3000)
+    assert c.conditions().tilt == 0.5
+    episodes(c, 4000)
+    assert c.conditions().tilt == 1.0
+
+
+@pytest.mark.parametrize("steps, platform, gamma", [
+    (0, False, 0.97), (400_000, False, 0.98), (799_999, False, 0.99), (800_000, True, 0.99),
+    (3_000_000, True, 0.99),
+])  # fmt: skip
+def test_paper_platform_and_gamma(steps, platform, gamma):
+    c = paper(steps=steps)
+    assert c.conditions().platform is platform
+    assert c.gamma() == pytest.approx(gamma, abs=1e-6)
+
+
+def test_the_paper_has_no_training_aids_and_a_constant_learning_rate():
+    c = paper(30_000, 3_000_000, 9000)
+    assert as_task(c.conditions()) == dataclasses.replace(TASK, lowest_start=1.0)
+    assert c.conditions().contact_limit == 0 and c.conditions().goal_while_touching
+    assert c.level == 1.0
+    assert {c.learning_rate_share(k, 10) for k in range(11)} == {1.0}
+
+
+# --- none and effort ---------------------------------------------------------------------------------
+
+
+def test_no_curriculum_is_the_task_with_a_falling_learning_rate():
+    c = make_curriculum("none", "landing", 0.98)
+    assert as_task(c.conditions()) == TASK and c.gamma() == 0.98
+    assert [c.learning_rate_share(k, 1000) for k in (0, 500, 1000, 2000)] == [1.0, 0.5, 0.0, 0.0]
+    assert NoCurriculum(0.97).conditions() is None
+
+
+def test_effort_eases_the_set_point_and_holds_the_learning_rate_for_60_percent():
+    c = make_curriculum("effort", "setpoint", 0.97)
+    conditions = c.conditions()
+    assert conditions.effort_floor >= setpoint.EFFORT_FLOOR
+    assert conditions.episode_limit <= setpoint.MAX_STEPS
+    shares = [c.learning_rate_share(k, 1000) for k in (0, 600, 800, 1000)]
+    assert shares == pytest.approx([1.0, 1.0, 0.5, 0.0])
+    assert c.gamma() == 0.97
+
+
+# --- all ---------------------------------------------------------------------------------------------
+
+ALL = [("adaptive", "landing"), ("paper", "landing"), ("none", "landing"), ("effort", "setpoint"),
+       ("none", "setpoint")]  # fmt: skip
+
+
+@pytest.mark.parametrize("name, task", ALL)
+def test_state_survives_json_and_continues_equally(name, task):
+    def advance(c, first, last):
+        for k in range(first, last):
+            episodes(c, 30 + k % 30, 10, length=2 + k)
+            c.advance(30_000 * k)
+
+    c, other = (make_curriculum(name, task, 0.99) for _ in range(2))
+    advance(c, 0, 20)
+    other.restore(json.loads(json.dumps(c.state())))
+    for both in ((0, 0), (20, 40)):
+        advance(c, *both)
+        advance(other, *both)
+        assert other.state() == c.state() and other.conditions() == c.conditions()
+        assert other.level == c.level and other.gamma() == c.gamma() and other.log() == c.log()
+        shares = [x.learning_rate_share(1_100_000, 1_500_000) for x in (c, other)]
+        assert shares[0] == shares[1]
+
+
+@pytest.mark.parametrize("name, task", ALL)
+def test_asking_changes_nothing(name, task):
+    c = make_curriculum(name, task, 0.99)
+    before = c.state()
+    for _ in range(3):
+        c.conditions(), c.log(), c.gamma(), c.learning_rate_share(5, 10)
+    assert c.state() == before
+    assert c.log()["level"] == c.level
+    assert all(isinstance(value, float) for value in c.log().values())
+
+
+@pytest.mark.parametrize("name, task, known", [
+    ("steep", "landing", "adaptive, paper or none"), ("effort", "landing", "adaptive, paper or none"),
+    ("adaptive", "setpoint", "effort or none"), ("paper", "setpoint", "effort or none"),
+])  # fmt: skip
+def test_unknown_curricula(name, task, known):
+    with pytest.raises(UserError, match=f"unknown curriculum '{name}' for task {task}: it must be {known}"):
+        make_curriculum(name, task, 0.99)

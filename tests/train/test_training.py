@@ -1,0 +1,316 @@
+"""`landing-train`: reproducible, resumable, and one sentence with exit code 2 for whatever is wrong."""
+
+import dataclasses
+import io
+import json
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from inclined_landing.eval.policy import load_policy
+from inclined_landing.models.errors import UserError
+from inclined_landing.train import cli, run
+from inclined_landing.train.config import TrainConfig
+from inclined_landing.train.run import CHECKPOINT, Run, train
+
+TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "steps": 512, "threads": 1,
+        "evaluate_every": 0, "video_every": 0, "checkpoint_every": 2}  # fmt: skip
+
+
+def config(out, **options) -> TrainConfig:
+    return TrainConfig(out=out, **(TINY | options))
+
+
+def weights(path) -> dict[str, np.ndarray]:
+    """Network and optimizer of a policy file, everything that training goes on from."""
+    with zipfile.ZipFile(path) as archive:
+        policy = torch.load(io.BytesIO(archive.read("policy.pth")), weights_only=True)
+        optimizer = torch.load(io.BytesIO(archive.read("policy.optimizer.pth")), weights_only=True)
+    result = {name: tensor.numpy() for name, tensor in policy.items()}
+    for k, moments in optimizer["state"].items():
+        result |= {f"optimizer {k} {name}": tensor.numpy() for name, tensor in moments.items()}
+    return result
+
+
+def assert_same_policy(a, b):
+    a, b = weights(a), weights(b)
+    assert set(a) == set(b)
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def landing_run(tmp_path_factory):
+    """Run folder and metrics of a tiny landing run, with evaluations and checkpoints on its way."""
+    return train(config(tmp_path_factory.mktemp("run") / "a", evaluate_every=2, seed=3))
+
+
+def test_run_folder(landing_run):
+    folder, metrics = landing_run
+    assert {"run.json", "learning.csv", "evaluations.csv", CHECKPOINT, "best.zip", "final.zip"} <= {
+        path.name for path in folder.iterdir()
+    }
+    assert not [path for path in folder.iterdir() if ".part" in path.name or path.name == ".current.zip"]
+    record = json.loads((folder / "run.json").read_text("utf-8"))
+    assert (
+        record["config"] == metrics["config"] == config(folder, evaluate_every=2, seed=3).resolved().as_json()
+    )
+    assert record["versions"]["mujoco"] == "4.0.0" and record["command"].startswith("landing-train")
+    assert json.loads((folder / "metrics.json").read_text("utf-8")) == metrics
+    assert metrics["finished"] and metrics["steps"] == 512
+    learning = pd.read_csv(folder / "learning.csv")
+    assert learning["steps"].tolist() == [128, 256, 384, 512]
+    assert {"training_seconds", "episode_reward", "level", "start_reach"} <= set(learning)
+    evaluations = pd.read_csv(folder / "evaluations.csv")
+    assert evaluations["steps"].tolist() == [256, 512]
+    assert evaluations["strict_success"].between(0, 1).all()
+    assert list((folder / "tensorboard").iterdir())
+
+
+def test_same_seed_same_policy_bit_for_bit(landing_run, tmp_path):
+    """Also with other evaluations and checkpoints in between: looking does not change the run."""
+    folder, _ = landing_run
+    again, _ = train(config(tmp_path / "b", seed=3, evaluate_every=0, checkpoint_every=3))
+    assert_same_policy(folder / "final.zip", again / "final.zip")
+    other, _ = train(config(tmp_path / "c", seed=4))
+    a, b = weights(folder / "final.zip"), weights(other / "final.zip")
+    assert not np.array_equal(a["action_net.weight"], b["action_net.weight"])
+
+
+def test_number_of_threads_changes_no_bit(landing_run, tmp_path):
+    again, _ = train(config(tmp_path / "b", seed=3, threads=2))
+    assert_same_policy(landing_run[0] / "final.zip", again / "final.zip")
+
+
+class Killed(BaseException):
+    """Stands for a kill right after a checkpoint."""
+
+
+KINDS = {
+    "landing": {"task": "landing"},
+    "landing analytic paper": {"task": "landing", "plant": "analytic", "curriculum": "paper"},
+    "setpoint": {"task": "setpoint"},
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_killed_and_resumed_equals_uninterrupted(kind, tmp_path, monkeypatch):
+    options = KINDS[kind] | {"steps": 768}
+    whole, _ = train(config(tmp_path / "whole", **options))
+    checkpoint = Run.checkpoint
+
+    def checkpoint_and_die(self, iteration):
+        checkpoint(self, iteration)
+        if iteration == 4:
+            raise Killed
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "checkpoint", checkpoint_and_die)
+        with pytest.raises(Killed):
+            train(config(tmp_path / "cut", **options))
+    assert not (tmp_path / "cut" / "final.zip").exists()
+    # The configuration is the stored one, whatever is given now.
+    resumed, metrics = train(TrainConfig(out=tmp_path / "cut", resume=True))
+    assert metrics["steps"] == 768 and metrics["finished"]
+    assert_same_policy(whole / "final.zip", resumed / "final.zip")
+    steps = [pd.read_csv(folder / "learning.csv")["steps"].tolist() for folder in (whole, resumed)]
+    assert steps[0] == steps[1] == [128 * k for k in range(1, 7)]
+
+
+@pytest.mark.xfail(reason="the last checkpoint holds a step of a rollout that was begun and dropped")
+def test_stopped_by_the_clock_and_resumed_equals_uninterrupted(landing_run, tmp_path):
+    out = tmp_path / "cut"
+    _, metrics = train(config(out, seed=3, max_seconds=1e-6))
+    assert not metrics["finished"] and metrics["steps"] < 512
+    resumed, metrics = train(TrainConfig(out=out, resume=True))
+    assert metrics["finished"] and metrics["steps"] == 512
+    assert_same_policy(landing_run[0] / "final.zip", resumed / "final.zip")
+
+
+def test_stopped_by_the_clock_ends_properly_and_resumes(tmp_path):
+    out = tmp_path / "cut"
+    _, metrics = train(config(out, max_seconds=1e-6))
+    assert not metrics["finished"] and metrics["steps"] < 512
+    assert load_policy(out / "final.zip").metadata["steps"] == metrics["steps"]
+    _, metrics = train(TrainConfig(out=out, resume=True))
+    assert metrics["finished"] and metrics["steps"] >= 512
+
+
+@pytest.mark.slow
+def test_a_process_killed_with_signal_9_resumes(tmp_path):
+    options = ["--environments", "8", "--rollout", "16", "--batch-size", "64", "--epochs", "2",
+               "--steps", "6400", "--threads", "1", "--evaluate-every", "0", "--video-every", "0",
+               "--checkpoint-every", "5", "--no-report"]  # fmt: skip
+    command = [sys.executable, "-m", "inclined_landing.train", "landing", *options]
+    subprocess.run([*command, "--out", str(tmp_path / "whole")], check=True, capture_output=True)
+    process = subprocess.Popen([*command, "--out", str(tmp_path / "cut")], stdout=subprocess.DEVNULL)
+    for _ in range(600):
+        time.sleep(0.1)
+        if (tmp_path / "cut" / CHECKPOINT).exists():
+            break
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (tmp_path / "cut" / "final.zip").exists()
+    resume = [sys.executable, "-m", "inclined_landing.train", "--no-report", "--resume"]
+    subprocess.run([*resume, "--out", str(tmp_path / "cut")], check=True, capture_output=True)
+    assert_same_policy(tmp_path / "whole" / "final.zip", tmp_path / "cut" / "final.zip")
+
+
+def test_policy_files_need_no_training_code(landing_run):
+    """A fresh interpreter that only knows envs and eval reads and flies the policy."""
+    code = (
+        "import sys, numpy as np\n"
+        "from inclined_landing.eval.policy import load_policy\n"
+        f"policy = load_policy({str(landing_run[0] / 'final.zip')!r})\n"
+        "assert policy.predict(np.zeros((2, 5))).shape == (2, 2)\n"
+        "assert policy.task.options['pwm_centre'] == 'hover'\n"
+        "print(*[m for m in sys.modules if m.startswith('inclined_landing.train')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == []
+
+
+def test_stock_sb3_loads_the_policy_too(landing_run):
+    from stable_baselines3 import PPO
+
+    path = landing_run[0] / "final.zip"
+    observation = np.random.default_rng(0).normal(size=(20, 5)).astype(np.float32)
+    action, _ = PPO.load(path, device="cpu").predict(observation, deterministic=True)
+    # float32 inside torch, float64 here: 64 + 64 + 5 terms of size 1, each rounded to 6e-8
+    np.testing.assert_allclose(action, load_policy(path).predict(observation), atol=1e-5)
+
+
+def test_the_stamp_says_what_the_policy_was_trained_for(landing_run):
+    stamp = load_policy(landing_run[0] / "final.zip").metadata
+    assert stamp["task"] == "landing" and stamp["plant"] == "mujoco" and stamp["curriculum"] == "adaptive"
+    assert stamp["seed"] == 3 and stamp["steps"] == 512
+    assert stamp["task_options"]["pwm_centre"] == "hover"
+    assert stamp["command"].startswith("landing-train") and stamp["versions"]["mujoco"] == "4.0.0"
+
+
+def test_training_applies_the_curriculum_and_evaluation_does_not(tmp_path):
+    """The vehicles train under the first stage; the judge's task and plant are the plain ones."""
+    begun = Run(config(tmp_path / "a"))
+    begun.execute()
+    assert begun.env.env.task.conditions == begun.curriculum.conditions()
+    assert not begun.env.env.task.conditions.platform
+    assert begun._judge.task.conditions == type(begun._judge.task.conditions)()
+    plant = begun._judge.plant
+    assert plant.keep_out == 0.0 and plant.kind == "mujoco" and plant.attitude == "rate_loop"
+    assert begun.env.env.plant.keep_out == 0.04
+
+
+def test_evaluation_starts_are_neither_training_starts_nor_another_seeds(tmp_path):
+    judges = [Run(config(tmp_path / str(seed), seed=seed))._judge for seed in (0, 1)]
+    assert not np.array_equal(judges[0].starts, judges[1].starts)
+    trained = Run(config(tmp_path / "c", seed=0, curriculum="none"))
+    trained.env.reset()
+    assert not set(trained.env.env.plant.state[:, 0]) & set(judges[0].starts[:, 0])
+
+
+# --- wrong input -------------------------------------------------------------------------------------
+
+WRONG = {
+    "hover": "unknown task 'hover'; known are landing and setpoint",
+    "--plant gazebo": "unknown plant 'gazebo'; known are mujoco and analytic",
+    "--integrator rk4": "unknown integrator 'rk4'; known are RK4, implicitfast, Euler",
+    "--steps 0": "--steps must be at least 1",
+    "--steps -5": "--steps must be at least 1",
+    "--environments 0": "--environments must be at least 1",
+    "--rollout -1": "--rollout must be at least 1",
+    "--batch-size 0": "--batch-size must be at least 1",
+    "--epochs 0": "--epochs must be at least 1",
+    "--checkpoint-every 0": "--checkpoint-every must be at least 1",
+    "--evaluate-every -1": "--evaluate-every must not be negative",
+    "--video-every -1": "--video-every must not be negative",
+    "--threads -1": "--threads must not be negative",
+    "--seed -1": "--seed must not be negative",
+    "--gamma 1.0": "--gamma must lie between 0 and 1",
+    "--gamma nan": "--gamma must lie between 0 and 1",
+    "--gae-lambda 1.5": "--gae-lambda from 0 to 1",
+    "--learning-rate 0": "--learning-rate and --max-seconds must be positive",
+    "--max-seconds -1": "--learning-rate and --max-seconds must be positive",
+    "--environments 3 --rollout 11 --batch-size 32": "leaves a last minibatch of one sample",
+    "--resume": "nothing to resume",
+}
+LATE = {
+    "--curriculum steep": "unknown curriculum 'steep' for task landing",
+    "setpoint --curriculum adaptive": "unknown curriculum 'adaptive' for task setpoint",
+    "--pwm-centre static": "pwm_centre must be",
+    "--keep-out -0.1": "keep_out must not be negative",
+    "--learning-rate nan": "--learning-rate",
+    "--max-seconds nan": "--max-seconds",
+    "--reward-scale nan": "--reward-scale",
+    "--log-std-init nan": "--log-std-init",
+    "--entropy nan": "--entropy",
+}
+
+
+def refuse(arguments, sentence, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(run, "EVALUATION_STARTS", 2)
+    # Options that would be taken by mistake then end soon.
+    tiny = "--environments 2 --rollout 4 --batch-size 8 --steps 8 --evaluate-every 0 --no-report".split()
+    given = arguments.split()
+    for option, value in zip(tiny[::2], tiny[1::2]):
+        given += [option, value] if option not in given else []
+    assert cli.main([*given, "--no-report"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and sentence in captured.err
+    assert captured.err.startswith("landing-train: ") and captured.err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("arguments", WRONG)
+def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, tmp_path, monkeypatch, capsys):
+    refuse(arguments, WRONG[arguments], tmp_path, monkeypatch, capsys)
+
+
+@pytest.mark.xfail(reason="the run folder is made before these are checked, or they are not checked")
+@pytest.mark.parametrize("arguments", LATE)
+def test_values_that_only_the_task_or_the_plant_refuses(arguments, tmp_path, monkeypatch, capsys):
+    refuse(arguments, LATE[arguments], tmp_path, monkeypatch, capsys)
+
+
+@pytest.mark.parametrize("arguments", [["--steps", "many"], ["--colour", "red"], ["landing", "setpoint"]])
+def test_arguments_that_do_not_parse_end_with_2(arguments, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        cli.main(arguments)
+    assert end.value.code == 2 and not list(tmp_path.iterdir())
+
+
+def test_an_existing_run_is_not_overwritten(landing_run, capsys):
+    folder = landing_run[0]
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    assert cli.main(["--out", str(folder)]) == 2
+    assert "exists and is not empty; choose another name" in capsys.readouterr().err
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+
+
+def test_an_interruption_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+    def interrupt(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Run, "execute", interrupt)
+    assert cli.main(["--out", str(tmp_path / "a"), "--environments", "2"]) == 130
+    assert "--resume" in capsys.readouterr().err
+
+
+def test_resolved_configurations_stay_as_they_are(tmp_path):
+    for task in ("landing", "setpoint"):
+        once = TrainConfig(task=task).resolved()
+        assert once.resolved() == once
+        assert all(
+            getattr(once, f.name) is not None for f in dataclasses.fields(once) if f.name != "max_seconds"
+        )
+    with pytest.raises(UserError):
+        TrainConfig(task="").resolved()
