@@ -257,6 +257,11 @@ class MujocoPlant(_Plant):
     def _arrays(self):
         return super()._arrays() | {"engine": self.batch.state}
 
+    def restore(self, snapshot: Snapshot) -> None:
+        """Return to a snapshot of a plant of the same kind and size."""
+        super().restore(snapshot)
+        self._warning[:] = 0
+
     def set_platform(self, ids, inclination, present=True) -> None:
         """Platform inclination [rad] and presence of the vehicles `ids`."""
         self.inclination[ids] = inclination

@@ -444,12 +444,18 @@ def test_divergence_is_an_error_that_names_the_vehicle():
     plant = MujocoPlant(3)
     states = hover((0, 0, 2), (0, 0, 2), (0, 0, 2))
     states[1, VX] = 1e20
+    snapshot = plant.save()
     plant.reset(np.arange(3), states)
     with pytest.raises(FloatingPointError, match=r"the engine diverged for vehicles \[1\]"):
         plant.step(np.zeros((3, 4)))
     plant.reset([1], hover((0, 0, 2)))
     plant.step(np.zeros((3, 4)))
     assert np.isfinite(plant.state).all()
+    plant.reset(np.arange(3), states)
+    with pytest.raises(FloatingPointError):
+        plant.step(np.zeros((3, 4)))
+    plant.restore(snapshot)
+    plant.step(np.zeros((3, 4)))
 
 
 def test_surfaces_and_parts_are_those_of_the_contact_sensors():
