@@ -102,13 +102,13 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_killed_and_resumed_equals_uninterrupted(kind, tmp_path, monkeypatch):
-    options = KINDS[kind] | {"steps": 768}
+    options = KINDS[kind] | {"steps": 128 * 24}  # 384 of each vehicle: every episode ends once at least
     whole, _ = train(config(tmp_path / "whole", **options))
     checkpoint = Run.checkpoint
 
     def checkpoint_and_die(self, iteration):
         checkpoint(self, iteration)
-        if iteration == 4:
+        if iteration == 12:
             raise Killed
 
     with monkeypatch.context() as patch:
@@ -118,10 +118,10 @@ def test_killed_and_resumed_equals_uninterrupted(kind, tmp_path, monkeypatch):
     assert not (tmp_path / "cut" / "final.zip").exists()
     # The configuration is the stored one, whatever is given now.
     resumed, metrics = train(TrainConfig(out=tmp_path / "cut", resume=True))
-    assert metrics["steps"] == 768 and metrics["finished"]
+    assert metrics["steps"] == 128 * 24 and metrics["finished"]
     assert_same_policy(whole / "final.zip", resumed / "final.zip")
     steps = [pd.read_csv(folder / "learning.csv")["steps"].tolist() for folder in (whole, resumed)]
-    assert steps[0] == steps[1] == [128 * k for k in range(1, 7)]
+    assert steps[0] == steps[1] == [128 * k for k in range(1, 25)]
 
 
 @pytest.mark.xfail(reason="the last checkpoint holds a step of a rollout that was begun and dropped")
