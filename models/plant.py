@@ -7,6 +7,8 @@ u = [PWM, roll, pitch, yaw rate] (n, 4) held for one control period, and shows
 - `contacts`: what the vehicles' parts touched during the last control step;
 - `reset(ids, state)`: full state, lag included; `save()` / `restore()`: everything that a replay needs;
 - `set_platform(ids, inclination, present)` and `perturb(**changes)`, per vehicle, no recompiling.
+
+The MuJoCo plant also has `set_contact(ids, ...)`: friction, restitution and contact time, foot height.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ import mujoco.batch
 import numba
 import numpy as np
 
-from inclined_landing.models import analytic, geometry, perturbation
+from inclined_landing.models import analytic, contact, geometry, perturbation
 from inclined_landing.models.attitude import (
     LAG,
     PITCH,
@@ -250,17 +252,65 @@ class MujocoPlant(_Plant):
         self._mocap = [int(self.model.body(b).mocapid[0]) for b in geometry.PLATFORM_BODIES]
         self._warning = self.batch.warning
         self._sensors = np.zeros((n, self.substeps, self.model.nsensordata))
-        self._perturbed = False
+        self._perturbed = self._contact_set = False
+        v, feet = self.vehicle, self.shapes.parts == geometry.PARTS.index("feet")
+        self.foot_height = float((self.shapes.radii - self.shapes.centres[:, 2])[feet].max())
+        self._contact_default = np.array([v.contact_friction, *v.contact_solref, self.foot_height])
+        self._contact = np.tile(self._contact_default, (n, 1))
         self.set_platform(np.arange(n), self.inclination)
         self.reset(np.arange(n), self.state)
 
     def _arrays(self):
-        return super()._arrays() | {"engine": self.batch.state}
+        return super()._arrays() | {"engine": self.batch.state, "contact": self._contact}
 
     def restore(self, snapshot: Snapshot) -> None:
         """Return to a snapshot of a plant of the same kind and size."""
         super().restore(snapshot)
+        self._apply_contact()
         self._warning[:] = 0
+
+    def set_contact(
+        self, ids, *, friction=None, restitution=None, contact_time=None, solref=None, foot_height=None
+    ) -> None:
+        """Contact parameters of the vehicles `ids`, numbers or (k,) arrays; None leaves them as they are.
+
+        friction: sliding friction between the vehicle and every surface.
+        restitution, contact_time [s]: see `contact.solref`; both or none.
+        solref: instead of these, MuJoCo's own (2,) or (k, 2).
+        foot_height: how far the feet reach below the centre of mass [m]; the plant's `foot_height` is
+            the nominal one.
+
+        Vehicle and surfaces get the same values, because the engine mixes those of both sides.
+        Raises UserError, and changes nothing, for values that are out of range.
+        """
+        rows = self._contact[ids].copy()
+        if friction is not None:
+            rows[..., 0] = contact.check_friction(friction)
+        if (restitution is None) != (contact_time is None):
+            raise UserError("restitution and contact time belong together: give both or none")
+        if restitution is not None:
+            if solref is not None:
+                raise UserError("give either restitution and contact time or solref, not all of them")
+            solref = contact.solref(restitution, contact_time, self.vehicle.environment_gravity)
+        if solref is not None:
+            rows[..., 1:3] = contact.check_solref(solref)
+        if foot_height is not None:
+            rows[..., 3] = contact.check_foot_height(foot_height, self.foot_height)
+        self._contact[ids] = rows
+        self._apply_contact()
+
+    def _apply_contact(self) -> None:
+        if not self._contact_set and (self._contact == self._contact_default).all():
+            return
+        self._contact_set = True
+        model, c, expand = self.model, self._contact, self.batch.expand
+        geoms = np.flatnonzero(model.geom_contype)
+        expand("geom_friction")[:, geoms, 0] = c[:, :1]
+        expand("geom_solref")[:, geoms] = c[:, None, 1:3]
+        if (c[:, 3] != self.foot_height).any() or self.batch.expanded("body_pos") is not None:
+            feet = model.body("feet").id
+            expand("body_pos")[:, feet, 2] = model.body_pos[feet, 2] + self.foot_height - c[:, 3]
+            self.batch.set_const()
 
     def set_platform(self, ids, inclination, present=True) -> None:
         """Platform inclination [rad] and presence of the vehicles `ids`."""
