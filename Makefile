@@ -17,7 +17,8 @@ SOURCES := pyproject.toml constraints.txt models/crazyflie.toml $(wildcard model
 install: $(INSTALLED)
 
 demo: $(INSTALLED)
-	$(BIN)/landing-train landing --out runs/demo
+	rm -rf runs/demo
+	$(BIN)/landing-train landing --out runs/demo --seed 0
 
 test: $(INSTALLED)
 	$(BIN)/ruff check

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 
 import tyro
@@ -28,7 +29,7 @@ class TrainConfig:
     max_seconds: float | None = None
     """Stop at this wall time; the checkpoint allows to resume."""
     resume: bool = False
-    """Continue the run in --out from its last checkpoint, with its own configuration."""
+    """Continue the run in --out from its last checkpoint; task and all else are those of the run."""
     report: bool = True
     """After training: success table, learning curves, figures and the landing video."""
 
@@ -92,6 +93,10 @@ class TrainConfig:
             epochs=self.epochs if self.epochs is not None else (5 if landing else 8),
             gamma=self.gamma if self.gamma is not None else (0.99 if landing else 0.97),
         )
+        for field in dataclasses.fields(config):
+            value = getattr(config, field.name)
+            if isinstance(value, float) and not math.isfinite(value):
+                raise UserError(f"--{field.name.replace('_', '-')} must be a finite number, not {value}")
         positive = ("steps", "environments", "rollout", "batch_size", "epochs", "checkpoint_every")
         for name in positive:
             if getattr(config, name) < 1:

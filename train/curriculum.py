@@ -83,20 +83,21 @@ class NoCurriculum:
         return
 
 
-# Training aids of the MuJoCo plant: a real contact upsets the vehicle, which then lies on the slab
-# for the rest of the episode and teaches nothing.
-_AIDS = {"contact_limit": 8, "goal_while_touching": False}
+# Training aids: a real contact upsets the vehicle, which then lies on the slab for the rest of the
+# episode, and one that leaves the arena rarely comes back; neither teaches anything.
+_AIDS = {"contact_limit": 8, "leave_limit": 0.3, "goal_while_touching": False}
 
 
 class AdaptiveCurriculum:
     """One difficulty variable, raised when the measured success of training episodes allows it.
 
     With level l from 0 to 1: starts spread from 0.5 m to 3.3 m by l = 0.8, the goal tilts by l = 0.6,
-    the platform appears at l = 0.3, the goal box shrinks from 0.25 to 0.10 from l = 0.4 on.
+    the platform appears in more and more episodes from l = 0.25 to 0.45, the goal box shrinks from
+    0.25 to 0.10 from l = 0.4 on.
 
     Rule, once per rollout: if the success rate of the last `window` episodes exceeds `gate`, l rises by
-    `step` and the window is emptied; otherwise, above `floor`, l creeps up by `creep`. Episodes solved
-    within two steps do not count. The learning rate stays constant until l = 1 and then falls linearly
+    `step` and the window is emptied; above `floor`, l creeps up by `creep`; below `retreat` it creeps
+    down. Episodes solved within two steps do not count. The learning rate stays constant until l = 1 and then falls linearly
     to zero at the end of the run.
     """
 
@@ -108,11 +109,13 @@ class AdaptiveCurriculum:
         *,
         window: int = 60,
         gate: float = 0.7,
-        floor: float = 0.3,
+        floor: float = 0.4,
         step: float = 0.06,
         creep: float = 0.003,
+        retreat: float = 0.15,
     ):
-        self._gamma, self.gate, self.floor, self.step, self.creep = gamma, gate, floor, step, creep
+        self._gamma, self.gate, self.floor, self.step = gamma, gate, floor, step
+        self.creep, self.retreat = creep, retreat
         self.level = 0.0
         self._recent: deque[bool] = deque(maxlen=window)
         self._full_at: int | None = None
@@ -124,7 +127,7 @@ class AdaptiveCurriculum:
             start_reach=0.5 + 2.8 * min(1.0, l / 0.8),
             tilt=min(1.0, l / 0.6),
             goal_size=float(EASIEST_GOAL_SIZE + (GOAL_SIZE - EASIEST_GOAL_SIZE) * shrink),
-            platform=l >= 0.3,
+            platform=float(np.clip((l - 0.25) / 0.2, 0.0, 1.0)),
             **_AIDS,
         )
 
@@ -145,6 +148,8 @@ class AdaptiveCurriculum:
             self._recent.clear()
         elif self.success > self.floor:
             self.level = min(1.0, self.level + self.creep)
+        elif len(self._recent) == self._recent.maxlen and self.success < self.retreat:
+            self.level = max(0.0, self.level - self.creep)
         if self.level >= 1.0:
             self._full_at = steps
 
@@ -164,7 +169,7 @@ class AdaptiveCurriculum:
             "start_reach": c.start_reach,
             "tilt": c.tilt,
             "goal_size": c.goal_size,
-            "platform": float(c.platform),
+            "platform": c.platform,
         }
 
     def state(self) -> dict:
@@ -210,7 +215,7 @@ class PaperCurriculum:
             start_reach_z=min(1.2, 0.2 + 0.75 * self.episodes / 6000),
             tilt=min(1.0, self.tilting_episodes / 6000),
             goal_size=float(EASIEST_GOAL_SIZE + (GOAL_SIZE - EASIEST_GOAL_SIZE) * shrink),
-            platform=self.steps >= 800_000,
+            platform=float(self.steps >= 800_000),
             lowest_start=1.0,
         )
 
@@ -234,7 +239,7 @@ class PaperCurriculum:
             "start_reach": c.start_reach,
             "tilt": c.tilt,
             "goal_size": c.goal_size,
-            "platform": float(c.platform),
+            "platform": c.platform,
         }
 
     def state(self) -> dict:

@@ -50,10 +50,13 @@ class Run:
         config = config.resolved()
         if config.resume:
             config = self._stored(config)
-        self.folder = runs.new_run(config.out, config.task, resumable=CHECKPOINT if config.resume else None)
+        else:
+            runs.check_new_run(config.out)
         self.config = config
         self.env = ppo.training_environment(config)
         self.curriculum = make_curriculum(config.curriculum, config.task, config.gamma)
+        self.folder = runs.new_run(config.out, resumable=CHECKPOINT if config.resume else None)
+        self._stopped = False
         self.history: list[dict] = []
         self.evaluations: list[dict] = []
         spent = None
@@ -104,7 +107,7 @@ class Run:
             every(config.checkpoint_every, self.checkpoint),
         ]
         if config.max_seconds is not None:
-            callbacks.append(every(1, lambda _: self.clock.total() < config.max_seconds))
+            callbacks.append(every(1, self._in_time))
         model.set_logger(configure(str(self.folder / "tensorboard"), ["tensorboard"]))
         remaining = config.steps - model.num_timesteps
         self.clock.switch("training")
@@ -118,7 +121,8 @@ class Run:
         finished = model.num_timesteps >= config.steps
         if config.evaluate_every:
             self.evaluate(math.ceil(model.num_timesteps / per_iteration))
-        self.checkpoint(0)
+        if not self._stopped:  # then the checkpoint lies at the beginning of the dropped rollout
+            self.checkpoint(0)
         self.save_policy(self.folder / "final.zip")
         self.clock.switch("training")
         return self._metrics(finished)
@@ -171,6 +175,14 @@ class Run:
         frames = render_flight(flight, camera="hero")
         write_video(self.folder / "videos" / f"iteration_{iteration:04d}.mp4", frames)
         self.clock.switch("training")
+
+    def _in_time(self, iteration: int) -> bool:
+        """False, with a checkpoint, when the wall time is used up."""
+        if self.clock.total() < self.config.max_seconds:
+            return True
+        self.checkpoint(iteration)
+        self._stopped = True
+        return False
 
     def checkpoint(self, iteration: int) -> None:
         """Everything that a continuation needs, in one file that appears whole."""

@@ -32,6 +32,7 @@ its centre hovers 9 cm above the slope, and entries into it may be moving.
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -58,16 +59,17 @@ MAX_STEPS = 300
 class Conditions:
     """What an episode starts under. The defaults are the task; a curriculum passes easier ones.
 
-    The last two fields are training aids: the task itself never uses them.
+    The last three fields are training aids: the task itself never uses them.
     """
 
     start_reach: float = 3.3  # starts lie within this of the goal in x, m
     start_reach_z: float | None = None  # and in z; None: the same
     tilt: float = 1.0  # goal and platform inclination as a share of the task's
     goal_size: float = GOAL_SIZE  # d
-    platform: bool = True
+    platform: float = 1.0  # share of the episodes with a platform
     lowest_start: float = LOWEST_START  # m
     contact_limit: int = 0  # truncate after this many steps in contact (0: never)
+    leave_limit: float = math.inf  # truncate this far outside the arena, or on the floor, m
     goal_while_touching: bool = True  # does the goal box count while touching the platform
 
 
@@ -114,25 +116,24 @@ class InclinedLanding:
         """k starts at rest, uniform over the conditions' box, clear of the platform."""
         c, v = self.conditions, self.vehicle
         low, high = self.start_box()
+        present = rng.random(k) < c.platform
         positions = np.zeros((k, 3))
         todo = np.arange(k)
         for _ in range(1000):
             positions[np.ix_(todo, [0, 2])] = rng.uniform(low, high, (len(todo), 2))
-            start = self.start(hover_states(positions[todo], v))
+            start = self._start(hover_states(positions[todo], v), present[todo])
             todo = todo[self.start_clearance(start) < START_CLEARANCE]
             if not len(todo):
-                return self.start(hover_states(positions, v))
+                return self._start(hover_states(positions, v), present)
         raise UserError(f"no start clear of the platform was found within {c.start_reach:g} m of the goal")
 
     def start(self, state: np.ndarray) -> Start:
-        """Starts from given states (k, 13) under the present conditions."""
+        """Starts from given states (k, 13) under the present conditions, with a platform."""
+        return self._start(state, np.full(len(state), self.conditions.platform > 0))
+
+    def _start(self, state: np.ndarray, present: np.ndarray) -> Start:
         k, c = len(state), self.conditions
-        return Start(
-            state,
-            np.full(k, self.inclination * c.tilt),
-            np.full(k, c.platform),
-            np.full(k, c.goal_size),
-        )
+        return Start(state, np.full(k, self.inclination * c.tilt), present, np.full(k, c.goal_size))
 
     def start_clearance(self, start: Start) -> np.ndarray:
         """(k,) distance of the real shapes to the platform [m]; inf without a platform."""
@@ -165,10 +166,10 @@ class InclinedLanding:
             & (np.abs(state[:, PITCH] - inclination) < 0.25 * d)
         )
 
-    def near_bounds(self, state: np.ndarray) -> np.ndarray:
-        """(n,) bool: within BOUND_MARGIN of the arena's bounds in x or z, or beyond."""
+    def near_bounds(self, state: np.ndarray, m: float = BOUND_MARGIN) -> np.ndarray:
+        """(n,) bool: within m [m] of the arena's bounds in x or z, or beyond."""
         (x0, x1), (z0, z1) = self.vehicle.arena_x, self.vehicle.arena_z
-        x, z, m = state[:, X], state[:, Z], BOUND_MARGIN
+        x, z = state[:, X], state[:, Z]
         return (x < x0 + m) | (x > x1 - m) | (z < z0 + m) | (z > z1 - m)
 
     def judge(self, state, actions, contacts, start: Start, length, in_contact) -> Judgement:
@@ -184,5 +185,9 @@ class InclinedLanding:
             "bounds": -1.0 * (paid & ~obstacle & self.near_bounds(state)),
             "obstacle": -6.0 * (paid & obstacle),
         }
-        cut = (in_contact >= c.contact_limit) & ~goal if c.contact_limit else np.zeros_like(goal)
-        return Judgement(terms, goal, goal, cut)
+        cut = np.zeros_like(goal)
+        if c.leave_limit < math.inf:
+            cut |= self.near_bounds(state, -c.leave_limit) | contacts.touch[:, 2].any(axis=1)
+        if c.contact_limit:
+            cut |= in_contact >= c.contact_limit
+        return Judgement(terms, goal, goal, cut & ~goal)

@@ -29,6 +29,7 @@ def as_task(conditions: landing.Conditions) -> landing.Conditions:
     return dataclasses.replace(
         conditions,
         contact_limit=TASK.contact_limit,
+        leave_limit=TASK.leave_limit,
         goal_while_touching=TASK.goal_while_touching,
         start_reach_z=TASK.start_reach_z,
     )
@@ -50,17 +51,17 @@ def test_adaptive_begins_easy_and_ends_at_the_task():
     last = at_level(1.0)
     assert dataclasses.replace(as_task(last), start_reach=3.3, goal_size=0.1) == TASK
     assert last.start_reach == pytest.approx(3.3) and last.goal_size == pytest.approx(0.1)
-    assert last.contact_limit == 8 and not last.goal_while_touching  # the aids of the MuJoCo plant
+    # the aids of the MuJoCo plant
+    assert last.contact_limit == 8 and last.leave_limit == 0.3 and not last.goal_while_touching
 
 
 @pytest.mark.parametrize("level, reach, tilt, goal, platform", [
-    (0.2, 1.2, 1 / 3, 0.25, False), (0.29, 1.515, 0.29 / 0.6, 0.25, False), (0.3, 1.55, 0.5, 0.25, True),
-    (0.4, 1.9, 2 / 3, 0.25, True), (0.6, 2.6, 1.0, 0.20, True), (0.8, 3.3, 1.0, 0.15, True),
+    (0.2, 1.2, 1 / 3, 0.25, 0.0), (0.25, 1.375, 0.25 / 0.6, 0.25, 0.0), (0.3, 1.55, 0.5, 0.25, 0.25),
+    (0.4, 1.9, 2 / 3, 0.25, 0.75), (0.6, 2.6, 1.0, 0.20, 1.0), (0.8, 3.3, 1.0, 0.15, 1.0),
 ])  # fmt: skip
 def test_adaptive_stages(level, reach, tilt, goal, platform):
     c = at_level(level)
-    assert (c.start_reach, c.tilt, c.goal_size) == pytest.approx((reach, tilt, goal))
-    assert c.platform is platform
+    assert (c.start_reach, c.tilt, c.goal_size, c.platform) == pytest.approx((reach, tilt, goal, platform))
 
 
 def test_difficulty_only_grows_with_the_level():
@@ -92,7 +93,7 @@ def test_at_the_gate_itself_it_only_creeps():
     assert c.level == 0.003
 
 
-@pytest.mark.parametrize("successes, level", [(0, 0.0), (18, 0.0), (19, 0.003), (42, 0.003), (43, 0.06)])
+@pytest.mark.parametrize("successes, level", [(0, 0.0), (24, 0.0), (25, 0.003), (42, 0.003), (43, 0.06)])
 def test_floor_creep_and_gate(successes, level):
     c = AdaptiveCurriculum()
     episodes(c, successes, 60 - successes)
@@ -100,13 +101,17 @@ def test_floor_creep_and_gate(successes, level):
     assert c.level == pytest.approx(level)
 
 
-def test_a_failing_policy_is_never_pushed():
+def test_a_failing_policy_is_never_pushed_but_led_back():
     c = AdaptiveCurriculum()
     c.level = 0.5
+    episodes(c, 10, 50)  # 17 %: between retreat and floor
+    c.advance(0)
+    assert c.level == 0.5
     for k in range(100):
         episodes(c, 0, 20)
         c.advance(k)
-    assert c.level == 0.5
+    # 100 rollouts of 0.003 down, but for the two whose window still holds ten successes or more than 15 %
+    assert 0.199 <= c.level <= 0.5 - 97 * 0.003
 
 
 def test_episodes_solved_within_two_steps_do_not_count():
@@ -195,7 +200,7 @@ def test_paper_tilt_begins_at_400_000_steps():
 ])  # fmt: skip
 def test_paper_platform_and_gamma(steps, platform, gamma):
     c = paper(steps=steps)
-    assert c.conditions().platform is platform
+    assert c.conditions().platform == platform
     assert c.gamma() == pytest.approx(gamma, abs=1e-6)
 
 

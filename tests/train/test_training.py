@@ -124,7 +124,6 @@ def test_killed_and_resumed_equals_uninterrupted(kind, tmp_path, monkeypatch):
     assert steps[0] == steps[1] == [128 * k for k in range(1, 25)]
 
 
-@pytest.mark.xfail(reason="the last checkpoint holds a step of a rollout that was begun and dropped")
 def test_stopped_by_the_clock_and_resumed_equals_uninterrupted(landing_run, tmp_path):
     out = tmp_path / "cut"
     _, metrics = train(config(out, seed=3, max_seconds=1e-6))
@@ -234,14 +233,12 @@ WRONG = {
     "--threads -1": "--threads must not be negative",
     "--seed -1": "--seed must not be negative",
     "--gamma 1.0": "--gamma must lie between 0 and 1",
-    "--gamma nan": "--gamma must lie between 0 and 1",
+    "--gamma nan": "--gamma must be a finite number",
     "--gae-lambda 1.5": "--gae-lambda from 0 to 1",
     "--learning-rate 0": "--learning-rate and --max-seconds must be positive",
     "--max-seconds -1": "--learning-rate and --max-seconds must be positive",
     "--environments 3 --rollout 11 --batch-size 32": "leaves a last minibatch of one sample",
     "--resume": "nothing to resume",
-}
-LATE = {
     "--curriculum steep": "unknown curriculum 'steep' for task landing",
     "setpoint --curriculum adaptive": "unknown curriculum 'adaptive' for task setpoint",
     "--pwm-centre static": "pwm_centre must be",
@@ -272,12 +269,6 @@ def refuse(arguments, sentence, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("arguments", WRONG)
 def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, tmp_path, monkeypatch, capsys):
     refuse(arguments, WRONG[arguments], tmp_path, monkeypatch, capsys)
-
-
-@pytest.mark.xfail(reason="the run folder is made before these are checked, or they are not checked")
-@pytest.mark.parametrize("arguments", LATE)
-def test_values_that_only_the_task_or_the_plant_refuses(arguments, tmp_path, monkeypatch, capsys):
-    refuse(arguments, LATE[arguments], tmp_path, monkeypatch, capsys)
 
 
 @pytest.mark.parametrize("arguments", [["--steps", "many"], ["--colour", "red"], ["landing", "setpoint"]])
