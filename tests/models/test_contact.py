@@ -55,8 +55,8 @@ def drop(restitution, contact_time, speed, phases=8):
     return (np.nan_to_num(up) / down).mean(), pushed.mean()
 
 
-@pytest.mark.parametrize("contact_time", [0.012, 0.02, 0.03])
-@pytest.mark.parametrize("restitution", [0.1, 0.3, 0.5, 0.8, 0.95])
+@pytest.mark.parametrize("contact_time", [0.012, 0.016, 0.02])
+@pytest.mark.parametrize("restitution", [0.1, 0.3, 0.5, 0.6])
 def test_a_drop_at_the_reference_speed_rebounds_as_set(restitution, contact_time):
     e, time = drop(restitution, contact_time, contact.REFERENCE_SPEED)
     # Measured: 0.010 on average from 16 ms on; three steps in 12 ms resolve no more than 0.040.
@@ -77,10 +77,10 @@ def test_weight_takes_more_of_a_slower_rebound(restitution):
 
 def test_the_setting_is_monotone():
     """More restitution, less damping; more contact time, less of both."""
-    e = np.linspace(0, 0.95, 20)
+    e = np.linspace(0, 0.6, 20)
     stiffness, damping = -contact.solref(e, 0.02, G).T
     assert (np.diff(damping) < 0).all() and (stiffness > 0).all()
-    for column in -contact.solref(0.4, np.linspace(0.012, 0.03, 10), G).T:
+    for column in -contact.solref(0.4, np.linspace(0.012, 0.02, 10), G).T:
         assert (np.diff(column) < 0).all()
 
 
@@ -150,9 +150,9 @@ def test_foot_height_lifts_the_vehicle():
 @pytest.mark.parametrize("options, sentence", [
     ({"friction": -0.1}, "friction must not be negative, it is -0.1"),
     ({"friction": [0.5, math.nan]}, "friction must not be negative, it is nan"),
-    ({"restitution": 1.5, "contact_time": 0.02}, "restitution must be from 0 to 0.95, not 1.5"),
-    ({"restitution": -0.1, "contact_time": 0.02}, "restitution must be from 0 to 0.95, not -0.1"),
-    ({"restitution": 0.5, "contact_time": 0.1}, "contact time must be from 0.012 to 0.03 s, not 0.1 s"),
+    ({"restitution": 1.5, "contact_time": 0.02}, "restitution must be from 0 to 0.6, not 1.5"),
+    ({"restitution": -0.1, "contact_time": 0.02}, "restitution must be from 0 to 0.6, not -0.1"),
+    ({"restitution": 0.5, "contact_time": 0.1}, "contact time must be from 0.012 to 0.02 s, not 0.1 s"),
     ({"restitution": 0.5}, "restitution and contact time belong together"),
     ({"contact_time": 0.02}, "restitution and contact time belong together"),
     ({"restitution": 0.5, "contact_time": 0.02, "solref": (0.01, 1)}, "give either restitution"),
