@@ -97,8 +97,8 @@ class AdaptiveCurriculum:
 
     Rule, once per rollout: if the success rate of the last `window` episodes exceeds `gate`, l rises by
     `step` and the window is emptied; above `floor`, l creeps up by `creep`; below `retreat` it creeps
-    down. Episodes solved within two steps do not count. The learning rate stays constant until l = 1 and then falls linearly
-    to zero at the end of the run.
+    down. Episodes solved within two steps do not count. The learning rate stays constant until l = 1
+    and then falls linearly to zero at the end of the run.
     """
 
     name = "adaptive"
