@@ -12,7 +12,7 @@ the engine's direct format, (-stiffness, -damping).
 Measured by drop tests of this vehicle on four feet, RK4 at 4 ms, eight phases of the touch within a step
 (`landing-eval contact-truth` repeats them). At the reference speed:
 
-- restitutions from 0.1 are met within 0.01 on average (0.04 at the shortest contact time), with a scatter
+- restitutions from 0.1 are met within 0.02 on average (0.04 at the shortest contact time), with a scatter
   of 0.02 to 0.05 by the phase of the touch, half of it at 2 ms;
 - the contact time is met within 1 ms;
 - below 0.1 the vehicle stays down or leaves with a few cm/s: its weight holds it.
