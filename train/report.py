@@ -46,7 +46,7 @@ def stages(name: str) -> list[tuple[str, Conditions]]:
     """Titles and conditions of four moments of a curriculum, for the figure."""
     if name == "adaptive":
         curriculum, moments = AdaptiveCurriculum(), []
-        for level in (0.0, 0.28, 0.6, 1.0):
+        for level in (0.0, 0.25, 0.6, 1.0):
             curriculum.level = level
             moments.append((f"level {level:g}", curriculum.conditions()))
         return moments
