@@ -234,6 +234,28 @@ def curves(
     print(pictures.curves(runs, out))
 
 
+def contact(
+    study: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY.toml")],
+    /,
+    out: OutFolder,
+    engine: Annotated[str, tyro.conf.arg(metavar="{local,ray}")] = "local",
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
+    resume: Flag = False,
+) -> None:
+    """Landing study: thousands of touchdowns over friction, speeds, attitude ..., each classified.
+
+    Args:
+        study: study file, or the name of a shipped study (paper_landing, steep_landing).
+        out: new folder for results (Parquet), summary (JSON), figures (PNG) and page (HTML).
+        engine: run in this process, or on a Ray cluster.
+        address: of a running Ray cluster; without it, Ray is started on this machine.
+        resume: go on with the study that was interrupted in this folder.
+    """
+    from inclined_landing.eval.studies import run
+
+    run.run(study, out, engine=engine, address=address, resume=resume)
+
+
 COMMANDS = {
     "success": success,
     "doctor": doctor,
@@ -242,6 +264,7 @@ COMMANDS = {
     "video": video,
     "picture": picture,
     "curves": curves,
+    "contact": contact,
 }
 
 

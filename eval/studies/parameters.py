@@ -1,0 +1,76 @@
+"""What a landing study may vary: names, units, bounds, defaults. SI inside, the file's units outside."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+from inclined_landing.models import contact
+from inclined_landing.models.parameters import Vehicle
+
+# Units that a study file may use, as factors to SI.
+UNITS = {
+    "1": {"1": 1.0},
+    "rad": {"deg": math.pi / 180.0, "rad": 1.0},
+    "rad/s": {"deg/s": math.pi / 180.0, "rad/s": 1.0},
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "m/s": {"m/s": 1.0},
+    "s": {"s": 1.0, "ms": 1e-3},
+    "kg": {"kg": 1.0, "g": 1e-3},
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """One thing that may vary. Bounds and default in SI units."""
+
+    name: str
+    label: str
+    unit: str  # in reports and, unless it says otherwise, in study files
+    low: float
+    high: float
+    default: float
+    at_touchdown: bool = False  # part of the start state: unknown to studies that start from a policy
+
+    @property
+    def kind(self) -> str:
+        """The SI unit."""
+        return next(si for si, units in UNITS.items() if self.unit in units)
+
+    @property
+    def factor(self) -> float:
+        """From the report's unit to SI."""
+        return UNITS[self.kind][self.unit]
+
+    def title(self) -> str:
+        """Label with unit, for axes."""
+        return self.label if self.unit == "1" else f"{self.label} [{self.unit}]"
+
+
+def catalogue(vehicle: Vehicle, feet: float) -> dict[str, Parameter]:
+    """Every parameter by name; feet: the model's own foot height [m].
+
+    A default of NaN is the contact spring of the vehicle file.
+
+    Signs are those of a slope seen from its foot: speeds and offsets are positive downhill, attitude
+    errors and pitch rates positive towards level, so that the uphill feet touch first.
+    """
+    degree = math.pi / 180.0
+    entries = (
+        Parameter("inclination", "inclination", "deg", 0.0, vehicle.platform_max_inclination,
+                  abs(vehicle.platform_inclination), True),
+        Parameter("friction", "friction coefficient", "1", 0.0, 5.0, vehicle.contact_friction),
+        Parameter("restitution", "restitution", "1", *contact.RESTITUTION, math.nan),
+        Parameter("contact_time", "contact time", "ms", *contact.CONTACT_TIME, math.nan),
+        Parameter("normal_speed", "normal touchdown speed", "m/s", 0.0, 5.0, 0.5, True),
+        Parameter("tangential_speed", "downhill touchdown speed", "m/s", -5.0, 5.0, 0.0, True),
+        Parameter("attitude_error", "attitude error", "deg", -180 * degree, 180 * degree, 0.0, True),
+        Parameter("pitch_rate", "pitch rate", "deg/s", -2000 * degree, 2000 * degree, 0.0, True),
+        Parameter("foot_height", "foot height", "mm", 0.6 * feet, 3.0 * feet, feet),
+        Parameter("mass", "mass", "g", 0.010, 0.100, vehicle.body_mass),
+        Parameter("thrust", "thrust over weight at touchdown", "1", 0.0, 1.5, 1.0, True),
+        Parameter("motor_cut_delay", "motor cut delay", "ms", 0.0, 2.0, 0.0),
+        Parameter("offset", "downhill offset of the touchdown", "m", -2.0, 2.0, 0.0, True),
+        Parameter("start_height", "height of the lowest point at the start", "mm", 0.0, 1.0, 0.001, True),
+    )  # fmt: skip
+    return {entry.name: entry for entry in entries}

@@ -1,0 +1,89 @@
+"""How much each varied parameter matters: from the landings of a study alone, no further runs."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import optimize
+
+_BINS = 20  # of a parameter drawn from a range
+_LEVELS = 24  # up to so many different values are taken as they are
+_RESAMPLES = 200
+_PENALTY = 1e-3  # of the logistic fit; keeps coefficients finite where the classes separate
+
+
+def table(parameters: dict[str, np.ndarray], outputs: dict[str, np.ndarray], rests: np.ndarray, seed: int):
+    """One row for each parameter (n,): what it does to whether the landing rests, and to each output.
+
+    `log_odds`: coefficient of a logistic regression of `rests` (n,) bool on all parameters,
+    standardised: change of the log odds for one standard deviation of the parameter.
+    `first_order`: for `rests` and each output (n,), the share of the variance that goes with this
+    parameter alone (first-order Sobol index, by the variance between bins, corrected for their number),
+    with a 95 % bootstrap interval; NaN outputs are left out.
+    """
+    rows = []
+    odds = _logistic(parameters, rests)
+    targets = {"rests": rests.astype(float)} | outputs
+    for k, (name, x) in enumerate(parameters.items()):
+        bins = _bins(x)
+        index = {
+            target: _first_order(bins, y, np.random.default_rng([seed, k])) for target, y in targets.items()
+        }
+        rows.append({"parameter": name, "log_odds": odds[k], "first_order": index})
+    return rows
+
+
+def _bins(x: np.ndarray) -> np.ndarray:
+    """Bin number (n,): the level, or one of 20 bins with equally many landings."""
+    levels, number = np.unique(x, return_inverse=True)
+    if len(levels) <= _LEVELS:
+        return number
+    edges = np.quantile(x, np.linspace(0, 1, _BINS + 1)[1:-1])
+    return np.searchsorted(edges, x, side="right")
+
+
+def _share(bins: np.ndarray, y: np.ndarray) -> float:
+    """Variance of y between bins over its variance, corrected for the number of bins."""
+    count = np.bincount(bins)
+    used = count > 0
+    mean = np.bincount(bins, y)[used] / count[used]
+    total = ((y - y.mean()) ** 2).sum()
+    if total <= 0.0 or len(y) <= used.sum():
+        return float("nan")
+    between = (count[used] * (mean - y.mean()) ** 2).sum()
+    return 1.0 - (1.0 - between / total) * (len(y) - 1) / (len(y) - used.sum())
+
+
+def _first_order(bins: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> dict:
+    known = np.isfinite(y)
+    bins, y = bins[known], y[known]
+    if len(y) < 2 * (_LEVELS + 1):
+        return {"index": None, "interval": None}
+    again = []
+    for _ in range(_RESAMPLES):
+        pick = rng.integers(0, len(y), len(y))
+        again.append(_share(bins[pick], y[pick]))
+    index = _share(bins, y)
+    if not np.isfinite(index):
+        return {"index": None, "interval": None}
+    low, high = np.nanquantile(again, [0.025, 0.975])
+    return {"index": max(0.0, index), "interval": [max(0.0, float(low)), max(0.0, float(high))]}
+
+
+def _logistic(parameters: dict[str, np.ndarray], rests: np.ndarray) -> list[float | None]:
+    """Standardised coefficients; null when all or no landings rest."""
+    if not parameters or rests.all() or not rests.any():
+        return [None] * len(parameters)
+    x = np.column_stack(list(parameters.values()))
+    x = np.column_stack([np.ones(len(x)), (x - x.mean(axis=0)) / x.std(axis=0)])
+    sign = np.where(rests, 1.0, -1.0)
+
+    def loss(w):
+        margin = sign * (x @ w)
+        pull = -sign / (1.0 + np.exp(np.clip(margin, -500, 500)))
+        value = np.logaddexp(0.0, -margin).mean() + 0.5 * _PENALTY * (w[1:] ** 2).sum()
+        gradient = x.T @ pull / len(x)
+        gradient[1:] += _PENALTY * w[1:]
+        return value, gradient
+
+    fit = optimize.minimize(loss, np.zeros(x.shape[1]), jac=True, method="L-BFGS-B")
+    return [float(w) for w in fit.x[1:]]

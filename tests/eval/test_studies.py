@@ -1,0 +1,207 @@
+"""Landing studies: what becomes of constructed landings, study files, designs, the numbers made of them."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from inclined_landing.eval.studies import design, landing, maps, sensitivity
+from inclined_landing.eval.studies.landing import OUTCOMES, RESULTS, simulate, touchdown_states
+from inclined_landing.eval.studies.study import Study, known_parameters, read_study, shipped
+from inclined_landing.models.attitude import PITCH, X, Z
+from inclined_landing.models.parameters import load_vehicle
+
+V = load_vehicle()
+STUDY = """
+sampling = "latin-hypercube"
+samples = 40
+seed = 3
+[parameters]
+inclination = { from = 10, to = 50, unit = "deg" }
+friction = { from = 0.2, to = 1.4, unit = "1", distribution = "log-uniform" }
+attitude_error = { mean = 0, deviation = 10, from = -20, to = 40, unit = "deg", distribution = "normal" }
+mass = { values = [30, 40], unit = "g" }
+"""
+
+
+def columns(n, **given):
+    """Every parameter (n,) [SI]: the given ones, the others at their defaults."""
+    p = {name: np.full(n, entry.default) for name, entry in known_parameters().items()}
+    for name, value in given.items():
+        p[name] = np.broadcast_to(np.asarray(value, float), n).copy()
+    return p
+
+
+def land(n=1, **given):
+    p = columns(n, **given)
+    result = simulate(touchdown_states(p, V), p)
+    return [OUTCOMES[k] for k in result.outcome], dict(zip(RESULTS, result.values.T))
+
+
+def written(tmp_path, text, name="study.toml"):
+    path = tmp_path / name
+    path.write_text(text, "utf-8")
+    return path
+
+
+# ---- single landings
+
+
+def test_constructed_landings_get_their_names():
+    """One batch: each row of it is a case whose end is known beforehand."""
+    cases = [
+        ("rests", dict(friction=1.2)),
+        ("rests", dict(friction=0.8, inclination=0.0, normal_speed=0.0, thrust=0.0)),
+        ("slides off", dict(friction=0.2, inclination=math.radians(25), normal_speed=0.1)),
+        ("tips over", dict(friction=1.2, attitude_error=math.pi, inclination=0.1)),
+        ("misses", dict(offset=0.6)),
+        ("misses", dict(offset=-0.7)),
+        ("bounces off", dict(restitution=0.6, normal_speed=2.0, tangential_speed=2.5)),
+    ]
+    given = {key for _, changes in cases for key in changes}
+    rows = {key: [c.get(key, known_parameters()[key].default) for _, c in cases] for key in given}
+    for key, value in {"restitution": 0.0, "contact_time": 0.02}.items():
+        rows[key] = [c.get(key, value) for _, c in cases]
+    outcomes, _ = land(len(cases), **rows)
+    assert outcomes == [name for name, _ in cases]
+
+
+def test_the_start_is_what_the_parameters_say():
+    p = columns(3, attitude_error=[0.0, 0.3, -0.3], start_height=0.01, offset=0.1, foot_height=0.018)
+    state = touchdown_states(p, V)
+    alpha = V.platform_inclination
+    assert state[:, PITCH] - alpha == pytest.approx([0.0, 0.3, -0.3])
+    out = np.sin(alpha) * state[:, X] + np.cos(alpha) * (state[:, Z] - V.platform_surface_height)
+    # Feet: spheres of 4 mm at 14 mm below and 32.5 mm beside the centre of mass.
+    tilted = 0.014 * math.cos(0.3) + 0.0325 * math.sin(0.3) + 0.004
+    assert out == pytest.approx([0.028, 0.01 + tilted, 0.01 + tilted], abs=1e-12)
+    downhill = -(np.cos(alpha) * state[:, X] - np.sin(alpha) * (state[:, Z] - V.platform_surface_height))
+    assert downhill == pytest.approx([0.1, 0.1, 0.1], abs=1e-12)
+
+
+def test_touchdown_speeds_and_impulse_agree_with_the_change_of_momentum():
+    """Motors off before: over 0.1 s the slab gives m v_n and carries the weight. Landed flat, without
+    rebound; the drag of rotors at a standstill is zero."""
+    n, speed = 3, np.array([0.4, 0.8, 1.2])
+    outcomes, r = land(n, normal_speed=speed, thrust=0.0, friction=1.2, inclination=0.3)
+    assert outcomes == ["rests"] * n
+    g = V.environment_gravity
+    # The touch is seen at the end of a step: free fall of two steps of 4 ms at most.
+    assert r["touchdown_normal_speed"] == pytest.approx(speed, abs=2 * 0.004 * g)
+    expected = V.body_mass * (r["touchdown_normal_speed"] + g * math.cos(0.3) * landing.IMPULSE_TIME)
+    assert r["impulse"] == pytest.approx(expected, rel=0.02)
+    assert (r["peak_force"] > V.body_mass * g).all() and (np.diff(r["peak_force"]) > 0).all()
+
+
+def test_a_sliding_vehicle_stops_where_friction_says():
+    """Distance v^2 / (2 g (mu cos - sin)) for a block; the vehicle lands with it, feet down."""
+    speed, mu, alpha = np.array([0.4, 0.6]), 0.6, math.radians(10)
+    outcomes, r = land(
+        2, tangential_speed=speed, normal_speed=0.05, thrust=0.0, friction=mu, inclination=alpha
+    )
+    assert outcomes == ["rests", "rests"]
+    pressed = r["touchdown_tangential_speed"] - mu * r["touchdown_normal_speed"]  # after the impact
+    stop = pressed**2 / (2 * V.environment_gravity * (mu * math.cos(alpha) - math.sin(alpha)))
+    # Up to 8 ms pass before the feet are pressed on, and the impact turns the vehicle a little.
+    assert r["slide_distance"] == pytest.approx(stop, rel=0.15)
+    assert (r["settling_time"] < 2 * speed / (V.environment_gravity * 0.4) + 0.2).all()
+
+
+def test_heavier_vehicles_press_harder_and_delayed_cuts_settle_later():
+    p = columns(4, mass=[0.03, 0.04, 0.03, 0.03], motor_cut_delay=[0, 0, 0, 0.1], friction=1.2)
+    result = dict(zip(RESULTS, simulate(touchdown_states(p, V), p).values.T))
+    assert result["peak_force"][1] > 1.15 * result["peak_force"][0]
+    assert result["peak_force"][0] == result["peak_force"][2]  # equal rows, equal bits
+    assert result["settling_time"][3] > result["settling_time"][2] + 0.1
+
+
+# ---- study files and designs
+
+
+def test_a_study_survives_its_record(tmp_path):
+    study = read_study(written(tmp_path, STUDY))
+    study = dataclasses.replace(study, starts=((0.1,) * 13,), maps=(("inclination", "friction"),))
+    import json
+
+    assert Study.from_dict(json.loads(json.dumps(study.to_dict()))) == study
+    words = dataclasses.replace(study, title="other", maps=())
+    assert words.fingerprint() == study.fingerprint()
+    assert dataclasses.replace(study, seed=4).fingerprint() != study.fingerprint()
+
+
+def test_the_hypercube_is_one_landing_in_each_slice(tmp_path):
+    values, start = design.design(read_study(written(tmp_path, STUDY)))
+    alpha = np.degrees(values["inclination"])
+    assert sorted(np.floor((alpha - 10) / 40 * 40)) == list(range(40))
+    mu = np.log(values["friction"] / 0.2) / math.log(7.0)
+    assert sorted(np.floor(mu * 40)) == list(range(40))
+    error = np.degrees(values["attitude_error"])
+    assert error.min() >= -20 and error.max() <= 40 and abs(np.median(error)) < 2
+    assert sorted(values["mass"]) == [0.03] * 20 + [0.04] * 20
+    assert (start == 0).all() and (values["thrust"] == 1.0).all()
+
+
+def test_a_factorial_has_every_combination(tmp_path):
+    text = """
+    sampling = "factorial"
+    [parameters]
+    friction = { from = 0.4, to = 1.2, count = 3, unit = "1" }
+    mass = { values = [30, 40], unit = "g" }
+    """
+    study = read_study(written(tmp_path, text))
+    values, _ = design.design(study)
+    pairs = list(zip(values["friction"], values["mass"]))
+    expected = [(0.4, 0.03), (0.4, 0.04), (0.8, 0.03), (0.8, 0.04), (1.2, 0.03), (1.2, 0.04)]
+    assert np.allclose(pairs, expected)
+    started = dataclasses.replace(study, starts=((0.0,) * 13,) * 5)
+    values, start = design.design(started)
+    assert design.total(started) == len(start) == 30
+    assert start[:6].tolist() == [0, 1, 2, 3, 4, 0] and values["friction"][4] == 0.4
+
+
+@pytest.mark.parametrize("name", sorted(shipped()))
+def test_shipped_studies_are_read(name):
+    study = read_study(name)
+    assert study.title and study.question and study.maps and study.varied
+
+
+# ---- what is made of the results
+
+
+def test_sensitivities_find_what_matters():
+    rng = np.random.default_rng(0)
+    a, b, c = rng.random((3, 8000))
+    y = 2 * a + b  # variances 4 to 1, nothing from c
+    rows = sensitivity.table({"a": a, "b": b, "c": c}, {"y": y}, y > 1.5, 0)
+    index = [row["first_order"]["y"] for row in rows]
+    # Twenty bins leave 1/400 of a linear effect's variance inside them.
+    assert [i["index"] for i in index] == pytest.approx([0.8, 0.2, 0.0], abs=0.02)
+    for i in index[:2]:
+        assert i["interval"][0] < i["index"] + 0.01 and i["interval"][1] > i["index"] - 0.01
+    odds = [row["log_odds"] for row in rows]
+    assert odds[0] > odds[1] > 1 and abs(odds[2]) < 0.2
+    assert sensitivity.table({"a": a}, {}, np.ones(8000, bool), 0)[0]["log_odds"] is None
+
+
+def test_map_boundary_and_prediction():
+    """Landings that rest exactly where friction holds the slope: the boundary is the prediction."""
+    known = known_parameters()
+    alpha, mu = (x.ravel() for x in np.meshgrid(np.radians(np.arange(10, 41, 2)), np.arange(0.1, 1.2, 0.02)))
+    outcome = np.where(mu > np.tan(alpha), landing.RESTS, landing.SLIDES)
+    one = maps.make_map(known["inclination"], known["friction"], alpha, mu, outcome)
+    assert one.levels and one.counts.sum() == len(mu) and one.counts.max() == 1
+    for row in maps.boundary(one, "y"):
+        (crossing,) = row["crossings"]
+        assert crossing["rests_above"]
+        assert crossing["at"] == pytest.approx(math.tan(math.radians(row["place"])), abs=0.011)
+    for row in maps.boundary(one, "x"):
+        for crossing in row["crossings"]:
+            assert not crossing["rests_above"]
+            assert math.tan(math.radians(crossing["at"])) == pytest.approx(row["place"], abs=0.03)
+    x, y = maps.quasi_static(one, {})
+    assert np.allclose(y, np.tan(np.radians(x)))
+    other = maps.make_map(known["mass"], known["friction"], alpha, mu, outcome)
+    _, y = maps.quasi_static(other, {"inclination": 0.3})
+    assert np.allclose(y, math.tan(0.3))
+    assert maps.quasi_static(other, {}) is None

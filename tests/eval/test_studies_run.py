@@ -1,0 +1,250 @@
+"""`landing-eval contact`: folders, bits, interruptions, engines, and one sentence for whatever is wrong."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pyarrow.parquet as pq
+import pytest
+
+from inclined_landing.eval import cli, runs
+from inclined_landing.eval.studies import design, engines, landing, run
+from inclined_landing.models.errors import UserError
+
+STUDY = """
+title = "A small one"
+sampling = "latin-hypercube"
+samples = 24
+seed = 5
+maps = [["inclination", "friction"]]
+[simulation]
+duration = 0.4
+[parameters]
+inclination = { from = 10, to = 50, unit = "deg" }
+friction = { from = 0.2, to = 1.4, unit = "1" }
+restitution = { from = 0, to = 0.5, unit = "1" }
+contact_time = { value = 15, unit = "ms" }
+foot_height = { values = [18, 25], unit = "mm" }
+mass = { from = 30, to = 40, unit = "g" }
+"""
+
+
+@pytest.fixture
+def study(tmp_path):
+    path = tmp_path / "small.toml"
+    path.write_text(STUDY, "utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """The undisturbed run in chunks of ten: its folder."""
+    folder = tmp_path_factory.mktemp("reference")
+    (folder / "small.toml").write_text(STUDY, "utf-8")
+    run.run(folder / "small.toml", folder / "run", chunk=10)
+    return folder / "run"
+
+
+def bits(folder):
+    return (folder / "results.parquet").read_bytes()
+
+
+def test_a_run_leaves_results_summary_figures_and_page(reference):
+    names = ["index.html", "map_inclination_friction.png", "profiles.png"]
+    names += ["results.parquet", "study.json", "summary.json"]
+    assert sorted(p.name for p in reference.iterdir()) == names
+    table = pq.read_table(reference / "results.parquet")
+    assert table.num_rows == 24 and set(table["outcome"].to_pylist()) <= set(landing.OUTCOMES)
+    assert set(landing.RESULTS) < set(table.column_names)
+    assert table.schema.field("mass").metadata[b"unit"] == b"kg"
+    summary = json.loads((reference / "summary.json").read_text("utf-8"))
+    assert sum(share["count"] for share in summary["outcomes"].values()) == 24
+    assert [row["parameter"] for row in summary["sensitivities"]] == [
+        *("inclination", "friction", "restitution", "foot_height", "mass")
+    ]
+    text = (reference / "index.html").read_text("utf-8")
+    assert text.count("data:image/png;base64,") == 2 and "http" not in text
+    assert "A small one" in text and "Discussion" in text
+
+
+def test_neither_chunks_nor_threads_change_a_bit(study, tmp_path, reference):
+    run.run(study, tmp_path / "other", chunk=24)
+    assert bits(tmp_path / "other") == bits(reference)
+    read = run.read_study(study)
+    assert design.run_chunk(read, 1, 5, threads=1).equals(design.run_chunk(read, 1, 5, threads=2))
+
+
+def test_an_interrupted_study_goes_on(study, tmp_path, reference, monkeypatch):
+    real = engines.local
+
+    def interrupted(*arguments):
+        yield next(real(*arguments))
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(engines, "local", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run.run(study, tmp_path / "run", chunk=10)
+    part = tmp_path / "run" / "parts" / "00000.parquet"
+    assert [p.name for p in part.parent.iterdir()] == [part.name]
+    written = part.stat().st_mtime_ns
+    (part.parent / ".00001.77.part.parquet").write_bytes(b"half")
+    flown = []
+    monkeypatch.setattr(
+        engines, "local", lambda s, chunks, size: flown.extend(chunks) or real(s, chunks, size)
+    )
+    monkeypatch.setattr(run, "_merge", lambda out, n, merge=run._merge: check(part, written) or merge(out, n))
+    run.run(study, tmp_path / "run", resume=True)
+    assert flown == [1, 2]
+    assert bits(tmp_path / "run") == bits(reference)
+    assert not (tmp_path / "run" / "parts").exists()
+    assert cli.main(["contact", str(study), "--out", str(tmp_path / "run"), "--resume"]) == 0
+
+
+def check(part, written):
+    """The finished part was kept."""
+    assert part.stat().st_mtime_ns == written
+
+
+def test_kill_9_and_resume(study, tmp_path, reference):
+    code = (
+        "import sys; from inclined_landing.eval.studies import run, engines; import time\n"
+        "real = engines.local\n"
+        "def slow(*a):\n"
+        "    for item in real(*a): yield item; time.sleep(1)\n"
+        "engines.local = slow\n"
+        "run.run(sys.argv[1], sys.argv[2], chunk=10)"
+    )
+    out = tmp_path / "run"
+    process = subprocess.Popen([sys.executable, "-c", code, str(study), str(out)], stderr=subprocess.DEVNULL)
+    try:
+        until = time.monotonic() + 60
+        while not list(out.glob("parts/[0-9]*.parquet")) and time.monotonic() < until:
+            time.sleep(0.02)
+            assert process.poll() is None
+    finally:
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+    assert not (out / "results.parquet").exists()
+    assert cli.main(["contact", str(study), "--out", str(out), "--resume"]) == 0
+    assert bits(out) == bits(reference)
+
+
+def test_ray_gives_the_same_bits(study, tmp_path, reference):
+    pytest.importorskip("ray", reason="Ray is not installed (extra `ray`)")
+    run.run(study, tmp_path / "run", engine="ray", chunk=10)
+    assert bits(tmp_path / "run") == bits(reference)
+
+
+BAD = [
+    ("mass = {", "speed = {", "unknown parameter 'speed'; known are inclination, friction"),
+    ("from = 10, to = 50", "from = 50, to = 50", "parameter inclination: the range from 50 to 50 is empty"),
+    ("from = 0.2, to = 1.4", "from = -0.2, to = 1.4", "friction must be from 0 to 5, not -0.2"),
+    ("from = 10, to = 50", "from = 10, to = 60", "inclination must be from 0 to 50 deg, not 60"),
+    ("values = [18, 25]", "values = []", "values must be a list with at least one number"),
+    ("values = [18, 25]", "values = [18, 18]", "a value stands twice"),
+    ("values = [18, 25]", 'values = [18, "x"]', "'x' is not a number"),
+    ("to = 40, ", "to = 40, count = 3, ", "count belongs to a factorial"),
+    ('unit = "g"', 'unit = "lb"', "mass needs a unit, 'kg' or 'g', not 'lb'"),
+    ("contact_time = { value = 15, unit = 'ms' }".replace("'", '"'), "", "belong together"),
+    ("samples = 24", "samples = 0", "samples must be from 1"),
+    ("seed = 5", "seed = -1", "seed must be a whole number"),
+    ("seed = 5", "sede = 5", "unknown entry 'sede' in the file"),
+    ('"latin-hypercube"', '"grid"', "sampling must be 'factorial' or 'latin-hypercube', not 'grid'"),
+    ('"latin-hypercube"', '"factorial"', "samples belongs to a Latin hypercube"),
+    ('["inclination", "friction"]', '["inclination", "thrust"]', "needs thrust to vary"),
+    ("duration = 0.4", "duration = 0", "duration must be from 0.2 to 20 s, not 0"),
+    ("duration = 0.4", "timestep = 0.003", "timestep must divide the control period"),
+    ("[parameters]", "[start]\npolicy = 'none.zip'\n[parameters]", "inclination cannot be set in a study"),
+    ("[parameters]", "parameters", "is not TOML"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "sentence"), BAD, ids=[b[2][:30] for b in BAD])
+def test_a_wrong_study_is_one_sentence(tmp_path, capsys, old, new, sentence):
+    path = tmp_path / "bad.toml"
+    assert old in STUDY
+    path.write_text(STUDY.replace(old, new), "utf-8")
+    assert cli.main(["contact", str(path), "--out", str(tmp_path / "out")]) == 2
+    refused(capsys, tmp_path, sentence, ["bad.toml"])
+
+
+def refused(capsys, folder, sentence, left):
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1
+    assert sentence in printed.err
+    assert sorted(p.name for p in folder.rglob("*")) == left
+
+
+WRONG = [
+    (["none.toml", "--out", "{out}"], "study none.toml does not exist (shipped ones: paper_landing"),
+    (["{study}", "--out", "{full}"], "exists and is not empty"),
+    (["{study}", "--out", "{full}", "--resume"], "holds no study that could be resumed"),
+    (["{study}", "--out", "{out}", "--engine", "moon"], "unknown engine 'moon'; known are local and ray"),
+    (["{study}", "--out", "{out}", "--address", "a:1"], "--address belongs to --engine ray"),
+]
+
+
+@pytest.mark.parametrize(("words", "sentence"), WRONG, ids=[w[1][:30] for w in WRONG])
+def test_wrong_arguments(study, tmp_path, capsys, words, sentence):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "x").touch()
+    places = {"out": tmp_path / "out", "full": tmp_path / "full", "study": study}
+    assert cli.main(["contact", *(word.format(**places) for word in words)]) == 2
+    refused(capsys, tmp_path, sentence, ["full", "small.toml", "x"])
+
+
+def test_a_policy_that_is_not_there(tmp_path, capsys):
+    text = 'sampling = "factorial"\n[start]\npolicy = "none.zip"\n[parameters]\n'
+    (tmp_path / "p.toml").write_text(text + 'friction = { values = [0.5, 1], unit = "1" }', "utf-8")
+    assert cli.main(["contact", str(tmp_path / "p.toml"), "--out", str(tmp_path / "out")]) == 2
+    refused(capsys, tmp_path, "policy none.zip does not exist", ["p.toml"])
+
+
+def test_without_ray_there_is_a_remedy(study, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    out = str(tmp_path / "out")
+    assert cli.main(["contact", str(study), "--out", out, "--engine", "ray"]) == 2
+    refused(capsys, tmp_path, "pip install 'inclined-landing[ray]'", ["small.toml"])
+
+
+def test_a_full_disk_at_the_start_leaves_nothing(study, tmp_path, capsys, monkeypatch):
+    def full(path, data):
+        raise UserError(f"cannot write {path}: no space left on device")
+
+    monkeypatch.setattr(runs, "write_bytes", full)
+    assert cli.main(["contact", str(study), "--out", str(tmp_path / "out")]) == 2
+    refused(capsys, tmp_path, "no space left on device", ["small.toml"])
+
+
+def test_a_full_disk_on_the_way_keeps_what_is_finished(study, tmp_path, reference, capsys, monkeypatch):
+    real, written = pq.write_table, []
+
+    def full(table, where, **options):
+        written.append(where)
+        if len(written) > 1:
+            where.write_bytes(b"half of it")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        real(table, where, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pq, "write_table", full)
+        with pytest.raises(
+            UserError, match="no space left on device; what is finished is kept, go on with --r"
+        ):
+            run.run(study, tmp_path / "out", chunk=10)
+    assert sorted(p.name for p in (tmp_path / "out").rglob("*")) == ["00000.parquet", "parts", "study.json"]
+    run.run(study, tmp_path / "out", resume=True)
+    assert bits(tmp_path / "out") == bits(reference)
+
+
+def test_resume_refuses_another_study(study, tmp_path, reference, capsys):
+    study.write_text(STUDY.replace("seed = 5", "seed = 6"), "utf-8")
+    before = bits(reference)
+    assert cli.main(["contact", str(study), "--out", str(reference), "--resume"]) == 2
+    assert "was begun with another study" in capsys.readouterr().err
+    assert bits(reference) == before
