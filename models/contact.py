@@ -22,9 +22,9 @@ Slower drops rebound less and faster ones more (set 0.3: 0.25 at 0.5 m/s, 0.33 a
 time / pi; at 10 mm, half the slab's thickness, the engine may push them out at its underside.
 
 Springy contact has its price. Friction answers within 1 / damping (5 ms for the default, 16 ms at 0.5), so
-that short touches slide more. From 0.5 on a resting vehicle trembles with up to 6 mm/s and 0.2 rad/s and
-creeps down the slope by millimetres per second. Beyond 0.6 tilted touches end with more energy than they
-began with, at any step: this is why the range ends there.
+that short touches slide more. From 0.3 on a resting vehicle may tremble, with up to 6 mm/s and 0.2 rad/s,
+and creep down the slope by millimetres per second. Beyond 0.6 tilted touches often end with more energy
+than they began with, at any step: this is why the range ends there (at 0.6 it is one in a hundred).
 """
 
 from __future__ import annotations
@@ -118,10 +118,15 @@ def solref(restitution, contact_time, gravity: float) -> np.ndarray:
 
     Raises UserError outside of the supported ranges.
     """
-    e, time = np.broadcast_arrays(check_restitution(restitution), check_contact_time(contact_time))
+    return spring(check_restitution(restitution), check_contact_time(contact_time), gravity)
+
+
+def spring(restitution, contact_time, gravity: float) -> np.ndarray:
+    """`solref` without its ranges, for fits: restitution up to 0.95 and any contact time [s]."""
+    e, time = np.broadcast_arrays(np.asarray(restitution, float), np.asarray(contact_time, float))
     out = np.empty((*e.shape, 2))
-    spring = np.interp(e.ravel(), _MEASURED, _OF_SPRING)
-    _solve(spring, time.ravel(), gravity, out.reshape(-1, 2))
+    of_spring = np.interp(e.ravel(), _MEASURED, _OF_SPRING)
+    _solve(of_spring, time.ravel(), gravity, out.reshape(-1, 2))
     # Effective: damping * EFFECTIVE / d_w and stiffness * d EFFECTIVE / d_w^2, with d = d_w.
     return -out * _IMPEDANCE / _EFFECTIVE
 
