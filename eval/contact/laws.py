@@ -5,6 +5,8 @@ Everything is unpowered and uses the default contact setting unless it says othe
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from inclined_landing.eval.contact.checks import Check, Finding
@@ -443,59 +445,52 @@ def _reach(plant: MujocoPlant, pitch: float) -> float:
 
 
 def torque() -> Finding:
-    """Attitude loop and rotor discs at a touch: limited torques, and discs that stop a roll."""
+    """Thrust at which a vehicle told to pitch lifts two feet off the floor, against statics."""
     vehicle = load_vehicle()
-    limits = np.array(
-        [vehicle.attitude_torque_limit, vehicle.attitude_torque_limit, vehicle.attitude_yaw_torque_limit]
-    )
-    alpha = vehicle.platform_inclination
-    tilts, largest = {}, {}
-    for limited in (True, False):
-        plant = MujocoPlant(1, torque_limit=limited)
-        actuators = [plant.model.actuator(name).id for name in ("roll", "pitch", "yaw_rate")]
-        forces = plant.batch.bind("actuator_force")
-        place(plant, alpha, 0.02)
-        state = plant.state.copy()
-        state[:, PITCH], state[:, VZ] = alpha + np.radians(25), -1.5
-        state[:, Z] += 0.02
-        state[:, LAG] = 0.3 * vehicle.hover_lag
-        plant.reset([0], state)
-        peaks, tilt = np.zeros(3), []
-        for _ in range(50):
-            plant.step(np.array([[0.3 * vehicle.hover_pwm, 0.0, 0.0, 0.0]]))
-            peaks = np.maximum(peaks, np.abs(forces[0, actuators]))
-            tilt.append(plant.state[0, PITCH] - alpha)
-        tilts[limited], largest[limited] = np.degrees(tilt), peaks
+    command = vehicle.command_angle_limit
+    wanted = vehicle.attitude_gain * command / vehicle.attitude_time_constant  # rad/s
+    loop = vehicle.body_inertia[1] * vehicle.attitude_bandwidth * wanted  # N m, while it stays level
+    weight = vehicle.body_mass * vehicle.environment_gravity
+    shares = np.round(np.arange(0.6, 1.0, 0.005), 3)
+    rows, largest = [], 0.0
+    for limit in (vehicle.attitude_torque_limit, 1e-3):
+        plant = MujocoPlant(len(shares), dataclasses.replace(vehicle, attitude_torque_limit=limit))
+        lever = float(np.abs(plant.shapes.centres[plant.shapes.parts == FEET, 0]).max())
+        torques = plant.batch.bind("actuator_force")[:, plant.model.actuator("pitch").id]
+        ids = np.arange(plant.n)
+        plant.set_platform(ids, 0.0, False)
+        state = np.zeros((plant.n, STATE_SIZE))
+        state[:, Z], state[:, LAG] = plant.foot_height, shares * vehicle.hover_lag
+        plant.reset(ids, state)
+        commands = np.zeros((plant.n, 4))
+        commands[:, 0], commands[:, 2] = shares * vehicle.hover_pwm, command
+        for _ in range(25):
+            plant.step(commands)
+            largest = max(largest, float(np.abs(torques).max() / limit))
+        pitch = np.degrees(plant.state[:, PITCH])
+        rows.append(
+            {
+                "limit": limit,
+                "pitch": pitch,
+                "lifts": float(shares[(pitch > 1.0).argmax()]),
+                "predicted": 1.0 - min(loop, limit) / (lever * weight),
+            }
+        )
+    off = max(abs(row["lifts"] - row["predicted"]) for row in rows)
     return Finding(
         "torque",
-        "Attitude loop and touch",
-        "A vehicle at 30 % of hover thrust touches the slope at 1.5 m/s, 25 degrees off it, while its "
-        "attitude loop is told to be level. Its torques stay within what the motors can give; without the "
-        "limit they would be up to half as large again, though in this touch the vehicle comes down much "
-        "the same. With motors off the model still has the loop's torques; `landing-eval success` removes "
-        "them where it cuts the motors.",
+        "Attitude loop on the ground",
+        "A vehicle on the floor is told to pitch by 30 degrees. Two feet lift where loop torque and thrust "
+        "together exceed the weight's moment about the other two; the loop's torque follows from its "
+        "equation, or is its limit where that is less. By default PWM 0 does not take the torques away; "
+        "`landing-eval success` removes them where it cuts the motors.",
         [
             Check(
-                "largest torque over its limit",
-                float((largest[True] / limits).max()),
-                "1",
-                1.0 + 1e-9,
-                "roll, pitch and yaw, every control step",
+                "thrust at which two feet lift, against statics", off, "of the weight", 0.01, "steps of 0.005"
             ),
-            Check(
-                "largest torque without limit",
-                float((largest[False] / limits).max()),
-                "times the limit",
-                np.inf,
-                "what the limit takes away",
-                1.0,
-            ),
+            Check("largest torque over its limit", largest, "1", 1.0 + 1e-9, "every control step"),
         ],
-        {
-            "time": np.arange(1, 51) * vehicle.command_control_period,
-            "limited": tilts[True],
-            "unlimited": tilts[False],
-        },
+        {"share": shares, "rows": rows},
     )
 
 

@@ -201,14 +201,18 @@ def tumbling(data: dict) -> Figure:
 
 
 def torque(data: dict) -> Figure:
-    """Pitch against the slope after a tilted touch."""
+    """Pitch after half a second over the thrust, for both torque limits."""
     with styled():
-        figure, (axes,) = _panels(1, 4.4)
-        axes.plot(data["time"], data["limited"], color=BLUE, label="torques limited")
-        axes.plot(data["time"], data["unlimited"], color=ORANGE, lw=1.2, label="without limit")
-        axes.axhline(0, color=MUTED, lw=1)
-        axes.set(xlabel="time [s]", ylabel="pitch against the slope [deg]", xlim=(0, 0.5))
-        axes.legend()
+        figure, (axes,) = _panels(1, 6.2)
+        for row, colour in zip(data["rows"], _COLOURS):
+            axes.plot(
+                data["share"], row["pitch"], "o-", color=colour, ms=3, lw=1.2,
+                label=f"torque up to {1e3 * row['limit']:g} mN m",
+            )  # fmt: skip
+            axes.axvline(row["predicted"], color=colour, lw=1.2, ls=(0, (5, 2)))
+        axes.plot([], [], color=MUTED, lw=1.2, ls=(0, (5, 2)), label="statics")
+        axes.set(xlabel="thrust over weight", ylabel="pitch after 0.5 s [deg]")
+        axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
     return figure
 
 
