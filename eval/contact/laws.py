@@ -195,10 +195,10 @@ def impulse() -> Finding:
     return Finding(
         "impulse",
         "Forces and momentum",
-        "The force sensors speak for the beginning of each engine step, so that their sum over a touch of a few "
-        "steps misses the impulse by up to a sixth, one way or the other, depending on where in the step the "
-        "feet meet the surface; on average it is right. Where one impulse matters, take it from the motion, "
-        "m (change of speed + g time), or take a finer step.",
+        "The force sensors speak for the beginning of each engine step, so that their sum over a touch of a"
+        " few steps misses the impulse by up to a sixth, one way or the other, depending on where in the "
+        "step the feet meet the surface; on average it is right. Where one impulse matters, take it from "
+        "the motion, m (change of speed + g time), or take a finer step.",
         [
             Check(
                 "impulse, mean over phases, 4 ms",
