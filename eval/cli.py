@@ -278,6 +278,47 @@ def contact_truth(
     report.run(out, flights, friction=friction, restitution=restitution, contact_time=contact_time)
 
 
+def equivalence(
+    out: OutFolder,
+    policy: Annotated[str, tyro.conf.arg(metavar="POLICY")] = "landing",
+    seed: int = 0,
+    quick: Flag = False,
+) -> int:
+    """Is the MuJoCo vehicle the paper's model? One page of claims with tolerances (exit code 1 if one fails).
+
+    Args:
+        out: new folder for report.html, report.json and the figures.
+        policy: landing policy for recorded commands and closed loops: a file, or a shipped one.
+        seed: of commands and states.
+        quick: fewer commands, states and starts.
+    """
+    from inclined_landing.eval.equivalence import report
+
+    return report.run(policy, out, seed=seed, quick=quick)
+
+
+def contact_truth(
+    out: OutFolder,
+    flights: Folder = None,
+    friction: float | None = None,
+    restitution: float | None = None,
+    contact_time: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
+) -> None:
+    """Can contact be believed? Rest, slip, drops, impulses, energy ... measured, as page and figures.
+
+    Args:
+        out: new folder for contact.html, contact.json and the figures.
+        flights: folder of measured NanoBench flights (nb_*.csv.gz): their touchdowns are simulated and the
+            contact setting is fitted.
+        friction: of a setting of your own, measured besides the default.
+        restitution: of your own setting, 0 to 0.6; together with the contact time.
+        contact_time: of your own setting in seconds, 0.012 to 0.02.
+    """
+    from inclined_landing.eval.contact import report
+
+    report.run(out, flights, friction=friction, restitution=restitution, contact_time=contact_time)
+
+
 COMMANDS = {
     "success": success,
     "doctor": doctor,
@@ -288,6 +329,7 @@ COMMANDS = {
     "curves": curves,
     "contact": contact,
     "contact-truth": contact_truth,
+    "equivalence": equivalence,
 }
 
 

@@ -1,0 +1,87 @@
+"""Claims with tolerance, measured value and verdict; sections of the report."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+
+@dataclasses.dataclass(frozen=True)
+class Claim:
+    """`measured` lies between `low` and `high`; `why` says where the bounds come from."""
+
+    name: str
+    measured: float
+    high: float
+    unit: str
+    why: str
+    low: float = -math.inf
+
+    @property
+    def passed(self) -> bool:
+        """Is the measured value a number within the bounds?"""
+        return bool(self.low <= self.measured <= self.high)
+
+    @property
+    def tolerance(self) -> str:
+        """The bounds as text."""
+        if math.isinf(self.low):
+            return f"at most {number(self.high)}"
+        if math.isinf(self.high):
+            return f"at least {number(self.low)}"
+        return f"{number(self.low)} to {number(self.high)}"
+
+    def record(self) -> dict:
+        """Plain numbers for the JSON report; a bound that does not exist is null."""
+        return {
+            "claim": self.name,
+            "measured": float(self.measured),
+            "low": float(self.low),
+            "high": float(self.high),
+            "unit": self.unit,
+            "passed": self.passed,
+            "derivation": self.why,
+        }
+
+
+@dataclasses.dataclass
+class Table:
+    """Rows of text or numbers under a heading each; numbers are rounded for reading."""
+
+    caption: str
+    heads: tuple[str, ...]
+    rows: list[tuple]
+
+
+@dataclasses.dataclass
+class Section:
+    """One section of the report; `figures` maps file names to captions, `data` goes to the JSON."""
+
+    key: str
+    title: str
+    text: list[str]
+    claims: list[Claim]
+    tables: list[Table] = dataclasses.field(default_factory=list)
+    figures: dict[str, str] = dataclasses.field(default_factory=dict)
+    remarks: list[str] = dataclasses.field(default_factory=list)
+    data: dict = dataclasses.field(default_factory=dict)
+
+    @property
+    def passed(self) -> bool:
+        """Do all claims hold?"""
+        return all(claim.passed for claim in self.claims)
+
+
+def number(value: float) -> str:
+    """Three digits, as a person writes them: 0.42, 1.3e-6, 34 100."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    size = abs(value)
+    if size == 0:
+        return "0"
+    if size < 1e-3:
+        mantissa, exponent = f"{value:.1e}".split("e")
+        return f"{mantissa}e{int(exponent)}"
+    if size >= 1e4:
+        return f"{value:,.0f}".replace(",", "\u202f")
+    return f"{value:.3g}" if size < 100 else f"{value:.0f}"

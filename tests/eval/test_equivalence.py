@@ -1,0 +1,262 @@
+"""The equivalence report: every claim holds, each with its derivation, and a wrong model is noticed.
+
+The tolerances stand with their derivations in the modules of `eval/equivalence`, where tests and report
+share them.
+"""
+
+import base64
+import dataclasses
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+
+from inclined_landing.eval import cli, landing_starts
+from inclined_landing.eval.equivalence import (
+    bandwidth,
+    closed_loop,
+    convergence,
+    flying,
+    inconsistencies,
+    isolated,
+    levels,
+    motor,
+    report,
+    sequences,
+    twin,
+)
+from inclined_landing.eval.equivalence.claims import Claim, number
+from inclined_landing.eval.policy import load_policy
+from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW_RATE_COMMAND
+from inclined_landing.models.parameters import load_vehicle
+
+V = load_vehicle()
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return load_policy("landing")
+
+
+@pytest.fixture(scope="module")
+def flights(policy):
+    return sequences.all_sequences(V, 4, 1, policy)
+
+
+@pytest.fixture(scope="module")
+def steps(flights):
+    """Full steps in three dimensions."""
+    return next(s for s in flights if s.label == "full steps, 3-D")
+
+
+def check(claims):
+    """All hold, all say why."""
+    wrong = [f"{c.name}: {c.measured:.3g} {c.unit}, {c.tolerance}" for c in claims if not c.passed]
+    assert claims and not wrong, wrong
+    assert all(len(c.why) > 20 for c in claims)
+
+
+def test_sequences_cover_families_dimensions_and_bounds(flights):
+    assert [s.label for s in flights] == [f"{f}, {d}" for f in sequences.FAMILIES for d in ("2-D", "3-D")]
+    low, high = sequences.bounds(V)
+    for s in flights:
+        assert s.commands.shape == (300, 4, 4)
+        assert (s.commands >= low - 1e-12).all() and (s.commands <= high + 1e-12).all()
+        sideways = s.commands[..., [ROLL_COMMAND, YAW_RATE_COMMAND]]
+        assert s.planar == (not sideways.any()) == (not s.yaw.any())
+        assert np.ptp(s.commands[..., PITCH_COMMAND]) > 0.3
+    again = sequences.all_sequences(V, 4, 1, None)
+    assert len(again) == 6  # no recorded commands without a policy
+    np.testing.assert_array_equal(again[1].commands, flights[1].commands)
+    assert not np.array_equal(sequences.all_sequences(V, 4, 2, None)[1].commands, flights[1].commands)
+
+
+@pytest.mark.parametrize("attitude", flying.ATTITUDES)
+def test_three_levels(attitude, flights):
+    check(levels.acceleration_claims(attitude, levels.accelerations(V, attitude, 200, 3), 200))
+    flown = levels.reference(V, attitude, flights)
+    step = levels.one_step(V, attitude, flights, flown)
+    check(levels.gap_claims(attitude, step, levels.rollouts(V, attitude, flights, flown)))
+
+
+@pytest.mark.parametrize("attitude", flying.ATTITUDES)
+@pytest.mark.parametrize("change", [
+    {"thrust_lag_rate": 15.467 * (1 + 1e-4)},
+    {"drag_coefficients": tuple(1.001 * c for c in V.drag_coefficients)},
+    {"attitude_time_constant": 0.183806 * (1 + 1e-4)},
+    {"attitude_gain": 1.1094 * (1 + 1e-5)},
+    {"body_mass": 0.03303 * (1 + 1e-5)},
+])  # fmt: skip
+def test_a_slightly_wrong_engine_is_noticed(attitude, change, steps):
+    """The tolerances are tight enough to see a parameter off by 0.1 % (drag), 0.01 % or 0.001 %."""
+    flown = levels.reference(V, attitude, [steps])
+    wrong = dataclasses.replace(V, **change)
+    commands, starts, _ = levels.stack(V, [steps])
+    other = flying.fly(flying.engine(4, attitude, wrong), commands, starts)
+    assert flying.largest_gaps(other, flown)[0] > levels.FLIGHT_LIMITS[attitude][0]
+
+
+def test_every_term_by_itself():
+    check(isolated.section(V, 50, 0).claims)
+
+
+def test_plugin_free_twin(flights):
+    check(twin.section(V, flights[0].commands).claims)
+
+
+def test_a_twin_with_another_lag_is_not_a_twin(flights):
+    commands = flights[0].commands[:50]
+    plain = dataclasses.replace(V, drag_coefficients=isolated.NO_DRAG)
+    other = dataclasses.replace(plain, thrust_lag_rate=V.thrust_lag_rate * (1 + 1e-6))
+    assert np.abs(twin.fly(other, commands) - twin.fly(plain, commands)).max() > twin.LIMIT
+
+
+def test_discrete_motor_function():
+    part, drawn = motor.section(V, 0)
+    check(part.claims)
+    assert np.ptp(drawn["discrete"]) > 0.2  # N: the commands do something
+
+
+def test_order_of_every_integrator(steps):
+    from inclined_landing.models.scene import INTEGRATORS
+
+    assert set(convergence.ORDERS) == set(INTEGRATORS)
+    check([c.claim() for c in convergence.measure(V, steps.commands)])
+
+
+def test_the_gap_to_the_paper_halves_when_the_bandwidth_doubles(steps):
+    check(bandwidth.claims(V, bandwidth.measure(V, steps, (50.0, 100.0, 200.0))))
+
+
+def test_the_rate_loop_is_the_papers_loop_one_delay_late(steps):
+    """Giving the paper's equations their commands 1/B later closes more than half of the gap."""
+    plain, late = bandwidth.late_commands(V, steps, V.attitude_bandwidth)
+    assert late < 0.5 * plain
+
+
+def test_the_torque_limit_leaves_one_axis_alone(flights):
+    """A full step of one axis needs J B 2 k 30 deg / tau = 5.3 of the 8.5 mN m: bit for bit the same."""
+    commands, starts, _ = levels.stack(V, [s for s in flights if s.planar])
+    n = commands.shape[1]
+    free = flying.fly(flying.engine(n, "rate_loop"), commands, starts)
+    limited = flying.fly(flying.engine(n, "rate_loop", torque_limit=True), commands, starts)
+    np.testing.assert_array_equal(free, limited)
+
+
+def test_closed_loop_in_both_plants(policy):
+    starts = landing_starts.clear(policy.task, landing_starts.grid())[::6]
+    part, flown = closed_loop.section(policy, starts, lambda: None)
+    check(part.claims)
+    assert len(part.remarks) == 4 and all("against" in sentence for sentence in part.remarks[:3])
+    assert set(flown) == {
+        closed_loop.PAPER,
+        closed_loop.EXTENDED,
+        closed_loop.KINEMATIC,
+        closed_loop.VEHICLE,
+    }
+
+
+def test_a_policy_that_does_not_land_fails_the_claim(policy, monkeypatch):
+    monkeypatch.setattr(
+        closed_loop,
+        "record_flights",
+        lambda policy, plant, states: [
+            dataclasses.replace(f, success=False) for f in _short_flights(policy, plant, states)
+        ],
+    )
+    part, _ = closed_loop.section(policy, landing_starts.grid()[:4], lambda: None)
+    assert not part.passed and not part.tables[1:]
+
+
+def _short_flights(policy, plant, states):
+    from inclined_landing.eval.flights import record_flights
+
+    return record_flights(policy, plant, states, steps=2)
+
+
+def test_inconsistencies(flights):
+    part, drawn = inconsistencies.section(V, flights[0])
+    check(part.claims)
+    assert len(part.tables[0].rows) == 6
+    assert drawn["drag"].apart[-1] > drawn["drag"].apart[50] > 0
+
+
+def test_the_public_codes_motion_without_drag_is_the_papers(flights):
+    """Only the drag differs in the plane: without it both fly alike."""
+    plain = dataclasses.replace(V, drag_coefficients=isolated.NO_DRAG)
+    commands = flights[0].commands[:100, :2]
+    code = inconsistencies.fly_code(plain, commands)
+    paper = flying.fly(flying.equations(2, "kinematic", vehicle=plain), commands)[..., [0, 2]]
+    # RK4 at 4 ms against 1 ms: the tolerance of the flights
+    assert np.abs(code - paper).max() < levels.FLIGHT_LIMITS["kinematic"][0]
+
+
+@pytest.mark.parametrize("measured, low, high, passed", [
+    (1.0, -math.inf, 1.0, True), (1.1, -math.inf, 1.0, False), (math.nan, -math.inf, 1.0, False),
+    (0.4, 0.5, math.inf, False), (0.5, 0.5, math.inf, True), (math.nan, 0.5, math.inf, False),
+])  # fmt: skip
+def test_claims(measured, low, high, passed):
+    claim = Claim("c", measured, high, "m", "because", low)
+    assert claim.passed is passed
+    assert set(claim.record()) >= {"measured", "low", "high", "passed", "derivation"}
+
+
+def test_numbers_as_people_write_them():
+    pairs = [(0.0, "0"), (1.26e-6, "1.3e-6"), (0.4219, "0.422"), (34099.2, "34\u202f099"), (123.4, "123")]
+    assert [number(x) for x, _ in pairs] == [text for _, text in pairs]
+    assert number(math.nan) == "–"
+
+
+@pytest.fixture(scope="module")
+def quick_run(tmp_path_factory):
+    out = tmp_path_factory.mktemp("equivalence") / "run"
+    return cli.main(["equivalence", "--out", str(out), "--quick", "--seed", "5"]), out
+
+
+def test_command_writes_page_json_and_figures(quick_run):
+    code, out = quick_run
+    record = json.loads((out / "report.json").read_text())
+    assert code == 0 and record["passed"] and not record["failed"], record["failed"]
+    assert record["claims"] == sum(len(s["claims"]) for s in record["sections"].values()) > 90
+    page = (out / "report.html").read_text()
+    images = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
+    files = sorted(path.name for path in out.glob("*.png"))
+    assert len(images) == len(files) == 6
+    assert {base64.b64decode(image) for image in images} == {(out / name).read_bytes() for name in files}
+    assert not re.search(r'(src|href)="(?!data:|#)', page)  # self-contained
+    for section in record["sections"].values():
+        assert section["title"].replace("'", "&#39;") in page
+    assert {p.name for p in out.iterdir()} == {*files, "report.html", "report.json"}
+
+
+def test_failing_claims_give_exit_code_1(tmp_path, capsys, monkeypatch, quick_run):
+    """The same report with a tolerance of zero."""
+    failing = Claim("water is dry", 1.0, 0.0, "m", "it is not, so this claim has to fail")
+    section = report.Section("levels", "Levels", ["Text."], [failing])
+    monkeypatch.setattr(report, "measure", lambda *_, **__: ([section], {}))
+    monkeypatch.setattr(report, "headlines", lambda sections: [])
+    assert cli.main(["equivalence", "--out", str(tmp_path / "run")]) == 1
+    assert "fails: water is dry: 1 m, tolerance at most 0" in capsys.readouterr().out
+    assert "1 of 1 claims fail" in (tmp_path / "run" / "report.html").read_text()
+
+
+@pytest.mark.parametrize("arguments, sentence", [
+    (["--seed", "-1"], "--seed must not be negative"),
+    (["--policy", "nowhere.zip"], "policy nowhere.zip does not exist"),
+    (["--policy", "setpoint"], "was trained for the task setpoint, not for landing"),
+])  # fmt: skip
+def test_wrong_input_is_one_sentence(arguments, sentence, tmp_path, capsys):
+    out = tmp_path / "run"
+    assert cli.main(["equivalence", "--out", str(out), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error and error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_used_folder_is_refused_before_any_work(tmp_path, capsys):
+    (tmp_path / "kept.txt").write_text("kept")
+    assert cli.main(["equivalence", "--out", str(tmp_path)]) == 2
+    assert "exists and is not empty" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["kept.txt"]
