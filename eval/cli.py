@@ -297,28 +297,6 @@ def equivalence(
     return report.run(policy, out, seed=seed, quick=quick)
 
 
-def contact_truth(
-    out: OutFolder,
-    flights: Folder = None,
-    friction: float | None = None,
-    restitution: float | None = None,
-    contact_time: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
-) -> None:
-    """Can contact be believed? Rest, slip, drops, impulses, energy ... measured, as page and figures.
-
-    Args:
-        out: new folder for contact.html, contact.json and the figures.
-        flights: folder of measured NanoBench flights (nb_*.csv.gz): their touchdowns are simulated and the
-            contact setting is fitted.
-        friction: of a setting of your own, measured besides the default.
-        restitution: of your own setting, 0 to 0.6; together with the contact time.
-        contact_time: of your own setting in seconds, 0.012 to 0.02.
-    """
-    from inclined_landing.eval.contact import report
-
-    report.run(out, flights, friction=friction, restitution=restitution, contact_time=contact_time)
-
-
 COMMANDS = {
     "success": success,
     "doctor": doctor,
