@@ -122,7 +122,7 @@ def section(v: Vehicle, sequences: Sequences, everyday: Sequences, tick) -> tupl
     daily = measure(v, everyday, (v.attitude_bandwidth,), tick=tick)[0]
     plain, late = late_commands(v, sequences, v.attitude_bandwidth)
     nominal = v.attitude_bandwidth
-    delay = 1e3 / nominal
+    delay, share = 1e3 / nominal, v.attitude_bandwidth / v.attitude_yaw_bandwidth
     rows = [
         (f"{g.bandwidth:g}", g.rms, float(np.median(g.paper)), float(g.paper.max()), g.angle, g.extended)
         for g in gaps
@@ -132,9 +132,9 @@ def section(v: Vehicle, sequences: Sequences, everyday: Sequences, tick) -> tupl
         "The rate loop against the paper's equations",
         [
             "The paper's attitude follows its command through one pole. A vehicle has a rate loop below "
-            "that, here with a second pole at the bandwidth B (yaw: B/5): the paper's loop with its "
-            f"command low-passed at B. {len(sequences.yaw)} sequences of full steps in three dimensions, 6 "
-            "s.",
+            f"that, here with a second pole at the bandwidth B (yaw: B/{share:g}): the paper's loop with "
+            f"its command low-passed at B. {len(sequences.yaw)} sequences of full steps in three "
+            "dimensions, 6 s.",
         ],
         claims(v, gaps),
         [

@@ -20,11 +20,10 @@ from inclined_landing.eval.equivalence.flying import (
 from inclined_landing.eval.equivalence.sequences import Sequences
 from inclined_landing.models.analytic import derivative
 from inclined_landing.models.attitude import LAG, ROLL, VX, VZ, WX, WZ, YAW, X, Z, body_rates, quaternion
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.parameters import Vehicle, constants
 
 PAPER_SUBSTEPS = 1  # RK4 at the control period, as the paper integrates
 _PLAIN = {"kinematic": "kinematic", "rate_loop": "rate loop"}
-MASS_UNCERTAINTY = 0.009  # 0.3 g of 33 g, the vehicle file's
 
 
 @dataclasses.dataclass(frozen=True)
@@ -260,9 +259,10 @@ def section(
                       "the PWM")
             )  # fmt: skip
             commands, starts, _ = stack(vehicle, sequences)
+            uncertain = next(c.uncertainty for c in constants() if (c.section, c.name) == ("body", "mass"))
             heavier = flying.fly(
                 equations(commands.shape[1], attitude, flying.FINE, vehicle), commands, starts,
-                mass_scale=1 + MASS_UNCERTAINTY,
+                mass_scale=1 + uncertain / vehicle.body_mass,
             )  # fmt: skip
             scale = float(np.median(position_gap(heavier, flown)[-1]))
             tick()
@@ -277,8 +277,9 @@ def section(
         "default, RK4 at 4 ms. Torque limits are off, as the equations have none.",
     ]
     remarks = [
-        f"For scale: the uncertainty of the mass alone (0.3 g) moves these flights by {scale:.2g} m at "
-        f"their end, {number(scale / worst)} times the largest difference between engine and equations."
+        f"For scale: the uncertainty of the mass alone ({number(1e3 * uncertain)} g) moves these flights "
+        f"by {scale:.2g} m at their end, {number(scale / worst)} times the largest difference between "
+        "engine and equations."
     ]
     return (
         Section(
