@@ -1,6 +1,7 @@
 """Landing studies: what becomes of constructed landings, study files, designs, the numbers made of them."""
 
 import dataclasses
+import json
 import math
 
 import numpy as np
@@ -122,8 +123,6 @@ def test_heavier_vehicles_press_harder_and_delayed_cuts_settle_later():
 def test_a_study_survives_its_record(tmp_path):
     study = read_study(written(tmp_path, STUDY))
     study = dataclasses.replace(study, starts=((0.1,) * 13,), maps=(("inclination", "friction"),))
-    import json
-
     assert Study.from_dict(json.loads(json.dumps(study.to_dict()))) == study
     words = dataclasses.replace(study, title="other", maps=())
     assert words.fingerprint() == study.fingerprint()
@@ -205,3 +204,14 @@ def test_map_boundary_and_prediction():
     _, y = maps.quasi_static(other, {"inclination": 0.3})
     assert np.allclose(y, math.tan(0.3))
     assert maps.quasi_static(other, {}) is None
+
+
+@pytest.mark.parametrize("name", sorted(shipped()))
+def test_shipped_results_are_of_the_shipped_studies(name):
+    summary = json.loads((shipped()[name].parent / "results" / name / "summary.json").read_text("utf-8"))
+    begun, study = Study.from_dict(summary["study"] | {"starts": ()}), read_study(name)
+    assert begun == study
+    assert sum(share["count"] for share in summary["outcomes"].values()) == summary["landings"]
+    assert summary["landings"] == design.total(study) * max(
+        1, summary["start_states"] * (study.policy is not None)
+    )
