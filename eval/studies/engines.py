@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator, Sequence
 
 import pyarrow as pa
@@ -12,6 +13,7 @@ from inclined_landing.models.errors import UserError
 
 ENGINES = ("local", "ray")
 _AHEAD = 2  # chunks in flight per core of the cluster
+_PATIENCE = 5.0  # s to wait for a connection
 
 Chunks = Iterator[tuple[int, pa.Table]]
 
@@ -77,6 +79,20 @@ def check(engine: str, address: str | None) -> None:
         raise UserError("--address belongs to --engine ray")
     if engine == "ray":
         _import_ray()
+        if address is not None:
+            _knock(address)
+
+
+def _knock(address: str) -> None:
+    """Raise UserError unless something listens at the address: Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise UserError(f"--address must be HOST:PORT, not {address!r}")
+    try:
+        socket.create_connection((host, int(port)), timeout=_PATIENCE).close()
+    except OSError as error:
+        reason = str(error.strerror or error).lower()
+        raise UserError(f"no Ray cluster answers at {address}: {reason}") from error
 
 
 def chunks_of(engine: str, study: Study, chunks: Sequence[int], size: int, address: str | None) -> Chunks:

@@ -179,8 +179,9 @@ def _simulate(study: Study, out: Path, engine: str, address, size: int, todo: li
 
 
 def _write(table: pa.Table, path: Path) -> None:
-    with runs.atomic(path) as part:
-        pq.write_table(table, part, compression="zstd")
+    file = pa.BufferOutputStream()
+    pq.write_table(table, file, compression="zstd")
+    runs.write_bytes(path, file.getvalue().to_pybytes())
 
 
 def _merge(out: Path, count: int) -> pa.Table:

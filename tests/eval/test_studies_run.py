@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
@@ -212,6 +213,17 @@ def test_without_ray_there_is_a_remedy(study, tmp_path, capsys, monkeypatch):
     refused(capsys, tmp_path, "pip install 'inclined-landing[ray]'", ["small.toml"])
 
 
+@pytest.mark.parametrize(
+    ("address", "sentence"),
+    [("127.0.0.1:1", "no Ray cluster answers at 127.0.0.1:1: connection refused"), ("here", "HOST:PORT")],
+)
+def test_a_cluster_that_is_not_there(study, tmp_path, capsys, monkeypatch, address, sentence):
+    monkeypatch.setattr(engines, "_import_ray", lambda: None)
+    words = ["--out", str(tmp_path / "out"), "--engine", "ray", "--address", address]
+    assert cli.main(["contact", str(study), *words]) == 2
+    refused(capsys, tmp_path, sentence, ["small.toml"])
+
+
 def test_a_full_disk_at_the_start_leaves_nothing(study, tmp_path, capsys, monkeypatch):
     def full(path, data):
         raise UserError(f"cannot write {path}: no space left on device")
@@ -222,17 +234,18 @@ def test_a_full_disk_at_the_start_leaves_nothing(study, tmp_path, capsys, monkey
 
 
 def test_a_full_disk_on_the_way_keeps_what_is_finished(study, tmp_path, reference, capsys, monkeypatch):
-    real, written = pq.write_table, []
+    real, written = Path.write_bytes, []
 
-    def full(table, where, **options):
-        written.append(where)
+    def full(path, data):
+        if path.parent.name == "parts":
+            written.append(path)
         if len(written) > 1:
-            where.write_bytes(b"half of it")
+            real(path, data[: len(data) // 2])
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        real(table, where, **options)
+        return real(path, data)
 
     with monkeypatch.context() as patch:
-        patch.setattr(pq, "write_table", full)
+        patch.setattr(Path, "write_bytes", full)
         with pytest.raises(
             UserError, match="no space left on device; what is finished is kept, go on with --r"
         ):
