@@ -31,6 +31,7 @@ _OUTPUTS = {
     "bounces": ("flights after the touch", "1", 1.0),
 }
 _SENSITIVE = ("peak_force", "slide_distance", "settling_time")
+_CSS_PIXELS = 0.55  # per pixel of a figure, so that all have one text size
 _MATTERS = 0.02  # a first-order index below this is not worth a sentence
 
 
@@ -215,10 +216,16 @@ def page(study: Study, summary: dict, figures: list[dict], fixed: dict[str, floa
                 "text": figure["text"],
                 "data": base64.b64encode(figure["file"].read_bytes()).decode("ascii"),
                 "name": figure["file"].stem,
+                "width": round(_png_width(figure["file"]) * _CSS_PIXELS),
             }
             for figure in figures
         ],
     )
+
+
+def _png_width(file: Path) -> int:
+    """Pixels, from the PNG header."""
+    return int.from_bytes(file.read_bytes()[16:20], "big")
 
 
 def _index(value: dict) -> str:
