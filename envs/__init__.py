@@ -1,6 +1,6 @@
 """Tasks, environments and rendering.
 
-Importing this package registers `InclinedLanding-v0` and `Setpoint-v0`:
+Importing this package registers `InclinedLanding-v0`, `InclinedTouchdown-v0` and `Setpoint-v0`:
 
     gymnasium.make("inclined_landing.envs:InclinedLanding-v0")
     gymnasium.make_vec("inclined_landing.envs:InclinedLanding-v0", num_envs=64)
@@ -10,7 +10,7 @@ from gymnasium.envs.registration import register
 
 _FACES = "inclined_landing.envs.gym_env"
 
-for _task in ("InclinedLanding", "Setpoint"):
+for _task in ("InclinedLanding", "InclinedTouchdown", "Setpoint"):
     register(
         f"{_task}-v0",
         entry_point=f"{_FACES}:{_task}Env",

@@ -13,6 +13,8 @@ from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import Judgement, Start
 from inclined_landing.models.errors import UserError
 
+_START = ("state", "inclination", "present", "goal_size")  # what is recorded of a start
+
 
 @dataclasses.dataclass
 class Step:
@@ -31,7 +33,8 @@ class BatchEnv:
 
     Per-vehicle records of the running episodes: `length`, `total` (sum of rewards), `contact_steps`
     (steps in contact with the platform or within the plant's keep-out zone), `touched`
-    (did any part touch the platform so far).
+    (did any part touch the platform so far), `held` (steps in a row up to now that the task counts as
+    held).
     """
 
     def __init__(self, task: Task, plant, seed: int | None = None):
@@ -42,6 +45,7 @@ class BatchEnv:
         self.total = np.zeros(n)
         self.contact_steps = np.zeros(n, int)
         self.touched = np.zeros(n, bool)
+        self.held = np.zeros(n, int)
         self.commands = np.zeros((n, 4))
         self._start = Start(
             np.zeros((n, plant.state.shape[1])),
@@ -50,6 +54,8 @@ class BatchEnv:
             np.full(n, np.nan),
         )
         self._action_size = len(task.action_names)
+        if hasattr(task, "prepare"):
+            task.prepare(plant)
 
     def seed(self, seed: int | None) -> None:
         """Restart the random starts from `seed`."""
@@ -65,8 +71,13 @@ class BatchEnv:
             array[:] = records[name]
 
     def _records(self) -> dict[str, np.ndarray]:
-        own = ("length", "total", "contact_steps", "touched")
-        return {name: getattr(self, name) for name in own} | vars(self._start)
+        own = ("length", "total", "contact_steps", "touched", "held")
+        start = {name: getattr(self._start, name) for name in _START}
+        return {name: getattr(self, name) for name in own} | start
+
+    def observe(self, ids=slice(None)) -> np.ndarray:
+        """Observations (k, o) of the vehicles `ids` as they are now."""
+        return self.task.observe(self.plant.state[ids], self.plant.contacts.touch[ids, 0, 0])
 
     def reset(self, ids=None, state: np.ndarray | None = None) -> np.ndarray:
         """Begin new episodes for the vehicles `ids` (all by default); return their observations.
@@ -84,15 +95,18 @@ class BatchEnv:
             if not np.isfinite(state).all():
                 raise UserError("a start state holds NaN or infinity")
         start = self.task.sample(self.rng, len(ids)) if state is None else self.task.start(state)
-        for name in ("state", "inclination", "present", "goal_size"):
+        for name in _START:
             getattr(self._start, name)[ids] = getattr(start, name)
         self.plant.set_platform(ids, start.inclination, start.present)
+        if start.contact is not None:
+            self.plant.set_contact(ids, **start.contact)
         self.plant.reset(ids, start.state)
         self.length[ids] = 0
         self.total[ids] = 0.0
         self.contact_steps[ids] = 0
         self.touched[ids] = False
-        return self.task.observe(self.plant.state[ids])
+        self.held[ids] = 0
+        return self.observe(ids)
 
     def step(self, actions: np.ndarray) -> Step:
         """Apply actions (n, a), clipped to [-1, 1], for one control period.
@@ -112,14 +126,16 @@ class BatchEnv:
         self.contact_steps += contacts.platform_near
         self.touched |= contacts.platform
         verdict: Judgement = self.task.judge(
-            self.plant.state, actions, contacts, self._start, self.length, self.contact_steps
+            self.plant.state, actions, contacts, self._start, self.length, self.contact_steps, self.held
         )
+        if verdict.holding is not None:
+            self.held = np.where(verdict.holding, self.held + 1, 0)
         reward = verdict.reward
         self.total += reward
         terminated = verdict.terminated
         truncated = ((self.length >= self.task.max_steps) | verdict.cut) & ~terminated
         return Step(
-            self.task.observe(self.plant.state),
+            self.observe(),
             reward,
             terminated,
             truncated,

@@ -24,7 +24,7 @@ from gymnasium.vector.utils import batch_space
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.spaces import action_space, observation_space
-from inclined_landing.envs.tasks import landing, make_task, setpoint
+from inclined_landing.envs.tasks import landing, make_task, setpoint, touchdown
 from inclined_landing.models import geometry
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -153,7 +153,7 @@ class TaskVectorEnv(VectorEnv):
         mask = (options or {}).get("reset_mask")
         ids = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
         self.batch.reset(ids, _given_states(options, len(ids)))
-        return self.task.observe(self.batch.plant.state), {}
+        return self.batch.observe(), {}
 
     def step(self, actions):
         """Batched step; finished episodes restart at once.
@@ -210,3 +210,13 @@ class SetpointEnv(TaskEnv):
 class SetpointVectorEnv(TaskVectorEnv):
     __doc__ = SetpointEnv.__doc__
     task_name = setpoint.Setpoint.name
+
+
+class InclinedTouchdownEnv(TaskEnv):
+    __doc__ = touchdown.__doc__ + _HISTORY
+    task_name = touchdown.InclinedTouchdown.name
+
+
+class InclinedTouchdownVectorEnv(TaskVectorEnv):
+    __doc__ = InclinedTouchdownEnv.__doc__
+    task_name = touchdown.InclinedTouchdown.name

@@ -8,7 +8,8 @@ u = [PWM, roll, pitch, yaw rate] (n, 4) held for one control period, and shows
 - `reset(ids, state)`: full state, lag included; `save()` / `restore()`: everything that a replay needs;
 - `set_platform(ids, inclination, present)` and `perturb(**changes)`, per vehicle, no recompiling.
 
-The MuJoCo plant also has `set_contact(ids, ...)`: friction, restitution and contact time, foot height.
+The MuJoCo plant also has `set_contact(ids, ...)`: friction, restitution and contact time, foot height;
+and `torque_needs_motors`: with it, a vehicle under PWM 0 has no attitude torque, as motors make it.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from inclined_landing.models import analytic, contact, geometry, perturbation
 from inclined_landing.models.attitude import (
     LAG,
     PITCH,
+    PWM,
     ROLL,
     STATE_SIZE,
     VX,
@@ -253,6 +255,8 @@ class MujocoPlant(_Plant):
         self._warning = self.batch.warning
         self._sensors = np.zeros((n, self.substeps, self.model.nsensordata))
         self._perturbed = self._contact_set = False
+        self.torque_needs_motors = False
+        self._loops = np.array([self.model.actuator(name).id for name in ("roll", "pitch", "yaw_rate")])
         v, feet = self.vehicle, self.shapes.parts == geometry.PARTS.index("feet")
         self.foot_height = float((self.shapes.radii - self.shapes.centres[:, 2])[feet].max())
         self._contact_default = np.array([v.contact_friction, *v.contact_solref, self.foot_height])
@@ -342,6 +346,8 @@ class MujocoPlant(_Plant):
         Raises FloatingPointError, naming the vehicles, when the engine diverges; reset them to go on.
         """
         self._ctrl[:] = commands
+        if self.torque_needs_motors:
+            self._allow_torque(np.asarray(commands)[:, PWM] > 0.0)
         if self.attitude == "kinematic":
             touched = self.contacts.touch.any(axis=(1, 2))
             _synchronise_rates(
@@ -354,6 +360,18 @@ class MujocoPlant(_Plant):
         if self._warning[:, _DIVERGED, 1].any() or not np.isfinite(self.state).all():
             bad = self._warning[:, _DIVERGED, 1].any(axis=1) | ~np.isfinite(self.state).all(axis=1)
             raise FloatingPointError(f"the engine diverged for vehicles {np.flatnonzero(bad)[:5].tolist()}")
+
+    @property
+    def feet_force(self) -> np.ndarray:
+        """(n, 3) net force between slab and feet at the beginning of the last engine step [N]."""
+        return self._sensors[:, -1, 1:4]
+
+    def _allow_torque(self, running: np.ndarray) -> None:
+        """Attitude torques within the vehicle's limits where the motors are `running` (n,), else none."""
+        if running.all() and self.batch.expanded("actuator_forcerange") is None:
+            return
+        limits = self.model.actuator_forcerange[self._loops]
+        self.batch.expand("actuator_forcerange")[:, self._loops] = running[:, None, None] * limits
 
     def _apply_perturbation(self) -> None:
         if not self._perturbed and (self.perturbation == perturbation.NEUTRAL).all():

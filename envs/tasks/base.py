@@ -24,6 +24,7 @@ class Start:
     inclination: np.ndarray  # (k,) rad
     present: np.ndarray  # (k,) bool: is there a platform
     goal_size: np.ndarray  # (k,) d of the goal box; NaN for tasks without one
+    contact: dict[str, np.ndarray] | None = None  # arguments (k,) of the plant's set_contact
 
 
 @dataclasses.dataclass
@@ -34,6 +35,7 @@ class Judgement:
     success: np.ndarray  # (n,) bool
     terminated: np.ndarray  # (n,) bool
     cut: np.ndarray  # (n,) bool: a training aid ends the episode (as a truncation)
+    holding: np.ndarray | None = None  # (n,) bool: where the task wants it, this moment counts as held
 
     @property
     def reward(self) -> np.ndarray:
@@ -61,14 +63,16 @@ class Task(Protocol):
     def commands(self, actions: np.ndarray) -> np.ndarray:
         """Plant commands (n, 4) for actions (n, a) in [-1, 1]."""
 
-    def observe(self, state: np.ndarray) -> np.ndarray:
-        """Observations (n, o), float32, of states (n, 13)."""
+    def observe(self, state: np.ndarray, feet: np.ndarray | None = None) -> np.ndarray:
+        """Observations (n, o), float32, of states (n, 13); feet (n,): do the feet touch the slab."""
 
-    def judge(self, state, actions, contacts: Contacts, start: Start, length, in_contact) -> Judgement:
+    def judge(
+        self, state, actions, contacts: Contacts, start: Start, length, in_contact, held=None
+    ) -> Judgement:
         """Reward terms, success and end of the step that led to `state`.
 
         length, in_contact (n,): steps of this episode so far, this one included, and those of them
-        in contact with the platform.
+        in contact with the platform. held (n,): steps in a row, before this one, that were held.
         """
 
 

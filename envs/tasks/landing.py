@@ -149,7 +149,7 @@ class InclinedLanding:
         u[:, PITCH_COMMAND] = v.command_angle_limit * actions[:, 1]
         return u
 
-    def observe(self, state: np.ndarray) -> np.ndarray:
+    def observe(self, state: np.ndarray, feet: np.ndarray | None = None) -> np.ndarray:
         """[x z vx vz pitch] (n, 5), float32."""
         return state[:, _COLUMNS].astype(np.float32)
 
@@ -172,7 +172,7 @@ class InclinedLanding:
         x, z = state[:, X], state[:, Z]
         return (x < x0 + m) | (x > x1 - m) | (z < z0 + m) | (z > z1 - m)
 
-    def judge(self, state, actions, contacts, start: Start, length, in_contact) -> Judgement:
+    def judge(self, state, actions, contacts, start: Start, length, in_contact, held=None) -> Judgement:
         """See the module's docstring; the arguments are those of `Task.judge`."""
         c = self.conditions
         goal = self.in_goal(state, start.inclination, start.goal_size)

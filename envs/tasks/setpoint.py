@@ -92,7 +92,7 @@ class Setpoint:
         u[:, PITCH_COMMAND] = v.command_angle_limit * actions[:, 2]
         return u
 
-    def observe(self, state: np.ndarray) -> np.ndarray:
+    def observe(self, state: np.ndarray, feet: np.ndarray | None = None) -> np.ndarray:
         """[x y z vx vy vz roll pitch] (n, 8), float32."""
         return state[:, _COLUMNS].astype(np.float32)
 
@@ -100,7 +100,7 @@ class Setpoint:
         """(n,) distance to the goal [m]."""
         return np.linalg.norm(state[:, :3] - GOAL, axis=1)
 
-    def judge(self, state, actions, contacts, start: Start, length, in_contact) -> Judgement:
+    def judge(self, state, actions, contacts, start: Start, length, in_contact, held=None) -> Judgement:
         """See the module's docstring; the arguments are those of `Task.judge`."""
         e_p = self.position_error(state)
         effort = (actions[:, 1:] ** 2).sum(axis=1)

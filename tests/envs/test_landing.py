@@ -182,7 +182,7 @@ def test_wrong_options_are_refused(options, sentence):
 
 
 def test_an_unknown_task_is_refused():
-    with pytest.raises(UserError, match="unknown task 'hover'; known are landing and setpoint"):
+    with pytest.raises(UserError, match="unknown task 'hover'; known are landing, setpoint, touchdown"):
         make_task("hover")
 
 

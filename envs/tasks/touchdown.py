@@ -1,0 +1,206 @@
+"""`InclinedTouchdown`: come to rest on the slope, on the feet, motors at idle, by the policy's own command.
+
+Nothing outside ends the flight: there is no goal box and nobody who cuts the motors in it. The contact
+is real, so that only the MuJoCo plant can judge this task.
+
+Observation, float32, unbounded: that of `InclinedLanding`; index 5 only with `observe_contact=True`:
+
+| index | quantity | unit |
+|---|---|---|
+| 0, 1 | x, z | m |
+| 2, 3 | vx, vz | m/s |
+| 4 | pitch, positive accelerates +x | rad |
+| 5 | do the feet touch the slab, 0 or 1 | |
+
+Action, float32, from -1 to 1; roll and yaw-rate commands are zero:
+
+| index | command | at action a | MuJoCo actuator |
+|---|---|---|---|
+| 0 | thrust | as in `InclinedLanding`, but a <= -0.9 is PWM 0: motors at idle | `thrust` |
+| 1 | pitch | 30 deg times a | `pitch` |
+
+Motors at idle make no attitude torque either.
+
+A moment is *held* when feet and nothing else touch the slab, nothing touches the base, the vehicle is
+slower than 0.05 m/s and turns slower than 1 rad/s, and the motors are at idle by command. Success is
+0.3 s (15 steps) held without a break.
+
+Reward per step: 0 while held; otherwise -1 (`time`), a further -1 near the bounds of the arena
+(`bounds`), a further -6 when body or rotors touch the slab or anything touches the base (`obstacle`);
+and at any time -0.5 for each weight that the force on the feet exceeds two weights by (`impact`), which
+asks for a soft touchdown.
+
+An episode ends with success, or is truncated after 300 steps.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from inclined_landing.envs.tasks.base import Judgement, Start
+from inclined_landing.envs.tasks.landing import Conditions as LandingConditions
+from inclined_landing.envs.tasks.landing import InclinedLanding
+from inclined_landing.models import geometry
+from inclined_landing.models.attitude import LAG, PITCH, PWM, STATE_SIZE, VX, VZ, WX, WZ, X, Z
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+
+IDLE_ACTION = -0.9  # thrust actions up to this one command PWM 0
+REST_SPEED = 0.05  # m/s
+REST_RATE = 1.0  # rad/s: the feet are then slower than 0.05 m/s too; on springy contact it trembles with 0.5
+HOLD_STEPS = 15  # 0.3 s
+GENTLE_FORCE = 2.0  # force on the feet that costs nothing, in weights
+IMPACT = 0.5  # reward lost for each weight beyond it
+CONTACT_TIME = 0.02  # s, wherever a restitution is set
+# Training starts close to the slope: these bounds times a number from 0 (at rest on the slope) to 1.
+_CLOSE_HEIGHT = 0.25  # m over the height at rest
+_CLOSE_PITCH = 0.15  # rad to both sides of the inclination
+_CLOSE_FALL = 0.8  # m/s into the surface
+_CLOSE_SPEED = 0.5  # m/s along it, both ways
+_CLOSE_THRUST = (0.3, 1.1)  # lag state as a share of hover
+_CLOSE_ALONG = 0.25  # m to both sides of the centre, always
+
+
+@dataclasses.dataclass(frozen=True)
+class Conditions(LandingConditions):
+    """What an episode starts under. The defaults are the task; the rest are training aids.
+
+    contact_limit ends episodes on the wrong parts. With a `departure` price, those that it or leave_limit
+    ends are over at that price, about what staying there would cost; without one they are truncated.
+    """
+
+    close: float = 0.0  # share of the episodes that begin just over the slope, in any motion
+    impact: float = IMPACT  # reward lost for each weight of force beyond two
+    departure: float = 0.0
+    friction: tuple[float, float] | None = None  # drawn per episode; None: the plant's own
+    restitution: tuple[float, float] | None = None
+
+
+class InclinedTouchdown(InclinedLanding):
+    """The task for vehicles of one kind and one platform inclination [rad].
+
+    observe_contact: append the feet's contact to the observation.
+    """
+
+    name = "touchdown"
+
+    def __init__(
+        self,
+        vehicle: Vehicle | None = None,
+        *,
+        inclination: float | None = None,
+        pwm_centre: float | str = "paper",
+        observe_contact: bool = False,
+    ):
+        super().__init__(vehicle, inclination=inclination, pwm_centre=pwm_centre)
+        self.observe_contact = bool(observe_contact)
+        self.options["observe_contact"] = self.observe_contact
+        self.conditions = Conditions()
+        if self.observe_contact:
+            self.observation_names = (*self.observation_names, "feet")
+            self.observation_scale = np.append(self.observation_scale, 1.0)
+            self.observation_centre = np.append(self.observation_centre, 0.0)
+        feet = self._shapes.parts == geometry.PARTS.index("feet")
+        self._rest_height = float((self._shapes.radii - self._shapes.centres[:, 2])[feet].max())  # m
+        self._weight = self.vehicle.body_mass * self.vehicle.environment_gravity
+
+    @property
+    def rest_position(self) -> tuple[float, float]:
+        """(x, z) of a vehicle at rest in the middle of the slope [m]."""
+        height = self._rest_height
+        x, z = height * math.sin(self.inclination), height * math.cos(self.inclination)
+        return x, self.vehicle.platform_surface_height + z
+
+    def prepare(self, plant) -> None:
+        """Set a plant up for this task; raises UserError for one without contact."""
+        if plant.kind != "mujoco":
+            raise UserError("the touchdown task needs the MuJoCo plant: in the analytic one nothing is felt")
+        plant.torque_needs_motors = True
+
+    def sample(self, rng: np.random.Generator, k: int) -> Start:
+        """k starts: as in the landing task, with the conditions' share of them just over the slope."""
+        c = self.conditions
+        start = super().sample(rng, k)
+        if c.close > 0.0:
+            close = (rng.random(k) < c.close) & start.present
+            start.state[close] = self._close(rng, start.inclination[close])
+        contact = {}
+        if c.friction is not None:
+            contact["friction"] = rng.uniform(*c.friction, k)
+        if c.restitution is not None:
+            contact |= {"restitution": rng.uniform(*c.restitution, k), "contact_time": CONTACT_TIME}
+        return dataclasses.replace(start, contact=contact or None)
+
+    def _close(self, rng: np.random.Generator, inclination: np.ndarray) -> np.ndarray:
+        """States (k, 13) just over the slope, in motion."""
+        k, v = len(inclination), self.vehicle
+        sin, cos = np.sin(inclination), np.cos(inclination)  # along (cos, -sin), normal (sin, cos)
+        far = rng.random(k)  # 0: at rest on the feet, motors at idle
+        along = rng.uniform(-_CLOSE_ALONG, _CLOSE_ALONG, k)
+        height = self._rest_height + far * _CLOSE_HEIGHT
+        speed = far * rng.uniform(-_CLOSE_SPEED, _CLOSE_SPEED, k)
+        fall = far * rng.uniform(0.0, _CLOSE_FALL, k)
+        state = np.zeros((k, STATE_SIZE))
+        state[:, X] = along * cos + height * sin
+        state[:, Z] = v.platform_surface_height - along * sin + height * cos
+        state[:, VX] = speed * cos - fall * sin
+        state[:, VZ] = -speed * sin - fall * cos
+        state[:, PITCH] = inclination + far * rng.uniform(-_CLOSE_PITCH, _CLOSE_PITCH, k)
+        state[:, LAG] = v.hover_lag * far * rng.uniform(*_CLOSE_THRUST, k)
+        return state
+
+    def commands(self, actions: np.ndarray) -> np.ndarray:
+        """Plant commands (n, 4) for actions (n, 2) in [-1, 1]."""
+        u = super().commands(actions)
+        u[actions[:, 0] <= IDLE_ACTION, PWM] = 0.0
+        return u
+
+    def observe(self, state: np.ndarray, feet: np.ndarray | None = None) -> np.ndarray:
+        """[x z vx vz pitch] (n, 5), float32, or (n, 6) with the feet's contact."""
+        observation = super().observe(state)
+        if not self.observe_contact:
+            return observation
+        if feet is None:
+            raise UserError("this touchdown task observes the feet's contact; give it to observe")
+        return np.column_stack([observation, np.asarray(feet, np.float32)])
+
+    def wrong_contact(self, contacts) -> np.ndarray:
+        """(n,) bool: body or rotors touch the slab, or anything touches the base."""
+        return contacts.touch[:, 0, 1:].any(axis=1) | contacts.touch[:, 1].any(axis=1)
+
+    def holding(self, state: np.ndarray, idle: np.ndarray, contacts) -> np.ndarray:
+        """(n,) bool: at rest on the feet with motors at idle (n,) now; see the module's docstring."""
+        return (
+            idle
+            & contacts.touch[:, 0, 0]
+            & ~self.wrong_contact(contacts)
+            & (np.linalg.norm(state[:, VX : VZ + 1], axis=1) < REST_SPEED)
+            & (np.linalg.norm(state[:, WX : WZ + 1], axis=1) < REST_RATE)
+        )
+
+    def judge(self, state, actions, contacts, start: Start, length, in_contact, held=None) -> Judgement:
+        """See the module's docstring; the arguments are those of `Task.judge`."""
+        c = self.conditions
+        wrong = self.wrong_contact(contacts)
+        holding = self.holding(state, actions[:, 0] <= IDLE_ACTION, contacts)
+        excess = np.maximum(contacts.force[:, 0, 0] / self._weight - GENTLE_FORCE, 0.0)
+        terms = {
+            "time": -1.0 * ~holding,
+            "bounds": -1.0 * (~wrong & self.near_bounds(state)),
+            "obstacle": -6.0 * wrong,
+            "impact": -c.impact * excess,
+        }
+        success = holding & ((np.zeros(len(state)) if held is None else held) + 1 >= HOLD_STEPS)
+        cut = np.zeros_like(success)
+        if c.leave_limit < math.inf:
+            cut |= self.near_bounds(state, -c.leave_limit) | contacts.touch[:, 2].any(axis=1)
+        if c.contact_limit:
+            cut |= wrong & (in_contact >= c.contact_limit)
+        cut &= ~success
+        if c.departure:
+            terms["departure"] = -c.departure * cut
+            return Judgement(terms, success, success | cut, np.zeros_like(cut), holding)
+        return Judgement(terms, success, success, cut, holding)

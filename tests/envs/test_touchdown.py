@@ -1,0 +1,180 @@
+"""`InclinedTouchdown`: when a moment is held, what it pays, idle motors, and the plant that is needed."""
+
+import dataclasses
+import math
+
+import gymnasium
+import numpy as np
+import pytest
+
+from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.tasks import InclinedTouchdown, make_task
+from inclined_landing.envs.tasks.touchdown import GENTLE_FORCE, HOLD_STEPS, IMPACT, Conditions
+from inclined_landing.models.attitude import PITCH, PWM, STATE_SIZE, VX, WY, X, Z
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plant import Contacts, MujocoPlant, make_plant
+
+V = load_vehicle()
+TASK = InclinedTouchdown(pwm_centre="hover")
+WEIGHT = V.body_mass * V.environment_gravity
+IDLE, FLY = np.array([-1.0, -0.77]), np.array([0.0, -0.77])  # 0.77 holds the slope's attitude
+
+
+def resting() -> np.ndarray:
+    """The state (1, 13) of a vehicle that stands on the slope, thrust gone."""
+    state = np.zeros((1, STATE_SIZE))
+    state[0, [X, Z]] = TASK.rest_position
+    state[0, PITCH] = TASK.inclination
+    return state
+
+
+def judge(state=None, action=IDLE, touching=((0, 0),), force=WEIGHT, held=0, conditions=None):
+    """Judgement of one moment; touching: (surface, part) pairs."""
+    state = resting() if state is None else state
+    task = InclinedTouchdown(pwm_centre="hover")
+    task.conditions = conditions or Conditions()
+    contacts = Contacts(np.zeros((1, 3, 3), bool), np.zeros((1, 3, 3), bool), np.zeros((1, 3, 3)))
+    for pair in touching:
+        contacts.touch[0][pair] = contacts.near[0][pair] = True
+        contacts.force[0][pair] = force
+    count = np.ones(1, int)
+    return task.judge(state, action[None], contacts, task.start(state), count, 9 * count, np.array([held]))
+
+
+def terms(judgement) -> dict:
+    return {name: float(term[0]) for name, term in judgement.terms.items() if term[0]}
+
+
+def test_at_rest_on_the_feet_with_idle_motors_is_held_and_free():
+    verdict = judge()
+    assert verdict.holding[0] and not terms(verdict) and not verdict.success[0]
+
+
+@pytest.mark.parametrize(
+    ("case", "paid"),
+    [
+        ({"action": FLY}, {"time": -1.0}),
+        ({"touching": ()}, {"time": -1.0}),
+        ({"touching": ((0, 0), (0, 2))}, {"time": -1.0, "obstacle": -6.0}),
+        ({"touching": ((0, 0), (1, 0))}, {"time": -1.0, "obstacle": -6.0}),
+        ({"force": (GENTLE_FORCE + 3) * WEIGHT}, {"impact": -3 * IMPACT}),
+    ],
+)
+def test_what_is_not_held_costs(case, paid):
+    assert terms(judge(**case)) == pytest.approx(paid)
+    assert judge(**case).reward[0] == pytest.approx(sum(paid.values()))
+
+
+@pytest.mark.parametrize(("column", "value"), [(VX, 0.06), (WY, 1.1)])
+def test_motion_is_not_rest(column, value):
+    state = resting()
+    state[0, column] = value
+    assert terms(judge(state)) == {"time": -1.0}
+
+
+def test_success_is_held_for_three_tenths_of_a_second():
+    assert HOLD_STEPS * V.command_control_period == pytest.approx(0.3)
+    before, now = judge(held=HOLD_STEPS - 2), judge(held=HOLD_STEPS - 1)
+    assert not before.terminated[0] and now.terminated[0] and now.success[0]
+    assert not judge(held=HOLD_STEPS - 1, action=FLY).success[0]
+
+
+def test_near_the_bounds_and_training_aids():
+    state = resting()
+    state[0, X] = 3.38
+    assert terms(judge(state, FLY, ())) == {"time": -1.0, "bounds": -1.0}
+    aids = Conditions(contact_limit=8, leave_limit=0.3)
+    assert judge(touching=((0, 1),), conditions=aids).cut[0]
+    priced = judge(touching=((0, 1),), conditions=Conditions(contact_limit=8, departure=150.0))
+    assert priced.terminated[0] and not priced.cut[0] and not priced.success[0]
+    assert terms(priced) == {"time": -1.0, "obstacle": -6.0, "departure": -150.0}
+    assert not judge(conditions=aids).cut[0]  # feet may stay as long as they like
+
+
+def test_idle_is_the_lowest_tenth_of_the_thrust_action():
+    pwm = TASK.commands(np.array([[-1.0, 0], [-0.9, 0], [-0.89, 0], [1.0, 0]]))[:, PWM]
+    assert pwm[0] == pwm[1] == 0.0 and pwm[2] > V.command_pwm_range[0] and pwm[3] > pwm[2]
+
+
+def test_only_the_mujoco_plant_can_judge():
+    with pytest.raises(UserError, match="needs the MuJoCo plant"):
+        BatchEnv(TASK, make_plant("analytic", 1))
+
+
+def test_a_vehicle_that_stands_there_succeeds_after_fifteen_held_steps():
+    env = BatchEnv(make_task("touchdown"), MujocoPlant(2, threads=1))
+    env.reset(state=np.repeat(resting(), 2, axis=0))
+    rewards = 0.0
+    for _ in range(40):
+        step = env.step(np.array([IDLE, FLY]))
+        rewards += step.reward[0]
+        if step.terminated[0]:
+            break
+    # The feet settle into the contact spring for at most 0.1 s before.
+    assert step.success.tolist() == [True, False] and HOLD_STEPS <= env.length[0] <= HOLD_STEPS + 5
+    assert env.held[0] == HOLD_STEPS and rewards >= -5.0
+    env.reset(np.array([0]))
+    assert env.held.tolist() == [0, 0]
+
+
+def test_idle_motors_make_no_torque_and_only_when_asked_for():
+    state = resting()
+    state[0, [X, Z, PITCH]] = 0.0, 2.0, 0.3
+
+    def fall(needed, commands):
+        plant = MujocoPlant(1, threads=1)
+        plant.torque_needs_motors = needed
+        plant.set_platform([0], 0.0, False)
+        plant.reset([0], state)
+        for u in commands:
+            plant.step(np.array([u]))
+        return plant.state.copy()
+
+    off, on = [0.0, 0, -0.5, 0], [30000.0, 0, -0.5, 0]
+    free = fall(True, [off] * 10)
+    assert np.abs(free[0, WY]) < 1e-9 and free[0, PITCH] == pytest.approx(0.3)
+    assert fall(False, [off] * 10)[0, PITCH] < 0.2  # the paper's loop needs no motors
+    np.testing.assert_array_equal(fall(True, [on] * 10), fall(False, [on] * 10))
+    back = fall(True, [off] * 3 + [on] * 7)  # the torque returns with the motors
+    assert back[0, WY] < -0.5
+
+
+def test_contact_can_be_observed():
+    task = make_task("touchdown", observe_contact=True)
+    assert task.options["observe_contact"] and task.observation_names[-1] == "feet"
+    assert len(task.observation_centre) == len(task.observation_scale) == 6
+    env = BatchEnv(task, MujocoPlant(1, threads=1))
+    assert env.reset(state=resting()).shape == (1, 6)
+    assert env.step(IDLE[None]).observation[0, 5] == 1.0
+    assert make_task("touchdown").observe(resting()).shape == (1, 5)
+    with pytest.raises(UserError, match="observes the feet's contact"):
+        task.observe(resting())
+
+
+def test_training_starts_draw_contact_and_closeness():
+    task = InclinedTouchdown()
+    assert task.sample(np.random.default_rng(0), 4).contact is None
+    task.conditions = Conditions(close=1.0, friction=(0.55, 1.2), restitution=(0.0, 0.5))
+    start = task.sample(np.random.default_rng(0), 500)
+    assert task.start_clearance(start).min() > -1e-9
+    x, z = start.state[:, X], start.state[:, Z] - V.platform_surface_height
+    height = x * math.sin(task.inclination) + z * math.cos(task.inclination)
+    assert height.max() < 0.28 and np.abs(start.state[:, PITCH] - task.inclination).max() < 0.15
+    assert 0.55 <= start.contact["friction"].min() < 0.6 < 1.15 < start.contact["friction"].max() <= 1.2
+    plant = MujocoPlant(500, threads=1)
+    BatchEnv(task, plant, seed=0).reset()
+    assert len(np.unique(plant.save().arrays["contact"][:, 0])) == 500
+
+
+def test_gymnasium_face():
+    env = gymnasium.make("inclined_landing.envs:InclinedTouchdown-v0", disable_env_checker=True)
+    env.reset(seed=0, options={"state": resting()[0]})
+    _, reward, terminated, _, info = env.step(IDLE)
+    assert not terminated and reward == sum(info["reward_terms"].values())
+    assert set(info["reward_terms"]) == {"time", "bounds", "obstacle", "impact"}
+
+
+def test_conditions_default_to_the_task():
+    default = dataclasses.asdict(Conditions())
+    assert default["close"] == 0.0 and default["impact"] == IMPACT and default["friction"] is None
