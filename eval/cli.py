@@ -19,7 +19,7 @@ from inclined_landing.models.errors import UserError
 
 PolicyFile = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
 PlantName = Annotated[str, tyro.conf.arg(metavar="{mujoco,analytic}")]
-TaskName = Annotated[str | None, tyro.conf.arg(metavar="{landing,setpoint}")]
+TaskName = Annotated[str | None, tyro.conf.arg(metavar="{landing,setpoint,touchdown}")]
 Degrees = Annotated[float | None, tyro.conf.arg(metavar="DEG")]
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
@@ -49,7 +49,7 @@ def success(
     """Success table of a policy: how often, how fast and how hard it reaches its goal.
 
     Args:
-        policy: policy file, or the name of a shipped policy (landing, setpoint).
+        policy: policy file, or the name of a shipped policy (landing, setpoint, touchdown).
         task: the task the policy must be for; needed for a plain Stable-Baselines3 file.
         plant: the physics to fly in.
         thrust_scale: total thrust times this, one row for each value (default: 1).
@@ -72,6 +72,30 @@ def success(
         json=json,
         out=out,
     )
+
+
+def touchdown(
+    policy: PolicyFile,
+    /,
+    baseline: Annotated[str, tyro.conf.arg(metavar="POLICY")] = "landing",
+    friction: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MU [MU ...]")] = (0.55, 0.6, 0.8, 1.2),
+    restitution: Annotated[tuple[float, ...], tyro.conf.arg(metavar="E [E ...]")] = (0.0, 0.25, 0.5),
+    json: Flag = False,
+    out: Folder = None,
+) -> None:
+    """Touchdown policy against a landing policy whose motors are cut in the goal box (a minute or two).
+
+    Args:
+        policy: touchdown policy file, or the shipped one (touchdown).
+        baseline: landing policy file, or the shipped one (landing).
+        friction: between feet and slope.
+        restitution: of the feet on the slope, 0 to 0.6.
+        json: print JSON, and nothing else, on standard output.
+        out: new folder for touchdown.json.
+    """
+    from inclined_landing.eval import touchdown
+
+    touchdown.run(policy, baseline, friction=friction, restitution=restitution, json=json, out=out)
 
 
 def doctor(json: Flag = False) -> int:
@@ -130,9 +154,9 @@ def figure(
     """Stroboscopic trajectory with PWM and pitch over time, as PNG and PDF.
 
     Args:
-        policy: policy file, or the name of a shipped policy (landing, setpoint).
+        policy: policy file, or the name of a shipped policy (landing, setpoint, touchdown).
         out: folder for the files.
-        start: where to fly from, in metres: X,Z (landing) or X,Y,Z (setpoint); repeat the option for
+        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
             more figures. Default: the paper's two cases, 1.5,1.8 and 0,2.
         task: the task the policy must be for; needed for a plain Stable-Baselines3 file.
         plant: the physics to fly in.
@@ -162,9 +186,9 @@ def video(
     """Video of flights, one after the other.
 
     Args:
-        policy: policy file, or the name of a shipped policy (landing, setpoint).
+        policy: policy file, or the name of a shipped policy (landing, setpoint, touchdown).
         out: .mp4 or .gif file.
-        start: where to fly from, in metres: X,Z (landing) or X,Y,Z (setpoint); repeat the option for
+        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
             more flights.
         camera: where to look from.
         gif: write a .gif beside the .mp4.
@@ -200,9 +224,9 @@ def picture(
     """One picture of a whole flight: copies of the vehicle along its way.
 
     Args:
-        policy: policy file, or the name of a shipped policy (landing, setpoint).
+        policy: policy file, or the name of a shipped policy (landing, setpoint, touchdown).
         out: .png file.
-        start: where to fly from, in metres: X,Z (landing) or X,Y,Z (setpoint).
+        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z.
         camera: where to look from.
         width: of the picture, pixels.
         height: of the picture, pixels.
@@ -256,6 +280,25 @@ def contact(
     run.run(study, out, engine=engine, address=address, resume=resume)
 
 
+def equivalence(
+    out: OutFolder,
+    policy: Annotated[str, tyro.conf.arg(metavar="POLICY")] = "landing",
+    seed: int = 0,
+    quick: Flag = False,
+) -> int:
+    """Is the MuJoCo vehicle the paper's model? One page of claims with tolerances (exit code 1 if one fails).
+
+    Args:
+        out: new folder for report.html, report.json and the figures.
+        policy: landing policy for recorded commands and closed loops: a file, or a shipped one.
+        seed: of commands and states.
+        quick: fewer commands, states and starts.
+    """
+    from inclined_landing.eval.equivalence import report
+
+    return report.run(policy, out, seed=seed, quick=quick)
+
+
 def contact_truth(
     out: OutFolder,
     flights: Folder = None,
@@ -278,36 +321,18 @@ def contact_truth(
     report.run(out, flights, friction=friction, restitution=restitution, contact_time=contact_time)
 
 
-def equivalence(
-    out: OutFolder,
-    policy: Annotated[str, tyro.conf.arg(metavar="POLICY")] = "landing",
-    seed: int = 0,
-    quick: Flag = False,
-) -> int:
-    """Is the MuJoCo vehicle the paper's model? One page of claims with tolerances (exit code 1 if one fails).
-
-    Args:
-        out: new folder for report.html, report.json and the figures.
-        policy: landing policy for recorded commands and closed loops: a file, or a shipped one.
-        seed: of commands and states.
-        quick: fewer commands, states and starts.
-    """
-    from inclined_landing.eval.equivalence import report
-
-    return report.run(policy, out, seed=seed, quick=quick)
-
-
 COMMANDS = {
     "success": success,
+    "touchdown": touchdown,
     "doctor": doctor,
     "benchmark": benchmark,
     "figure": figure,
     "video": video,
     "picture": picture,
     "curves": curves,
+    "equivalence": equivalence,
     "contact": contact,
     "contact-truth": contact_truth,
-    "equivalence": equivalence,
 }
 
 

@@ -29,7 +29,7 @@ class Flight:
     reward: np.ndarray  # (T,), of the step that ended at t[k]; 0 at the start
     inclination: float | None  # of the platform, rad; None without one
     goal: np.ndarray  # the observation at the goal: (5,) landing, (8,) setpoint
-    success: bool  # at the end: in the goal box (landing), within 5 cm (setpoint)
+    success: bool  # at the end: in the goal box (landing), within 5 cm (setpoint), at rest (touchdown)
     touched: bool  # did any part touch the platform
 
     @property
@@ -110,4 +110,6 @@ def record_flight(policy: Policy, plant, start_state: np.ndarray, **options) -> 
 def _goal(task) -> np.ndarray:
     if task.name == "landing":
         return np.array([*task.goal_position, 0.0, 0.0, task.inclination])
+    if task.name == "touchdown":
+        return np.array([*task.rest_position, 0.0, 0.0, task.inclination])
     return np.array([*setpoint.GOAL, 0.0, 0.0, 0.0, 0.0, 0.0])

@@ -42,12 +42,12 @@ def figure(policy: str, out: Path, starts: Sequence[str] = (), **options) -> lis
     if starts:
         names = ["trajectory"] if len(starts) == 1 else [f"trajectory_{k + 1}" for k in range(len(starts))]
         points = [parse_start(text, loaded.task) for text in starts]
-    elif loaded.task.name == "landing":
+    elif loaded.task.name != "setpoint":
         names, points = [f"trajectory_{name}" for name in CASES], list(CASES.values())
     else:
         names, points = ["trajectory"], [SETPOINT_START]
     files = []
-    landing, period = loaded.task.name == "landing", loaded.task.vehicle.command_control_period
+    landing, period = loaded.task.name != "setpoint", loaded.task.vehicle.command_control_period
     steps = None if landing else round(SETPOINT_TIME / period)
     for name, flight in zip(names, fly(loaded, points, options.get("plant", "mujoco"), steps)):
         drawn = trajectory_figure(flight, vehicle=loaded.task.vehicle)
@@ -151,7 +151,7 @@ def load(
     if inclination is None:
         return load_policy(policy, task)
     loaded = load_policy(policy, task)
-    if loaded.task.name != "landing":
+    if loaded.task.name == "setpoint":
         raise UserError("--inclination is for landing policies; the setpoint task has no platform")
     angle = loaded.task.vehicle.check_inclination(math.radians(inclination))
     return load_policy(policy, task, inclination=angle)
@@ -164,13 +164,13 @@ def fly(policy: Policy, points: Sequence[tuple[float, ...]], plant: str, steps: 
 
 def parse_start(text: str, task) -> tuple[float, ...]:
     """The point in "X,Z" (landing) or "X,Y,Z" (set-point) [m], inside the arena, clear of the platform."""
-    form = "X,Z" if task.name == "landing" else "X,Y,Z"
+    form = "X,Z" if task.name != "setpoint" else "X,Y,Z"
     try:
         point = tuple(float(number) for number in text.split(","))
     except ValueError:
         point = ()
     if len(point) != form.count(",") + 1 or not all(map(math.isfinite, point)):
-        example = "1.5,1.8" if task.name == "landing" else "1.5,1,0.6"
+        example = "1.5,1.8" if task.name != "setpoint" else "1.5,1,0.6"
         raise UserError(f"--start must be {form} in metres, like {example}, not {text!r}")
     v = task.vehicle
     sides = (v.arena_x, v.arena_z) if len(point) == 2 else (v.arena_x, v.arena_y, v.arena_z)
@@ -178,7 +178,7 @@ def parse_start(text: str, task) -> tuple[float, ...]:
         if not low < value < high:
             room = f"{name.lower()} must be between {low:g} and {high:g} m"
             raise UserError(f"--start {text} lies outside the arena: {room}")
-    if task.name == "landing" and _inside_platform(point, task):
+    if task.name != "setpoint" and _inside_platform(point, task):
         raise UserError(f"--start {text} lies in the platform")
     return point
 
@@ -191,13 +191,13 @@ def _inside_platform(point: tuple[float, float], task) -> bool:
 
 
 def _points(starts: Sequence[str], task) -> list[tuple[float, ...]]:
-    default = CASES["above_right"] if task.name == "landing" else SETPOINT_START
+    default = CASES["above_right"] if task.name != "setpoint" else SETPOINT_START
     return [parse_start(text, task) for text in starts] or [default]
 
 
 def _states(points, task) -> np.ndarray:
     positions = np.zeros((len(points), 3))
-    positions[:, [0, 2] if task.name == "landing" else [0, 1, 2]] = points
+    positions[:, [0, 2] if task.name != "setpoint" else [0, 1, 2]] = points
     return hover_states(positions, task.vehicle)
 
 
@@ -214,10 +214,12 @@ def _counted(frames: Iterator[np.ndarray], total: int, name: str) -> Iterator[np
 def report(flight: Flight, name: str) -> None:
     """One line on stderr about a flight."""
     x, y, z = flight.state[0, :3]
-    place = f"x {x:g}, z {z:g} m" if flight.task == "landing" else f"x {x:g}, y {y:g}, z {z:g} m"
+    place = f"x {x:g}, z {z:g} m" if flight.task != "setpoint" else f"x {x:g}, y {y:g}, z {z:g} m"
     if flight.task == "landing":
         end = f"goal box after {flight.duration:.2f} s" if flight.success else "goal box not reached"
         end += ", platform touched before" if flight.touched else ""
+    elif flight.task == "touchdown":
+        end = f"at rest on the slope after {flight.duration:.2f} s" if flight.success else "not at rest"
     else:
         away = np.linalg.norm(flight.state[-1, :3] - flight.goal[:3])
         end = f"{100 * away:.1f} cm from the goal after {flight.duration:.2f} s"

@@ -25,7 +25,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 STAMP = "inclined_landing.json"
-SHIPPED = ("landing", "setpoint")
+SHIPPED = ("landing", "setpoint", "touchdown")
 _ACTIVATIONS = ("Tanh", "ReLU")  # index is the code in the compiled loop
 _LIMIT = 10.0  # of `features.ScaledObservation`
 
@@ -112,7 +112,7 @@ def stamp(path: str | Path, metadata: dict) -> None:
 
 
 def locate(name: str | Path) -> Path:
-    """Path of a policy: a shipped one by name ("landing", "setpoint"), otherwise a file."""
+    """Path of a policy: a shipped one by name ("landing", "setpoint", "touchdown"), otherwise a file."""
     if str(name) in SHIPPED:
         path = Path(str(resources.files("inclined_landing.eval") / "policies" / f"{name}.zip"))
         if not path.is_file():
@@ -176,7 +176,7 @@ def _build_task(name, metadata, vehicle, inclination, path) -> Task:
         raise UserError(f"policy {path}: task_options in its {STAMP} is not a table")
     options = dict(options)
     if inclination is not None:
-        if name != "landing":
+        if name == "setpoint":
             raise UserError(f"policy {path} is for the task {name}, which has no inclined platform")
         options["inclination"] = inclination
     if vehicle is not None:

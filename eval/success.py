@@ -74,6 +74,8 @@ def run(
     if angle is not None:
         (flown or load_vehicle()).check_inclination(angle)
     loaded = load_policy(policy, task, vehicle=flown, inclination=angle)
+    if loaded.task.name == "touchdown":
+        raise UserError(f"policy {policy} is for the task touchdown: landing-eval touchdown judges it")
     report, flights = _evaluate(loaded, plant, thrust_scale, seed, progress=True)
     report["vehicle"] = str(vehicle) if vehicle is not None else "crazyflie.toml"
     if out is not None:

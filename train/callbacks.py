@@ -63,6 +63,23 @@ class CurriculumCallback(BaseCallback):
         self.model.lr_schedule = lambda _: rate
 
 
+class CriticFirst(BaseCallback):
+    """Leaves the actor alone until `steps` environment steps: a new critic must not spoil a good actor."""
+
+    def __init__(self, steps: int):
+        super().__init__()
+        self.steps = steps
+
+    def _on_rollout_start(self) -> None:
+        learns = self.num_timesteps >= self.steps
+        for name, parameter in self.model.policy.named_parameters():
+            if any(part in name for part in ("policy_net", "action_net", "log_std")):
+                parameter.requires_grad_(learns)
+
+    def _on_step(self) -> bool:
+        return True
+
+
 class Every(BaseCallback):
     """Calls `action(iteration)` before a rollout, every `interval` iterations; 0: never.
 

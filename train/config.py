@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -13,19 +14,34 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.plant import PLANTS
 from inclined_landing.models.scene import INTEGRATORS
 
+# What a field left at None becomes, by task; None is every other task.
+_DEFAULTS = {
+    "steps": {"landing": 1_200_000, "touchdown": 600_000, None: 1_000_000},
+    "curriculum": {"landing": "adaptive", "touchdown": "touchdown", None: "effort"},
+    "epochs": {"setpoint": 8, None: 5},
+    "gamma": {"setpoint": 0.97, None: 0.99},
+    "integrator": {"touchdown": "RK4", None: "implicitfast"},
+    "keep_out": {"touchdown": 0.0, None: 0.04},
+    "learning_rate": {"touchdown": 4e-4, None: 1e-3},
+    "log_std_init": {"touchdown": -1.2, None: -0.4},
+}
+
 
 @dataclasses.dataclass
 class TrainConfig:
     """Train a policy with Stable-Baselines3 PPO; everything lands in one run folder."""
 
     task: tyro.conf.Positional[str] = "landing"
-    """landing or setpoint."""
+    """landing, setpoint or touchdown."""
     out: Path | None = None
     """Run folder (default: runs/TASK-seed)."""
     seed: int = 0
     """Of the policy, the starts and the minibatches; periodic evaluation uses starts of its own."""
     steps: int | None = None
-    """Environment steps, fixed beforehand (default: 1 200 000 landing, 1 000 000 setpoint)."""
+    """Environment steps, fixed beforehand (default: 1 200 000 landing, 1 000 000 setpoint,
+    600 000 touchdown)."""
+    start_from: Annotated[str | None, tyro.conf.arg(name="from", metavar="POLICY")] = None
+    """touchdown: the landing policy to go on from, a file or a shipped one (default: landing)."""
     max_seconds: float | None = None
     """Stop at this wall time; the checkpoint allows to resume."""
     resume: bool = False
@@ -35,15 +51,18 @@ class TrainConfig:
 
     plant: str = "mujoco"
     """mujoco or analytic."""
-    integrator: str = "implicitfast"
-    """Of the MuJoCo plant while training, 4 ms steps; evaluation always uses RK4."""
-    keep_out: float = 0.04
-    """Sensor-only zone around the platform that counts as obstacle while training [m]."""
+    integrator: str | None = None
+    """Of the MuJoCo plant while training, 4 ms steps (default: implicitfast, touchdown RK4, in which
+    springy contact comes to rest); evaluation always uses RK4."""
+    keep_out: float | None = None
+    """Sensor-only zone around the platform that counts as obstacle while training [m] (default: 0.04,
+    touchdown 0)."""
     threads: int = 0
     """Physics threads (0: all cores)."""
 
     curriculum: str | None = None
-    """landing: adaptive (default), paper or none; setpoint: effort (default) or none."""
+    """landing: adaptive (default), paper or none; setpoint: effort (default) or none; touchdown:
+    touchdown."""
     pwm_centre: str = "hover"
     """PWM at action 0: hover (of the equations) or paper (42 000)."""
 
@@ -54,15 +73,15 @@ class TrainConfig:
     batch_size: int = 512
     """Samples in a minibatch."""
     epochs: int | None = None
-    """Passes over each rollout (default: 5 landing, 8 setpoint)."""
-    learning_rate: float = 1e-3
-    """Initial; the curriculum says when it falls."""
+    """Passes over each rollout (default: 5, setpoint 8)."""
+    learning_rate: float | None = None
+    """Initial; the curriculum says when it falls (default: 1e-3, touchdown 4e-4)."""
     gamma: float | None = None
-    """Discount (default: 0.99 landing, 0.97 setpoint); the paper's curriculum sets its own."""
+    """Discount (default: 0.99, setpoint 0.97); the paper's curriculum sets its own."""
     gae_lambda: float = 0.95
     """Of the advantage estimate."""
-    log_std_init: float = -0.4
-    """Logarithm of the initial exploration noise."""
+    log_std_init: float | None = None
+    """Logarithm of the initial exploration noise (default: -0.4, touchdown -1.2)."""
     entropy: float = 0.0
     """Entropy bonus."""
     reward_scale: float = 0.1
@@ -81,17 +100,22 @@ class TrainConfig:
             raise UserError(f"unknown task {self.task!r}; known are {' and '.join(TASKS)}")
         if self.plant not in PLANTS:
             raise UserError(f"unknown plant {self.plant!r}; known are {' and '.join(PLANTS)}")
-        if self.integrator not in INTEGRATORS:
+        if self.integrator not in (None, *INTEGRATORS):
             known = ", ".join(INTEGRATORS)
             raise UserError(f"unknown integrator {self.integrator!r}; known are {known}")
-        landing = self.task == "landing"
+        touchdown = self.task == "touchdown"
+        if self.start_from is not None and not touchdown:
+            raise UserError(f"--from is for the touchdown task; {self.task} is learned from nothing")
+
+        def default(name):
+            given = getattr(self, name)
+            return _DEFAULTS[name].get(self.task, _DEFAULTS[name][None]) if given is None else given
+
         config = dataclasses.replace(
             self,
             out=self.out or Path("runs") / f"{self.task}-{self.seed}",
-            steps=self.steps if self.steps is not None else (1_200_000 if landing else 1_000_000),
-            curriculum=self.curriculum or ("adaptive" if landing else "effort"),
-            epochs=self.epochs if self.epochs is not None else (5 if landing else 8),
-            gamma=self.gamma if self.gamma is not None else (0.99 if landing else 0.97),
+            start_from=self.start_from or ("landing" if touchdown else None),
+            **{name: default(name) for name in _DEFAULTS},
         )
         for field in dataclasses.fields(config):
             value = getattr(config, field.name)

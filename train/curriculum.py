@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from inclined_landing.envs.tasks import setpoint
+from inclined_landing.envs.tasks import setpoint, touchdown
 from inclined_landing.envs.tasks.landing import EASIEST_GOAL_SIZE, GOAL_SIZE, Conditions
 from inclined_landing.models.errors import UserError
 
@@ -272,8 +272,54 @@ class EffortCurriculum(NoCurriculum):
         return min(1.0, super().learning_rate_share(steps, total) / 0.4)
 
 
+class TouchdownCurriculum(NoCurriculum):
+    """Touchdown: by steps, whatever the success, as the policy lands from the first step on.
+
+    The price of a hard touchdown grows to the task's over the first half of a run of RAMP steps, so that
+    coming to rest is learned before gentleness. A share of the episodes begins just over the slope, from
+    0.2 down to none at RAMP. Friction and restitution are drawn for every episode. Whoever leaves, falls to
+    the floor or lies on the slab the wrong way pays a price once and is out: cut without one, such episodes
+    end in a state whose value the critic never learned. The learning rate is constant for 40 % of the run and then falls linearly to zero; only the critic
+    learns at first (`warm_start.CRITIC_FIRST`).
+    """
+
+    name = "touchdown"
+    RAMP = 400_000  # environment steps
+
+    def __init__(self, gamma: float):
+        super().__init__(gamma)
+        self.level = 0.0
+
+    def conditions(self) -> touchdown.Conditions:
+        return touchdown.Conditions(
+            contact_limit=8,
+            leave_limit=0.3,
+            departure=150.0,
+            close=0.2 * (1.0 - self.level),
+            impact=touchdown.IMPACT * min(1.0, 2.0 * self.level),
+            friction=(0.55, 1.2),
+            restitution=(0.0, 0.5),
+        )
+
+    def advance(self, steps: int) -> None:
+        self.level = min(1.0, steps / self.RAMP)
+
+    def learning_rate_share(self, steps: int, total: int) -> float:
+        return min(1.0, super().learning_rate_share(steps, total) / 0.6)
+
+    def state(self) -> dict:
+        return {"level": self.level}
+
+    def restore(self, state: dict) -> None:
+        self.level = state["level"]
+
+
 def make_curriculum(name: str, task: str, gamma: float) -> Curriculum:
-    """A curriculum by name: adaptive or paper (landing), effort (setpoint), or none."""
+    """A curriculum by name: adaptive or paper (landing), effort (setpoint), none, or touchdown."""
+    if task == "touchdown":
+        if name == "touchdown":
+            return TouchdownCurriculum(gamma)
+        raise UserError(f"unknown curriculum {name!r} for task touchdown: it must be touchdown")
     if name == "none":
         return NoCurriculum(gamma, training_aids=task == "landing")
     if (task, name) == ("landing", "adaptive"):

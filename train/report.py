@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from inclined_landing.envs.tasks.landing import Conditions
-from inclined_landing.eval import pictures, runs, success, success_table
+from inclined_landing.eval import pictures, runs, success, success_table, touchdown
 from inclined_landing.eval.figures import curriculum_figure, learning_curves, save_figure
 from inclined_landing.eval.policy import load_policy
 from inclined_landing.train.curriculum import AdaptiveCurriculum, PaperCurriculum
@@ -22,6 +22,8 @@ def report(folder: Path, metrics: dict) -> None:
     The success table is flown in the plain MuJoCo plant from the frozen grid, which training never
     saw; the one number of each condition is added to metrics.json.
     """
+    if metrics["config"]["task"] == "touchdown":
+        return _touchdown(folder, metrics)
     landing = metrics["config"]["task"] == "landing"
     final = folder / "final.zip"
     table = success.evaluate(load_policy(final), thrust_scales=THRUST_SCALES if landing else (1.0,))
@@ -39,6 +41,20 @@ def report(folder: Path, metrics: dict) -> None:
     pictures.video(str(final), folder / f"{metrics['config']['task']}.mp4", starts, gif=True)
     pictures.picture(str(final), folder / "picture.png")
     success_table.show(table)
+    Console().print(f"everything about this run is in {folder}")
+
+
+def _touchdown(folder: Path, metrics: dict) -> None:
+    """touchdown.json, learning curves, video and picture of `final.zip`."""
+    final = folder / "final.zip"
+    table = touchdown.evaluate(load_policy(final), load_policy(metrics["config"]["start_from"]))
+    runs.write_json(folder / "touchdown.json", table)
+    metrics["success"] = {"final": touchdown.overall(table, "touchdown")}
+    runs.write_json(folder / "metrics.json", metrics)
+    save_figure(learning_curves([folder]), folder / "learning_curves.png")
+    pictures.video(str(final), folder / "touchdown.mp4", _FILM_STARTS, gif=True)
+    pictures.picture(str(final), folder / "picture.png")
+    touchdown.show(table)
     Console().print(f"everything about this run is in {folder}")
 
 

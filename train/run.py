@@ -25,6 +25,7 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 
+from inclined_landing.envs.tasks import touchdown
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.envs.tasks.landing import PAPER_STARTS
 from inclined_landing.eval import runs
@@ -32,8 +33,14 @@ from inclined_landing.eval.flights import record_flight, record_flights
 from inclined_landing.eval.policy import Policy, load_policy, stamp
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plant import make_plant
-from inclined_landing.train import ppo
-from inclined_landing.train.callbacks import Clock, CurriculumCallback, Every, ProgressCallback
+from inclined_landing.train import ppo, warm_start
+from inclined_landing.train.callbacks import (
+    Clock,
+    CriticFirst,
+    CurriculumCallback,
+    Every,
+    ProgressCallback,
+)
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.curriculum import make_curriculum
 
@@ -53,8 +60,13 @@ class Run:
         else:
             runs.check_new_run(config.out)
         self.config = config
+        teacher = load_policy(config.start_from, "landing") if config.start_from else None
         self.env = ppo.training_environment(config)
         self.curriculum = make_curriculum(config.curriculum, config.task, config.gamma)
+        if not config.resume:
+            self.model = ppo.build_model(config, self.env)
+            if teacher is not None:
+                warm_start.take_over(self.model, teacher)
         self.folder = runs.new_run(config.out, resumable=CHECKPOINT if config.resume else None)
         self._stopped = False
         self.history: list[dict] = []
@@ -67,7 +79,8 @@ class Run:
             spent = saved["spent"]
             self.model = ppo.restore_model(io.BytesIO(saved["policy"]), saved["training"], self.env)
         else:
-            self.model = ppo.build_model(config, self.env)
+            if teacher is not None:
+                warm_start.teach_cut(self.model, self.env.env, teacher, config.seed)
             runs.write_json(self.folder / "run.json", self._record())
         self.clock = Clock(spent)
         self._judge = _Judge(config, self.env.env.task.vehicle)
@@ -106,6 +119,8 @@ class Run:
             every(config.video_every, self.film),
             every(config.checkpoint_every, self.checkpoint),
         ]
+        if config.start_from:
+            callbacks.append(CriticFirst(warm_start.CRITIC_FIRST))
         if config.max_seconds is not None:
             callbacks.append(every(1, self._in_time))
         model.set_logger(configure(str(self.folder / "tensorboard"), ["tensorboard"]))
@@ -236,8 +251,16 @@ class _Judge:
         rng = np.random.default_rng(ppo.evaluation_seed(config))
         self.starts = self.task.sample(rng, EVALUATION_STARTS).state
         self.plant = make_plant("mujoco", EVALUATION_STARTS, vehicle, threads=config.threads)
+        if config.task == "touchdown":
+            spread = make_curriculum(config.curriculum, config.task, config.gamma).conditions()
+            self.plant.set_contact(
+                np.arange(EVALUATION_STARTS),
+                friction=rng.uniform(*spread.friction, EVALUATION_STARTS),
+                restitution=rng.uniform(*spread.restitution, EVALUATION_STARTS),
+                contact_time=touchdown.CONTACT_TIME,
+            )
         x, z = PAPER_STARTS[2]
-        y = 0.0 if config.task == "landing" else 1.0
+        y = 1.0 if config.task == "setpoint" else 0.0
         self.film_start = hover_states(np.array([[x, y, z]]), vehicle)
 
     def __call__(self, policy: Policy) -> dict:
@@ -246,6 +269,10 @@ class _Judge:
             strict = float(np.mean([f.strict for f in flights]))
             goal = float(np.mean([f.success for f in flights]))
             return {"score": strict, "strict_success": strict, "goal_reached": goal}
+        if self.task.name == "touchdown":
+            flights = record_flights(policy, self.plant, self.starts)
+            rest = float(np.mean([f.success for f in flights]))
+            return {"score": rest, "at_rest": rest}
         flights = record_flights(policy, self.plant, self.starts, steps=SETTLED)
         error = np.array([self.task.position_error(f.state[-1:])[0] for f in flights])
         return {"score": float((error < 0.05).mean()), "mean_error": float(error.mean())}
@@ -254,6 +281,8 @@ class _Judge:
         """The result in a few words."""
         if self.task.name == "landing":
             return f"{result['strict_success']:.0%}"
+        if self.task.name == "touchdown":
+            return f"{result['at_rest']:.0%}"
         return f"{100 * result['mean_error']:.1f} cm"
 
 

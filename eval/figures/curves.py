@@ -53,6 +53,12 @@ _PANELS = {
         _LENGTH,
         _REWARD,
     ),
+    "touchdown": (
+        _Curve("evaluations", "at_rest", "at rest on the slope [%]", BLUE, 100.0, (-3.0, 108.0)),
+        _REWARD,
+        _LENGTH,
+        _LEVEL,
+    ),
     "setpoint": (
         _Curve(
             *("evaluations", "mean_error", "mean error after 3 s [cm]", BLUE, 100.0, None),

@@ -11,7 +11,7 @@ def test_stamp_says_how_it_was_made(name):
     metadata = load_policy(name).metadata
     assert metadata["task"] == name and metadata["plant"] == "mujoco"
     assert metadata["command"].startswith("landing-train") and metadata["seed"] == 0
-    assert metadata["versions"]["mujoco"] == "4.0.0" and metadata["steps"] >= 1_000_000
+    assert metadata["versions"]["mujoco"] == "4.0.0" and metadata["steps"] >= 600_000
 
 
 def test_landing_succeeds_on_the_frozen_grid():

@@ -1,0 +1,61 @@
+"""`landing-eval touchdown`: the comparison, what it counts, and wrong input."""
+
+import numpy as np
+import pytest
+
+from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
+from inclined_landing.eval import cli, landing_starts, touchdown
+from inclined_landing.eval.policy import load_policy
+
+
+@pytest.fixture
+def few_starts(monkeypatch):
+    monkeypatch.setattr(landing_starts, "grid", lambda: np.array([[0.0, 2.05], [1.5, 1.75], [-1.5, 1.65]]))
+
+
+def test_shipped_policy_comes_to_rest_more_gently_than_a_motor_cut(few_starts):
+    report = touchdown.evaluate(
+        load_policy("touchdown"), load_policy("landing"), frictions=(0.3, 0.8), restitutions=(0.0,)
+    )
+    assert report["cannot_hold"] == [0.3] and [row["friction"] for row in report["friction"]] == [0.8]
+    own, cut = report["all"]["touchdown"], report["all"]["motor_cut"]
+    assert own["at_rest"]["count"] == own["at_rest"]["of"] == cut["at_rest"]["of"] == 3
+    assert own["normal_speed"]["median"] < 0.6 * cut["normal_speed"]["median"]
+    assert report["weight"] < own["peak_normal_force"]["min"] < cut["peak_normal_force"]["max"]
+    assert len(report["conditions"]) == 1
+    touchdown.show(report)
+
+
+def test_what_ends_a_landing():
+    """Idle from the start: one vehicle stands on its feet, one falls to the floor."""
+    policy = load_policy("touchdown")
+    task = InclinedTouchdown()
+    states = landing_starts.at_rest(task, np.array([task.rest_position, (2.0, 0.3)]))
+    states[:, -1] = 0.0
+    states[0, 7] = task.inclination
+    idle = type("Idle", (), {"task": policy.task, "predict": lambda self, o: -np.ones((len(o), 2))})()
+    landings = touchdown.land(idle, states, 0.8, 0.0)
+    assert landings.at_rest.tolist() == [True, False]
+    assert 0.3 <= landings.time[0] < 0.5 and np.isnan(landings.normal_speed[1])
+    weight = task.vehicle.body_mass * task.vehicle.environment_gravity
+    assert landings.peak_normal_force[0] == pytest.approx(weight * np.cos(task.inclination), rel=0.6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["landing"], "trained for the task landing, not for touchdown"),
+        (["touchdown", "--baseline", "setpoint"], "trained for the task setpoint, not for landing"),
+        (["touchdown", "--friction", "-1"], "friction must not be negative"),
+        (["touchdown", "--restitution", "0.9"], "restitution must be from 0 to 0.6"),
+    ],
+)
+def test_wrong_input(arguments, sentence, capsys, tmp_path):
+    assert cli.main(["touchdown", *arguments, "--out", str(tmp_path / "new")]) == 2
+    printed = capsys.readouterr()
+    assert sentence in printed.err and not printed.out and not (tmp_path / "new").exists()
+
+
+def test_success_sends_touchdown_policies_here(capsys):
+    assert cli.main(["success", "touchdown"]) == 2
+    assert "landing-eval touchdown judges it" in capsys.readouterr().err

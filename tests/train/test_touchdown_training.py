@@ -1,0 +1,83 @@
+"""Touchdown training: what it goes on from, what it is taught, its curriculum."""
+
+import numpy as np
+import pytest
+
+from inclined_landing.envs.tasks.touchdown import IDLE_ACTION, IMPACT
+from inclined_landing.eval.landing_starts import at_rest
+from inclined_landing.eval.policy import load_policy
+from inclined_landing.models.attitude import PITCH
+from inclined_landing.models.errors import UserError
+from inclined_landing.train import ppo, warm_start
+from inclined_landing.train.config import TrainConfig
+from inclined_landing.train.curriculum import TouchdownCurriculum, make_curriculum
+from inclined_landing.train.run import train
+
+TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "threads": 1, "evaluate_every": 0,
+        "video_every": 0}  # fmt: skip
+
+
+def test_the_actor_begins_as_the_landing_policy():
+    config = TrainConfig(task="touchdown", **TINY).resolved()
+    env = ppo.training_environment(config)
+    model = ppo.build_model(config, env)
+    landing = load_policy("landing")
+    warm_start.take_over(model, landing)
+    observation = env.env.reset()
+    mean, _ = model.predict(observation, deterministic=True)
+    np.testing.assert_allclose(mean, landing.predict(observation), atol=1e-5)  # float32 against float64
+
+
+def test_the_lesson_is_the_motor_cut():
+    landing = load_policy("landing")
+    task = landing.task
+    over = at_rest(task, np.array([task.goal_position, (0.0, 1.20), (1.5, 1.8)]))
+    over[0, PITCH] = task.inclination
+    lesson = warm_start.lesson(over, landing)
+    assert (lesson[:2, 0] < IDLE_ACTION).all() and lesson[2, 0] > IDLE_ACTION
+    held = lesson[0, 1] * landing.task.vehicle.command_angle_limit * landing.task.vehicle.attitude_gain
+    assert held == pytest.approx(task.inclination)
+
+
+def test_a_short_run_is_reproducible_and_stamped(tmp_path, monkeypatch):
+    monkeypatch.setattr(warm_start, "CRITIC_FIRST", 128)
+    monkeypatch.setattr(warm_start, "_STEPS", 20)
+    folders = [
+        train(TrainConfig(task="touchdown", steps=512, out=tmp_path / name, **TINY))[0] for name in "ab"
+    ]
+    a, b = (load_policy(folder / "final.zip") for folder in folders)
+    assert a.task.name == "touchdown" and a.metadata["task_options"]["pwm_centre"] == "hover"
+    for left, right in zip(a.weights, b.weights):
+        np.testing.assert_array_equal(left, right)
+    started = load_policy("landing").weights
+    assert not all(np.array_equal(left, right) for left, right in zip(a.weights, started))
+
+
+def test_curriculum():
+    curriculum = make_curriculum("touchdown", "touchdown", 0.99)
+    first = curriculum.conditions()
+    assert first.impact == 0.0 and first.departure > 0.0 and first.close > 0.0
+    assert first.friction == (0.55, 1.2)
+    curriculum.advance(TouchdownCurriculum.RAMP)
+    last = curriculum.conditions()
+    assert curriculum.level == 1.0 and last.impact == IMPACT and last.close == 0.0
+    again = TouchdownCurriculum(0.99)
+    again.restore(curriculum.state())
+    assert again.conditions() == last
+    assert curriculum.learning_rate_share(0, 100) == 1.0 and curriculum.learning_rate_share(100, 100) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"task": "landing", "start_from": "landing"}, "--from is for the touchdown task"),
+        ({"task": "touchdown", "start_from": "setpoint"}, "trained for the task setpoint, not for landing"),
+        ({"task": "touchdown", "plant": "analytic"}, "needs the MuJoCo plant"),
+        ({"task": "touchdown", "curriculum": "none"}, "it must be touchdown"),
+        ({"task": "touchdown", "pwm_centre": "paper"}, "another scaling of observations or thrust"),
+    ],
+)
+def test_wrong_input(tmp_path, options, sentence):
+    with pytest.raises(UserError, match=sentence):
+        train(TrainConfig(out=tmp_path / "run", **(TINY | options)))
+    assert not list(tmp_path.rglob("*.zip"))

@@ -1,0 +1,96 @@
+"""Where touchdown training starts: the landing policy, taught to cut the motors where it would hand over.
+
+A landing policy has never held the motors at idle, and exploration does not find fifteen idle steps in a
+row. So the actor takes over the landing policy's weights and is then taught by imitation: what the landing
+policy does, except that motors go to idle in the goal box and close over the slope (the paper's motor cut,
+without its external signal). The states are those that the learner itself comes through (DAgger). What
+reinforcement learning adds is then in the comparison with the landing policy and a motor cut.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+
+from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.tasks.landing import GOAL_SIZE
+from inclined_landing.envs.tasks.touchdown import IDLE_ACTION, Conditions
+from inclined_landing.eval.policy import Policy
+from inclined_landing.models.attitude import X, Z
+from inclined_landing.models.errors import UserError
+
+CRITIC_FIRST = 65_536  # environment steps in which the actor is left alone
+CUT_HEIGHT = 0.08  # m over the surface, of the centre of mass
+_IDLE = IDLE_ACTION - 0.4  # what is taught for idle: far enough from IDLE_ACTION to be kept under noise
+_LOWEST = IDLE_ACTION + 0.05  # and what the landing policy's lowest thrust becomes, as -1 would be idle
+_ROUNDS, _STEPS, _EPOCHS, _BATCH = 4, 200, 15, 1024
+_RATE, _NOISE = 1e-3, 0.2
+
+
+def take_over(model: PPO, policy: Policy) -> None:
+    """Copy the weights of a landing policy into the model's actor; raises UserError if they do not fit."""
+    actor = [layer for layer in model.policy.mlp_extractor.policy_net if isinstance(layer, torch.nn.Linear)]
+    actor.append(model.policy.action_net)
+    task = model.env.env.task
+    shapes = [(layer.in_features, layer.out_features) for layer in actor]
+    if [w.shape for w in policy.weights] != shapes or policy.activation != "Tanh":
+        raise UserError(f"policy {policy.path} has another network than training uses: {shapes} is needed")
+    same = np.array_equal(policy.centre, np.float32(task.observation_centre))
+    same &= np.array_equal(policy.scale, np.float32(task.observation_scale))
+    if not same or policy.task.pwm_centre != task.pwm_centre:
+        raise UserError(f"policy {policy.path} was trained with another scaling of observations or thrust")
+    with torch.no_grad():
+        for layer, weight, bias in zip(actor, policy.weights, policy.biases):
+            layer.weight.copy_(torch.as_tensor(weight.T))
+            layer.bias.copy_(torch.as_tensor(bias))
+
+
+def lesson(state: np.ndarray, landing: Policy) -> np.ndarray:
+    """Actions (n, 2) to imitate in states (n, 13)."""
+    task = landing.task
+    v, slope = task.vehicle, task.inclination
+    action = landing.predict(task.observe(state)).astype(float)
+    action[:, 0] = np.maximum(action[:, 0], _LOWEST)
+    x, z = state[:, X], state[:, Z] - v.platform_surface_height
+    height, along = x * np.sin(slope) + z * np.cos(slope), x * np.cos(slope) - z * np.sin(slope)
+    over = (height < CUT_HEIGHT) & (np.abs(along) < v.slab_half_length)
+    idle = over | task.in_goal(state, slope, GOAL_SIZE)
+    action[idle] = [_IDLE, slope / (v.attitude_gain * v.command_angle_limit)]
+    return action
+
+
+def teach_cut(model: PPO, env: BatchEnv, landing: Policy, seed: int) -> None:
+    """Teach the model's actor the lesson on the states it meets in `env`, whose conditions are set back."""
+    rng, shuffle = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
+    actor = model.policy
+    before = env.task.conditions
+    env.task.conditions = Conditions(
+        contact_limit=8, leave_limit=0.3, close=0.3, friction=(0.55, 1.2), restitution=(0.0, 0.5)
+    )
+    learned = [p for name, p in actor.named_parameters() if "policy_net" in name or "action_net" in name]
+    optimizer = torch.optim.Adam(learned, lr=_RATE)
+    seen, taught = [], []
+    env.reset()
+    for lap in range(_ROUNDS):
+        for _ in range(_STEPS):
+            seen.append(env.observe())
+            taught.append(lesson(env.plant.state, landing))
+            action = taught[-1] if lap == 0 else _mean(actor, torch.as_tensor(seen[-1])).detach().numpy()
+            step = env.step(action + rng.normal(0.0, _NOISE, action.shape))
+            done = step.terminated | step.truncated
+            if done.any():
+                env.reset(np.flatnonzero(done))
+        inputs = torch.as_tensor(np.concatenate(seen))
+        outputs = torch.as_tensor(np.concatenate(taught).astype(np.float32))
+        for _ in range(_EPOCHS):
+            for rows in torch.randperm(len(inputs), generator=shuffle).split(_BATCH):
+                loss = ((_mean(actor, inputs[rows]) - outputs[rows]) ** 2).mean()
+                optimizer.zero_grad()
+                loss.backward()
+                optimizer.step()
+    env.task.conditions = before
+
+
+def _mean(actor, observations: torch.Tensor) -> torch.Tensor:
+    return actor.get_distribution(observations).distribution.mean
