@@ -279,8 +279,8 @@ class TouchdownCurriculum(NoCurriculum):
     coming to rest is learned before gentleness. A share of the episodes begins just over the slope, from
     0.2 down to none at RAMP. Friction and restitution are drawn for every episode. Whoever leaves, falls to
     the floor or lies on the slab the wrong way pays a price once and is out: cut without one, such episodes
-    end in a state whose value the critic never learned. The learning rate is constant for 40 % of the run and then falls linearly to zero; only the critic
-    learns at first (`warm_start.CRITIC_FIRST`).
+    end in a state whose value the critic never learned. The learning rate is constant for 40 % of the run
+    and then falls linearly to zero; only the critic learns at first (`warm_start.CRITIC_FIRST`).
     """
 
     name = "touchdown"
