@@ -65,9 +65,38 @@ def _import_ray():
     try:
         import ray
 
-        ray.init  # noqa: B018 (a folder named ray, such as Ray's own in /tmp, imports as an empty package)
+        ray.init  # noqa: B018 (a folder named ray, such as Ray's own in /tmp, imports as a package)
     except (ImportError, AttributeError) as error:
         raise UserError(
             "--engine ray needs Ray, which is not installed; pip install 'inclined-landing[ray]'"
         ) from error
     return ray
+
+
+def check(engine: str, address: str | None) -> None:
+    """Raise UserError for an engine that is unknown or not installed, or an address without use."""
+    if engine not in ENGINES:
+        raise UserError(f"unknown engine {engine!r}; known are {' and '.join(ENGINES)}")
+    if engine == "local" and address is not None:
+        raise UserError("--address belongs to --engine ray")
+    if engine == "ray":
+        _import_ray()
+        if address is not None:
+            _knock(address)
+
+
+def _knock(address: str) -> None:
+    """Raise UserError unless something listens at the address: Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise UserError(f"--address must be HOST:PORT, not {address!r}")
+    try:
+        socket.create_connection((host, int(port)), timeout=_PATIENCE).close()
+    except OSError as error:
+        reason = str(error.strerror or error).lower()
+        raise UserError(f"no Ray cluster answers at {address}: {reason}") from error
+
+
+def chunks_of(engine: str, study: Study, chunks: Sequence[int], size: int, address: str | None) -> Chunks:
+    """The chunks' tables as they are ready."""
+    return on_ray(study, chunks, size, address) if engine == "ray" else local(study, chunks, size)
