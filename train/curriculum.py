@@ -88,6 +88,11 @@ class NoCurriculum:
 _AIDS = {"contact_limit": 8, "leave_limit": 0.3, "goal_while_touching": False}
 
 
+def _stage(c: Conditions) -> dict[str, float]:
+    """What the learning curves show of landing conditions."""
+    return {name: getattr(c, name) for name in ("start_reach", "tilt", "goal_size", "platform")}
+
+
 class AdaptiveCurriculum:
     """One difficulty variable, raised when the measured success of training episodes allows it.
 
@@ -162,15 +167,7 @@ class AdaptiveCurriculum:
         return self._gamma
 
     def log(self) -> dict[str, float]:
-        c = self.conditions()
-        return {
-            "level": self.level,
-            "success": self.success,
-            "start_reach": c.start_reach,
-            "tilt": c.tilt,
-            "goal_size": c.goal_size,
-            "platform": c.platform,
-        }
+        return {"level": self.level, "success": self.success} | _stage(self.conditions())
 
     def state(self) -> dict:
         return {
@@ -233,14 +230,7 @@ class PaperCurriculum:
         return 0.97 + 0.02 * min(1.0, self.steps / 800_000)
 
     def log(self) -> dict[str, float]:
-        c = self.conditions()
-        return {
-            "level": self.level,
-            "start_reach": c.start_reach,
-            "tilt": c.tilt,
-            "goal_size": c.goal_size,
-            "platform": c.platform,
-        }
+        return {"level": self.level} | _stage(self.conditions())
 
     def state(self) -> dict:
         return {

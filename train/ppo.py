@@ -10,7 +10,7 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import Task, make_task
-from inclined_landing.models.plant import make_plant
+from inclined_landing.models.plant import Snapshot, make_plant
 from inclined_landing.train.config import TrainConfig
 
 # Saved policies must not drag training code along: the schedule is set anew by the callback.
@@ -98,8 +98,6 @@ def training_state(model: PPO, env: BatchVecEnv) -> dict:
 
 def restore_model(path, state: dict, env: BatchVecEnv) -> PPO:
     """The PPO of a checkpoint, ready to `learn(..., reset_num_timesteps=False)` bit for bit."""
-    from inclined_landing.models.plant import Snapshot
-
     set_torch_up()
     model = PPO.load(path, env=env, device="cpu")
     batch = env.env

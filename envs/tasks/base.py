@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plant import Contacts
@@ -90,8 +91,6 @@ def resolve_pwm_centre(centre, vehicle: Vehicle) -> float:
 
 def hover_states(positions: np.ndarray, vehicle: Vehicle) -> np.ndarray:
     """States (k, 13) at rest, level, thrust settled at hover, at positions (k, 3) [m]."""
-    from inclined_landing.models.attitude import LAG, STATE_SIZE
-
     state = np.zeros((len(positions), STATE_SIZE))
     state[:, :3] = positions
     state[:, LAG] = vehicle.hover_lag
