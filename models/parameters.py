@@ -46,6 +46,9 @@ class Vehicle:
     motor_count: float
     motor_pwm_to_force: tuple[float, float, float]
     motor_pwm_to_speed: tuple[float, float]
+    rotor_arm: float
+    rotor_height: float
+    rotor_radius: float
     drag_coefficients: tuple[float, float, float]
     attitude_gain: float
     attitude_time_constant: float
@@ -70,6 +73,27 @@ class Vehicle:
     platform_max_inclination: float
     contact_friction: float
     contact_solref: tuple[float, float]
+    effects_thrust_bias: float
+    effects_thrust_fade: float
+    effects_battery_sag: float
+    effects_battery_reference: float
+    effects_voltage_sensitivity: float
+    effects_voltage_reference: float
+    effects_voltage_open: float
+    effects_voltage_drop: float
+    effects_voltage_discharge: float
+    effects_spin_down: float
+    effects_body_drag: float
+    effects_wind: tuple[float, float]
+    effects_translational_lift: float
+    effects_axial_inflow: float
+    effects_ground_effect: float
+    effects_com_offset: tuple[float, float]
+    effects_thrust_delay: float
+    effects_attitude_delay: float
+    effects_attitude_trim: tuple[float, float]
+    effects_yaw_drift: float
+    effects_mocap_delay: float
 
     @property
     def thrust_per_pwm(self) -> float:

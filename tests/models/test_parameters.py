@@ -199,3 +199,12 @@ def test_the_xml_draws_the_slab_where_the_vehicle_file_puts_it():
         slab = model.geom("slab")
         corners.append(data.geom("slab").xpos + data.geom("slab").xmat.reshape(3, 3) @ slab.size)
     np.testing.assert_allclose(*corners, atol=1e-5)  # the size is written with five digits
+
+
+def test_the_rotors_of_the_equations_are_those_of_the_scene():
+    v, model = load_vehicle(), build_spec(visuals=False).compile()
+    for side in ("front_left", "front_right", "rear_left", "rear_right"):
+        disc = model.geom(f"rotor_{side}")
+        assert np.abs(disc.pos) == pytest.approx([v.rotor_arm, v.rotor_arm, v.rotor_height])
+        assert disc.size[0] == v.rotor_radius
+        assert model.site(f"rotor_{side}").pos == pytest.approx(disc.pos)
