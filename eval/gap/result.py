@@ -1,0 +1,222 @@
+"""What a diagnosis says, as plain data: the report and `report.json` are written from it alone."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+import numpy as np
+
+from inclined_landing.models.parameters import Vehicle
+
+Verdict = Literal["effects", "nothing", "unknown"]
+
+
+@dataclasses.dataclass(frozen=True)
+class WhereRow:
+    """Short-window prediction error of one channel in one regime, before and after, beside the noise.
+
+    Translation: root mean square of the constant acceleration (m/s2) that each window's error looks like,
+    one axis; attitude and yaw: of the angle error (rad) at the end of a window; touchdown: of the
+    position error (m). Numbers are on flights the model was not fitted to.
+    """
+
+    regime: str  # hover, climb, lateral, attitude_step, near_surface, low_battery, touchdown, or all
+    channel: str  # x, y, z, roll, pitch, yaw, touchdown
+    before: float
+    after: float
+    floor: float  # what the measurement noise alone gives
+    unit: str
+    windows: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """A fitted parameter."""
+
+    value: float
+    unit: str
+    ci95: tuple[float, float]  # intervals clustered by flight (by window with fewer than four flights)
+    neutral: float
+    bounds: tuple[float, float]
+    at_bound: bool
+    per_flight: tuple[float, ...]  # estimate of each flight alone, NaN where the flight does not tell
+    per_flight_error: tuple[float, ...]  # their standard errors
+    spread: float  # standard deviation between flights beyond these errors
+
+
+@dataclasses.dataclass(frozen=True)
+class NamedEffect:
+    """An effect the diagnosis names."""
+
+    name: str
+    members: tuple[str, ...]  # all names that cannot be told apart on these flights, itself first
+    parameters: dict[str, Estimate]
+    gain: float  # share of the closable short-window error it removes on flights left out, 0..1
+    evidence: float  # standard errors of its gain over windows of flights left out
+    remedy: str
+    note: str = ""  # a sentence, e.g. that all delays agree
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidate:
+    """One row of the ranking in one step of the search."""
+
+    effect: str
+    gain: float  # decrease of the whitened squared error on flights left out, over all windows
+    share: float  # the same as a share of what the whole library could close at this step, 0..1
+    evidence: float  # standard errors over windows
+    refitted: bool  # refitted through the simulator (else the linear estimate)
+    tie: bool  # in the class of the effect accepted in this step
+    reason: str  # why it was not accepted; empty for the accepted one
+    values: dict[str, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchStep:
+    """The candidates of one step of the stepwise search, best first."""
+
+    accepted: str | None  # None: the step that ended the search
+    dropped: tuple[str, ...]  # earlier effects this step made useless
+    candidates: tuple[Candidate, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class HorizonCurve:
+    """Open-loop position error against the horizon, with the first effects of the list added."""
+
+    label: str  # "nominal", "+ rotor_drag", ...
+    effects: tuple[str, ...]
+    horizon: np.ndarray  # (h,) s
+    error: np.ndarray  # (h,) m, root mean square over windows of held-out flights
+    floor: np.ndarray  # (h,) m
+
+
+@dataclasses.dataclass(frozen=True)
+class WindowCurves:
+    """Measured against predicted in one window (the one with the largest error of a regime)."""
+
+    flight: str
+    regime: str
+    start: float  # s, in the flight's own time
+    t: np.ndarray  # (k,) s from the start of the window
+    measured: np.ndarray  # (k, 6): x, y, z [m], roll, pitch, yaw [rad]
+    before: np.ndarray  # (k, 6) nominal vehicle
+    after: np.ndarray  # (k, 6) corrected vehicle
+
+
+@dataclasses.dataclass(frozen=True)
+class Dependence:
+    """How much of the remainder of one channel a quantity explains."""
+
+    channel: str
+    on: str  # "height z", "own command", "command of the other axis", "time", ...
+    share: float  # R2 on flights left out, 0..1
+    x: np.ndarray  # (b,) bin centres of the quantity
+    y: np.ndarray  # (b,) mean remainder there
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Remainder:
+    """What is left after the named effects."""
+
+    unexplained: bool  # above the floors: something is there that the library does not know
+    size: dict[str, float]  # channel -> root mean square beyond the noise (m/s2 for x, y, z; rad)
+    floor: dict[str, float]  # channel -> size below which it counts as nothing
+    depends_on: tuple[Dependence, ...]  # largest share first, those worth telling only
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class PlantGap:
+    """Open-loop position error in one plant on held-out flights, root mean square in metres."""
+
+    before: float
+    after: float
+    floor: float
+    translation_before: float  # the same with the measured attitude instead of the simulated one
+    translation_after: float
+    windows: int
+    horizon: float  # s
+
+    @property
+    def closed(self) -> float:
+        """Share of the closable gap that is closed: 1 when `after` reached the floor."""
+        closable = self.before - self.floor
+        return float("nan") if closable <= 0 else (self.before - self.after) / closable
+
+
+@dataclasses.dataclass(frozen=True)
+class Diagnosis:
+    """The answer of `diagnose`; `apply` adds the named effects to a vehicle."""
+
+    verdict: Verdict
+    effects: tuple[NamedEffect, ...]
+    corrected: Vehicle  # the vehicle diagnosed, with the named effects
+    separating_manoeuvre: str | None
+    manoeuvres: tuple[dict, ...]  # {name, text, separation} for every tie, largest separation first
+    where: tuple[WhereRow, ...]
+    steps: tuple[SearchStep, ...]
+    horizon: tuple[HorizonCurve, ...]
+    windows: tuple[WindowCurves, ...]
+    remainder: Remainder
+    gap: dict[str, PlantGap]  # "analytic", "mujoco"; empty until `with_gap`
+    flights: tuple[str, ...]  # names of the flights fitted
+    heldout: tuple[str, ...]  # names of the flights judged on (those fitted, left out in turn, if none)
+    seconds: dict[str, float]  # stage -> s
+    notes: tuple[str, ...]  # what limits this diagnosis, in sentences
+
+    def values(self) -> dict[str, dict[str, float]]:
+        """Fitted parameter values: effect -> parameter -> value."""
+        return {e.name: {p: x.value for p, x in e.parameters.items()} for e in self.effects}
+
+    def apply(self, vehicle: Vehicle, library=None) -> Vehicle:
+        """`vehicle` with the named effects added."""
+        if library is None:
+            from inclined_landing.models.effects import LIBRARY as library
+        for name, values in self.values().items():
+            vehicle = library[name].apply(vehicle, **values)
+        return vehicle
+
+    def to_json(self) -> dict:
+        """The contents of report.json: plain dicts, lists, strings and numbers."""
+        return {
+            "verdict": self.verdict,
+            "effects": [
+                {
+                    "name": e.name,
+                    "class": list(e.members),
+                    "parameters": {
+                        name: {
+                            "value": p.value,
+                            "unit": p.unit,
+                            "ci95": list(p.ci95),
+                            "per_flight": list(p.per_flight),
+                        }
+                        for name, p in e.parameters.items()
+                    },
+                    "gain": e.gain,
+                    "remedy": e.remedy,
+                    "note": e.note,
+                }
+                for e in self.effects
+            ],
+            "separating_manoeuvre": self.separating_manoeuvre,
+            "where": [dataclasses.asdict(row) for row in self.where],
+            "gap": {plant: dataclasses.asdict(gap) for plant, gap in self.gap.items()},
+            "remainder": {
+                "unexplained": self.remainder.unexplained,
+                "size": self.remainder.size,
+                "floor": self.remainder.floor,
+                "depends_on": [
+                    {"channel": d.channel, "on": d.on, "share": d.share} for d in self.remainder.depends_on
+                ],
+                "text": self.remainder.text,
+            },
+            "seconds": float(sum(self.seconds.values())),
+            "stages": self.seconds,
+            "flights": list(self.flights),
+            "heldout": list(self.heldout),
+            "notes": list(self.notes),
+        }
