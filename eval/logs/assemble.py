@@ -1,0 +1,186 @@
+"""From channels, each on its own clock, to one FlightLog on the clock of the position."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from inclined_landing.eval.logs.log import COMMANDS, GAP_SECONDS, GAP_STEPS, FlightLog
+from inclined_landing.eval.logs.mapping import Channel
+from inclined_landing.eval.logs.units import QUATERNION
+from inclined_landing.models.errors import UserError
+
+_POSITION = ("x", "y", "z")
+_VELOCITY = ("vx", "vy", "vz")
+_EULER = ("roll", "pitch", "yaw")
+
+
+def assemble(
+    name: str, path: str, channels: Mapping[str, Channel], euler: str, notes: list[str]
+) -> FlightLog:
+    """One flight from its channels.
+
+    Rows are those of x. Other measurements are interpolated between neighbours at most GAP_SECONDS
+    (or GAP_STEPS of their own steps) apart; rows without such neighbours are dropped. Commands and
+    contact are held. Whatever is done is noted. euler: convention of the angles, "ZXY" or "ZYX".
+
+    Raises UserError when position, attitude or thrust command are not there at all.
+    """
+    notes = list(notes)
+    channels = {key: _cleaned(key, channel, notes) for key, channel in channels.items()}
+    quaternion = all(key in channels for key in QUATERNION)
+    _require(path, channels, quaternion)
+
+    t = channels["x"].t
+    keep = np.ones(len(t), bool)
+    table = {}
+    for key in (*_POSITION, *(QUATERNION if quaternion else _EULER)):
+        table[key] = np.full(len(t), np.nan)
+        if key in channels:
+            table[key], near = _interpolated(channels[key], t, angle=key in ("roll", "yaw"))
+            keep &= near
+    commands = {}
+    for key in (*COMMANDS, "contact"):
+        if key in channels:
+            commands[key], begun = _held(channels[key], t)
+            keep &= begun
+    if keep.sum() < 2:
+        raise UserError(f"{path}: pose and commands are never logged at the same time")
+    if not keep.all():
+        inside = np.flatnonzero(keep)
+        middle = int((~keep[inside[0] : inside[-1] + 1]).sum())
+        if middle:
+            notes.append(f"{middle} rows inside the flight lack part of the pose and were dropped")
+        if len(t) - (inside[-1] - inside[0] + 1):
+            notes.append(f"{len(t) - (inside[-1] - inside[0] + 1)} rows at the ends lack pose or commands")
+    clocks = [channels[key] for key in (*_POSITION, *COMMANDS) if key in channels]
+    if any(len(c.t) != len(t) or not np.array_equal(c.t, t) for c in clocks):
+        notes.append(
+            "channels have clocks of their own: measurements interpolated, commands held, onto that of x"
+        )
+
+    velocity = voltage = None
+    if all(key in channels for key in _VELOCITY):
+        parts = [_interpolated(channels[key], t[keep]) for key in _VELOCITY]
+        if all(near.all() for _, near in parts):
+            velocity = np.stack([value for value, _ in parts], axis=1)
+        else:
+            notes.append("velocity is not logged throughout and is not used")
+    if "vbat" in channels:
+        voltage, near = _interpolated(channels["vbat"], t[keep], longest=1.5)
+        if not near.all():
+            voltage = None
+            notes.append("battery voltage is not logged throughout and is not used")
+    if "cmd_yaw" in channels and "cmd_yaw_rate" not in channels:
+        notes.append("yaw is commanded as an angle; no yaw rate command was logged and none is made up")
+
+    table = {key: value[keep] for key, value in table.items()}
+    command = np.stack([commands.get(key, np.full(len(t), np.nan))[keep] for key in COMMANDS], axis=1)
+    if quaternion:
+        attitude = _from_quaternion(path, np.stack([table[key] for key in QUATERNION], axis=1))
+    else:
+        attitude = np.stack([table[key] for key in _EULER], axis=1)
+    if euler == "ZYX":
+        if not quaternion:
+            attitude = _zyx_to_zxy(attitude, "attitude", notes)
+        command[:, 1:3] = _zyx_to_zxy(np.c_[command[:, 1:3], np.zeros(len(command))], "command", notes)[:, :2]
+    attitude[:, 2] = np.unwrap(attitude[:, 2])
+    return FlightLog(
+        name=name,
+        t=t[keep] - t[keep][0],
+        position=np.stack([table[key] for key in _POSITION], axis=1),
+        attitude=attitude,
+        command=command,
+        velocity=velocity,
+        voltage=voltage,
+        contact=commands["contact"][keep] > 0.5 if "contact" in commands else None,
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _require(path: str, channels: Mapping[str, Channel], quaternion: bool) -> None:
+    missing = [key for key in _POSITION if key not in channels]
+    if missing:
+        raise UserError(
+            f"{path}: no position column {', '.join(missing)}; a flight cannot be compared without"
+        )
+    attitude = QUATERNION if any(key in channels for key in QUATERNION) else _EULER
+    if not quaternion and not any(key in channels for key in ("roll", "pitch")):
+        lacking = ", ".join(key for key in attitude if key not in channels)
+        raise UserError(
+            f"{path}: no attitude column {lacking}; roll, pitch, yaw or qw, qx, qy, qz are needed"
+        )
+    if "cmd_thrust_pwm" not in channels:
+        raise UserError(f"{path}: no thrust command column cmd_thrust_pwm; the model cannot be flown without")
+
+
+def _cleaned(key: str, channel: Channel, notes: list[str]) -> Channel:
+    """Without rows that have no number, and with one value per instant."""
+    finite = np.isfinite(channel.value)
+    lost = int((~finite).sum())
+    if lost:
+        share = f"{lost} of {len(finite)} rows"
+        notes.append(f"column {channel.column} ({key}) is empty or not a number in {share}")
+    t, value = channel.t[finite], channel.value[finite]
+    later = np.r_[True, np.diff(t) > 0]
+    if not later.all():
+        notes.append(f"{int((~later).sum())} rows of {channel.column} repeat an instant and were dropped")
+    return Channel(t[later], value[later], channel.column)
+
+
+def _interpolated(
+    channel: Channel, t: np.ndarray, angle: bool = False, longest: float = GAP_SECONDS
+) -> tuple[np.ndarray, np.ndarray]:
+    """Value at t, and where the neighbours it comes from are near enough; (m,) each."""
+    if len(channel.t) == len(t) and np.array_equal(channel.t, t):
+        return channel.value, np.ones(len(t), bool)
+    if len(channel.t) < 2:
+        return np.full(len(t), np.nan), np.zeros(len(t), bool)
+    value = np.unwrap(channel.value) if angle else channel.value
+    right = np.clip(np.searchsorted(channel.t, t, side="left"), 1, len(channel.t) - 1)
+    step = channel.t[right] - channel.t[right - 1]
+    exact = np.isin(t, channel.t)
+    inside = (t >= channel.t[0]) & (t <= channel.t[-1])
+    near = exact | (inside & (step <= max(longest, GAP_STEPS * np.median(np.diff(channel.t)))))
+    return np.interp(t, channel.t, value), near
+
+
+def _held(channel: Channel, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Last value sent at or before t, and where there is one; (m,) each."""
+    if not len(channel.t):
+        return np.full(len(t), np.nan), np.zeros(len(t), bool)
+    last = np.searchsorted(channel.t, t + 1e-9, side="right") - 1
+    return channel.value[np.maximum(last, 0)], last >= 0
+
+
+def _from_quaternion(path: str, quaternion: np.ndarray) -> np.ndarray:
+    """(m, 4) w, x, y, z -> (m, 3) roll, pitch, yaw in ZXY."""
+    norm = np.linalg.norm(quaternion, axis=1)
+    if (np.abs(norm - 1) > 0.05).mean() > 0.01:
+        worst = norm[np.argmax(np.abs(norm - 1))]
+        raise UserError(f"{path}: qw, qx, qy, qz have length {worst:.3g} instead of 1; not a quaternion")
+    rotation = Rotation.from_quat(quaternion / norm[:, None], scalar_first=True)
+    return _zxy(rotation)
+
+
+def _zxy(rotation: Rotation) -> np.ndarray:
+    yaw, roll, pitch = rotation.as_euler("ZXY").T
+    return np.stack([roll, pitch, yaw], axis=1)
+
+
+def _zyx_to_zxy(angles: np.ndarray, what: str, notes: list[str]) -> np.ndarray:
+    """(m, 3) roll, pitch, yaw from Rz Ry Rx to Rz Rx Ry; a column of NaN stays one."""
+    if np.isnan(angles[:, :2]).any():
+        if not np.isnan(angles[:, :2]).all():
+            notes.append(
+                f"only one tilt angle of the {what} is logged: taken as it is, though the conventions "
+                "differ in second order"
+            )
+        return angles
+    yaw = np.nan_to_num(angles[:, 2])
+    result = _zxy(Rotation.from_euler("ZYX", np.stack([yaw, angles[:, 1], angles[:, 0]], axis=1)))
+    if np.isnan(angles[:, 2]).any():
+        result[:, 2] = np.nan
+    return result

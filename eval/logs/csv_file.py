@@ -1,0 +1,86 @@
+"""Comma-separated tables: the documented CSV, the Crazyflie client's, anything a mapping describes."""
+
+from __future__ import annotations
+
+import gzip
+import warnings
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pandas
+
+from inclined_landing.eval.logs.record import Record
+from inclined_landing.models.errors import UserError
+
+
+def read(path: Path) -> Record:
+    """Read a table with one header line and, optionally, a line of units under it.
+
+    `.gz` is unpacked on the way; comma, semicolon or tab separate. Text columns become NaN: none is
+    ever asked for. Raises UserError for what is not such a table, and for text among numbers.
+    """
+    try:
+        with (gzip.open if path.suffix == ".gz" else open)(path, "rt", encoding="utf-8-sig") as file:
+            first, second = file.readline(), file.readline()
+        separator = next((mark for mark in ",;\t" if mark in first), ",")
+        header = [name.strip().strip('"') for name in first.strip().split(separator)]
+        cells = [cell.strip().strip('"') for cell in second.strip().split(separator)]
+        _check_header(path, header)
+        units = {}
+        if second.strip() and not any(_is_number(cell) or not cell for cell in cells):
+            units = dict(zip(header, cells))
+        with warnings.catch_warnings():
+            # A row too long is an error below, not the first column turned into an index.
+            warnings.simplefilter("error", pandas.errors.ParserWarning)
+            table = pandas.read_csv(
+                path,
+                sep=separator,
+                names=header,
+                skiprows=2 if units else 1,
+                index_col=False,
+                skipinitialspace=True,
+                encoding="utf-8-sig",
+                low_memory=False,
+            )
+    except (UnicodeDecodeError, gzip.BadGzipFile, zlib.error, EOFError) as error:
+        raise UserError(f"{path}: not a readable text table ({error})") from error
+    except (pandas.errors.ParserError, pandas.errors.ParserWarning) as error:
+        raise UserError(f"{path}: rows of different length ({str(error).strip()})") from error
+    except pandas.errors.EmptyDataError as error:
+        raise UserError(f"{path}: a header and no rows") from error
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from error
+    return Record(str(path), {name: _numbers(path, table[name], bool(units)) for name in header}, units=units)
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    if not any(header):
+        raise UserError(f"{path}: empty; expected a line of column names and rows of numbers")
+    if any(_is_number(name) for name in header):
+        raise UserError(f"{path}: the first line holds numbers; expected column names")
+    twice = [name for name in header if header.count(name) > 1]
+    if twice:
+        raise UserError(f"{path}: column {twice[0]} appears twice")
+
+
+def _numbers(path: Path, column: pandas.Series, has_units: bool) -> np.ndarray:
+    if pandas.api.types.is_numeric_dtype(column):
+        return column.to_numpy(float)
+    text = column.astype("string").str.strip()
+    lower = text.str.lower()
+    text = text.mask(lower == "true", "1").mask(lower == "false", "0")
+    values = pandas.to_numeric(text, errors="coerce")
+    bad = values.isna() & text.notna() & ~lower.isin(["nan", ""]).fillna(False)
+    if bad.any() and values.notna().mean() > 0.5:  # numbers with text among them, not a text column
+        row = int(np.argmax(bad.to_numpy())) + (3 if has_units else 2)
+        raise UserError(f"{path}: line {row}, column {column.name}: {text[bad].iloc[0]!r} is not a number")
+    return values.to_numpy(float, na_value=np.nan)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

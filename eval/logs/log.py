@@ -1,0 +1,134 @@
+"""The one in-memory form of a measured flight."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+
+from inclined_landing.models.errors import UserError
+
+MEASURED = ("x", "y", "z", "roll", "pitch", "yaw")
+COMMANDS = ("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate")
+
+# A hole in the record is a step in time this many times the usual one, and at least this long (s).
+GAP_STEPS = 5.0
+GAP_SECONDS = 0.1
+
+
+@dataclasses.dataclass(frozen=True)
+class FlightLog:
+    """Pose, commands and, where logged, velocity, battery voltage and contact of one flight.
+
+    Attitude is roll, pitch, yaw of R = Rz(yaw) Rx(roll) Ry(pitch): positive pitch tilts the thrust
+    towards +x, positive roll towards -y. Yaw is continuous (no jumps of 2 pi). A column that was not
+    logged is NaN throughout; a column that was logged has no NaN.
+
+    Raises UserError when shapes disagree or time does not increase strictly.
+    """
+
+    name: str
+    t: np.ndarray  # (m,) s, strictly increasing
+    position: np.ndarray  # (m, 3) m
+    attitude: np.ndarray  # (m, 3) rad: roll, pitch, yaw
+    command: (
+        np.ndarray
+    )  # (m, 4): PWM, roll rad, pitch rad, yaw rate rad/s, as sent at t, held until the next row
+    velocity: np.ndarray | None = None  # (m, 3) m/s, world frame, only if logged
+    voltage: np.ndarray | None = None  # (m,) V
+    contact: np.ndarray | None = None  # (m,) bool
+    notes: tuple[str, ...] = ()  # what reader and checks want a person to know
+
+    def __post_init__(self):
+        m = len(self.t)
+        shapes = {"t": (m,), "position": (m, 3), "attitude": (m, 3), "command": (m, 4)}
+        shapes |= {"velocity": (m, 3), "voltage": (m,), "contact": (m,)}
+        for field, shape in shapes.items():
+            value = getattr(self, field)
+            if value is None:
+                continue
+            value = np.asarray(value, bool if field == "contact" else float)
+            if value.shape != shape:
+                raise UserError(f"{self.name}: {field} has shape {value.shape}, expected {shape}")
+            object.__setattr__(self, field, value)
+        if m < 2:
+            raise UserError(f"{self.name}: {m} rows; a flight needs at least two")
+        if not np.all(np.diff(self.t) > 0):
+            row = int(np.argmin(np.diff(self.t) > 0)) + 1
+            raise UserError(f"{self.name}: time does not increase at row {row} (t = {self.t[row]:g} s)")
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first row to the last."""
+        return float(self.t[-1] - self.t[0])
+
+    @property
+    def rate(self) -> float:
+        """Usual rows per second: one over the median step."""
+        return float(1.0 / np.median(np.diff(self.t)))
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Names of the columns of pose and command that were not logged."""
+        table = np.hstack([self.position, self.attitude, self.command])
+        names = MEASURED + COMMANDS
+        return tuple(name for name, column in zip(names, table.T) if np.isnan(column).any())
+
+    @property
+    def gap_starts(self) -> np.ndarray:
+        """Rows (k,) after which the record has a hole."""
+        step = np.diff(self.t)
+        return np.flatnonzero(step > max(GAP_STEPS * np.median(step), GAP_SECONDS))
+
+    def rows(self, selection) -> FlightLog:
+        """The rows of a slice, an index array or a mask."""
+        fields = ("t", "position", "attitude", "command", "velocity", "voltage", "contact")
+        changed = {f: getattr(self, f)[selection] for f in fields if getattr(self, f) is not None}
+        return dataclasses.replace(self, **changed)
+
+    def between(self, start: float, stop: float) -> FlightLog:
+        """The rows with start <= t <= stop (s)."""
+        return self.rows(slice(*np.searchsorted(self.t, [start, np.nextafter(stop, np.inf)])))
+
+    def pieces(self, shortest: float = 0.0) -> tuple[FlightLog, ...]:
+        """The stretches between holes that last at least `shortest` seconds and two rows."""
+        ends = [0, *(self.gap_starts + 1), len(self)]
+        pieces = [self.rows(slice(a, b)) for a, b in itertools.pairwise(ends) if b - a >= 2]
+        return tuple(piece for piece in pieces if piece.duration >= shortest)
+
+    def resampled(self, rate: float) -> FlightLog:
+        """On an even grid of `rate` rows per second from the first row on.
+
+        Measurements are interpolated linearly, commands and contact held. Holes are bridged like any
+        other step: take `pieces` first where that matters.
+        """
+        t = self.t[0] + np.arange(int(np.floor(self.duration * rate + 1e-6)) + 1) / rate
+        t[-1] = min(t[-1], self.t[-1])
+        held = np.clip(np.searchsorted(self.t, t + 1e-9, side="right") - 1, 0, len(self) - 1)
+
+        def linear(value: np.ndarray | None) -> np.ndarray | None:
+            if value is None:
+                return None
+            if value.ndim == 1:
+                return np.interp(t, self.t, value)
+            return np.stack([np.interp(t, self.t, column) for column in value.T], axis=1)
+
+        return dataclasses.replace(
+            self,
+            t=t,
+            position=linear(self.position),
+            attitude=linear(self.attitude),
+            command=self.command[held],
+            velocity=linear(self.velocity),
+            voltage=linear(self.voltage),
+            contact=None if self.contact is None else self.contact[held],
+        )
+
+    def noted(self, *notes: str) -> FlightLog:
+        """The same flight with more notes; what is noted already is not repeated."""
+        new = tuple(note for note in dict.fromkeys(notes) if note not in self.notes)
+        return dataclasses.replace(self, notes=self.notes + new)

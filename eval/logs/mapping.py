@@ -1,0 +1,282 @@
+"""Mapping files: which column of a file is which quantity, in which unit, sign and convention."""
+
+from __future__ import annotations
+
+import dataclasses
+import fnmatch
+import tomllib
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from inclined_landing.eval.logs import units
+from inclined_landing.eval.logs.record import Record
+from inclined_landing.models.errors import UserError
+
+_SOURCE_KEYS = {"column", "unit", "sign", "add", "late", "mean", "sum"}
+_FILE_KEYS = {"description", "detect", "inherit", "euler", "notes", "refuse", "columns", "offsets"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """Where one canonical column comes from: value = sign * factor(unit) * column + add, at t - late."""
+
+    columns: tuple[str, ...]
+    derived: str | None = None  # "mean" or "sum" of several columns, else None
+    unit: str | None = None
+    sign: float = 1.0
+    add: float = 0.0
+    late: float = 0.0  # s by which the file dates the value too late
+
+
+@dataclasses.dataclass(frozen=True)
+class Offsets:
+    """A table beside the logs with one row per log file: seconds by which some columns are late."""
+
+    table: str
+    column: str
+    applies_to: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class ColumnMap:
+    """A mapping file, read."""
+
+    name: str
+    description: str
+    columns: Mapping[str, tuple[Source, ...]]  # canonical name -> sources, the first present is taken
+    detect: tuple[str, ...] = ()
+    euler: str = "ZXY"
+    notes: tuple[str, ...] = ()
+    refuse: str | None = None
+    offsets: Offsets | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Channel:
+    """One canonical column: time (k,) in s and value (k,) in the canonical unit, NaN where absent."""
+
+    t: np.ndarray
+    value: np.ndarray
+    column: str  # its name in the file, for messages
+
+
+@cache
+def shipped() -> Mapping[str, ColumnMap]:
+    """The mappings that come with this package, by name."""
+    folder = resources.files("inclined_landing.eval.logs") / "mappings"
+    files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
+    return {f.name[:-5]: _parse(f.name[:-5], f.name, f.read_text("utf-8")) for f in files}
+
+
+def load(name: str | Path) -> ColumnMap:
+    """A shipped mapping by its name, or a mapping file (TOML) by its path.
+
+    Raises UserError when there is no such mapping or it cannot be understood.
+    """
+    if str(name) in shipped():
+        return shipped()[str(name)]
+    path = Path(name)
+    if not path.is_file():
+        raise UserError(f"no mapping {name}: neither a file nor one of {', '.join(shipped())}")
+    try:
+        text = path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: not a readable mapping file ({error})") from error
+    return _parse(path.stem, str(path), text)
+
+
+def detect(names: Sequence[str], where: str) -> ColumnMap:
+    """The shipped mapping that asks for most of the column names at hand.
+
+    Raises UserError, listing the columns, when none fits.
+    """
+    fitting = [m for m in shipped().values() if m.detect and all(find(names, d, where) for d in m.detect)]
+    if not fitting:
+        raise UserError(
+            f"{where}: its columns ({', '.join(names)}) are those of no known kind of log; "
+            "expected t, x, y, z, roll, pitch, yaw, cmd_thrust_pwm, cmd_roll, cmd_pitch, or a mapping file"
+        )
+    return max(fitting, key=lambda m: len(m.detect))
+
+
+def find(names: Sequence[str], pattern: str, where: str) -> str | None:
+    """The one name that is `pattern` or, if it has a `*`, matches it; None without.
+
+    Raises UserError when several match: two vehicles in one bag, say.
+    """
+    if "*" not in pattern:
+        return pattern if pattern in names else None
+    found = [name for name in names if fnmatch.fnmatchcase(name, pattern)]
+    if len(found) > 1:
+        raise UserError(f"{where}: {pattern} fits {', '.join(found)}; a mapping file must say which is meant")
+    return found[0] if found else None
+
+
+def apply(
+    column_map: ColumnMap, record: Record, given: Mapping[str, str]
+) -> tuple[dict[str, Channel], list[str]]:
+    """Channels of one record in canonical names and units, and notes in words.
+
+    given: unit per canonical column, as the user says; it goes before the file's units row and the
+        mapping's unit.
+    Raises UserError when the record cannot be used, or a unit is wrong.
+    """
+    if column_map.refuse:
+        raise UserError(f"{record.path}: {column_map.refuse}")
+    names = list(record.columns)
+    where = record.path
+    notes = [*record.notes, *column_map.notes]
+    shift, note = _offset(column_map, where)
+    notes += note
+    clock = None
+    if not record.times:
+        clock = _channel("t", column_map, record, names, given, np.array(0.0), 0.0, notes)
+        if clock is None:
+            wanted = ", ".join(s.columns[0] for s in column_map.columns.get("t", ()))
+            raise UserError(f"{where}: no time column ({wanted or 't'})")
+        _check_clock(where, clock)
+    channels = {}
+    for canonical in column_map.columns:
+        if canonical == "t":
+            continue
+        late = shift if column_map.offsets and canonical in column_map.offsets.applies_to else 0.0
+        time = None if clock is None else clock.value
+        channel = _channel(canonical, column_map, record, names, given, time, late, notes)
+        if channel is not None:
+            channels[canonical] = channel
+    return channels, notes
+
+
+def _channel(canonical, column_map, record, names, given, clock, late, notes) -> Channel | None:
+    for source in column_map.columns.get(canonical, ()):
+        found = [find(names, column, record.path) for column in source.columns]
+        if None in found:
+            continue
+        unit = given.get(canonical) or record.units.get(found[0]) or source.unit
+        scale = 1.0 if unit is None else units.factor(canonical, unit, record.path)
+        value = record.columns[found[0]]
+        if source.derived:
+            value = np.sum([record.columns[name] for name in found], axis=0)
+            value = value / len(found) if source.derived == "mean" else value
+            notes.append(f"{canonical} is derived: the {source.derived} of {', '.join(found)}")
+        if np.isnan(value).all():
+            continue  # a column of empty cells was not logged
+        time = record.times[found[0]] if record.times else clock
+        late = late + source.late
+        if late:
+            notes.append(f"{canonical} dated {1e3 * late:.0f} ms earlier than in the file")
+        return Channel(time - late, source.sign * scale * value + source.add, "+".join(found))
+    return None
+
+
+def _check_clock(where: str, clock: Channel) -> None:
+    bad = np.flatnonzero(~np.isfinite(clock.value))
+    if bad.size:
+        raise UserError(f"{where}: column {clock.column} has no number in row {bad[0] + 1} of the data")
+    back = np.flatnonzero(np.diff(clock.value) < 0)
+    if back.size:
+        a, b = clock.value[back[0] : back[0] + 2]
+        raise UserError(
+            f"{where}: column {clock.column} goes back from {a:g} to {b:g} s "
+            f"in row {back[0] + 2} of the data; are two flights in one file?"
+        )
+
+
+def _offset(column_map: ColumnMap, where: str) -> tuple[float, list[str]]:
+    """Seconds by which this file's late columns are late, from the table beside it."""
+    offsets = column_map.offsets
+    if offsets is None:
+        return 0.0, []
+    path = Path(where)
+    table = path.parent / offsets.table
+    columns = ", ".join(offsets.applies_to)
+    if not table.is_file():
+        return 0.0, [
+            f"{offsets.table} is not beside the log: possible time offset of {columns} not corrected"
+        ]
+    for line in table.read_text("utf-8").splitlines()[1:]:
+        cells = line.split(",")
+        if cells[0] == path.name:
+            header = table.read_text("utf-8").splitlines()[0].split(",")
+            try:
+                return float(cells[header.index(offsets.column)]), []
+            except (ValueError, IndexError) as error:
+                raise UserError(f"{table}: no number in column {offsets.column} for {path.name}") from error
+    return 0.0, [f"{offsets.table} does not list this log: possible time offset of {columns} not corrected"]
+
+
+def _parse(name: str, where: str, text: str) -> ColumnMap:
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{where}: not valid TOML ({error})") from error
+    _only(where, "", data, _FILE_KEYS)
+    columns = {}
+    inherited = data.get("inherit")
+    if inherited is not None:
+        columns |= load(inherited).columns
+    for canonical, entry in data.get("columns", {}).items():
+        if canonical not in units.COLUMNS:
+            raise UserError(f"{where}: [columns] {canonical} is not one of {', '.join(units.COLUMNS)}")
+        entries = entry if isinstance(entry, list) else [entry]
+        columns[canonical] = tuple(_source(where, canonical, item) for item in entries)
+    euler = data.get("euler", "ZXY")
+    if euler not in ("ZXY", "ZYX"):
+        raise UserError(f"{where}: euler = {euler!r}; expected ZXY or ZYX")
+    if not columns and "refuse" not in data:
+        raise UserError(f"{where}: no [columns]")
+    offsets = data.get("offsets")
+    if offsets is not None:
+        if set(offsets) != {"table", "column", "applies_to"}:
+            raise UserError(f"{where}: [offsets] needs table, column and applies_to")
+        offsets = Offsets(offsets["table"], offsets["column"], tuple(offsets["applies_to"]))
+    return ColumnMap(
+        name=name,
+        description=data.get("description", ""),
+        columns=columns,
+        detect=tuple(data.get("detect", ())),
+        euler=euler,
+        notes=tuple(data.get("notes", ())),
+        refuse=data.get("refuse"),
+        offsets=offsets,
+    )
+
+
+def _source(where: str, canonical: str, entry) -> Source:
+    if isinstance(entry, str):
+        return Source((entry,))
+    if not isinstance(entry, dict):
+        raise UserError(f"{where}: [columns] {canonical} must be a column name or a table with one")
+    _only(where, f"[columns] {canonical}: ", entry, _SOURCE_KEYS)
+    kinds = [key for key in ("column", "mean", "sum") if key in entry]
+    if len(kinds) != 1:
+        raise UserError(f"{where}: [columns] {canonical} needs exactly one of column, mean, sum")
+    kind = kinds[0]
+    columns = (entry[kind],) if kind == "column" else tuple(entry[kind])
+    if not columns or not all(isinstance(column, str) for column in columns):
+        raise UserError(f"{where}: [columns] {canonical}: {kind} must name columns")
+    if entry.get("sign", 1) not in (1, -1):
+        raise UserError(f"{where}: [columns] {canonical}: sign must be 1 or -1")
+    if "unit" in entry:
+        units.factor(canonical, str(entry["unit"]), f"{where}: [columns]")
+    for key in ("add", "late"):
+        if not isinstance(entry.get(key, 0), (int, float)):
+            raise UserError(f"{where}: [columns] {canonical}: {key} must be a number")
+    return Source(
+        columns,
+        derived=None if kind == "column" else kind,
+        unit=entry.get("unit"),
+        sign=float(entry.get("sign", 1)),
+        add=float(entry.get("add", 0.0)),
+        late=float(entry.get("late", 0.0)),
+    )
+
+
+def _only(where: str, table: str, given: Mapping, known: set[str]) -> None:
+    unknown = [key for key in given if key not in known]
+    if unknown:
+        raise UserError(f"{where}: {table}{unknown[0]} is not one of {', '.join(sorted(known))}")

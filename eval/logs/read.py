@@ -1,0 +1,108 @@
+"""Reading flight logs of any known kind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas
+
+from inclined_landing.eval import runs
+from inclined_landing.eval.logs import assemble, csv_file
+from inclined_landing.eval.logs import mapping as mappings
+from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
+from inclined_landing.eval.logs.mapping import ColumnMap
+from inclined_landing.eval.logs.record import Record
+from inclined_landing.models.errors import UserError
+
+
+def read_log(
+    path: str | Path | Sequence[str | Path],
+    *,
+    mapping: str | Path | None = None,
+    units: Mapping[str, str] | None = None,
+    name: str | None = None,
+    check: bool = True,
+) -> FlightLog:
+    """One flight from its file (or from several files of the same flight with the same clock).
+
+    path: CSV (.csv, .csv.gz), micro-SD binary or ROS bag. Several files: a sequence, or one string
+        with the names joined by `+`, as for the client's one file per log block.
+    mapping: name of a shipped mapping or path of a mapping file; detected from the columns if None.
+    units: unit per canonical column where the file and the mapping do not say it, {"roll": "deg"}.
+    check: refuse what `check_log` refuses and add what it limits to the notes.
+
+    Raises UserError, naming file and column, when the flight cannot be used.
+    """
+    paths = _paths(path)
+    log = _read(paths, mapping, dict(units or {}), name or _stem(paths[0]))
+    if not check:
+        return log
+    from inclined_landing.eval.logs import checks
+
+    return checks.enforce(log, where="+".join(map(str, paths)))
+
+
+def write_log(path: str | Path, log: FlightLog) -> None:
+    """Write the documented CSV (gzipped if the name ends in .gz), whole or not at all.
+
+    Columns that were not logged are left out.
+    """
+    names = ("t", *MEASURED, *COMMANDS)
+    table = dict(zip(names, np.c_[log.t, log.position, log.attitude, log.command].T))
+    table = {key: value for key, value in table.items() if not np.isnan(value).all()}
+    if log.velocity is not None:
+        table |= dict(zip(("vx", "vy", "vz"), log.velocity.T))
+    if log.voltage is not None:
+        table["vbat"] = log.voltage
+    if log.contact is not None:
+        table["contact"] = log.contact.astype(int)
+    with runs.atomic(path) as part:
+        pandas.DataFrame(table).to_csv(part, index=False)
+
+
+def _read(paths: list[Path], chosen: str | Path | None, units: dict[str, str], name: str) -> FlightLog:
+    where = "+".join(map(str, paths))
+    _check_units(units, where)
+    column_map = None if chosen is None else mappings.load(chosen)
+    records = [_record(path, column_map) for path in paths]
+    names = list(dict.fromkeys(column for record in records for column in record.columns))
+    if column_map is None:
+        column_map = mappings.detect(names, where)
+    channels, notes = {}, []
+    for record in records:
+        found, words = mappings.apply(column_map, record, units)
+        notes += words
+        notes += [f"{key} is in several files; the first is used" for key in found if key in channels]
+        channels = found | channels
+    return assemble.assemble(name, where, channels, column_map.euler, notes)
+
+
+def _record(path: Path, column_map: ColumnMap | None) -> Record:
+    if not path.exists():
+        raise UserError(f"no flight log {path}")
+    return csv_file.read(path)
+
+
+def _check_units(units: Mapping[str, str], where: str) -> None:
+    from inclined_landing.eval.logs.units import COLUMNS, factor
+
+    for column, unit in units.items():
+        if column not in COLUMNS:
+            raise UserError(f"unit given for {column}, which is not one of {', '.join(COLUMNS)}")
+        factor(column, unit, where)
+
+
+def _paths(path: str | Path | Sequence[str | Path]) -> list[Path]:
+    if isinstance(path, (str, Path)):
+        if "+" in str(path) and not Path(path).exists():
+            return [Path(part) for part in str(path).split("+")]
+        return [Path(path)]
+    if not path:
+        raise UserError("no flight log given")
+    return [Path(part) for part in path]
+
+
+def _stem(path: Path) -> str:
+    return path.name.removesuffix(".gz").removesuffix(".csv")

@@ -1,0 +1,25 @@
+"""What a file holds, before a mapping gives its columns a meaning."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+
+@dataclasses.dataclass(frozen=True)
+class Record:
+    """Columns of one file by the names the file gives them.
+
+    columns: values (m,) each; NaN where the file has no value.
+    times: seconds (m,) per column where the format dates every value itself (micro-SD, bags);
+        empty for tables, whose time is a column like any other.
+    units: unit per column where the file states it.
+    """
+
+    path: str
+    columns: Mapping[str, np.ndarray]
+    times: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    notes: tuple[str, ...] = ()

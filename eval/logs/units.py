@@ -1,0 +1,52 @@
+"""Canonical columns of a flight log, and the units a file may give them in."""
+
+from __future__ import annotations
+
+import math
+
+from inclined_landing.models.errors import UserError
+
+QUATERNION = ("qw", "qx", "qy", "qz")
+
+# Canonical column -> quantity. The canonical unit is the one with factor 1 below.
+COLUMNS = {
+    "t": "time",
+    **dict.fromkeys(("x", "y", "z"), "length"),
+    **dict.fromkeys(("vx", "vy", "vz"), "speed"),
+    **dict.fromkeys(("roll", "pitch", "yaw"), "angle"),
+    **dict.fromkeys(QUATERNION, "number"),
+    "cmd_thrust_pwm": "pwm",
+    **dict.fromkeys(("cmd_roll", "cmd_pitch", "cmd_yaw"), "angle"),
+    "cmd_yaw_rate": "angular rate",
+    "vbat": "voltage",
+    "contact": "flag",
+}
+
+_DEGREE = math.pi / 180
+UNITS = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    "angle": {"rad": 1.0, "deg": _DEGREE},
+    "angular rate": {"rad/s": 1.0, "deg/s": _DEGREE},
+    "number": {"1": 1.0, "-": 1.0, "": 1.0},
+    "pwm": {"PWM": 1.0, "fraction": 65535.0, "%": 655.35, "percent": 655.35},
+    "voltage": {"V": 1.0, "mV": 1e-3},
+    "flag": {"1": 1.0, "-": 1.0, "": 1.0, "bool": 1.0},
+}
+_SPELLINGS = {"µs": "us", "μs": "us", "°": "deg", "degrees": "deg", "radians": "rad", "pwm": "PWM", "v": "V"}
+_SPELLINGS |= {"°/s": "deg/s", "mv": "mV", "seconds": "s", "sec": "s"}
+
+
+def factor(column: str, unit: str, where: str) -> float:
+    """What a value of canonical `column` in `unit` is multiplied with to be in the canonical unit.
+
+    Raises UserError (starting with `where`) when the unit does not measure the column's quantity.
+    """
+    known = UNITS[COLUMNS[column]]
+    unit = unit.strip().strip("[]()")
+    unit = _SPELLINGS.get(unit, unit)
+    if unit not in known:
+        choices = ", ".join(name for name in known if name)
+        raise UserError(f"{where}: unit {unit!r} of column {column} is not known; one of {choices}")
+    return known[unit]
