@@ -1,0 +1,39 @@
+"""The library of named physical effects: what may be missing between the equations and a real Crazyflie.
+
+A corrected model is the nominal vehicle with effects applied. Each effect maps its parameters to a
+changed `Vehicle`, which both plants understand and a vehicle file stores:
+
+    vehicle = LIBRARY["battery_sag"].apply(load_vehicle(), {"sag": 0.15, "reference": 34100.0})
+
+The terms are those of `analytic.py` and of the plugin attributes in `plugin/README.md`.
+"""
+
+from collections.abc import Mapping
+
+from inclined_landing.models.effects import air, attitude, battery, body, contact, delays, motor, platform
+from inclined_landing.models.effects import thrust as _thrust
+from inclined_landing.models.effects.effect import CHANNELS, REGIMES, Effect, Parameter
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+
+_FAMILIES = (_thrust, battery, motor, body, air, delays, attitude, contact, platform)
+LIBRARY: dict[str, Effect] = {effect.name: effect for family in _FAMILIES for effect in family.EFFECTS}
+
+
+def apply(vehicle: Vehicle, effects: Mapping[str, Mapping[str, float]]) -> Vehicle:
+    """The vehicle with several effects, {effect: {parameter: value}}, one after the other.
+
+    Raises UserError for an unknown effect or parameter.
+    """
+    for name, values in effects.items():
+        if name not in LIBRARY:
+            raise UserError(f"unknown effect {name!r}; known are {', '.join(LIBRARY)}")
+        known = [p.name for p in LIBRARY[name].parameters]
+        for parameter in values:
+            if parameter not in known:
+                raise UserError(f"effect {name} has no parameter {parameter!r}; it has {', '.join(known)}")
+        vehicle = LIBRARY[name].apply(vehicle, values)
+    return vehicle
+
+
+__all__ = ["CHANNELS", "LIBRARY", "REGIMES", "Effect", "Parameter", "apply"]

@@ -1,0 +1,96 @@
+"""Effects of the air: drag, wind, inflow and surfaces nearby."""
+
+from inclined_landing.models.effects.effect import Effect, Parameter, added, scaled
+
+EFFECTS = (
+    Effect(
+        name="rotor_drag",
+        description="The rotors' drag, proportional to rotor speed and air speed, is stronger or weaker than "
+        "modelled.",
+        formula="F_a = scale diag(drag) w_sum v_body",
+        source="Foerster 2015; fitted flights of similar vehicles show up to 1.5 times as much",
+        parameters=(Parameter("scale", "1", 1.0, (0.0, 6.0), 1.5, 0.1),),
+        regimes=("lateral", "climb"),
+        confused_with=("body_drag", "wind", "translational_lift"),
+        remedy="Accept the corrected coefficient; a flight at high speed tells it from quadratic body drag.",
+        channels=("translation",),
+        requires=(),
+        apply=scaled("drag_coefficients"),
+    ),
+    Effect(
+        name="body_drag",
+        description="Drag of body, decks and markers, growing with the square of the air speed.",
+        formula="F_a += -coefficient |v_air| v_air",
+        source="drag of a blunt body: half of air density, drag coefficient and area; 0.006 kg/m for 0.01 m2",
+        parameters=(Parameter("coefficient", "kg/m", 0.0, (0.0, 0.08), 0.006, 0.0005),),
+        regimes=("lateral", "climb"),
+        confused_with=("rotor_drag", "wind"),
+        remedy="Remove what stands in the wind, or accept the term. A slow and a fast flight over the same "
+        "way tell it from rotor drag.",
+        channels=("translation",),
+        requires=(),
+        apply=added("effects_body_drag", "coefficient"),
+    ),
+    Effect(
+        name="wind",
+        description="The air moves over the ground with a constant horizontal velocity: ventilation, an open "
+        "door, the wake of other vehicles. All drag sees the velocity relative to the air.",
+        formula="v_air = v - (x, y, 0)",
+        source="definition",
+        parameters=(
+            Parameter("x", "m/s", 0.0, (-4.0, 4.0), 0.5, 0.05),
+            Parameter("y", "m/s", 0.0, (-4.0, 4.0), -0.3, 0.05),
+        ),
+        regimes=("hover", "lateral", "climb"),
+        confused_with=("attitude_trim", "com_offset"),
+        remedy="Switch off the ventilation and close the doors. Hovering at two headings a quarter turn "
+        "apart tells it from a trim, which turns with the vehicle.",
+        channels=("translation",),
+        requires=(),
+        apply=added("effects_wind", "x", "y"),
+    ),
+    Effect(
+        name="translational_lift",
+        description="In forward flight the rotors meet undisturbed air and give more thrust.",
+        formula="F_t times (1 + coefficient v_plane^2), v_plane the air speed in the rotor plane",
+        source="momentum theory: about 1/(2 v_h^2) with the induced velocity in hover v_h = 4.4 m/s",
+        parameters=(Parameter("coefficient", "s2/m2", 0.0, (-0.05, 0.15), 0.025, 0.002),),
+        regimes=("lateral",),
+        confused_with=("rotor_drag", "body_drag", "axial_inflow"),
+        remedy="Expect to gain height in fast flight and give less thrust there.",
+        channels=("translation",),
+        requires=(),
+        apply=added("effects_translational_lift", "coefficient"),
+    ),
+    Effect(
+        name="axial_inflow",
+        description="Climbing, the rotors meet the air head on and give less thrust; sinking, they give "
+        "more. It damps vertical motion.",
+        formula="F_t times max(0, 1 - coefficient v_axial), v_axial the air speed along body z",
+        source="blade element theory: inflow reduces the blades' angle of attack",
+        parameters=(Parameter("coefficient", "s/m", 0.0, (-0.1, 0.4), 0.05, 0.005),),
+        regimes=("climb", "hover"),
+        confused_with=("rotor_drag", "motor_lag", "translational_lift"),
+        remedy="Give more thrust in climbs and less in descents than the hover thrust suggests.",
+        channels=("translation",),
+        requires=(),
+        apply=added("effects_axial_inflow", "coefficient"),
+    ),
+    Effect(
+        name="ground_effect",
+        description="Near a surface each rotor gives more thrust, by its own distance along the surface's "
+        "normal. Near a slope the rotors uphill gain more, which turns the vehicle away from the slope. The "
+        "surface is the slab where the rotor's axis meets it, else the floor.",
+        formula="F_i times (1 + strength (r/(4 h_i))^2), r/(4 h_i) at most 1/2",
+        source="Cheeseman and Bennett 1955 (strength 1, one rotor); multirotors measure several times that, "
+        "4 to 9 % below 7 cm in the nanobench flights",
+        parameters=(Parameter("strength", "1", 0.0, (-2.0, 40.0), 5.0, 0.5),),
+        regimes=("near_surface", "touchdown"),
+        confused_with=("thrust_scale", "thrust_bias", "platform_height"),
+        remedy="Reduce the thrust during the last 10 cm, or approach faster. Flights near to and far from "
+        "surfaces tell it from a thrust scale.",
+        channels=("translation", "attitude"),
+        requires=(),
+        apply=added("effects_ground_effect", "strength"),
+    ),
+)

@@ -1,0 +1,88 @@
+"""Effects on the attitude loops."""
+
+import dataclasses
+
+from inclined_landing.models.effects.effect import Effect, Parameter, added, scaled
+
+
+def _second_order(vehicle, values):
+    lag = values.get("rate_lag", 0.0)
+    if lag == 0.0:
+        return vehicle
+    return dataclasses.replace(vehicle, attitude_bandwidth=1.0 / (1.0 / vehicle.attitude_bandwidth + lag))
+
+
+EFFECTS = (
+    Effect(
+        name="attitude_gain",
+        description="The steady roll and pitch angles are another share of the commanded ones.",
+        formula="d(angle)/dt = (scale gain command - angle)/time_constant",
+        source="Kooi and Babuska 2021: k = 1.1094 identified in flight; about 0.91 in the utias_fmpc flights",
+        parameters=(Parameter("scale", "1", 1.0, (0.4, 1.8), 0.9, 0.01),),
+        regimes=("attitude_step", "lateral"),
+        confused_with=("attitude_time_constant", "attitude_trim"),
+        remedy="Check units and signs of the commands, then calibrate: multiply the commands by 1/scale.",
+        channels=("attitude",),
+        requires=(),
+        apply=scaled("attitude_gain"),
+    ),
+    Effect(
+        name="attitude_time_constant",
+        description="The roll and pitch loops are slower or faster than modelled: other controller gains in "
+        "the firmware, another inertia.",
+        formula="d(angle)/dt = (gain command - angle)/(scale time_constant)",
+        source="Kooi and Babuska 2021: tau = 0.184 s; about 0.06 s in the utias_fmpc flights",
+        parameters=(Parameter("scale", "1", 1.0, (0.15, 4.0), 0.7, 0.03),),
+        regimes=("attitude_step", "lateral"),
+        confused_with=("second_order_attitude", "attitude_delay", "attitude_gain"),
+        remedy="Use the attitude controller gains the model was identified with, or accept the new constant.",
+        channels=("attitude",),
+        requires=(),
+        apply=scaled("attitude_time_constant"),
+    ),
+    Effect(
+        name="second_order_attitude",
+        description="The rate loop under the attitude loop is slower than modelled, so that the angles "
+        "respond with an S-shaped start instead of at once.",
+        formula="bandwidth = 1/(1/attitude_bandwidth + rate_lag)",
+        source="cascaded attitude and rate controllers of the Crazyflie firmware",
+        parameters=(Parameter("rate_lag", "s", 0.0, (-0.01, 0.15), 0.03, 0.004),),
+        regimes=("attitude_step",),
+        confused_with=("attitude_delay", "attitude_time_constant"),
+        remedy="Raise the rate controller's gains, or check for slack in motor mounts and heavy propellers.",
+        channels=("attitude",),
+        requires=(),
+        apply=_second_order,
+    ),
+    Effect(
+        name="attitude_trim",
+        description="Level flight is commanded, but the vehicle holds a small constant tilt in its own "
+        "frame: a tilted sensor, an uncalibrated accelerometer, or motion capture markers out of level.",
+        formula="roll and pitch command + (roll, pitch)",
+        source="the Crazyflie client's trim fields; -0.05 and -0.02 rad in the utias_fmpc flights",
+        parameters=(
+            Parameter("roll", "rad", 0.0, (-0.25, 0.25), 0.02, 0.002),
+            Parameter("pitch", "rad", 0.0, (-0.25, 0.25), -0.02, 0.002),
+        ),
+        regimes=("hover", "attitude_step", "lateral"),
+        confused_with=("wind", "com_offset"),
+        remedy="Calibrate the accelerometer on a level table, redefine the rigid body in the motion capture "
+        "system, or enter the trim in the Crazyflie client.",
+        channels=("attitude",),
+        requires=(),
+        apply=added("effects_attitude_trim", "roll", "pitch"),
+    ),
+    Effect(
+        name="yaw_drift",
+        description="The heading turns slowly although no yaw rate is commanded: a gyroscope bias.",
+        formula="d(yaw)/dt = yaw rate command + rate",
+        source="bias of consumer gyroscopes",
+        parameters=(Parameter("rate", "rad/s", 0.0, (-1.0, 1.0), 0.05, 0.003),),
+        regimes=("hover", "climb", "lateral", "attitude_step"),
+        confused_with=(),
+        remedy="Keep the vehicle still while it starts, so that the gyroscopes calibrate.",
+        channels=("yaw",),
+        requires=(),
+        apply=added("effects_yaw_drift", "rate"),
+    ),
+)

@@ -1,0 +1,88 @@
+"""Effects of the battery on the thrust: with the load alone, or through a measured voltage."""
+
+import dataclasses
+
+from inclined_landing.models.effects.effect import Effect, Parameter
+from inclined_landing.models.parameters import load_vehicle
+
+_SHIPPED = load_vehicle()
+
+
+def _line(slope, zero, more, at):
+    """Slope and zero of slope (x - zero) + more (x - at); `zero` itself while there is no slope."""
+    total = slope + more
+    if more == 0.0 or total == 0.0:
+        return total, zero
+    return total, at if slope == 0.0 else (slope * zero + more * at) / total
+
+
+def _sag(vehicle, values):
+    sag = values.get("sag", 0.0)
+    own, reference = vehicle.effects_battery_sag, vehicle.effects_battery_reference
+    if sag == 0.0:
+        return vehicle
+    at = values.get("reference", reference)
+    if own == 0.0:
+        total = sag
+    else:  # -sag (load/reference - 1) is a line in the load with slope -sag/reference
+        slope, at = _line(-own / reference, reference, -sag / at, at)
+        total = -slope * at
+    return dataclasses.replace(vehicle, effects_battery_sag=total, effects_battery_reference=at)
+
+
+def _voltage(vehicle, values):
+    sensitivity, reference = _line(
+        vehicle.effects_voltage_sensitivity,
+        vehicle.effects_voltage_reference,
+        values.get("sensitivity", 0.0),
+        values.get("reference", vehicle.effects_voltage_reference),
+    )
+    return dataclasses.replace(
+        vehicle, effects_voltage_sensitivity=sensitivity, effects_voltage_reference=reference
+    )
+
+
+EFFECTS = (
+    Effect(
+        name="battery_sag",
+        description="The battery's voltage sags under load: the harder the motors run, the less thrust a "
+        "PWM gives. The load is the lagged PWM, so that no voltage needs to be logged. The reference is the "
+        "load at which the modelled thrust is right.",
+        formula="F_t times (1 - sag (load/reference - 1)),  load = lag_rate Omega",
+        source="internal resistance of a one-cell lithium-polymer battery; 0.1 to 0.2 V per 10 000 PWM in "
+        "the nanobench flights",
+        parameters=(
+            Parameter("sag", "1", 0.0, (-0.3, 0.7), 0.15, 0.01),
+            Parameter(
+                "reference", "PWM", _SHIPPED.effects_battery_reference, (5000.0, 65000.0), 34100.0, 1000.0
+            ),
+        ),
+        regimes=("hover", "climb", "low_battery"),
+        confused_with=("thrust_scale", "thrust_bias", "battery_voltage", "thrust_fade"),
+        remedy="Use a fresh battery with low internal resistance, or log pm.vbat and scale the thrust "
+        "command by nominal over measured voltage.",
+        channels=("translation",),
+        requires=(),
+        apply=_sag,
+    ),
+    Effect(
+        name="battery_voltage",
+        description="The thrust follows the measured battery voltage. The reference is the voltage at which "
+        "the modelled thrust is right. In simulation the voltage is the vehicle file's: open - drop load - "
+        "discharge t.",
+        formula="F_t times (1 + sensitivity (V - reference))",
+        source="brushed motors: speed proportional to duty times voltage; PWM times voltage is constant in "
+        "hover within 1.3 % in the nanobench flights",
+        parameters=(
+            Parameter("sensitivity", "1/V", 0.0, (-0.3, 1.2), 0.27, 0.02),
+            Parameter("reference", "V", _SHIPPED.effects_voltage_reference, (2.8, 4.6), 3.9, 0.03),
+        ),
+        regimes=("hover", "climb", "low_battery"),
+        confused_with=("battery_sag", "thrust_fade", "thrust_scale"),
+        remedy="Scale the thrust command by reference over measured voltage (pm.vbat), or switch on the "
+        "firmware's battery compensation.",
+        channels=("translation",),
+        requires=("voltage",),
+        apply=_voltage,
+    ),
+)

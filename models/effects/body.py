@@ -1,0 +1,40 @@
+"""Effects of the vehicle's mass and where it sits."""
+
+from inclined_landing.models.effects.effect import Effect, Parameter, added, scaled
+
+EFFECTS = (
+    Effect(
+        name="mass",
+        description="The vehicle is heavier or lighter than modelled: decks, markers, another battery. The "
+        "inertia is left as it is.",
+        formula="m = scale body_mass",
+        source="bookkeeping; decks weigh 1 to 4 g, 3 to 12 % of the vehicle",
+        parameters=(Parameter("scale", "1", 1.0, (0.6, 1.8), 1.06, 0.005),),
+        regimes=("hover", "climb", "lateral"),
+        confused_with=("thrust_scale", "thrust_bias", "battery_sag"),
+        remedy="Weigh the vehicle as it flies and write the mass into the vehicle file. In free flight only "
+        "thrust over mass can be seen, so that no flight tells mass from thrust.",
+        channels=("translation",),
+        requires=(),
+        apply=scaled("body_mass"),
+    ),
+    Effect(
+        name="com_offset",
+        description="The thrust acts beside the centre of mass, by the offset in the body frame: a battery "
+        "or deck out of the middle. The moment tilts the vehicle against its attitude loop. Both offset and "
+        "thrust are small enough for the inertia to stay.",
+        formula="torque = (-y F_t, x F_t, 0)",
+        source="rigid-body mechanics",
+        parameters=(
+            Parameter("x", "m", 0.0, (-0.006, 0.006), 0.001, 5e-5),
+            Parameter("y", "m", 0.0, (-0.006, 0.006), -0.0005, 5e-5),
+        ),
+        regimes=("climb", "hover", "attitude_step"),
+        confused_with=("attitude_trim", "wind"),
+        remedy="Balance the vehicle on two fingers under the motor arms and shift the battery. Climbs with "
+        "changing thrust tell it from a trim, which does not grow with the thrust.",
+        channels=("attitude",),
+        requires=(),
+        apply=added("effects_com_offset", "x", "y"),
+    ),
+)

@@ -1,0 +1,73 @@
+"""Effects on how vehicle and surfaces touch. MuJoCo only: the equations know no contact."""
+
+import dataclasses
+
+from inclined_landing.models.effects.effect import Effect, Parameter, scaled
+
+
+def _spring(vehicle, stiffness: float, damping: float):
+    """The vehicle with stiffness and damping of its contact spring times two factors.
+
+    Written in the engine's direct format, (-stiffness, -damping), for which it does not clip the time
+    constant to twice the time step.
+    """
+    if stiffness == 1.0 and damping == 1.0:
+        return vehicle
+    first, second = vehicle.contact_solref
+    if first > 0:  # time constant and damping ratio
+        first, second = -1.0 / (first * first * second * second), -2.0 / first
+    return dataclasses.replace(vehicle, contact_solref=(first * stiffness, second * damping))
+
+
+def spring_of(vehicle) -> tuple[float, float]:
+    """Stiffness [1/s2] and damping [1/s] of the vehicle's contact spring."""
+    first, second = vehicle.contact_solref
+    if first > 0:
+        return 1.0 / (first * first * second * second), 2.0 / first
+    return -first, -second
+
+
+EFFECTS = (
+    Effect(
+        name="friction",
+        description="The feet slide more or less easily on the platform than modelled.",
+        formula="friction = scale contact_friction",
+        source="Coulomb friction; plastic on wood 0.2 to 0.9",
+        parameters=(Parameter("scale", "1", 1.0, (0.05, 3.0), 0.6, 0.05),),
+        regimes=("touchdown",),
+        confused_with=("platform_tilt", "contact_damping"),
+        remedy="Tilt the platform until a switched-off vehicle slides: the tangent of that angle is the "
+        "friction. Put rubber on the feet or a mat on the platform.",
+        channels=("touchdown",),
+        requires=(),
+        apply=scaled("contact_friction"),
+    ),
+    Effect(
+        name="contact_stiffness",
+        description="Feet and surface give way more or less than modelled.",
+        formula="stiffness of the contact spring times scale, damping unchanged",
+        source="MuJoCo's contact model: r'' = -damping r' - stiffness r",
+        parameters=(Parameter("scale", "1", 1.0, (0.1, 4.0), 0.4, 0.1),),
+        regimes=("touchdown",),
+        confused_with=("contact_damping", "platform_height"),
+        remedy="Drop the switched-off vehicle from 5 cm and film the rebound; measure the contact with "
+        "restitution and contact time.",
+        channels=("touchdown",),
+        requires=(),
+        apply=lambda vehicle, values: _spring(vehicle, values.get("scale", 1.0), 1.0),
+    ),
+    Effect(
+        name="contact_damping",
+        description="Touches are more or less damped than modelled: with little damping the vehicle bounces.",
+        formula="damping of the contact spring times scale, stiffness unchanged",
+        source="MuJoCo's contact model: r'' = -damping r' - stiffness r",
+        parameters=(Parameter("scale", "1", 1.0, (0.1, 3.0), 0.4, 0.1),),
+        regimes=("touchdown",),
+        confused_with=("contact_stiffness", "friction"),
+        remedy="Drop the switched-off vehicle from 5 cm and film the rebound; put foam under the feet if it "
+        "bounces.",
+        channels=("touchdown",),
+        requires=(),
+        apply=lambda vehicle, values: _spring(vehicle, 1.0, values.get("scale", 1.0)),
+    ),
+)

@@ -1,0 +1,49 @@
+"""Dead times between a command and its effect, and between the vehicle and what the ground station sees."""
+
+from inclined_landing.models.effects.effect import Effect, Parameter, added
+
+EFFECTS = (
+    Effect(
+        name="thrust_delay",
+        description="The PWM command acts later than it was sent: radio, queues, the firmware's loop.",
+        formula="PWM(t - delay) in the equations of thrust and lag",
+        source="radio links of the Crazyflie: 2 to 20 ms; streams of the nanobench flights up to 35 ms apart",
+        parameters=(Parameter("delay", "s", 0.0, (0.0, 0.15), 0.02, 0.002),),
+        regimes=("climb",),
+        confused_with=("motor_lag", "spin_down", "mocap_delay"),
+        remedy="Send commands at 100 Hz or more with a fresh radio channel, lower the load of the link, or "
+        "predict the state by the delay before computing a command.",
+        channels=("translation",),
+        requires=(),
+        apply=added("effects_thrust_delay", "delay"),
+    ),
+    Effect(
+        name="attitude_delay",
+        description="The roll, pitch and yaw rate commands act later than they were sent.",
+        formula="roll, pitch and yaw rate command (t - delay) in the attitude loops",
+        source="radio links of the Crazyflie; about 60 ms in the utias_fmpc flights",
+        parameters=(Parameter("delay", "s", 0.0, (0.0, 0.2), 0.04, 0.003),),
+        regimes=("attitude_step", "lateral"),
+        confused_with=("second_order_attitude", "attitude_time_constant", "mocap_delay"),
+        remedy="Send commands at 100 Hz or more with a fresh radio channel, lower the load of the link, or "
+        "predict the state by the delay before computing a command.",
+        channels=("attitude", "yaw"),
+        requires=(),
+        apply=added("effects_attitude_delay", "delay"),
+    ),
+    Effect(
+        name="mocap_delay",
+        description="The measured position and attitude are older than their time stamp: processing and "
+        "network of the motion capture system. The flight itself is unchanged; what is measured, and what a "
+        "controller sees, is late.",
+        formula="measured(t) = state(t - delay)",
+        source="motion capture over a network: 4 to 20 ms",
+        parameters=(Parameter("delay", "s", 0.0, (0.0, 0.15), 0.02, 0.002),),
+        regimes=("attitude_step", "lateral", "climb"),
+        confused_with=("thrust_delay", "attitude_delay"),
+        remedy="Use the capture time stamps of the cameras instead of the time of arrival, or shift the log.",
+        channels=("translation", "attitude", "yaw"),
+        requires=(),
+        apply=added("effects_mocap_delay", "delay"),
+    ),
+)

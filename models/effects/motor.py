@@ -1,0 +1,47 @@
+"""Effects on how fast the thrust follows its command."""
+
+import dataclasses
+
+from inclined_landing.models.effects.effect import Effect, Parameter, added
+
+
+def _lag(vehicle, values):
+    scale = values.get("scale", 1.0)
+    return dataclasses.replace(
+        vehicle,
+        thrust_lag_rate=vehicle.thrust_lag_rate / scale,
+        thrust_state_gain=vehicle.thrust_state_gain / scale,
+    )
+
+
+EFFECTS = (
+    Effect(
+        name="motor_lag",
+        description="The motors reach their speed more slowly or faster than modelled; the steady thrust is "
+        "the same. Heavier propellers and tired brushes slow them down.",
+        formula="dOmega/dt = PWM - (lag_rate/scale) Omega,  F_t = (state_gain/scale) Omega + direct_gain PWM",
+        source="Kooi and Babuska 2021: first-order motor function, 65 ms",
+        parameters=(Parameter("scale", "1", 1.0, (0.2, 5.0), 1.5, 0.05),),
+        regimes=("climb",),
+        confused_with=("thrust_delay", "spin_down"),
+        remedy="Check propellers and motors for drag (hair in the shaft, a bent axle). Fly steps of thrust "
+        "to tell a lag from a pure delay.",
+        channels=("translation",),
+        requires=(),
+        apply=_lag,
+    ),
+    Effect(
+        name="spin_down",
+        description="The motors slow down more slowly than they speed up: nothing brakes them but the air.",
+        formula="dOmega/dt divided by (1 + excess) while it is negative",
+        source="brushed motors without active braking",
+        parameters=(Parameter("excess", "1", 0.0, (-0.6, 6.0), 1.0, 0.1),),
+        regimes=("climb",),
+        confused_with=("motor_lag", "thrust_delay", "thrust_bias"),
+        remedy="Nothing is broken. Brake earlier in descents; steps of thrust up and down tell it from an "
+        "equal lag.",
+        channels=("translation",),
+        requires=(),
+        apply=added("effects_spin_down", "excess"),
+    ),
+)

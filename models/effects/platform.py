@@ -1,0 +1,32 @@
+"""Effects of a platform that does not stand where the vehicle file puts it."""
+
+from inclined_landing.models.effects.effect import Effect, Parameter, added
+
+EFFECTS = (
+    Effect(
+        name="platform_height",
+        description="The platform's surface is higher or lower than measured.",
+        formula="surface height at x = 0: platform_surface_height + offset",
+        source="bookkeeping; a tape measure is good for about 5 mm",
+        parameters=(Parameter("offset", "m", 0.0, (-0.15, 0.15), 0.02, 0.001),),
+        regimes=("touchdown", "near_surface"),
+        confused_with=("platform_tilt", "contact_stiffness", "ground_effect"),
+        remedy="Put a motion capture marker on the platform, or the vehicle itself, and read its height.",
+        channels=("touchdown",),
+        requires=(),
+        apply=added("platform_surface_height", "offset"),
+    ),
+    Effect(
+        name="platform_tilt",
+        description="The platform is tilted by another angle than measured.",
+        formula="inclination: platform_inclination + offset",
+        source="bookkeeping; a protractor is good for about 1 deg",
+        parameters=(Parameter("offset", "rad", 0.0, (-0.2, 0.2), 0.05, 0.002),),
+        regimes=("touchdown", "near_surface"),
+        confused_with=("friction", "platform_height"),
+        remedy="Put a spirit level app or three markers on the platform and read the angle.",
+        channels=("touchdown",),
+        requires=(),
+        apply=added("platform_inclination", "offset"),
+    ),
+)
