@@ -32,6 +32,9 @@ def assemble(
     channels = {key: _cleaned(key, channel, notes) for key, channel in channels.items()}
     quaternion = all(key in channels for key in QUATERNION)
     _require(path, channels, quaternion)
+    for key in ("roll", "pitch", "yaw", "cmd_roll", "cmd_pitch"):
+        if key in channels:
+            _check_angle(path, key, channels[key])
 
     t = channels["x"].t
     keep = np.ones(len(t), bool)
@@ -114,6 +117,21 @@ def _require(path: str, channels: Mapping[str, Channel], quaternion: bool) -> No
         )
     if "cmd_thrust_pwm" not in channels:
         raise UserError(f"{path}: no thrust command column cmd_thrust_pwm; the model cannot be flown without")
+
+
+def _check_angle(path: str, key: str, channel: Channel) -> None:
+    """Before any conversion, which would wrap degrees into something that looks like radians."""
+    largest = np.abs(channel.value).max(initial=0.0)
+    if key == "yaw":
+        begin = np.abs(channel.value[:1]).max(initial=0.0)
+        degrees = begin > 2 * np.pi or np.abs(np.diff(channel.value)).max(initial=0.0) > 100.0
+    else:
+        degrees = largest > np.pi + 0.01
+    if degrees:
+        raise UserError(
+            f"{path}: column {channel.column} ({key}) reaches {largest:.3g} rad: these look like degrees; "
+            "state the unit in a row of units, a mapping or the option"
+        )
 
 
 def _cleaned(key: str, channel: Channel, notes: list[str]) -> Channel:

@@ -1,31 +1,98 @@
-"""Can this flight be believed? Findings in words, each with a decision."""
+"""Can these flights be believed? Findings in words, each with a decision."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
+import numpy as np
+
+from inclined_landing.eval.logs import motion, values
+from inclined_landing.eval.logs.findings import Finding, limit, refuse
 from inclined_landing.eval.logs.log import FlightLog
 from inclined_landing.models.errors import UserError
 
-
-@dataclasses.dataclass(frozen=True)
-class Finding:
-    """One sentence about one channel, and what follows: refuse, limit (used all the same), info."""
-
-    decision: str
-    channel: str
-    text: str
+_ORDER = {"refuse": 0, "limit": 1, "info": 2}
+SEVERAL_VEHICLES = 0.10  # difference of hover thrust between two groups of flights
+SPREAD = 0.06
 
 
 def check_log(log: FlightLog) -> tuple[Finding, ...]:
-    """Everything there is to say about one flight, the worst first."""
-    return ()
+    """Everything there is to say about one flight, the worst first.
+
+    Columns are checked each for itself; only a flight that is not refused for that is checked for
+    signs, axes, units and clocks, from how it moved.
+    """
+    findings = list(values.check(log))
+    if not any(finding.decision == "refuse" for finding in findings):
+        findings += motion.check(_repaired(log, findings))
+    return tuple(sorted(findings, key=lambda finding: _ORDER[finding.decision]))
 
 
 def enforce(log: FlightLog, where: str | None = None) -> FlightLog:
-    """The flight with its limits noted; raises UserError when it is refused."""
+    """The flight without what cannot be believed, its limits noted; raises UserError when refused."""
     findings = check_log(log)
     refused = [finding for finding in findings if finding.decision == "refuse"]
     if refused:
         raise UserError(f"{where or log.name}: {refused[0].text}")
-    return log.noted(*(finding.text for finding in findings if finding.decision == "limit"))
+    limits = [finding.text for finding in findings if finding.decision == "limit"]
+    return _repaired(log, findings).noted(*limits)
+
+
+def check_fleet(logs: Sequence[FlightLog]) -> tuple[Finding, ...]:
+    """Are these flights of one vehicle? Judged by the thrust command it hovers with.
+
+    Where every log has the battery voltage, by command times voltage, which a discharging battery
+    changes less.
+    """
+    hover, unit = _hover(logs)
+    known = [(level, log.name) for level, log in zip(hover, logs) if np.isfinite(level)]
+    if len(known) < 2:
+        return ()
+    known.sort()
+    level = np.array([value for value, _ in known])
+    steps = np.diff(level) / level[:-1]
+    cut = int(np.argmax(steps)) + 1
+    low, high = level[:cut], level[cut:]
+    within = max(np.ptp(low) / low[0], np.ptp(high) / high[0])
+    names = [", ".join(name for _, name in group) for group in (known[:cut], known[cut:])]
+    words = (
+        f"{names[0]} hover{'s' if len(low) == 1 else ''} at {np.mean(low):.0f} {unit}, "
+        f"{names[1]} at {np.mean(high):.0f} {unit}"
+    )
+    if steps[cut - 1] > SEVERAL_VEHICLES and steps[cut - 1] > 2 * within:
+        return (refuse("cmd_thrust_pwm", f"flights of different vehicles are mixed: {words}"),)
+    if level[-1] / level[0] - 1 > SPREAD:
+        spread = 100 * (level[-1] / level[0] - 1)
+        text = f"hover thrust differs by {spread:.0f} % between flights ({words}): one vehicle, one load?"
+        return (limit("cmd_thrust_pwm", text),)
+    return ()
+
+
+def _hover(logs: Sequence[FlightLog]) -> tuple[list[float], str]:
+    """Median command (or command times voltage) while the specific force is within 5 % of gravity."""
+    by_voltage = all(log.voltage is not None for log in logs)
+    result = []
+    for log in logs:
+        if by_voltage:
+            command = log.command.copy()
+            # Kept in the range of PWM, so that the motors-on test of `motion` stays meaningful.
+            command[:, 0] *= log.voltage / 4.0
+            log = dataclasses.replace(log, command=command)
+        parts = motion.motion(log)
+        pwm = np.concatenate([p.pwm for p in parts] or [[]])
+        force = np.concatenate([p.force for p in parts] or [[]])
+        # Standing on the ground with idling motors looks like hovering, at less thrust.
+        flown = pwm > 0.6 * np.median(pwm) if len(pwm) else np.zeros(0, bool)
+        level = flown & (np.abs(force / motion.GRAVITY - 1) < 0.05)
+        result.append(float(np.median(pwm[level])) if level.sum() > 25 else np.nan)
+    return result, "PWM at 4 V" if by_voltage else "PWM"
+
+
+def _repaired(log: FlightLog, findings: Sequence[Finding]) -> FlightLog:
+    """Without the rows and optional channels that findings say to leave out."""
+    for finding in findings:
+        if finding.without:
+            log = dataclasses.replace(log, **{finding.without: None})
+    rows = sorted({row for finding in findings for row in finding.rows})
+    return log.rows(np.delete(np.arange(len(log)), rows)) if rows else log

@@ -17,7 +17,7 @@ from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.errors import UserError
 
 _SOURCE_KEYS = {"column", "unit", "sign", "add", "late", "mean", "sum"}
-_FILE_KEYS = {"description", "detect", "inherit", "euler", "notes", "refuse", "columns", "offsets"}
+_FILE_KEYS = {"description", "detect", "inherit", "euler", "notes", "refuse", "columns"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,15 +33,6 @@ class Source:
 
 
 @dataclasses.dataclass(frozen=True)
-class Offsets:
-    """A table beside the logs with one row per log file: seconds by which some columns are late."""
-
-    table: str
-    column: str
-    applies_to: tuple[str, ...]
-
-
-@dataclasses.dataclass(frozen=True)
 class ColumnMap:
     """A mapping file, read."""
 
@@ -52,7 +43,6 @@ class ColumnMap:
     euler: str = "ZXY"
     notes: tuple[str, ...] = ()
     refuse: str | None = None
-    offsets: Offsets | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,13 +84,17 @@ def detect(names: Sequence[str], where: str) -> ColumnMap:
 
     Raises UserError, listing the columns, when none fits.
     """
-    fitting = [m for m in shipped().values() if m.detect and all(find(names, d, where) for d in m.detect)]
+    fitting = [m for m in shipped().values() if m.detect and all(_any(names, d) for d in m.detect)]
     if not fitting:
         raise UserError(
             f"{where}: its columns ({', '.join(names)}) are those of no known kind of log; "
             "expected t, x, y, z, roll, pitch, yaw, cmd_thrust_pwm, cmd_roll, cmd_pitch, or a mapping file"
         )
     return max(fitting, key=lambda m: len(m.detect))
+
+
+def _any(names: Sequence[str], pattern: str) -> bool:
+    return any(fnmatch.fnmatchcase(name, pattern) for name in names)
 
 
 def find(names: Sequence[str], pattern: str, where: str) -> str | None:
@@ -114,6 +108,13 @@ def find(names: Sequence[str], pattern: str, where: str) -> str | None:
     if len(found) > 1:
         raise UserError(f"{where}: {pattern} fits {', '.join(found)}; a mapping file must say which is meant")
     return found[0] if found else None
+
+
+def patterns(column_map: ColumnMap | None) -> list[str]:
+    """Every column name a mapping asks for; those of all shipped mappings for None."""
+    asked = shipped().values() if column_map is None else [column_map]
+    sources = [s for m in asked for entries in m.columns.values() for s in entries]
+    return [column for source in sources for column in source.columns]
 
 
 def apply(
@@ -130,11 +131,9 @@ def apply(
     names = list(record.columns)
     where = record.path
     notes = [*record.notes, *column_map.notes]
-    shift, note = _offset(column_map, where)
-    notes += note
     clock = None
     if not record.times:
-        clock = _channel("t", column_map, record, names, given, np.array(0.0), 0.0, notes)
+        clock = _channel("t", column_map, record, names, given, np.array(0.0), notes)
         if clock is None:
             wanted = ", ".join(s.columns[0] for s in column_map.columns.get("t", ()))
             raise UserError(f"{where}: no time column ({wanted or 't'})")
@@ -143,15 +142,14 @@ def apply(
     for canonical in column_map.columns:
         if canonical == "t":
             continue
-        late = shift if column_map.offsets and canonical in column_map.offsets.applies_to else 0.0
         time = None if clock is None else clock.value
-        channel = _channel(canonical, column_map, record, names, given, time, late, notes)
+        channel = _channel(canonical, column_map, record, names, given, time, notes)
         if channel is not None:
             channels[canonical] = channel
     return channels, notes
 
 
-def _channel(canonical, column_map, record, names, given, clock, late, notes) -> Channel | None:
+def _channel(canonical, column_map, record, names, given, clock, notes) -> Channel | None:
     for source in column_map.columns.get(canonical, ()):
         found = [find(names, column, record.path) for column in source.columns]
         if None in found:
@@ -166,10 +164,9 @@ def _channel(canonical, column_map, record, names, given, clock, late, notes) ->
         if np.isnan(value).all():
             continue  # a column of empty cells was not logged
         time = record.times[found[0]] if record.times else clock
-        late = late + source.late
-        if late:
-            notes.append(f"{canonical} dated {1e3 * late:.0f} ms earlier than in the file")
-        return Channel(time - late, source.sign * scale * value + source.add, "+".join(found))
+        if source.late:
+            notes.append(f"{canonical} is dated {1e3 * source.late:.0f} ms earlier than in the file")
+        return Channel(time - source.late, source.sign * scale * value + source.add, "+".join(found))
     return None
 
 
@@ -184,29 +181,6 @@ def _check_clock(where: str, clock: Channel) -> None:
             f"{where}: column {clock.column} goes back from {a:g} to {b:g} s "
             f"in row {back[0] + 2} of the data; are two flights in one file?"
         )
-
-
-def _offset(column_map: ColumnMap, where: str) -> tuple[float, list[str]]:
-    """Seconds by which this file's late columns are late, from the table beside it."""
-    offsets = column_map.offsets
-    if offsets is None:
-        return 0.0, []
-    path = Path(where)
-    table = path.parent / offsets.table
-    columns = ", ".join(offsets.applies_to)
-    if not table.is_file():
-        return 0.0, [
-            f"{offsets.table} is not beside the log: possible time offset of {columns} not corrected"
-        ]
-    for line in table.read_text("utf-8").splitlines()[1:]:
-        cells = line.split(",")
-        if cells[0] == path.name:
-            header = table.read_text("utf-8").splitlines()[0].split(",")
-            try:
-                return float(cells[header.index(offsets.column)]), []
-            except (ValueError, IndexError) as error:
-                raise UserError(f"{table}: no number in column {offsets.column} for {path.name}") from error
-    return 0.0, [f"{offsets.table} does not list this log: possible time offset of {columns} not corrected"]
 
 
 def _parse(name: str, where: str, text: str) -> ColumnMap:
@@ -229,11 +203,6 @@ def _parse(name: str, where: str, text: str) -> ColumnMap:
         raise UserError(f"{where}: euler = {euler!r}; expected ZXY or ZYX")
     if not columns and "refuse" not in data:
         raise UserError(f"{where}: no [columns]")
-    offsets = data.get("offsets")
-    if offsets is not None:
-        if set(offsets) != {"table", "column", "applies_to"}:
-            raise UserError(f"{where}: [offsets] needs table, column and applies_to")
-        offsets = Offsets(offsets["table"], offsets["column"], tuple(offsets["applies_to"]))
     return ColumnMap(
         name=name,
         description=data.get("description", ""),
@@ -242,7 +211,6 @@ def _parse(name: str, where: str, text: str) -> ColumnMap:
         euler=euler,
         notes=tuple(data.get("notes", ())),
         refuse=data.get("refuse"),
-        offsets=offsets,
     )
 
 

@@ -9,11 +9,12 @@ import numpy as np
 import pandas
 
 from inclined_landing.eval import runs
-from inclined_landing.eval.logs import assemble, csv_file
+from inclined_landing.eval.logs import assemble, bag, checks, csv_file, sd_card
 from inclined_landing.eval.logs import mapping as mappings
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
 from inclined_landing.eval.logs.mapping import ColumnMap
 from inclined_landing.eval.logs.record import Record
+from inclined_landing.eval.logs.units import COLUMNS, factor
 from inclined_landing.models.errors import UserError
 
 
@@ -39,8 +40,6 @@ def read_log(
     log = _read(paths, mapping, dict(units or {}), name or _stem(paths[0]))
     if not check:
         return log
-    from inclined_landing.eval.logs import checks
-
     return checks.enforce(log, where="+".join(map(str, paths)))
 
 
@@ -82,12 +81,17 @@ def _read(paths: list[Path], chosen: str | Path | None, units: dict[str, str], n
 def _record(path: Path, column_map: ColumnMap | None) -> Record:
     if not path.exists():
         raise UserError(f"no flight log {path}")
+    try:
+        if path.is_dir() or path.suffix in bag.SUFFIXES:
+            return bag.read(path, mappings.patterns(column_map))
+        if sd_card.is_sd_card_log(path):
+            return sd_card.read(path)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from error
     return csv_file.read(path)
 
 
 def _check_units(units: Mapping[str, str], where: str) -> None:
-    from inclined_landing.eval.logs.units import COLUMNS, factor
-
     for column, unit in units.items():
         if column not in COLUMNS:
             raise UserError(f"unit given for {column}, which is not one of {', '.join(COLUMNS)}")

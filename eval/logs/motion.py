@@ -1,0 +1,289 @@
+"""Checks of columns against each other: signs, axes, units and clocks, told from how the vehicle moved.
+
+A tilt in the horizontal plane is a complex number, x + iy. Its thrust points along pitch - i roll (the
+vehicle's heading being the real axis), its acceleration says where the thrust pointed in fact. Between
+the two, a factor r e^(i delta) is a wrong unit (r) or a turned frame (delta: 180 degrees are two wrong
+signs); agreement with the *conjugate* is a mirrored frame: one wrong sign, or two swapped columns.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from inclined_landing.eval.logs.findings import Finding, info, limit, refuse
+from inclined_landing.eval.logs.log import FlightLog
+from inclined_landing.eval.logs.values import MOTORS_OFF, SHORTEST
+
+GRAVITY = 9.81
+RATE = 100.0  # Hz, of the grid compared on
+WINDOW = 0.25  # s, of the smoothing that differentiates
+EXCITED = 0.015  # rad rms of tilt, or twice what 1 mm of noise looks like through WINDOW
+AGREE = 0.6  # correlation from which two columns are said to show the same motion
+TURNED = np.radians(10.0)
+TURNED_TOO_FAR = np.radians(60.0)
+LONGEST_LAG = 0.4  # s
+LEAD = 0.015  # s by which a response may seem to lead its cause before the clocks are doubted
+
+
+@dataclasses.dataclass(frozen=True)
+class Motion:
+    """Smoothed motion of one flight in the air, on a grid of RATE; complex: x + iy.
+
+    tilt: pitch - i roll, NaN where one is not logged. pointed: where the thrust pointed, in the frame
+    of the heading. asked: commanded tilt. force: specific force (m/s2). speed, drift, climb: the logged
+    velocity (complex, then vertical) and the derivatives of position.
+    """
+
+    t: np.ndarray
+    tilt: np.ndarray
+    pointed: np.ndarray
+    asked: np.ndarray
+    pwm: np.ndarray
+    force: np.ndarray
+    moved: np.ndarray
+    climbed: np.ndarray
+    drift: np.ndarray | None
+    climb: np.ndarray | None
+
+
+def motion(log: FlightLog) -> list[Motion]:
+    """The stretches in the air, without holes, that last at least SHORTEST."""
+    result = []
+    for piece in log.pieces(SHORTEST):
+        flown = np.flatnonzero(piece.command[:, 0] > MOTORS_OFF)
+        if not len(flown):
+            continue
+        piece = piece.rows(slice(flown[0], flown[-1] + 1))
+        if len(piece) < 2 or piece.duration < SHORTEST:
+            continue
+        result.append(_motion(piece.resampled(RATE)))
+    return result
+
+
+def _motion(log: FlightLog) -> Motion:
+    def smooth(value: np.ndarray, order: int = 0) -> np.ndarray:
+        rows = int(WINDOW * RATE) | 1
+        if not np.isfinite(value).all():
+            return np.full(value.shape, np.nan)
+        return savgol_filter(value, rows, 2, deriv=order, delta=1 / RATE, axis=0)
+
+    acceleration, speed = smooth(log.position, 2), smooth(log.position, 1)
+    roll, pitch, yaw = (smooth(column) for column in log.attitude.T)
+    upward = np.maximum(acceleration[:, 2] + GRAVITY, 2.0)
+    pointed = (acceleration[:, 0] + 1j * acceleration[:, 1]) / upward
+    velocity = None if log.velocity is None else smooth(log.velocity)
+    return Motion(
+        t=log.t,
+        tilt=pitch - 1j * roll,
+        pointed=pointed * np.exp(-1j * np.where(np.isnan(yaw), 0.0, yaw)),
+        asked=smooth(log.command[:, 2]) - 1j * smooth(log.command[:, 1]),
+        pwm=smooth(log.command[:, 0]),
+        force=np.linalg.norm(acceleration + [0.0, 0.0, GRAVITY], axis=1),
+        moved=speed[:, 0] + 1j * speed[:, 1],
+        climbed=speed[:, 2],
+        drift=None if velocity is None else velocity[:, 0] + 1j * velocity[:, 1],
+        climb=None if velocity is None else velocity[:, 2],
+    )
+
+
+def check(log: FlightLog) -> Iterator[Finding]:
+    """Findings about the columns of one flight against each other."""
+    parts = motion(log)
+    if not parts:
+        yield limit(
+            "cmd_thrust_pwm", "no second with the motors on: signs, units and clocks were not checked"
+        )
+        return
+    yield from _force(parts)
+    yield from _tilt_against_acceleration(parts)
+    yield from _tilt_against_command(parts)
+    yield from _velocity(parts)
+
+
+def _force(parts: list[Motion]) -> Iterator[Finding]:
+    lag, correlation = _lag([p.pwm for p in parts], [p.force for p in parts])
+    spread = np.concatenate([p.force for p in parts]).std()
+    if spread < 0.3:
+        return
+    inverse, against = _lag([-p.pwm for p in parts], [p.force for p in parts])
+    if against > 0.7 and correlation < 0.3 and inverse >= 0:
+        yield refuse(
+            "z", "height falls when thrust is commanded: z must point up (and cmd_thrust_pwm mean thrust)"
+        )
+    elif correlation < 0.3:
+        yield limit(
+            "cmd_thrust_pwm",
+            f"vertical motion hardly follows the thrust command (correlation {correlation:.2f})",
+        )
+    else:
+        yield from _clock("thrust", "cmd_thrust_pwm", lag, correlation)
+
+
+def _tilt_against_acceleration(parts: list[Motion]) -> Iterator[Finding]:
+    pair = _compare([p.tilt for p in parts], [p.pointed for p in parts])
+    if pair is None:
+        yield limit(
+            "roll, pitch", "too little tilt to tell whether roll and pitch have the right signs and unit"
+        )
+        return
+    what = "the horizontal acceleration"
+    yield from _convention(pair, "roll and pitch", what)
+
+
+def _tilt_against_command(parts: list[Motion]) -> Iterator[Finding]:
+    asked, tilt = [p.asked for p in parts], [p.tilt for p in parts]
+    if all(np.isnan(p.asked.real).all() and np.isnan(p.asked.imag).all() for p in parts):
+        return
+    lag = _lag(asked, tilt)[0]
+    shift = round(abs(lag) * RATE)
+    if shift:
+        asked = [a[:-shift] if lag > 0 else a[shift:] for a in asked]
+        tilt = [a[shift:] if lag > 0 else a[:-shift] for a in tilt]
+    pair = _compare(asked, tilt)
+    if pair is None:
+        return
+    wrong = list(_convention(pair, "cmd_roll and cmd_pitch", "the attitude"))
+    yield from wrong
+    if not wrong and pair.agreement > AGREE:
+        yield from _clock("attitude", "cmd_roll, cmd_pitch", lag, pair.agreement)
+
+
+def _velocity(parts: list[Motion]) -> Iterator[Finding]:
+    if parts[0].drift is None:
+        return
+    pair = _compare([p.drift for p in parts], [p.moved for p in parts], excited=0.05)
+    climb = np.concatenate([p.climb for p in parts])
+    climbed = np.concatenate([p.climbed for p in parts])
+    wrong = []
+    if pair is not None:
+        wrong = list(_convention(pair, "vx and vy", "the derivative of x and y"))
+    if climbed.std() > 0.05:
+        vertical = _correlation(climb, climbed)
+        scale = (climb @ climbed) / max(climb @ climb, 1e-12)
+        if vertical < 0.5 or not 0.5 < scale < 2:
+            wrong.append(
+                limit("vz", f"vz is not the derivative of z (correlation {vertical:.2f}, ratio {scale:.3g})")
+            )
+    if wrong:
+        text = "; ".join(finding.text for finding in wrong)
+        yield limit("vx, vy, vz", f"{text}: velocity is left out", without="velocity")
+        return
+    off = np.concatenate([np.abs(p.drift - p.moved) for p in parts])
+    total = np.sqrt(np.mean(off**2 + (climb - climbed) ** 2))
+    yield info("vx, vy, vz", f"velocity differs from the derivative of position by {total:.2g} m/s rms")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Pair:
+    """How a complex signal follows another: correlation with it and with its mirror image, and ratio."""
+
+    straight: complex
+    mirrored: complex
+    ratio: float  # of the second to the first
+    axis: str | None  # "x" or "y" when only that one moves, so that mirror and turn cannot be told apart
+
+    @property
+    def agreement(self) -> float:
+        return max(abs(self.straight), abs(self.mirrored))
+
+
+def _compare(first: list[np.ndarray], second: list[np.ndarray], excited: float = EXCITED) -> _Pair | None:
+    """None where the second moves too little. Axes that the first lacks (NaN) are left out."""
+    a = np.concatenate([x - x.mean() for x in first])
+    b = np.concatenate([x - x.mean() for x in second])
+    for axis, lacking in (("y", np.isnan(a.real).any()), ("x", np.isnan(a.imag).any())):
+        if lacking:
+            a, b = (
+                (1j * np.nan_to_num(a.imag), 1j * b.imag) if axis == "y" else (np.nan_to_num(a.real), b.real)
+            )
+    if b.size == 0 or np.sqrt(np.mean(np.abs(b) ** 2)) < excited:
+        return None
+    size = np.sqrt(np.sum(np.abs(a) ** 2) * np.sum(np.abs(b) ** 2))
+    if size == 0:
+        return None
+    axis = None
+    for name, part, other in (("x", b.real, b.imag), ("y", b.imag, b.real)):
+        if np.mean(other**2) < 0.02 * np.mean(part**2):
+            axis = name
+    ratio = np.sqrt(np.sum(np.abs(b) ** 2) / np.sum(np.abs(a) ** 2))
+    return _Pair(complex(np.vdot(a, b) / size), complex(np.dot(a, b) / size), float(ratio), axis)
+
+
+def _convention(pair: _Pair, what: str, against: str) -> Iterator[Finding]:
+    """What signs, axes and unit of `what` look like against `against`."""
+    if pair.agreement < AGREE:
+        yield limit(what, f"{what} agree poorly with {against} (correlation {pair.agreement:.2f})")
+        return
+    mirrored = abs(pair.mirrored) > abs(pair.straight) + 0.2
+    turn = float(np.angle(pair.mirrored if mirrored else pair.straight))
+    ratio = f"{against} is {pair.ratio:.2g} times what {what} say"
+    if mirrored:
+        yield refuse(what, f"{what} mirror {against}: {_mirror_words(what, turn)}")
+    elif abs(turn) > TURNED_TOO_FAR:
+        yield refuse(
+            what,
+            f"{what} are turned by {np.degrees(turn):.0f} deg against {against}: {_turn_words(what, turn)}",
+        )
+    elif not 1 / 20 < pair.ratio < 20:
+        unit = "degrees" if pair.ratio < 1 else f"{against} in degrees"
+        yield refuse(
+            what, f"{ratio}: {unit} taken for radians?" if "roll" in what else f"{ratio}: wrong unit?"
+        )
+    elif abs(turn) > TURNED and pair.axis is None:
+        yield limit(what, f"{what} are turned by {np.degrees(turn):.0f} deg about z against {against}")
+    elif not 0.5 < pair.ratio < 2:
+        yield limit(what, ratio)
+
+
+def _mirror_words(what: str, turn: float) -> str:
+    x, y = ("vx", "vy") if what.startswith("v") else ("pitch", "roll")
+    prefix = "cmd_" if what.startswith("cmd") else ""
+    if abs(turn) < np.pi / 4:
+        return f"{prefix}{y} has the wrong sign"
+    if abs(turn) > 3 * np.pi / 4:
+        return f"{prefix}{x} has the wrong sign"
+    return f"{prefix}{x} and {prefix}{y} are swapped"
+
+
+def _turn_words(what: str, turn: float) -> str:
+    if abs(turn) > 3 * np.pi / 4:
+        return "both signs are wrong, or the frames are turned about z"
+    return "the columns are swapped and one sign is wrong, or the frames are turned about z"
+
+
+def _clock(response: str, channel: str, lag: float, correlation: float) -> Iterator[Finding]:
+    text = f"{response} follows its command after {1e3 * lag:.0f} ms (correlation {correlation:.2f})"
+    if lag < -LEAD and correlation > AGREE:
+        yield limit(
+            channel, f"{response} leads its command by {-1e3 * lag:.0f} ms: the commands are dated too late"
+        )
+    elif lag > LONGEST_LAG - 0.02 and correlation > AGREE:
+        yield limit(channel, f"{text}: the commands are dated too early, or others than those flown")
+    else:
+        yield info(channel, text)
+
+
+def _lag(cause: list[np.ndarray], effect: list[np.ndarray]) -> tuple[float, float]:
+    """Seconds by which `effect` follows `cause`, and how well: over real, or complex up to a turn."""
+    best = (0.0, -1.0)
+    for rows in range(-round(0.15 * RATE), round(LONGEST_LAG * RATE) + 1):
+        first = [c[: len(c) - rows] if rows >= 0 else c[-rows:] for c in cause]
+        second = [e[rows:] if rows >= 0 else e[:rows] for e in effect]
+        if np.iscomplexobj(first[0]):
+            pair = _compare(first, second, excited=0.0)
+            value = -1.0 if pair is None else pair.agreement
+        else:
+            value = _correlation(np.concatenate(first), np.concatenate(second))
+        if value > best[1]:
+            best = (rows / RATE, value)
+    return best
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    if a.std() == 0 or b.std() == 0 or not np.isfinite(a).all():
+        return 0.0
+    return float(np.corrcoef(a, b)[0, 1])

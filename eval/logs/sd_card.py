@@ -1,0 +1,113 @@
+"""Binary logs of the Crazyflie's micro-SD card deck.
+
+Little-endian. Header: byte 0xBC, uint16 version (1 or 2), uint16 number of event types; per event type
+uint16 id, name, uint16 number of variables, and each variable's name with its type in parentheses, as
+`stateEstimate.x(f)`. Names end with a zero byte; types are those of Python's struct: b B h H i I f e.
+Then events, in order of time: uint16 id, the time (version 1: uint32 in ms, version 2: uint64 in µs) and
+the values. The last four bytes are the CRC-32 of everything before.
+Source: Bitcraze, crazyflie-firmware, src/deck/drivers/src/usddeck.c and tools/usdlog/cfusdlog.py.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from inclined_landing.eval.logs.record import Record
+from inclined_landing.models.errors import UserError
+
+MAGIC = 0xBC
+_TIME = {1: ("<u4", 1e-3), 2: ("<u8", 1e-6)}  # version -> type, seconds
+_TYPES = {"b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4", "e": "<f2"}
+_FIXED_FREQUENCY = "fixedFrequency"
+
+
+def is_sd_card_log(path: Path) -> bool:
+    """Whether the file begins like one."""
+    with path.open("rb") as file:
+        return file.read(1) == bytes([MAGIC])
+
+
+def read(path: Path) -> Record:
+    """Read a log: columns by variable name, each dated by its event.
+
+    A variable that several events carry is `event:name` for all but the one logged at fixed frequency.
+    A wrong checksum or a cut end (battery empty, card pulled out) costs the rest, and is noted.
+
+    Raises UserError for what is not such a log.
+    """
+    data = path.read_bytes()
+    notes = []
+    version, events, start = _header(path, data)
+    end = len(data) - 4
+    if zlib.crc32(data[:-4]) != struct.unpack("<I", data[-4:])[0]:
+        notes.append("the checksum is wrong: the recording was cut short or the file is damaged")
+        end = len(data)
+    rows, rest = _offsets(data, start, end, {key: dtype.itemsize for key, (_, dtype) in events.items()})
+    if rest:
+        notes.append(f"the last {rest} bytes are not a whole event and were left out")
+    columns, times = {}, {}
+    # Fixed frequency first: its variables keep their plain names.
+    for key, (event, dtype) in sorted(events.items(), key=lambda item: item[1][0] != _FIXED_FREQUENCY):
+        if key not in rows:
+            continue
+        offsets = np.asarray(rows[key])
+        packed = np.frombuffer(data, np.uint8)[offsets[:, None] + np.arange(dtype.itemsize)]
+        table = np.ascontiguousarray(packed).view(dtype)[:, 0]
+        for name in dtype.names[2:]:
+            column = name if name not in columns else f"{event}:{name}"
+            columns[column] = table[name].astype(float)
+            times[column] = table["time"] * _TIME[version][1]
+    if not columns:
+        raise UserError(f"{path}: a micro-SD log without a single event")
+    return Record(str(path), columns, times=times, notes=tuple(notes))
+
+
+def _header(path: Path, data: bytes) -> tuple[int, dict[int, tuple[str, np.dtype]], int]:
+    """Version, (name, row type) of every event by its id, and where the events begin."""
+    try:
+        magic, version, number = struct.unpack_from("<BHH", data)
+        if magic != MAGIC or version not in _TIME:
+            raise UserError(
+                f"{path}: not a micro-SD log of version 1 or 2 (byte {magic:#x}, version {version})"
+            )
+        position, events = 5, {}
+        for _ in range(number):
+            (key,) = struct.unpack_from("<H", data, position)
+            event, position = _name(data, position + 2)
+            (variables,) = struct.unpack_from("<H", data, position)
+            position += 2
+            fields = [("id", "<u2"), ("time", _TIME[version][0])]
+            for _ in range(variables):
+                name, position = _name(data, position)
+                name, kind = name[:-3], name[-3:]
+                if kind[:1] + kind[2:] != "()" or kind[1] not in _TYPES:
+                    raise UserError(f"{path}: variable {name + kind} has no type that is known")
+                fields.append((name, _TYPES[kind[1]]))
+            events[key] = (event, np.dtype(fields))
+    except (struct.error, ValueError) as error:
+        if isinstance(error, UserError):
+            raise
+        raise UserError(f"{path}: the header of the micro-SD log is damaged ({error})") from error
+    return version, events, position
+
+
+def _name(data: bytes, position: int) -> tuple[str, int]:
+    end = data.index(b"\0", position)
+    return data[position:end].decode("ascii"), end + 1
+
+
+def _offsets(data: bytes, position: int, end: int, sizes: dict[int, int]) -> tuple[dict[int, list[int]], int]:
+    """Where each event's rows begin, and how many bytes at the end are none."""
+    rows: dict[int, list[int]] = {}
+    while position + 2 <= end:
+        key = data[position] | data[position + 1] << 8
+        size = sizes.get(key)
+        if size is None or position + size > end:
+            break
+        rows.setdefault(key, []).append(position)
+        position += size
+    return rows, end - position

@@ -1,0 +1,172 @@
+"""Checks of one column at a time: time, gaps, constants, impossible values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from inclined_landing.eval.logs.findings import Finding, limit, refuse
+from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
+
+SHORTEST = 1.0  # s: below, not even one prediction window with room for delays
+SHORT = 5.0  # s
+SLOWEST = 20.0  # Hz: below, a window of 0.6 s holds too few rows to tell lag from delay
+OUTLIER = 0.2  # m from the median of five rows: no vehicle leaves and returns that fast
+FASTEST = 15.0  # m/s
+MOTORS_OFF = 10_000.0  # PWM
+
+
+def check(log: FlightLog) -> Iterator[Finding]:
+    """Findings about the columns of one flight, each for itself."""
+    yield from _time(log)
+    yield from _not_numbers(log)
+    yield from _position(log)
+    yield from _attitude(log)
+    yield from _thrust(log)
+    yield from _angle_commands(log)
+    yield from _yaw_rate(log)
+    yield from _voltage(log)
+
+
+def _time(log: FlightLog) -> Iterator[Finding]:
+    if log.duration < SHORTEST:
+        yield refuse("t", f"lasts only {log.duration:.2g} s; at least {SHORTEST:g} s of flight are needed")
+        return
+    if log.duration < SHORT:
+        yield limit("t", f"lasts only {log.duration:.2g} s: little can be told from it")
+    if log.rate < SLOWEST:
+        yield limit("t", f"has only {log.rate:.3g} rows per second: lags and delays cannot be told apart")
+    gaps = log.gap_starts
+    if len(gaps):
+        steps = np.diff(log.t)[gaps]
+        worst = gaps[np.argmax(steps)]
+        text = f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} in time, the longest of {steps.max():.2g} s"
+        text += f" at t = {log.t[worst]:.2f} s"
+        if not log.pieces(SHORTEST):
+            yield refuse("t", f"{text}; no stretch of {SHORTEST:g} s without one is left")
+        else:
+            yield limit("t", f"{text}: nothing is predicted across them")
+
+
+def _not_numbers(log: FlightLog) -> Iterator[Finding]:
+    table = np.hstack([log.position, log.attitude, log.command])
+    for name, column in zip(MEASURED + COMMANDS, table.T):
+        bad = np.flatnonzero(~np.isfinite(column))
+        if 0 < len(bad) < len(log) or np.isinf(column).any():
+            yield refuse(
+                name, f"column {name} has no number in {len(bad)} rows, first at t = {log.t[bad[0]]:g} s"
+            )
+    if log.missing:
+        yield limit(", ".join(log.missing), f"not logged: {', '.join(log.missing)}")
+
+
+def _position(log: FlightLog) -> Iterator[Finding]:
+    if np.ptp(log.position, axis=0).max() < 1e-6:
+        yield refuse("x, y, z", "columns x, y, z never change: not a flight, or not a measurement")
+        return
+    away = np.abs(log.position - median_filter(log.position, size=(5, 1), mode="nearest")).max(axis=1)
+    rows = np.flatnonzero(away > OUTLIER)
+    speed = np.linalg.norm(np.diff(np.delete(log.position, rows, axis=0), axis=0), axis=1)
+    speed = speed / np.diff(np.delete(log.t, rows))
+    if len(rows) > 0.02 * len(log) or (speed > FASTEST).any():
+        fastest = speed.max(initial=0.0)
+        yield refuse(
+            "x, y, z",
+            f"columns x, y, z move at up to {fastest:.3g} m/s and jump in {len(rows)} rows: wrong unit "
+            "(millimetres?), or lost tracking",
+        )
+    elif len(rows):
+        yield limit(
+            "x, y, z",
+            f"position jumps away and back in {len(rows)} rows, first at t = {log.t[rows[0]]:.2f} s: left out",
+            rows=tuple(map(int, rows)),
+        )
+    moving = np.abs(log.position[10:] - log.position[:-10]).max(axis=1) > 0.02 if len(log) > 20 else []
+    repeated = (np.diff(log.position, axis=0) == 0).all(axis=1)[: len(moving)]
+    share = float((repeated & moving).sum() / max(np.sum(moving), 1))
+    if share > 0.2:
+        yield limit(
+            "x, y, z",
+            f"position repeats its last value in {100 * share:.0f} % of the rows in motion: "
+            "it was measured less often than the log was written",
+        )
+
+
+def _attitude(log: FlightLog) -> Iterator[Finding]:
+    for name, column in zip(("roll", "pitch"), log.attitude.T):
+        if np.isnan(column).all():
+            continue
+        if np.ptp(column) < 1e-9:
+            yield limit(name, f"column {name} never changes: nothing can be told about this axis")
+        elif np.abs(column).max() > 1.2:
+            steepest = np.degrees(np.abs(column).max())
+            yield limit(
+                name, f"{name} reaches {steepest:.0f} deg: a flip or a crash, which no model here covers"
+            )
+    if np.ptp(np.nan_to_num(log.attitude[:, :2]), axis=0).max() < 1e-9:
+        yield refuse("roll, pitch", "neither roll nor pitch ever changes: not a measurement")
+
+
+def _thrust(log: FlightLog) -> Iterator[Finding]:
+    pwm = log.command[:, 0]
+    if np.isnan(pwm).all():
+        return
+    top, bottom = pwm.max(), pwm.min()
+    if top > 65535.5 or bottom < 0:
+        value = top if top > 65535.5 else bottom
+        yield refuse("cmd_thrust_pwm", f"column cmd_thrust_pwm holds {value:.6g}, but PWM is 0 to 65535")
+    elif top <= 100.0:
+        unit = "fraction" if top <= 1.5 else "%"
+        yield refuse(
+            "cmd_thrust_pwm",
+            f"column cmd_thrust_pwm never exceeds {top:.3g}, but PWM is 0 to 65535: state its unit ({unit}?)",
+        )
+    elif np.ptp(pwm) < 1.0:
+        yield refuse("cmd_thrust_pwm", f"column cmd_thrust_pwm is always {top:.6g}: not what was flown with")
+    elif top < MOTORS_OFF:
+        yield refuse(
+            "cmd_thrust_pwm", f"column cmd_thrust_pwm never exceeds {top:.0f} PWM: this is no flight"
+        )
+    else:
+        share = (pwm >= 65534.0).mean()
+        if share > 0.01:
+            yield limit(
+                "cmd_thrust_pwm",
+                f"thrust command is saturated (65535 PWM) in {100 * share:.0f} % of the rows",
+            )
+
+
+def _angle_commands(log: FlightLog) -> Iterator[Finding]:
+    for name, column in zip(("cmd_roll", "cmd_pitch"), log.command[:, 1:3].T):
+        if np.isnan(column).all():
+            continue
+        if np.ptp(column) < 1e-6:
+            yield limit(name, f"column {name} is always {column[0]:.3g}: its loop cannot be judged")
+        elif np.abs(column).max() > np.pi / 2:
+            yield refuse(
+                name, f"column {name} reaches {np.abs(column).max():.3g} rad: degrees? State its unit"
+            )
+
+
+def _yaw_rate(log: FlightLog) -> Iterator[Finding]:
+    rate = log.command[:, 3]
+    if not np.isnan(rate).all() and np.abs(rate).max() > 15.0:
+        yield refuse(
+            "cmd_yaw_rate",
+            f"column cmd_yaw_rate reaches {np.abs(rate).max():.3g} rad/s: degrees per second? State its unit",
+        )
+
+
+def _voltage(log: FlightLog) -> Iterator[Finding]:
+    if log.voltage is None:
+        return
+    low, high = log.voltage.min(), log.voltage.max()
+    if high > 100.0:
+        yield refuse("vbat", f"column vbat reaches {high:.4g} V: millivolt? State its unit")
+    elif high - low < 1e-3:
+        text = f"column vbat is always {high:.4g} V: no measurement of a battery in use, left out"
+        yield limit("vbat", text, without="voltage")
+    elif low < 2.5 or high > 4.5:
+        yield limit("vbat", f"battery voltage runs from {low:.3g} to {high:.3g} V: not a single-cell battery")
