@@ -7,6 +7,7 @@ import importlib.metadata
 import json
 import os
 import platform
+import shutil
 import subprocess
 import time
 from collections.abc import Iterator
@@ -48,6 +49,27 @@ def check_new_run(path: str | Path) -> None:
         raise UserError(f"the run folder {path} exists and is not a folder; choose another name")
     if path.is_dir() and any(path.iterdir()):
         raise UserError(f"the run folder {path} exists and is not empty; choose another name")
+
+
+@contextlib.contextmanager
+def staged_run(path: str | Path) -> Iterator[Path]:
+    """A folder beside `path` to write a run into; it becomes `path` when everything is written.
+
+    On any error, an interruption included, nothing of it stays. Raises UserError where `new_run` does and
+    when the disk is full.
+    """
+    check_new_run(path)
+    path = Path(path)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.mkdir()
+        yield part
+        os.replace(part, path)
+    except OSError as error:
+        raise UserError(f"cannot write the run folder {path}: {_reason(error)}") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
 
 
 @contextlib.contextmanager

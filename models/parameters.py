@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 import math
+import os
 import tomllib
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 
@@ -192,6 +195,55 @@ def load_vehicle(path: str | Path | None = None) -> Vehicle:
         if getattr(vehicle, field) <= 0:
             raise UserError(f"vehicle file {name}: {field} must be positive")
     return vehicle
+
+
+def write_vehicle(
+    path: str | Path,
+    vehicle: Vehicle,
+    sources: Mapping[str, str] | None = None,
+    uncertainties: Mapping[str, float | tuple[float, ...]] | None = None,
+    *,
+    base: str | Path | None = None,
+    heading: str = "",
+) -> None:
+    """Write `vehicle` as a file that `load_vehicle` reads back exactly, whole or not at all.
+
+    sources, uncertainties: of the fields (`body_mass`) that differ from the vehicle file `base`
+    (default: the shipped one); entries that do not differ keep theirs. heading: a comment on top.
+    Raises UserError when the file cannot be written.
+    """
+    sources, uncertainties = sources or {}, uncertainties or {}
+    lines = [f"# {line}".rstrip() for line in heading.splitlines()]
+    section = None
+    for c in constants(base):
+        if c.section != section:
+            section = c.section
+            lines += ["", f"[{section}]"]
+        field = f"{c.section}_{c.name}"
+        value, source, uncertainty = getattr(vehicle, field), c.source, c.uncertainty
+        if value != c.value:
+            source = sources.get(field, f"changed from {_toml(c.value)}")
+            uncertainty = uncertainties.get(field, "not known")
+        lines.append(
+            f"{c.name} = {{ value = {_toml(value)}, unit = {_toml(c.unit)}, source = {_toml(source)}, "
+            f"uncertainty = {_toml(uncertainty)} }}"
+        )
+    path = Path(path)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        part.write_text("\n".join(lines).lstrip("\n") + "\n", "utf-8")
+        os.replace(part, path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise UserError(f"cannot write {path}: {(error.strerror or str(error)).lower()}") from error
+
+
+def _toml(value) -> str:
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, (tuple, list)):
+        return "[" + ", ".join(repr(float(x)) for x in value) + "]"
+    return repr(float(value))
 
 
 def _shape(value) -> str:

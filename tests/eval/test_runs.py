@@ -67,6 +67,19 @@ def test_new_run_refuses_what_is_there(tmp_path):
         runs.new_run(tmp_path / "a" / "file" / "c")
 
 
+def test_a_staged_run_appears_whole_or_not_at_all(tmp_path):
+    with runs.staged_run(tmp_path / "deep" / "run") as folder:
+        (folder / "x").write_text("1")
+        assert not (tmp_path / "deep" / "run").exists()
+    assert [p.name for p in (tmp_path / "deep").iterdir()] == ["run"]
+    with pytest.raises(UserError, match="not empty"), runs.staged_run(tmp_path / "deep" / "run"):
+        pass
+    with pytest.raises(UserError, match="no space left"), runs.staged_run(tmp_path / "other") as folder:
+        (folder / "x").write_text("half")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert [p.name for p in tmp_path.iterdir()] == ["deep"]
+
+
 def test_a_run_without_a_name_gets_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = runs.new_run(None, "success")

@@ -1,6 +1,7 @@
 """`crazyflie.toml` is complete, is refused when it is wrong, and is the only place of its numbers."""
 
 import ast
+import dataclasses
 import math
 import re
 from importlib import resources
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import constants, load_vehicle
+from inclined_landing.models.parameters import constants, load_vehicle, write_vehicle
 from inclined_landing.models.scene import build_spec
 
 ROOT = Path(__file__).parents[2]
@@ -208,3 +209,21 @@ def test_the_rotors_of_the_equations_are_those_of_the_scene():
         assert np.abs(disc.pos) == pytest.approx([v.rotor_arm, v.rotor_arm, v.rotor_height])
         assert disc.size[0] == v.rotor_radius
         assert model.site(f"rotor_{side}").pos == pytest.approx(disc.pos)
+
+
+def test_a_written_vehicle_reads_back_with_its_sources(tmp_path):
+    vehicle = dataclasses.replace(load_vehicle(), body_mass=0.1 + 0.2, effects_wind=(0.5, -1 / 3))
+    path = tmp_path / "v.toml"
+    write_vehicle(
+        path, vehicle, {"body_mass": 'a "scale"'}, {"body_mass": 0.01}, heading="two lines\nof comment"
+    )
+    assert load_vehicle(path) == vehicle
+    entries = {(c.section, c.name): c for c in constants(path)}
+    assert (entries["body", "mass"].source, entries["body", "mass"].uncertainty) == ('a "scale"', 0.01)
+    assert entries["effects", "wind"].source == "changed from [0.0, 0.0]"
+    assert entries["thrust", "lag_rate"] in constants()
+    # The changes of a changed vehicle stand against the file it came from.
+    write_vehicle(tmp_path / "w.toml", vehicle, base=path)
+    assert constants(tmp_path / "w.toml") == constants(path)
+    with pytest.raises(UserError, match="cannot write"):
+        write_vehicle(tmp_path / "nowhere" / "v.toml", vehicle)
