@@ -1,0 +1,249 @@
+"""Rigid body, four motors, air, battery, feet and slung load: time derivative and RK4, compiled.
+
+The state vector: position, velocity (world), quaternion (w, x, y, z; body to world), body rates, four
+rotor speeds, position and velocity of the slung load.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+POSITION, VELOCITY, QUATERNION, RATES, ROTORS, LOAD, LOAD_VELOCITY, SIZE = 0, 3, 6, 10, 13, 17, 20, 23
+
+# Rotor k sits at arm * (SIDE_X[k], SIDE_Y[k]); its reaction torque on the body is SPIN[k] * ratio * thrust.
+SIDE_X = np.array([1.0, 1.0, -1.0, -1.0])
+SIDE_Y = np.array([1.0, -1.0, -1.0, 1.0])
+SPIN = np.array([-1.0, 1.0, -1.0, 1.0])
+
+_STRING_STIFFNESS, _STRING_DAMPING = 3600.0, 40.0  # per kilogram of load: 60 rad/s, a third of critical
+
+
+@numba.njit(cache=True)
+def rotation(q, r):
+    """Rotation matrix of quaternion q (4,) into r (3, 3)."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    r[0, 0], r[0, 1], r[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    r[1, 0], r[1, 1], r[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    r[2, 0], r[2, 1], r[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+@numba.njit(cache=True)
+def angles(r):
+    """(roll, pitch, yaw) of r = Rz(yaw) Rx(roll) Ry(pitch)."""
+    return (
+        math.asin(min(1.0, max(-1.0, r[2, 1]))),
+        math.atan2(-r[2, 0], r[2, 2]),
+        math.atan2(-r[0, 1], r[1, 1]),
+    )
+
+
+@numba.njit(cache=True)
+def voltage(s, time, c, w):
+    """Battery voltage [V] under the load of the present rotor speeds."""
+    hover = c.mass * c.gravity / (4.0 * c.thrust_per_speed)  # rotor speed squared
+    current = 0.0
+    for k in range(4):
+        current += 0.25 * c.hover_current * (s[ROTORS + k] ** 2 / hover) ** 1.5
+    return (
+        c.battery_voltage
+        + w.battery_voltage
+        - c.battery_fall * max(time, 0.0)
+        - w.battery_resistance * current
+    )
+
+
+@numba.njit(cache=True)
+def derivative(s, target, gust, anchor, time, c, w, r, contact, ds):
+    """ds/dt of state s (23,).
+
+    target (4,) rotor speeds [rad/s] asked of the motors, gust (2,) [m/s], anchor (4, 3) points of the
+    surface where the feet stick (NaN: not touching), time [s] of the log; r (3, 3) scratch, contact (4,)
+    receives the normal force of each foot [N].
+    """
+    rotation(s[QUATERNION : QUATERNION + 4], r)
+    mass = c.mass * w.mass_scale
+    # Air.
+    ax = s[VELOCITY] - w.wind_x - gust[0]
+    ay = s[VELOCITY + 1] - w.wind_y - gust[1]
+    az = s[VELOCITY + 2]
+    rising = 0.0
+    if w.updraft != 0.0:
+        dx, dy = s[0] - w.updraft_x, s[1] - w.updraft_y
+        rising = w.updraft * math.exp(-(dx * dx + dy * dy) / (2.0 * w.updraft_radius * w.updraft_radius))
+        az -= rising
+    bx = r[0, 0] * ax + r[1, 0] * ay + r[2, 0] * az
+    by = r[0, 1] * ax + r[1, 1] * ay + r[2, 1] * az
+    bz = r[0, 2] * ax + r[1, 2] * ay + r[2, 2] * az
+    inflow = (1.0 + w.translational_lift * (bx * bx + by * by)) * (1.0 - w.axial_inflow * bz)
+    if rising != 0.0:
+        inflow *= 1.0 + 0.05 * rising  # a rotor in rising air gains thrust
+    inflow *= w.thrust_scale * (1.0 - w.thrust_fade * max(time, 0.0))
+    # Rotors.
+    nx, nz = math.sin(w.surface_tilt), math.cos(w.surface_tilt)
+    thrust = speed = tx = ty = tz = 0.0
+    for k in range(4):
+        n = s[ROTORS + k]
+        slow = c.motor_time * w.motor_time_scale
+        if n > target[k]:
+            slow *= 1.0 + w.spin_down
+        ds[ROTORS + k] = (target[k] - n) / slow
+        force = c.thrust_per_speed * n * n * inflow + 0.25 * w.thrust_bias
+        x, y = c.arm * SIDE_X[k], c.arm * SIDE_Y[k]
+        if w.ground_effect != 0.0:
+            px = s[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * c.disc_height
+            pz = s[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * c.disc_height
+            height = max(px * nx + (pz - w.surface_height) * nz, 0.5 * c.rotor_radius)
+            near = c.rotor_radius / (4.0 * height)
+            force /= 1.0 - min(w.ground_effect * near * near, 0.5)  # Cheeseman and Bennett
+        thrust += force
+        speed += n
+        tx += (y + w.com_y) * force
+        ty -= (x + w.com_x) * force
+        tz += SPIN[k] * c.torque_ratio * force
+    drag = c.drag_per_speed
+    still = w.body_drag * math.sqrt(bx * bx + by * by + bz * bz)
+    fx = -(drag[0] * w.drag_scale * speed + still) * bx
+    fy = -(drag[1] * w.drag_scale * speed + still) * by
+    fz = -(drag[2] * w.drag_scale * speed + still) * bz + thrust
+    for k in range(3):
+        ds[k] = s[VELOCITY + k]
+        ds[VELOCITY + k] = (r[k, 0] * fx + r[k, 1] * fy + r[k, 2] * fz) / mass
+    ds[VELOCITY + 2] -= c.gravity
+    # Slung load on a string that only pulls.
+    if w.load_mass > 0.0:
+        dx, dy, dz = s[LOAD] - s[0], s[LOAD + 1] - s[1], s[LOAD + 2] - s[2]
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        pull = 0.0
+        if length > w.load_length:
+            along = (
+                dx * (s[LOAD_VELOCITY] - s[VELOCITY])
+                + dy * (s[LOAD_VELOCITY + 1] - s[VELOCITY + 1])
+                + dz * (s[LOAD_VELOCITY + 2] - s[VELOCITY + 2])
+            ) / length
+            pull = _STRING_STIFFNESS * (length - w.load_length) + _STRING_DAMPING * along
+            pull = max(pull, 0.0) * w.load_mass / length
+        ds[VELOCITY] += pull * dx / mass
+        ds[VELOCITY + 1] += pull * dy / mass
+        ds[VELOCITY + 2] += pull * dz / mass
+        for k in range(3):
+            ds[LOAD + k] = s[LOAD_VELOCITY + k]
+        ds[LOAD_VELOCITY] = -pull * dx / w.load_mass
+        ds[LOAD_VELOCITY + 1] = -pull * dy / w.load_mass
+        ds[LOAD_VELOCITY + 2] = -pull * dz / w.load_mass - c.gravity
+    # Feet.
+    if w.contact != 0.0:
+        for k in range(4):
+            contact[k] = 0.0
+            x, y, z = c.arm * SIDE_X[k], c.arm * SIDE_Y[k], -c.foot_height
+            lx = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z
+            ly = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z
+            lz = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
+            px, py, pz = s[0] + lx, s[1] + ly, s[2] + lz
+            depth = -(px * nx + (pz - w.surface_height) * nz)
+            if depth <= 0.0:
+                continue
+            wx = r[0, 0] * s[RATES] + r[0, 1] * s[RATES + 1] + r[0, 2] * s[RATES + 2]
+            wy = r[1, 0] * s[RATES] + r[1, 1] * s[RATES + 1] + r[1, 2] * s[RATES + 2]
+            wz = r[2, 0] * s[RATES] + r[2, 1] * s[RATES + 1] + r[2, 2] * s[RATES + 2]
+            vx = s[VELOCITY] + wy * lz - wz * ly
+            vy = s[VELOCITY + 1] + wz * lx - wx * lz
+            vz = s[VELOCITY + 2] + wx * ly - wy * lx
+            out = vx * nx + vz * nz
+            normal = c.foot_stiffness * w.stiffness_scale * depth - c.foot_damping * w.damping_scale * out
+            normal = max(normal, 0.0)
+            contact[k] = normal
+            gx, gy, gz = friction(px, py, pz, vx, vy, vz, anchor[k], normal, nx, nz, c, w)
+            gx += normal * nx
+            gz += normal * nz
+            ds[VELOCITY] += gx / mass
+            ds[VELOCITY + 1] += gy / mass
+            ds[VELOCITY + 2] += gz / mass
+            mx, my, mz = ly * gz - lz * gy, lz * gx - lx * gz, lx * gy - ly * gx
+            tx += r[0, 0] * mx + r[1, 0] * my + r[2, 0] * mz
+            ty += r[0, 1] * mx + r[1, 1] * my + r[2, 1] * mz
+            tz += r[0, 2] * mx + r[1, 2] * my + r[2, 2] * mz
+    # Rotation.
+    jx, jy, jz = c.inertia
+    p, q, o = s[RATES], s[RATES + 1], s[RATES + 2]
+    ds[RATES] = (tx - (jz - jy) * q * o) / jx
+    ds[RATES + 1] = (ty - (jx - jz) * o * p) / jy
+    ds[RATES + 2] = (tz - (jy - jx) * p * q) / jz
+    a, b, d, e = s[QUATERNION], s[QUATERNION + 1], s[QUATERNION + 2], s[QUATERNION + 3]
+    ds[QUATERNION] = 0.5 * (-b * p - d * q - e * o)
+    ds[QUATERNION + 1] = 0.5 * (a * p + d * o - e * q)
+    ds[QUATERNION + 2] = 0.5 * (a * q + e * p - b * o)
+    ds[QUATERNION + 3] = 0.5 * (a * o + b * q - d * p)
+
+
+@numba.njit(cache=True)
+def friction(px, py, pz, vx, vy, vz, anchor, normal, nx, nz, c, w):
+    """Coulomb friction [N] of a foot at p with velocity v: a bristle to its anchor, at most mu normal."""
+    if math.isnan(anchor[0]):
+        return 0.0, 0.0, 0.0
+    gx = c.foot_tangent[0] * (anchor[0] - px) - c.foot_tangent[1] * vx
+    gy = c.foot_tangent[0] * (anchor[1] - py) - c.foot_tangent[1] * vy
+    gz = c.foot_tangent[0] * (anchor[2] - pz) - c.foot_tangent[1] * vz
+    across = gx * nx + gz * nz
+    gx -= across * nx
+    gz -= across * nz
+    size = math.sqrt(gx * gx + gy * gy + gz * gz)
+    if size > w.friction * normal:
+        scale = w.friction * normal / size
+        return gx * scale, gy * scale, gz * scale
+    return gx, gy, gz
+
+
+@numba.njit(cache=True)
+def move_anchors(s, r, anchor, contact, c, w):
+    """Where the feet stick after a step: set on first touch, dragged along by slipping, lost in the air."""
+    rotation(s[QUATERNION : QUATERNION + 4], r)
+    nx, nz = math.sin(w.surface_tilt), math.cos(w.surface_tilt)
+    for k in range(4):
+        x, y, z = c.arm * SIDE_X[k], c.arm * SIDE_Y[k], -c.foot_height
+        px = s[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * z
+        py = s[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * z
+        pz = s[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
+        if px * nx + (pz - w.surface_height) * nz >= 0.0:
+            anchor[k, 0] = np.nan
+            continue
+        if math.isnan(anchor[k, 0]):
+            anchor[k, 0], anchor[k, 1], anchor[k, 2] = px, py, pz
+            continue
+        ex, ey, ez = anchor[k, 0] - px, anchor[k, 1] - py, anchor[k, 2] - pz
+        across = ex * nx + ez * nz
+        ex -= across * nx
+        ez -= across * nz
+        stretch = math.sqrt(ex * ex + ey * ey + ez * ez)
+        longest = w.friction * contact[k] / c.foot_tangent[0]
+        scale = min(1.0, longest / stretch) if stretch > 0.0 else 1.0
+        anchor[k, 0], anchor[k, 1], anchor[k, 2] = px + ex * scale, py + ey * scale, pz + ez * scale
+
+
+@numba.njit(cache=True)
+def advance(s, target, gust, anchor, time, dt, c, w, work, r, contact):
+    """Advance state s (23,) in place by dt [s] with classical RK4; work (4, 23) is scratch."""
+    k, z, total = work[0], work[1], work[2]
+    derivative(s, target, gust, anchor, time, c, w, r, contact, k)
+    for j in range(SIZE):
+        total[j] = k[j]
+        z[j] = s[j] + 0.5 * dt * k[j]
+    derivative(z, target, gust, anchor, time + 0.5 * dt, c, w, r, contact, k)
+    for j in range(SIZE):
+        total[j] += 2.0 * k[j]
+        z[j] = s[j] + 0.5 * dt * k[j]
+    derivative(z, target, gust, anchor, time + 0.5 * dt, c, w, r, contact, k)
+    for j in range(SIZE):
+        total[j] += 2.0 * k[j]
+        z[j] = s[j] + dt * k[j]
+    derivative(z, target, gust, anchor, time + dt, c, w, r, contact, k)
+    for j in range(SIZE):
+        s[j] += dt / 6.0 * (total[j] + k[j])
+    norm = 0.0
+    for j in range(QUATERNION, QUATERNION + 4):
+        norm += s[j] * s[j]
+    norm = math.sqrt(norm)
+    for j in range(QUATERNION, QUATERNION + 4):
+        s[j] /= norm
+    if w.contact != 0.0:
+        move_anchors(s, r, anchor, contact, c, w)
