@@ -176,7 +176,7 @@ class Diagnosis:
         if library is None:
             from inclined_landing.models.effects import LIBRARY as library
         for name, values in self.values().items():
-            vehicle = library[name].apply(vehicle, **values)
+            vehicle = library[name].apply(vehicle, values)
         return vehicle
 
     def to_json(self) -> dict:
