@@ -54,7 +54,7 @@ _LIFT, _INFLOW, _GROUND, _COM_X, _COM_Y, _TRIM_ROLL, _TRIM_PITCH, _YAW_DRIFT, _A
 # What a vehicle meets: time [s], battery voltage [V] (NaN: that of the vehicle file), inclination of the
 # platform [rad] and whether it is there.
 AMBIENT_SIZE = 4
-_TIME, _VOLTAGE, _INCLINATION, _PRESENT = range(AMBIENT_SIZE)
+TIME, VOLTAGE, INCLINATION, PRESENT = range(AMBIENT_SIZE)
 
 
 def pack(vehicle: Vehicle) -> np.ndarray:
@@ -216,7 +216,7 @@ def wrench(position, velocity, r, lag, pwm, ambient, c, p, out):
     out[3] = out[4] = 0.0
     active = c[_ACTIVE] != 0.0
     if active:
-        thrust = powered_thrust(thrust, lag, ambient[_TIME], ambient[_VOLTAGE], c)
+        thrust = powered_thrust(thrust, lag, ambient[TIME], ambient[VOLTAGE], c)
         ax -= c[_WIND_X]
         ay -= c[_WIND_Y]
     speed = rotor_speed_sum(thrust, c) * (1.0 + p[DRAG_CHANGE])
@@ -228,7 +228,7 @@ def wrench(position, velocity, r, lag, pwm, ambient, c, p, out):
         thrust *= (1.0 + c[_LIFT] * (bx * bx + by * by)) * max(0.0, 1.0 - c[_INFLOW] * bz)
         if c[_GROUND] != 0.0:
             extra, out[3], out[4] = ground_effect(
-                position, r, thrust, ambient[_INCLINATION], ambient[_PRESENT], c
+                position, r, thrust, ambient[INCLINATION], ambient[PRESENT], c
             )
             thrust += extra
         out[3] -= c[_COM_Y] * thrust
@@ -280,7 +280,7 @@ def step(state, commands, c, p, rate_loop, dt, substeps):
     Like `advance`; only effects that depend on time, voltage or surfaces see the difference.
     """
     ambient = np.zeros((state.shape[0], AMBIENT_SIZE))
-    ambient[:, _VOLTAGE] = np.nan
+    ambient[:, VOLTAGE] = np.nan
     advance(state, commands, ambient, c, p, rate_loop, dt, substeps)
 
 
@@ -306,7 +306,7 @@ def advance(state, commands, ambient, c, p, rate_loop, dt, substeps):
             for j in range(size):
                 total[j] = k[j]
                 z[j] = y[j] + 0.5 * dt * k[j]
-            around[_TIME] += 0.5 * dt
+            around[TIME] += 0.5 * dt
             _derivative(z, u, around, c, p[i], rate_loop, r, f, k)
             for j in range(size):
                 total[j] += 2.0 * k[j]
@@ -315,7 +315,7 @@ def advance(state, commands, ambient, c, p, rate_loop, dt, substeps):
             for j in range(size):
                 total[j] += 2.0 * k[j]
                 z[j] = y[j] + dt * k[j]
-            around[_TIME] += 0.5 * dt
+            around[TIME] += 0.5 * dt
             _derivative(z, u, around, c, p[i], rate_loop, r, f, k)
             for j in range(size):
                 y[j] += dt / 6.0 * (total[j] + k[j])

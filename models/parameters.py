@@ -18,6 +18,8 @@ from pathlib import Path
 
 from inclined_landing.models.errors import UserError
 
+# Tables that a vehicle file may leave out, whole or in part: the shipped entries are taken.
+_LATER = ("effects", "rotor")
 _FIELDS = ("value", "unit", "source", "uncertainty")
 
 
@@ -31,6 +33,11 @@ class Constant:
     unit: str
     source: str
     uncertainty: float | tuple[float, ...] | str
+
+    @property
+    def field(self) -> str:
+        """Name of the field of `Vehicle`."""
+        return f"{self.section}_{self.name}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,8 +144,10 @@ class Vehicle:
 
 
 def constants(path: str | Path | None = None) -> list[Constant]:
-    """Every entry of the vehicle file (default: the shipped `crazyflie.toml`), in file order.
+    """Every entry of the vehicle file (default: the shipped `crazyflie.toml`), in the order of that one.
 
+    Where another file lacks the tables `effects` and `rotor`, or entries of them, the shipped entries
+    stand in, so that files older than these tables stay what they were.
     Raises UserError, naming file and entry, when the file is unreadable or an entry is incomplete.
     """
     name = str(path) if path is not None else "crazyflie.toml"
@@ -168,7 +177,13 @@ def constants(path: str | Path | None = None) -> list[Constant]:
             entries.append(
                 Constant(section, key, value, entry["unit"], entry["source"], entry["uncertainty"])
             )
-    return entries
+    if path is None:
+        return entries
+    shipped = constants()
+    given = {c.field for c in entries}
+    entries += [c for c in shipped if c.section in _LATER and c.field not in given]
+    order = {c.field: k for k, c in enumerate(shipped)}
+    return sorted(entries, key=lambda c: order.get(c.field, len(order)))
 
 
 @functools.lru_cache(maxsize=8)
@@ -178,23 +193,38 @@ def load_vehicle(path: str | Path | None = None) -> Vehicle:
     Raises UserError when an entry is missing, unknown, or has the wrong number of values.
     """
     name = str(path) if path is not None else "crazyflie.toml"
-    values = {f"{c.section}_{c.name}": c.value for c in constants(path)}
+    values = {c.field: c.value for c in constants(path)}
     fields = {f.name for f in dataclasses.fields(Vehicle)}
     for problem, names in (("lacks", fields - set(values)), ("has unknown", set(values) - fields)):
         if names:
             raise UserError(f"vehicle file {name} {problem} entries: {', '.join(sorted(names))}")
     if path is not None:
-        reference = dataclasses.asdict(load_vehicle())
+        shipped = dataclasses.asdict(load_vehicle())
         for field, value in values.items():
-            if _shape(value) != _shape(reference[field]):
+            if _shape(value) != _shape(shipped[field]):
                 raise UserError(
-                    f"vehicle file {name}: {field} needs {_shape(reference[field])}, it has {_shape(value)}"
+                    f"vehicle file {name}: {field} needs {_shape(shipped[field])}, it has {_shape(value)}"
                 )
     vehicle = Vehicle(**values)
-    for field in ("body_mass", "thrust_lag_rate", "attitude_time_constant", "attitude_bandwidth"):
-        if getattr(vehicle, field) <= 0:
-            raise UserError(f"vehicle file {name}: {field} must be positive")
+    try:
+        check_vehicle(vehicle)
+    except UserError as error:
+        raise UserError(f"vehicle file {name}: {error}") from None
     return vehicle
+
+
+def check_vehicle(vehicle: Vehicle) -> None:
+    """Raise UserError, naming the field, if a value makes no physical sense."""
+    for field in ("body_mass", "thrust_lag_rate", "attitude_time_constant", "attitude_bandwidth"):
+        if not getattr(vehicle, field) > 0:
+            raise UserError(f"{field} must be positive")
+    for field in ("thrust_delay", "attitude_delay", "mocap_delay", "body_drag"):
+        if not getattr(vehicle, f"effects_{field}") >= 0:
+            raise UserError(f"effects_{field} must not be negative")
+    if not vehicle.effects_spin_down > -1:
+        raise UserError("effects_spin_down must be greater than -1")
+    if vehicle.effects_battery_reference == 0:
+        raise UserError("effects_battery_reference must not be 0")
 
 
 def write_vehicle(
@@ -219,11 +249,10 @@ def write_vehicle(
         if c.section != section:
             section = c.section
             lines += ["", f"[{section}]"]
-        field = f"{c.section}_{c.name}"
-        value, source, uncertainty = getattr(vehicle, field), c.source, c.uncertainty
+        value, source, uncertainty = getattr(vehicle, c.field), c.source, c.uncertainty
         if value != c.value:
-            source = sources.get(field, f"changed from {_toml(c.value)}")
-            uncertainty = uncertainties.get(field, "not known")
+            source = sources.get(c.field, f"changed from {_toml(c.value)}")
+            uncertainty = uncertainties.get(c.field, "not known")
         lines.append(
             f"{c.name} = {{ value = {_toml(value)}, unit = {_toml(c.unit)}, source = {_toml(source)}, "
             f"uncertainty = {_toml(uncertainty)} }}"
@@ -236,6 +265,7 @@ def write_vehicle(
     except OSError as error:
         part.unlink(missing_ok=True)
         raise UserError(f"cannot write {path}: {(error.strerror or str(error)).lower()}") from error
+    load_vehicle.cache_clear()  # the same name may have been read before
 
 
 def _toml(value) -> str:

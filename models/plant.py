@@ -4,6 +4,7 @@ Everything above this module is written once against it. A plant is stepped with
 u = [PWM, roll, pitch, yaw rate] (n, 4) held for one control period, and shows
 
 - `state` (n, 13): columns of `attitude.py`, a copy refreshed by every call;
+- `measurement` (n, 13): the state as motion capture reports it, which is late with that effect;
 - `contacts`: what the vehicles' parts touched during the last control step;
 - `reset(ids, state)`: full state, lag included; `save()` / `restore()`: everything that a replay needs;
 - `set_platform(ids, inclination, present)` and `perturb(**changes)`, per vehicle, no recompiling.
@@ -39,8 +40,9 @@ from inclined_landing.models.attitude import (
     euler_angles,
     quaternion,
 )
+from inclined_landing.models.delays import Delays
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import Vehicle, check_vehicle, load_vehicle
 from inclined_landing.models.scene import compile_scene
 
 Attitude = Literal["rate_loop", "kinematic"]
@@ -92,6 +94,7 @@ class _Plant:
             raise UserError(f"keep_out must not be negative, it is {keep_out!r}")
         self.n = n
         self.vehicle = vehicle or load_vehicle()
+        check_vehicle(self.vehicle)
         self.attitude = attitude
         self.keep_out = keep_out
         self.control_period = self.vehicle.command_control_period
@@ -100,6 +103,7 @@ class _Plant:
         self.inclination = np.full(n, self.vehicle.platform_inclination)
         self.present = np.ones(n, bool)
         self.perturbation = perturbation.neutral(n)
+        self.delays = Delays(n, self.vehicle)
         self._constants = analytic.pack(self.vehicle)
 
     def _arrays(self) -> dict[str, np.ndarray]:
@@ -112,7 +116,12 @@ class _Plant:
             "inclination": self.inclination,
             "present": self.present,
             "perturbation": self.perturbation,
-        }
+        } | self.delays.arrays()
+
+    @property
+    def measurement(self) -> np.ndarray:
+        """(n, 13): `state`, or what it was one motion capture delay ago; not to be changed."""
+        return self.delays.measurement(self.state)
 
     def save(self) -> Snapshot:
         """Everything a later bit-for-bit replay needs."""
@@ -165,10 +174,13 @@ class AnalyticPlant(_Plant):
         self.shapes = geometry.shapes_of(compile_scene(self.vehicle))
         self._position, _ = geometry.platform_poses(self.inclination, self.present, self.vehicle)
         self._distance = np.empty((n, 3, 3))
+        self._ambient = np.zeros((n, analytic.AMBIENT_SIZE))
+        self._ambient[:, analytic.VOLTAGE] = np.nan
+        self._ambient[:, analytic.INCLINATION], self._ambient[:, analytic.PRESENT] = self.inclination, True
         self.contacts.force[:] = np.nan
 
     def _arrays(self):
-        return super()._arrays() | {"position": self._position}
+        return super()._arrays() | {"position": self._position, "ambient": self._ambient}
 
     def _clear_contacts(self, ids) -> None:
         super()._clear_contacts(ids)
@@ -181,26 +193,35 @@ class AnalyticPlant(_Plant):
         self._position[ids] = geometry.platform_poses(self.inclination[ids], self.present[ids], self.vehicle)[
             0
         ]
+        self._ambient[ids, analytic.INCLINATION], self._ambient[ids, analytic.PRESENT] = inclination, present
 
     def reset(self, ids, state: np.ndarray) -> None:
-        """Put the vehicles `ids` into `state` (k, 13), contacts cleared."""
+        """Put the vehicles `ids` into `state` (k, 13) at time 0; contacts and past commands cleared."""
         self.state[ids] = state
+        self._ambient[ids, analytic.TIME] = 0.0
+        self.delays.reset(ids, state)
         self._clear_contacts(ids)
 
     def step(self, commands: np.ndarray) -> None:
         """Advance every vehicle by one control period under commands (n, 4)."""
-        analytic.step(
-            self.state,
-            np.ascontiguousarray(commands, dtype=float),
-            self._constants,
-            self.perturbation,
-            self.attitude == "rate_loop",
-            self.control_period / self.substeps,
-            self.substeps,
-        )
+        commands = np.ascontiguousarray(commands, dtype=float)
+        dt = self.control_period / self.substeps
+        self.delays.push_commands(commands)
+        if self.delays.of_commands:
+            for k in range(self.substeps):
+                self._advance(self.delays.acting(k * dt, dt), dt, 1)
+        else:
+            self._advance(commands, dt, self.substeps)
+        self.delays.push_state(self.state)
         geometry.clearances(self.state, self.inclination, self._position, self.shapes, self._distance)
         np.less(self._distance, self.keep_out, out=self.contacts.near)
         np.less(self._distance, 0.0, out=self.contacts.touch)
+
+    def _advance(self, commands: np.ndarray, dt: float, substeps: int) -> None:
+        rate_loop = self.attitude == "rate_loop"
+        analytic.advance(
+            self.state, commands, self._ambient, self._constants, self.perturbation, rate_loop, dt, substeps
+        )
 
 
 class MujocoPlant(_Plant):
@@ -208,7 +229,8 @@ class MujocoPlant(_Plant):
 
     attitude: "rate_loop" is the physical vehicle; "kinematic" sets the body rates to the paper's
     first-order loops at every control tick (free flight only: a vehicle that touched something
-    keeps its physical rates), the mode for exact comparison.
+    keeps its physical rates), the mode for exact comparison. A delayed attitude command that changes
+    between two ticks is followed by the rate loop until the next one.
     integrator, timestep: of the engine; the control period must be a whole number of time steps.
     keep_out: sensor-only zone around the platform [m] in which contacts count as `near`.
     threads: 0 takes all cores.
@@ -253,6 +275,8 @@ class MujocoPlant(_Plant):
         self._mocap_pos, self._mocap_quat = bind("mocap_pos"), bind("mocap_quat")
         self._mocap = [int(self.model.body(b).mocapid[0]) for b in geometry.PLATFORM_BODIES]
         self._warning = self.batch.warning
+        self._history = bind("history") if self.model.nhistory else None
+        self._held = _held_histories(self.model) if self.model.nhistory else None
         self._sensors = np.zeros((n, self.substeps, self.model.nsensordata))
         self._perturbed = self._contact_set = False
         self.torque_needs_motors = False
@@ -326,7 +350,7 @@ class MujocoPlant(_Plant):
             self._mocap_quat[ids, mocap] = quat[:, k]
 
     def reset(self, ids, state: np.ndarray) -> None:
-        """Put the vehicles `ids` into `state` (k, 13): pose, rates, lag; contacts cleared."""
+        """Put the vehicles `ids` into `state` (k, 13): pose, rates, lag; contacts, past commands cleared."""
         ids = np.asarray(ids)
         if ids.dtype == bool:
             ids = np.flatnonzero(ids)
@@ -337,6 +361,7 @@ class MujocoPlant(_Plant):
         self._time[ids] = 0.0
         self._warning[ids] = 0
         self.state[ids] = state
+        self.delays.reset(ids, state)
         self._clear_contacts(ids)
 
     def step(self, commands: np.ndarray) -> None:
@@ -345,18 +370,26 @@ class MujocoPlant(_Plant):
         Contacts are the maximum over the control step's substeps, each seen at its beginning.
         Raises FloatingPointError, naming the vehicles, when the engine diverges; reset them to go on.
         """
+        commands = np.asarray(commands, float)
         self._ctrl[:] = commands
+        fresh = np.flatnonzero(self.delays.fresh)
+        if self._history is not None and len(fresh):
+            empty, held = self._held
+            self._history[fresh] = empty + commands[fresh] @ held
+        self.delays.push_commands(commands)
         if self.torque_needs_motors:
-            self._allow_torque(np.asarray(commands)[:, PWM] > 0.0)
+            self._allow_torque(commands[:, PWM] > 0.0)
         if self.attitude == "kinematic":
             touched = self.contacts.touch.any(axis=(1, 2))
-            _synchronise_rates(
-                self._qpos, self._qvel, self._ctrl, self._constants, self.perturbation, touched
-            )
+            wanted = self._ctrl
+            if self.delays.of_commands:
+                wanted = self.delays.acting(0.0, self.control_period / self.substeps)
+            _synchronise_rates(self._qpos, self._qvel, wanted, self._constants, self.perturbation, touched)
         self.batch.rollout(self.substeps, record=("sensordata",), out={"sensordata": self._sensors})
         c = self.contacts
         _read_contacts(self._sensors, self.keep_out > 0.0, c.near, c.touch, c.force)
         _read_state(self._qpos, self._qvel, self._act, self.state)
+        self.delays.push_state(self.state)
         if self._warning[:, _DIVERGED, 1].any() or not np.isfinite(self.state).all():
             bad = self._warning[:, _DIVERGED, 1].any(axis=1) | ~np.isfinite(self.state).all(axis=1)
             raise FloatingPointError(f"the engine diverged for vehicles {np.flatnonzero(bad)[:5].tolist()}")
@@ -402,6 +435,19 @@ def make_plant(kind: str, n: int, vehicle: Vehicle | None = None, **options):
     if kind == "analytic":
         return AnalyticPlant(n, vehicle, **options)
     raise UserError(f"unknown plant {kind!r}; known are {' and '.join(PLANTS)}")
+
+
+def _held_histories(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """The engine's history buffer at time 0: empty (h,), and per control what one unit held adds (nu, h)."""
+    data = mujoco.MjData(model)
+    empty, held = data.history.copy(), np.zeros((model.nu, model.nhistory))
+    for actuator in range(model.nactuator):
+        samples = model.actuator_history[actuator, 0]
+        if samples:
+            mujoco.mj_initCtrlHistory(model, data, actuator, None, np.ones(samples))
+            held[model.actuator_ctrladr[actuator]] = data.history - empty
+            data.history[:] = empty
+    return empty, held
 
 
 @numba.njit(cache=True)

@@ -55,7 +55,9 @@ def build_spec(
     spec.option.timestep = timestep
     spec.option.integrator = INTEGRATORS[integrator]
     spec.option.gravity = [0, 0, -v.environment_gravity]
+    spec.option.wind = [*v.effects_wind, 0]
     _fill_vehicle(spec, v, torque_limit)
+    _fill_delays(spec, v)
     _fill_platform(spec, v, keep_out)
     for geom in list(spec.geoms):
         if geom.contype or geom.conaffinity:
@@ -81,16 +83,37 @@ def _fill_vehicle(spec: mujoco.MjSpec, v: Vehicle, torque_limit: bool) -> None:
             "pwm_to_force": v.motor_pwm_to_force,
             "pwm_to_speed": v.motor_pwm_to_speed,
             "motors": v.motor_count,
+            "arm": v.rotor_arm,
+            "disc_height": v.rotor_height,
+            "disc_radius": v.rotor_radius,
+            "bias": v.effects_thrust_bias,
+            "fade": v.effects_thrust_fade,
+            "sag": v.effects_battery_sag,
+            "sag_reference": v.effects_battery_reference,
+            "voltage_sensitivity": v.effects_voltage_sensitivity,
+            "voltage_reference": v.effects_voltage_reference,
+            "voltage_open": v.effects_voltage_open,
+            "voltage_drop": v.effects_voltage_drop,
+            "voltage_discharge": v.effects_voltage_discharge,
+            "spin_down": v.effects_spin_down,
+            "body_drag": v.effects_body_drag,
+            "translational_lift": v.effects_translational_lift,
+            "axial_inflow": v.effects_axial_inflow,
+            "ground_effect": v.effects_ground_effect,
         },
         "attitude": {
             "gain": v.attitude_gain,
             "time_constant": v.attitude_time_constant,
             "bandwidth": v.attitude_bandwidth,
             "yaw_bandwidth": v.attitude_yaw_bandwidth,
+            "trim": v.effects_attitude_trim,
+            "yaw_drift": v.effects_yaw_drift,
         },
     }
     for plugin in spec.plugins:
         plugin.config = {key: _text(value) for key, value in numbers[plugin.name].items()}
+    x, y = v.effects_com_offset
+    spec.site("thrust").pos = [-x, -y, 0]
     ranges = {
         "thrust": (0.0, v.command_pwm_range[1]),
         "roll": (-v.command_angle_limit, v.command_angle_limit),
@@ -109,6 +132,35 @@ def _fill_vehicle(spec: mujoco.MjSpec, v: Vehicle, torque_limit: bool) -> None:
         if key.name == "hover":
             key.act = [v.hover_lag]
             key.ctrl = [v.hover_pwm, 0, 0, 0]
+
+
+def _fill_delays(spec: mujoco.MjSpec, v: Vehicle) -> None:
+    """Delays of the commands, and of what a motion capture system would report, as the engine has them.
+
+    The plugins read a delayed command as held over the step (`plugin/README.md`). The sensors are there
+    only with a delay; the plant has its own `measurement`.
+    """
+    delays = dict.fromkeys(("roll", "pitch", "yaw_rate"), v.effects_attitude_delay)
+    for name, delay in {"thrust": v.effects_thrust_delay, **delays}.items():
+        if delay > 0:
+            spec.actuator(name).delay = delay
+            spec.actuator(name).nsample = _samples(delay, spec)
+    if v.effects_mocap_delay > 0:
+        for name, kind in (("position", "POS"), ("attitude", "QUAT")):
+            spec.add_sensor(
+                name=f"mocap_{name}",
+                type=getattr(mujoco.mjtSensor, f"mjSENS_FRAME{kind}"),
+                objtype=mujoco.mjtObj.mjOBJ_SITE,
+                objname="com",
+                delay=v.effects_mocap_delay,
+                nsample=_samples(v.effects_mocap_delay, spec) + 1,
+                interp=1,  # linear
+            )
+
+
+def _samples(delay: float, spec: mujoco.MjSpec) -> int:
+    """How many past time steps a delay [s] reaches back."""
+    return max(1, math.ceil(delay / spec.option.timestep - 1e-9))
 
 
 def _fill_platform(spec: mujoco.MjSpec, v: Vehicle, keep_out: float) -> None:

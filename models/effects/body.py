@@ -20,9 +20,9 @@ EFFECTS = (
     ),
     Effect(
         name="com_offset",
-        description="The thrust acts beside the centre of mass, by the offset in the body frame: a battery "
-        "or deck out of the middle. The moment tilts the vehicle against its attitude loop. Both offset and "
-        "thrust are small enough for the inertia to stay.",
+        description="The centre of mass sits beside the line of the thrust, by the offset in the body frame: "
+        "a battery or deck out of the middle. The moment tilts the vehicle against its attitude loop. The "
+        "inertia stays.",
         formula="torque = (-y F_t, x F_t, 0)",
         source="rigid-body mechanics",
         parameters=(

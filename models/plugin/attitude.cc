@@ -9,7 +9,8 @@ namespace inclined_landing {
 namespace {
 
 constexpr char kName[] = "inclined_landing.attitude";
-constexpr const char* kAttributes[] = {"gain", "time_constant", "bandwidth", "yaw_bandwidth"};
+constexpr const char* kAttributes[] = {"gain",          "time_constant", "bandwidth",
+                                       "yaw_bandwidth", "trim",          "yaw_drift"};
 
 // Below this cosine of roll (within 3 deg of 90 deg) the Euler rates are no longer resolved.
 constexpr double kMinCosRoll = 0.05;
@@ -63,13 +64,13 @@ void Compute(const mjModel* m, mjData* d, int instance) {
   const double pitch_rate = w[1] - yaw_rate * sin_roll;
 
   // Euler accelerations: the paper's loop, its wanted rate followed with bandwidth B
-  const auto angle_acceleration = [&](int actuator, double angle, double rate) {
+  const auto angle_acceleration = [&](int actuator, double angle, double rate, double trim) {
     double gain = config->gain, tau = config->time_constant, command = 0;
     if (actuator >= 0) {
       const Hooks hooks(m, actuator);
       gain *= hooks.gain_scale;
       tau *= hooks.time_scale;
-      command = Command(m, d, actuator) + hooks.bias[0];
+      command = Command(m, d, actuator) + hooks.bias[0] + trim;
     }
     const double wanted = (gain * command - angle) / tau;
     return config->bandwidth * (wanted - rate) - rate / tau;
@@ -77,11 +78,12 @@ void Compute(const mjModel* m, mjData* d, int instance) {
   double yaw_command = 0, yaw_bandwidth = config->yaw_bandwidth;
   if (actuators[kYaw] >= 0) {
     const Hooks hooks(m, actuators[kYaw]);
-    yaw_command = hooks.gain_scale * (Command(m, d, actuators[kYaw]) + hooks.bias[0]);
+    yaw_command = hooks.gain_scale * (Command(m, d, actuators[kYaw]) + hooks.bias[0] + config->yaw_drift);
     yaw_bandwidth /= hooks.time_scale;
   }
-  const double roll_acc = angle_acceleration(actuators[kRoll], roll, roll_rate);
-  const double pitch_acc = angle_acceleration(actuators[kPitch], pitch, pitch_rate);
+  const double roll_acc = angle_acceleration(actuators[kRoll], roll, roll_rate, config->trim[0]);
+  const double pitch_acc =
+      angle_acceleration(actuators[kPitch], pitch, pitch_rate, config->trim[1]);
   const double yaw_acc = yaw_bandwidth * (yaw_command - yaw_rate);
 
   // time derivative of w = (roll' cp - yaw' cr sp, pitch' + yaw' sr, roll' sp + yaw' cr cp)
@@ -174,7 +176,8 @@ bool AttitudeConfig::Parse(const mjModel* m, int instance, std::string* error) {
       return false;
     }
   }
-  return true;
+  return ReadNumbers(m, instance, kName, "trim", 2, trim, error) &&
+         ReadNumbers(m, instance, kName, "yaw_drift", 1, &yaw_drift, error);
 }
 
 void RegisterAttitude() {

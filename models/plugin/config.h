@@ -75,11 +75,31 @@ inline bool ActuatorEnabled(const mjModel* m, int actuator) {
   return group < 0 || group > 30 || !(m->opt.disableactuator & (1 << group));
 }
 
-// The command the engine would use: delayed, clamped to ctrlrange, 0 if it is not a number.
+// The delayed command of an actuator whose history is held, not interpolated: its average over the
+// time step. Every sample is taken as held for one step, so that the average is exact for delays that
+// are no whole number of steps, and differentiable in the delay; all stages of RK4 get the same.
+inline mjtNum HeldCommand(const mjModel* m, const mjData* d, int actuator) {
+  const mjtNum* history = d->history + m->actuator_historyadr[actuator];  // user, newest, times, values
+  const int count = m->actuator_history[2 * actuator], newest = static_cast<int>(history[1]);
+  const auto sample = [&](int steps_ago) {
+    if (steps_ago == 0) return d->ctrl[m->actuator_ctrladr[actuator]];
+    const int back = steps_ago > count ? count - 1 : steps_ago - 1;
+    return history[2 + count + (newest - back + count) % count];
+  };
+  const mjtNum steps = m->actuator_delay[actuator] / m->opt.timestep;
+  const int whole = static_cast<int>(mju_min(steps, count));
+  const mjtNum part = mju_min(steps, count) - whole;
+  const mjtNum later = sample(whole);
+  return part > 0 ? (1 - part) * later + part * sample(whole + 1) : later;
+}
+
+// The command an actuator gets: delayed, clamped to ctrlrange, 0 if it is not a number.
 inline mjtNum Command(const mjModel* m, const mjData* d, int actuator) {
   const int address = m->actuator_ctrladr[actuator];
   mjtNum command = d->ctrl[address];
-  if (m->actuator_delay[actuator] > 0) {
+  if (m->actuator_delay[actuator] > 0 && m->actuator_history[2 * actuator + 1] == 0) {
+    command = HeldCommand(m, d, actuator);
+  } else if (m->actuator_delay[actuator] > 0) {
     mjtNum interpolated = 0;
     const mjtNum* sample = mj_readCtrl(m, d, actuator, d->time, &interpolated,
                                        m->actuator_history[2 * actuator + 1]);

@@ -17,12 +17,31 @@ ROTORS = {
     "pwm_to_force": ("motor", "pwm_to_force"),
     "pwm_to_speed": ("motor", "pwm_to_speed"),
     "motors": ("motor", "count"),
+    "arm": ("rotor", "arm"),
+    "disc_height": ("rotor", "height"),
+    "disc_radius": ("rotor", "radius"),
+    "bias": ("effects", "thrust_bias"),
+    "fade": ("effects", "thrust_fade"),
+    "sag": ("effects", "battery_sag"),
+    "sag_reference": ("effects", "battery_reference"),
+    "voltage_sensitivity": ("effects", "voltage_sensitivity"),
+    "voltage_reference": ("effects", "voltage_reference"),
+    "voltage_open": ("effects", "voltage_open"),
+    "voltage_drop": ("effects", "voltage_drop"),
+    "voltage_discharge": ("effects", "voltage_discharge"),
+    "spin_down": ("effects", "spin_down"),
+    "body_drag": ("effects", "body_drag"),
+    "translational_lift": ("effects", "translational_lift"),
+    "axial_inflow": ("effects", "axial_inflow"),
+    "ground_effect": ("effects", "ground_effect"),
 }
 ATTITUDE = {
     "gain": ("attitude", "gain"),
     "time_constant": ("attitude", "time_constant"),
     "bandwidth": ("attitude", "bandwidth"),
     "yaw_bandwidth": ("attitude", "yaw_bandwidth"),
+    "trim": ("effects", "attitude_trim"),
+    "yaw_drift": ("effects", "yaw_drift"),
 }
 
 

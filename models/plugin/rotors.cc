@@ -1,6 +1,8 @@
 #include "rotors.h"
 
 #include <cmath>
+#include <iterator>
+#include <sstream>
 
 #include "config.h"
 
@@ -8,17 +10,92 @@ namespace inclined_landing {
 namespace {
 
 constexpr char kName[] = "inclined_landing.rotors";
-constexpr const char* kAttributes[] = {"lag_rate",     "state_gain",   "direct_gain", "drag",
-                                       "pwm_to_force", "pwm_to_speed", "motors"};
+constexpr const char* kAttributes[] = {
+    "lag_rate",           "state_gain",        "direct_gain",   "drag",
+    "pwm_to_force",       "pwm_to_speed",      "motors",        "arm",
+    "disc_height",        "disc_radius",       "surfaces",      "bias",
+    "fade",               "sag",               "sag_reference", "voltage_sensitivity",
+    "voltage_reference",  "voltage_open",      "voltage_drop",  "voltage_discharge",
+    "spin_down",          "body_drag",         "translational_lift",
+    "axial_inflow",       "ground_effect"};
 
-// Total thrust [N] of one actuator from its activation and its command.
-mjtNum Thrust(const RotorsConfig& config, const Hooks& hooks, mjtNum lag, mjtNum pwm) {
-  return hooks.gain_scale * (config.state_gain * lag + config.direct_gain * pwm) + hooks.bias[0];
+// Thrust [N] of one actuator from its activation and its command: what sets the rotors' speed.
+mjtNum ThrustOf(const mjModel* m, const mjData* d, const RotorsConfig& config, int actuator) {
+  const Hooks hooks(m, actuator);
+  const mjtNum lag = d->act[m->actuator_actadr[actuator]], pwm = Command(m, d, actuator);
+  const mjtNum thrust =
+      hooks.gain_scale * (config.state_gain * lag + config.direct_gain * pwm) + hooks.bias[0];
+  const mjtNum load = config.lag_rate * lag;
+  const mjtNum voltage =
+      config.voltage_open - config.voltage_drop * load - config.voltage_discharge * d->time;
+  return (thrust + config.bias) * (1 - config.fade * d->time) *
+         (1 - config.sag * (load / config.sag_reference - 1)) *
+         (1 + config.voltage_sensitivity * (voltage - config.voltage_reference));
 }
 
-mjtNum ThrustOf(const mjModel* m, const mjData* d, const RotorsConfig& config, int actuator) {
-  const mjtNum lag = d->act[m->actuator_actadr[actuator]];
-  return Thrust(config, Hooks(m, actuator), lag, Command(m, d, actuator));
+int BodyOf(const mjModel* m, int actuator) {
+  return m->site_bodyid[m->actuator_trnid[2 * actuator]];
+}
+
+// Velocity of the centre of mass relative to the air, in the body's axes.
+void AirVelocity(const mjModel* m, const mjData* d, int body, mjtNum air[3]) {
+  mjtNum velocity[6], relative[3];
+  mj_objectVelocity(m, d, mjOBJ_BODY, body, velocity, 0);
+  mju_sub3(relative, velocity + 3, m->opt.wind);
+  mju_mulMatTVec3(air, d->xmat + 9 * body, relative);
+}
+
+// Thrust times this, by the air that the rotors meet.
+mjtNum Inflow(const RotorsConfig& config, const mjtNum air[3]) {
+  return (1 + config.translational_lift * (air[0] * air[0] + air[1] * air[1])) *
+         mju_max(0, 1 - config.axial_inflow * air[2]);
+}
+
+// Distance from a point along the normal of the nearest upper face that a ray down `axis` meets, of
+// the planes and boxes named as surfaces; -1 without one.
+mjtNum Height(const mjModel* m, const mjData* d, const RotorsConfig& config, const mjtNum point[3],
+              const mjtNum axis[3]) {
+  const mjtNum down[3] = {-axis[0], -axis[1], -axis[2]};
+  mjtNum nearest = -1, height = -1;
+  for (const std::string& name : config.surfaces) {
+    const int geom = mj_name2id(m, mjOBJ_GEOM, name.c_str());
+    if (geom < 0) continue;
+    const mjtNum* frame = d->geom_xmat + 9 * geom;
+    mjtNum normal[3];
+    const mjtNum distance = mju_rayGeom(d->geom_xpos + 3 * geom, frame, m->geom_size + 3 * geom, point,
+                                        down, m->geom_type[geom], normal);
+    if (distance < 0 || (nearest >= 0 && distance >= nearest)) continue;
+    const mjtNum up[3] = {frame[2], frame[5], frame[8]};
+    if (mju_dot3(up, normal) < 0.99) continue;  // a side or the underside
+    nearest = distance;
+    height = distance * mju_dot3(axis, up);
+  }
+  return height;
+}
+
+// Extra thrust [N] and torque about body x and y [N m] of the rotors near a surface.
+mjtNum GroundEffect(const mjModel* m, const mjData* d, const RotorsConfig& config, int body,
+                    mjtNum thrust, mjtNum torque[2]) {
+  const mjtNum* frame = d->xmat + 9 * body;
+  const mjtNum axis[3] = {frame[2], frame[5], frame[8]};
+  torque[0] = torque[1] = 0;
+  mjtNum extra = 0;
+  if (axis[2] <= 0) return 0;
+  for (int side = 0; side < 4; ++side) {
+    const mjtNum arm[3] = {side < 2 ? config.arm : -config.arm,
+                           side % 2 == 0 ? config.arm : -config.arm, config.disc_height};
+    mjtNum point[3];
+    mju_mulMatVec3(point, frame, arm);
+    mju_addTo3(point, d->xpos + 3 * body);
+    const mjtNum height = Height(m, d, config, point, axis);
+    if (height < 0) continue;
+    const mjtNum ratio = height > 0.5 * config.disc_radius ? config.disc_radius / (4 * height) : 0.5;
+    const mjtNum force = 0.25 * thrust * config.ground_effect * ratio * ratio;
+    extra += force;
+    torque[0] += arm[1] * force;
+    torque[1] -= arm[0] * force;
+  }
+  return extra;
 }
 
 void ActDot(const mjModel* m, mjData* d, int instance) {
@@ -33,9 +110,11 @@ void ActDot(const mjModel* m, mjData* d, int instance) {
     }
     const Hooks hooks(m, i);
     mjtNum rate = (Command(m, d, i) - config->lag_rate * d->act[address]) / hooks.time_scale;
+    const mjtNum slower = rate < 0 ? 1 + config->spin_down : 1;
+    rate /= slower;
     if (m->opt.integrator != mjINT_RK4) {
       // The engine takes one Euler step: make it land on the zero-order-hold solution.
-      const double decay = config->lag_rate / hooks.time_scale * m->opt.timestep;
+      const double decay = config->lag_rate / (hooks.time_scale * slower) * m->opt.timestep;
       rate *= -std::expm1(-decay) / decay;
     }
     d->act_dot[address] = rate;
@@ -45,34 +124,62 @@ void ActDot(const mjModel* m, mjData* d, int instance) {
 void ComputeThrust(const mjModel* m, mjData* d, const RotorsConfig& config, int instance) {
   for (int i = 0; i < m->nactuator; ++i) {
     if (m->actuator_plugin[i] != instance) continue;
-    d->actuator_force[m->actuator_outadr[i]] =
-        ActuatorEnabled(m, i) ? ThrustOf(m, d, config, i) : 0;
+    mjtNum* force = d->actuator_force + m->actuator_outadr[i];
+    *force = 0;
+    if (!ActuatorEnabled(m, i)) continue;
+    *force = ThrustOf(m, d, config, i);
+    if (config.InAir()) {
+      mjtNum air[3], torque[2];
+      AirVelocity(m, d, BodyOf(m, i), air);
+      *force *= Inflow(config, air);
+      if (config.ground_effect != 0) *force += GroundEffect(m, d, config, BodyOf(m, i), *force, torque);
+    }
   }
 }
 
-// Drag at the centre of mass. Runs before actuation: thrust is recomputed from the activation.
-void ComputeDrag(const mjModel* m, mjData* d, const RotorsConfig& config, int instance) {
+// Drag at the centre of mass and the moment of ground effect. Runs before actuation: thrust is
+// recomputed from the activation.
+void ComputePassive(const mjModel* m, mjData* d, const RotorsConfig& config, int instance) {
   for (int i = 0; i < m->nactuator; ++i) {
     if (m->actuator_plugin[i] != instance || !ActuatorEnabled(m, i)) continue;
     const mjtNum thrust = ThrustOf(m, d, config, i);
     const mjtNum relative = 1 + m->actuator_biasprm[i * mjNBIAS + 1];
     const mjtNum speed = config.SpeedSum(thrust) * relative;
-    if (speed == 0) continue;
-    const int body = m->site_bodyid[m->actuator_trnid[2 * i]];
-    mjtNum velocity[6], air[3], local[3], force[3];
-    mj_objectVelocity(m, d, mjOBJ_BODY, body, velocity, 0);
-    mju_sub3(air, velocity + 3, m->opt.wind);
-    mju_mulMatTVec3(local, d->xmat + 9 * body, air);
-    for (int k = 0; k < 3; ++k) local[k] *= config.drag[k] * speed;
+    if (speed == 0 && config.body_drag == 0 && config.ground_effect == 0) continue;
+    const int body = BodyOf(m, i);
+    mjtNum air[3], local[3], force[3], torque[3] = {0, 0, 0};
+    AirVelocity(m, d, body, air);
+    const mjtNum body_drag = config.body_drag == 0 ? 0 : config.body_drag * mju_norm3(air);
+    for (int k = 0; k < 3; ++k) local[k] = air[k] * (config.drag[k] * speed) - air[k] * body_drag;
     mju_mulMatVec3(force, d->xmat + 9 * body, local);
-    mj_applyFT(m, d, force, nullptr, d->xipos + 3 * body, body, d->qfrc_passive);
+    if (config.ground_effect != 0) {
+      mjtNum moment[3] = {0, 0, 0};
+      GroundEffect(m, d, config, body, thrust * Inflow(config, air), moment);
+      mju_mulMatVec3(torque, d->xmat + 9 * body, moment);
+    }
+    mj_applyFT(m, d, force, config.ground_effect != 0 ? torque : nullptr, d->xipos + 3 * body, body,
+               d->qfrc_passive);
   }
+}
+
+// The surfaces that ground effect needs are there, and have an upper face.
+bool CheckSurfaces(const mjModel* m, const RotorsConfig& config, std::string* error) {
+  if (config.ground_effect == 0) return true;
+  for (const std::string& name : config.surfaces) {
+    const int geom = mj_name2id(m, mjOBJ_GEOM, name.c_str());
+    if (geom >= 0 && (m->geom_type[geom] == mjGEOM_PLANE || m->geom_type[geom] == mjGEOM_BOX)) continue;
+    *error = Refusal(kName, "surfaces", "names of planes and boxes") + ", there is none named '" + name +
+             "'";
+    return false;
+  }
+  return true;
 }
 
 int Init(const mjModel* m, mjData* d, int instance) {
   RotorsConfig config;
   std::string error;
-  if (!config.Parse(m, instance, &error) || !CheckActuators(m, instance, kName, 1, &error)) {
+  if (!config.Parse(m, instance, &error) || !CheckActuators(m, instance, kName, 1, &error) ||
+      !CheckSurfaces(m, config, &error)) {
     mju_warning("%s", error.c_str());
     return -1;
   }
@@ -88,8 +195,22 @@ bool RotorsConfig::Parse(const mjModel* m, int instance, std::string* error) {
   if (!read("lag_rate", 1, &lag_rate) || !read("state_gain", 1, &state_gain) ||
       !read("direct_gain", 1, &direct_gain) || !read("drag", 3, drag) ||
       !read("pwm_to_force", 3, pwm_to_force) || !read("pwm_to_speed", 2, pwm_to_speed) ||
-      !read("motors", 1, &motors)) {
+      !read("motors", 1, &motors) || !read("arm", 1, &arm) ||
+      !read("disc_height", 1, &disc_height) || !read("disc_radius", 1, &disc_radius) ||
+      !read("bias", 1, &bias) || !read("fade", 1, &fade) || !read("sag", 1, &sag) ||
+      !read("sag_reference", 1, &sag_reference) ||
+      !read("voltage_sensitivity", 1, &voltage_sensitivity) ||
+      !read("voltage_reference", 1, &voltage_reference) ||
+      !read("voltage_open", 1, &voltage_open) || !read("voltage_drop", 1, &voltage_drop) ||
+      !read("voltage_discharge", 1, &voltage_discharge) || !read("spin_down", 1, &spin_down) ||
+      !read("body_drag", 1, &body_drag) || !read("translational_lift", 1, &translational_lift) ||
+      !read("axial_inflow", 1, &axial_inflow) || !read("ground_effect", 1, &ground_effect)) {
     return false;
+  }
+  const char* names = mj_getPluginConfig(m, instance, "surfaces");
+  if (names != nullptr && names[0] != '\0') {
+    std::istringstream stream(names);
+    surfaces.assign(std::istream_iterator<std::string>(stream), {});
   }
   const auto refuse = [&](const char* attribute, const char* rule) {
     *error = Refusal(kName, attribute, rule);
@@ -110,6 +231,10 @@ bool RotorsConfig::Parse(const mjModel* m, int instance, std::string* error) {
   if (motors < 1 || motors != std::floor(motors)) {
     return refuse("motors", "a whole number of at least 1");
   }
+  if (disc_radius <= 0) return refuse("disc_radius", "greater than 0 (m)");
+  if (sag_reference == 0) return refuse("sag_reference", "other than 0 (PWM)");
+  if (spin_down <= -1) return refuse("spin_down", "greater than -1");
+  if (body_drag < 0) return refuse("body_drag", "at least 0 (kg/m)");
   return true;
 }
 
@@ -140,7 +265,7 @@ void RegisterRotors() {
     const RotorsConfig* config = CachedConfig<RotorsConfig>(m, instance);
     if (!config) return;
     if (capability == mjPLUGIN_ACTUATOR) ComputeThrust(m, d, *config, instance);
-    if (capability == mjPLUGIN_PASSIVE) ComputeDrag(m, d, *config, instance);
+    if (capability == mjPLUGIN_PASSIVE) ComputePassive(m, d, *config, instance);
   };
   mjp_registerPlugin(&plugin);
 }
