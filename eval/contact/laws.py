@@ -181,45 +181,57 @@ def restitution() -> Finding:
 
 
 def impulse() -> Finding:
-    """Logged forces against the change of momentum, and what the step does to it."""
+    """Impulse of the contact forces, and of their samples, against the change of momentum."""
     gravity = load_vehicle().environment_gravity
     spring = contact.solref([0.0, 0.3, 0.6], STUDY_TIME, gravity)
     rows = []
     for step in STEPS:
         for name, solrefs in (("default", None), ("0.6", spring[2:])):
             d = drop(1.0, solrefs, step)
-            error = (d.impulse / d.momentum - 1.0)[0]
+            error = (d.sampled / d.momentum - 1.0)[0]
             rows.append((step, name, float(error.mean()), float(np.abs(error).max()), float(d.peak.mean())))
     mean = [row for row in rows if row[0] == STEP]
     fine = [row for row in rows if row[0] == STEPS[-1]]
+    drops = [drop(speed, s, stages=True) for speed in (0.3, 1.0, 2.0) for s in (None, spring)]
+    single = max(float(np.abs(d.impulse / d.momentum - 1.0).max()) for d in drops)
     return Finding(
         "impulse",
         "Forces and momentum",
         "The force sensors speak for the beginning of each engine step, so that their sum over a touch of a"
         " few steps misses the impulse by up to a sixth, one way or the other, depending on where in the "
-        "step the feet meet the surface; on average it is right. Where one impulse matters, take it from "
-        "the motion, m (change of speed + g time), or take a finer step.",
+        "step the feet meet the surface; on average it is right. A Runge-Kutta step evaluates the contact "
+        "four times: with all four forces, weighted as the engine weights them, the impulse of every single"
+        " touch agrees with the change of momentum to rounding errors (`eval/contact/impulse.py`). The "
+        "landing studies' impulse agrees with that one.",
         [
             Check(
-                "impulse, mean over phases, 4 ms",
+                "impulse of one touch, 4 ms",
+                100 * single,
+                "%",
+                2.0,
+                "contact forces of all stages against m (change of speed + g time); worst of 96 drops at 0.3 "
+                "to 2 m/s, default and restitution 0 to 0.6",
+            ),
+            Check(
+                "sampled forces, mean over phases, 4 ms",
                 100 * max(abs(row[2]) for row in mean),
                 "%",
                 2.0,
                 "1 m/s, force sum against change of momentum",
             ),
             Check(
-                "impulse, single drop, 0.5 ms",
+                "sampled forces, single drop, 0.5 ms",
                 100 * max(row[3] for row in fine),
                 "%",
                 2.0,
                 "worst of the phases",
             ),
             Check(
-                "impulse, single drop, 4 ms",
+                "sampled forces, single drop, 4 ms",
                 100 * max(row[3] for row in mean),
                 "%",
                 2.0,
-                "worst of the phases",
+                "worst of the phases; what the step's beginning alone says",
             ),
         ],
         {"rows": [dict(zip(("step", "setting", "mean", "worst", "peak"), row)) for row in rows]},

@@ -7,6 +7,7 @@ import dataclasses
 import mujoco
 import numpy as np
 
+from inclined_landing.eval.contact.impulse import next_impulses
 from inclined_landing.eval.motors_cut import normal_of
 from inclined_landing.models.attitude import LAG, STATE_SIZE, VX, VZ, WX, WZ, Z
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -80,15 +81,23 @@ class Drops:
     pushed: np.ndarray  # s that the surface pushed; NaN where the vehicle stays down
     depth: np.ndarray  # m, deepest penetration
     peak: np.ndarray  # N, largest force
-    impulse: np.ndarray  # N s, of the forces at the engine steps up to the rebound or `duration`
+    sampled: np.ndarray  # N s, sum of the sampled forces up to the rebound or `duration`
+    impulse: np.ndarray  # N s, of the contact forces in the engine's stages; NaN where not asked for
     momentum: np.ndarray  # N s, what the forces must have given in that time
     lifted: np.ndarray  # bool: left the surface
 
 
 def drop(
-    speed: float, solrefs: np.ndarray | None = None, step: float = STEP, duration: float = 0.12
+    speed: float,
+    solrefs: np.ndarray | None = None,
+    step: float = STEP,
+    duration: float = 0.12,
+    stages: bool = False,
 ) -> Drops:
-    """Drop level vehicles at `speed` [m/s] for each row of solrefs (k, 2); None is the default setting."""
+    """Drop level vehicles at `speed` [m/s] for each row of solrefs (k, 2); None is the default setting.
+
+    stages: repeat the stages of every step for the contacts' impulse, which takes longer.
+    """
     k = 1 if solrefs is None else len(solrefs)
     n = k * PHASES
     plant = unpowered(n, step)
@@ -104,10 +113,12 @@ def drop(
     weight = v.body_mass * v.environment_gravity
     touched, lifted = np.zeros(n, bool), np.zeros(n, bool)
     down, up, pushed = np.zeros(n), np.zeros(n), np.zeros(n)
-    depth, peak, impulse, momentum = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    depth, peak, sampled, momentum = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    impulse = np.full(n, 0.0 if stages else np.nan)
     before = now = plant.state[:, VZ].copy()
     for _ in range(round(duration / step)):
         before, now = now, plant.state[:, VZ].copy()
+        given = next_impulses(plant, nothing)[:, 2] if stages else np.nan
         plant.step(nothing)
         touch, force = plant.contacts.touch[:, 0].any(axis=1), plant.contacts.force[:, 0].sum(axis=1)
         first = touch & ~touched
@@ -117,12 +128,16 @@ def drop(
         up[leaves] = now[leaves]
         lifted |= leaves
         pushed += step * ((force > 0) & ~lifted)
-        impulse += step * np.where(lifted, 0, force)
+        sampled += step * np.where(lifted, 0, force)
+        impulse += np.where(lifted, 0, given)
         gained = v.body_mass * (plant.state[:, VZ] - now) + weight * step
         momentum += np.where(lifted, 0, gained)
         depth = np.maximum(depth, np.where(lifted, 0, rest - plant.state[:, Z]))
         peak = np.maximum(peak, force)
     up[~lifted], pushed[~lifted] = 0.0, np.nan
     return Drops(
-        *(array.reshape(k, PHASES) for array in (up / down, pushed, depth, peak, impulse, momentum, lifted))
+        *(
+            array.reshape(k, PHASES)
+            for array in (up / down, pushed, depth, peak, sampled, impulse, momentum, lifted)
+        )
     )

@@ -90,7 +90,7 @@ def restitution(data: dict) -> Figure:
 
 
 def impulse(data: dict) -> Figure:
-    """Error of the impulse summed from logged forces, over the step."""
+    """Error of the impulse summed from sampled forces, over the step."""
     with styled():
         figure, (axes, peaks) = _panels(2, 3.8)
         for setting, label, colour in (("default", "default", BLUE), ("0.6", "restitution 0.6", ORANGE)):

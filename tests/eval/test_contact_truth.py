@@ -20,7 +20,7 @@ measured_flights = pytest.mark.skipif(
 # What the engine does not give at the default step, or a setting beyond its range; the page says so.
 LIMITS = {
     "creep at restitution 0.6",
-    "impulse, single drop, 4 ms",
+    "sampled forces, single drop, 4 ms",
     "drops through the slab at 4 m/s, restitution 0.6",
 }
 

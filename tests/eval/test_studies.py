@@ -7,11 +7,13 @@ import math
 import numpy as np
 import pytest
 
+from inclined_landing.eval.contact.impulse import next_impulses
 from inclined_landing.eval.studies import design, landing, maps, sensitivity
 from inclined_landing.eval.studies.landing import OUTCOMES, RESULTS, simulate, touchdown_states
 from inclined_landing.eval.studies.study import Study, known_parameters, read_study, shipped
 from inclined_landing.models.attitude import PITCH, X, Z
 from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plant import MujocoPlant
 
 V = load_vehicle()
 STUDY = """
@@ -93,6 +95,38 @@ def test_touchdown_speeds_and_impulse_agree_with_the_change_of_momentum():
     expected = V.body_mass * (r["touchdown_normal_speed"] + g * math.cos(0.3) * landing.IMPULSE_TIME)
     assert r["impulse"] == pytest.approx(expected, rel=0.02)
     assert (r["peak_force"] > V.body_mass * g).all() and (np.diff(r["peak_force"]) > 0).all()
+
+
+def test_impulse_is_that_of_the_contact_forces():
+    """Tilted touches with thrust and friction: the column, taken from the motion, against the contact
+    forces of every stage of the engine's steps. What remains is the thrust, taken as the mean of both
+    ends of a step and along the body's axis at its beginning: below 1 % of the impulse."""
+    p = columns(
+        4,
+        attitude_error=[0.0, 0.2, -0.2, 0.3],
+        tangential_speed=[0.0, 0.3, -0.3, 0.5],
+        normal_speed=[0.4, 0.8, 1.2, 0.6],
+        thrust=[0.0, 0.3, 0.6, 0.6],
+        motor_cut_delay=2.0,
+    )
+    states = touchdown_states(p, V)
+    column = simulate(states, p).values[:, list(RESULTS).index("impulse")]
+    plant = MujocoPlant(4, dataclasses.replace(V, command_control_period=0.004))
+    alpha = -p["inclination"]
+    plant.set_platform(np.arange(4), alpha)
+    plant.reset(np.arange(4), states)
+    commands = np.zeros((4, 4))
+    commands[:, 0], commands[:, 2] = landing.held_pwm(p, V), alpha / V.attitude_gain
+    normal = np.stack([np.sin(alpha), np.zeros(4), np.cos(alpha)], axis=1)
+    given, touched = [], np.full(4, -1)
+    for k in range(40):
+        given.append((next_impulses(plant, commands) * normal).sum(axis=1))
+        plant.step(commands)
+        touched[(touched < 0) & plant.contacts.touch[:, 0].any(axis=1)] = k
+    given = np.array(given)
+    count = round(landing.IMPULSE_TIME / 0.004)  # the step before the first sensed one included
+    expected = [given[first - 1 : first - 1 + count, i].sum() for i, first in enumerate(touched)]
+    assert column == pytest.approx(expected, rel=0.01)
 
 
 def test_a_sliding_vehicle_stops_where_friction_says():
