@@ -321,6 +321,27 @@ def contact_truth(
     report.run(out, flights, friction=friction, restitution=restitution, contact_time=contact_time)
 
 
+def logs(
+    files: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")],
+    /,
+    mapping: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
+    unit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=UNIT")] = (),
+    json: Flag = False,
+) -> None:
+    """What flight logs hold and whether they can be believed, in words (exit code 2 where refused).
+
+    Args:
+        files: CSV (.csv, .csv.gz), Crazyflie micro-SD binary or ROS bag; several files of one flight
+            as A+B.
+        mapping: shipped mapping or mapping file (TOML), where the column names do not tell.
+        unit: of a column that states none, roll=deg for example; repeat the option for more.
+        json: print JSON, and nothing else, on standard output.
+    """
+    from inclined_landing.eval.logs import command
+
+    command.run(files, mapping=mapping, units=unit, json=json)
+
+
 COMMANDS = {
     "success": success,
     "touchdown": touchdown,
@@ -333,6 +354,7 @@ COMMANDS = {
     "equivalence": equivalence,
     "contact": contact,
     "contact-truth": contact_truth,
+    "logs": logs,
 }
 
 

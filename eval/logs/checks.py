@@ -15,6 +15,8 @@ from inclined_landing.models.errors import UserError
 _ORDER = {"refuse": 0, "limit": 1, "info": 2}
 SEVERAL_VEHICLES = 0.10  # difference of hover thrust between two groups of flights
 SPREAD = 0.06
+CLEARANCE = 0.1  # m above the lowest point of a flight
+NOMINAL_VOLTAGE = 4.0
 
 
 def check_log(log: FlightLog) -> tuple[Finding, ...]:
@@ -42,8 +44,7 @@ def enforce(log: FlightLog, where: str | None = None) -> FlightLog:
 def check_fleet(logs: Sequence[FlightLog]) -> tuple[Finding, ...]:
     """Are these flights of one vehicle? Judged by the thrust command it hovers with.
 
-    Where every log has the battery voltage, by command times voltage, which a discharging battery
-    changes less.
+    Where every log has the battery voltage, by command times voltage if that makes them more alike.
     """
     hover, unit = _hover(logs)
     known = [(level, log.name) for level, log in zip(hover, logs) if np.isfinite(level)]
@@ -55,7 +56,7 @@ def check_fleet(logs: Sequence[FlightLog]) -> tuple[Finding, ...]:
     cut = int(np.argmax(steps)) + 1
     low, high = level[:cut], level[cut:]
     within = max(np.ptp(low) / low[0], np.ptp(high) / high[0])
-    names = [", ".join(name for _, name in group) for group in (known[:cut], known[cut:])]
+    names = [_names([name for _, name in group]) for group in (known[:cut], known[cut:])]
     words = (
         f"{names[0]} hover{'s' if len(low) == 1 else ''} at {np.mean(low):.0f} {unit}, "
         f"{names[1]} at {np.mean(high):.0f} {unit}"
@@ -69,24 +70,42 @@ def check_fleet(logs: Sequence[FlightLog]) -> tuple[Finding, ...]:
     return ()
 
 
+def _names(names: list[str]) -> str:
+    more = f" and {len(names) - 3} more" if len(names) > 4 else ""
+    return ", ".join(names[:3] if more else names) + more
+
+
 def _hover(logs: Sequence[FlightLog]) -> tuple[list[float], str]:
-    """Median command (or command times voltage) while the specific force is within 5 % of gravity."""
-    by_voltage = all(log.voltage is not None for log in logs)
-    result = []
+    """Hover command of each flight (NaN where none can be told), and its unit."""
+    plain = [_hover_command(log) for log in logs]
+    if any(log.voltage is None for log in logs):
+        return plain, "PWM"
+    # Thrust follows the voltage across the motors, unless the command was compensated for it: the
+    # product is taken where it makes the flights more alike.
+    supplied = []
     for log in logs:
-        if by_voltage:
-            command = log.command.copy()
-            # Kept in the range of PWM, so that the motors-on test of `motion` stays meaningful.
-            command[:, 0] *= log.voltage / 4.0
-            log = dataclasses.replace(log, command=command)
-        parts = motion.motion(log)
-        pwm = np.concatenate([p.pwm for p in parts] or [[]])
-        force = np.concatenate([p.force for p in parts] or [[]])
-        # Standing on the ground with idling motors looks like hovering, at less thrust.
-        flown = pwm > 0.6 * np.median(pwm) if len(pwm) else np.zeros(0, bool)
-        level = flown & (np.abs(force / motion.GRAVITY - 1) < 0.05)
-        result.append(float(np.median(pwm[level])) if level.sum() > 25 else np.nan)
-    return result, "PWM at 4 V" if by_voltage else "PWM"
+        command = log.command.copy()
+        command[:, 0] *= log.voltage / NOMINAL_VOLTAGE
+        supplied.append(_hover_command(dataclasses.replace(log, command=command)))
+    if np.nanstd(supplied) / np.nanmean(supplied) < np.nanstd(plain) / np.nanmean(plain):
+        return supplied, f"PWM at {NOMINAL_VOLTAGE:g} V"
+    return plain, "PWM"
+
+
+def _hover_command(log: FlightLog) -> float:
+    """Command at a specific force of one g: a straight line through the rows in the air."""
+    parts = motion.motion(log)
+    if not parts:
+        return np.nan
+    pwm, force, height = (
+        np.concatenate([getattr(p, key) for p in parts]) for key in ("pwm", "force", "height")
+    )
+    # Standing on the ground with the motors on looks like hovering at less thrust.
+    air = height > log.position[:, 2].min() + CLEARANCE
+    if air.sum() < motion.RATE:
+        return np.nan
+    _, level = np.polyfit(force[air] - motion.GRAVITY, pwm[air], 1)
+    return float(level)
 
 
 def _repaired(log: FlightLog, findings: Sequence[Finding]) -> FlightLog:

@@ -23,7 +23,8 @@ RATE = 100.0  # Hz, of the grid compared on
 WINDOW = 0.25  # s, of the smoothing that differentiates
 EXCITED = 0.015  # rad rms of tilt, or twice what 1 mm of noise looks like through WINDOW
 AGREE = 0.6  # correlation from which two columns are said to show the same motion
-TURNED = np.radians(10.0)
+# Circling against drag turns the tilt against the acceleration too, by up to 13 deg in NanoBench flights.
+TURNED = np.radians(20.0)
 TURNED_TOO_FAR = np.radians(60.0)
 LONGEST_LAG = 0.4  # s
 LEAD = 0.015  # s by which a response may seem to lead its cause before the clocks are doubted
@@ -33,12 +34,12 @@ LEAD = 0.015  # s by which a response may seem to lead its cause before the cloc
 class Motion:
     """Smoothed motion of one flight in the air, on a grid of RATE; complex: x + iy.
 
-    tilt: pitch - i roll, NaN where one is not logged. pointed: where the thrust pointed, in the frame
-    of the heading. asked: commanded tilt. force: specific force (m/s2). speed, drift, climb: the logged
-    velocity (complex, then vertical) and the derivatives of position.
+    height: z (m). tilt: pitch - i roll, NaN where one is not logged. pointed: where the thrust pointed,
+    in the frame of the heading. asked: commanded tilt. force: specific force (m/s2). moved, climbed: the
+    derivatives of position; drift, climb: the logged velocity.
     """
 
-    t: np.ndarray
+    height: np.ndarray
     tilt: np.ndarray
     pointed: np.ndarray
     asked: np.ndarray
@@ -51,16 +52,14 @@ class Motion:
 
 
 def motion(log: FlightLog) -> list[Motion]:
-    """The stretches in the air, without holes, that last at least SHORTEST."""
+    """The stretches with the motors on, without holes, that last at least SHORTEST."""
     result = []
     for piece in log.pieces(SHORTEST):
-        flown = np.flatnonzero(piece.command[:, 0] > MOTORS_OFF)
-        if not len(flown):
-            continue
-        piece = piece.rows(slice(flown[0], flown[-1] + 1))
-        if len(piece) < 2 or piece.duration < SHORTEST:
-            continue
-        result.append(_motion(piece.resampled(RATE)))
+        off = np.flatnonzero(piece.command[:, 0] <= MOTORS_OFF)
+        for rows in np.split(np.arange(len(piece)), off):
+            rows = np.setdiff1d(rows, off)
+            if len(rows) > 1 and piece.t[rows[-1]] - piece.t[rows[0]] >= SHORTEST:
+                result.append(_motion(piece.rows(rows).resampled(RATE)))
     return result
 
 
@@ -77,7 +76,7 @@ def _motion(log: FlightLog) -> Motion:
     pointed = (acceleration[:, 0] + 1j * acceleration[:, 1]) / upward
     velocity = None if log.velocity is None else smooth(log.velocity)
     return Motion(
-        t=log.t,
+        height=log.position[:, 2],
         tilt=pitch - 1j * roll,
         pointed=pointed * np.exp(-1j * np.where(np.isnan(yaw), 0.0, yaw)),
         asked=smooth(log.command[:, 2]) - 1j * smooth(log.command[:, 1]),

@@ -8,13 +8,15 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
-from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
+from inclined_landing.eval.logs.log import COMMANDS, GAP_SECONDS, GAP_STEPS, MEASURED, FlightLog
 
 SHORTEST = 1.0  # s: below, not even one prediction window with room for delays
 SHORT = 5.0  # s
 SLOWEST = 20.0  # Hz: below, a window of 0.6 s holds too few rows to tell lag from delay
-OUTLIER = 0.2  # m from the median of five rows: no vehicle leaves and returns that fast
+JUMP = 0.03  # m that a row may lie away from its neighbours besides what HARDEST allows
+HARDEST = 40.0  # m/s2
 FASTEST = 15.0  # m/s
+FARTHEST = 200.0  # m
 MOTORS_OFF = 10_000.0  # PWM
 
 
@@ -66,23 +68,29 @@ def _position(log: FlightLog) -> Iterator[Finding]:
     if np.ptp(log.position, axis=0).max() < 1e-6:
         yield refuse("x, y, z", "columns x, y, z never change: not a flight, or not a measurement")
         return
-    away = np.abs(log.position - median_filter(log.position, size=(5, 1), mode="nearest")).max(axis=1)
-    rows = np.flatnonzero(away > OUTLIER)
-    speed = np.linalg.norm(np.diff(np.delete(log.position, rows, axis=0), axis=0), axis=1)
-    speed = speed / np.diff(np.delete(log.t, rows))
-    if len(rows) > 0.02 * len(log) or (speed > FASTEST).any():
-        fastest = speed.max(initial=0.0)
-        yield refuse(
-            "x, y, z",
-            f"columns x, y, z move at up to {fastest:.3g} m/s and jump in {len(rows)} rows: wrong unit "
-            "(millimetres?), or lost tracking",
+    speed = np.linalg.norm(np.diff(log.position, axis=0), axis=1) / np.maximum(np.diff(log.t), 1 / log.rate)
+    if np.percentile(speed, 90) > FASTEST or np.ptp(log.position, axis=0).max() > FARTHEST:
+        top = np.percentile(speed, 90)
+        yield refuse("x, y, z", f"columns x, y, z move at {top:.3g} m/s: wrong unit (millimetres?)")
+        return
+    spikes, jumps = _discontinuities(log)
+    if len(spikes) + len(jumps) > 0.02 * len(log):
+        count = len(spikes) + len(jumps)
+        yield refuse("x, y, z", f"columns x, y, z jump in {count} of {len(log)} rows: tracking was lost")
+        return
+    if len(spikes):
+        at = log.t[spikes[0]]
+        text = (
+            f"position jumps away and back in {len(spikes)} rows, first at t = {at:.2f} s: these are left out"
         )
-    elif len(rows):
-        yield limit(
-            "x, y, z",
-            f"position jumps away and back in {len(rows)} rows, first at t = {log.t[rows[0]]:.2f} s: left out",
-            rows=tuple(map(int, rows)),
-        )
+        yield limit("x, y, z", text, rows=tuple(map(int, spikes)))
+    if len(jumps):
+        # Wide enough to be a hole: what comes before and after is not predicted from one another.
+        width = 0.6 * max(GAP_STEPS / log.rate, GAP_SECONDS)
+        near = np.flatnonzero((np.abs(log.t[:, None] - log.t[jumps]) <= width).any(axis=1))
+        often = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
+        text = f"position jumps for good {often} at t = {log.t[jumps[0]]:.2f} s"
+        yield limit("x, y, z", f"{text}: the rows around are left out", rows=tuple(map(int, near)))
     moving = np.abs(log.position[10:] - log.position[:-10]).max(axis=1) > 0.02 if len(log) > 20 else []
     repeated = (np.diff(log.position, axis=0) == 0).all(axis=1)[: len(moving)]
     share = float((repeated & moving).sum() / max(np.sum(moving), 1))
@@ -92,6 +100,21 @@ def _position(log: FlightLog) -> Iterator[Finding]:
             f"position repeats its last value in {100 * share:.0f} % of the rows in motion: "
             "it was measured less often than the log was written",
         )
+
+
+def _discontinuities(log: FlightLog) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that lie away from their neighbours, and rows from which on the position is elsewhere."""
+    smooth = JUMP + HARDEST / log.rate**2
+    away = np.linalg.norm(log.position - median_filter(log.position, size=(5, 1), mode="nearest"), axis=1)
+    spikes = np.flatnonzero(away > max(smooth, 8 * np.median(away)))
+    kept = np.delete(np.arange(len(log)), spikes)
+    step = np.diff(log.t[kept])[:, None]
+    moved = np.diff(log.position[kept], axis=0)
+    usual = median_filter(moved / np.maximum(step, 1 / log.rate), size=(5, 1), mode="nearest") * step
+    off = np.linalg.norm(moved - usual, axis=1)
+    unbroken = step[:, 0] < GAP_STEPS / log.rate
+    jumps = np.flatnonzero(unbroken & (off > max(smooth, 8 * np.median(off))))
+    return spikes, kept[jumps + 1]
 
 
 def _attitude(log: FlightLog) -> Iterator[Finding]:

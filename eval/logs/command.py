@@ -1,0 +1,99 @@
+"""`landing-eval logs`: what a log holds, and what the checks say about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from inclined_landing.eval import runs
+from inclined_landing.eval.logs.checks import check_fleet, check_log
+from inclined_landing.eval.logs.findings import Finding, limit, refuse
+from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
+from inclined_landing.eval.logs.read import read_log
+from inclined_landing.models.errors import UserError
+
+
+def run(
+    files: Sequence[str],
+    *,
+    mapping: str | None = None,
+    units: Sequence[str] = (),
+    json: bool = False,
+) -> None:
+    """Print what was read from each file and every finding; UserError when a file is refused."""
+    given = parse_units(units)
+    reports = [_report(file, mapping, given) for file in files]
+    logs = [log for log, _ in reports if log is not None]
+    fleet = check_fleet(logs) if len(logs) > 1 else ()
+    if json:
+        flights = [_plain(file, log, findings) for file, (log, findings) in zip(files, reports)]
+        print(runs.to_json({"flights": flights, "together": [_finding(f) for f in fleet]}))
+    else:
+        for file, (log, findings) in zip(files, reports):
+            print(_words(file, log, findings))
+        if fleet:
+            print("together\n" + "\n".join(_sentence(finding) for finding in fleet))
+    refused = [
+        f"{file}: {finding.text.removeprefix(f'{file}: ')}"
+        for file, (_, findings) in zip(files, reports)
+        for finding in findings[:1]
+        if finding.decision == "refuse"
+    ]
+    if refused:
+        raise UserError(f"{len(refused)} of {len(files)} logs refused: {'; '.join(refused)}")
+    if fleet and fleet[0].decision == "refuse":
+        raise UserError(fleet[0].text)
+
+
+def parse_units(units: Sequence[str]) -> dict[str, str]:
+    """Options like `roll=deg` as a dictionary. Raises UserError for anything else."""
+    result = {}
+    for option in units:
+        column, sign, unit = option.partition("=")
+        if not (column and sign and unit):
+            raise UserError(f"unit {option!r}: expected COLUMN=UNIT, as in roll=deg")
+        result[column] = unit
+    return result
+
+
+def _report(
+    file: str, mapping: str | None, units: Mapping[str, str]
+) -> tuple[FlightLog | None, tuple[Finding, ...]]:
+    try:
+        log = read_log(file, mapping=mapping, units=units, check=False)
+    except UserError as error:
+        return None, (refuse("", str(error)),)
+    notes = [limit("", note) for note in log.notes]
+    findings = [*notes, *check_log(log)]
+    return log, tuple(sorted(findings, key=lambda finding: finding.decision != "refuse"))
+
+
+def _words(file: str, log: FlightLog | None, findings: Sequence[Finding]) -> str:
+    lines = [file]
+    if log is not None:
+        lines.append(f"  {len(log)} rows, {log.duration:.1f} s, {log.rate:.0f} rows per second")
+        lines.append(f"  logged: {', '.join(_logged(log))}")
+    return "\n".join(lines + [_sentence(finding) for finding in findings])
+
+
+def _sentence(finding: Finding) -> str:
+    label = {"refuse": "refused", "limit": "limit", "info": "note"}[finding.decision]
+    return f"  {label}: {finding.text}"
+
+
+def _logged(log: FlightLog) -> list[str]:
+    names = [name for name in MEASURED + COMMANDS if name not in log.missing]
+    names += ["vx", "vy", "vz"] if log.velocity is not None else []
+    names += ["vbat"] if log.voltage is not None else []
+    return names + (["contact"] if log.contact is not None else [])
+
+
+def _plain(file: str, log: FlightLog | None, findings: Sequence[Finding]) -> dict:
+    read = {}
+    if log is not None:
+        read = {"rows": len(log), "seconds": log.duration, "rate": log.rate, "logged": _logged(log)}
+    return {"file": str(Path(file)), **read, "findings": [_finding(finding) for finding in findings]}
+
+
+def _finding(finding: Finding) -> dict:
+    return {"decision": finding.decision, "column": finding.channel, "text": finding.text}
