@@ -3,3 +3,9 @@
 `diagnose(flights, vehicle)` names it, `Diagnosis.apply(vehicle)` adds it, `measure_gap(vehicle, flights)`
 shows the gap before and after.
 """
+
+from inclined_landing.eval.gap.diagnosis import diagnose
+from inclined_landing.eval.gap.result import Diagnosis
+from inclined_landing.eval.gap.rollout import measure_gap
+
+__all__ = ["Diagnosis", "diagnose", "measure_gap"]

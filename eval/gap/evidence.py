@@ -74,6 +74,11 @@ class Problem:
 
         return list(self._pool.map(of, self.flights))
 
+    def white_of(self, k: int, vehicle: Vehicle) -> np.ndarray:
+        """White errors (w, 6, q) of one vehicle on the flight k."""
+        flight = self.flights[k]
+        return flight.whitening(flight.cut(flight.measured - predict(flight, vehicle)))
+
     def columns(self, values: Values, names: Sequence[str]) -> list[Column]:
         """Directions of the effects `names` at `values`.
 

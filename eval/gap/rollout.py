@@ -25,6 +25,7 @@ from inclined_landing.models.plant import PLANTS, MujocoPlant
 
 HORIZON = 1.0  # s
 ENGINE_STEP = 0.004  # s at most
+FAR_UP = 50.0  # m
 ANGLE_SMOOTHING = 0.05  # s to either side, for start attitudes and their rates
 
 
@@ -39,7 +40,7 @@ class Starts:
     dt: float
 
     @staticmethod
-    def of(flights: Sequence[Flight], horizon: float = HORIZON, every: float = 0.5) -> Starts:
+    def of(flights: Sequence[Flight], horizon: float = HORIZON, every: float = 1.0) -> Starts:
         """A window every `every` seconds wherever all of it is usable.
 
         Raises UserError when the flights have different rates, or no stretch is long enough.
@@ -183,6 +184,9 @@ def _mujoco(starts, vehicle, state, commands, ambient) -> np.ndarray:
     varies = bool((scale != 1.0).any())
     plant = MujocoPlant(n, plain, timestep=starts.dt / math.ceil(starts.dt / ENGINE_STEP - 1e-9))
     plant.set_platform(np.arange(n), vehicle.platform_inclination, ambient[:, 0, 3] > 0.0)
+    # Free flight meets nothing: without surfaces that matter it is flown high above the floor.
+    lift = 0.0 if vehicle.effects_ground_effect or ambient[:, 0, 3].any() else FAR_UP
+    state[:, 2] += lift
     plant.reset(np.arange(n), state)
     pose = np.empty((n, starts.rows + 1, 6))
     pose[:, 0] = state[:, _POSE]
@@ -191,6 +195,7 @@ def _mujoco(starts, vehicle, state, commands, ambient) -> np.ndarray:
             plant.perturb(thrust_scale=scale[:, k])
         plant.step(commands[:, k])
         pose[:, k + 1] = plant.state[:, _POSE]
+    pose[:, :, 2] -= lift
     return pose
 
 

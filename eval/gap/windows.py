@@ -22,6 +22,7 @@ WINDOW = 0.6  # s
 RATE = 100.0  # rows per second, at most, that the windows are made of
 SHORTEST = 3 * WINDOW  # s of usable flight
 SMOOTHING = 0.1  # s to either side of a sample, for velocities
+SETTLING = 0.25  # s at a log's start, for the thrust lag that nobody knows there
 NEAR = 0.15  # m above a surface that counts as near
 LOW_BATTERY = 3.4  # V under load
 REGIMES = ("hover", "climb", "lateral", "attitude_step", "near_surface", "low_battery")
@@ -115,6 +116,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False, window:
     ambient[:, 2] = vehicle.platform_inclination
     ambient[:, 3] = float(platform)
     usable = flying(log, vehicle)
+    usable[t < SETTLING] = False
     for start, stop in gaps:
         usable[(log.t > start - 1e-9) & (log.t < stop + 1e-9)] = False
     starts = _window_starts(usable, rows)
