@@ -1,0 +1,54 @@
+"""Flight logs given to a command: read, checked alone and together."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from inclined_landing.eval.logs import FlightLog, read_log
+from inclined_landing.eval.logs.checks import check_fleet
+from inclined_landing.eval.logs.command import parse_units
+from inclined_landing.models.errors import UserError
+
+
+def read_flights(
+    files: Sequence[str],
+    heldout: Sequence[str] = (),
+    *,
+    mapping: str | None = None,
+    units: Sequence[str] = (),
+    tick: Callable[[str], None] = lambda name: None,
+) -> tuple[list[FlightLog], list[FlightLog], tuple[str, ...]]:
+    """Flights to fit, flights left out, and sentences on what limits them together.
+
+    units: as `roll=deg`. tick: called with the name of each file before it is read.
+    Raises UserError, naming the file, for a log that cannot be used, one given twice, and flights of
+    different vehicles.
+    """
+    given = parse_units(units)
+    every = [*files, *heldout]
+    where = [str(Path(file).resolve()) for file in every]
+    for file, path in zip(every, where):
+        if where.count(path) > 1:
+            raise UserError(f"{file} is given more than once; fit and judgement need different flights")
+    logs = []
+    for file, name in zip(every, _names(every)):
+        tick(name)
+        logs.append(read_log(file, mapping=mapping, units=given, name=name))
+    together = check_fleet(logs)
+    for finding in together:
+        if finding.decision == "refuse":
+            raise UserError(finding.text)
+    notes = tuple(finding.text for finding in together if finding.decision == "limit")
+    return logs[: len(files)], logs[len(files) :], notes
+
+
+def _names(files: Sequence[str]) -> list[str]:
+    """File names without suffix; with their folder where two are alike."""
+
+    def stem(file: str) -> str:
+        return Path(file).name.removesuffix(".gz").removesuffix(".csv")
+
+    alike = Counter(map(stem, files))
+    return [stem(f) if alike[stem(f)] == 1 else f"{Path(f).parent.name}/{stem(f)}" for f in files]
