@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -47,6 +47,15 @@ def _scale(field: str, both: bool = True) -> Draw:
         up = not both or rng.uniform() < 0.5
         value = 1 + size if up else 1 / (1 + size)
         return Drawn({field: value}, {"scale": value})
+
+    return draw
+
+
+def _less(field: str) -> Draw:
+    """A factor below 1: on less than 0.6 of the nominal friction the vehicle slides off the slope."""
+
+    def draw(size, rng):
+        return Drawn({field: (1 - size) * World._field_defaults[field]}, {"scale": 1 - size})
 
     return draw
 
@@ -152,20 +161,42 @@ UNKNOWN: dict[str, tuple[tuple[float, float, float], Draw]] = {
 }
 
 
+# Seen only when the feet touch.
+TOUCHDOWN: dict[str, tuple[tuple[float, float, float], Draw]] = {
+    "friction": ((0.15, 0.25, 0.35), _less("friction")),
+    "contact_stiffness": ((0.6, 1.3, 2.5), _scale("stiffness_scale")),
+    "contact_damping": ((0.5, 0.9, 1.6), _scale("damping_scale")),
+    "platform_height": ((0.006, 0.012, 0.03), _plain("surface_height", "offset", signed=True)),
+    "platform_tilt": ((0.02, 0.05, 0.1), _plain("surface_tilt", "offset", signed=True)),
+}
+
+
 def draw(name: str, size: str, rng: np.random.Generator) -> Drawn:
     """Draw the numbers of cause `name` at `size` (weak, medium, strong)."""
-    sizes, how = (FREE_FLIGHT | UNKNOWN)[name]
+    sizes, how = (FREE_FLIGHT | UNKNOWN | TOUCHDOWN)[name]
     return how(sizes[SIZES.index(size)] * rng.uniform(0.85, 1.15), rng)
 
 
-def base_constants(rng: np.random.Generator) -> tuple[dict[str, float], dict[str, float]]:
-    """Mass and drag 10 % off, either way: fields of World, and the same as library parameters."""
-    mass, drag = 1 + 0.1 * _sign(rng), 1 + 0.1 * _sign(rng)
-    return {"mass_scale": mass, "drag_scale": drag}, {"mass": mass, "rotor_drag": drag}
-
-
-def world(*drawn: Drawn, **fields) -> World:
-    """The simulator's world with all of `drawn` at once."""
+def combined(*drawn: Drawn, names: Sequence[str] = ()) -> Drawn:
+    """All of `drawn` in one world; factors multiply. Parameters are keyed `name.parameter`."""
+    world: dict[str, float] = {}
     for one in drawn:
-        fields |= one.world
-    return World(**fields)
+        for field, value in one.world.items():
+            if World._field_defaults[field] == 1.0:
+                value *= world.get(field, 1.0)
+            world[field] = value
+    return Drawn(
+        world,
+        {f"{name}.{key}": value for name, one in zip(names, drawn) for key, value in one.parameters.items()},
+        any(one.voltage for one in drawn),
+        {field: ends for one in drawn for field, ends in one.spread.items()},
+    )
+
+
+def base_constants(rng: np.random.Generator) -> dict[str, Drawn]:
+    """Mass and drag 10 % off, either way."""
+    mass, drag = 1 + 0.1 * _sign(rng), 1 + 0.1 * _sign(rng)
+    return {
+        "mass": Drawn({"mass_scale": mass}, {"scale": mass}),
+        "rotor_drag": Drawn({"drag_scale": drag}, {"scale": drag}),
+    }

@@ -10,7 +10,10 @@ Ten flights for one cause, in memory, for development::
     flights(["wind", "thrust_scale"], "medium", seed=3)       # two causes
     flights("wind", "weak", seed=3, count=3, noise=3.0)       # three flights, three times the noise
 
-Names and sizes are in `causes.py`. The same arguments give the same flights.
+    recordings, drawn = landings("friction", "strong", seed=3)  # sixteen touchdowns, four on the floor
+    logs(recordings, contact=True)
+
+Names and sizes are in `causes.py`. The same arguments give the same flights. A whole blind set: `run.py`.
 """
 
 from __future__ import annotations
@@ -20,26 +23,20 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.eval.gap.simulator import KINDS, Recording, World, fly, ordinary
+from inclined_landing.eval.gap.simulator import KINDS, Recording, World, constants, fly, landing, ordinary
 
 from . import causes
 
 SECONDS = 20.0
+LANDINGS = 16
 _LOWEST = 0.022  # m, the lowest height of the centre in a flight that does not land: the feet end at 0.018
-_TRIES = 20
+_TRIES = 30
+_BEFORE, _AFTER = 1.0, 0.7  # s of log before the first touch and after it
+_REST_SPEED, _REST_RATE = 0.02, 0.2  # m/s, rad/s
 
 HEADER = (
-    "t",
-    "x",
-    "y",
-    "z",
-    "roll",
-    "pitch",
-    "yaw",
-    "cmd_thrust_pwm",
-    "cmd_roll",
-    "cmd_pitch",
-    "cmd_yaw_rate",
+    *("t", "x", "y", "z", "roll", "pitch", "yaw"),
+    *("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate"),
 )
 
 
@@ -58,18 +55,29 @@ def flights(
     `cause.parameter`.
     """
     rng = np.random.default_rng(seed)
-    names = [] if cause is None else [cause] if isinstance(cause, str) else list(cause)
-    drawn = [causes.draw(name, size, rng) for name in names]
-    if len(drawn) == 1:
-        both = drawn[0]
-    else:
-        both = causes.Drawn(
-            world={k: v for one in drawn for k, v in one.world.items()},
-            parameters={f"{n}.{k}": v for n, one in zip(names, drawn) for k, v in one.parameters.items()},
-            voltage=any(one.voltage for one in drawn),
-            spread={k: v for one in drawn for k, v in one.spread.items()},
-        )
-    return fly_all(both, rng, count=count, noise=noise, seconds=seconds), both
+    drawn = _draw(cause, size, rng)
+    return fly_all(drawn, rng, count=count, noise=noise, seconds=seconds), drawn
+
+
+def landings(
+    cause: str | Sequence[str] | None,
+    size: str | None,
+    seed: int | Sequence[int],
+    *,
+    count: int = LANDINGS,
+    noise: float = 1.0,
+) -> tuple[list[Recording], causes.Drawn]:
+    """The same for `count` landings, every fourth on the floor, the others on the inclined platform."""
+    rng = np.random.default_rng(seed)
+    drawn = _draw(cause, size, rng)
+    return land_all(drawn, rng, count=count, noise=noise), drawn
+
+
+def _draw(cause, size, rng) -> causes.Drawn:
+    if isinstance(cause, str):
+        return causes.draw(cause, size, rng)
+    names = cause or ()
+    return causes.combined(*(causes.draw(name, size, rng) for name in names), names=names)
 
 
 def fly_all(
@@ -84,13 +92,13 @@ def fly_all(
 
     A flight that would touch the floor is flown again on another path.
     """
-    kinds = [KINDS[k % len(KINDS)] for k in range(max(count, len(KINDS)))]
-    kinds = [kinds[k] for k in rng.permutation(len(kinds))][:count]
     recordings = []
-    for kind in kinds:
-        fields = dict(drawn.world)
-        for field, (low, high) in drawn.spread.items():
-            fields[field] = rng.uniform(low, high)
+    kinds: list[str] = []
+    while len(recordings) < count:
+        if not kinds:
+            kinds = [KINDS[k] for k in rng.permutation(len(KINDS))]
+        kind = kinds.pop()
+        fields = drawn.world | {field: rng.uniform(*ends) for field, ends in drawn.spread.items()}
         world = World(**fields)
         lowest = world.load_length + 0.3 if world.load_mass > 0 else 0.0
         for _ in range(_TRIES):
@@ -101,6 +109,53 @@ def fly_all(
             raise RuntimeError(f"no {kind} flight stayed above the floor")
         recordings.append(recording)
     return recordings
+
+
+def land_all(
+    drawn: causes.Drawn, rng: np.random.Generator, *, count: int = LANDINGS, noise: float = 1.0
+) -> list[Recording]:
+    """Land `count` times in the world of `drawn`; only landings that come to rest on the feet are kept.
+
+    The pilot goes by the nominal platform. Every fourth landing is on the floor, 2 m beside it, where
+    height and tilt of the platform do not matter.
+    """
+    c = constants()
+    recordings = []
+    while len(recordings) < count:
+        floor = len(recordings) % 4 == 3
+        surface, tilt = (0.0, 0.0) if floor else (c.platform_height, c.platform_tilt)
+        fields = {"contact": 1.0, "surface_height": surface, "surface_tilt": tilt}
+        for field, value in drawn.world.items():
+            if field not in fields:
+                fields[field] = value
+            elif not floor:
+                fields[field] += value
+        world = World(**fields)
+        for _ in range(_TRIES):
+            recording = fly(landing(rng, surface, tilt, c.foot_height), world, rng, noise=noise)
+            if _landed(recording, world):
+                break
+        else:
+            raise RuntimeError("no landing came to rest")
+        if floor:
+            recording.position[:, 0] += 2.0
+            recording.truth[:, 0] += 2.0
+        first = int(np.argmax(recording.contact)) / 100
+        recordings.append(recording.between(first - _BEFORE, first + _AFTER))
+    return recordings
+
+
+def _landed(recording: Recording, world: World) -> bool:
+    """Does the vehicle come to rest on the surface, on its feet, within the log?"""
+    first = int(np.argmax(recording.contact))
+    last = first + round(100 * _AFTER)
+    if not recording.contact[first] or first < 100 * _BEFORE or last > len(recording.t):
+        return False
+    truth = recording.truth[:last]
+    still = np.linalg.norm(truth[-1, 3:6]) < _REST_SPEED and np.linalg.norm(truth[-1, 9:12]) < _REST_RATE
+    level = np.abs(truth[-1, 6:8] - [0.0, world.surface_tilt]).max() < 0.1
+    upright = np.abs(truth[first:, 6:8] - [0.0, world.surface_tilt]).max() < 0.6
+    return bool(still and level and upright and recording.contact[last - 1])
 
 
 def table(recording: Recording, *, voltage: bool = False, contact: bool = False):
@@ -117,7 +172,7 @@ def table(recording: Recording, *, voltage: bool = False, contact: bool = False)
 
 
 def write_csv(recording: Recording, path: Path, *, voltage: bool = False, contact: bool = False) -> None:
-    """Write the documented CSV (SI units, angles of Rz Rx Ry) with micrometres and microradians."""
+    """Write the documented CSV: SI units, angles of Rz Rx Ry, micrometres and microradians."""
     from inclined_landing.eval import runs
 
     text = table(recording, voltage=voltage, contact=contact).to_csv(index=False, float_format="%.6f")

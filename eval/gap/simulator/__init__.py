@@ -6,7 +6,7 @@ Nothing here reads models/, envs/ or the rest of eval/ (an import contract and a
 """
 
 from .flight import Recording, fly
-from .paths import KINDS, ordinary
+from .paths import KINDS, landing, ordinary
 from .vehicle import Constants, World, constants
 
-__all__ = ["KINDS", "Constants", "Recording", "World", "constants", "fly", "ordinary"]
+__all__ = ["KINDS", "Constants", "Recording", "World", "constants", "fly", "landing", "ordinary"]

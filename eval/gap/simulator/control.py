@@ -13,16 +13,28 @@ from .dynamics import SIDE_X, SIDE_Y, SPIN
 
 # Columns of the reference, one row per pilot period.
 REF_POSITION, REF_VELOCITY, REF_ACCELERATION, REF_YAW, REF_YAW_RATE = 0, 3, 6, 9, 10
-REF_ROLL, REF_PITCH, REF_PWM, REF_MODE, REF_SIZE = 11, 12, 13, 14, 15
-TRACK, STEP, CUT = 0.0, 1.0, 2.0  # modes: follow the path; roll and pitch as given; motors off
+REF_ROLL, REF_PITCH, REF_PWM, REF_MODE = 11, 12, 13, 14
+# Where the pilot believes the surface to be, and how high above it the motors are cut.
+REF_SURFACE, REF_TILT, REF_CUT_HEIGHT, REF_SIZE = 15, 16, 17, 18
+TRACK, STEP, LAND = (
+    0.0,
+    1.0,
+    2.0,
+)  # modes: follow the path; roll and pitch as given; follow, then cut the motors
 
 
 @numba.njit(cache=True)
 def pilot(ref, position, velocity, yaw, integral, c, command):
-    """Command (4,) [PWM, roll, pitch, yaw rate] from the estimate; integral (3,) is the pilot's memory."""
-    if ref[REF_MODE] == CUT:
-        command[:] = 0.0
-        return
+    """Command (4,) [PWM, roll, pitch, yaw rate] from the estimate; integral (3,) is the pilot's memory.
+
+    A pilot who has cut the motors (PWM 0) to land does not start them again.
+    """
+    if ref[REF_MODE] == LAND:
+        tilt = ref[REF_TILT]
+        above = position[0] * math.sin(tilt) + (position[2] - ref[REF_SURFACE]) * math.cos(tilt)
+        if above < ref[REF_CUT_HEIGHT] or command[0] == 0.0:
+            command[:] = 0.0
+            return
     step = ref[REF_MODE] == STEP
     wanted_x = wanted_y = wanted_z = 0.0
     for k in range(3):

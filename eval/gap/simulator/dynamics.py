@@ -87,7 +87,8 @@ def derivative(s, target, gust, anchor, time, c, w, r, contact, ds):
         slow = c.motor_time * w.motor_time_scale
         if n > target[k]:
             slow *= 1.0 + w.spin_down
-        ds[ROTORS + k] = (target[k] - n) / slow
+        # Motor torque against the propeller's, which grows with n^2: thrust settles exponentially.
+        ds[ROTORS + k] = (target[k] ** 2 - n * n) / (2.0 * slow * max(n, 50.0))
         force = c.thrust_per_speed * n * n * inflow + 0.25 * w.thrust_bias
         x, y = c.arm * SIDE_X[k], c.arm * SIDE_Y[k]
         if w.ground_effect != 0.0:

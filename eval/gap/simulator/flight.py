@@ -26,9 +26,16 @@ class Recording:
     position: np.ndarray  # (m, 3) m, measured
     attitude: np.ndarray  # (m, 3) rad, roll, pitch, yaw of Rz Rx Ry, measured
     command: np.ndarray  # (m, 4) PWM, roll, pitch [rad], yaw rate [rad/s], held until the next row
-    voltage: np.ndarray  # (m,) V, measured; constant without a battery
+    voltage: np.ndarray  # (m,) V, measured
     contact: np.ndarray  # (m,) bool, any foot touches
     truth: np.ndarray  # (m, 16)
+
+    def between(self, start: float, end: float) -> Recording:
+        """The rows from `start` to `end` [s], with time from 0; an even first row keeps the pilot's beat."""
+        first = round(start * LOG_RATE) // 2 * 2
+        rows = slice(max(0, first), round(end * LOG_RATE))
+        cut = {f.name: getattr(self, f.name)[rows] for f in dataclasses.fields(self)}
+        return Recording(**cut | {"t": cut["t"] - cut["t"][0]})
 
 
 @numba.njit(cache=True)
@@ -95,9 +102,8 @@ def _fly(s, reference, gust, gyro_noise, mocap_noise, warm_up, substeps, c, w, l
         gain = c.attitude_gain * w.attitude_gain_scale
         level_roll, level_pitch = roll - gain * w.trim_roll, pitch - gain * w.trim_pitch
         control.flight_controller(pwm, setpoint, level_roll, level_pitch, gyro, memory, dt, c, w, target)
-        volts = c.battery_voltage
+        volts = dynamics.voltage(s, time, c, w)
         if w.battery_reference > 0.0:
-            volts = dynamics.voltage(s, time, c, w)
             for j in range(4):
                 target[j] *= volts / w.battery_reference
         # Log.

@@ -96,6 +96,41 @@ class Path:
             rows[:, control.REF_PWM] = sign * pwm
         return self
 
+    def land(self, to, velocity, acceleration, seconds, surface, tilt, cut_height, lead=0.2) -> Path:
+        """Be at `to` with `velocity` and `acceleration` after `seconds`, cut the motors, and wait a second.
+
+        The pilot tilts `lead` seconds ahead of the path, as the attitude loop lags. surface, tilt: where the
+        pilot believes the surface to be (see `control.py`); cut_height: above it [m].
+        """
+        rows, u = self._piece(seconds)
+        way = np.asarray(to, float) - self.position
+        p, v, _ = _arrive(u, way, np.asarray(velocity, float), np.asarray(acceleration, float), seconds)
+        rows[:, :3], rows[:, 3:6] = self.position + p, v
+        ahead = np.minimum(u + lead / seconds, 1.0)
+        rows[:, 6:9] = _arrive(ahead, way, np.asarray(velocity), np.asarray(acceleration), seconds)[2]
+        self.position = self.position + way
+        rest, u = self._piece(1.6)
+        t = (u * 1.6)[:, None]
+        rest[:, :3] += np.asarray(velocity) * t
+        rest[:, 3:6], rest[:, 6:9] = velocity, acceleration
+        for piece in (rows, rest):
+            piece[:, control.REF_MODE] = control.LAND
+            piece[:, control.REF_SURFACE], piece[:, control.REF_TILT] = surface, tilt
+            piece[:, control.REF_CUT_HEIGHT] = cut_height
+        return self
+
+
+def _arrive(u, way, velocity, acceleration, seconds):
+    """Position, velocity, acceleration (n, 3) of the quintic from rest to `way` with given end values."""
+    v, a = velocity * seconds, acceleration * seconds**2
+    cubic, quartic, quintic = 10 * way - 4 * v + a / 2, -15 * way + 7 * v - a, 6 * way - 3 * v + a / 2
+    u = np.asarray(u)[:, None]
+    return (
+        u**3 * (cubic + u * (quartic + u * quintic)),
+        u**2 * (3 * cubic + u * (4 * quartic + u * 5 * quintic)) / seconds,
+        u * (6 * cubic + u * (12 * quartic + u * 20 * quintic)) / seconds**2,
+    )
+
 
 def _quintic(u):
     return (
@@ -113,6 +148,29 @@ def ordinary(kind: str, rng: np.random.Generator, seconds: float = 20.0, lowest:
     while path.seconds < seconds:
         _PIECES[kind](path, u, lowest)
     return path.rows(seconds)
+
+
+def landing(rng: np.random.Generator, surface: float, tilt: float, foot_height: float) -> np.ndarray:
+    """Reference (k, REF_SIZE) of a landing on the plane through (0, 0, surface) with `tilt` [rad].
+
+    The vehicle comes uphill and lets the slope brake it; speeds and alignment differ from one to the next.
+    """
+    u = rng.uniform
+    normal = np.array([math.sin(tilt), 0.0, math.cos(tilt)])
+    uphill = np.array([math.cos(tilt), 0.0, -math.sin(tilt)]) * (-1.0 if tilt > 0 else 1.0)
+    side = np.array([0.0, 1.0, 0.0])
+    spot = np.array([0.0, 0.0, surface]) + u(-0.08, 0.08) * uphill + u(-0.08, 0.08) * side
+    end = spot + (foot_height + 0.01) * normal
+    velocity = -u(0.25, 0.8) * normal + u(-0.3, 0.6) * uphill + u(-0.35, 0.35) * side
+    lean = tilt + u(-0.12, 0.12)
+    thrust = u(0.65, 0.95) * 9.81
+    acceleration = thrust * np.array([math.sin(lean), u(-0.08, 0.08), math.cos(lean)]) - [0.0, 0.0, 9.81]
+    seconds = u(1.1, 1.4)
+    # Where a vehicle at rest can start from so that the way is natural: constant acceleration to the end.
+    start = end - 0.36 * velocity * seconds + 0.06 * acceleration * seconds**2
+    start[2] = max(start[2], surface + 0.25)
+    path = Path(start, yaw=u(-0.1, 0.1)).hold(0.3)
+    return path.land(end, velocity, acceleration, seconds, surface, tilt, foot_height + u(0.0, 0.035)).rows()
 
 
 def _across(path: Path, u, distance: float) -> np.ndarray:
@@ -141,7 +199,7 @@ def _lateral(path, u, lowest):
 
 
 def _steps(path, u, lowest):
-    size = np.radians(u(6, 13)) * (1 if u(0, 1) < 0.5 else -1)
+    size = np.radians(u(4, 9)) * (1 if u(0, 1) < 0.5 else -1)
     both = u(0, 1)
     roll, pitch = (size, 0.0) if both < 0.4 else (0.0, size) if both < 0.8 else (0.7 * size, -0.7 * size)
     path.kick(roll, pitch, u(0.25, 0.45)).hold(u(1.0, 1.8))

@@ -51,6 +51,8 @@ class Constants(NamedTuple):
     position_noise: float
     attitude_noise: float
     voltage_noise: float
+    platform_height: float
+    platform_tilt: float
     foot_height: float
     foot_stiffness: float
     foot_damping: float
@@ -67,10 +69,10 @@ class World(NamedTuple):
     thrust_bias: float = 0.0  # N
     thrust_fade: float = 0.0  # 1/s, from the start of the log
     mass_scale: float = 1.0
-    # The battery: thrust goes with the voltage squared, nominal at `battery_reference`; resistance 0 and
-    # reference 0 mean a perfect supply.
-    battery_resistance: float = 0.0  # ohm
+    # The battery. Thrust goes with the voltage squared and is nominal at `battery_reference`; with reference
+    # 0 the firmware makes up for it, and only the voltage channel shows the load.
     battery_reference: float = 0.0  # V
+    battery_resistance: float = 0.08  # ohm
     battery_voltage: float = 0.0  # V, open circuit at the start, above that of the constants
     motor_time_scale: float = 1.0
     spin_down: float = 0.0  # time constant times 1 + this while slowing down
