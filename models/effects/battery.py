@@ -75,7 +75,7 @@ EFFECTS = (
         "hover within 1.3 % in the nanobench flights",
         parameters=(
             Parameter("sensitivity", "1/V", 0.0, (-0.3, 1.2), 0.27, 0.02),
-            Parameter("reference", "V", _SHIPPED.effects_voltage_reference, (2.8, 4.6), 3.9, 0.03),
+            Parameter("reference", "V", _SHIPPED.effects_voltage_reference, (2.8, 4.6), 3.8, 0.03),
         ),
         regimes=("hover", "climb", "low_battery"),
         confused_with=("battery_sag", "thrust_fade", "thrust_scale"),

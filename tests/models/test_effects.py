@@ -1,0 +1,554 @@
+"""The library of effects: complete, neutral when neutral, and the same in both plants.
+
+Free flights are those of the equivalence tests: full command bounds for 3 s, RK4 at 4 ms in the engine
+without torque limit, the equations with the rate loop at the same step. The tolerances are the nominal
+ones, because an effect changes coefficients by less than a factor of two.
+"""
+
+import dataclasses
+import functools
+import itertools
+import math
+import re
+
+import mujoco
+import numpy as np
+import pytest
+
+from inclined_landing.eval.equivalence.flying import largest_gaps, start_states
+from inclined_landing.eval.equivalence.levels import FLIGHT_LIMITS
+from inclined_landing.eval.equivalence.sequences import full_steps
+from inclined_landing.models import analytic, effects, geometry, perturbation
+from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, YAW, X, Z, quaternion
+from inclined_landing.models.effects import CHANNELS, LIBRARY, REGIMES
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import constants, load_vehicle, write_vehicle
+from inclined_landing.models.plant import MujocoPlant, make_plant
+from inclined_landing.models.scene import build_spec
+
+V = load_vehicle()
+METRES, DEGREES = FLIGHT_LIMITS["rate_loop"]
+N = 8
+COMMANDS = full_steps(V, N, np.random.default_rng(4))[:150]
+TOUCHDOWN = ("friction", "contact_stiffness", "contact_damping", "platform_height", "platform_tilt")
+FREE = [name for name in LIBRARY if name not in (*TOUCHDOWN, "ground_effect")]
+BOTH = ("mujoco", "analytic")
+WEIGHT = V.body_mass * V.environment_gravity
+
+
+def changed(name: str, **values):
+    """The shipped vehicle with one effect, at its plausible size unless values are given."""
+    return LIBRARY[name].apply(V, values or LIBRARY[name].plausible)
+
+
+def everything():
+    """The vehicle with every effect at once, at half their plausible sizes."""
+    vehicle = V
+    for name, effect in LIBRARY.items():
+        half = {p.name: 0.5 * (p.neutral + p.plausible) for p in effect.parameters}
+        vehicle = LIBRARY[name].apply(vehicle, half)
+    return vehicle
+
+
+def plant_of(kind: str, n: int, vehicle, **options):
+    """The pair of plants that must agree."""
+    own = {"torque_limit": False} if kind == "mujoco" else {"attitude": "rate_loop", "substeps": 5}
+    return make_plant(kind, n, vehicle, **(own | options))
+
+
+def fly(plant, commands=COMMANDS, starts=None, platform=False):
+    """What is measured after every control step, (steps, n, 13)."""
+    everyone = np.arange(plant.n)
+    plant.set_platform(everyone, plant.vehicle.platform_inclination, platform)
+    plant.reset(everyone, start_states(plant.n, vehicle=plant.vehicle) if starts is None else starts)
+    rows = []
+    for row in commands:
+        plant.step(row)
+        rows.append(plant.measurement.copy())
+    return np.array(rows)
+
+
+@functools.cache
+def nominal_flight():
+    return fly(plant_of("analytic", N, V))
+
+
+def hold(plant, steps: int, pwm: float, state=None, roll=0.0, pitch=0.0) -> np.ndarray:
+    """One vehicle under constant commands; (steps, 13) states."""
+    start = start_states(1, vehicle=plant.vehicle) if state is None else state
+    return fly(plant, np.tile([pwm, roll, pitch, 0.0], (steps, 1, 1)), start)[:, 0]
+
+
+# --- the library -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_every_effect_is_complete(name):
+    effect = LIBRARY[name]
+    assert effect.name == name
+    for text in (effect.description, effect.formula, effect.source, effect.remedy):
+        assert len(text) > 8
+    assert effect.parameters and effect.regimes and effect.channels
+    assert set(effect.regimes) <= set(REGIMES) and set(effect.channels) <= set(CHANNELS)
+    assert set(effect.confused_with) <= set(LIBRARY) - {name}
+    for p in effect.parameters:
+        low, high = p.bounds
+        assert low <= p.neutral <= high and low < p.plausible < high and p.unit
+        assert 0 < p.negligible < high - low
+    first = effect.parameters[0]
+    assert abs(first.plausible - first.neutral) > first.negligible
+    # Every size within the bounds can be flown.
+    for corner in itertools.product(*(p.bounds for p in effect.parameters)):
+        vehicle = effect.apply(V, {p.name: value for p, value in zip(effect.parameters, corner)})
+        build_spec(vehicle, visuals=False).compile()
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_neutral_parameters_change_nothing(name):
+    effect = LIBRARY[name]
+    for vehicle in (V, everything()):
+        assert effect.apply(vehicle, effect.neutral) == vehicle
+        assert effect.apply(vehicle, {}) == vehicle
+    assert effect.apply(V, effect.plausible) != V
+
+
+def test_every_effect_of_the_vehicle_file_belongs_to_the_library():
+    fields = {f.name for f in dataclasses.fields(V) if f.name.startswith("effects_")}
+    touched = {f for f in fields if getattr(everything(), f) != getattr(V, f)}
+    assert {f for f in fields if not f.startswith("effects_voltage_")} - touched <= {
+        "effects_battery_reference"  # its plausible value is the shipped one
+    }
+
+
+def test_unknown_effects_and_parameters_are_refused():
+    with pytest.raises(UserError, match="unknown effect 'gremlins'; known are thrust_scale, "):
+        effects.apply(V, {"gremlins": {}})
+    with pytest.raises(UserError, match="effect wind has no parameter 'z'; it has x, y"):
+        effects.apply(V, {"wind": {"z": 1.0}})
+    together = effects.apply(V, {"wind": {"x": 1.0}, "mass": {"scale": 1.1}})
+    assert together.effects_wind == (1.0, 0.0) and together.body_mass == V.body_mass * 1.1
+
+
+def test_effects_come_on_top_of_what_the_vehicle_has():
+    twice = changed("thrust_scale", scale=0.9)
+    twice = LIBRARY["thrust_scale"].apply(twice, {"scale": 0.5})
+    assert twice.thrust_per_pwm == pytest.approx(0.45 * V.thrust_per_pwm)
+    # Two sags are one line in the load: at every load their factors' departures from 1 add up.
+    one, two = {"sag": 0.1, "reference": 30_000.0}, {"sag": 0.05, "reference": 50_000.0}
+    both = LIBRARY["battery_sag"].apply(changed("battery_sag", **one), two)
+    for load in (10_000.0, 60_000.0):
+        wanted = sum(e["sag"] * (load / e["reference"] - 1) for e in (one, two))
+        sag = both.effects_battery_sag * (load / both.effects_battery_reference - 1)
+        assert sag == pytest.approx(wanted)
+    first, second = {"sensitivity": 0.2, "reference": 3.7}, {"sensitivity": 0.1, "reference": 4.0}
+    both = LIBRARY["battery_voltage"].apply(changed("battery_voltage", **first), second)
+    rise = both.effects_voltage_sensitivity * (3.5 - both.effects_voltage_reference)
+    assert rise == pytest.approx(0.2 * -0.2 + 0.1 * -0.5)
+
+
+# --- both plants -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", FREE)
+def test_both_plants_fly_the_effect_alike(name):
+    vehicle = changed(name)
+    flights = [fly(plant_of(kind, N, vehicle)) for kind in BOTH]
+    position, angle = largest_gaps(*flights)
+    assert position < METRES and angle < DEGREES
+    metres, degrees = largest_gaps(flights[1], nominal_flight())
+    assert metres > 100 * METRES or degrees > 100 * DEGREES  # and it changes the flight
+
+
+def test_both_plants_fly_all_effects_at_once_with_perturbations():
+    """Delays of 10 and 20 ms, wind, battery, drag, offset and the rest, and each vehicle its own motors."""
+    vehicle, scale = everything(), np.linspace(0.9, 1.1, N)
+    flights = []
+    for kind in BOTH:
+        plant = plant_of(kind, N, vehicle)
+        plant.perturb(thrust_scale=scale, lag_scale=1 / scale, gain_scale=scale, mass_scale=scale**2)
+        flights.append(fly(plant))
+    position, angle = largest_gaps(*flights)
+    assert position < METRES and angle < DEGREES
+
+
+def test_both_plants_feel_surfaces_alike():
+    """Near slabs of several inclinations and near the floor, 1 s without touching anything.
+
+    Here nothing moves fast: the difference is the rounding of the ray's hit, not of the integration.
+    """
+    vehicle, n, rng = changed("ground_effect"), 24, np.random.default_rng(0)
+    inclination = np.radians(np.resize([-45, -25.7, -10, 0, 20, 40], n))
+    present = np.arange(n) % 4 != 3
+    along, height = rng.uniform(-0.2, 0.2, n), rng.uniform(0.1, 0.25, n)
+    s, c = np.sin(inclination), np.cos(inclination)
+    starts = np.zeros((n, 13))
+    starts[:, X], starts[:, Z] = c * along + s * height, V.platform_surface_height - s * along + c * height
+    starts[~present, Z] = rng.uniform(0.15, 0.3, (~present).sum())
+    starts[:, YAW], starts[:, LAG] = rng.uniform(-3, 3, n), V.hover_lag
+    commands = np.zeros((50, n, 4))
+    commands[..., PWM] = V.hover_pwm * rng.uniform(0.97, 1.06, n)
+    commands[..., 1:3] = np.repeat(rng.uniform(-0.15, 0.15, (10, n, 2)), 5, axis=0)
+    flights = []
+    for kind, own in (("mujoco", vehicle), ("analytic", vehicle), ("analytic", V)):
+        plant = plant_of(kind, n, own)
+        plant.set_platform(np.arange(n), inclination, present)
+        plant.reset(np.arange(n), starts)
+        flights.append([])
+        for row in commands:
+            plant.step(row)
+            assert not plant.contacts.touch.any()
+            flights[-1].append(plant.state.copy())
+    flights = np.array(flights)
+    position, angle = largest_gaps(*flights[:2])
+    assert position < 1e-6 and angle < 1e-4
+    assert np.linalg.norm((flights[1] - flights[2])[-1, :, :3], axis=-1).min() > 0.005
+
+
+def test_both_plants_see_the_same_edges_of_the_slab():
+    """The force on a vehicle at rest anywhere around the slab, with any attitude: rays against formulas."""
+    vehicle, rng = changed("ground_effect", strength=20.0), np.random.default_rng(1)
+    model, c = MujocoPlant(1, vehicle).model, analytic.pack(vehicle)
+    data, seen = mujoco.MjData(model), set()
+    for _ in range(300):
+        inclination = rng.uniform(-0.8, 0.8)
+        position = rng.uniform([-0.6, -0.4, 0.02], [0.6, 0.4, 1.8])
+        angles = rng.uniform([-0.8, -0.8, -3], [0.8, 0.8, 3])
+        above = math.sin(inclination) * position[0]
+        above += math.cos(inclination) * (position[2] - vehicle.platform_surface_height)
+        if abs(above) < 0.07:  # rotors inside the slab
+            continue
+        poses, turns = geometry.platform_poses([inclination], [True], vehicle)
+        for k, name in enumerate(geometry.PLATFORM_BODIES):
+            mocap = model.body(name).mocapid[0]
+            data.mocap_pos[mocap], data.mocap_quat[mocap] = poses[0, k], turns[0, k]
+        data.qpos[:] = [*position, *quaternion(*angles)]
+        data.act[:], data.ctrl[0] = V.hover_lag, V.hover_pwm
+        mujoco.mj_forward(model, data)
+        frame = data.body("crazyflie").xmat.reshape(3, 3)
+        extra, x, y = analytic.ground_effect(position, frame, WEIGHT, inclination, 1.0, c)
+        assert data.actuator_force[0] == pytest.approx(WEIGHT + extra, rel=1e-9)
+        # qfrc_passive of a free joint: force in the world, torque in the body's axes; no speed, no drag
+        np.testing.assert_allclose(data.qfrc_passive[:6], [0, 0, 0, x, y, 0], atol=1e-12)
+        seen.add((above > 0, extra > 1e-3))
+    assert len(seen) == 4
+
+
+@pytest.mark.parametrize("integrator", ["RK4", "implicitfast"])
+def test_the_saved_xml_flies_with_the_effects(integrator):
+    """Plain MuJoCo, from the XML text alone, flies as the plant does."""
+    vehicle = everything()
+    spec = build_spec(vehicle, visuals=False, integrator=integrator)
+    spec.compile()
+    model = mujoco.MjModel.from_xml_string(re.sub(r' meshdir="[^"]*"', "", spec.to_xml()))
+    data = mujoco.MjData(model)
+    plant = MujocoPlant(1, vehicle, integrator=integrator)
+    start = start_states(1, vehicle=vehicle)
+    start[0, Z] = 1.6
+    plant.reset([0], start)
+    data.qpos[:] = [*start[0, :3], 1, 0, 0, 0]
+    data.act[:] = start[0, LAG]
+    for actuator in range(4):  # MuJoCo's own past is all zeros
+        samples = model.actuator_history[actuator, 0]
+        mujoco.mj_initCtrlHistory(model, data, actuator, None, np.full(samples, COMMANDS[0, 0, actuator]))
+    for row in COMMANDS[:40, :1]:
+        plant.step(row)
+        data.ctrl[:] = row
+        mujoco.mj_step(model, data, plant.substeps)
+        # the XML text has fewer digits than the numbers
+        np.testing.assert_allclose(plant.state[0, :3], data.qpos[:3], atol=1e-7)
+        np.testing.assert_allclose(plant.state[0, VX : VZ + 1], data.qvel[:3], atol=1e-6)
+    # The delayed sensors show what the plant's own measurement does; samples every 4 ms, not every 20.
+    mujoco.mj_forward(model, data)  # sensors of the present time, not of the last step's beginning
+    late = vehicle.effects_mocap_delay
+    bend = 0.5 * 40.0 * (0.5 * plant.control_period) ** 2  # m/s2, of the strongest command
+    np.testing.assert_allclose(data.sensor("mocap_position").data, plant.measurement[0, :3], atol=bend)
+    speed = np.linalg.norm(plant.state[0, VX : VZ + 1])
+    assert np.linalg.norm(plant.measurement[0, :3] - plant.state[0, :3]) == pytest.approx(
+        speed * late, rel=0.2
+    )
+
+
+def test_neutral_effects_change_no_bit():
+    """Neutral numbers passed through the code of every effect, against none of it."""
+    plain, active = analytic.pack(V), analytic.pack(V)
+    assert active[-1] == 0.0
+    active[-1] = 1.0  # as if an effect were on
+    spec = build_spec(V, visuals=False, torque_limit=False)
+    models = [spec.compile()]
+    for plugin in spec.plugins:
+        plugin.config = {}  # what the build has from the vehicle file
+    models.append(spec.compile())
+    engines = [mujoco.MjData(model) for model in models]
+    states = [start_states(1), start_states(1)]
+    for data in engines:
+        data.qpos[2], data.act[:] = states[0][0, Z], V.hover_lag
+    for row in COMMANDS[:, :1]:
+        for state, constants_ in zip(states, (plain, active)):
+            analytic.step(state, row, constants_, perturbation.neutral(1), True, 0.004, 5)
+        for model, data in zip(models, engines):
+            data.ctrl[:] = row
+            mujoco.mj_step(model, data, 5)
+        np.testing.assert_array_equal(*states)
+        np.testing.assert_array_equal(*(np.concatenate([d.qpos, d.qvel, d.act]) for d in engines))
+    assert models[0].nhistory == 0
+    plant = MujocoPlant(1)
+    assert plant.measurement is plant.state
+
+
+# --- histories ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=[("mujoco", {}), ("mujoco", {"integrator": "implicitfast"}), ("analytic", {})])
+def delayed(request):
+    """Builder of plants whose vehicle has all three delays, none of them a number of control periods."""
+    vehicle = changed("thrust_delay", delay=0.027)
+    vehicle = LIBRARY["attitude_delay"].apply(vehicle, {"delay": 0.051})
+    vehicle = LIBRARY["mocap_delay"].apply(vehicle, {"delay": 0.033})
+    kind, options = request.param
+    return functools.partial(plant_of, kind, vehicle=vehicle, **options)
+
+
+def test_histories_are_reset_saved_and_restored(delayed):
+    starts = start_states(N, np.linspace(-1, 1, N))
+    plant = delayed(n=N)
+    first = fly(plant, COMMANDS[:30], starts)
+    np.testing.assert_array_equal(fly(plant, COMMANDS[:30], starts), first)
+    np.testing.assert_array_equal(fly(delayed(n=N), COMMANDS[:30], starts), first)
+    # a few begin anew, the others fly on
+    fly(plant, COMMANDS[:10], starts)
+    few, rest = np.array([1, 4]), np.array([0, 2, 3, 5, 6, 7])
+    plant.reset(few, starts[few])
+    np.testing.assert_array_equal(plant.measurement[few], starts[few])
+    joined = COMMANDS[10:30].copy()
+    joined[:, few] = COMMANDS[:20, few]
+    rows, snapshot = [], None
+    for k, row in enumerate(joined):
+        if k == 3:
+            snapshot = plant.save()
+        plant.step(row)
+        rows.append(plant.measurement.copy())
+    np.testing.assert_array_equal(np.array(rows)[:, few], first[:20, few])
+    np.testing.assert_array_equal(np.array(rows)[:, rest], first[10:, rest])
+    other = delayed(n=N)
+    other.restore(snapshot)
+    for row, wanted in zip(joined[3:], rows[3:]):
+        other.step(row)
+        np.testing.assert_array_equal(other.measurement, wanted)
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_a_delay_shifts_the_commands(kind):
+    """Three control periods later, held at the first command before."""
+    vehicle = changed("thrust_delay", delay=0.06)
+    vehicle = LIBRARY["attitude_delay"].apply(vehicle, {"delay": 0.06})
+    late = fly(plant_of(kind, N, vehicle), COMMANDS[:60])
+    shifted = np.concatenate([np.repeat(COMMANDS[:1], 3, axis=0), COMMANDS[:57]])
+    np.testing.assert_allclose(late, fly(plant_of(kind, N, V), shifted), rtol=1e-9, atol=1e-9)
+
+
+def test_the_flight_changes_smoothly_with_a_delay():
+    """The derivative on both sides of a whole number of steps is the same; a held command has a jump."""
+
+    def final(delay):
+        return fly(plant_of("analytic", N, changed("thrust_delay", delay=delay)), COMMANDS[:40])[-1, :, Z]
+
+    step = 1e-5
+    below, at, above = (final(0.02 + k * step) for k in (-1, 0, 1))
+    slope = (above - below) / (2 * step)
+    assert np.abs(slope).max() > 0.1
+    np.testing.assert_allclose((at - below) / step, slope, atol=0.01 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_the_measurement_is_late_and_the_flight_is_not(kind):
+    flown, plain = plant_of(kind, N, changed("mocap_delay", delay=0.05)), plant_of(kind, N, V)
+    starts = start_states(N, np.linspace(3.0, 3.2, N))  # the heading passes +-pi
+    measured, states = fly(flown, COMMANDS, starts), fly(plain, COMMANDS, starts)
+    np.testing.assert_array_equal(flown.state, plain.state)
+    between = 0.5 * (states[7:-3] + states[8:-2])
+    np.testing.assert_allclose(measured[10:, :, :3], between[..., :3], atol=1e-12)
+    turn = states[8:-2, :, YAW] - states[7:-3, :, YAW]
+    half = states[7:-3, :, YAW] + 0.5 * np.arctan2(np.sin(turn), np.cos(turn))
+    assert (np.abs(turn) > 3).any() == (kind == "mujoco")  # whose heading jumps from pi to -pi
+    np.testing.assert_allclose(np.exp(1j * measured[10:, :, YAW]), np.exp(1j * half), atol=1e-12)
+
+
+# --- what physics says -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_a_sagging_battery_needs_more_pwm_to_hover(kind):
+    """At PWM P the steady thrust is P thrust_per_pwm (1 - sag (P/reference - 1)); its root carries."""
+    sag, reference = 0.15, 25_000.0
+    vehicle = changed("battery_sag", sag=sag, reference=reference)
+    ratio = V.hover_pwm / reference
+    pwm = reference * ((1 + sag) - math.sqrt((1 + sag) ** 2 - 4 * sag * ratio)) / (2 * sag)
+    assert pwm > 1.02 * V.hover_pwm
+    start = start_states(1)
+    start[0, LAG] = pwm / V.thrust_lag_rate
+    speed = hold(plant_of(kind, 1, vehicle), 100, pwm, start)[:, VZ]
+    assert np.abs(speed).max() < 1e-9
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_fade_and_discharge_follow_the_time_since_the_reset(kind):
+    vehicle = changed("thrust_fade", rate=0.01)
+    plant = plant_of(kind, 1, vehicle)
+    hold(plant, 10, V.hover_pwm)
+    states = hold(plant, 100, V.hover_pwm)  # begins at time 0 again
+    # m dv/dt = -W rate t - vertical drag; without drag v = -g rate t^2/2 (drag: 2 % within 2 s)
+    assert states[-1, VZ] == pytest.approx(-9.81 * 0.01 * 2.0**2 / 2, rel=0.2)
+    voltage = changed("battery_voltage", sensitivity=0.3, reference=V.effects_voltage_open)
+    fall = V.effects_voltage_drop * V.hover_pwm
+    states = hold(plant_of(kind, 1, voltage), 10, V.hover_pwm)
+    assert states[0, VZ] == pytest.approx(-9.81 * 0.3 * fall * 0.02, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_a_vehicle_without_tilt_drifts_with_the_wind(kind):
+    """Time constant of the linear drag: m/(K w) = 5 s; body drag makes it faster."""
+    vehicle = changed("wind", x=0.8, y=-0.4)
+    vehicle = LIBRARY["body_drag"].apply(vehicle, {"coefficient": 0.05})
+    states = hold(plant_of(kind, 1, vehicle), 1500, V.hover_pwm)
+    np.testing.assert_allclose(states[-1, [VX, VY]], [0.8, -0.4], atol=0.01)
+    assert abs(states[-1, VZ]) < 1e-9
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_rising_air_speed_changes_the_thrust(kind):
+    start = start_states(1)
+    start[0, VZ] = 2.0
+    slow = hold(plant_of(kind, 1, changed("axial_inflow", coefficient=0.1)), 1, V.hover_pwm, start)
+    plain = hold(plant_of(kind, 1, V), 1, V.hover_pwm, start)
+    assert (slow - plain)[0, VZ] == pytest.approx(-9.81 * 0.1 * 2.0 * 0.02, rel=0.02)
+    start[0, [VX, VY, VZ]] = [3.0, -4.0, 0.0]
+    lift = hold(plant_of(kind, 1, changed("translational_lift", coefficient=0.02)), 1, V.hover_pwm, start)
+    plain = hold(plant_of(kind, 1, V), 1, V.hover_pwm, start)
+    assert (lift - plain)[0, VZ] == pytest.approx(9.81 * 0.02 * 25.0 * 0.02, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_a_slope_turns_the_vehicle_away_from_itself(kind):
+    """The platform rises towards +x at negative inclination: the front rotors gain, the nose goes up."""
+    for inclination, sign in ((-0.4, -1), (0.4, 1)):
+        plant = plant_of(kind, 1, changed("ground_effect"))
+        plant.set_platform([0], inclination)
+        start = start_states(1)
+        start[0, Z] = V.platform_surface_height + 0.1
+        plant.reset([0], start)
+        for _ in range(10):
+            plant.step(np.array([[V.hover_pwm, 0, 0, 0]]))
+        assert sign * plant.state[0, PITCH] > 1e-3 and abs(plant.state[0, ROLL]) < 1e-9
+        assert plant.state[0, VZ] > 0.01
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_the_heavy_side_goes_down(kind):
+    """Steady tilt: offset weight = inertia B/tau angle, B/tau the stiffness of the attitude loop."""
+    offset = 0.001
+    states = hold(plant_of(kind, 1, changed("com_offset", x=offset, y=0.0)), 200, V.hover_pwm)
+    stiffness = V.body_inertia[1] * V.attitude_bandwidth / V.attitude_time_constant
+    assert states[-1, PITCH] == pytest.approx(offset * WEIGHT / stiffness, rel=0.01)
+    left = hold(plant_of(kind, 1, changed("com_offset", x=0.0, y=offset)), 200, V.hover_pwm)
+    assert left[-1, ROLL] < -0.9 * offset * WEIGHT / stiffness * V.body_inertia[1] / V.body_inertia[0]
+
+
+@pytest.mark.parametrize(
+    "options", [("analytic", {}), ("mujoco", {}), ("mujoco", {"integrator": "implicitfast"})]
+)
+def test_slower_spin_down_is_exact(options):
+    kind, own = options
+    plant = plant_of(kind, 1, changed("spin_down", excess=1.0), **own)
+    states = hold(plant, 5, 10_000.0)
+    rate = V.thrust_lag_rate / 2
+    end = 10_000.0 / V.thrust_lag_rate
+    wanted = end + (V.hover_lag - end) * math.exp(-rate * 0.1)
+    assert states[-1, LAG] == pytest.approx(wanted, rel=1e-7)  # RK4 at 4 ms: (rate h)^5/120 = 2e-10 a step
+    up = hold(plant, 5, 50_000.0)[-1, LAG]
+    assert up == pytest.approx(hold(plant_of(kind, 1, V, **own), 5, 50_000.0)[-1, LAG], rel=1e-12)
+
+
+# --- touchdown, in MuJoCo ----------------------------------------------------------------------------
+
+
+def touch(vehicle, steps=40) -> np.ndarray:
+    """(steps, 13) states of a vehicle that drops 3 cm, sliding, onto the slab with its motors off."""
+    plant = MujocoPlant(1, vehicle)
+    alpha = V.platform_inclination
+    up, slope = (
+        np.array([math.sin(alpha), 0, math.cos(alpha)]),
+        np.array([math.cos(alpha), 0, -math.sin(alpha)]),
+    )
+    state = np.zeros((1, 13))
+    state[0, :3] = [0, 0, V.platform_surface_height] + up * 0.05
+    state[0, PITCH], state[0, VX : VZ + 1] = alpha, -0.5 * up + 0.4 * slope
+    plant.reset([0], state)
+    rows = []
+    for _ in range(steps):
+        plant.step(np.array([[0.0, 0.0, alpha / V.attitude_gain, 0.0]]))
+        rows.append(plant.state[0].copy())
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("name", TOUCHDOWN)
+def test_touchdown_effects_act(name):
+    alpha, nominal, flown = V.platform_inclination, touch(V), touch(changed(name))
+    np.testing.assert_array_equal(nominal[0], flown[0])  # no foot has touched
+    up, slope = (
+        np.array([math.sin(alpha), 0, math.cos(alpha)]),
+        np.array([math.cos(alpha), 0, -math.sin(alpha)]),
+    )
+    height, along = (lambda s: s[:, :3] @ up), (lambda s: s[:, :3] @ slope)
+    if name == "friction":
+        assert along(flown)[-1] < along(nominal)[-1] - 0.02  # slides back down the slope
+    elif name == "contact_stiffness":
+        assert height(flown).min() < height(nominal).min() - 2e-4  # sinks in deeper
+    elif name == "contact_damping":
+        assert height(flown)[3:6].max() > height(nominal)[3:6].max() + 2e-3  # bounces
+    elif name == "platform_height":
+        rise = changed(name).platform_surface_height - V.platform_surface_height
+        assert (height(flown) - height(nominal))[-1] == pytest.approx(rise * math.cos(alpha), abs=2e-4)
+    else:
+        assert flown[-1, PITCH] - nominal[-1, PITCH] == pytest.approx(0.05, abs=1e-3)
+
+
+def test_stiffness_and_damping_are_those_of_the_engine():
+    """Of r'' = -b r' - k r: both formats of solref mean the same spring, and only the named part scales."""
+    direct = LIBRARY["contact_stiffness"].apply(changed("contact_damping", scale=0.5), {"scale": 2.0})
+    time, ratio = V.contact_solref
+    stiffness, damping = 1 / (time * ratio) ** 2, 2 / time
+    assert direct.contact_solref == pytest.approx((-2 * stiffness, -0.5 * damping))
+    same = dataclasses.replace(V, contact_solref=(-stiffness, -damping))
+    np.testing.assert_allclose(touch(same), touch(V), atol=1e-9)
+
+
+# --- files and wrong values --------------------------------------------------------------------------
+
+
+def test_a_corrected_vehicle_is_a_file(tmp_path):
+    write_vehicle(tmp_path / "all.toml", everything())
+    assert load_vehicle(tmp_path / "all.toml") == everything()
+    write_vehicle(tmp_path / "all.toml", V)  # the same name again
+    assert load_vehicle(tmp_path / "all.toml") == V
+    text = (tmp_path / "all.toml").read_text("utf-8")
+    old = re.sub(r"\[(effects|rotor)\].*?(?=\n\[|\Z)", "", text, flags=re.S)
+    assert "ground_effect" not in old
+    (tmp_path / "old.toml").write_text(old, "utf-8")
+    assert load_vehicle(tmp_path / "old.toml") == V  # files older than the effects
+    assert {c.field for c in constants(tmp_path / "old.toml")} == {f.name for f in dataclasses.fields(V)}
+    (tmp_path / "part.toml").write_text(old + '[effects]\nthrust_bias = { value = 0.01, unit = "N", '
+                                        'source = "x", uncertainty = 0 }\n', "utf-8")  # fmt: skip
+    assert load_vehicle(tmp_path / "part.toml") == changed("thrust_bias", force=0.01)
+
+
+@pytest.mark.parametrize("change, sentence", [
+    ({"effects_thrust_delay": -0.01}, "effects_thrust_delay must not be negative"),
+    ({"effects_mocap_delay": math.nan}, "effects_mocap_delay must not be negative"),
+    ({"effects_spin_down": -1.0}, "effects_spin_down must be greater than -1"),
+    ({"effects_battery_reference": 0.0}, "effects_battery_reference must not be 0"),
+    ({"effects_body_drag": -1.0}, "effects_body_drag must not be negative"),
+])  # fmt: skip
+@pytest.mark.parametrize("kind", BOTH)
+def test_impossible_effects_are_refused(kind, change, sentence):
+    with pytest.raises(UserError, match=sentence):
+        make_plant(kind, 1, dataclasses.replace(V, **change))
