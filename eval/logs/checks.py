@@ -46,6 +46,8 @@ def check_fleet(logs: Sequence[FlightLog]) -> tuple[Finding, ...]:
 
     Where every log has the battery voltage, by command times voltage if that makes them more alike.
     """
+    if len(logs) < 2:
+        return ()
     hover, unit = _hover(logs)
     known = [(level, log.name) for level, log in zip(hover, logs) if np.isfinite(level)]
     if len(known) < 2:
@@ -78,7 +80,7 @@ def _names(names: list[str]) -> str:
 def _hover(logs: Sequence[FlightLog]) -> tuple[list[float], str]:
     """Hover command of each flight (NaN where none can be told), and its unit."""
     plain = [_hover_command(log) for log in logs]
-    if any(log.voltage is None for log in logs):
+    if any(log.voltage is None for log in logs) or not np.isfinite(plain).all():
         return plain, "PWM"
     # Thrust follows the voltage across the motors, unless the command was compensated for it: the
     # product is taken where it makes the flights more alike.

@@ -27,6 +27,7 @@ AGREE = 0.6  # correlation from which two columns are said to show the same moti
 TURNED = np.radians(20.0)
 TURNED_TOO_FAR = np.radians(60.0)
 LONGEST_LAG = 0.4  # s
+LATEST = 0.3  # s: the slowest attitude loop and radio known here stay below 0.2
 LEAD = 0.015  # s by which a response may seem to lead its cause before the clocks are doubted
 
 
@@ -35,8 +36,8 @@ class Motion:
     """Smoothed motion of one flight in the air, on a grid of RATE; complex: x + iy.
 
     height: z (m). tilt: pitch - i roll, NaN where one is not logged. pointed: where the thrust pointed,
-    in the frame of the heading. asked: commanded tilt. force: specific force (m/s2). moved, climbed: the
-    derivatives of position; drift, climb: the logged velocity.
+    in the frame of the heading. asked: commanded tilt. force: specific force (m/s2). lift: its vertical
+    part less g. moved, climbed: the derivatives of position. drift, climb: the logged velocity.
     """
 
     height: np.ndarray
@@ -45,6 +46,7 @@ class Motion:
     asked: np.ndarray
     pwm: np.ndarray
     force: np.ndarray
+    lift: np.ndarray
     moved: np.ndarray
     climbed: np.ndarray
     drift: np.ndarray | None
@@ -82,6 +84,7 @@ def _motion(log: FlightLog) -> Motion:
         asked=smooth(log.command[:, 2]) - 1j * smooth(log.command[:, 1]),
         pwm=smooth(log.command[:, 0]),
         force=np.linalg.norm(acceleration + [0.0, 0.0, GRAVITY], axis=1),
+        lift=acceleration[:, 2],
         moved=speed[:, 0] + 1j * speed[:, 1],
         climbed=speed[:, 2],
         drift=None if velocity is None else velocity[:, 0] + 1j * velocity[:, 1],
@@ -98,8 +101,10 @@ def check(log: FlightLog) -> Iterator[Finding]:
         )
         return
     yield from _force(parts)
-    yield from _tilt_against_acceleration(parts)
-    yield from _tilt_against_command(parts)
+    tilt = list(_tilt_against_acceleration(parts))
+    yield from tilt
+    if not any(finding.decision == "refuse" for finding in tilt):
+        yield from _tilt_against_command(parts)
     yield from _velocity(parts)
 
 
@@ -108,8 +113,9 @@ def _force(parts: list[Motion]) -> Iterator[Finding]:
     spread = np.concatenate([p.force for p in parts]).std()
     if spread < 0.3:
         return
-    inverse, against = _lag([-p.pwm for p in parts], [p.force for p in parts])
-    if against > 0.7 and correlation < 0.3 and inverse >= 0:
+    upward = _lag([p.pwm for p in parts], [p.lift for p in parts])[1]
+    downward = _lag([-p.pwm for p in parts], [p.lift for p in parts])[1]
+    if downward > 0.7 and upward < 0.3:
         yield refuse(
             "z", "height falls when thrust is commanded: z must point up (and cmd_thrust_pwm mean thrust)"
         )
@@ -221,7 +227,7 @@ def _convention(pair: _Pair, what: str, against: str) -> Iterator[Finding]:
     turn = float(np.angle(pair.mirrored if mirrored else pair.straight))
     ratio = f"{against} is {pair.ratio:.2g} times what {what} say"
     if mirrored:
-        yield refuse(what, f"{what} mirror {against}: {_mirror_words(what, turn)}")
+        yield refuse(what, f"{what} mirror {against}: {_mirror_words(what, turn)}, or x and y are")
     elif abs(turn) > TURNED_TOO_FAR:
         yield refuse(
             what,
@@ -260,7 +266,7 @@ def _clock(response: str, channel: str, lag: float, correlation: float) -> Itera
         yield limit(
             channel, f"{response} leads its command by {-1e3 * lag:.0f} ms: the commands are dated too late"
         )
-    elif lag > LONGEST_LAG - 0.02 and correlation > AGREE:
+    elif lag > LATEST and correlation > AGREE:
         yield limit(channel, f"{text}: the commands are dated too early, or others than those flown")
     else:
         yield info(channel, text)

@@ -1,0 +1,241 @@
+"""Checks of flight logs: each mistake people make is found, named and decided upon."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from inclined_landing.eval.cli import main
+from inclined_landing.eval.logs import FlightLog, check_log, read_log, write_log
+from inclined_landing.eval.logs.checks import check_fleet, enforce
+from inclined_landing.models.errors import UserError
+
+ATTITUDE_LAG, THRUST_LAG = 0.08, 0.05  # s
+
+
+def flight(
+    seed=0, seconds=12.0, hover=42_000.0, heading=0.5, noise=1e-3, planar=False, name="flight"
+) -> FlightLog:
+    """An ordinary flight, 100 Hz: slow sines in each axis; tilt and thrust follow from the motion.
+
+    1 mm and 0.3 deg of noise; commands are what attitude and thrust become ATTITUDE_LAG and THRUST_LAG
+    later; voltage falls from 4.1 to 3.7 V.
+    """
+    random = np.random.default_rng(seed)
+    t = np.arange(int(100 * seconds)) / 100
+
+    def motion(at):
+        phase = np.random.default_rng(seed + 1).uniform(0, 6, (3, 2))
+        rate, size = np.array([1.1, 2.3]), np.array([[0.8, 0.25], [0.7, 0.2], [0.3, 0.1]])
+        size[1] *= not planar
+        angle = rate * at[:, None, None] + phase
+        return (
+            (size * np.sin(angle)).sum(-1) + [0, 0, 1],
+            (size * rate * np.cos(angle)).sum(-1),
+            -(size * rate**2 * np.sin(angle)).sum(-1),
+        )
+
+    def attitude(at):
+        """Roll and pitch of Rz(heading) Rx(roll) Ry(pitch) whose z axis is along the specific force."""
+        force = motion(at)[2] + [0, 0, 9.81]
+        x = np.cos(heading) * force[:, 0] + np.sin(heading) * force[:, 1]
+        y = -np.sin(heading) * force[:, 0] + np.cos(heading) * force[:, 1]
+        roll = np.arctan2(-y, force[:, 2])
+        return roll, np.arctan2(x, np.hypot(y, force[:, 2])), np.linalg.norm(force, axis=1)
+
+    position, velocity, _ = motion(t)
+    roll, pitch, _ = attitude(t)
+    roll_sent, pitch_sent, _ = attitude(t + ATTITUDE_LAG)
+    pwm = hover * (attitude(t + THRUST_LAG)[2] / 9.81) ** 0.8
+    return FlightLog(
+        name=name,
+        t=t,
+        position=position + random.normal(0, noise, position.shape),
+        attitude=np.stack([roll, pitch, np.full(len(t), heading)], axis=1)
+        + random.normal(0, 0.005, (len(t), 3)),
+        command=np.stack([pwm, roll_sent, pitch_sent, np.zeros(len(t))], axis=1),
+        velocity=velocity + random.normal(0, 0.01, velocity.shape),
+        voltage=np.linspace(4.1, 3.7, len(t)),
+    )
+
+
+def change(log: FlightLog, **columns) -> FlightLog:
+    """The flight with changed columns, by their names in the CSV."""
+    arrays = {
+        "position": ["x", "y", "z"],
+        "attitude": ["roll", "pitch", "yaw"],
+        "velocity": ["vx", "vy", "vz"],
+    }
+    arrays["command"] = ["cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate"]
+    changed = {}
+    for field, names in arrays.items():
+        if set(names) & set(columns):
+            values = getattr(log, field).copy()
+            for i, name in enumerate(names):
+                values[:, i] = columns.get(name, values[:, i])
+            changed[field] = values
+    return dataclasses.replace(log, **changed)
+
+
+def found(log: FlightLog, decision: str) -> list[str]:
+    return [finding.text for finding in check_log(log) if finding.decision == decision]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("heading", [0.0, 2.5])
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 3e-3])
+def test_nothing_is_wrong_with_an_ordinary_flight(seed, heading, noise):
+    log = flight(seed, heading=heading, noise=noise)
+    assert found(log, "refuse") == found(log, "limit") == []
+    notes = " ".join(found(log, "info"))
+    # To a row and the noise: the estimate is in steps of 10 ms.
+    assert any(f"attitude follows its command after {ms} ms" in notes for ms in (70, 80, 90)), notes
+    assert any(f"thrust follows its command after {ms} ms" in notes for ms in (30, 40, 50, 60, 70)), notes
+    assert enforce(log).notes == ()
+
+
+def mistakes(log: FlightLog) -> dict[str, tuple[FlightLog, str]]:
+    x, y, z = log.position.T
+    roll, pitch, _ = log.attitude.T
+    pwm, cmd_roll, cmd_pitch, _ = log.command.T
+    short = log.between(0, 0.5)
+    holes = log.rows((np.arange(len(log)) // 80) % 2 == 0)
+    jumping = log.position.copy()
+    jumping[::30] += 1.0
+    return {
+        "half a second": (short, "lasts only 0.5 s; at least 1 s"),
+        "only holes": (holes, "7 gaps in time, the longest of 0.81 s .*; no stretch of 1 s"),
+        "NaN": (change(log, roll=np.where(log.t > 5, np.nan, roll)), "column roll has no number in 699 rows"),
+        "standing": (change(log, x=0, y=0, z=0), "x, y, z never change"),
+        "millimetres": (change(log, x=1e3 * x, y=1e3 * y, z=1e3 * z), "wrong unit .millimetres"),
+        "lost tracking": (dataclasses.replace(log, position=jumping), "x, y, z jump in 39 of 1200 rows"),
+        "no attitude": (change(log, roll=0, pitch=0), "neither roll nor pitch ever changes"),
+        "roll sign": (change(log, roll=-roll), "roll and pitch mirror .* roll has the wrong sign"),
+        "pitch sign": (change(log, pitch=-pitch), "roll and pitch mirror .* pitch has the wrong sign"),
+        "both signs": (
+            change(log, roll=-roll, pitch=-pitch),
+            "both signs are wrong, or the frames are turned",
+        ),
+        "swapped": (change(log, roll=pitch, pitch=roll), "roll and pitch .*(swapped|mirror)"),
+        "turned": (
+            change(log, roll=pitch, pitch=-roll),
+            "turned by .?90 deg .* columns are swapped and one sign",
+        ),
+        "x and y swapped": (change(log, x=y, y=x), "roll and pitch mirror the horizontal acceleration"),
+        "degrees": (change(log, roll=np.degrees(roll), pitch=np.degrees(pitch)), "degrees taken for radians"),
+        "z down": (change(log, z=-z), "z must point up"),
+        "command roll sign": (change(log, cmd_roll=-cmd_roll), "cmd_roll has the wrong sign"),
+        "commands swapped": (
+            change(log, cmd_roll=cmd_pitch, cmd_pitch=cmd_roll),
+            "cmd_roll and cmd_pitch mirror",
+        ),
+        "command degrees": (
+            change(log, cmd_roll=np.degrees(cmd_roll), cmd_pitch=np.degrees(cmd_pitch)),
+            "column cmd_roll reaches .* degrees",
+        ),
+        "rate degrees": (
+            change(log, cmd_yaw_rate=30 * np.sin(log.t)),
+            "cmd_yaw_rate reaches 30 rad/s: degrees",
+        ),
+        "too much PWM": (
+            change(log, cmd_thrust_pwm=pwm * 1.6),
+            "cmd_thrust_pwm holds .*, but PWM is 0 to 65535",
+        ),
+        "fraction": (change(log, cmd_thrust_pwm=pwm / 65535), "state its unit .fraction"),
+        "constant thrust": (change(log, cmd_thrust_pwm=42_000), "cmd_thrust_pwm is always 42000"),
+        "on the ground": (change(log, cmd_thrust_pwm=pwm / 10), "never exceeds .* this is no flight"),
+        "millivolt": (dataclasses.replace(log, voltage=1e3 * log.voltage), "vbat reaches 4100 V: millivolt"),
+    }
+
+
+@pytest.mark.parametrize("mistake", mistakes(flight()))
+def test_mistakes_are_refused_in_words(mistake, tmp_path, capsys):
+    log, words = mistakes(flight())[mistake]
+    with pytest.raises(UserError, match=words):
+        enforce(log)
+    if mistake == "half a second":
+        write_log(tmp_path / "bad.csv", log)
+        assert main(["logs", str(tmp_path / "bad.csv")]) == 2
+        captured = capsys.readouterr()
+        assert "bad.csv: lasts only 0.5 s" in captured.err and captured.err.count("\n") == 1
+
+
+def test_a_flight_in_one_plane_shows_the_sign_of_one_axis():
+    log = flight(planar=True, heading=0.0)
+    assert found(log, "refuse") == []
+    wrong = change(log, pitch=-log.attitude[:, 1])
+    assert "wrong" in found(wrong, "refuse")[0]
+
+
+def test_limits_are_noted_and_what_cannot_be_believed_is_left_out():
+    log = flight()
+    roll_rate = np.gradient(log.position[:, 1], log.t)
+    cases = {
+        "vbat is always 3.8 V": dataclasses.replace(log, voltage=np.full(len(log), 3.8)),
+        "not logged: cmd_yaw_rate": change(log, cmd_yaw_rate=np.nan),
+        "1 gap in time, the longest of 0.52 s": log.rows(np.abs(log.t - 6) > 0.255),
+        "vx and vy mirror": change(log, vy=-log.velocity[:, 1]),
+        "vz is not the derivative": change(log, vz=-log.velocity[:, 2]),
+        "column cmd_roll is always 0": change(log, cmd_roll=0),
+        "saturated": change(log, cmd_thrust_pwm=np.minimum(log.command[:, 0] * 1.5, 65535)),
+        "lasts only 3 s": log.between(0, 3),
+        "only 10 rows per second": log.rows(slice(None, None, 10)),
+        "repeats its last value": dataclasses.replace(log, position=np.repeat(log.position[::2], 2, axis=0)),
+    }
+    assert roll_rate.std() > 0  # the flight moves sideways, so that mirrored velocity is visible
+    for words, changed in cases.items():
+        used = enforce(changed)
+        assert any(words in note for note in used.notes), (words, used.notes)
+        assert (used.voltage is None) == words.startswith("vbat")
+        assert (used.velocity is None) == words.startswith("v") ^ words.startswith("vbat")
+
+
+def test_jumps_of_the_position():
+    log = flight()
+    position = log.position.copy()
+    position[[300, 700]] += 0.5
+    used = enforce(dataclasses.replace(log, position=position))
+    assert len(used) == len(log) - 2 and "jumps away and back in 2 rows" in used.notes[0]
+    position = log.position.copy()
+    position[500:, 0] += 0.2
+    used = enforce(dataclasses.replace(log, position=position))
+    assert "jumps for good once at t = 5.00 s" in used.notes[0]
+    before, after = used.pieces()
+    assert before.t[-1] < 5.0 < after.t[0] and len(used) > len(log) - 20
+
+
+@pytest.mark.parametrize("late", [-0.3, 0.15])
+def test_commands_on_another_clock_are_noticed(late):
+    """Attitude follows its command after 80 ms: dated 150 ms late, the command follows it."""
+    log = flight()
+    rows = round(100 * abs(late))
+    command = np.roll(log.command, rows if late > 0 else -rows, axis=0)
+    words = " ".join(enforce(dataclasses.replace(log, command=command).rows(slice(40, -40))).notes)
+    if late > 0:
+        assert "attitude leads its command by 70 ms: the commands are dated too late" in words
+    else:
+        assert "attitude follows its command after 380 ms" in words and "dated too early" in words
+
+
+def test_flights_of_two_vehicles():
+    one = [flight(seed, hover=42_000 + 300 * seed, name=f"a{seed}") for seed in range(3)]
+    other = [flight(seed, hover=50_000 - 300 * seed, name=f"b{seed}") for seed in range(2)]
+    assert check_fleet(one) == () and check_fleet(one[:1]) == () and check_fleet([]) == ()
+    (mixed,) = check_fleet([*one, *other])
+    assert mixed.decision == "refuse"
+    assert "different vehicles are mixed: a0, a1, a2 hover at" in mixed.text and "b1, b0 at" in mixed.text
+    (unlike,) = check_fleet([one[0], flight(5, hover=45_500, name="c")])
+    assert unlike.decision == "limit" and "one vehicle, one load?" in unlike.text
+
+
+def test_the_command_names_two_vehicles(tmp_path, capsys):
+    files = [str(tmp_path / name) for name in ("a.csv", "b.csv")]
+    for file, hover in zip(files, (40_000, 50_000)):
+        write_log(file, flight(hover=hover))
+    assert main(["logs", files[0]]) == 0
+    assert "1200 rows, 12.0 s, 100 rows per second" in capsys.readouterr().out
+    assert main(["logs", *files, "--json"]) == 2
+    captured = capsys.readouterr()
+    assert "flights of different vehicles are mixed" in captured.err
+    assert '"decision": "refuse"' in captured.out
+    assert read_log(files[0]).notes == ()
