@@ -28,6 +28,9 @@ OutFile = Annotated[Path, tyro.conf.arg(metavar="FILE")]
 Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X,Z")]
 Camera = Annotated[str, tyro.conf.arg(metavar="{side,hero,pad,track,chase,closeup,onboard}")]
 Backend = Annotated[str, tyro.conf.arg(metavar="{auto,ray,gl}")]
+LogFiles = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+Mapping = Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")]
+Units = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=UNIT")]
 Flag = tyro.conf.FlagCreatePairsOff[bool]
 Scales = Annotated[
     tuple[tuple[float, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X [X ...]")
@@ -42,6 +45,7 @@ def success(
     thrust_scale: Scales = (),
     inclination: Degrees = None,
     vehicle: File = None,
+    effects: Flag = False,
     seed: int = 0,
     json: Flag = False,
     out: Folder = None,
@@ -55,9 +59,11 @@ def success(
         thrust_scale: total thrust times this, one row for each value (default: 1).
         inclination: of the platform in degrees, where it differs from the training's.
         vehicle: vehicle file (TOML), where it differs from the shipped one.
+        effects: one row for every physical effect of the library at a plausible size, which the policy
+            knows nothing of; from the frozen grid only (two minutes).
         seed: of the random starts.
         json: print JSON, and nothing else, on standard output.
-        out: new folder for success.json and flights.csv.
+        out: new folder for success.json and (without effects) flights.csv.
     """
     from inclined_landing.eval import success
 
@@ -68,6 +74,7 @@ def success(
         thrust_scale=tuple(itertools.chain(*thrust_scale)) or (1.0,),
         inclination=inclination,
         vehicle=vehicle,
+        effects=effects,
         seed=seed,
         json=json,
         out=out,
@@ -179,6 +186,7 @@ def video(
     height: int = 540,
     backend: Backend = "auto",
     slow: float = 1.0,
+    forces: Flag = False,
     task: TaskName = None,
     plant: PlantName = "mujoco",
     inclination: Degrees = None,
@@ -196,6 +204,8 @@ def video(
         height: of the video, pixels.
         backend: OpenGL, ray casting, or OpenGL only where it runs on hardware.
         slow: 2 plays at half speed.
+        forces: film the touchdowns only, at the engine's steps, with the contact forces as arrows. A landing
+            policy's motors are cut in the goal box. Together with slow.
         task: the task the policy must be for; needed for a plain Stable-Baselines3 file.
         plant: the physics to fly in.
         inclination: of the platform in degrees, where it differs from the training's.
@@ -204,7 +214,7 @@ def video(
 
     flown = {"task": task, "plant": plant, "inclination": inclination}
     look = {"camera": camera, "width": width, "height": height, "backend": backend}
-    files = pictures.video(policy, out, start, gif=gif, slow=slow, **look, **flown)
+    files = pictures.video(policy, out, start, gif=gif, slow=slow, forces=forces, **look, **flown)
     print(*files, sep="\n")
 
 
@@ -322,10 +332,10 @@ def contact_truth(
 
 
 def logs(
-    files: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")],
+    files: LogFiles,
     /,
-    mapping: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
-    unit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=UNIT")] = (),
+    mapping: Mapping = None,
+    unit: Units = (),
     json: Flag = False,
 ) -> None:
     """What flight logs hold and whether they can be believed, in words (exit code 2 where refused).
@@ -342,6 +352,66 @@ def logs(
     command.run(files, mapping=mapping, units=unit, json=json)
 
 
+def gap(
+    files: LogFiles,
+    /,
+    out: OutFolder,
+    heldout: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = (),
+    vehicle: File = None,
+    mapping: Mapping = None,
+    unit: Units = (),
+    platform: Flag = False,
+) -> None:
+    """Where simulation and flights disagree, which effect is missing, and the corrected model (seconds).
+
+    Args:
+        files: flights to fit: CSV (.csv, .csv.gz), Crazyflie micro-SD binary or ROS bag; several files of
+            one flight as A+B.
+        out: new folder for report.html, report.json, gap.png, vehicle.toml and landing.xml.
+        heldout: flights only judged on; without them each flight is judged with the others fitted.
+        vehicle: vehicle file (TOML), where the model differs from the shipped one.
+        mapping: shipped mapping or mapping file (TOML), where the column names do not tell.
+        unit: of a column that states none, roll=deg for example; repeat the option for more.
+        platform: the slab of the vehicle file stood in the arena (known from logs with contacts).
+    """
+    from inclined_landing.eval.gap import cli
+
+    cli.run(
+        files,
+        out,
+        heldout=heldout,
+        vehicle=vehicle,
+        mapping=mapping,
+        units=unit,
+        platform=platform,
+    )
+
+
+def gap_blind(
+    out: OutFolder,
+    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh}")] = "dev",
+    seed: int = 0,
+    cases: int | None = None,
+    method: Annotated[tuple[str, ...], tyro.conf.arg(metavar="{workflow,tuning,sparse}")] = ("workflow",),
+    keep: Flag = False,
+    processes: int = 2,
+) -> None:
+    """Hidden causes in flights of an independent simulator: what the gap workflow names, counted (minutes).
+
+    Args:
+        out: folder for results.json, table.md and report.html; an interrupted run goes on in it.
+        set: development (thresholds are chosen on it) or fresh (scored once); they share no seed.
+        seed: of the set.
+        cases: at most so many, every stratum keeping its share (default: all).
+        method: one or more of: the gap workflow, parameter tuning only, sparse regression (needs pysindy).
+        keep: keep the flights, some 3 MB a case.
+        processes: cases diagnosed at a time.
+    """
+    from inclined_landing.eval.gap.blind import run
+
+    run.run(set, seed, out, cases=cases, methods=method, keep=keep, processes=processes)
+
+
 COMMANDS = {
     "success": success,
     "touchdown": touchdown,
@@ -355,6 +425,8 @@ COMMANDS = {
     "contact": contact,
     "contact-truth": contact_truth,
     "logs": logs,
+    "gap": gap,
+    "gap-blind": gap_blind,
 }
 
 

@@ -1,0 +1,468 @@
+"""The figures of a diagnosis. Each `draw_*` fills axes it is given; the others make a whole figure."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from inclined_landing.eval.figures.style import (
+    BLUE,
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    PURPLE,
+    RULE,
+    panel,
+    styled,
+)
+from inclined_landing.eval.gap.report.tracks import Track
+from inclined_landing.eval.gap.report.words import REGIMES, SHOWN, label
+from inclined_landing.eval.gap.result import (
+    Diagnosis,
+    HorizonCurve,
+    NamedEffect,
+    PlantGap,
+    Remainder,
+    SearchStep,
+    WhereRow,
+    WindowCurves,
+)
+
+BEFORE, AFTER = ORANGE, GREEN
+CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw", "touchdown")
+WIDTH = 10.4  # inches, of a page
+_WORST = 100.0  # times the floor, where the colour scale ends
+_HEAT = LinearSegmentedColormap.from_list(
+    "heat", ["#f4f8fb", "#fde3c8", "#f9b071", "#e66f22", "#a63c06", "#5e1f04"]
+)
+_CANDIDATES = 7  # rows of one step of the ranking
+_TIED = "#8cc0e2"
+_STEPS = (PURPLE, BLUE, "#56b4e9", "#8a8f98", "#c9b458")  # between before and after
+
+
+def svg(figure: Figure) -> str:
+    """The figure as the address of an SVG picture, to stand in a page."""
+    file = io.BytesIO()
+    with styled(), matplotlib.rc_context({"svg.hashsalt": "gap", "svg.fonttype": "path"}):
+        figure.savefig(file, format="svg", metadata={"Date": None})
+    return "data:image/svg+xml;base64," + base64.b64encode(file.getvalue()).decode("ascii")
+
+
+# ---- where
+
+
+def where_map(rows: Sequence[WhereRow]) -> Figure:
+    """Maps regime by channel: before, after, and what the noise alone gives."""
+    height = 0.34 * len(_axes_of(rows)[0])
+    figure = Figure(figsize=(WIDTH, height + 0.95))
+    left, gap = 1.65, 0.18
+    width = (WIDTH - left - 2 * gap - 0.1) / 3
+    axes = [panel(figure, left + k * (width + gap), 0.62, width, height) for k in range(3)]
+    for axis, what in zip(axes, ("before", "after", "floor")):
+        draw_where(axis, rows, what)
+    for axis in axes[1:]:
+        axis.set_yticks([])
+    _where_scale(figure, left, 0.3, 2 * width + gap)
+    figure.text(
+        (left + 2 * (width + gap)) / WIDTH,
+        0.34 / figure.get_figheight(),
+        _where_units(rows),
+        color=MUTED,
+        fontsize=7.5,
+        va="center",
+    )
+    return figure
+
+
+def draw_where(axis: Axes, rows: Sequence[WhereRow], what: str, *, size: float = 7.5) -> None:
+    """One map: `what` is before, after or floor; colours are times the floor."""
+    regimes, channels = _axes_of(rows)
+    cells = {(row.regime, row.channel): row for row in rows}
+    norm = LogNorm(1.0, _WORST)
+    for i, regime in enumerate(regimes):
+        for j, channel in enumerate(channels):
+            row = cells.get((regime, channel))
+            value = math.nan if row is None else getattr(row, what)
+            colour, ink = "white", INK
+            if math.isfinite(value) and what != "floor" and row.floor > 0:
+                times = min(max(value / row.floor, 1.0), _WORST)
+                colour = _HEAT(norm(times))
+                ink = "white" if norm(times) > 0.62 else INK
+            elif what == "floor":
+                ink = MUTED
+            axis.add_patch(Rectangle((j, i), 1, 1, facecolor=colour, edgecolor="white", linewidth=1.2))
+            text = _number(SHOWN.get(row.unit, (1.0, ""))[0] * value) if math.isfinite(value) else "–"
+            axis.text(j + 0.5, i + 0.52, text, ha="center", va="center", fontsize=size, color=ink)
+    axis.set(xlim=(0, len(channels)), ylim=(len(regimes), 0))
+    axis.set_xticks(np.arange(len(channels)) + 0.5, ["touch" if c == "touchdown" else c for c in channels])
+    counts = {regime: max(row.windows for row in rows if row.regime == regime) for regime in regimes}
+    axis.set_yticks(
+        np.arange(len(regimes)) + 0.5, [f"{REGIMES.get(r, label(r))} ({counts[r]})" for r in regimes]
+    )
+    axis.tick_params(length=0, labelsize=8, top=False)
+    for side in axis.spines.values():
+        side.set_visible(False)
+    axis.set_title({"before": "before", "after": "after", "floor": "noise alone"}[what], fontsize=9.5)
+
+
+def _where_scale(figure: Figure, left: float, bottom: float, width: float) -> None:
+    axis = panel(figure, left, bottom, width, 0.09)
+    bar = figure.colorbar(ScalarMappable(LogNorm(1.0, _WORST), _HEAT), cax=axis, orientation="horizontal")
+    bar.outline.set_visible(False)
+    bar.set_ticks([1, 3, 10, 30, _WORST], labels=["noise", "3 times the noise", "10", "30", f"{_WORST:g}"])
+    bar.ax.tick_params(labelsize=7.5, length=0, colors=MUTED)
+    bar.minorticks_off()
+
+
+def _where_units(rows: Sequence[WhereRow]) -> str:
+    units: dict[str, list[str]] = {}
+    for channel in _axes_of(rows)[1]:
+        unit = next(row.unit for row in rows if row.channel == channel)
+        units.setdefault(SHOWN.get(unit, (1.0, unit))[1], []).append(channel)
+    return "; ".join(f"{', '.join(names)} in {unit}" for unit, names in units.items())
+
+
+def _axes_of(rows: Sequence[WhereRow]) -> tuple[list[str], list[str]]:
+    regimes = [r for r in REGIMES if any(row.regime == r for row in rows)]
+    regimes += sorted({row.regime for row in rows} - set(regimes))
+    return regimes, [c for c in CHANNELS if any(row.channel == c for row in rows)]
+
+
+def _number(value: float) -> str:
+    for limit, digits in ((0.0995, 3), (9.95, 2), (99.5, 1)):
+        if abs(value) < limit:
+            return f"{value:.{digits}f}"
+    return f"{value:.0f}"
+
+
+# ---- name
+
+
+def ranking(steps: Sequence[SearchStep]) -> Figure | None:
+    """Candidates of every step of the search, best first, with ties and why the others fell."""
+    steps = [step for step in steps if step.candidates]
+    if not steps:
+        return None
+    rows = [min(_CANDIDATES, len(step.candidates)) for step in steps]
+    head, line = 0.42, 0.21
+    height = sum(rows) * line + len(steps) * head + 0.42
+    figure = Figure(figsize=(WIDTH, height))
+    top = height
+    for k, (step, n) in enumerate(zip(steps, rows)):
+        top -= head + n * line
+        axis = panel(figure, 1.75, top, 3.4, n * line)
+        _draw_step(axis, step, n, k + 1)
+        if k == len(steps) - 1:
+            axis.set_xlabel("share of the closable error that it closes on flights left out [%]", fontsize=8)
+        else:
+            axis.set_xticklabels([])
+    return figure
+
+
+def _draw_step(axis: Axes, step: SearchStep, n: int, number: int) -> None:
+    shown = step.candidates[:n]
+    for k, c in enumerate(shown):
+        accepted = c.effect == step.accepted
+        colour = BLUE if accepted else _TIED if c.tie else "#d5dae0"
+        axis.barh(k, 100 * max(0.0, c.share), 0.66, color=colour)
+        values = ", ".join(f"{label(name)} {value:.3g}" for name, value in c.values.items())
+        why = f"added, {values}" if accepted else "cannot be told apart" if c.tie else c.reason
+        axis.text(
+            1.11,
+            k,
+            f"{100 * c.share:.0f} %",
+            transform=axis.get_yaxis_transform(),
+            va="center",
+            ha="right",
+            fontsize=7.5,
+            color=INK,
+        )
+        axis.text(
+            1.15,
+            k,
+            why,
+            transform=axis.get_yaxis_transform(),
+            va="center",
+            fontsize=7.5,
+            color=BLUE if accepted else MUTED,
+            fontweight="bold" if accepted else "normal",
+        )
+    axis.set(xlim=(0, 100), ylim=(n - 0.4, -0.6))
+    axis.set_yticks(range(n), [label(c.effect) for c in shown], fontsize=8)
+    axis.tick_params(axis="y", length=0)
+    axis.tick_params(axis="x", labelsize=7.5, length=0)
+    axis.grid(axis="x")
+    axis.spines["left"].set_visible(False)
+    axis.spines["bottom"].set_visible(False)
+    outcome = f"{label(step.accepted)} added" if step.accepted else "nothing more is worth adding"
+    if step.dropped:
+        outcome += ", " + ", ".join(label(x) for x in step.dropped) + " no longer needed"
+    axis.set_title(f"Step {number}: {outcome}", loc="left", fontsize=9, x=-0.5)
+
+
+# ---- show
+
+
+def horizon(curves: Sequence[HorizonCurve], gap: dict[str, PlantGap]) -> Figure:
+    """Error against the horizon as the effects are added, over the noise floor."""
+    figure = Figure(figsize=(WIDTH, 3.9))
+    draw_horizon(panel(figure, 0.75, 0.55, 6.4, 3.05), curves, gap)
+    return figure
+
+
+def draw_horizon(axis: Axes, curves: Sequence[HorizonCurve], gap: dict[str, PlantGap]) -> None:
+    """Curves with their names at the right end."""
+    ends = []
+    for k, curve in enumerate(curves):
+        colour = BEFORE if k == 0 else AFTER if k == len(curves) - 1 else _STEPS[(k - 1) % len(_STEPS)]
+        axis.plot(curve.horizon, 100 * curve.error, color=colour, linewidth=2.2, zorder=3 + k)
+        name = "model as it was" if k == 0 else curve.label.replace("_", " ")
+        ends.append((100 * curve.error[-1], f"{name}  {100 * curve.error[-1]:.1f} cm", colour))
+    if curves:
+        last = curves[-1]
+        axis.plot(last.horizon, 100 * last.floor, color=INK, linewidth=1.3, linestyle=(0, (1, 1.6)), zorder=3)
+        axis.fill_between(last.horizon, 0, 100 * last.floor, color=RULE, alpha=0.6, linewidth=0)
+        ends.append((100 * last.floor[-1], f"noise alone  {100 * last.floor[-1]:.1f} cm", INK))
+    if "mujoco" in gap:
+        g = gap["mujoco"]
+        for value, colour in ((g.before, BEFORE), (g.after, AFTER)):
+            axis.plot(
+                g.horizon, 100 * value, "D", color="white", markeredgecolor=colour, markersize=5.5, zorder=20,
+                markeredgewidth=1.6, clip_on=False, label="the same in MuJoCo" if colour == BEFORE else None,
+            )  # fmt: skip
+        axis.legend(loc="upper left", handletextpad=0.2)
+    top = max([value for value, *_ in ends] + [1e-3]) * 1.06
+    end = max((curve.horizon[-1] for curve in curves), default=1.0)
+    axis.set(xlim=(0, end), ylim=(0, top), xlabel="horizon [s]", ylabel="position error [cm, RMS]")
+    axis.grid(axis="y")
+    _name_ends(axis, ends, top)
+
+
+def _name_ends(axis: Axes, ends, top: float) -> None:
+    """Names right of the axes at the height of their curves, moved apart where they would overlap."""
+    inches = axis.get_position().height * axis.figure.get_figheight()
+    least = 0.17 / inches * top
+    ends = sorted(ends, key=lambda e: e[0])
+    heights = [value for value, *_ in ends]
+    for k in range(1, len(heights)):
+        heights[k] = max(heights[k], heights[k - 1] + least)
+    for height, (value, text, colour) in zip(heights, ends):
+        axis.annotate(
+            text,
+            (1.0, value),
+            (1.035, height),
+            xycoords=axis.get_yaxis_transform(),
+            textcoords=axis.get_yaxis_transform(),
+            fontsize=8.5,
+            color=colour,
+            va="center",
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkA": 1, "shrinkB": 0},
+        )
+
+
+def track(one: Track) -> Figure:
+    """A held-out flight with the predictions from every second of it, before and after."""
+    figure = Figure(figsize=(WIDTH, 4.6))
+    low = panel(figure, 0.75, 0.5, WIDTH - 0.9, 1.75)
+    high = panel(figure, 0.75, 2.45, WIDTH - 0.9, 1.75)
+    first, second = one.worst_axes()
+    draw_track(high, one, first)
+    draw_track(low, one, second)
+    high.set_xticklabels([])
+    low.set_xlabel("time [s]")
+    high.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
+    high.set_title(_flown(one), loc="left")
+    return figure
+
+
+def _flown(one: Track) -> str:
+    return f"{one.flight}, {'left out of' if one.left_out else 'part of'} the fit"
+
+
+def draw_track(axis: Axes, one: Track, k: int) -> None:
+    """One coordinate (0, 1, 2: x, y, z) of a flight and its predictions."""
+    name = "xyz"[k]
+    for which, colour, word in ((one.before, BEFORE, "before"), (one.after, AFTER, "after")):
+        for j, (t, p) in enumerate(zip(one.times, which)):
+            axis.plot(
+                t, p[:, k], color=colour, linewidth=1.5, zorder=3, solid_capstyle="round",
+                label=f"predictions {one.seconds:g} s ahead, {word}" if j == 0 else None,
+            )  # fmt: skip
+            axis.plot(t[-1], p[-1, k], "o", color=colour, markersize=2.6, zorder=3)
+    axis.plot(one.t, one.position[:, k], color=INK, linewidth=1.3, zorder=4, label="measured")
+    low, high = np.nanmin(one.position[:, k]), np.nanmax(one.position[:, k])
+    # All of the measurement, and of the predictions what lies within its range once more.
+    reach = [p[:, k] for p in (*one.before, *one.after)]
+    span = max(high - low, 0.1)
+    low = max(low - 0.8 * span, min([low, *(np.min(p) for p in reach)]))
+    high = min(high + 0.8 * span, max([high, *(np.max(p) for p in reach)]))
+    axis.set(xlim=(one.t[0], one.t[-1]), ylim=(low - 0.04 * span, high + 0.04 * span), ylabel=f"{name} [m]")
+    axis.grid()
+
+
+def window_curves(windows: Sequence[WindowCurves]) -> Figure | None:
+    """In the worst windows: the coordinate and the angle that the model missed most."""
+    if not windows:
+        return None
+    chosen = sorted(windows, key=lambda w: -np.max(np.abs(w.before[:, :3] - w.measured[:, :3])))[:4]
+    figure = Figure(figsize=(WIDTH, 4.3))
+    width = WIDTH / len(chosen)
+    for j, w in enumerate(chosen):
+        high = panel(figure, j * width + 0.6, 2.3, width - 0.7, 1.3)
+        low = panel(figure, j * width + 0.6, 0.5, width - 0.7, 1.3)
+        _draw_window(high, w, (0, 1, 2), 100.0, "cm")
+        _draw_window(low, w, (3, 4, 5), 180 / np.pi, "deg")
+        high.set_title(
+            f"{REGIMES.get(w.regime, w.regime)}\n{w.flight}, {w.start:.1f} s", fontsize=8, loc="left"
+        )
+        low.set_xlabel("time in the window [s]", fontsize=8)
+    figure.legend(*high.get_legend_handles_labels(), loc="upper left", ncols=3, bbox_to_anchor=(0.045, 1.0))
+    return figure
+
+
+def _draw_window(axis: Axes, w: WindowCurves, channels: Sequence[int], factor: float, unit: str) -> None:
+    """The one of `channels` that the nominal vehicle missed most."""
+    k = max(channels, key=lambda c: np.max(np.abs(w.before[:, c] - w.measured[:, c])))
+    start = w.measured[0, k] if k < 3 else 0.0
+    axis.plot(w.t, factor * (w.measured[:, k] - start), color=INK, linewidth=1.1, label="measured")
+    axis.plot(w.t, factor * (w.before[:, k] - start), color=BEFORE, label="predicted before")
+    axis.plot(w.t, factor * (w.after[:, k] - start), color=AFTER, label="predicted after")
+    axis.set_ylabel(f"{CHANNELS[k]} [{unit}]", labelpad=2)
+    axis.set_xlim(w.t[0], w.t[-1])
+    axis.tick_params(labelsize=7.5)
+    axis.grid()
+
+
+def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> Figure | None:
+    """Estimates of single flights with their standard errors, over the interval of all."""
+    parts = [(e, name, p) for e in effects for name, p in e.parameters.items()]
+    if not parts or not flights:
+        return None
+    columns = min(3, len(parts))
+    rows = -(-len(parts) // columns)
+    line = max(1.1, 0.16 * len(flights))
+    figure = Figure(figsize=(WIDTH, rows * (line + 0.95)))
+    names = 1.1
+    width = (WIDTH - names - 0.1) / columns
+    for k, (effect, name, p) in enumerate(parts):
+        i, j = divmod(k, columns)
+        axis = panel(
+            figure, names + j * width + 0.1, (rows - 1 - i) * (line + 0.95) + 0.55, width - 0.3, line
+        )
+        factor, unit = SHOWN.get(p.unit, (1.0, p.unit))
+        y = np.arange(len(p.per_flight))
+        value, error = factor * np.array(p.per_flight), 1.96 * factor * np.array(p.per_flight_error)
+        axis.axvspan(*(factor * np.array(p.ci95)), color=BLUE, alpha=0.18, linewidth=0)
+        axis.axvline(factor * p.value, color=BLUE, linewidth=1.4)
+        axis.errorbar(value, y, xerr=error, fmt="o", color=INK, markersize=3.2, linewidth=1.0)
+        _mark_neutral(axis, factor * p.neutral, unit)
+        axis.set_ylim(len(y) - 0.4, -0.6)
+        axis.set_yticks(y, flights[: len(y)] if j == 0 else [], fontsize=7.5)
+        axis.tick_params(axis="y", length=0)
+        axis.tick_params(axis="x", labelsize=7.5)
+        axis.grid(axis="y")
+        what = label(effect.name) if name == "scale" else f"{label(effect.name)}: {label(name)}"
+        axis.set_title(what + (" (at its bound)" if p.at_bound else ""), fontsize=9, loc="left", pad=14)
+        axis.set_xlabel(unit, fontsize=8, labelpad=1)
+    return figure
+
+
+def _mark_neutral(axis: Axes, neutral: float, unit: str) -> None:
+    """A dashed line at the model as it was; a note at the edge when that is far off."""
+    low, high = axis.get_xlim()
+    span = high - low
+    if low - span < neutral < high + span:
+        axis.axvline(neutral, color=MUTED, linewidth=1.0, linestyle=(0, (2, 2)))
+        return
+    right = neutral > high
+    text = f"model as it was: {neutral:.3g} {unit}".rstrip()
+    axis.text(
+        0.99 if right else 0.01, 1.02, f"{text} →" if right else f"← {text}", transform=axis.transAxes,
+        ha="right" if right else "left", va="bottom", fontsize=7.5, color=MUTED,
+    )  # fmt: skip
+    axis.set_xlim(low, high)
+
+
+def remainder(left: Remainder) -> Figure | None:
+    """What is left in every channel beside what counts as nothing, and what it depends on."""
+    channels = [c for c in CHANNELS if c in left.size]
+    if not channels:
+        return None
+    shown = left.depends_on[:3]
+    figure = Figure(figsize=(WIDTH, 2.6))
+    axis = panel(figure, 0.75, 0.55, 2.6, 1.7)
+    for k, c in enumerate(channels):
+        floor = left.floor.get(c, math.nan)
+        times = left.size[c] / floor if floor > 0 else math.nan
+        axis.barh(k, times, 0.62, color=ORANGE if times > 1 else "#b9c4cf")
+        unit, factor = ("deg", 180 / np.pi) if c in ("roll", "pitch", "yaw") else ("m/s²", 1.0)
+        if c == "touchdown":
+            unit, factor = "mm", 1e3
+        axis.text(max(times, 1.0) + 0.06, k, f"{factor * left.size[c]:.2g} {unit}", va="center", fontsize=7.5)
+    axis.axvline(1.0, color=INK, linewidth=1.0, linestyle=(0, (2, 2)))
+    axis.set_yticks(range(len(channels)), channels)
+    axis.tick_params(axis="y", length=0)
+    axis.set(
+        ylim=(len(channels) - 0.4, -0.6), xlim=(0, 1.35 * max([1.0, *(_times(left, c) for c in channels)]))
+    )
+    axis.set_xlabel("times what counts as nothing", fontsize=8)
+    axis.set_title("Left beyond the noise", loc="left", fontsize=9)
+    for k, d in enumerate(shown):
+        plot = panel(figure, 4.35 + k * 2.1, 0.55, 1.5, 1.7)
+        factor, unit = (180 / np.pi, "deg") if d.channel in ("roll", "pitch", "yaw") else (1.0, "m/s²")
+        plot.axhline(0, color=RULE, linewidth=1)
+        plot.plot(d.x, factor * np.asarray(d.y), "o-", color=ORANGE, markersize=3, linewidth=1.4)
+        plot.set_xlabel(d.on, fontsize=8)
+        plot.set_ylabel(f"{d.channel} [{unit}]", fontsize=8, labelpad=1)
+        plot.set_title(f"explains {100 * d.share:.0f} %", fontsize=9, loc="left")
+        plot.tick_params(labelsize=7.5)
+        plot.grid()
+    return figure
+
+
+def _times(left: Remainder, channel: str) -> float:
+    floor = left.floor.get(channel, math.nan)
+    times = left.size[channel] / floor if floor > 0 else 0.0
+    return times if math.isfinite(times) else 0.0
+
+
+# ---- all in one
+
+
+def overview(d: Diagnosis, one: Track | None) -> Figure:
+    """One picture of the whole: error against horizon, where it was, a held-out flight."""
+    below = 3.0 if one is not None else 0.0
+    figure = Figure(figsize=(11.6, 3.9 + below))
+    low = below + 0.62
+    left = panel(figure, 0.75, low, 2.9, 2.75)
+    draw_horizon(left, d.horizon, d.gap)
+    rows = [r for r in d.where if r.regime != "all" and r.channel != "touchdown"]
+    width = 2.02
+    for k, what in enumerate(("before", "after")):
+        axis = panel(figure, 7.3 + k * (width + 0.14), low, width, 2.55)
+        draw_where(axis, rows, what, size=7)
+        if k:
+            axis.set_yticks([])
+    _where_scale(figure, 7.3, low - 0.34, 2 * width + 0.14)
+    h = figure.get_figheight()
+    figure.text(5.75 / 11.6, (low + 2.79) / h, _where_units(rows), fontsize=8, color=MUTED)
+    for x, text in ((0.75, "Adding what was named"), (5.75, "Where the model was wrong")):
+        figure.text(x / 11.6, (low + 2.98) / h, text, fontsize=11, fontweight="bold", va="bottom")
+    if one is not None:
+        axis = panel(figure, 0.75, 0.5, 10.7, 2.0)
+        draw_track(axis, one, one.worst_axes()[0])
+        axis.set_xlabel("time [s]")
+        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
+        figure.text(0.75 / 11.6, 2.62 / h, _flown(one), fontsize=11, fontweight="bold", va="bottom")
+    return figure

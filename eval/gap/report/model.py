@@ -1,0 +1,86 @@
+"""The corrected model as files: a vehicle file and the MJCF."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from inclined_landing.eval import runs
+from inclined_landing.eval.gap.result import Diagnosis, NamedEffect
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.parameters import Vehicle, write_vehicle
+
+VEHICLE, MJCF = "vehicle.toml", "landing.xml"
+
+
+def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = None, library=LIBRARY) -> None:
+    """Write vehicle.toml and landing.xml of the corrected vehicle into `folder`.
+
+    vehicle: the one diagnosed, as the vehicle file `base` (default: the shipped one) gives it.
+    """
+    from inclined_landing.models.scene import build_spec
+
+    sources, uncertainties = provenance(d, vehicle, library)
+    names = ", ".join(effect.name for effect in d.effects) or "no effect"
+    write_vehicle(
+        folder / VEHICLE,
+        d.corrected,
+        sources,
+        uncertainties,
+        base=base,
+        heading=f"Corrected by landing-eval gap: {names}.\nEvery command takes it with --vehicle.",
+    )
+    spec = build_spec(d.corrected)
+    spec.compile()  # to_xml needs it
+    runs.write_text(folder / MJCF, spec.to_xml())
+
+
+def provenance(
+    d: Diagnosis, vehicle: Vehicle, library=LIBRARY
+) -> tuple[dict[str, str], dict[str, float | tuple[float, ...] | str]]:
+    """Source and half-width of the 95 % interval of every vehicle field that the effects change."""
+    sources: dict[str, str] = {}
+    squares: dict[str, np.ndarray] = {}
+    for effect in d.effects:
+        for field, squared in _spread(effect, vehicle, library).items():
+            sources[field] = f"{sources[field]}; " if field in sources else "identified by landing-eval gap: "
+            sources[field] += _source(effect)
+            squares[field] = squares.get(field, 0.0) + squared
+    return sources, {field: _half_width(squared) for field, squared in squares.items()}
+
+
+def _source(effect: NamedEffect) -> str:
+    return f"{effect.name} " + ", ".join(
+        f"{name} {p.value:.5g}{'' if p.unit == '1' else ' ' + p.unit}, "
+        f"95 % interval {p.ci95[0]:.5g} to {p.ci95[1]:.5g}"
+        for name, p in effect.parameters.items()
+    )
+
+
+def _spread(effect: NamedEffect, vehicle: Vehicle, library) -> dict[str, np.ndarray]:
+    """Squared half-width of every field that the effect changes, from the ends of its intervals."""
+
+    def fields(values) -> dict[str, np.ndarray]:
+        changed = library[effect.name].apply(vehicle, values)
+        return {f.name: np.asarray(getattr(changed, f.name)) for f in dataclasses.fields(Vehicle)}
+
+    middle = {name: p.value for name, p in effect.parameters.items()}
+    before = {f.name: np.asarray(getattr(vehicle, f.name)) for f in dataclasses.fields(Vehicle)}
+    at = fields(middle)
+    result = {name: np.zeros(at[name].shape) for name in at if np.any(at[name] != before[name])}
+    for name, p in effect.parameters.items():
+        if not np.all(np.isfinite(p.ci95)):
+            return {field: np.full(squared.shape, np.nan) for field, squared in result.items()}
+        low, high = (fields(middle | {name: end}) for end in p.ci95)
+        for field in result:
+            result[field] = result[field] + (0.5 * (high[field] - low[field])) ** 2
+    return result
+
+
+def _half_width(squared: np.ndarray) -> float | tuple[float, ...] | str:
+    if not np.all(np.isfinite(squared)):
+        return "not known"
+    rounded = [float(f"{x:.3g}") for x in np.sqrt(np.atleast_1d(squared))]
+    return tuple(rounded) if squared.ndim else rounded[0]

@@ -1,0 +1,70 @@
+"""A held-out flight, predicted from every second of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from inclined_landing.eval.gap import rollout
+from inclined_landing.eval.gap.windows import prepare
+from inclined_landing.eval.logs import FlightLog
+from inclined_landing.models.parameters import Vehicle
+
+EVERY = 1.0  # s between two predictions
+
+
+@dataclasses.dataclass(frozen=True)
+class Track:
+    """Measured positions of one flight and open-loop predictions along it."""
+
+    flight: str
+    left_out: bool  # of the fit
+    seconds: float  # how far each prediction goes
+    every: float  # s between two of them
+    t: np.ndarray  # (m,) s
+    position: np.ndarray  # (m, 3) m, measured
+    times: tuple[np.ndarray, ...]  # of every prediction, (k,) s
+    before: tuple[np.ndarray, ...]  # (k, 3) m, nominal vehicle
+    after: tuple[np.ndarray, ...]  # (k, 3) m, corrected vehicle
+
+    def worst_axes(self) -> tuple[int, int]:
+        """The coordinate (0, 1, 2) that the nominal vehicle missed most, and the next."""
+        missed = np.zeros(3)
+        for t, p in zip(self.times, self.before):
+            end = [np.interp(t[-1], self.t, self.position[:, k]) for k in range(3)]
+            missed += (p[-1] - end) ** 2
+        first, second, _ = np.argsort(-missed)
+        return int(first), int(second)
+
+
+def of(
+    log: FlightLog, before: Vehicle, after: Vehicle, *, left_out: bool, platform: bool = False
+) -> Track | None:
+    """Predictions along a flight; None when no stretch of it is long enough.
+
+    Raises UserError when the flight cannot be used at all.
+    """
+    flight = prepare(log, before, platform=platform)
+    starts = rollout.Starts.of([flight], every=EVERY)
+    if not len(starts):
+        return None
+    poses = [rollout.simulate(starts, vehicle)[..., :3] for vehicle in (before, after)]
+    shown = slice(starts.first[0], starts.first[-1] + starts.rows + 1)
+    return Track(
+        flight=log.name,
+        left_out=left_out,
+        seconds=round(starts.rows * starts.dt, 3),
+        every=EVERY,
+        t=flight.t[shown],
+        position=flight.position[shown],
+        times=tuple(flight.t[a : a + starts.rows + 1] for a in starts.first),
+        before=tuple(poses[0]),
+        after=tuple(poses[1]),
+    )
+
+
+def most_telling(logs: Sequence[FlightLog]) -> FlightLog:
+    """The flight with the largest range of heights: descents show what a model is worth."""
+    return max(logs, key=lambda log: float(np.ptp(log.position[:, 2])))

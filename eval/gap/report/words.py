@@ -1,0 +1,186 @@
+"""A diagnosis in plain words, the same on the page and in the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from inclined_landing.eval.gap.result import Diagnosis, Estimate, NamedEffect, PlantGap
+
+# Factor and name of the unit a person reads, by the unit of the number.
+SHOWN = {
+    "1": (1.0, ""),
+    "rad": (180.0 / math.pi, "deg"),
+    "rad/s": (180.0 / math.pi, "deg/s"),
+    "s": (1e3, "ms"),
+    "m": (1e3, "mm"),
+    "N": (1e3, "mN"),
+    "1/s": (100.0, "%/s"),
+    "1/V": (100.0, "%/V"),
+    "m/s2": (1.0, "m/s²"),
+    "s2/m2": (1.0, "s²/m²"),
+}
+PLANTS = {"analytic": "the equations", "mujoco": "MuJoCo"}
+REGIMES = {
+    "hover": "hover",
+    "climb": "climb and descent",
+    "lateral": "fast lateral",
+    "attitude_step": "attitude step",
+    "near_surface": "near a surface",
+    "low_battery": "low battery",
+    "touchdown": "touchdown",
+    "all": "all windows",
+}
+# What an effect means with its fitted values.
+_SAYS = {
+    "thrust_scale": "the rotors give {scale} times the modelled thrust",
+    "thrust_bias": "a constant {force} is added to the thrust, whatever the command",
+    "thrust_fade": "the thrust falls by {rate} of flight",
+    "battery_sag": "the thrust sags under load (sag {sag}, right at a load of {reference})",
+    "battery_voltage": "the thrust follows the battery voltage by {sensitivity} (right at {reference})",
+    "motor_lag": "the motors need {scale} times the modelled time to follow",
+    "spin_down": "the motors' time constant grows by a share of {excess} while they slow down",
+    "mass": "the vehicle has {scale} times the modelled mass",
+    "com_offset": "the thrust acts {x} forward and {y} left of the centre of mass",
+    "rotor_drag": "the rotors have {scale} times the modelled drag",
+    "body_drag": "the body has a quadratic drag of {coefficient}",
+    "wind": "the air moves with {x} along x and {y} along y",
+    "translational_lift": "fast flight through the air adds thrust ({coefficient})",
+    "axial_inflow": "climbing costs thrust and sinking adds it ({coefficient})",
+    "ground_effect": "near a surface the rotors give more thrust (strength {strength})",
+    "thrust_delay": "thrust commands act {delay} after they were sent",
+    "attitude_delay": "attitude commands act {delay} after they were sent",
+    "mocap_delay": "the measured pose is {delay} older than its time stamp",
+    "attitude_gain": "the vehicle tilts {scale} times as far as modelled",
+    "attitude_time_constant": "the attitude loops have {scale} times the modelled time constant",
+    "second_order_attitude": "the rate loop lags {rate_lag} more than modelled",
+    "attitude_trim": "commanded level, the vehicle holds {roll} of roll and {pitch} of pitch",
+    "yaw_drift": "the heading turns by {rate} without a command",
+    "friction": "the feet have {scale} times the modelled friction",
+    "contact_stiffness": "feet and platform are {scale} times as stiff as modelled",
+    "contact_damping": "touches are {scale} times as damped as modelled",
+    "platform_height": "the platform's surface is off by {offset} in height",
+    "platform_tilt": "the platform's tilt is off by {offset}",
+}
+
+
+def label(name: str) -> str:
+    """The name of an effect as a person writes it."""
+    return name.replace("_", " ")
+
+
+def listed(names: Sequence[str], last: str = "and") -> str:
+    """`a, b and c`."""
+    return ", ".join(names[:-1]) + f" {last} {names[-1]}" if len(names) > 1 else "".join(names)
+
+
+def quantity(value: float, unit: str, *, digits: int = 3) -> str:
+    """A number with the unit a person reads: 0.012 s is 12 ms."""
+    factor, name = SHOWN.get(unit, (1.0, unit))
+    shown = factor * value
+    text = f"{shown:.0f}" if abs(shown) >= 10**digits else f"{shown:#.{digits}g}".rstrip(".")
+    return f"{text} {name}".rstrip()
+
+
+def exact(value: float, unit: str) -> str:
+    """A number of the model as it stands there, with the unit a person reads."""
+    factor, name = SHOWN.get(unit, (1.0, unit))
+    return f"{factor * value:g} {name}".rstrip()
+
+
+def interval(estimate: Estimate) -> str:
+    """The 95 % interval of an estimate, `0.876 to 0.884`."""
+    factor, name = SHOWN.get(estimate.unit, (1.0, estimate.unit))
+    low, high = (factor * x for x in estimate.ci95)
+    # As many digits as the width can bear.
+    width = abs(high - low)
+    places = 3 if not width > 0 else min(6, max(0, 1 - math.floor(math.log10(width))))
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return "not known"
+    return f"{low:.{places}f} to {high:.{places}f} {name}".rstrip()
+
+
+def says(effect: str, values: Mapping[str, tuple[float, str]]) -> str:
+    """What an effect means, {parameter: (value, unit)}, as part of a sentence."""
+    shown = {name: quantity(value, unit) for name, (value, unit) in values.items()}
+    if effect in _SAYS:
+        return _SAYS[effect].format(**shown)
+    return f"{label(effect)} with " + listed([f"{label(name)} {text}" for name, text in shown.items()])
+
+
+def effect_says(effect: NamedEffect) -> str:
+    """What a named effect means, as part of a sentence."""
+    return says(effect.name, {name: (p.value, p.unit) for name, p in effect.parameters.items()})
+
+
+def tie(effect: NamedEffect) -> str | None:
+    """What a named effect cannot be told from, as a sentence; None where nothing is like it."""
+    others = [label(name) for name in effect.members if name != effect.name]
+    if not others:
+        return None
+    return f"On these flights {label(effect.name)} cannot be told apart from {listed(others, 'or')}."
+
+
+def headline(d: Diagnosis) -> str:
+    """The verdict in one sentence."""
+    if d.verdict == "nothing":
+        return "Nothing is missing: the model explains these flights as well as their noise allows."
+    if not d.effects:
+        return "Something is missing that no effect of the library explains."
+    names = listed([_one_of(effect) for effect in d.effects])
+    if d.verdict == "unknown":
+        return f"The model lacks {names}, and something that no effect of the library explains."
+    return f"The model lacks {names}."
+
+
+def _one_of(effect: NamedEffect) -> str:
+    others = [label(name) for name in effect.members if name != effect.name]
+    return label(effect.name) + (f" (or {listed(others, 'or')})" if others else "")
+
+
+def gap(plant: str, g: PlantGap) -> str:
+    """How the gap shrank in one plant, as a sentence."""
+    closed = f" ({share(g.closed)} of the gap closed)" if _worth_closing(g) else ""
+    return (
+        f"{g.horizon:g} s ahead, on flights left out of the fit, the position error in "
+        f"{PLANTS.get(plant, plant)} goes from {centimetres(g.before)} to {centimetres(g.after)}{closed}; "
+        f"the measurement noise alone makes {centimetres(g.floor)}."
+    )
+
+
+def centimetres(metres: float) -> str:
+    """A length as `6.2 cm`."""
+    return f"{100 * metres:.1f} cm" if abs(metres) < 0.1 else f"{100 * metres:.0f} cm"
+
+
+def share(part: float) -> str:
+    """A share in percent."""
+    return f"{100 * part:.0f} %"
+
+
+def sentences(d: Diagnosis) -> list[str]:
+    """The first lines of the report, after the headline."""
+    said = []
+    for effect in d.effects:
+        text = effect_says(effect)
+        said.append(text[0].upper() + text[1:] + ".")
+        said += [s for s in (tie(effect), plain(effect.note)) if s]
+    if d.separating_manoeuvre:
+        said.append(f"To tell them apart: {plain(d.separating_manoeuvre)}")
+    said += [f"What to do: {plain(effect.remedy)}" for effect in d.effects if effect.remedy]
+    said += [gap(plant, g) for plant, g in d.gap.items()]
+    if d.remainder.text:
+        said.append(plain(d.remainder.text))
+    return said
+
+
+def plain(text: str) -> str:
+    """A sentence of the diagnosis with effects and units as a person writes them."""
+    for name in _SAYS:
+        text = text.replace(name, label(name))
+    text = text.replace("m/s2", "m/s²")
+    return text if not text or text.endswith((".", "!", "?")) else text + "."
+
+
+def _worth_closing(g: PlantGap) -> bool:
+    return math.isfinite(g.closed) and g.before > 1.2 * g.floor
