@@ -16,7 +16,7 @@ from inclined_landing.models.scene import INTEGRATORS
 
 # What a field left at None becomes, by task; None is every other task.
 _DEFAULTS = {
-    "steps": {"landing": 1_200_000, "touchdown": 600_000, None: 1_000_000},
+    "steps": {"landing": 1_200_000, "touchdown": 1_500_000, None: 1_000_000},
     "curriculum": {"landing": "adaptive", "touchdown": "touchdown", None: "effort"},
     "epochs": {"setpoint": 8, None: 5},
     "gamma": {"setpoint": 0.97, None: 0.99},
@@ -39,7 +39,7 @@ class TrainConfig:
     """Of the policy, the starts and the minibatches; periodic evaluation uses starts of its own."""
     steps: int | None = None
     """Environment steps, fixed beforehand (default: 1 200 000 landing, 1 000 000 setpoint,
-    600 000 touchdown)."""
+    1 500 000 touchdown)."""
     start_from: Annotated[str | None, tyro.conf.arg(name="from", metavar="POLICY")] = None
     """touchdown: the landing policy to go on from, a file or a shipped one (default: landing)."""
     max_seconds: float | None = None

@@ -267,10 +267,12 @@ class TouchdownCurriculum(NoCurriculum):
 
     The price of a hard touchdown grows to the task's over the first half of a run of RAMP steps, so that
     coming to rest is learned before gentleness. A share of the episodes begins just over the slope, from
-    0.2 down to none at RAMP. Friction and restitution are drawn for every episode. Whoever leaves, falls to
-    the floor or lies on the slab the wrong way pays a price once and is out: cut without one, such episodes
-    end in a state whose value the critic never learned. The learning rate is constant for 40 % of the run
-    and then falls linearly to zero; only the critic learns at first (`warm_start.CRITIC_FIRST`).
+    0.2 down to none at RAMP. Three tenths begin around the raised edge: most of the starts that failed lie
+    there, as the edge has to be passed at once, and few uniform starts show it. Friction and restitution
+    are drawn for every episode. Whoever leaves, falls to the floor or lies on the slab the wrong way pays a
+    price once and is out: cut without one, such episodes end in a state whose value the critic never
+    learned. The learning rate is constant for 40 % of the run and then falls linearly to zero; only the
+    critic learns at first (`warm_start.CRITIC_FIRST`).
     """
 
     name = "touchdown"
@@ -285,6 +287,7 @@ class TouchdownCurriculum(NoCurriculum):
             contact_limit=8,
             leave_limit=0.3,
             departure=150.0,
+            beside=0.3,
             close=0.2 * (1.0 - self.level),
             impact=touchdown.IMPACT * min(1.0, 2.0 * self.level),
             friction=(0.55, 1.2),

@@ -40,9 +40,9 @@ import math
 
 import numpy as np
 
-from inclined_landing.envs.tasks.base import Judgement, Start
+from inclined_landing.envs.tasks.base import Judgement, Start, hover_states
+from inclined_landing.envs.tasks.landing import START_CLEARANCE, InclinedLanding
 from inclined_landing.envs.tasks.landing import Conditions as LandingConditions
-from inclined_landing.envs.tasks.landing import InclinedLanding
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG, PITCH, PWM, STATE_SIZE, VX, VZ, WX, WZ, X, Z
 from inclined_landing.models.errors import UserError
@@ -62,6 +62,8 @@ _CLOSE_FALL = 0.8  # m/s into the surface
 _CLOSE_SPEED = 0.5  # m/s along it, both ways
 _CLOSE_THRUST = (0.3, 1.1)  # lag state as a share of hover
 _CLOSE_ALONG = 0.25  # m to both sides of the centre, always
+# Training starts around the raised edge, in half lengths of the slab towards it from the centre.
+_BESIDE = (-1.0, 2.5)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,6 +74,7 @@ class Conditions(LandingConditions):
     ends are over at that price, about what staying there would cost; without one they are truncated.
     """
 
+    beside: float = 0.0  # share of the episodes that begin around the raised edge, mostly low
     close: float = 0.0  # share of the episodes that begin just over the slope, in any motion
     impact: float = IMPACT  # reward lost for each weight of force beyond two
     departure: float = 0.0
@@ -121,9 +124,12 @@ class InclinedTouchdown(InclinedLanding):
         plant.torque_needs_motors = True
 
     def sample(self, rng: np.random.Generator, k: int) -> Start:
-        """k starts: as in the landing task, with the conditions' share of them just over the slope."""
+        """k starts: as in the landing task, but for the conditions' shares of others."""
         c = self.conditions
         start = super().sample(rng, k)
+        if c.beside > 0.0:
+            beside = (rng.random(k) < c.beside) & start.present
+            start.state[beside] = self._beside(rng, start.inclination[beside])
         if c.close > 0.0:
             close = (rng.random(k) < c.close) & start.present
             start.state[close] = self._close(rng, start.inclination[close])
@@ -133,6 +139,22 @@ class InclinedTouchdown(InclinedLanding):
         if c.restitution is not None:
             contact |= {"restitution": rng.uniform(*c.restitution, k), "contact_time": CONTACT_TIME}
         return dataclasses.replace(start, contact=contact or None)
+
+    def _beside(self, rng: np.random.Generator, inclination: np.ndarray) -> np.ndarray:
+        """States (k, 13) at rest around the raised edge, where the way to the slope leads over it.
+
+        Half of them lie in the lowest quarter of the start box.
+        """
+        uphill = np.where(inclination > 0.0, -1.0, 1.0) * self.vehicle.slab_half_length
+        (_, low), (_, high) = self.start_box()
+        positions = np.zeros((len(inclination), 3))
+        todo = np.arange(len(inclination))
+        while len(todo):
+            positions[todo, 0] = uphill[todo] * rng.uniform(*_BESIDE, len(todo))
+            positions[todo, 2] = low + (high - low) * rng.random(len(todo)) ** 2
+            start = self._start(hover_states(positions[todo], self.vehicle), np.ones(len(todo), bool))
+            todo = todo[self.start_clearance(start) < START_CLEARANCE]
+        return hover_states(positions, self.vehicle)
 
     def _close(self, rng: np.random.Generator, inclination: np.ndarray) -> np.ndarray:
         """States (k, 13) just over the slope, in motion."""

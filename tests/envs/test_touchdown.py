@@ -9,7 +9,9 @@ import pytest
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.tasks import InclinedTouchdown, make_task
+from inclined_landing.envs.tasks.landing import LOWEST_START, START_CLEARANCE
 from inclined_landing.envs.tasks.touchdown import GENTLE_FORCE, HOLD_STEPS, IMPACT, Conditions
+from inclined_landing.eval.landing_starts import at_rest
 from inclined_landing.models.attitude import PITCH, PWM, STATE_SIZE, VX, WY, X, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -167,6 +169,17 @@ def test_training_starts_draw_contact_and_closeness():
     assert len(np.unique(plant.save().arrays["contact"][:, 0])) == 500
 
 
+def test_training_starts_around_the_raised_edge():
+    task = InclinedTouchdown()
+    task.conditions = Conditions(beside=1.0)
+    start = task.sample(np.random.default_rng(0), 500)
+    assert task.start_clearance(start).min() >= START_CLEARANCE
+    x, z = start.state[:, X], start.state[:, Z]  # the default slope rises towards +x
+    assert x.min() < 0.0 and 1.0 < x.max() <= 2.5 * V.slab_half_length
+    assert LOWEST_START <= z.min() and z.max() > 2.2 and np.mean(z < 1.5) > 0.3
+    np.testing.assert_array_equal(start.state[:, VX:], at_rest(task, np.column_stack([x, z]))[:, VX:])
+
+
 def test_gymnasium_face():
     env = gymnasium.make("inclined_landing.envs:InclinedTouchdown-v0", disable_env_checker=True)
     env.reset(seed=0, options={"state": resting()[0]})
@@ -177,4 +190,5 @@ def test_gymnasium_face():
 
 def test_conditions_default_to_the_task():
     default = dataclasses.asdict(Conditions())
-    assert default["close"] == 0.0 and default["impact"] == IMPACT and default["friction"] is None
+    assert default["close"] == default["beside"] == 0.0
+    assert default["impact"] == IMPACT and default["friction"] is None

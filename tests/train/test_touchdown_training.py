@@ -56,7 +56,7 @@ def test_a_short_run_is_reproducible_and_stamped(tmp_path, monkeypatch):
 def test_curriculum():
     curriculum = make_curriculum("touchdown", "touchdown", 0.99)
     first = curriculum.conditions()
-    assert first.impact == 0.0 and first.departure > 0.0 and first.close > 0.0
+    assert first.impact == 0.0 and first.departure > 0.0 and first.close > 0.0 and first.beside > 0.0
     assert first.friction == (0.55, 1.2)
     curriculum.advance(TouchdownCurriculum.RAMP)
     last = curriculum.conditions()
