@@ -113,9 +113,7 @@ def _force(parts: list[Motion]) -> Iterator[Finding]:
     spread = np.concatenate([p.force for p in parts]).std()
     if spread < 0.3:
         return
-    upward = _lag([p.pwm for p in parts], [p.lift for p in parts])[1]
-    downward = _lag([-p.pwm for p in parts], [p.lift for p in parts])[1]
-    if downward > 0.7 and upward < 0.3:
+    if correlation < 0.8 and _falls(parts):
         yield refuse(
             "z", "height falls when thrust is commanded: z must point up (and cmd_thrust_pwm mean thrust)"
         )
@@ -126,6 +124,12 @@ def _force(parts: list[Motion]) -> Iterator[Finding]:
         )
     else:
         yield from _clock("thrust", "cmd_thrust_pwm", lag, correlation)
+
+
+def _falls(parts: list[Motion]) -> bool:
+    """Whether the vertical acceleration is the opposite of what thrust does."""
+    pwm, lift = [p.pwm for p in parts], [p.lift for p in parts]
+    return _lag([-p for p in pwm], lift)[1] > 0.7 and _lag(pwm, lift)[1] < 0.3
 
 
 def _tilt_against_acceleration(parts: list[Motion]) -> Iterator[Finding]:
