@@ -28,14 +28,6 @@ from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
-# Effects that another one entails: found beside it they are no finding of their own.
-ENTAILED = {
-    "thrust_scale": ("attitude_gain", "attitude_time_constant", "second_order_attitude"),
-    "mass": ("attitude_gain", "attitude_time_constant", "second_order_attitude"),
-    "battery_sag": ("attitude_gain", "attitude_time_constant", "second_order_attitude"),
-    "ground_effect": ("attitude_time_constant", "attitude_trim"),
-}
-CURVE_SECONDS = 1.0
 FEW_FLIGHTS = 3
 
 
@@ -249,18 +241,16 @@ def _named(problem: Problem, found: Search) -> tuple[NamedEffect, ...]:
                 found.gains.get(name, 0.0),
                 found.evidence.get(name, 0.0),
                 effect.remedy,
-                _note(name, fit),
+                found.follows.get(name, ""),
+                _note(name, found),
             )
         )
     return tuple(sorted(effects, key=lambda e: -e.gain))
 
 
-def _note(name: str, fit: Fit) -> str:
-    for cause, entailed in ENTAILED.items():
-        if cause in fit.values and name in entailed:
-            return (
-                f"may follow from {cause}: weaker thrust near a motor's limits also changes the attitude loop"
-            )
+def _note(name: str, found: Search) -> str:
+    if name in found.follows:
+        return f"follows from {found.follows[name]} physically"
     if name == "mocap_delay":
         return "commands of thrust and attitude that are late by the same time look the same"
     return ""

@@ -24,6 +24,8 @@ class Thresholds:
     evidence: float = 4.5  # standard errors of the gain over windows left out
     gain: float = 30.0  # decrease of the white squared error, over all windows
     share: float = 0.06  # of what the whole library could close at the first step
+    share_more: float = 0.002  # the same for effects beside others
+    share_entailed: float = 0.30  # below which an effect follows from one that entails it
     share_left: float = 0.10  # of what it could close at this step
     agreement: float = 0.7  # share of groups of windows with a positive gain
     spread: float = 0.45  # between flights, as a share of the parameter's distance from neutral
@@ -31,6 +33,16 @@ class Thresholds:
     simpler: float = 0.04  # share of the gain that a further parameter must add
     most: int = 5  # effects
     shortlist: int = 6
+
+
+# What an effect entails physically: found beside it, explaining less than it, that is no cause of its own.
+# Motors that slow down late give more thrust on average, because the attitude controller drives them up and
+# down all the time. An attitude estimate that is corrected by late measurements is wrong in proportion to
+# the rates, and so is the loop closed over it.
+ENTAILED = {
+    "spin_down": ("thrust_bias", "thrust_scale", "mass", "battery_sag", "battery_voltage", "thrust_delay"),
+    "mocap_delay": ("attitude_gain", "attitude_time_constant", "second_order_attitude"),
+}
 
 
 @dataclasses.dataclass
@@ -58,6 +70,7 @@ class Search:
     gains: dict[str, float]  # accepted effect -> share of it
     evidence: dict[str, float]
     classes: dict[str, tuple[str, ...]]
+    follows: dict[str, str]  # accepted effect -> earlier one that entails it
     unstable: list[str]  # effects turned away because flights disagree or a bound was met
 
 
@@ -134,7 +147,7 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
     limits = limits or Thresholds()
     names = list(problem.library)
     fit = Fit({}, problem.linearise({}, []).weighted(np.ones(6)), np.array([], int))
-    steps, evidence, classes, unstable = [], {}, {}, []
+    steps, evidence, classes, follows, unstable = [], {}, {}, {}, []
     closable_at_first = None
     inflation = np.ones(6)
     for _ in range(limits.most + 1):
@@ -160,7 +173,7 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
         accepted, reasons = None, {}
         for name in ranked:
             reasons[name] = _objection(
-                problem, name, trials[name], closable, closable_at_first, limits, bool(fit.values)
+                problem, name, trials[name], closable, closable_at_first, limits, fit.values
             )
             if reasons[name] and reasons[name].startswith(("differs", "at its bound")):
                 unstable.append(name)
@@ -174,6 +187,12 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
         members: tuple[str, ...] = ()
         if accepted:
             trial = trials[accepted]
+            for cause in fit.values:
+                if (
+                    accepted in ENTAILED.get(cause, ())
+                    and trial.gain < limits.share_entailed * closable_at_first
+                ):
+                    follows[accepted] = cause
             fit = trial.fit
             evidence[accepted] = trial.evidence
             members = tie_class(problem, weighted, base, accepted, trial, trials, limits)
@@ -197,7 +216,7 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
     nothing = problem.linearise({}, []).weighted(inflation).c.sum()
     closable = max(1e-9, float(nothing - (weight * problem.rows[:, None]).sum()))
     gains = {name: _share(problem, fit, name, inflation, closable) for name in fit.values}
-    return Search(fit, steps, inflation, closable_at_first, gains, evidence, classes, unstable)
+    return Search(fit, steps, inflation, closable_at_first, gains, evidence, classes, follows, unstable)
 
 
 @dataclasses.dataclass
@@ -268,7 +287,7 @@ def _score(problem: Problem, name: str, trials: dict[str, Trial], limits: Thresh
     return trials[name].gain - extra * limits.simpler * max(best, 0.0)
 
 
-def _objection(problem, name, trial: Trial, closable, at_first, limits: Thresholds, more: bool) -> str:
+def _objection(problem, name, trial: Trial, closable, at_first, limits: Thresholds, found: Values) -> str:
     """Why a candidate is not accepted; empty if it is."""
     effect = problem.library[name]
     if trial.gain < limits.gain or trial.evidence < limits.evidence:
@@ -278,9 +297,8 @@ def _objection(problem, name, trial: Trial, closable, at_first, limits: Threshol
     large = [abs(trial.values[p.name] - p.neutral) > p.negligible for p in effect.parameters if _sized(p)]
     if not any(large):
         return "negligible"
-    if trial.gain < limits.share_left * closable or trial.gain < limits.share * at_first * (
-        0.3 if more else 1.0
-    ):
+    least = limits.share_more if found else limits.share
+    if trial.gain < limits.share_left * closable or trial.gain < least * at_first:
         return f"explains {100 * trial.gain / closable:.0f} % only"
     for p in effect.parameters:
         lo, hi = p.bounds
@@ -390,7 +408,7 @@ def _drop_useless(problem: Problem, fit: Fit, newest: str, inflation, limits: Th
             small
             or difference.sum() < limits.gain
             or standard_errors(difference) < limits.evidence
-            or difference.sum() < 0.3 * limits.share * at_first
+            or difference.sum() < limits.share_more * at_first
         ):
             fit, _ = smaller, dropped.append(name)
     return fit, tuple(dropped)

@@ -55,6 +55,7 @@ class NamedEffect:
     gain: float  # share of the closable short-window error it removes on flights left out, 0..1
     evidence: float  # standard errors of its gain over windows of flights left out
     remedy: str
+    follows_from: str = ""  # another named effect that entails this one: no cause of its own
     note: str = ""  # a sentence, e.g. that all delays agree
 
 
@@ -198,6 +199,7 @@ class Diagnosis:
                     },
                     "gain": e.gain,
                     "remedy": e.remedy,
+                    "follows_from": e.follows_from or None,
                     "note": e.note,
                 }
                 for e in self.effects
