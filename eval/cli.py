@@ -412,6 +412,18 @@ def gap_blind(
     run.run(set, seed, out, cases=cases, methods=method, keep=keep, processes=processes)
 
 
+def gap_example(out: OutFolder, seed: int = 0) -> None:
+    """Twenty flights with hidden effects, from an independent simulator, to try `gap` on.
+
+    Args:
+        out: new folder for fit/*.csv and heldout/*.csv.
+        seed: of paths and noise.
+    """
+    from inclined_landing.eval.gap import example
+
+    example.run(out, seed)
+
+
 COMMANDS = {
     "success": success,
     "touchdown": touchdown,
@@ -426,6 +438,7 @@ COMMANDS = {
     "contact-truth": contact_truth,
     "logs": logs,
     "gap": gap,
+    "gap-example": gap_example,
     "gap-blind": gap_blind,
 }
 

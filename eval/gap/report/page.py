@@ -37,7 +37,7 @@ def page(
         headline=words.headline(d),
         lead=[words.gap("analytic", d.gap["analytic"])] if "analytic" in d.gap else [],
         cards=[_card(effect) for effect in d.effects],
-        manoeuvre=words.plain(d.separating_manoeuvre or ""),
+        manoeuvre=words.manoeuvre(d),
         bars=[_bars(plant, g) for plant, g in d.gap.items()],
         remainder=words.plain(d.remainder.text),
         sections=[{"title": title, "blocks": blocks} for title, blocks in sections.items() if blocks],

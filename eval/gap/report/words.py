@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 
 from inclined_landing.eval.gap.result import Diagnosis, Estimate, NamedEffect, PlantGap
@@ -158,6 +159,12 @@ def share(part: float) -> str:
     return f"{100 * part:.0f} %"
 
 
+def manoeuvre(d: Diagnosis) -> str:
+    """The flight that would tell ties apart; what several ties share is said once."""
+    parts = re.split(r"(?<=[.!?])\s+", plain(d.separating_manoeuvre or ""))
+    return " ".join(dict.fromkeys(parts))
+
+
 def sentences(d: Diagnosis) -> list[str]:
     """The first lines of the report, after the headline."""
     said = []
@@ -166,7 +173,7 @@ def sentences(d: Diagnosis) -> list[str]:
         said.append(text[0].upper() + text[1:] + ".")
         said += [s for s in (tie(effect), plain(effect.note)) if s]
     if d.separating_manoeuvre:
-        said.append(f"To tell them apart: {plain(d.separating_manoeuvre)}")
+        said.append(f"To tell them apart: {manoeuvre(d)}")
     said += [f"What to do: {plain(effect.remedy)}" for effect in d.effects if effect.remedy]
     said += [gap(plant, g) for plant, g in d.gap.items()]
     if d.remainder.text:

@@ -1,0 +1,196 @@
+"""Report of the gap workflow: words, page and corrected model of a diagnosis made by hand."""
+
+import dataclasses
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from inclined_landing.eval import runs
+from inclined_landing.eval.gap.report import figures, model, terminal, words
+from inclined_landing.eval.gap.report.page import page
+from inclined_landing.eval.gap.report.tracks import Track
+from inclined_landing.eval.gap.result import (
+    Candidate,
+    Dependence,
+    Diagnosis,
+    Estimate,
+    HorizonCurve,
+    NamedEffect,
+    PlantGap,
+    Remainder,
+    SearchStep,
+    WhereRow,
+    WindowCurves,
+)
+from inclined_landing.models import effects
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.parameters import constants, load_vehicle
+
+FLIGHTS = ("a", "b", "c")
+NAMED = {"thrust_scale": {"scale": 0.88}, "attitude_trim": {"roll": 0.02, "pitch": -0.01}}
+
+
+def estimate(effect, name, value):
+    p = next(p for p in LIBRARY[effect].parameters if p.name == name)
+    half = 0.1 * abs(value - p.neutral)
+    per_flight = (value, value + half, float("nan"))
+    ci = (value - half, value + half)
+    return Estimate(value, p.unit, ci, p.neutral, p.bounds, False, per_flight, (half,) * 3, 0.0)
+
+
+def example(verdict="effects"):
+    named = tuple(
+        NamedEffect(
+            name,
+            ("thrust_scale", "mass") if name == "thrust_scale" else (name,),
+            {p: estimate(name, p, x) for p, x in values.items()},
+            gain,
+            9.0,
+            LIBRARY[name].remedy,
+        )
+        for (name, values), gain in zip(NAMED.items(), (0.8, 0.1))
+    )
+    if verdict == "nothing":
+        named = ()
+    t = np.linspace(0.01, 1.0, 20)
+    shape = np.outer(t, np.ones(6))
+    left = Dependence("z", "height z", 0.4, np.arange(3.0), np.arange(3.0), "m/s2")
+    return Diagnosis(
+        verdict=verdict,
+        effects=named,
+        corrected=effects.apply(load_vehicle(), {e.name: NAMED[e.name] for e in named}),
+        separating_manoeuvre="Weigh the vehicle. To tell thrust_scale from mass: weigh." if named else None,
+        manoeuvres=(),
+        where=tuple(
+            WhereRow(r, c, 1.0, 0.1, 0.05, "m/s2" if c == "z" else "rad", 12)
+            for r in ("hover", "all")
+            for c in ("z", "roll")
+        ),
+        steps=(
+            SearchStep(
+                "thrust_scale",
+                (),
+                (
+                    Candidate("thrust_scale", 100.0, 0.8, 9.0, True, False, "", {"scale": 0.88}),
+                    Candidate("mass", 99.0, 0.79, 9.0, True, True, "explains less", {"scale": 1.13}),
+                    Candidate("wind", 1.0, 0.01, 0.5, False, False, "not significant", {}),
+                ),
+            ),
+        ),
+        horizon=(
+            HorizonCurve("nominal", (), t, 0.5 * t**2, 0.01 * t),
+            HorizonCurve("+ thrust_scale", ("thrust_scale",), t, 0.04 * t, 0.01 * t),
+        ),
+        windows=(WindowCurves("a", "hover", 3.0, t, shape, shape + t[:, None] ** 2, shape),),
+        remainder=Remainder(verdict == "unknown", {"z": 0.2}, {"z": 0.1}, (left,), "z 0.2 m/s2 is left."),
+        gap={
+            "analytic": PlantGap(0.487, 0.04, 0.01, 0.5, 0.05, 30, 1.0),
+            "mujoco": PlantGap(0.486, 0.041, 0.01, 0.5, 0.05, 30, 1.0),
+        },
+        flights=FLIGHTS,
+        heldout=("d",),
+        seconds={"name": 1.5},
+        notes=("a: yaw_drift cannot be told",),
+    )
+
+
+@pytest.fixture
+def track():
+    t = np.linspace(0, 2, 41)
+    times = (t[:21], t[20:])
+    flown = np.outer(t, [0.0, 0.1, 1.0])
+    there = (flown[:21], flown[20:])
+    return Track("d", True, 1.0, 1.0, t, flown, times, tuple(p + p**2 for p in there), there)
+
+
+def test_every_effect_is_said_in_words_with_its_numbers():
+    for name, effect in LIBRARY.items():
+        text = words.says(name, {p.name: (p.plausible, p.unit) for p in effect.parameters})
+        assert name in words._SAYS and re.search(r"\d", text) and "_" not in text
+    assert (
+        words.says("thrust_delay", {"delay": (0.012, "s")})
+        == "thrust commands act 12.0 ms after they were sent"
+    )
+    assert words.says("new_one", {"size": (2.0, "N")}) == "new one with size 2000 mN"
+
+
+def test_headlines_say_what_is_known_and_what_is_not():
+    assert words.headline(example()) == "The model lacks thrust scale (or mass) and attitude trim."
+    assert words.headline(example("unknown")).endswith("something that no effect of the library explains.")
+    assert words.headline(example("nothing")).startswith("Nothing is missing")
+    assert "Something is missing" in words.headline(
+        dataclasses.replace(example("nothing"), verdict="unknown")
+    )
+
+
+def test_the_first_sentences_hold_class_remedy_manoeuvre_and_gap():
+    text = " ".join(words.sentences(example()))
+    assert "the rotors give 0.880 times the modelled thrust" in text.lower()
+    assert "cannot be told apart from mass" in text
+    assert "To tell thrust scale from mass: weigh." in text
+    assert "from 49 cm to 4.0 cm (94 % of the gap closed); the measurement noise alone makes 1.0 cm" in text
+    assert "in MuJoCo" in text and LIBRARY["attitude_trim"].remedy in text
+
+
+@pytest.mark.parametrize("verdict", ["effects", "unknown", "nothing"])
+def test_the_page_stands_alone(verdict, track):
+    d = example(verdict)
+    text = page(d, track, versions={"mujoco": "4.0"}, notes=("a note on <all> logs",))
+    assert words.headline(d) in text and "a note on &lt;all&gt; logs." in text
+    assert not re.search(r"(src|href)=\"(?!data:)", text) and "nan" not in text.lower().split("base64")[0]
+    assert text.count("data:image/svg+xml") == (7 if d.effects else 6)
+
+
+def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
+    d = dataclasses.replace(
+        example("nothing"), where=(), steps=(), horizon=(), windows=(), gap={}, heldout=FLIGHTS,
+        remainder=Remainder(False, {}, {}, (), ""),
+    )  # fmt: skip
+    assert "in turn" in page(d, None, versions={})
+    figures.overview(example("nothing"), None)
+
+
+def test_the_terminal_says_the_same(capsys):
+    terminal.show(example(), ("hover thrust differs",))
+    out = " ".join(capsys.readouterr().out.split())
+    assert out.startswith(words.headline(example()))
+    assert "thrust scale scale 0.880 0.868 to 0.892 80 %" in out and "Note: hover thrust differs." in out
+
+
+def test_the_corrected_model_is_a_vehicle_file_with_provenance(tmp_path):
+    d = example()
+    model.write(d, load_vehicle(), tmp_path)
+    assert load_vehicle(tmp_path / "vehicle.toml") == d.corrected
+    entries = {f"{c.section}_{c.name}": c for c in constants(tmp_path / "vehicle.toml")}
+    gain = entries["thrust_state_gain"]
+    assert gain.source.startswith(
+        "identified by landing-eval gap: thrust_scale scale 0.88, 95 % interval 0.868 to 0.892"
+    )
+    # Half the width of the interval, of the scale, times the nominal gain.
+    assert gain.uncertainty == pytest.approx(0.012 * load_vehicle().thrust_state_gain, rel=1e-2)
+    assert entries["effects_attitude_trim"].uncertainty == [0.002, 0.001]
+    assert entries["body_mass"] in constants()
+
+
+def test_the_corrected_mjcf_loads_in_plain_mujoco(tmp_path):
+    d = example()
+    model.write(d, load_vehicle(), tmp_path)
+    code = "import mujoco, sys; print(mujoco.MjModel.from_xml_path(sys.argv[1]).nplugin)"
+    done = subprocess.run(
+        [sys.executable, "-c", code, tmp_path / "landing.xml"], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode == 0 and int(done.stdout) > 0, done.stderr
+
+
+def test_the_json_has_the_promised_keys():
+    record = json.loads(runs.to_json(example().to_json()))
+    promised = ("verdict", "effects", "separating_manoeuvre", "where", "gap", "remainder", "seconds")
+    assert set(promised) <= set(record)
+    assert set(record["effects"][0]) >= {"name", "class", "parameters", "gain"}
+    assert set(record["effects"][0]["parameters"]["scale"]) >= {"value", "unit", "ci95"}
+    assert set(record["where"][0]) >= {"regime", "channel", "before", "after", "floor", "unit"}
+    assert set(record["gap"]["mujoco"]) >= {"before", "after", "floor"}
