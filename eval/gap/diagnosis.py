@@ -11,7 +11,7 @@ from scipy import stats
 
 from inclined_landing.eval.gap import manoeuvres, remainder, rollout
 from inclined_landing.eval.gap.evidence import Problem
-from inclined_landing.eval.gap.naming import Fit, Search, Thresholds, search, spread_between
+from inclined_landing.eval.gap.naming import Search, Thresholds, left_out_vehicles, search, spread_between
 from inclined_landing.eval.gap.prediction import CHANNELS
 from inclined_landing.eval.gap.result import (
     Diagnosis,
@@ -22,7 +22,7 @@ from inclined_landing.eval.gap.result import (
     WhereRow,
     WindowCurves,
 )
-from inclined_landing.eval.gap.windows import REGIMES, Flight, prepare
+from inclined_landing.eval.gap.windows import REGIMES, prepare_all
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
@@ -54,8 +54,8 @@ def diagnose(
     notes: list[str] = []
     if platform is None:
         platform = any(log.contact is not None and log.contact.any() for log in flights)
-    fitted = _prepared(flights, vehicle, platform, notes)
-    judged = _prepared(heldout, vehicle, platform, notes) if heldout else []
+    fitted = prepare_all(flights, vehicle, platform, notes)
+    judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
     problem = Problem(fitted, vehicle, library)
     _limits_in_words(problem, library, notes)
     clock("prepare")
@@ -65,7 +65,7 @@ def diagnose(
     clock("name")
 
     effects = _named(problem, found)
-    own = _left_out_vehicles(problem, found.fit)  # one for each fitted flight
+    own = left_out_vehicles(problem, found.fit)  # one for each fitted flight
     if judged:
         test = Problem(judged, vehicle, library)
         after_vehicles = [problem.corrected(found.fit.values)] * len(judged)
@@ -128,24 +128,6 @@ class _Clock:
         now = time.perf_counter()
         self.spent[stage] = self.spent.get(stage, 0.0) + now - self._last
         self._last = now
-
-
-def _prepared(logs: Sequence[FlightLog], vehicle: Vehicle, platform: bool, notes: list[str]) -> list[Flight]:
-    """Flights that can be used; the others are noted."""
-    if not logs:
-        raise UserError("no flight to diagnose")
-    flights, refused = [], []
-    for log in logs:
-        try:
-            flights.append(prepare(log, vehicle, platform=platform))
-        except UserError as error:
-            refused.append(str(error))
-            continue
-        notes += [f"{log.name}: {note}" for note in log.notes]
-    if not flights:
-        raise UserError("; ".join(refused))
-    notes += [f"left out: {reason}" for reason in refused]
-    return flights
 
 
 def _limits_in_words(problem: Problem, library, notes: list[str]) -> None:
@@ -254,27 +236,6 @@ def _note(name: str, found: Search) -> str:
     if name == "mocap_delay":
         return "commands of thrust and attitude that are late by the same time look the same"
     return ""
-
-
-def _left_out_vehicles(problem: Problem, fit: Fit) -> list[Vehicle]:
-    """For every flight, the vehicle corrected with the effects fitted to the other flights."""
-    if not len(fit.index) or len(problem.flights) < 2:
-        return [problem.corrected(fit.values)] * len(problem.flights)
-    from inclined_landing.eval.gap.evidence import solve
-
-    w = fit.weighted
-    a, b = w.a.sum(axis=0), w.b.sum(axis=0)
-    vehicles = []
-    for k in range(len(problem.flights)):
-        own = problem.flight_of == k
-        step = solve(a - w.a[own].sum(axis=0), b - w.b[own].sum(axis=0))
-        values = {name: dict(v) for name, v in fit.values.items()}
-        for column, change in zip(w.columns, step):
-            p = next(p for p in problem.library[column.effect].parameters if p.name == column.parameter)
-            x = values[column.effect][column.parameter] + change
-            values[column.effect][column.parameter] = float(np.clip(x, *p.bounds))
-        vehicles.append(problem.corrected(values))
-    return vehicles
 
 
 def _where(problem: Problem, before, after) -> tuple[WhereRow, ...]:

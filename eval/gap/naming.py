@@ -15,6 +15,7 @@ import numpy as np
 
 from inclined_landing.eval.gap.evidence import Column, Problem, Values, Weighted, invert, solve
 from inclined_landing.eval.gap.result import Candidate, SearchStep
+from inclined_landing.models.parameters import Vehicle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -347,6 +348,25 @@ def spread_between(value: np.ndarray, error: np.ndarray) -> float:
     q = (w * (value[good] - mean) ** 2).sum()
     excess = (q - (good.sum() - 1)) / (w.sum() - (w**2).sum() / w.sum())
     return math.sqrt(max(0.0, float(excess)))
+
+
+def left_out_vehicles(problem: Problem, fit: Fit) -> list[Vehicle]:
+    """For every flight, the vehicle with the effects fitted to the other flights."""
+    if not len(fit.index) or len(problem.flights) < 2:
+        return [problem.corrected(fit.values)] * len(problem.flights)
+    w = fit.weighted
+    a, b = w.a.sum(axis=0), w.b.sum(axis=0)
+    vehicles = []
+    for k in range(len(problem.flights)):
+        own = problem.flight_of == k
+        step = solve(a - w.a[own].sum(axis=0), b - w.b[own].sum(axis=0))
+        values = {name: dict(v) for name, v in fit.values.items()}
+        for column, change in zip(w.columns, step):
+            p = next(p for p in problem.library[column.effect].parameters if p.name == column.parameter)
+            x = values[column.effect][column.parameter] + change
+            values[column.effect][column.parameter] = float(np.clip(x, *p.bounds))
+        vehicles.append(problem.corrected(values))
+    return vehicles
 
 
 def tie_class(

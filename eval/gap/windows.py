@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -151,6 +152,29 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False, window:
     )
     flight.regimes = _regimes(flight, vehicle, platform)
     return flight
+
+
+def prepare_all(
+    logs: Sequence[FlightLog], vehicle: Vehicle, platform: bool, notes: list[str]
+) -> list[Flight]:
+    """Those of `logs` that can be used; the others, and what the logs note, are added to `notes`.
+
+    Raises UserError when none can be used.
+    """
+    if not logs:
+        raise UserError("no flight given")
+    flights, refused = [], []
+    for log in logs:
+        try:
+            flights.append(prepare(log, vehicle, platform=platform))
+        except UserError as error:
+            refused.append(str(error))
+            continue
+        notes += [f"{log.name}: {note}" for note in log.notes]
+    if not flights:
+        raise UserError("; ".join(refused))
+    notes += [f"left out: {reason}" for reason in refused]
+    return flights
 
 
 def measurement_noise(values: np.ndarray) -> np.ndarray:
