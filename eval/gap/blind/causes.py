@@ -102,8 +102,8 @@ def _battery(channel: bool) -> Draw:
         # Thrust goes with the voltage squared: slope of log thrust over voltage and over load in hover.
         hover = c.battery_voltage + start - size
         if channel:
-            parameters = {"sensitivity": 2.0 / reference, "reference": reference}
-            return Drawn(world, parameters, True, {"battery_voltage": (start - 0.25, start + 0.05)})
+            parameters = {"slope": 2.0 / hover, "voltage": hover}
+            return Drawn(world, parameters, True, {"battery_voltage": (start - 0.15, start + 0.15)})
         slope = 3.0 * size / hover * c.thrust_per_pwm / (c.mass * c.gravity)
         return Drawn(world, {"slope": slope})
 

@@ -25,10 +25,9 @@ import numpy as np
 
 from inclined_landing.eval.gap.simulator import KINDS, Recording, World, constants, fly, landing, ordinary
 
-from . import causes
+from . import causes, strata
 
 SECONDS = 20.0
-LANDINGS = 16
 _LOWEST = 0.022  # m, the lowest height of the centre in a flight that does not land: the feet end at 0.018
 _TRIES = 30
 _BEFORE, _AFTER = 1.0, 0.7  # s of log before the first touch and after it
@@ -64,7 +63,7 @@ def landings(
     size: str | None,
     seed: int | Sequence[int],
     *,
-    count: int = LANDINGS,
+    count: int = strata.LANDINGS,
     noise: float = 1.0,
 ) -> tuple[list[Recording], causes.Drawn]:
     """The same for `count` landings, every fourth on the floor, the others on the inclined platform."""
@@ -112,7 +111,7 @@ def fly_all(
 
 
 def land_all(
-    drawn: causes.Drawn, rng: np.random.Generator, *, count: int = LANDINGS, noise: float = 1.0
+    drawn: causes.Drawn, rng: np.random.Generator, *, count: int = strata.LANDINGS, noise: float = 1.0
 ) -> list[Recording]:
     """Land `count` times in the world of `drawn`; only landings that come to rest on the feet are kept.
 
@@ -156,6 +155,14 @@ def _landed(recording: Recording, world: World) -> bool:
     level = np.abs(truth[-1, 6:8] - [0.0, world.surface_tilt]).max() < 0.1
     upright = np.abs(truth[first:, 6:8] - [0.0, world.surface_tilt]).max() < 0.6
     return bool(still and level and upright and recording.contact[last - 1])
+
+
+def flights_of(case: strata.Case) -> list[Recording]:
+    """The flights of a case: those to diagnose, then strata.HELDOUT more of the same vehicle."""
+    rng = np.random.default_rng(case.entropy)
+    if case.landings:
+        return land_all(case.drawn, rng, count=case.count + strata.HELDOUT, noise=case.noise)
+    return fly_all(case.drawn, rng, count=case.count + strata.HELDOUT, noise=case.noise)
 
 
 def table(recording: Recording, *, voltage: bool = False, contact: bool = False):
