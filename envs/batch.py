@@ -76,8 +76,8 @@ class BatchEnv:
         return {name: getattr(self, name) for name in own} | start
 
     def observe(self, ids=slice(None)) -> np.ndarray:
-        """Observations (k, o) of the vehicles `ids` as they are now."""
-        return self.task.observe(self.plant.state[ids], self.plant.contacts.touch[ids, 0, 0])
+        """Observations (k, o) of the vehicles `ids` as motion capture shows them now."""
+        return self.task.observe(self.plant.measurement[ids], self.plant.contacts.touch[ids, 0, 0])
 
     def reset(self, ids=None, state: np.ndarray | None = None) -> np.ndarray:
         """Begin new episodes for the vehicles `ids` (all by default); return their observations.

@@ -60,7 +60,7 @@ def success(
         inclination: of the platform in degrees, where it differs from the training's.
         vehicle: vehicle file (TOML), where it differs from the shipped one.
         effects: one row for every physical effect of the library at a plausible size, which the policy
-            knows nothing of; from the frozen grid only (two minutes).
+            knows nothing of; from the frozen grid only (four minutes).
         seed: of the random starts.
         json: print JSON, and nothing else, on standard output.
         out: new folder for success.json and (without effects) flights.csv.
@@ -412,6 +412,32 @@ def gap_blind(
     run.run(set, seed, out, cases=cases, methods=method, keep=keep, processes=processes)
 
 
+def identify(
+    files: LogFiles,
+    /,
+    out: OutFolder,
+    heldout: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = (),
+    vehicle: File = None,
+    mapping: Mapping = None,
+    unit: Units = (),
+    platform: Flag = False,
+) -> None:
+    """Thrust, lags, delays, attitude loops and drag from flights: a vehicle file with intervals (seconds).
+
+    Args:
+        files: flights to fit, as for gap.
+        out: new folder for vehicle.toml, report.html and report.json.
+        heldout: flights for the fit in percent; without them each is judged with the others fitted.
+        vehicle: vehicle file (TOML) to start from, where it differs from the shipped one.
+        mapping: shipped mapping or mapping file (TOML), where the column names do not tell.
+        unit: of a column that states none, roll=deg for example; repeat the option for more.
+        platform: the slab of the vehicle file stood in the arena.
+    """
+    from inclined_landing.eval.gap import cli
+
+    cli.identify(files, out, heldout=heldout, vehicle=vehicle, mapping=mapping, units=unit, platform=platform)
+
+
 def gap_example(out: OutFolder, seed: int = 0) -> None:
     """Twenty flights with hidden effects, from an independent simulator, to try `gap` on.
 
@@ -437,6 +463,7 @@ COMMANDS = {
     "contact": contact,
     "contact-truth": contact_truth,
     "logs": logs,
+    "identify": identify,
     "gap": gap,
     "gap-example": gap_example,
     "gap-blind": gap_blind,

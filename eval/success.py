@@ -7,6 +7,9 @@ touched the platform before. The goal box is not yet a landing, so the velocity 
 reported too, and what happens when the motors are cut there (`motors_cut.py`).
 
 Set-point: the position error after 3 s from 200 random starts.
+
+With ``--effects`` the frozen grid (or the random starts) alone, once for every effect of the library
+(`success_effects.py`).
 """
 
 from __future__ import annotations
@@ -55,6 +58,7 @@ def run(
     thrust_scale: Sequence[float] = (1.0,),
     inclination: float | None = None,
     vehicle: Path | None = None,
+    effects: bool = False,
     seed: int = 0,
     json: bool = False,
     out: Path | None = None,
@@ -65,6 +69,8 @@ def run(
     for scale in thrust_scale:
         if not (math.isfinite(scale) and 0 < scale <= 3):
             raise UserError(f"--thrust-scale must be above 0 and at most 3, not {scale:g}")
+    if effects and tuple(thrust_scale) != (1.0,):
+        raise UserError("give either --effects or --thrust-scale: an effect of the library scales the thrust")
     if seed < 0:
         raise UserError(f"--seed must not be negative, it is {seed}")
     if out is not None:
@@ -76,18 +82,24 @@ def run(
     loaded = load_policy(policy, task, vehicle=flown, inclination=angle)
     if loaded.task.name == "touchdown":
         raise UserError(f"policy {policy} is for the task touchdown: landing-eval touchdown judges it")
-    report, flights = _evaluate(loaded, plant, thrust_scale, seed, progress=True)
+    if effects:
+        from inclined_landing.eval import success_effects
+
+        report, flights = success_effects.evaluate(loaded, plant=plant, seed=seed, progress=True), None
+    else:
+        report, flights = _evaluate(loaded, plant, thrust_scale, seed, progress=True)
     report["vehicle"] = str(vehicle) if vehicle is not None else "crazyflie.toml"
     if out is not None:
         folder = runs.new_run(out)
-        runs.write_text(folder / "flights.csv", _flights_csv(flights))
+        if flights is not None:
+            runs.write_text(folder / "flights.csv", _flights_csv(flights))
         runs.write_json(folder / "success.json", report)
     if json:
         print(runs.to_json(report))
     else:
         from inclined_landing.eval import success_table
 
-        success_table.show(report)
+        (success_table.show_effects if effects else success_table.show)(report)
 
 
 def _evaluate(policy, plant, thrust_scales, seed, progress=False):
@@ -187,16 +199,24 @@ def _motors_cut(arrived: Sequence[Flight], task, scale: float) -> dict | None:
 
 
 def _setpoint(policy: Policy, plant: str, scale: float, seed: int):
-    task = policy.task
-    starts = task.sample(np.random.default_rng(seed), SETPOINT_STARTS).state
-    steps = round(SETPOINT_TIME / task.vehicle.command_control_period)
+    starts, steps = setpoint_starts(policy.task, seed)
     flights = _fly(policy, plant, scale, starts, steps=steps)
+    return setpoint_summary(policy.task, flights), [("random", flight) for flight in flights]
+
+
+def setpoint_starts(task, seed: int) -> tuple[np.ndarray, int]:
+    """The random starts (200, 13) of a set-point task, and for how many control steps they are flown."""
+    starts = task.sample(np.random.default_rng(seed), SETPOINT_STARTS).state
+    return starts, round(SETPOINT_TIME / task.vehicle.command_control_period)
+
+
+def setpoint_summary(task, flights: Sequence[Flight]) -> dict:
+    """Position error [m] at the end of the flights, and the share within 5 cm."""
     error = task.position_error(np.array([f.state[-1] for f in flights]))
-    condition = {
+    return {
         "error": mean(error) | spread(error),
         "within": proportion((error < SETPOINT_TOLERANCE).sum(), len(error)),
     }
-    return condition, [("random", flight) for flight in flights]
 
 
 def _fly(policy: Policy, plant: str, scale: float, states: np.ndarray, **options) -> list[Flight]:

@@ -32,6 +32,52 @@ def show(report: dict) -> None:
         console.print(_setpoint(report, title))
 
 
+def show_effects(report: dict) -> None:
+    """Print the report of `success_effects.evaluate`."""
+    console = Console(markup=False, highlight=False)
+    if not console.is_terminal:
+        console.width = _PIPED_WIDTH
+    landing = report["task"] == "landing"
+    plant = {"mujoco": "MuJoCo", "analytic": "analytic"}[report["plant"]]
+    title = f"{report['policy']}: {report['task']} with one effect each, {plant} plant, seed {report['seed']}"
+    columns = ("strict [%]", "touched", "time [s]", "at rest on feet [%]")
+    columns = columns if landing else ("error after 3 s [cm]", "p95 [cm]", "< 5 cm [%]")
+    table = _table(title, "effect", "size", *columns)
+    table.columns[1].justify = "left"
+    for row in report["effects"]:
+        if landing:
+            numbers = [
+                _share(row["strict"]),
+                str(row["touched"]["count"]),
+                _spread(row["time_to_goal"]),
+                _share(row["at_rest_on_feet"]),
+            ]
+        else:
+            error = row["error"]
+            numbers = [f"{100 * error['mean']:.2f}", f"{100 * error['p95']:.2f}", _share(row["within"])]
+        table.add_row(row["effect"], _size(row["parameters"]), *numbers)
+        if row["effect"] == "none":
+            table.add_section()
+    if landing:
+        flights = report["effects"][0]["success"]["of"]
+        table.caption = (
+            f"{flights} flights from the frozen grid; strict: the goal box within 300 steps and no touch "
+            "before; at rest on feet: 2 s after the motors were cut in the goal box; 95 % Wilson intervals"
+        )
+    console.print(table)
+
+
+def _size(parameters: dict) -> str:
+    """Parameter values with their units: "x 0.5, y -0.3 m/s"."""
+    units = {p["unit"] for p in parameters.values()}
+    common = units.pop() if len(units) == 1 else None
+    texts = []
+    for name, p in parameters.items():
+        unit = "" if p["unit"] in ("1", common) else f" {p['unit']}"
+        texts.append(f"{name} {p['value']:g}{unit}")
+    return ", ".join(texts) + (f" {common}" if common not in (None, "1") else "")
+
+
 def _table(title: str, *columns: str) -> Table:
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold")
     for k, column in enumerate(columns):

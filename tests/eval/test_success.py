@@ -9,9 +9,18 @@ import pytest
 
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.eval import landing_starts, motors_cut, runs, statistics, success
+from inclined_landing.eval import (
+    landing_starts,
+    motors_cut,
+    runs,
+    statistics,
+    success,
+    success_effects,
+    success_table,
+)
 from inclined_landing.eval.flights import record_flight, record_flights
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ
+from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plant import make_plant
@@ -220,3 +229,73 @@ def test_setpoint_report_of_a_policy_that_hovers():
     assert error["mean"] == pytest.approx(distance.mean(), abs=1e-9)
     assert report["conditions"][0]["within"]["count"] == (distance < 0.05).sum()
     assert report["paper"] is None
+
+
+# ---- effects
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Three effects and ten starts of the grid."""
+    names = ("thrust_scale", "motor_lag", "platform_tilt")
+    monkeypatch.setattr(success_effects, "LIBRARY", {name: LIBRARY[name] for name in names})
+    grid = landing_starts.grid()[::25]
+    monkeypatch.setattr(landing_starts, "grid", lambda: grid)
+
+
+def test_effects_report_of_a_policy_that_hovers(landing, few, capsys):
+    """It hangs where it starts, unless the thrust is another; the start keeps its load under another lag."""
+    report = success_effects.evaluate(Constant(landing, 0.0, 0.0), plant="mujoco")
+    none, weak, slow, tilted = report["effects"]
+    assert [row["effect"] for row in report["effects"]] == [
+        "none",
+        "thrust_scale",
+        "motor_lag",
+        "platform_tilt",
+    ]
+    assert weak["parameters"] == {"scale": {"value": 0.88, "unit": "1"}}
+    assert none["strict"]["of"] >= 10 and none["touched"]["count"] == 0
+    assert weak["touched"]["count"] > 0
+    assert slow["touched"]["count"] == tilted["touched"]["count"] == 0
+    assert none["at_rest_on_feet"]["count"] == 0
+    runs.to_json(report)
+    success_table.show_effects(report)
+    assert "scale 0.88" in capsys.readouterr().out
+
+
+def test_a_tilted_platform_is_tilted_for_the_plant_alone(landing, few, monkeypatch):
+    inclinations = []
+
+    def recorded(policy, plant, states, **options):
+        flights = record_flights(policy, plant, states, steps=2)
+        inclinations.append(flights[0].inclination)
+        return flights
+
+    monkeypatch.setattr(success_effects, "record_flights", recorded)
+    success_effects.evaluate(Constant(landing, 0.0, 0.0), plant="analytic")
+    assert inclinations == pytest.approx([ALPHA, ALPHA, ALPHA, ALPHA + 0.05])
+
+
+def test_effects_report_of_a_setpoint_policy(few, capsys):
+    task = make_task("setpoint", pwm_centre="hover")
+    report = success_effects.evaluate(Constant(task, 0.0, 0.0, 0.0), plant="analytic")
+    none, weak, _, _ = report["effects"]
+    assert weak["error"]["mean"] > none["error"]["mean"] + 1.0
+    success_table.show_effects(report)
+    assert "thrust_scale" in capsys.readouterr().out
+
+
+def test_the_policy_sees_what_motion_capture_shows(landing):
+    """With a late measurement the first observation after a reset is the start, then what was before."""
+    vehicle = LIBRARY["mocap_delay"].apply(load_vehicle(), {"delay": 0.04})
+    seen = []
+
+    class Watching(Constant):
+        def predict(self, observation):
+            seen.append(observation.copy())
+            return super().predict(observation)
+
+    plant = make_plant("analytic", 1, vehicle)
+    flight = record_flight(Watching(landing, 0.0, 0.3), plant, pose(2.0)[0], steps=12)
+    expected = landing.observe(flight.state[:-1])
+    np.testing.assert_array_equal(np.concatenate(seen)[2:], expected[:-2])
