@@ -150,6 +150,12 @@ def test_forcerange_limits_the_torque(build):
     assert data.actuator_force[1] == 1e-3
 
 
+@pytest.mark.parametrize(("attribute", "text"), [("trim", "1"), ("trim", "1 x"), ("yaw_drift", "1 2")])
+def test_wrong_trim_is_refused(build, attribute, text):
+    with pytest.raises(ValueError, match=f"attitude: attribute '{attribute}' must be [12] finite number"):
+        build(attitude={attribute: text})
+
+
 @pytest.mark.parametrize("text", ["0", "-1", "one", "1 2", "nan"])
 @pytest.mark.parametrize("attribute", ["gain", "time_constant", "bandwidth", "yaw_bandwidth"])
 def test_wrong_attribute_is_refused_in_a_sentence(build, attribute, text):

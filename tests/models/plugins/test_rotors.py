@@ -190,11 +190,46 @@ def test_hook_drag_change(build):
         ("pwm_to_speed", "-1 1", "at least 0"),
         ("motors", "2.5", "a whole number"),
         ("motors", "0", "a whole number"),
+        ("disc_radius", "0", "greater than 0"),
+        ("sag_reference", "0", "other than 0"),
+        ("spin_down", "-1", "greater than -1"),
+        ("body_drag", "-0.1", "at least 0"),
+        ("fade", "slow", "1 finite number"),
     ],
 )
 def test_wrong_attribute_is_refused_in_a_sentence(build, attribute, text, rule):
     with pytest.raises(ValueError, match=f"rotors: attribute '{attribute}' must be .*{rule}"):
         build(rotors={attribute: text})
+
+
+def test_ground_effect_needs_its_surfaces(build):
+    with pytest.raises(ValueError, match="'surfaces' must be names of planes and boxes, there is none named"):
+        build(rotors={"ground_effect": "1"})
+    with pytest.raises(ValueError, match="none named 'ball'"):
+        build(
+            rotors={"ground_effect": "1", "surfaces": "ball"},
+            site='<site name="com"/><geom name="ball" size="0.1"/>',
+        )
+
+
+def test_ground_effect_sees_any_named_surface_with_its_nearest_upper_face(build):
+    """A box on the floor under two of the four rotors; not the ball that hangs between."""
+    surfaces = (
+        '<geom name="ground" type="plane" size="0 0 1"/>'
+        '<geom name="step" type="box" size="0.5 1 0.1" pos="0.5 0 0.1"/>'
+        '<geom name="ball" size="0.01" pos="0.05 0.03 0.9"/>'
+    )
+    xml = build.xml(
+        rotors={"ground_effect": "2", "surfaces": "ground step", "arm": "0.05", "disc_height": "0.1",
+                "disc_radius": "0.4"},
+        site='<site name="com"/>',
+    ).replace("<worldbody>", f"<worldbody>{surfaces}")  # fmt: skip
+    data = build.data(mujoco.MjModel.from_xml_string(xml), [build.vehicle.hover_pwm], build.vehicle.hover_lag)
+    weight = build.vehicle.body_mass * build.vehicle.environment_gravity
+    near, far = (0.25 * weight * 2 * (0.4 / (4 * h)) ** 2 for h in (0.9, 1.1))  # discs at 1.1 m
+    assert data.actuator_force[0] == pytest.approx(weight + 2 * near + 2 * far, rel=1e-9)
+    assert data.qfrc_passive[4] == pytest.approx(-2 * 0.05 * (near - far), rel=1e-9)  # nose up
+    assert abs(data.qfrc_passive[3]) < 1e-12
 
 
 def test_unknown_attribute_is_refused(build):
