@@ -1,9 +1,10 @@
-"""`landing-eval gap`: logs in; report, corrected model and a few sentences out."""
+"""`landing-eval gap` and `landing-eval identify`: logs in; report, vehicle file and a few sentences out."""
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -12,8 +13,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from inclined_landing.eval import runs
 from inclined_landing.eval.figures.style import save_figure, styled
 from inclined_landing.eval.gap import diagnose
+from inclined_landing.eval.gap.identify import identify as identify_vehicle
 from inclined_landing.eval.gap.reading import read_flights
-from inclined_landing.eval.gap.report import figures, model, terminal, tracks
+from inclined_landing.eval.gap.report import figures, identified, model, terminal, tracks
 from inclined_landing.eval.gap.report.page import page
 from inclined_landing.models.parameters import load_vehicle
 
@@ -36,15 +38,11 @@ def run(
     heldout: logs only judged on. platform: the slab of the vehicle file stood there (else only where a log
     has contacts). Raises UserError when a log, the vehicle or the folder cannot be used.
     """
+    given = {key: value for key, value in locals().items() if key != "out"}
     runs.check_new_run(out)
     nominal = load_vehicle(vehicle)
     began = time.monotonic()
-    with Progress(*_COLUMNS, console=Console(stderr=True), transient=True) as progress:
-        bar = progress.add_task("", total=len(files) + len(heldout) + 3)
-
-        def tick(what: str) -> None:
-            progress.update(bar, description=what, advance=1)
-
+    with _progress(len(files) + len(heldout) + 3) as tick:
         logs, kept, notes = read_flights(files, heldout, mapping=mapping, units=units, tick=tick)
         tick("diagnosis")
         d = diagnose(logs, nominal, heldout=kept, platform=platform or None, plants=PLANTS)
@@ -63,18 +61,58 @@ def run(
         runs.write_json(folder / "report.json", d.to_json())
         save_figure(picture, folder / "gap.png")
         model.write(d, nominal, folder, base=vehicle)
-        runs.write_json(
-            folder / "run.json",
-            {
-                "command": "gap",
-                "logs": list(files),
-                "heldout": list(heldout),
-                "vehicle": vehicle,
-                "mapping": mapping,
-                "units": list(units),
-                "platform": platform,
-                "seconds": round(time.monotonic() - began, 1),
-                "versions": versions,
-            },
-        )
+        _write_run(folder, "gap", began, versions, given)
     print(out / "report.html")
+
+
+def identify(
+    files: Sequence[str],
+    out: Path,
+    *,
+    heldout: Sequence[str] = (),
+    vehicle: Path | None = None,
+    mapping: str | None = None,
+    units: Sequence[str] = (),
+    platform: bool = False,
+) -> None:
+    """Fit the vehicle's own constants and write the new folder `out`; arguments and errors as for `run`."""
+    given = {key: value for key, value in locals().items() if key != "out"}
+    runs.check_new_run(out)
+    nominal = load_vehicle(vehicle)
+    began = time.monotonic()
+    with _progress(len(files) + len(heldout) + 2) as tick:
+        logs, kept, notes = read_flights(files, heldout, mapping=mapping, units=units, tick=tick)
+        tick("fit")
+        found = identify_vehicle(logs, nominal, heldout=kept, platform=platform)
+        tick("page")
+        versions = runs.versions()
+        html = identified.page(
+            found,
+            heldout=[log.name for log in kept],
+            seconds=time.monotonic() - began,
+            versions=versions,
+            notes=notes,
+        )
+    identified.show(found, notes)
+    with runs.staged_run(out) as folder:
+        runs.write_text(folder / "report.html", html)
+        runs.write_json(folder / "report.json", found.to_json())
+        identified.write(found, folder, base=vehicle)
+        _write_run(folder, "identify", began, versions, given)
+    print(out / model.VEHICLE)
+
+
+@contextlib.contextmanager
+def _progress(total: int) -> Iterator[Callable[[str], None]]:
+    """A bar of `total` parts; calling what it gives names the next one."""
+    console = Console(stderr=True)
+    with Progress(*_COLUMNS, console=console, transient=True, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("", total=total)
+        yield lambda what: progress.update(bar, description=what, advance=1)
+
+
+def _write_run(folder: Path, command: str, began: float, versions: dict, given: dict) -> None:
+    seconds = round(time.monotonic() - began, 1)
+    runs.write_json(
+        folder / "run.json", {"command": command, **given, "seconds": seconds, "versions": versions}
+    )

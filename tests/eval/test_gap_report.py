@@ -158,7 +158,7 @@ def test_the_terminal_says_the_same(capsys):
     terminal.show(example(), ("hover thrust differs",))
     out = " ".join(capsys.readouterr().out.split())
     assert out.startswith(words.headline(example()))
-    assert "thrust scale scale 0.880 0.868 to 0.892 80 %" in out and "Note: hover thrust differs." in out
+    assert "thrust scale scale 0.8800 0.868 to 0.892 80 %" in out and "Note: hover thrust differs." in out
 
 
 def test_the_corrected_model_is_a_vehicle_file_with_provenance(tmp_path):

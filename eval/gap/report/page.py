@@ -23,8 +23,6 @@ def page(
 
     track: one flight with predictions along it. notes: sentences on the logs.
     """
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined)
-    template = resources.files("inclined_landing.eval.gap.report").joinpath("report.html.j2")
     with styled():
         sections = {
             "Where the model is wrong": _where(d),
@@ -33,34 +31,50 @@ def page(
             "What it is worth": _show(d, track),
             "What is left": _left(d),
         }
-    return environment.from_string(template.read_text("utf-8")).render(
+    return render(
+        sections,
+        command="gap",
         headline=words.headline(d),
         lead=[words.gap("analytic", d.gap["analytic"])] if "analytic" in d.gap else [],
         cards=[_card(effect) for effect in d.effects],
         manoeuvre=words.manoeuvre(d),
         bars=[_bars(plant, g) for plant, g in d.gap.items()],
         remainder=words.plain(d.remainder.text),
-        sections=[{"title": title, "blocks": blocks} for title, blocks in sections.items() if blocks],
         flights=d.flights,
         heldout=[name for name in d.heldout if name not in d.flights],
         notes=[words.plain(note) for note in dict.fromkeys((*d.notes, *notes))],
-        seconds=f"{sum(d.seconds.values()):.1f}",
+        seconds=sum(d.seconds.values()),
         versions=versions,
+    )
+
+
+def render(sections: dict[str, list[dict]], *, seconds: float, **head) -> str:
+    """The template filled in: {heading: blocks} and what stands above and below them."""
+    environment = jinja2.Environment(autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined)
+    template = resources.files("inclined_landing.eval.gap.report").joinpath("report.html.j2")
+    empty = {"cards": [], "manoeuvre": "", "bars": [], "remainder": ""}
+    return environment.from_string(template.read_text("utf-8")).render(
+        empty
+        | head
+        | {
+            "sections": [{"title": title, "blocks": blocks} for title, blocks in sections.items() if blocks],
+            "seconds": f"{seconds:.1f}",
+        }
     )
 
 
 # ---- the parts of a section
 
 
-def _text(text: str) -> dict:
+def text_block(text: str) -> dict:
     return {"kind": "text", "text": text}
 
 
-def _figure(figure: Figure | None, caption: str) -> list[dict]:
+def figure_block(figure: Figure | None, caption: str) -> list[dict]:
     return [] if figure is None else [{"kind": "figure", "data": figures.svg(figure), "caption": caption}]
 
 
-def _table(heads: Sequence[str], numbers: Sequence[str], rows: Sequence[Sequence]) -> dict:
+def table_block(heads: Sequence[str], numbers: Sequence[str], rows: Sequence[Sequence]) -> dict:
     return {"kind": "table", "heads": heads, "numbers": numbers, "rows": rows}
 
 
@@ -112,11 +126,11 @@ def _where(d: Diagnosis) -> list[dict]:
     if not d.where:
         return []
     return [
-        _text(
+        text_block(
             "What the model missed in windows of 0.6 s, by what the vehicle was doing and by channel. Pale "
             "is the measurement noise, dark is many times the noise."
         ),
-        *_figure(
+        *figure_block(
             figures.where_map(d.where),
             "Root mean square over windows (their number in brackets) of flights left out. x, y, z: the "
             "constant acceleration that the error looks like, attitude as measured. Angles: at the end of a "
@@ -127,12 +141,12 @@ def _where(d: Diagnosis) -> list[dict]:
 
 def _name(d: Diagnosis) -> list[dict]:
     blocks = [
-        _text(
+        text_block(
             "Each known effect is tried in the simulator and judged by the error it closes on flights it was "
             "not fitted to. The best that passes every check is added, and the search goes on with what is "
             "left."
         ),
-        *_figure(
+        *figure_block(
             figures.ranking(d.steps),
             "Dark blue: added. Light blue: cannot be told apart from it on these flights. Grey: not added, "
             "and why.",
@@ -143,7 +157,7 @@ def _name(d: Diagnosis) -> list[dict]:
             (words.label(m["name"]), f"{m['separation']:.3g}", words.plain(m["text"])) for m in d.manoeuvres
         ]
         blocks.append(
-            _table(("flight that would tell", "how far apart", "what to fly"), ("how far apart",), rows)
+            table_block(("flight that would tell", "how far apart", "what to fly"), ("how far apart",), rows)
         )
     return blocks
 
@@ -154,19 +168,19 @@ def _add(d: Diagnosis, library) -> list[dict]:
     rows = []
     for effect in d.effects:
         for k, (name, p) in enumerate(effect.parameters.items()):
-            value = words.quantity(p.value, p.unit, digits=4)
+            value = words.rounded(p.value, p.ci95, p.unit)
             row = (name, value, words.interval(p), words.exact(p.neutral, p.unit))
             first, last = ("", "") if k else (words.label(effect.name), library[effect.name].formula)
             rows.append((first, *row, last))
     heads = ("effect", "parameter", "value", "95 % interval", "model as it was", "formula")
     return [
-        _table(heads, ("value", "95 % interval", "model as it was"), rows),
-        *_figure(
+        table_block(heads, ("value", "95 % interval", "model as it was"), rows),
+        *figure_block(
             figures.estimates(d.effects, d.flights),
             "Each flight fitted alone (points with 95 % intervals), all flights together (blue line and "
             "band), and the model as it was (dashed). An effect that is real has one value in all flights.",
         ),
-        _text(
+        text_block(
             f"{VEHICLE} is the corrected model for every command of this package, {MJCF} the same for plain "
             "MuJoCo, with its plugins."
         ),
@@ -177,17 +191,17 @@ def _add(d: Diagnosis, library) -> list[dict]:
 def _show(d: Diagnosis, track: Track | None) -> list[dict]:
     blocks = []
     if d.horizon:
-        blocks += _figure(
+        blocks += figure_block(
             figures.horizon(d.horizon, d.gap),
             "Error of a simulation that gets the measured start state and then only the commands, against "
             "how far it looks ahead, as the effects are added. Shaded: what the measurement noise makes.",
         )
     if track is not None:
-        blocks += _figure(
+        blocks += figure_block(
             figures.track(track),
             f"Every {track.every:g} s a simulation starts from the measured state with the commands only.",
         )
-    return blocks + _figure(
+    return blocks + figure_block(
         figures.window_curves(d.windows),
         "For four regimes the window that the model missed most: the coordinate and the angle with the "
         "largest error.",
@@ -195,7 +209,7 @@ def _show(d: Diagnosis, track: Track | None) -> list[dict]:
 
 
 def _left(d: Diagnosis) -> list[dict]:
-    return _figure(
+    return figure_block(
         figures.remainder(d.remainder),
         "Left: error beyond the noise, beside the size that counts as nothing (dashed). Right: what it "
         "depends on, if on anything that was logged.",

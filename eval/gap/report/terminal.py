@@ -27,7 +27,7 @@ def show(d: Diagnosis, notes: tuple[str, ...] = (), console: Console | None = No
                 table.add_row(
                     words.label(effect.name) if k == 0 else "",
                     name,
-                    words.quantity(p.value, p.unit),
+                    words.rounded(p.value, p.ci95, p.unit),
                     words.interval(p),
                     words.share(effect.gain) if k == 0 else "",
                 )

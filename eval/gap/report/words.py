@@ -86,19 +86,35 @@ def quantity(value: float, unit: str, *, digits: int = 3) -> str:
 def exact(value: float, unit: str) -> str:
     """A number of the model as it stands there, with the unit a person reads."""
     factor, name = SHOWN.get(unit, (1.0, unit))
-    return f"{factor * value:g} {name}".rstrip()
+    return f"{factor * value:.4g} {name}".rstrip()
 
 
 def interval(estimate: Estimate) -> str:
     """The 95 % interval of an estimate, `0.876 to 0.884`."""
-    factor, name = SHOWN.get(estimate.unit, (1.0, estimate.unit))
-    low, high = (factor * x for x in estimate.ci95)
-    # As many digits as the width can bear.
-    width = abs(high - low)
-    places = 3 if not width > 0 else min(6, max(0, 1 - math.floor(math.log10(width))))
+    return span(estimate.ci95, estimate.unit)
+
+
+def span(ends: Sequence[float], unit: str) -> str:
+    """An interval with as many digits as its width can bear."""
+    factor, name = SHOWN.get(unit, (1.0, unit))
+    low, high = (factor * x for x in ends)
     if not (math.isfinite(low) and math.isfinite(high)):
         return "not known"
+    places = _places(high - low)
     return f"{low:.{places}f} to {high:.{places}f} {name}".rstrip()
+
+
+def rounded(value: float, ends: Sequence[float], unit: str) -> str:
+    """A number with one digit more than its interval has."""
+    factor, name = SHOWN.get(unit, (1.0, unit))
+    width = factor * (ends[1] - ends[0])
+    if not math.isfinite(width):
+        return quantity(value, unit)
+    return f"{factor * value:.{_places(width) + 1}f} {name}".rstrip()
+
+
+def _places(width: float) -> int:
+    return min(6, max(0, 1 - math.floor(math.log10(abs(width))))) if width else 3
 
 
 def says(effect: str, values: Mapping[str, tuple[float, str]]) -> str:

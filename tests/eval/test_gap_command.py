@@ -1,0 +1,212 @@
+"""`landing-eval gap` from logs to folder; what it says to logs that are not as they should be."""
+
+import errno
+import json
+import os
+import pathlib
+import re
+
+import numpy as np
+import pandas
+import pytest
+
+from inclined_landing.eval import cli
+from inclined_landing.eval.gap import diagnose
+from inclined_landing.eval.gap.blind.causes import Drawn
+from inclined_landing.eval.gap.blind.generate import fly_all, table
+from inclined_landing.eval.gap.reading import read_flights
+from inclined_landing.models.parameters import load_vehicle
+
+HIDDEN = Drawn(world={"thrust_scale": 0.88}, parameters={})
+FILES = {"gap.png", "landing.xml", "report.html", "report.json", "run.json", "vehicle.toml"}
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """Four flights of 12 s with weak propellers, as tables of the documented CSV."""
+    recordings = fly_all(HIDDEN, np.random.default_rng(3), count=4, seconds=12.0)
+    return [table(recording, voltage=True) for recording in recordings]
+
+
+@pytest.fixture
+def logs(flown, tmp_path):
+    """Writer of CSV files: logs() as flown, logs(a, b) with the first tables changed; returns the names."""
+
+    def write(*changes, count=4):
+        files = []
+        for k, one in enumerate(flown[:count]):
+            changed = changes[k](one.copy()) if k < len(changes) else one
+            files.append(str(tmp_path / f"flight_{k}.csv"))
+            changed.to_csv(files[-1], index=False)
+        return files
+
+    return write
+
+
+@pytest.fixture
+def gap(tmp_path, capsys):
+    """Run the command; returns exit code, report.json (None: nothing was written) and stderr."""
+
+    def run(*arguments):
+        out = tmp_path / "out"
+        before = set(tmp_path.iterdir())
+        code = cli.main(["gap", *map(str, arguments), "--out", str(out)])
+        error = capsys.readouterr().err
+        assert "Traceback" not in error
+        if code:
+            assert set(tmp_path.iterdir()) == before  # nothing half-written
+            assert error.count("\n") == 1
+            return code, None, error
+        return code, json.loads((out / "report.json").read_text("utf-8")), error
+
+    return run
+
+
+def test_from_logs_to_report_and_corrected_model(logs, gap, tmp_path):
+    files = logs()
+    code, report, _ = gap(*files[:3], "--heldout", files[3])
+    assert code == 0 and {p.name for p in (tmp_path / "out").iterdir()} == FILES
+    assert "thrust_scale" in report["effects"][0]["class"]
+    assert report["heldout"] == ["flight_3"]
+    for plant in ("analytic", "mujoco"):
+        assert report["gap"][plant]["after"] < 0.2 * report["gap"][plant]["before"]
+    corrected = load_vehicle(tmp_path / "out" / "vehicle.toml")
+    assert corrected.hover_pwm == pytest.approx(load_vehicle().hover_pwm / 0.88, rel=0.02)
+    run = json.loads((tmp_path / "out" / "run.json").read_text("utf-8"))
+    assert run["files"] == files[:3] and "mujoco" in run["versions"]
+
+
+def test_identification_recovers_a_weak_thrust(logs, tmp_path, capsys):
+    files = logs()
+    out = tmp_path / "out"
+    assert cli.main(["identify", *files[:3], "--heldout", files[3], "--out", str(out)]) == 0
+    assert {p.name for p in out.iterdir()} == {"report.html", "report.json", "run.json", "vehicle.toml"}
+    record = json.loads((out / "report.json").read_text("utf-8"))
+    gain = next(p for p in record["parameters"] if p["name"] == "thrust gain")
+    assert (
+        gain["value"] == pytest.approx(0.88, rel=0.01) and gain["ci95"][0] < gain["value"] < gain["ci95"][1]
+    )
+    assert record["fit"]["z"]["after"] > max(70, record["fit"]["z"]["before"])
+    assert load_vehicle(out / "vehicle.toml").hover_pwm == pytest.approx(
+        load_vehicle().hover_pwm / 0.88, rel=0.02
+    )
+    shown = capsys.readouterr().out
+    assert "85.3 %" in shown and "thrust gain" in shown and "flight_3" in (out / "report.html").read_text()
+
+
+def without(column):
+    return lambda table: table.drop(columns=column)
+
+
+def swapped(a, b):
+    return lambda table: table.rename(columns={a: b, b: a})
+
+
+def in_degrees(table):
+    angles = ["roll", "pitch", "yaw", "cmd_roll", "cmd_pitch"]
+    table[angles] = np.degrees(table[angles])
+    return table
+
+
+def all_nan(table):
+    table["y"] = np.nan
+    return table
+
+
+def short(table):
+    return table[table.t < 0.5]
+
+
+def other_vehicle(table):
+    table["cmd_thrust_pwm"] *= 1.3
+    return table
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (without("z"), r"flight_0\.csv.*\bz\b"),
+        (without("cmd_thrust_pwm"), r"flight_0\.csv.*cmd_thrust_pwm"),
+        (swapped("x", "y"), r"flight_0\.csv.*swapped"),
+        (swapped("cmd_roll", "cmd_thrust_pwm"), r"flight_0\.csv.*cmd_roll"),
+        (in_degrees, r"flight_0\.csv.*deg"),
+        (all_nan, r"flight_0\.csv.*\by\b"),
+        (short, r"flight_0.*0\.5 s|flight_0.* s\b"),
+        (other_vehicle, "different vehicles"),
+        (lambda table: table[::-1], r"flight_0\.csv.*goes back"),
+        (lambda table: table[:0], r"flight_0\.csv"),
+        (lambda table: pandas.DataFrame({"a": [1]}), r"flight_0\.csv"),
+    ],
+    ids="no-z no-thrust swapped swapped-command degrees nan short vehicles backwards empty foreign".split(),
+)
+def test_what_cannot_be_used_is_refused_in_one_sentence(logs, gap, change, words):
+    code, _, error = gap(*logs(change))
+    assert code == 2
+    assert re.search(words, error), error
+
+
+def with_a_hole(table):
+    return table[(table.t < 4) | (table.t > 6)]
+
+
+def with_some_nan(table):
+    table.loc[100:110, "x"] = np.nan
+    return table
+
+
+def with_a_flat_battery(table):
+    table["vbat"] = 3.9
+    return table
+
+
+def notes_on(files):
+    """What the command would say beside the answer, without the page."""
+    flights, _, together = read_flights(files)
+    return "\n".join((*diagnose(flights, load_vehicle(), plants=(), curves=False).notes, *together))
+
+
+def test_what_limits_the_answer_is_said_beside_it(logs):
+    files = logs(with_a_hole, with_some_nan, with_a_flat_battery, without("cmd_yaw_rate"))
+    notes = notes_on(files)
+    for words in ("flight_0: .*gap.* 2 s", "flight_1: .*x", "flight_2: .*vbat", "flight_3: .*yaw"):
+        assert re.search(words, notes), notes
+
+
+def test_one_flight_is_used_with_a_stated_limit(logs):
+    assert "1 flight only" in notes_on(logs(count=1))
+
+
+def test_options_that_cannot_be_used_are_refused(logs, gap, tmp_path):
+    files = logs()
+    for arguments, words in (
+        ((files[0], files[0]), "more than once"),
+        ((files[0], "--heldout", files[0]), "more than once"),
+        ((tmp_path / "none.csv",), r"none\.csv"),
+        ((tmp_path,), str(tmp_path)),
+        ((*files, "--vehicle", tmp_path / "none.toml"), r"none\.toml"),
+        ((*files, "--mapping", "no_such"), "no_such"),
+        ((*files, "--unit", "roll"), "COLUMN=UNIT"),
+    ):
+        code, _, error = gap(*arguments)
+        assert code == 2 and re.search(words, error), error
+
+
+def test_an_occupied_folder_stays_as_it_is(logs, tmp_path, capsys):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine").write_text("1")
+    assert cli.main(["gap", *logs(), "--out", str(tmp_path / "out")]) == 2
+    assert "not empty" in capsys.readouterr().err
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["mine"]
+
+
+def test_a_full_disk_costs_the_files_but_not_the_answer(logs, tmp_path, capsys, monkeypatch):
+    files = logs(count=2)
+
+    def full(self, data):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(pathlib.Path, "write_bytes", full)
+    assert cli.main(["gap", *files, "--out", str(tmp_path / "out")]) == 2
+    shown = capsys.readouterr()
+    assert "no space left" in shown.err and "The model lacks" in shown.out
+    assert sorted(str(p) for p in tmp_path.iterdir()) == files
