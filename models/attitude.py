@@ -72,6 +72,18 @@ def euler_angles(w, x, y, z):
 
 
 @numba.njit(cache=True)
+def tilted(attitudes, roll, pitch, out):
+    """Attitudes (n, 3) turned in their own frame by Rx(roll) Ry(pitch), into `out` (n, 3)."""
+    turn = rotation(roll, pitch, 0.0)
+    for i in range(attitudes.shape[0]):
+        r = rotation(attitudes[i, 0], attitudes[i, 1], attitudes[i, 2]) @ turn
+        yaw = math.atan2(-r[0, 1], r[1, 1])
+        out[i, 0] = math.asin(min(1.0, max(-1.0, r[2, 1])))
+        out[i, 1] = math.atan2(-r[2, 0], r[2, 2])
+        out[i, 2] = attitudes[i, 2] + (yaw - attitudes[i, 2] + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@numba.njit(cache=True)
 def rotation(roll, pitch, yaw):
     """Rotation matrix (3, 3), body to world."""
     sr, cr = math.sin(roll), math.cos(roll)

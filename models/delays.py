@@ -1,4 +1,5 @@
-"""Delayed commands and delayed measurements of n vehicles: plain histories, saved with the plant's state.
+"""Delayed commands, and delayed or tilted measurements, of n vehicles: plain histories, saved with the
+plant's state.
 
 A command is held for one control period. What acts during a substep is its exact average over the
 substep, shifted by the delay: it changes smoothly with the delay.
@@ -11,7 +12,7 @@ import math
 import numba
 import numpy as np
 
-from inclined_landing.models.attitude import PWM, ROLL, STATE_SIZE, YAW
+from inclined_landing.models.attitude import PWM, ROLL, STATE_SIZE, YAW, tilted
 from inclined_landing.models.parameters import Vehicle
 
 
@@ -27,7 +28,7 @@ class Delays:
         self.period = v.command_control_period
         self._command = np.full(4, v.effects_attitude_delay)
         self._command[PWM] = v.effects_thrust_delay
-        self._mocap = v.effects_mocap_delay
+        self._mocap, self._tilt = v.effects_mocap_delay, v.effects_mocap_tilt
         self.of_commands = bool(self._command.any())
         self.of_measurement = self._mocap > 0.0
         longest = max(self._command)
@@ -68,7 +69,14 @@ class Delays:
         return self._out
 
     def measurement(self, state: np.ndarray) -> np.ndarray:
-        """`state` (n, 13) as it was before the delay, interpolated linearly between control steps."""
+        """`state` (n, 13) as it was before the delay, interpolated linearly between control steps, tilted."""
+        if any(self._tilt):
+            state = self._late(state).copy()
+            tilted(state[:, ROLL : YAW + 1].copy(), *self._tilt, state[:, ROLL : YAW + 1])
+            return state
+        return self._late(state)
+
+    def _late(self, state: np.ndarray) -> np.ndarray:
         if not self.of_measurement:
             return state
         steps = self._mocap / self.period

@@ -103,6 +103,7 @@ class Vehicle:
     effects_attitude_delay: float
     effects_attitude_trim: tuple[float, float]
     effects_yaw_drift: float
+    effects_mocap_tilt: tuple[float, float]
     effects_mocap_delay: float
 
     @property

@@ -11,8 +11,10 @@ import math
 from importlib import resources
 
 import mujoco
+import numpy as np
 
 from inclined_landing.models import geometry, plugins
+from inclined_landing.models.attitude import quaternion
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
@@ -138,22 +140,24 @@ def _fill_delays(spec: mujoco.MjSpec, v: Vehicle) -> None:
     """Delays of the commands, and of what a motion capture system would report, as the engine has them.
 
     The plugins read a delayed command as held over the step (`plugin/README.md`). The sensors are there
-    only with a delay; the plant has its own `measurement`.
+    only with a delay or a tilt; the plant has its own `measurement`.
     """
     delays = dict.fromkeys(("roll", "pitch", "yaw_rate"), v.effects_attitude_delay)
     for name, delay in {"thrust": v.effects_thrust_delay, **delays}.items():
         if delay > 0:
             spec.actuator(name).delay = delay
             spec.actuator(name).nsample = _samples(delay, spec)
-    if v.effects_mocap_delay > 0:
+    if v.effects_mocap_delay > 0 or any(v.effects_mocap_tilt):
+        turn = np.array(quaternion(*v.effects_mocap_tilt, 0.0))
+        spec.body("crazyflie").add_site(name="mocap", quat=turn, group=4, size=[0.002, 0, 0])
         for name, kind in (("position", "POS"), ("attitude", "QUAT")):
             spec.add_sensor(
                 name=f"mocap_{name}",
                 type=getattr(mujoco.mjtSensor, f"mjSENS_FRAME{kind}"),
                 objtype=mujoco.mjtObj.mjOBJ_SITE,
-                objname="com",
+                objname="mocap",
                 delay=v.effects_mocap_delay,
-                nsample=_samples(v.effects_mocap_delay, spec) + 1,
+                nsample=_samples(v.effects_mocap_delay, spec) + 1 if v.effects_mocap_delay > 0 else 0,
                 interp=1,  # linear
             )
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from inclined_landing.models.analytic import AMBIENT_SIZE, pack, wrench
-from inclined_landing.models.attitude import PWM, euler_rates, rotation
+from inclined_landing.models.attitude import PWM, euler_rates, rotation, tilted
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import NEUTRAL
 
@@ -31,20 +31,30 @@ def predict(flight, vehicle: Vehicle) -> np.ndarray:
     """Predicted pose (m, 6) of `vehicle` along a `windows.Flight`: x, y, z, roll, pitch, yaw.
 
     Positions start at zero with velocity zero: compare them up to a line in time. Measurements that are
-    late (mocap_delay) meet commands that are early by as much.
+    late (mocap_delay) meet commands that are early by as much; a tilt of the measured attitude
+    (mocap_tilt) is taken off the attitude that drives the translation, and put on that of the loops.
     """
     late = vehicle.effects_mocap_delay
     dt = flight.dt
     pwm = averages(flight.command[:, PWM], dt, vehicle.effects_thrust_delay + late)
     angles = [averages(flight.command[:, k], dt, vehicle.effects_attitude_delay + late) for k in (1, 2, 3)]
     c = pack(vehicle)
+    middle_attitude, middle_rotation, start = (
+        flight.middle_attitude,
+        flight.middle_rotation,
+        flight.attitude[0],
+    )
+    tilt = vehicle.effects_mocap_tilt
+    if any(tilt):
+        middle_attitude, start = level(middle_attitude, tilt), level(flight.attitude[:1], tilt)[0]
+        middle_rotation = rotations(middle_attitude)
     out = np.empty((flight.samples, 6))
     twist = np.zeros((flight.samples - 1, 3))
     _translate(
         flight.middle_position,
         flight.middle_velocity,
-        flight.middle_rotation,
-        flight.middle_attitude,
+        middle_rotation,
+        middle_attitude,
         pwm,
         flight.ambient,
         c,
@@ -56,10 +66,23 @@ def predict(flight, vehicle: Vehicle) -> np.ndarray:
     loop, drive = _discrete(bandwidth, tau, dt)
     for k in (0, 1):
         wanted = vehicle.attitude_gain * (angles[k] + vehicle.effects_attitude_trim[k])
-        _second_order(wanted, twist[:, k], loop, drive, flight.attitude[0, k], out[:, ROLL_CHANNEL + k])
+        _second_order(wanted, twist[:, k], loop, drive, start[k], out[:, ROLL_CHANNEL + k])
+    if any(tilt):  # with the measured heading: that of the loops is only compared up to its start
+        loops = np.column_stack([out[:, ROLL_CHANNEL : ROLL_CHANNEL + 2], flight.attitude[:, 2]])
+        tilted(loops.copy(), *tilt, loops)
+        out[:, ROLL_CHANNEL : ROLL_CHANNEL + 2] = loops[:, :2]
     _first_order(
         angles[2] + vehicle.effects_yaw_drift, vehicle.attitude_yaw_bandwidth, dt, out[:, YAW_CHANNEL]
     )
+    return out
+
+
+def level(attitude: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
+    """Attitudes (m, 3) of the vehicle whose measured ones are `attitude`, by a tilt (roll, pitch) [rad]."""
+    # Ry(-pitch) Rx(-roll) undoes Rx(roll) Ry(pitch).
+    out = np.empty_like(attitude)
+    tilted(attitude, 0.0, -tilt[1], out)
+    tilted(out.copy(), -tilt[0], 0.0, out)
     return out
 
 

@@ -13,11 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from inclined_landing.eval.gap.prediction import averages, predict
+from inclined_landing.eval.gap.prediction import averages, level, predict
 from inclined_landing.eval.gap.result import PlantGap
 from inclined_landing.eval.gap.windows import SMOOTHING, Flight, prepare
 from inclined_landing.models import analytic
-from inclined_landing.models.attitude import LAG, PWM, ROLL, STATE_SIZE, VX, WX, body_rates
+from inclined_landing.models.attitude import LAG, PWM, ROLL, STATE_SIZE, VX, WX, body_rates, tilted
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import neutral
@@ -127,15 +127,21 @@ def simulate(
     driven = [drive(f, vehicle) for f in starts.flights]
     commands = starts.gather([c for c, _ in driven])
     state = starts.gather([smoothed_states(f) for f in starts.flights], 1)[:, 0]
+    tilt = vehicle.effects_mocap_tilt
+    if any(tilt):
+        state[:, ROLL : ROLL + 3] = level(state[:, ROLL : ROLL + 3].copy(), tilt)
     state[:, LAG] = starts.gather([lag for _, lag in driven], 1)[:, 0]
     if disturbance is not None:
         state[:, :LAG] += disturbance
     ambient = starts.gather([f.ambient for f in starts.flights])
-    if plant == "analytic":
-        return _analytic(starts, vehicle, state, commands, ambient)
-    if plant == "mujoco":
-        return _mujoco(starts, vehicle, state, commands, ambient)
-    raise UserError(f"unknown plant {plant!r}; known are {' and '.join(PLANTS)}")
+    if plant not in PLANTS:
+        raise UserError(f"unknown plant {plant!r}; known are {' and '.join(PLANTS)}")
+    run = _analytic if plant == "analytic" else _mujoco
+    pose = run(starts, vehicle, state, commands, ambient)
+    if any(tilt):
+        for window in pose:
+            tilted(window[:, 3:].copy(), *tilt, window[:, 3:])
+    return pose
 
 
 def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:

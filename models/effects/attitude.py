@@ -73,6 +73,25 @@ EFFECTS = (
         apply=added("effects_attitude_trim", "roll", "pitch"),
     ),
     Effect(
+        name="mocap_tilt",
+        description="The measured attitude is tilted against the rotors: the rigid body of the motion "
+        "capture, or the onboard estimate, was set to level on a vehicle that was not. The flight itself is "
+        "unchanged, but thrust seems to point elsewhere.",
+        formula="measured R = R Rx(roll) Ry(pitch)",
+        source="the utias_fmpc flights hover with 0.05 rad of measured roll",
+        parameters=(
+            Parameter("roll", "rad", 0.0, (-0.25, 0.25), 0.03, 0.002),
+            Parameter("pitch", "rad", 0.0, (-0.25, 0.25), -0.03, 0.002),
+        ),
+        regimes=("hover", "lateral", "climb"),
+        confused_with=("wind", "attitude_trim"),
+        remedy="Redefine the rigid body with the vehicle on a level table, or turn the measured attitude "
+        "back. To tell it from wind, hover while the vehicle yaws: a tilt turns with it, wind does not.",
+        channels=("translation", "attitude"),
+        requires=(),
+        apply=added("effects_mocap_tilt", "roll", "pitch"),
+    ),
+    Effect(
         name="yaw_drift",
         description="The heading turns slowly although no yaw rate is commanded: a gyroscope bias.",
         formula="d(yaw)/dt = yaw rate command + rate",
