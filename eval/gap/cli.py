@@ -55,13 +55,15 @@ def run(
         with styled():
             picture = figures.overview(d, track)
         tick("files")
-    terminal.show(d, notes)  # before anything is written: a full disk costs the files, not the answer
-    with runs.staged_run(out) as folder:
-        runs.write_text(folder / "report.html", html)
-        runs.write_json(folder / "report.json", d.to_json())
-        save_figure(picture, folder / "gap.png")
-        model.write(d, nominal, folder, base=vehicle)
-        _write_run(folder, "gap", began, versions, given)
+    try:  # a full disk costs the files, not the answer
+        with runs.staged_run(out) as folder:
+            runs.write_text(folder / "report.html", html)
+            runs.write_json(folder / "report.json", d.to_json())
+            save_figure(picture, folder / "gap.png")
+            model.write(d, nominal, folder, base=vehicle)
+            _write_run(folder, "gap", began, versions, given)
+    finally:
+        terminal.show(d, notes)
     print(out / "report.html")
 
 
@@ -93,12 +95,14 @@ def identify(
             versions=versions,
             notes=notes,
         )
-    identified.show(found, notes)
-    with runs.staged_run(out) as folder:
-        runs.write_text(folder / "report.html", html)
-        runs.write_json(folder / "report.json", found.to_json())
-        identified.write(found, folder, base=vehicle)
-        _write_run(folder, "identify", began, versions, given)
+    try:
+        with runs.staged_run(out) as folder:
+            runs.write_text(folder / "report.html", html)
+            runs.write_json(folder / "report.json", found.to_json())
+            identified.write(found, folder, base=vehicle)
+            _write_run(folder, "identify", began, versions, given)
+    finally:
+        identified.show(found, notes)
     print(out / model.VEHICLE)
 
 

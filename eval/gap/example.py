@@ -12,8 +12,8 @@ from inclined_landing.eval.gap.blind.generate import fly_all, write_csv
 
 # Worn propellers, a vehicle that is not streamlined, and a floor nobody modelled.
 HIDDEN = Drawn(
-    world={"thrust_scale": 0.88, "drag_scale": 3.0, "ground_effect": 4.0},
-    parameters={"thrust_scale": 0.88, "rotor_drag": 3.0, "ground_effect": 4.0},
+    world={"thrust_scale": 0.9, "drag_scale": 3.0, "ground_effect": 5.0},
+    parameters={"thrust_scale": 0.9, "rotor_drag": 3.0, "ground_effect": 5.0},
 )
 SETS = {"fit": 10, "heldout": 10}  # every kind of ordinary flight once in each
 

@@ -181,7 +181,7 @@ def _draw_step(axis: Axes, step: SearchStep, n: int, number: int) -> None:
         axis.text(
             1.11,
             k,
-            f"{100 * c.share:.0f} %",
+            f"{max(0.0, 100 * c.share):.0f} %",
             transform=axis.get_yaxis_transform(),
             va="center",
             ha="right",
@@ -267,7 +267,14 @@ def _name_ends(axis: Axes, ends, top: float) -> None:
             fontsize=8.5,
             color=colour,
             va="center",
-            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkA": 1, "shrinkB": 0},
+            arrowprops={
+                "arrowstyle": "-",
+                "color": colour,
+                "linewidth": 0.7,
+                "shrinkA": 1,
+                "shrinkB": 0,
+                "relpos": (0, 0.5),
+            },
         )
 
 
@@ -292,22 +299,26 @@ def _flown(one: Track) -> str:
 
 def draw_track(axis: Axes, one: Track, k: int) -> None:
     """One coordinate (0, 1, 2: x, y, z) of a flight and its predictions."""
-    name = "xyz"[k]
-    for which, colour, word in ((one.before, BEFORE, "before"), (one.after, AFTER, "after")):
-        for j, (t, p) in enumerate(zip(one.times, which)):
+    drawn = [("measured", [(one.t, one.position)], INK, 3.4)]
+    for word, which, colour in (("before", one.before, BEFORE), ("after", one.after, AFTER)):
+        pieces = list(zip(one.times, which))
+        drawn.append((f"predicted {one.seconds:g} s ahead, {word}", pieces, colour, 1.5))
+    for name, pieces, colour, width in drawn:
+        for j, (t, p) in enumerate(pieces):
             axis.plot(
-                t, p[:, k], color=colour, linewidth=1.5, zorder=3, solid_capstyle="round",
-                label=f"predictions {one.seconds:g} s ahead, {word}" if j == 0 else None,
-            )  # fmt: skip
-            axis.plot(t[-1], p[-1, k], "o", color=colour, markersize=2.6, zorder=3)
-    axis.plot(one.t, one.position[:, k], color=INK, linewidth=1.3, zorder=4, label="measured")
+                t, p[:, k], color=colour, linewidth=width, solid_capstyle="round", label=None if j else name
+            )
+            if colour != INK:
+                axis.plot(t[-1], p[-1, k], "o", color=colour, markersize=3)
     low, high = np.nanmin(one.position[:, k]), np.nanmax(one.position[:, k])
     # All of the measurement, and of the predictions what lies within its range once more.
     reach = [p[:, k] for p in (*one.before, *one.after)]
     span = max(high - low, 0.1)
     low = max(low - 0.8 * span, min([low, *(np.min(p) for p in reach)]))
     high = min(high + 0.8 * span, max([high, *(np.max(p) for p in reach)]))
-    axis.set(xlim=(one.t[0], one.t[-1]), ylim=(low - 0.04 * span, high + 0.04 * span), ylabel=f"{name} [m]")
+    axis.set(
+        xlim=(one.t[0], one.t[-1]), ylim=(low - 0.04 * span, high + 0.04 * span), ylabel=f"{'xyz'[k]} [m]"
+    )
     axis.grid()
 
 

@@ -140,7 +140,7 @@ def _where(d: Diagnosis) -> list[dict]:
 
 
 def _name(d: Diagnosis) -> list[dict]:
-    blocks = [
+    return [
         text_block(
             "Each known effect is tried in the simulator and judged by the error it closes on flights it was "
             "not fitted to. The best that passes every check is added, and the search goes on with what is "
@@ -152,14 +152,6 @@ def _name(d: Diagnosis) -> list[dict]:
             "and why.",
         ),
     ]
-    if len(d.manoeuvres) > 1:
-        rows = [
-            (words.label(m["name"]), f"{m['separation']:.3g}", words.plain(m["text"])) for m in d.manoeuvres
-        ]
-        blocks.append(
-            table_block(("flight that would tell", "how far apart", "what to fly"), ("how far apart",), rows)
-        )
-    return blocks
 
 
 def _add(d: Diagnosis, library) -> list[dict]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from inclined_landing.eval.gap import rollout
-from inclined_landing.eval.gap.windows import prepare
+from inclined_landing.eval.gap.windows import NEAR, prepare
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.parameters import Vehicle
 
@@ -66,5 +66,10 @@ def of(
 
 
 def most_telling(logs: Sequence[FlightLog]) -> FlightLog:
-    """The flight with the largest range of heights: descents show what a model is worth."""
-    return max(logs, key=lambda log: float(np.ptp(log.position[:, 2])))
+    """The flight with the largest range of heights, of those that come near the floor if any does."""
+
+    def key(log: FlightLog) -> tuple[bool, float]:
+        height = log.position[:, 2]
+        return bool(np.nanmin(height) < NEAR), float(np.ptp(height))
+
+    return max(logs, key=key)

@@ -56,6 +56,7 @@ _SAYS = {
     "attitude_time_constant": "the attitude loops have {scale} times the modelled time constant",
     "second_order_attitude": "the rate loop lags {rate_lag} more than modelled",
     "attitude_trim": "commanded level, the vehicle holds {roll} of roll and {pitch} of pitch",
+    "mocap_tilt": "the measured attitude is turned against the rotors by {roll} of roll and {pitch} of pitch",
     "yaw_drift": "the heading turns by {rate} without a command",
     "friction": "the feet have {scale} times the modelled friction",
     "contact_stiffness": "feet and platform are {scale} times as stiff as modelled",
@@ -172,7 +173,8 @@ def centimetres(metres: float) -> str:
 
 def share(part: float) -> str:
     """A share in percent."""
-    return f"{100 * part:.0f} %"
+    whole = 0.0995 <= part < 0.995 or part in (0.0, 1.0)
+    return f"{100 * part:.0f} %" if whole else f"{100 * part:.1f} %"
 
 
 def manoeuvre(d: Diagnosis) -> str:
