@@ -84,7 +84,8 @@ def refit(
     damping = 1e-3
     columns = _own_columns(problem, names)
     fit = _fit_at(problem, values, columns, inflation)
-    for _ in range(iterations if names else 0):
+    most = min(iterations, 2) if problem.nonlinear else iterations
+    for _ in range(most if names else 0):
         improved = False
         while damping < 1e4:
             trial = _moved(problem, fit, damping)
@@ -153,15 +154,14 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
     inflation = np.ones(6)
     for _ in range(limits.most + 1):
         linear = problem.linearise(fit.values, problem.columns(fit.values, names))
-        inflation = linear.inflation()
+        inflation = np.ones(6) if problem.nonlinear else linear.inflation()
         weighted = linear.weighted(inflation)
         base = weighted.index(list(fit.values))
-        before = weighted.left_out(base)
+        before = weighted.c if problem.nonlinear else weighted.left_out(base)
         whole = weighted.left(
             np.arange(len(weighted.columns)), weighted.fit(np.arange(len(weighted.columns)))
         )
         closable = max(1e-9, float(before.sum() - whole.sum()))
-        closable_at_first = closable_at_first or closable
         others = [n for n in names if n not in fit.values]
         linear_gain = {
             n: float((before - weighted.left_out(np.concatenate([base, weighted.index([n])]))).sum())
@@ -169,14 +169,19 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
         }
         order = sorted(others, key=lambda n: -linear_gain[n])
         tried = [n for n in order[: limits.shortlist] if linear_gain[n] > limits.gain / 3]
+        tried = others if problem.nonlinear else tried
         trials = {n: _trial(problem, weighted, fit, n, inflation, before) for n in tried}
+        if problem.nonlinear:
+            closable = max([closable, *(t.gain for t in trials.values())])
+        closable_at_first = closable_at_first or closable
         ranked = sorted(tried, key=lambda n: -_score(problem, n, trials, limits))
         accepted, reasons = None, {}
         for name in ranked:
             reasons[name] = _objection(
                 problem, name, trials[name], closable, closable_at_first, limits, fit.values
             )
-            if reasons[name] and reasons[name].startswith(("differs", "at its bound")):
+            large = trials[name].gain > limits.share * closable_at_first
+            if large and reasons[name].startswith(("differs", "at its bound")):
                 unstable.append(name)
             if not reasons[name]:
                 accepted = name
@@ -235,10 +240,13 @@ def _trial(problem: Problem, weighted: Weighted, fit: Fit, name: str, inflation,
     effect = problem.library[name]
     start = dict(effect.neutral)
     columns = weighted.index([name])
-    if any(weighted.columns[k].fixed for k in columns):
+    if problem.nonlinear:
+        start = problem.best_start(name, fit.values)
+    elif any(weighted.columns[k].fixed for k in columns):
         start = _profiled_start(problem, weighted, fit, name, inflation)
     trial = refit(problem, {**fit.values, name: start}, inflation)
-    after = trial.weighted.left_out(trial.index)
+    # Few landings and one parameter: what is left out would be lost on errors that are not linear.
+    after = trial.weighted.c if problem.nonlinear else trial.weighted.left_out(trial.index)
     difference = before - after
     g = problem.group_of
     by_group = np.bincount(g, difference, minlength=problem.groups)
@@ -379,6 +387,8 @@ def tie_class(
     limits: Thresholds,
 ) -> tuple[str, ...]:
     """Effects that change the prediction as `name` does: each is explained by the other, R2 above a limit."""
+    if problem.nonlinear:  # alike is what explains as much
+        return (name, *(n for n, t in trials.items() if n != name and t.gain > limits.alike * trial.gain))
     own = weighted.index([name])
     members = [name]
     a = weighted.group_a.sum(axis=0)
@@ -416,8 +426,9 @@ def _drop_useless(problem: Problem, fit: Fit, newest: str, inflation, limits: Th
     for name in [n for n in fit.values if n != newest]:
         rest = {n: v for n, v in fit.values.items() if n != name}
         smaller = refit(problem, rest, inflation)
-        with_it = fit.weighted.left_out(fit.index)
-        without = smaller.weighted.left_out(smaller.index)
+        with_it, without = (
+            f.weighted.c if problem.nonlinear else f.weighted.left_out(f.index) for f in (fit, smaller)
+        )
         difference = without - with_it
         small = all(
             abs(fit.values[name][p.name] - p.neutral) < p.negligible
