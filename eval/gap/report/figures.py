@@ -42,7 +42,7 @@ from inclined_landing.eval.gap.result import (
 BEFORE, AFTER = ORANGE, GREEN
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw", "touchdown")
 WIDTH = 10.4  # inches, of a page
-_WORST = 100.0  # times the floor, where the colour scale ends
+_ENDS = (10.0, 30.0, 100.0, 300.0, 1000.0)  # times the floor, where the colour scale may end
 _HEAT = LinearSegmentedColormap.from_list(
     "heat", ["#f4f8fb", "#fde3c8", "#f9b071", "#e66f22", "#a63c06", "#5e1f04"]
 )
@@ -73,7 +73,7 @@ def where_map(rows: Sequence[WhereRow]) -> Figure:
         draw_where(axis, rows, what)
     for axis in axes[1:]:
         axis.set_yticks([])
-    _where_scale(figure, left, 0.3, 2 * width + gap)
+    _where_scale(figure, rows, left, 0.3, 2 * width + gap)
     figure.text(
         (left + 2 * (width + gap)) / WIDTH,
         0.34 / figure.get_figheight(),
@@ -89,14 +89,14 @@ def draw_where(axis: Axes, rows: Sequence[WhereRow], what: str, *, size: float =
     """One map: `what` is before, after or floor; colours are times the floor."""
     regimes, channels = _axes_of(rows)
     cells = {(row.regime, row.channel): row for row in rows}
-    norm = LogNorm(1.0, _WORST)
+    norm = _where_norm(rows)
     for i, regime in enumerate(regimes):
         for j, channel in enumerate(channels):
             row = cells.get((regime, channel))
             value = math.nan if row is None else getattr(row, what)
             colour, ink = "white", INK
             if math.isfinite(value) and what != "floor" and row.floor > 0:
-                times = min(max(value / row.floor, 1.0), _WORST)
+                times = min(max(value / row.floor, 1.0), norm.vmax)
                 colour = _HEAT(norm(times))
                 ink = "white" if norm(times) > 0.62 else INK
             elif what == "floor":
@@ -116,11 +116,19 @@ def draw_where(axis: Axes, rows: Sequence[WhereRow], what: str, *, size: float =
     axis.set_title({"before": "before", "after": "after", "floor": "noise alone"}[what], fontsize=9.5)
 
 
-def _where_scale(figure: Figure, left: float, bottom: float, width: float) -> None:
+def _where_norm(rows: Sequence[WhereRow]) -> LogNorm:
+    """One scale for all maps, up to the first end beyond the worst cell."""
+    worst = max((max(row.before, row.after) / row.floor for row in rows if row.floor > 0), default=1.0)
+    return LogNorm(1.0, next((end for end in _ENDS if end >= worst), _ENDS[-1]))
+
+
+def _where_scale(figure: Figure, rows: Sequence[WhereRow], left: float, bottom: float, width: float) -> None:
     axis = panel(figure, left, bottom, width, 0.09)
-    bar = figure.colorbar(ScalarMappable(LogNorm(1.0, _WORST), _HEAT), cax=axis, orientation="horizontal")
+    norm = _where_norm(rows)
+    bar = figure.colorbar(ScalarMappable(norm, _HEAT), cax=axis, orientation="horizontal")
     bar.outline.set_visible(False)
-    bar.set_ticks([1, 3, 10, 30, _WORST], labels=["noise", "3 times the noise", "10", "30", f"{_WORST:g}"])
+    ends = [end for end in _ENDS if end <= norm.vmax]
+    bar.set_ticks([1, 3, *ends], labels=["noise", "3 times the noise", *(f"{end:g}" for end in ends)])
     bar.ax.tick_params(labelsize=7.5, length=0, colors=MUTED)
     bar.minorticks_off()
 
@@ -205,7 +213,11 @@ def _draw_step(axis: Axes, step: SearchStep, n: int, number: int) -> None:
     axis.grid(axis="x")
     axis.spines["left"].set_visible(False)
     axis.spines["bottom"].set_visible(False)
-    outcome = f"{label(step.accepted)} added" if step.accepted else "nothing more is worth adding"
+    outcome = (
+        f"{label(step.accepted)} added"
+        if step.accepted
+        else f"nothing {'more ' if number > 1 else ''}is worth adding"
+    )
     if step.dropped:
         outcome += ", " + ", ".join(label(x) for x in step.dropped) + " no longer needed"
     axis.set_title(f"Step {number}: {outcome}", loc="left", fontsize=9, x=-0.5)
@@ -465,7 +477,7 @@ def overview(d: Diagnosis, one: Track | None) -> Figure:
         draw_where(axis, rows, what, size=7)
         if k:
             axis.set_yticks([])
-    _where_scale(figure, 7.3, low - 0.34, 2 * width + 0.14)
+    _where_scale(figure, rows, 7.3, low - 0.34, 2 * width + 0.14)
     h = figure.get_figheight()
     figure.text(5.75 / 11.6, (low + 2.79) / h, _where_units(rows), fontsize=8, color=MUTED)
     for x, text in ((0.75, "Adding what was named"), (5.75, "Where the model was wrong")):

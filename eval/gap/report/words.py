@@ -159,9 +159,10 @@ def _one_of(effect: NamedEffect) -> str:
 def gap(plant: str, g: PlantGap) -> str:
     """How the gap shrank in one plant, as a sentence."""
     closed = f" ({share(g.closed)} of the gap closed)" if _worth_closing(g) else ""
+    change = f"goes from {centimetres(g.before)} to {centimetres(g.after)}{closed}"
     return (
         f"{g.horizon:g} s ahead, on flights left out of the fit, the position error in "
-        f"{PLANTS.get(plant, plant)} goes from {centimetres(g.before)} to {centimetres(g.after)}{closed}; "
+        f"{PLANTS.get(plant, plant)} {change if g.after != g.before else f'is {centimetres(g.before)}'}; "
         f"the measurement noise alone makes {centimetres(g.floor)}."
     )
 
