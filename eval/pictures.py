@@ -22,6 +22,8 @@ from inclined_landing.eval.figures.style import make_folder
 from inclined_landing.eval.flights import Flight, record_flights
 from inclined_landing.eval.policy import Policy, load_policy
 from inclined_landing.eval.success import SETPOINT_TIME
+from inclined_landing.eval.touch import STEP, Touchdown, watch
+from inclined_landing.eval.touch_video import render_touchdowns
 from inclined_landing.eval.video import FPS, render_flight, strobe, write_video
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plant import PLANTS
@@ -67,11 +69,13 @@ def video(
     height: int = 540,
     backend: str = "auto",
     slow: float = 1.0,
+    forces: bool = False,
     **options,
 ) -> list[Path]:
     """Write one video with a flight from each start after the other; returns the files.
 
     out: .mp4 or .gif; with `gif` also the other kind beside an .mp4. slow: 2 plays at half speed.
+    forces: only the touchdowns, with their contact forces.
     """
     out = Path(out)
     if out.suffix.lower() not in (".mp4", ".gif"):
@@ -81,15 +85,28 @@ def video(
     if width % 2 or height % 2:
         raise UserError(f"a video has an even number of pixels a side, not {width} x {height}")
     loaded = load(policy, **options)
+    if forces and loaded.task.name == "setpoint":
+        raise UserError("--forces is for landing and touchdown policies; in the setpoint task nothing touches")
+    if forces and options.get("plant", "mujoco") != "mujoco":
+        raise UserError("--forces needs the MuJoCo plant: in the analytic one nothing is felt")
     flights = fly(loaded, _points(starts, loaded.task), options.get("plant", "mujoco"))
     look = {"camera": camera, "width": width, "height": height, "backend": backend}
+    look["vehicle"] = loaded.task.vehicle
+    touchdowns = [watch(flight, loaded.task.vehicle) for flight in flights] if forces else []
     files = [out] + ([out.with_suffix(".gif")] if gif and out.suffix.lower() != ".gif" else [])
     for path in files:
         most = GIF_FPS if path.suffix.lower() == ".gif" else FPS
-        sampled = min(FPS, most * slow)  # frames for a second of flight; there are no more states
-        rate = sampled / slow
-        frames = film(flights, sampled, rate, vehicle=loaded.task.vehicle, **look)
-        frames = _counted(frames, _frame_count(flights, sampled, rate), path.name)
+        if forces:
+            every = math.ceil(1.0 / (STEP * FPS * slow) - 1e-9)  # engine steps from frame to frame
+            rate = 1.0 / (every * STEP * slow)
+            frames = film_touchdowns(touchdowns, every, rate, **look)
+            total = sum(len(range(0, len(x.t), every)) + round(_REST * rate) for x in touchdowns)
+        else:
+            sampled = min(FPS, most * slow)  # frames for a second of flight; there are no more states
+            rate = sampled / slow
+            frames = film(flights, sampled, rate, **look)
+            total = _frame_count(flights, sampled, rate)
+        frames = _counted(frames, total, path.name)
         try:
             write_video(path, frames, fps=rate)
         except OSError as error:
@@ -105,6 +122,14 @@ def film(flights: Sequence[Flight], sampled: float, rate: float, **look) -> Iter
         for frame in render_flight(flight, fps=sampled, **look):
             yield frame
         yield from itertools.repeat(frame, round(_REST * rate))
+
+
+def film_touchdowns(touchdowns: Sequence[Touchdown], every: int, rate: float, **look) -> Iterator[np.ndarray]:
+    """Frames of touchdowns after each other; the last frame of each stays for a moment."""
+    for frame, last in render_touchdowns(touchdowns, every=every, **look):
+        yield frame
+        if last:
+            yield from itertools.repeat(frame, round(_REST * rate))
 
 
 def picture(

@@ -10,7 +10,7 @@ own renderer. "auto" takes OpenGL where it runs on hardware, rays otherwise.
 from __future__ import annotations
 
 from inclined_landing.envs.rendering.camera import View, look_at
-from inclined_landing.envs.rendering.contacts import contact_arrows
+from inclined_landing.envs.rendering.contacts import contact_arrows, contact_forces
 from inclined_landing.envs.rendering.ghost import Ghost
 from inclined_landing.envs.rendering.pose import Pose, qpos_of_state
 from inclined_landing.models.errors import UserError
@@ -26,6 +26,7 @@ __all__ = [
     "Pose",
     "View",
     "contact_arrows",
+    "contact_forces",
     "look_at",
     "make_renderer",
     "qpos_of_state",

@@ -1,4 +1,4 @@
-"""Contact forces of a simulation as arrows to draw."""
+"""Contact forces of a simulation, as vectors and as arrows to draw."""
 
 from __future__ import annotations
 
@@ -6,15 +6,12 @@ import mujoco
 import numpy as np
 
 
-def contact_arrows(
-    model: mujoco.MjModel, data: mujoco.MjData, metres_per_newton: float = 0.3
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(point (3,), arrow (3,)) [m] for every contact that carries force, on the vehicle.
+def contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """Points (k, 3) [m] and forces (k, 3) [N] of the vehicle's contacts; `data` must hold a forward pass.
 
-    The arrow is the force that the world exerts on the vehicle; `data` must hold a forward pass.
-    The points are those of the real vehicle: draw it at scale 1.
+    A force is what the world exerts on the vehicle. Contacts without force are left out.
     """
-    arrows = []
+    points, forces = [], []
     root = model.body("crazyflie").id
     wrench = np.zeros(6)
     for k in range(data.ncon):
@@ -24,5 +21,13 @@ def contact_arrows(
         if model.body_rootid[model.geom_bodyid[contact.geom1]] == root:
             force = -force
         if np.linalg.norm(force) > 1e-6:
-            arrows.append((contact.pos.copy(), metres_per_newton * force))
-    return arrows
+            points.append(contact.pos.copy())
+            forces.append(force)
+    return np.reshape(points, (-1, 3)), np.reshape(forces, (-1, 3))
+
+
+def contact_arrows(
+    model: mujoco.MjModel, data: mujoco.MjData, metres_per_newton: float = 0.3
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(point (3,), arrow (3,)) [m] for every contact that carries force, as for `render(forces=...)`."""
+    return [(point, metres_per_newton * force) for point, force in zip(*contact_forces(model, data))]

@@ -185,7 +185,8 @@ class GLRenderer(Stage):
             self._add_trail(np.asarray(trail, float), trail_colour)
         for point, vector in forces:
             arrow = mujoco.mjtGeom.mjGEOM_ARROW
-            tip, width = np.add(point, vector), 0.0044 * self.scale
+            point = scenery.drawn_points(self.model, pose.qpos, point, self.scale)
+            tip, width = point + vector, 0.0044 * self.scale
             self._connect(arrow, width, point, tip, (*overlay.FORCE, 1))
         rect = mujoco.MjrRect(0, 0, self.width, self.height)
         frame = np.empty((self.height, self.width, 3), np.uint8)

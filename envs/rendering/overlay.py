@@ -31,8 +31,8 @@ class Canvas:
         flat[index] = old + alpha[:, None] * (rgb - old)
 
 
-def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.0) -> None:
-    """A smooth line through points (k, 3) [m], hidden where the canvas is nearer.
+def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.0, through=False) -> None:
+    """A smooth line through points (k, 3) [m], hidden where the canvas is nearer unless it is `through`.
 
     width: pixels, a number or (k,); colour: (3,) or (k, 3) in 0..1; alpha: a number or (k,).
     """
@@ -72,8 +72,9 @@ def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.
     sample, i, j = np.nonzero(inside)
     index = row[sample, i, 0] * breadth + column[sample, 0, j]
     cover = cover[inside]
-    visible = samples[sample, 2] < canvas.depth.reshape(-1)[index] + _BIAS
-    sample, index, cover = sample[visible], index[visible], cover[visible]
+    if not through:
+        visible = samples[sample, 2] < canvas.depth.reshape(-1)[index] + _BIAS
+        sample, index, cover = sample[visible], index[visible], cover[visible]
     best = np.zeros(height * breadth)
     np.maximum.at(best, index, cover)
     owner = np.zeros(height * breadth, int)
@@ -85,23 +86,33 @@ def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.
 
 
 def draw_arrow(canvas: Canvas, view: View, start, vector, *, radius: float, colour) -> None:
-    """An arrow from `start` (3,) along `vector` (3,) [m] with a shaft of `radius` [m]."""
+    """An arrow from `start` (3,) along `vector` (3,) [m], its shaft of `radius` [m]; nothing hides it.
+
+    A light rim sets it off from whatever it crosses; short arrows are slimmer.
+    """
     start, vector = np.asarray(start, float), np.asarray(vector, float)
     length = float(np.linalg.norm(vector))
     if length < 1e-6:
         return
-    head = min(4.5 * radius, 0.6 * length)
+    radius = min(radius, 0.16 * length)
+    head = min(5.5 * radius, 0.6 * length)
     neck = start + vector * (1.0 - head / length)
     tip = start + vector
     _, depth = view.project(np.stack([start, neck, tip]))
     pixels = 2.0 * radius / view.pixel_size(np.maximum(depth, 1e-3))
     colour = np.asarray(colour, float)
-    for share, tone in ((1.0, 0.62 * colour), (0.72, 0.85 * colour), (0.34, colour)):
-        draw_polyline(canvas, view, [start, neck], width=share * pixels[:2], colour=tone)
-    bright = np.minimum(1.15 * colour, 1.0)
-    for share, tone in ((1.0, 0.70 * colour), (0.7, 0.92 * colour), (0.32, bright)):
-        widths = share * np.array([2.3 * pixels[1], 0.4])
-        draw_polyline(canvas, view, [neck, tip], width=widths, colour=tone)
+    rim = 2.4 * max(1.0, view.height / 540)
+    layers = (
+        (1.0, rim, np.ones(3)),
+        (1.0, 0.0, 0.72 * colour),
+        (0.66, 0.0, 0.92 * colour),
+        (0.28, 0.0, np.minimum(1.15 * colour, 1.0)),
+    )
+    for share, wider, tone in layers:
+        look = {"colour": tone, "through": True}
+        draw_polyline(canvas, view, [start, neck], width=share * pixels[:2] + wider, **look)
+        point = share * np.array([2.6 * pixels[1], 0.4]) + wider
+        draw_polyline(canvas, view, [neck, tip], width=point, **look)
 
 
 @functools.lru_cache(maxsize=8)

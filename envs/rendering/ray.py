@@ -278,7 +278,9 @@ class RayRenderer(Stage):
         scene: MjData of the landing scene, a qpos (7,), a state (13,) or a `Pose`; inclination
         [rad] of the platform where `scene` does not say. trail: states (k, 13), followed by the
         centre of the vehicle as drawn, or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts:
-        `Ghost`s or qpos (7,). forces: pairs (point (3,) [m], arrow (3,) [m]).
+        `Ghost`s or qpos (7,). forces: pairs (point (3,) [m], arrow (3,) [m]); points are those of
+        the real vehicle and go where the drawn one has them, arrows are as long as they say and
+        shine through.
         """
         pose = pose_of(scene, self.vehicle, inclination)
         self.stage(pose)
@@ -286,6 +288,10 @@ class RayRenderer(Stage):
         view = self._view()
         if trail is not None and np.shape(trail)[1:] == (13,):
             trail = scenery.drawn_centres(self._scene.model, trail, self.scale)
+        forces = [
+            (scenery.drawn_points(self._scene.model, pose.qpos, point, self.scale), arrow)
+            for point, arrow in forces
+        ]
         back = self._background(view)
         ghosts = [g if isinstance(g, Ghost) else Ghost(np.asarray(g, float)) for g in ghosts]
         copies = [(g.qpos, g) for g in ghosts] + ([(pose.qpos, None)] if show_vehicle else [])

@@ -81,14 +81,17 @@ def scale_vehicle(spec: mujoco.MjSpec, factor: float) -> None:
 def drawn_centres(model: mujoco.MjModel, states, factor: float) -> np.ndarray:
     """Where `scale_vehicle` puts the centre of mass of states (k, 13): points (k, 3) [m]."""
     qpos = qpos_of_state(states)
+    return np.array([drawn_points(model, row, row[:3], factor) for row in qpos])
+
+
+def drawn_points(model: mujoco.MjModel, qpos, points, factor: float) -> np.ndarray:
+    """Where `scale_vehicle` puts points (..., 3) [m] of the vehicle at qpos (7,)."""
     feet = [k for k in range(model.ngeom) if model.geom(k).name.startswith("foot_")]
     low = (model.geom_pos[feet, 2] - model.geom_size[feet, 0]).min()
     frame = np.zeros(9)
-    points = qpos[:, :3].copy()
-    for point, turn in zip(points, qpos[:, 3:]):
-        mujoco.mju_quat2Mat(frame, turn)
-        point += (1.0 - factor) * low * frame.reshape(3, 3)[:, 2]
-    return points
+    mujoco.mju_quat2Mat(frame, np.asarray(qpos[3:7], float))
+    anchor = qpos[:3] + low * frame.reshape(3, 3)[:, 2]
+    return anchor + factor * (np.asarray(points, float) - anchor)
 
 
 def add_prism(spec: mujoco.MjSpec, position, quaternion) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from inclined_landing.envs.rendering.contacts import contact_forces
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plant import MujocoPlant
 
@@ -19,19 +20,6 @@ from inclined_landing.models.plant import MujocoPlant
 # step, moved by this share of the step with the rates of the stage before.
 _MOVED = (0.5, 0.5, 1.0)
 _WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
-
-
-def contact_force(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Net force (3,) [N] that the world exerts on the vehicle; `data` must hold a forward pass."""
-    root = model.body("crazyflie").id
-    force, wrench = np.zeros(3), np.zeros(6)
-    for k in range(data.ncon):
-        contact = data.contact[k]
-        mujoco.mj_contactForce(model, data, k, wrench)
-        on_second = contact.frame.reshape(3, 3).T @ wrench[:3]
-        first = model.body_rootid[model.geom_bodyid[contact.geom1]] == root
-        force += -on_second if first else on_second
-    return force
 
 
 def step_impulse(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
@@ -55,7 +43,7 @@ def step_impulse(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
             data.act[:] = start[2] + moved * rate
             data.time = start[3] + moved
         mujoco.mj_forward(model, data)
-        impulse += weight * step * contact_force(model, data)
+        impulse += weight * step * contact_forces(model, data)[1].sum(axis=0)
     return impulse
 
 
