@@ -90,22 +90,23 @@ def _battery(channel: bool) -> Draw:
 
     def draw(size, rng):
         c = constants()
-        resistance = size / c.hover_current
         start = rng.uniform(-0.1, 0.15)
+        full = c.battery_voltage + start
         # The supply at which PWM gives its nominal thrust: that of a load of 0.7 to 1.2 times hover.
-        reference = c.battery_voltage + start - size * rng.uniform(0.7, 1.2) ** 1.5
+        reference = full - size * rng.uniform(0.7, 1.2)
         world = {
-            "battery_resistance": resistance,
+            "battery_resistance": size / c.hover_current,
             "battery_reference": reference,
             "battery_voltage": start,
         }
-        # Thrust goes with the voltage squared: slope of log thrust over voltage and over load in hover.
-        hover = c.battery_voltage + start - size
+        # Thrust is PWM times voltage squared, and the voltage falls with thrust. In hover:
+        hover = full - size
         if channel:
-            parameters = {"slope": 2.0 / hover, "voltage": hover}
-            return Drawn(world, parameters, True, {"battery_voltage": (start - 0.15, start + 0.15)})
-        slope = 3.0 * size / hover * c.thrust_per_pwm / (c.mass * c.gravity)
-        return Drawn(world, {"slope": slope})
+            spread = {"battery_voltage": (start - 0.15, start + 0.15)}
+            return Drawn(world, {"slope": 2.0 / hover, "voltage": hover}, True, spread)
+        pwm = c.mass * c.gravity / c.thrust_per_pwm * (reference / hover) ** 2
+        lost = 2.0 * size / hover  # share of thrust per share of thrust
+        return Drawn(world, {"slope": lost / (1.0 + lost) / pwm, "pwm": pwm})
 
     return draw
 
@@ -148,6 +149,7 @@ FREE_FLIGHT: dict[str, tuple[tuple[float, float, float], Draw]] = {
     "attitude_time_constant": ((0.15, 0.35, 0.7), _scale("attitude_time_scale")),
     "second_order_attitude": ((0.015, 0.03, 0.06), _plain("rate_lag", "rate_lag")),
     "attitude_trim": ((0.006, 0.015, 0.04), _vector("trim_roll", "trim_pitch", ("roll", "pitch"))),
+    "mocap_tilt": ((0.008, 0.02, 0.045), _vector("mocap_roll", "mocap_pitch", ("roll", "pitch"))),
     "yaw_drift": ((0.03, 0.08, 0.25), _plain("yaw_drift", "rate", signed=True)),
 }
 

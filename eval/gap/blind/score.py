@@ -126,7 +126,7 @@ def parameter_error(cause: str, truth: Mapping[str, float], effects: Iterable[Ma
     for effect in effects:
         values = {name: one["value"] for name, one in effect["parameters"].items()}
         wanted = comparable(cause, truth)
-        given = comparable(effect["name"], values, voltage=truth.get("voltage"))
+        given = comparable(effect["name"], values, at=truth)
         if wanted is None or given is None or set(wanted) != set(given):
             continue
         if effect["name"] != cause and frozenset({effect["name"]}) not in accepted(cause):
@@ -138,11 +138,11 @@ def parameter_error(cause: str, truth: Mapping[str, float], effects: Iterable[Ma
 
 
 def comparable(
-    effect: str, values: Mapping[str, float], voltage: float | None = None
+    effect: str, values: Mapping[str, float], at: Mapping[str, float] | None = None
 ) -> dict[str, float] | None:
     """What two estimates of an effect are compared by: deviations from neutral.
 
-    voltage: where the slope of thrust over voltage is taken [V].
+    at: holds the `pwm` or the `voltage` in hover, where the slopes of a battery are taken.
     """
     c = constants()
     weight = c.mass * c.gravity
@@ -155,16 +155,17 @@ def comparable(
     if effect == "battery_sag":
         if "slope" in values:
             return {"slope over load": values["slope"]}
+        if at is None or "pwm" not in at:
+            return None
         sag, reference = values["sag"], values["reference"]
-        hover = weight / c.thrust_per_pwm
-        return {"slope over load": sag / reference / (1 - sag * (hover / reference - 1))}
+        return {"slope over load": sag / reference / (1 - sag * (at["pwm"] / reference - 1))}
     if effect == "battery_voltage":
         if "slope" in values:
             return {"slope over voltage": values["slope"]}
-        if voltage is None:
+        if at is None or "voltage" not in at:
             return None
         change = values["sensitivity"]
-        return {"slope over voltage": change / (1 + change * (voltage - values["reference"]))}
+        return {"slope over voltage": change / (1 + change * (at["voltage"] - values["reference"]))}
     neutral = 1.0 if set(values) == {"scale"} else 0.0
     return {name: value - neutral for name, value in values.items()}
 

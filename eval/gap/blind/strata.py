@@ -20,7 +20,7 @@ FAMILIES = (
     ("battery_sag", "battery_voltage", "thrust_fade"),
     ("motor_lag", "spin_down", "thrust_delay"),
     ("rotor_drag", "body_drag"),
-    ("wind", "attitude_trim", "com_offset"),
+    ("wind", "attitude_trim", "com_offset", "mocap_tilt"),
     ("translational_lift", "axial_inflow"),
     ("attitude_gain",),
     ("attitude_delay", "second_order_attitude", "attitude_time_constant", "mocap_delay"),
@@ -80,6 +80,12 @@ ENTAILED: tuple[tuple[tuple[str, ...], tuple[str, ...], str], ...] = (
         ("motor_lag", "spin_down"),
         ("thrust_delay",),
         "a longer lag is, to first order, a later thrust",
+    ),
+    (
+        ("spin_down",),
+        _LEVEL,
+        "motors that slow down later than they speed up rectify the controller's small corrections: a little "
+        "more thrust on average",
     ),
     (
         ("battery_sag", "battery_voltage"),

@@ -39,12 +39,29 @@ def angles(r):
 
 
 @numba.njit(cache=True)
+def tilted(roll, pitch, yaw, a, b):
+    """Angles of Rz(yaw) Rx(roll) Ry(pitch) Rx(a) Ry(b), yaw continuous with `yaw`."""
+    r = np.empty((3, 3))
+    q = np.array([math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)])
+    for half, axis in ((0.5 * roll, 1), (0.5 * pitch, 2), (0.5 * a, 1), (0.5 * b, 2)):
+        s, c = math.sin(half), math.cos(half)
+        w, x, y, z = q[0], q[1], q[2], q[3]
+        if axis == 1:
+            q[0], q[1], q[2], q[3] = c * w - s * x, c * x + s * w, c * y + s * z, c * z - s * y
+        else:
+            q[0], q[1], q[2], q[3] = c * w - s * y, c * x - s * z, c * y + s * w, c * z + s * x
+    rotation(q, r)
+    new_roll, new_pitch, new_yaw = angles(r)
+    return new_roll, new_pitch, new_yaw + 2.0 * math.pi * round((yaw - new_yaw) / (2.0 * math.pi))
+
+
+@numba.njit(cache=True)
 def voltage(s, time, c, w):
     """Battery voltage [V] under the load of the present rotor speeds."""
-    hover = c.mass * c.gravity / (4.0 * c.thrust_per_speed)  # rotor speed squared
+    hover = c.mass * c.gravity / c.thrust_per_speed  # rotor speeds squared
     current = 0.0
     for k in range(4):
-        current += 0.25 * c.hover_current * (s[ROTORS + k] ** 2 / hover) ** 1.5
+        current += c.hover_current * s[ROTORS + k] ** 2 / hover  # measured by Bitcraze: a line over thrust
     return (
         c.battery_voltage
         + w.battery_voltage

@@ -69,7 +69,6 @@ def _fly(s, reference, gust, gyro_noise, mocap_noise, warm_up, substeps, c, w, l
             poses[k, 5] += turns
         for j in range(3):
             gyro[j] = s[dynamics.RATES + j] + gyro_noise[k, j]
-        gyro[2] -= w.yaw_drift
         if k > 0:
             a, b, _ = control.angle_rates(roll, pitch, gyro[0], gyro[1], gyro[2])
             roll += dt * a
@@ -77,8 +76,13 @@ def _fly(s, reference, gust, gyro_noise, mocap_noise, warm_up, substeps, c, w, l
         if k % per_log == 0:
             for j in range(6):
                 measured[j] = poses[max(0, k - mocap_delay), j] + mocap_noise[k // per_log, j]
+            # The estimate of roll and pitch leans on the vehicle's own sense of level.
             roll += c.attitude_trust * (measured[3] - roll)
             pitch += c.attitude_trust * (measured[4] - pitch)
+            if w.mocap_roll != 0.0 or w.mocap_pitch != 0.0:
+                measured[3], measured[4], measured[5] = dynamics.tilted(
+                    measured[3], measured[4], measured[5], w.mocap_roll, w.mocap_pitch
+                )
             for j in range(3):
                 position[j] += velocity[j] * dt * per_log
                 error = measured[j] - position[j]
@@ -101,6 +105,9 @@ def _fly(s, reference, gust, gyro_noise, mocap_noise, warm_up, substeps, c, w, l
         # A trim is an attitude sensor that sits crooked.
         gain = c.attitude_gain * w.attitude_gain_scale
         level_roll, level_pitch = roll - gain * w.trim_roll, pitch - gain * w.trim_pitch
+        gyro[2] -= (
+            w.yaw_drift
+        )  # the estimator knows its gyro's bias in roll and pitch, not about the vertical
         control.flight_controller(pwm, setpoint, level_roll, level_pitch, gyro, memory, dt, c, w, target)
         volts = dynamics.voltage(s, time, c, w)
         if w.battery_reference > 0.0:

@@ -94,6 +94,8 @@ class World(NamedTuple):
     trim_roll: float = 0.0  # rad, of the command
     trim_pitch: float = 0.0
     yaw_drift: float = 0.0  # rad/s
+    mocap_roll: float = 0.0  # rad, of the tracked body against the vehicle; the vehicle does not use it
+    mocap_pitch: float = 0.0
     # The surface under the vehicle: a plane through (0, 0, height), normal (sin tilt, 0, cos tilt).
     contact: float = 0.0  # 1: the feet can touch it
     surface_height: float = 0.0  # m
