@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import stats
 
-from inclined_landing.eval.gap import manoeuvres, remainder, rollout
+from inclined_landing.eval.gap import manoeuvres, remainder, rollout, touchdown
 from inclined_landing.eval.gap.evidence import Problem
 from inclined_landing.eval.gap.naming import Search, Thresholds, left_out_vehicles, search, spread_between
 from inclined_landing.eval.gap.prediction import CHANNELS
@@ -22,6 +22,7 @@ from inclined_landing.eval.gap.result import (
     WhereRow,
     WindowCurves,
 )
+from inclined_landing.eval.gap.touchdown import landings_of
 from inclined_landing.eval.gap.windows import REGIMES, prepare_all
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
@@ -57,6 +58,7 @@ def diagnose(
     fitted = prepare_all(flights, vehicle, platform, notes)
     judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
     problem = Problem(fitted, vehicle, library)
+    touches = {n: e for n, e in library.items() if set(e.channels) == {"touchdown"}}
     _limits_in_words(problem, library, notes)
     clock("prepare")
 
@@ -81,6 +83,21 @@ def diagnose(
     clock("manoeuvres")
 
     corrected = problem.corrected(found.fit.values)
+    steps = list(found.steps)
+    landed = landings_of(flights, corrected)
+    after_contact = corrected
+    if len(landed) >= touchdown.FEWEST and touches:
+        contact, named = touchdown.name_contact(landed, corrected, touches)
+        after_contact = contact.corrected(named.fit.values)
+        effects += _named(contact, named)
+        steps += named.steps
+        test_landed = landings_of(heldout, corrected) or landed
+        where += _where_touching(test_landed, vehicle, after_contact)
+        clock("touchdown")
+    elif landed:
+        notes.append(
+            f"{len(landed)} touchdown{'s' * (len(landed) > 1)} only: contact effects need {touchdown.FEWEST}"
+        )
     gap: dict[str, PlantGap] = {}
     horizon, windows = (), ()
     starts = _starts(test, notes)
@@ -95,6 +112,10 @@ def diagnose(
                 starts, vehicle, corrected if judged else after_vehicles, plant, floor
             )
             clock(f"gap {plant}")
+    elif len(landed) >= touchdown.FEWEST and "mujoco" in plants:
+        gap["mujoco"] = _landing_gap(landings_of(heldout, corrected) or landed, vehicle, after_contact)
+        clock("gap mujoco")
+    corrected = after_contact
 
     verdict = "unknown" if left.unexplained or found.unstable else "effects" if effects else "nothing"
     if found.unstable:
@@ -107,7 +128,7 @@ def diagnose(
         separating_manoeuvre=" ".join(t["text"] for t in ties) or None,
         manoeuvres=tuple(ties),
         where=where,
-        steps=tuple(found.steps),
+        steps=tuple(steps),
         horizon=horizon,
         windows=windows,
         remainder=left,
@@ -251,6 +272,21 @@ def _where(problem: Problem, before, after) -> tuple[WhereRow, ...]:
                 floor = float(np.sqrt(variance[w, k].mean()))
                 rows.append(WhereRow(name, channel, *rms, floor, remainder.UNITS[channel], int(w.sum())))
     return tuple(rows)
+
+
+def _where_touching(landed, before: Vehicle, after: Vehicle) -> tuple[WhereRow, ...]:
+    """Position error over the motion that follows the touch."""
+    rms = [float(np.sqrt((touchdown.position_errors(landed, v) ** 2).mean())) for v in (before, after)]
+    floor = float(np.sqrt(np.mean([(x.deviation[:, :3] ** 2).sum(axis=1).mean() for x in landed])))
+    return (WhereRow("touchdown", "touchdown", *rms, floor, "m", len(landed)),)
+
+
+def _landing_gap(landed, before: Vehicle, after: Vehicle) -> PlantGap:
+    """The gap of logs that hold nothing but landings: at the end of the motion after the touch."""
+    end = [float(np.sqrt((touchdown.position_errors(landed, v)[:, -1] ** 2).mean())) for v in (before, after)]
+    floor = float(np.sqrt(np.mean([(x.deviation[-1, :3] ** 2).sum() for x in landed])))
+    nan = float("nan")
+    return PlantGap(*end, floor, nan, nan, len(landed), touchdown.BEFORE + touchdown.AFTER)
 
 
 def _starts(problem: Problem, notes: list[str]) -> rollout.Starts | None:

@@ -235,7 +235,8 @@ class Weighted:
             w = self.problem.flight_of == f
             a = self.a[w].sum(axis=0)[np.ix_(index, index)]
             inverse = invert(a)
-            value[f] = inverse @ self.b[w].sum(axis=0)[index]
+            with np.errstate(invalid="ignore"):  # what a flight does not show at all is NaN
+                value[f] = inverse @ self.b[w].sum(axis=0)[index]
             error[f] = np.sqrt(np.diag(inverse))
         return value, error
 

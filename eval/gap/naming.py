@@ -31,17 +31,26 @@ class Thresholds:
     agreement: float = 0.7  # share of groups of windows with a positive gain
     spread: float = 0.45  # between flights, as a share of the parameter's distance from neutral
     alike: float = 0.98  # R2 above which two effects are one class
+    overlap: float = 0.3  # R2 above which an effect explains the same as one that was refused
     simpler: float = 0.04  # share of the gain that a further parameter must add
     most: int = 5  # effects
     shortlist: int = 6
 
 
+# Share of the evidence that a few windows can give at most, where it is less than the limit.
+ENOUGH = 0.8
 # What an effect entails physically: found beside it, explaining less than it, that is no cause of its own.
 # Motors that slow down late give more thrust on average, because the attitude controller drives them up and
-# down all the time. An attitude estimate that is corrected by late measurements is wrong in proportion to
-# the rates, and so is the loop closed over it.
+# down all the time, most in fast flight. A battery that sags also runs down, and its voltage follows the
+# load at once, which looks like faster motors. An attitude estimate that is corrected by late measurements
+# is wrong in proportion to the rates, and so is the loop closed over it.
 ENTAILED = {
-    "spin_down": ("thrust_bias", "thrust_scale", "mass", "battery_sag", "battery_voltage", "thrust_delay"),
+    "spin_down": (
+        *("thrust_bias", "thrust_scale", "mass", "battery_sag", "battery_voltage"),
+        *("motor_lag", "thrust_delay", "translational_lift", "axial_inflow"),
+    ),
+    "battery_sag": ("thrust_fade", "motor_lag", "thrust_delay"),
+    "battery_voltage": ("thrust_fade", "motor_lag", "thrust_delay"),
     "mocap_delay": ("attitude_gain", "attitude_time_constant", "second_order_attitude"),
 }
 
@@ -176,7 +185,11 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
         closable_at_first = closable_at_first or closable
         ranked = sorted(tried, key=lambda n: -_score(problem, n, trials, limits))
         accepted, reasons = None, {}
+        refused: list[str] = []
         for name in ranked:
+            if any(_overlap(weighted, base, name, other) > limits.overlap for other in refused):
+                reasons[name] = f"explains the same as {refused[0]}, worse"
+                continue
             reasons[name] = _objection(
                 problem, name, trials[name], closable, closable_at_first, limits, fit.values
             )
@@ -188,7 +201,7 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
                 break
             # A worse explanation of the same error must not slip in where the best one was refused.
             if trials[name].gain > limits.gain and reasons[name].startswith("differs"):
-                break
+                refused.append(name)
         dropped: tuple[str, ...] = ()
         members: tuple[str, ...] = ()
         if accepted:
@@ -299,7 +312,9 @@ def _score(problem: Problem, name: str, trials: dict[str, Trial], limits: Thresh
 def _objection(problem, name, trial: Trial, closable, at_first, limits: Thresholds, found: Values) -> str:
     """Why a candidate is not accepted; empty if it is."""
     effect = problem.library[name]
-    if trial.gain < limits.gain or trial.evidence < limits.evidence:
+    # All windows alike give the square root of their number: no more can be asked of a few.
+    evidence = min(limits.evidence, ENOUGH * math.sqrt(len(problem.flight_of)))
+    if trial.gain < limits.gain or trial.evidence < evidence:
         return f"not significant ({trial.evidence:.1f} standard errors)"
     if trial.agreement < limits.agreement:
         return f"helps in {100 * trial.agreement:.0f} % of the flights only"
@@ -404,6 +419,12 @@ def tie_class(
             if _explained(a, columns, back, own) > limits.alike:
                 members.append(other)
     return tuple(members)
+
+
+def _overlap(weighted: Weighted, base: np.ndarray, name: str, other: str) -> float:
+    """Share of the change by effect `name` that effect `other` can make too, beside the columns `base`."""
+    own, columns = weighted.index([name]), weighted.index([other])
+    return _explained(weighted.group_a.sum(axis=0), own, _size_in(weighted, base, own), columns)
 
 
 def _size_in(weighted: Weighted, base: np.ndarray, own: np.ndarray) -> np.ndarray:

@@ -27,20 +27,21 @@ from inclined_landing.models.plant import MujocoPlant
 
 BEFORE = 0.1  # s before the touch at which the simulation starts
 LOOK_BACK = 0.14  # s of flight before that from which the start state is fitted
-STEP = 0.005  # s at most, of the engine; it runs often here
+STEP = 0.0025  # s at most, of the engine; it runs often here
 AFTER = 0.6  # s after the touch that are compared
 EVERY = 0.02  # s between the compared samples
 STARTS = 2  # start states for every landing
 FEWEST = 6  # landings
-# What the comparison cannot be better than: an idealised contact against another one.
-POSITION_FLOOR, ANGLE_FLOOR = 0.002, 0.02  # m, rad
+# What the comparison cannot be better than, one idealised contact against another: along the slope, where
+# feet slide, across it, along its normal [m]; roll, pitch, yaw [rad].
+CONTACT_FLOOR = (0.003, 0.001, 0.001, 0.01, 0.01, 0.02)
 HUBER = 3.0  # standard deviations beyond which errors count linearly
 SCAN = (-2.0, -1.0, -0.4, 0.4, 1.0, 2.0)  # times the plausible deviation
 STEPS = 2.0  # difference quotients over this many times a parameter's negligible size
 # Landings are few, and each tells more than a window of free flight.
 LIMITS = Thresholds(
     evidence=2.0,
-    gain=25.0,
+    gain=400.0,
     share=0.15,
     share_more=0.05,
     share_left=0.2,
@@ -115,7 +116,7 @@ def _landing(log: FlightLog, touch: int, dt: float, vehicle: Vehicle, rng) -> La
     rows = touch - first + round(AFTER / dt)
     compared = np.arange(touch - first - step, rows + 1, step)
     since = compared[:, None] * dt
-    floor = np.array([POSITION_FLOOR] * 3 + [ANGLE_FLOOR] * 3)
+    floor = np.array(CONTACT_FLOOR)
     # What differs grows while things move, and stays once they rest.
     moving = np.minimum(since, BEFORE + 0.25)
     deviation = np.sqrt(noise**2 * (1 + gain[0] ** 2) + (gain[1] * noise * moving) ** 2 + floor**2)
@@ -251,6 +252,18 @@ def simulate(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
         pose[:, k + 1] = plant.state[:, columns]
     pose[..., 3:] = np.unwrap(pose[..., 3:], axis=1)
     return pose.reshape(len(landings), STARTS, rows + 1, 6).mean(axis=1)
+
+
+def position_errors(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
+    """Distance (n, samples) [m] between simulated and measured position of every landing."""
+    simulated = simulate(landings, vehicle)
+    samples = min(len(x.compared) for x in landings)
+    return np.stack(
+        [
+            np.linalg.norm((x.measured - s[x.compared])[:samples, :3], axis=1)
+            for x, s in zip(landings, simulated)
+        ]
+    )
 
 
 @dataclasses.dataclass

@@ -1,0 +1,269 @@
+"""The diagnosis on flights of the model's own equations: what was hidden is named, with its size."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from inclined_landing.eval.gap import diagnose, measure_gap
+from inclined_landing.eval.gap.evidence import Problem
+from inclined_landing.eval.gap.identify import identify, static_map
+from inclined_landing.eval.gap.naming import spread_between
+from inclined_landing.eval.gap.windows import measurement_noise, prepare
+from inclined_landing.eval.logs import FlightLog
+from inclined_landing.models import analytic, effects
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.perturbation import neutral
+
+STEP, SUBSTEPS = 0.01, 5
+NOISE = np.array([1e-3] * 3 + [0.005] * 3)
+VEHICLE = load_vehicle()
+
+
+def flights(hidden=None, *, count=5, seconds=10.0, seed=0, voltage=None, distort=None, each=None):
+    """Logs of vehicles that follow random goals, flown by the equations with `hidden` effects.
+
+    distort(commands) changes what the vehicle receives but not what is logged; each: effects of each flight.
+    """
+    logs = []
+    for k in range(count):
+        vehicle = effects.apply(VEHICLE, (hidden or {}) if each is None else each[k])
+        logs.append(_fly(vehicle, np.random.default_rng([seed, k]), seconds, f"flight {k}", voltage, distort))
+    return logs
+
+
+def _fly(vehicle, rng, seconds, name, voltage, distort):
+    m, h = round(seconds / STEP), STEP / SUBSTEPS
+    c, p = analytic.pack(vehicle), neutral(1)
+    state = np.zeros((1, 13))
+    state[0, :3] = rng.uniform([-1, -1, 0.8], [1, 1, 1.5])
+    state[0, 12] = VEHICLE.hover_pwm / vehicle.thrust_lag_rate
+    late = [round(d / h) for d in (vehicle.effects_thrust_delay, vehicle.effects_attitude_delay)]
+    behind = round(vehicle.effects_mocap_delay / h)
+    seen, sent, pose, commands = [], [], np.zeros((m, 6)), np.zeros((m, 4))
+    goal, until, u = state[0, :3].copy(), 0.0, np.zeros(4)
+    around = np.array([[0.0, np.nan, 0.0, 0.0]])
+    for k in range(m):
+        t = k * STEP
+        if t >= until:
+            goal, until = rng.uniform([-1, -1, 0.6], [1, 1, 1.8]), t + rng.uniform(0.8, 2.0)
+        s = seen[max(0, len(seen) - 1 - behind)] if seen else state[0].copy()
+        pose[k] = s[[0, 1, 2, 6, 7, 8]]
+        if k % 2 == 0:
+            a = np.clip(3 * (goal - s[:3]) - 2.5 * s[3:6], -3, 3)
+            pwm = np.clip(VEHICLE.hover_pwm * (1 + a[2] / 9.81), 10000, 60000)
+            u = np.array([pwm, -a[1] / 11, a[0] / 11, 0.4 * np.sin(t) - 0.5 * s[8]])
+        commands[k] = u
+        for _ in range(SUBSTEPS):
+            seen.append(state[0].copy())
+            sent.append(u if distort is None else distort(u))
+            received = sent[max(0, len(sent) - 1 - late[1])].copy()
+            received[0] = sent[max(0, len(sent) - 1 - late[0])][0]
+            if voltage is not None:
+                around[0, 1] = voltage(t)
+            analytic.advance(state, received[None], around, c, p, True, h, 1)
+    pose += NOISE * rng.standard_normal(pose.shape)
+    t = np.arange(m) * STEP
+    volts = None if voltage is None else np.array([voltage(x) for x in t])
+    return FlightLog(name, t, pose[:, :3], pose[:, 3:], commands, voltage=volts)
+
+
+def quick(logs, **options):
+    return diagnose(logs, VEHICLE, plants=(), curves=False, **options)
+
+
+@pytest.fixture(scope="module")
+def matched():
+    return flights()
+
+
+@pytest.fixture(scope="module")
+def weak():
+    return flights({"thrust_scale": {"scale": 0.88}}, seed=1)
+
+
+def test_errors_of_the_true_model_are_white(matched):
+    """Unit variance in every channel within 10 %: 5 flights of 16 windows and 58 numbers scatter by 2 %."""
+    prepared = [prepare(log, VEHICLE) for log in matched]
+    problem = Problem(prepared, VEHICLE, LIBRARY)
+    white = np.concatenate([x[0] for x in problem.white([VEHICLE])])
+    assert (white**2).mean(axis=(0, 2)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_noise_is_estimated_from_the_data(matched):
+    log = matched[0]
+    assert measurement_noise(np.hstack([log.position, log.attitude])) == pytest.approx(NOISE, rel=0.15)
+
+
+def test_nothing_hidden(matched):
+    d = quick(matched)
+    assert (d.verdict, d.effects, d.separating_manoeuvre) == ("nothing", (), None)
+
+
+@pytest.mark.parametrize(
+    "name, values",
+    [
+        ("rotor_drag", {"scale": 2.0}),
+        ("wind", {"x": 0.5, "y": -0.3}),
+        ("motor_lag", {"scale": 1.7}),
+        ("attitude_delay", {"delay": 0.03}),
+        ("mocap_delay", {"delay": 0.02}),
+        ("attitude_gain", {"scale": 0.85}),
+        ("thrust_fade", {"rate": 0.005}),
+        ("axial_inflow", {"coefficient": 0.08}),
+        ("yaw_drift", {"rate": 0.1}),
+    ],
+)
+def test_hidden_effect_is_named(name, values):
+    d = quick(flights({name: values}, seed=2))
+    assert [e.name for e in d.effects] == [name]
+    assert d.verdict == "effects"
+    for parameter, truth in values.items():
+        estimate = d.effects[0].parameters[parameter]
+        assert abs(estimate.value - truth) < 0.1 * abs(truth - estimate.neutral)
+        assert estimate.ci95[0] < estimate.value < estimate.ci95[1]
+
+
+def test_two_hidden_effects_are_named():
+    truth = {"rotor_drag": {"scale": 2.0}, "attitude_time_constant": {"scale": 0.7}}
+    d = quick(flights(truth, seed=3))
+    assert {e.name for e in d.effects} == set(truth)
+
+
+def test_equal_delays_are_one_late_measurement():
+    d = quick(flights({"thrust_delay": {"delay": 0.02}, "attitude_delay": {"delay": 0.02}}, seed=4))
+    assert [e.name for e in d.effects] == ["mocap_delay"]
+    assert d.effects[0].parameters["delay"].value == pytest.approx(0.02, abs=0.003)
+    assert "look the same" in d.effects[0].note
+
+
+def test_thrust_and_mass_are_one_class(weak):
+    d = quick(weak)
+    assert {"thrust_scale", "mass", "thrust_bias"} <= set(d.effects[0].members)
+    assert "Weigh the vehicle" in d.separating_manoeuvre
+
+
+def test_correction_closes_the_gap_in_both_plants(weak):
+    """Thrust x0.88 costs some 0.6 m in one second; corrected, both plants are near the noise."""
+    d = diagnose(weak, VEHICLE, plants=("analytic", "mujoco"))
+    a, b = d.gap["analytic"], d.gap["mujoco"]
+    assert a.before > 0.4
+    assert a.closed > 0.97
+    assert b.after == pytest.approx(a.after, rel=0.1)
+    assert d.horizon[0].label == "nominal"
+    assert d.horizon[-1].error[-1] < 0.1 * d.horizon[0].error[-1]
+    corrected = d.apply(VEHICLE)
+    assert corrected == d.corrected
+    assert measure_gap(corrected, weak)["error"] < 0.1 * measure_gap(VEHICLE, weak)["error"]
+
+
+def test_judged_on_flights_left_out(weak):
+    d = diagnose(weak[:4], VEHICLE, heldout=weak[4:], plants=("analytic",))
+    assert d.heldout == (weak[4].name,)
+    assert d.gap["analytic"].closed > 0.97
+    row = next(r for r in d.where if (r.regime, r.channel) == ("all", "z"))
+    assert row.before > 10 * row.after
+
+
+def test_unknown_cause_is_not_given_a_name():
+    """A dead zone of the sticks is in no library: said so, with the command it depends on."""
+
+    def dead_zone(u):
+        angles = np.sign(u[1:3]) * np.maximum(np.abs(u[1:3]) - 0.06, 0.0)
+        return np.array([u[0], *angles, u[3]])
+
+    d = quick(flights(distort=dead_zone, seed=5))
+    assert d.verdict == "unknown"
+    assert d.remainder.unexplained
+    assert {"roll command", "pitch command"} & {x.on for x in d.remainder.depends_on}
+
+
+def test_what_differs_between_flights_is_not_named():
+    each = [{"thrust_scale": {"scale": s}} for s in (0.9, 1.1, 0.95, 1.12, 0.93)]
+    d = quick(flights(each=each, seed=6))
+    assert d.verdict == "unknown"
+    assert not {"thrust_scale", "mass", "thrust_bias"} & {e.name for e in d.effects}
+
+
+def test_spread_between_flights():
+    assert spread_between(np.array([1.0, 1.1, 0.9]), np.full(3, 0.1)) == pytest.approx(0.0, abs=1e-6)
+    assert spread_between(np.array([1.0, 2.0, 3.0]), np.full(3, 0.1)) == pytest.approx(1.0, rel=0.02)
+
+
+def test_one_flight_only_is_used_with_a_stated_limit(weak):
+    d = quick(weak[:1])
+    assert "thrust_scale" in d.effects[0].members
+    assert any("1 flight only" in note for note in d.notes)
+
+
+def test_constant_voltage_tells_nothing(weak):
+    logs = [dataclasses.replace(log, voltage=np.full(len(log), 3.9)) for log in weak]
+    d = quick(logs)
+    assert any("battery voltage is constant" in note for note in d.notes)
+    assert not any("battery_voltage" in e.members for e in d.effects)
+
+
+def test_measured_voltage_is_used():
+    """A battery that falls by 0.3 V: the sensitivity is named, its reference free."""
+    logs = flights(
+        {"battery_voltage": {"sensitivity": 0.5, "reference": 3.8}}, seed=7, voltage=lambda t: 3.9 - 0.03 * t
+    )
+    d = quick(logs)
+    assert [e.name for e in d.effects] == ["battery_voltage"]
+    assert d.effects[0].parameters["sensitivity"].value == pytest.approx(0.5, rel=0.1)
+
+
+def test_yaw_command_not_logged(weak):
+    logs = [
+        dataclasses.replace(x, command=np.column_stack([x.command[:, :3], np.full(len(x), np.nan)]))
+        for x in weak
+    ]
+    d = quick(logs)
+    assert "thrust_scale" in d.effects[0].members
+    assert any("yaw" in note for note in d.notes)
+    assert not any(row.channel == "yaw" for row in d.where)
+
+
+def test_short_and_incomplete_logs_are_refused(matched):
+    log = matched[0]
+    with pytest.raises(UserError, match=r"flight 0: 0.4\d s of flight"):
+        quick([log.rows(slice(0, 50))])
+    blind = dataclasses.replace(log, command=np.column_stack([np.full(len(log), np.nan), log.command[:, 1:]]))
+    with pytest.raises(UserError, match="cmd_thrust_pwm not logged"):
+        quick([blind])
+    with pytest.raises(UserError, match="no flight"):
+        quick([])
+    assert any("left out" in note for note in quick([*matched[1:], log.rows(slice(0, 50))]).notes)
+
+
+def test_identification_recovers_the_attitude_loop():
+    truth = {
+        "attitude_gain": {"scale": 0.8},
+        "attitude_time_constant": {"scale": 0.6},
+        "thrust_scale": {"scale": 0.9},
+    }
+    r = identify(flights(truth, seed=8), VEHICLE)
+    found = {p.name: p for p in r.parameters}
+    assert r.thrust == "transfer function"
+    assert found["attitude gain k"].value == pytest.approx(0.8 * VEHICLE.attitude_gain, rel=0.02)
+    assert found["attitude time constant tau"].value == pytest.approx(
+        0.6 * VEHICLE.attitude_time_constant, rel=0.05
+    )
+    assert found["thrust gain"].ci95[0] < 0.9 < found["thrust gain"].ci95[1]
+    assert r.fit["roll"]["after"] > r.fit["roll"]["before"]
+    assert r.fit["z"]["after"] > 90
+
+
+def test_static_map_fits_into_a_vehicle_file():
+    """Line with an offset times a sag is the quadratic map, exactly."""
+    v = static_map(VEHICLE)
+    a, b, c = VEHICLE.motor_pwm_to_force
+    ambient, out = np.array([0.0, np.nan, 0.0, 0.0]), np.zeros(5)
+    for pwm in (10000.0, 42000.0, 60000.0):
+        lag = pwm / v.thrust_lag_rate
+        analytic.wrench(
+            np.ones(3), np.zeros(3), np.eye(3), lag, pwm, ambient, analytic.pack(v), neutral(1)[0], out
+        )
+        assert out[2] == pytest.approx(4 * (a * pwm**2 + b * pwm + c), rel=1e-9)
