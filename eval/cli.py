@@ -450,6 +450,27 @@ def gap_example(out: OutFolder, seed: int = 0) -> None:
     example.run(out, seed)
 
 
+def gap_real(
+    data: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")],
+    /,
+    out: OutFolder,
+    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PART [PART ...]")] = (),
+    vehicle: File = None,
+) -> None:
+    """Measured flights of others: what is named, how much of the gap closes, how stable it is (minutes).
+
+    Args:
+        data: folder of the tidy data sets utias_fmpc, nanobench, crazypad and arp_sysid.
+        out: new folder for tables.md, real.json and figures.
+        only: some of utias_day1, utias_all, nanobench, nanobench_motors, attitude, thrust, crazypad,
+            arp_sysid.
+        vehicle: vehicle file (TOML), where the model differs from the shipped one.
+    """
+    from inclined_landing.eval.gap.real import run
+
+    run.run(data, out, only=only, vehicle=vehicle)
+
+
 COMMANDS = {
     "success": success,
     "touchdown": touchdown,
@@ -467,6 +488,7 @@ COMMANDS = {
     "gap": gap,
     "gap-example": gap_example,
     "gap-blind": gap_blind,
+    "gap-real": gap_real,
 }
 
 

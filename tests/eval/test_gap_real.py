@@ -1,0 +1,93 @@
+"""The flights of others, where they are at hand: ../shared/data beside the repository, never in it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from inclined_landing.eval.cli import main
+from inclined_landing.eval.gap import diagnose
+from inclined_landing.eval.gap.real import attitude, halves, pads, thrust
+from inclined_landing.eval.gap.real.run import MOTORS, flights
+from inclined_landing.models.parameters import load_vehicle
+
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured flights at {DATA}")
+
+
+@needs_data
+def test_gap_of_the_papers_interface_closes_on_flights_left_out():
+    """Two flights of one day, each judged with the other fitted; at least 70 % of the gap closes."""
+    logs = flights(DATA / "utias_fmpc", "utias_20250421_*.csv.gz")
+    d = diagnose(logs, load_vehicle(), curves=False)
+    assert d.gap["analytic"].closed > 0.9
+    first = d.effects[0]
+    assert "thrust_scale" in first.members
+    assert 0.77 < d.values()["thrust_scale"]["scale"] < 0.82
+
+
+@needs_data
+def test_effects_are_the_same_in_both_halves():
+    logs = flights(DATA / "utias_fmpc", "utias_20250421_*.csv.gz")
+    values = {
+        "thrust_scale": {"scale": 0.8},
+        "mocap_tilt": {"roll": 0.045, "pitch": 0.02},
+        "attitude_trim": {"roll": -0.015, "pitch": -0.02},
+        "attitude_gain": {"scale": 0.8},
+    }
+    for row in halves.stability(logs, load_vehicle(), values):
+        assert row.apart < 1.0, row
+
+
+@needs_data
+def test_tilt_of_the_motion_capture_shows_on_the_floor_too():
+    """The offset that the flown accelerations need is the attitude measured at rest, within 15 mrad."""
+    vehicle = load_vehicle()
+    tilts = [attitude.tilt(log, vehicle) for log in flights(DATA / "utias_fmpc", "utias_*.csv.gz")]
+    assert len(tilts) == 3
+    for t in tilts:
+        np.testing.assert_allclose(t.flown, t.rest, atol=0.015)
+        assert abs(t.flown[0]) > 0.04
+    assert tilts[0].flown[1] > 0.015 > -0.015 > tilts[2].flown[1]  # another rigid body on the other day
+
+
+@needs_data
+def test_thrust_follows_voltage_and_floor():
+    result = thrust.law(flights(DATA / "nanobench", "nb_*.csv.gz", str(MOTORS)), load_vehicle())
+    value, half = result.voltage
+    assert value - half > 0.0
+    assert 0.5 < value < 1.7
+    near = result.near
+    assert near.ratio[near.below <= 0.05].min() > 1.03
+    assert abs(near.ratio[near.above >= 0.12] - 1.0).max() < 0.03
+
+
+@needs_data
+def test_known_changes_of_the_hardware():
+    table, _ = pads.compare(DATA / "crazypad", load_vehicle())
+    says = {f"{r.vehicle} {r.condition}": r.says for r in table.itertuples()}
+    for change in ("E8 add_weight_W1_near_M3_M4", "E8 cut_propeller_M3_3mm", "E9 add_weight_W3_near_M3"):
+        assert says[change] == "more force, M3 works harder"
+    for change in ("E8 tape_on_propeller_M1_M3_M4", "E8 cut_propeller_M3_1mm", "E9 cut_propeller_M3_1mm"):
+        assert says[change] == "nothing"
+
+
+def test_motor_lag_is_found(tmp_path):
+    """Made-up accelerations of a lag of 12 1/s; with the rows' own time step the rate is exact."""
+    dt, rate = 0.001, 12.0
+    t = np.arange(4000) * dt
+    pwm = np.where(np.sin(7.0 * t) > 0.0, 50000.0, 20000.0) + 3000.0 * np.sin(40.0 * t)
+    u = thrust.lagged(pwm / 65535.0, dt, rate)
+    table = np.column_stack([t, 4.0 * u + 9.0 * u**2, *[pwm] * 4])
+    path = tmp_path / "arp_made.csv"
+    header = "t,imu_az,m1_pwm,m2_pwm,m3_pwm,m4_pwm"
+    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
+    assert thrust.motor_lag(path).rate == pytest.approx(rate, rel=1e-3)
+
+
+def test_command_refuses_missing_data(tmp_path, capsys):
+    assert main(["gap-real", str(tmp_path), "--out", str(tmp_path / "out"), "--only", "crazypad"]) == 2
+    assert "is missing" in capsys.readouterr().err
+    assert main(["gap-real", str(tmp_path), "--out", str(tmp_path / "out"), "--only", "moon"]) == 2
+    assert "unknown part 'moon'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
