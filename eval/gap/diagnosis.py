@@ -228,7 +228,7 @@ def _named(problem: Problem, found: Search) -> tuple[NamedEffect, ...]:
             parameters[p.name] = Estimate(
                 value,
                 p.unit,
-                (max(lo, value - half), min(hi, value + half)),
+                (float(max(lo, value - half)), float(min(hi, value + half))),
                 p.neutral,
                 p.bounds,
                 bool(min(value - lo, hi - value) <= 1e-6 * (hi - lo)),

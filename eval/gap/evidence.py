@@ -36,8 +36,6 @@ class Column:
 class Problem:
     """Flights, the vehicle they are compared with, and the effects that may be added to it."""
 
-    nonlinear = False  # a linearisation ranks the effects, and its fit tells how large the noise is
-
     def __init__(self, flights: Sequence[Flight], vehicle: Vehicle, library: Mapping[str, Effect]):
         self.flights = list(flights)
         self.vehicle = vehicle

@@ -93,8 +93,7 @@ def refit(
     damping = 1e-3
     columns = _own_columns(problem, names)
     fit = _fit_at(problem, values, columns, inflation)
-    most = min(iterations, 2) if problem.nonlinear else iterations
-    for _ in range(most if names else 0):
+    for _ in range(iterations if names else 0):
         improved = False
         while damping < 1e4:
             trial = _moved(problem, fit, damping)
@@ -163,10 +162,10 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
     inflation = np.ones(6)
     for _ in range(limits.most + 1):
         linear = problem.linearise(fit.values, problem.columns(fit.values, names))
-        inflation = np.ones(6) if problem.nonlinear else linear.inflation()
+        inflation = linear.inflation()
         weighted = linear.weighted(inflation)
         base = weighted.index(list(fit.values))
-        before = weighted.c if problem.nonlinear else weighted.left_out(base)
+        before = weighted.left_out(base)
         whole = weighted.left(
             np.arange(len(weighted.columns)), weighted.fit(np.arange(len(weighted.columns)))
         )
@@ -178,10 +177,7 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
         }
         order = sorted(others, key=lambda n: -linear_gain[n])
         tried = [n for n in order[: limits.shortlist] if linear_gain[n] > limits.gain / 3]
-        tried = others if problem.nonlinear else tried
         trials = {n: _trial(problem, weighted, fit, n, inflation, before) for n in tried}
-        if problem.nonlinear:
-            closable = max([closable, *(t.gain for t in trials.values())])
         closable_at_first = closable_at_first or closable
         ranked = sorted(tried, key=lambda n: -_score(problem, n, trials, limits))
         accepted, reasons = None, {}
@@ -190,7 +186,7 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
             if any(_overlap(weighted, base, name, other) > limits.overlap for other in refused):
                 reasons[name] = f"explains the same as {refused[0]}, worse"
                 continue
-            reasons[name] = _objection(
+            reasons[name] = objection(
                 problem, name, trials[name], closable, closable_at_first, limits, fit.values
             )
             large = trials[name].gain > limits.share * closable_at_first
@@ -253,22 +249,21 @@ def _trial(problem: Problem, weighted: Weighted, fit: Fit, name: str, inflation,
     effect = problem.library[name]
     start = dict(effect.neutral)
     columns = weighted.index([name])
-    if problem.nonlinear:
-        start = problem.best_start(name, fit.values)
-    elif any(weighted.columns[k].fixed for k in columns):
+    if any(weighted.columns[k].fixed for k in columns):
         start = _profiled_start(problem, weighted, fit, name, inflation)
     trial = refit(problem, {**fit.values, name: start}, inflation)
-    # Few landings and one parameter: what is left out would be lost on errors that are not linear.
-    after = trial.weighted.c if problem.nonlinear else trial.weighted.left_out(trial.index)
-    difference = before - after
-    g = problem.group_of
-    by_group = np.bincount(g, difference, minlength=problem.groups)
+    return trial_of(problem, trial, name, before - trial.weighted.left_out(trial.index))
+
+
+def trial_of(problem: Problem, fit: Fit, name: str, difference: np.ndarray) -> Trial:
+    """A trial from the decrease (w,) of the squared error of every window."""
+    by_group = np.bincount(problem.group_of, difference, minlength=problem.groups)
     return Trial(
-        trial,
+        fit,
         float(difference.sum()),
         standard_errors(difference),
         float((by_group > 0).mean()),
-        trial.values[name],
+        fit.values[name],
     )
 
 
@@ -309,7 +304,7 @@ def _score(problem: Problem, name: str, trials: dict[str, Trial], limits: Thresh
     return trials[name].gain - extra * limits.simpler * max(best, 0.0)
 
 
-def _objection(problem, name, trial: Trial, closable, at_first, limits: Thresholds, found: Values) -> str:
+def objection(problem, name, trial: Trial, closable, at_first, limits: Thresholds, found: Values) -> str:
     """Why a candidate is not accepted; empty if it is."""
     effect = problem.library[name]
     # All windows alike give the square root of their number: no more can be asked of a few.
@@ -402,8 +397,6 @@ def tie_class(
     limits: Thresholds,
 ) -> tuple[str, ...]:
     """Effects that change the prediction as `name` does: each is explained by the other, R2 above a limit."""
-    if problem.nonlinear:  # alike is what explains as much
-        return (name, *(n for n, t in trials.items() if n != name and t.gain > limits.alike * trial.gain))
     own = weighted.index([name])
     members = [name]
     a = weighted.group_a.sum(axis=0)
@@ -447,9 +440,8 @@ def _drop_useless(problem: Problem, fit: Fit, newest: str, inflation, limits: Th
     for name in [n for n in fit.values if n != newest]:
         rest = {n: v for n, v in fit.values.items() if n != name}
         smaller = refit(problem, rest, inflation)
-        with_it, without = (
-            f.weighted.c if problem.nonlinear else f.weighted.left_out(f.index) for f in (fit, smaller)
-        )
+        with_it = fit.weighted.left_out(fit.index)
+        without = smaller.weighted.left_out(smaller.index)
         difference = without - with_it
         small = all(
             abs(fit.values[name][p.name] - p.neutral) < p.negligible

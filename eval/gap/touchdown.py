@@ -16,7 +16,8 @@ import numpy as np
 from scipy.signal import savgol_coeffs
 
 from inclined_landing.eval.gap.evidence import Column, Linear, Values
-from inclined_landing.eval.gap.naming import Search, Thresholds, search
+from inclined_landing.eval.gap.naming import Search, Thresholds, objection, refit, trial_of
+from inclined_landing.eval.gap.result import Candidate, SearchStep
 from inclined_landing.eval.gap.rollout import drive
 from inclined_landing.eval.gap.windows import measurement_noise
 from inclined_landing.eval.logs import FlightLog
@@ -35,6 +36,9 @@ FEWEST = 6  # landings
 # What the comparison cannot be better than, one idealised contact against another: along the slope, where
 # feet slide, across it, along its normal [m]; roll, pitch, yaw [rad].
 CONTACT_FLOOR = (0.003, 0.001, 0.001, 0.01, 0.01, 0.02)
+# Mean square of the errors, in standard deviations, below which nothing is looked for.
+QUIET = 0.6
+REFITTED = 2  # effects of every step
 HUBER = 3.0  # standard deviations beyond which errors count linearly
 SCAN = (-2.0, -1.0, -0.4, 0.4, 1.0, 2.0)  # times the plausible deviation
 STEPS = 2.0  # difference quotients over this many times a parameter's negligible size
@@ -143,8 +147,6 @@ class TouchdownProblem:
     Channels: along and across the slope, along its normal, roll, pitch, yaw.
     """
 
-    nonlinear = True  # feet that stick say nothing about how they would slide: every effect is scanned
-
     def __init__(self, landings: Sequence[Landing], vehicle: Vehicle, library: Mapping[str, Effect]):
         self.flights = list(landings)
         self.vehicle = vehicle
@@ -168,17 +170,16 @@ class TouchdownProblem:
         """All parameters of the effects `names`."""
         return [Column(name, p.name) for name in names for p in self.library[name].parameters]
 
-    def best_start(self, name: str, values: Values) -> dict[str, float]:
-        """The value of an effect with one parameter, out of a few, that explains the landings best."""
+    def scan(self, name: str, values: Values) -> tuple[float, dict[str, float]]:
+        """Least squared error over a few values of an effect with one parameter, and the value."""
         parameter = self.library[name].parameters[0]
         span = parameter.plausible - parameter.neutral
-        tried = parameter.neutral + span * np.array(SCAN)
-        tried = np.unique(np.clip(tried, *parameter.bounds))
-        left = [
-            float((self.errors(self.corrected({**values, name: {parameter.name: float(x)}})) ** 2).sum())
-            for x in tried
-        ]
-        return {parameter.name: float(tried[int(np.argmin(left))])}
+        left = {}
+        for x in np.clip(parameter.neutral + span * np.array(SCAN), *parameter.bounds):
+            vehicle = self.corrected({**values, name: {parameter.name: float(x)}})
+            left[float(x)] = float((self.errors(vehicle) ** 2).sum())
+        best = min(left, key=left.get)
+        return left[best], {parameter.name: best}
 
     def errors(self, vehicle: Vehicle) -> np.ndarray:
         """Errors (n, 6, samples) in standard deviations, large ones drawn in."""
@@ -280,6 +281,53 @@ def name_contact(
     library: Mapping[str, Effect],
     limits: Thresholds = LIMITS,
 ) -> tuple[TouchdownProblem, Search]:
-    """Name the contact effects that `vehicle`, corrected for free flight, lacks to explain `landings`."""
+    """Name the contact effects that `vehicle`, corrected for free flight, lacks to explain `landings`.
+
+    Feet that stick say nothing about how they would slide, so that every effect is scanned through the
+    simulator, and the best few are refitted.
+    """
     problem = TouchdownProblem(landings, vehicle, library)
-    return problem, search(problem, limits)
+    noise = np.ones(6)
+    fit = refit(problem, {}, noise)
+    found = Search(fit, [], noise, 1.0, {}, {}, {}, {}, [])
+    total = fit.squares
+    for _ in range(limits.most):
+        if fit.squares < QUIET * 6 * problem.rows.sum():
+            break
+        scans = {n: problem.scan(n, fit.values) for n in problem.library if n not in fit.values}
+        order = sorted(scans, key=lambda n: scans[n][0])
+        before, trials, reasons = fit.weighted.c, {}, {}
+        for name in order[:REFITTED]:
+            new = refit(problem, {**fit.values, name: scans[name][1]}, noise, iterations=3)
+            trials[name] = trial_of(problem, new, name, before - new.weighted.c)
+        ranked = sorted(trials, key=lambda n: -trials[n].gain)
+        best = ranked[0]
+        closable = max(1.0, trials[best].gain)
+        found.closable = max(found.closable, closable)
+        reasons[best] = objection(problem, best, trials[best], closable, found.closable, limits, fit.values)
+        accepted = None if reasons[best] else best
+        alike = [n for n in ranked if trials[n].gain > limits.alike * closable] if accepted else []
+        rows = [
+            Candidate(
+                n,
+                t.gain,
+                t.gain / closable,
+                t.evidence,
+                True,
+                n in alike,
+                reasons.get(n, "explains less"),
+                t.values,
+            )
+            for n, t in ((n, trials[n]) for n in ranked)
+        ]
+        for n in order[REFITTED:]:
+            gain = fit.squares - scans[n][0]
+            rows.append(Candidate(n, gain, gain / closable, 0.0, False, False, "explains less", scans[n][1]))
+        found.steps.append(SearchStep(accepted, (), tuple(rows)))
+        if accepted is None:
+            break
+        fit = trials[best].fit
+        found.evidence[best], found.classes[best] = trials[best].evidence, tuple(alike)
+        found.gains[best] = float(np.clip(trials[best].gain / total, 0.0, 1.0))
+    found.fit = fit
+    return problem, found
