@@ -205,7 +205,8 @@ def video(
         backend: OpenGL, ray casting, or OpenGL only where it runs on hardware.
         slow: 2 plays at half speed.
         forces: film the touchdowns only, at the engine's steps, with the contact forces as arrows. A landing
-            policy's motors are cut in the goal box. Together with slow.
+            policy's motors are cut in the goal box. Goes with --slow 16 and --camera touch, a fixed look at
+            the touchdown from nearby.
         task: the task the policy must be for; needed for a plain Stable-Baselines3 file.
         plant: the physics to fly in.
         inclination: of the platform in degrees, where it differs from the training's.

@@ -86,9 +86,13 @@ def video(
         raise UserError(f"a video has an even number of pixels a side, not {width} x {height}")
     loaded = load(policy, **options)
     if forces and loaded.task.name == "setpoint":
-        raise UserError("--forces is for landing and touchdown policies; in the setpoint task nothing touches")
+        raise UserError("--forces is for landing and touchdown policies: a set-point flight touches nothing")
     if forces and options.get("plant", "mujoco") != "mujoco":
         raise UserError("--forces needs the MuJoCo plant: in the analytic one nothing is felt")
+    if camera == "touch" and not forces:
+        raise UserError("--camera touch looks at a touchdown: it needs --forces")
+    if camera == "touch" and backend == "gl":
+        raise UserError("--camera touch is drawn with rays: leave --backend gl out")
     flights = fly(loaded, _points(starts, loaded.task), options.get("plant", "mujoco"))
     look = {"camera": camera, "width": width, "height": height, "backend": backend}
     look["vehicle"] = loaded.task.vehicle

@@ -16,18 +16,21 @@ import numpy as np
 from inclined_landing.envs.rendering import contact_forces
 from inclined_landing.eval.flights import Flight
 from inclined_landing.eval.motors_cut import normal_of
+from inclined_landing.models.attitude import VX, VZ
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plant import MujocoPlant
 
 STEP = 0.004  # s, of the engine
 AFTER_CUT = 1.0  # s that a landing is watched after its motors are cut
-LEAD = 0.12  # s before the first touch that belong to it
+LEAD = 0.1  # s before the first touch that belong to it
+STILL = 0.12  # s that it goes on once the vehicle is still
+_SLOW = 0.02  # m/s
 
 
 @dataclasses.dataclass
 class Touchdown:
-    """A flight's last part at the engine's steps, from shortly before the first touch on; T steps."""
+    """A flight at the engine's steps, from shortly before the first touch until still; T steps."""
 
     t: np.ndarray  # (T,) s since the flight's start
     state: np.ndarray  # (T, 13), columns of `models.attitude`
@@ -81,7 +84,8 @@ def watch(flight: Flight, vehicle: Vehicle | None = None) -> Touchdown:
     if not touching:
         x, z = flight.state[0, [0, 2]]
         raise UserError(f"nothing touches in the flight from x {x:g}, z {z:g} m: no contact force to draw")
-    part = slice(max(touching[0] - round(LEAD / STEP), 0), None)
+    moving = np.flatnonzero(np.linalg.norm(np.array(states)[:, VX : VZ + 1], axis=1) > _SLOW)
+    part = slice(max(touching[0] - round(LEAD / STEP), 0), moving[-1] + 1 + round(STILL / STEP))
     return Touchdown(
         STEP * np.arange(1, len(commands) + 1)[part],
         np.array(states)[part],

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from inclined_landing.envs.rendering import overlay, scenery
-from inclined_landing.envs.rendering.camera import View
+from inclined_landing.envs.rendering.camera import View, view_of
 from inclined_landing.envs.rendering.ghost import Ghost
 from inclined_landing.envs.rendering.pose import pose_of
 from inclined_landing.envs.rendering.stage import Stage
@@ -186,7 +186,7 @@ class GLRenderer(Stage):
         for point, vector in forces:
             arrow = mujoco.mjtGeom.mjGEOM_ARROW
             point = scenery.drawn_points(self.model, pose.qpos, point, self.scale)
-            tip, width = point + vector, 0.0044 * self.scale
+            tip, width = point + vector, 0.003 * self.scale
             self._connect(arrow, width, point, tip, (*overlay.FORCE, 1))
         rect = mujoco.MjrRect(0, 0, self.width, self.height)
         frame = np.empty((self.height, self.width, 3), np.uint8)
@@ -196,6 +196,13 @@ class GLRenderer(Stage):
         if caption:
             overlay.draw_caption(frame, caption, scenery.scale_note(self.scale))
         return frame
+
+    def view(self, scene, inclination: float | None = None) -> View:
+        """The view that `render` uses for this scene: projects points to pixels."""
+        pose = pose_of(scene, self.vehicle, inclination)
+        self.stage(pose)
+        self._place(self.data, pose.qpos)
+        return view_of(self.model, self.data, self.camera, self.width, self.height)
 
     def _place(self, data: mujoco.MjData, qpos: np.ndarray) -> None:
         data.qpos[:7] = qpos

@@ -10,6 +10,7 @@ import numpy as np
 from inclined_landing.envs.rendering.camera import View
 
 _BIAS = 0.004  # m; a line this much behind a surface still shows
+_FINE = 4  # arrows are drawn this much larger and averaged
 TRAIL, FORCE = np.array([0.88, 0.16, 0.11]), np.array([0.93, 0.17, 0.10])
 _TEXT = np.array([0.08, 0.12, 0.22], np.float32)
 _BAR, _BAR_COLOUR = 0.78, np.float32([0.97, 0.98, 1.0])  # opacity and colour of the caption bar
@@ -31,8 +32,8 @@ class Canvas:
         flat[index] = old + alpha[:, None] * (rgb - old)
 
 
-def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.0, through=False) -> None:
-    """A smooth line through points (k, 3) [m], hidden where the canvas is nearer unless it is `through`.
+def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.0) -> None:
+    """A smooth line through points (k, 3) [m], hidden where the canvas is nearer.
 
     width: pixels, a number or (k,); colour: (3,) or (k, 3) in 0..1; alpha: a number or (k,).
     """
@@ -72,9 +73,8 @@ def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.
     sample, i, j = np.nonzero(inside)
     index = row[sample, i, 0] * breadth + column[sample, 0, j]
     cover = cover[inside]
-    if not through:
-        visible = samples[sample, 2] < canvas.depth.reshape(-1)[index] + _BIAS
-        sample, index, cover = sample[visible], index[visible], cover[visible]
+    visible = samples[sample, 2] < canvas.depth.reshape(-1)[index] + _BIAS
+    sample, index, cover = sample[visible], index[visible], cover[visible]
     best = np.zeros(height * breadth)
     np.maximum.at(best, index, cover)
     owner = np.zeros(height * breadth, int)
@@ -85,34 +85,52 @@ def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.
     canvas.blend(touched, chosen[:, 4:7], best[touched] * chosen[:, 7])
 
 
-def draw_arrow(canvas: Canvas, view: View, start, vector, *, radius: float, colour) -> None:
-    """An arrow from `start` (3,) along `vector` (3,) [m], its shaft of `radius` [m]; nothing hides it.
+def arrow_width(height: int) -> float:
+    """Width of an arrow's shaft in a picture of `height` rows [pixels]."""
+    return float(np.clip(height / 110, 2.0, 8.0))
 
-    A light rim sets it off from whatever it crosses; short arrows are slimmer.
-    """
-    start, vector = np.asarray(start, float), np.asarray(vector, float)
-    length = float(np.linalg.norm(vector))
-    if length < 1e-6:
+
+def arrow_outline(start, end, width: float) -> np.ndarray:
+    """Corners (7, 2) of a flat arrow from point to point (2,), its shaft `width` wide, slimmer if short."""
+    start, end = np.asarray(start, float), np.asarray(end, float)
+    length = float(np.hypot(*(end - start)))
+    ahead = (end - start) / max(length, 1e-9)
+    aside = np.array([-ahead[1], ahead[0]])
+    width = min(width, 0.28 * length)
+    neck = end - min(2.9 * width, 0.7 * length) * ahead
+    shaft, head = 0.5 * width * aside, 1.4 * width * aside
+    return np.array([start + shaft, neck + shaft, neck + head, end, neck - head, neck - shaft, start - shaft])
+
+
+def draw_arrow(canvas: Canvas, view: View, start, vector, *, colour) -> None:
+    """A flat arrow from `start` (3,) along `vector` (3,) [m]; nothing hides it, a light rim sets it off."""
+    from PIL import Image, ImageDraw
+
+    start = np.asarray(start, float)
+    ends, depth = view.project(np.stack([start, start + np.asarray(vector, float)]))
+    if depth.min() < 1e-3 or np.hypot(*(ends[1] - ends[0])) < 1.0:
         return
-    radius = min(radius, 0.16 * length)
-    head = min(5.5 * radius, 0.6 * length)
-    neck = start + vector * (1.0 - head / length)
-    tip = start + vector
-    _, depth = view.project(np.stack([start, neck, tip]))
-    pixels = 2.0 * radius / view.pixel_size(np.maximum(depth, 1e-3))
-    colour = np.asarray(colour, float)
-    rim = 2.4 * max(1.0, view.height / 540)
-    layers = (
-        (1.0, rim, np.ones(3)),
-        (1.0, 0.0, 0.72 * colour),
-        (0.66, 0.0, 0.92 * colour),
-        (0.28, 0.0, np.minimum(1.15 * colour, 1.0)),
-    )
-    for share, wider, tone in layers:
-        look = {"colour": tone, "through": True}
-        draw_polyline(canvas, view, [start, neck], width=share * pixels[:2] + wider, **look)
-        point = share * np.array([2.6 * pixels[1], 0.4]) + wider
-        draw_polyline(canvas, view, [neck, tip], width=point, **look)
+    width = arrow_width(view.height)
+    corners = arrow_outline(*(ends - [canvas.column, canvas.row]), width)
+    rim = max(1.0, 0.3 * width)
+    rows, columns = canvas.depth.shape
+    low = np.maximum(np.floor(corners.min(axis=0) - rim - 1).astype(int), 0)
+    high = np.minimum(np.ceil(corners.max(axis=0) + rim + 1).astype(int), [columns, rows])
+    if (high <= low).any():
+        return
+    size = tuple(int(n) for n in high - low)
+    fine = [tuple(corner) for corner in _FINE * (corners - low)]
+    masks = []
+    for thickness in (2.0 * rim, 0.0):
+        mask = Image.new("L", (_FINE * size[0], _FINE * size[1]))
+        pen = ImageDraw.Draw(mask)
+        pen.polygon(fine, fill=255)
+        if thickness:
+            pen.line([*fine, *fine[:2]], fill=255, width=round(_FINE * thickness), joint="curve")
+        masks.append(np.asarray(mask.resize(size, Image.Resampling.BOX), float) / 255.0)
+    part = canvas.colour[low[1] : high[1], low[0] : high[0]]
+    for mask, tone in zip(masks, (np.ones(3), np.asarray(colour, float))):
+        part[:] = part + mask[:, :, None] * (tone - part)
 
 
 @functools.lru_cache(maxsize=8)

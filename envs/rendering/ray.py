@@ -280,7 +280,7 @@ class RayRenderer(Stage):
         centre of the vehicle as drawn, or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts:
         `Ghost`s or qpos (7,). forces: pairs (point (3,) [m], arrow (3,) [m]); points are those of
         the real vehicle and go where the drawn one has them, arrows are as long as they say and
-        shine through.
+        hidden by nothing.
         """
         pose = pose_of(scene, self.vehicle, inclination)
         self.stage(pose)
@@ -427,8 +427,7 @@ class RayRenderer(Stage):
             fade = 0.95 if trail_colour is not None else np.linspace(0.45, 0.95, len(trail))
             overlay.draw_polyline(canvas, view, trail, width=width, colour=colour, alpha=fade)
         for point, vector in forces:
-            radius = 0.0022 * self.scale
-            overlay.draw_arrow(canvas, view, point, vector, radius=radius, colour=overlay.FORCE)
+            overlay.draw_arrow(canvas, view, point, vector, colour=overlay.FORCE)
         return canvas
 
     def _bounds(self, view: View):

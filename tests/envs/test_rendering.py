@@ -12,7 +12,7 @@ from inclined_landing.envs.rendering import gl as gl_backend
 from inclined_landing.envs.rendering.overlay import caption_height
 from inclined_landing.envs.rendering.pose import qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
-from inclined_landing.envs.rendering.scenery import drawn_centres, rendering_model
+from inclined_landing.envs.rendering.scenery import drawn_centres, drawn_points, rendering_model
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.scene import build_spec
@@ -223,6 +223,28 @@ def test_contact_arrows_carry_the_weight():
         plain = renderer.render(data)
         drawn = renderer.render(data, forces=contact_arrows(model, data))
         assert changed(plain, drawn).sum() > 30
+
+
+def test_arrows_start_where_the_larger_vehicle_stands(hero):
+    """Drawn 3x, the foot's point moves with it; the tip is `arrow` away from there, over everything."""
+    state = hovering(0.9, 1.7, 0.2)
+    qpos = qpos_of_state(state)
+    model = hero._scene.model
+    foot = model.geom("foot_front_left")
+    frame = np.zeros(9)
+    mujoco.mju_quat2Mat(frame, qpos[3:])
+    tip = qpos[:3] + frame.reshape(3, 3) @ (foot.pos - [0, 0, foot.size[0]])
+    leg = model.geom("leg_front_left")
+    hero.render(state)
+    low = hero._scene.data.geom_xpos[leg.id] - leg.size[1] * frame.reshape(3, 3)[:, 2]
+    start = drawn_points(model, qpos, tip, 3.0)
+    assert np.linalg.norm(start - low) < 3.0 * 0.006  # the drawn leg ends within its radius
+    arrow = np.array([0.0, 0.0, 0.4])
+    mask = changed(hero.render(state), hero.render(state, forces=[(tip, arrow)]))
+    rows, columns = np.nonzero(mask)
+    ends = hero.view(state).project(np.stack([start, start + arrow]))[0]
+    assert rows.min() == pytest.approx(ends[1, 1], abs=3) and rows.max() == pytest.approx(ends[0, 1], abs=3)
+    assert columns.mean() == pytest.approx(ends[:, 0].mean(), abs=1.5)
 
 
 def test_wrong_arguments_are_sentences():
