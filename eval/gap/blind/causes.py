@@ -52,7 +52,7 @@ def _scale(field: str, both: bool = True) -> Draw:
 
 
 def _less(field: str) -> Draw:
-    """A factor below 1: on less than 0.6 of the nominal friction the vehicle slides off the slope."""
+    """A factor below 1: below 0.65 of the nominal friction landings slide off the slope."""
 
     def draw(size, rng):
         return Drawn({field: (1 - size) * World._field_defaults[field]}, {"scale": 1 - size})
@@ -165,7 +165,7 @@ UNKNOWN: dict[str, tuple[tuple[float, float, float], Draw]] = {
 
 # Seen only when the feet touch.
 TOUCHDOWN: dict[str, tuple[tuple[float, float, float], Draw]] = {
-    "friction": ((0.15, 0.25, 0.35), _less("friction")),
+    "friction": ((0.10, 0.18, 0.27), _less("friction")),
     "contact_stiffness": ((0.6, 1.3, 2.5), _scale("stiffness_scale")),
     "contact_damping": ((0.5, 0.9, 1.6), _scale("damping_scale")),
     "platform_height": ((0.006, 0.012, 0.03), _plain("surface_height", "offset", signed=True)),

@@ -98,6 +98,11 @@ ENTAILED: tuple[tuple[tuple[str, ...], tuple[str, ...], str], ...] = (
         "the current follows the rotors, not the command: thrust overshoots and settles, a shorter lag",
     ),
     (
+        ("mocap_delay",),
+        ("attitude_gain", "attitude_time_constant"),
+        "the flight controller leans on the late poses too: its estimate trails, and the vehicle tilts further",
+    ),
+    (
         ("com_offset",),
         ("attitude_trim",),
         "the torque of the offset is met by a standing tilt, a trim that grows with thrust",
