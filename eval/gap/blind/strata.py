@@ -100,7 +100,7 @@ ENTAILED: tuple[tuple[tuple[str, ...], tuple[str, ...], str], ...] = (
     (
         ("mocap_delay",),
         ("attitude_gain", "attitude_time_constant"),
-        "the flight controller leans on the late poses too: its estimate trails, and the vehicle tilts further",
+        "the flight controller leans on the late poses too: its estimate trails, and it tilts further",
     ),
     (
         ("com_offset",),
