@@ -463,8 +463,8 @@ def gap_real(
     Args:
         data: folder of the tidy data sets utias_fmpc, nanobench, crazypad and arp_sysid.
         out: new folder for tables.md, real.json and figures.
-        only: some of utias_day1, utias_all, nanobench, nanobench_motors, attitude, thrust, crazypad,
-            arp_sysid.
+        only: some of utias_day1, utias_all, utias_given, nanobench, nanobench_motors, attitude, thrust,
+            crazypad, arp_sysid.
         vehicle: vehicle file (TOML), where the model differs from the shipped one.
     """
     from inclined_landing.eval.gap.real import run

@@ -9,10 +9,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
+from inclined_landing.eval.gap import rollout
 from inclined_landing.eval.gap.diagnosis import diagnose
 from inclined_landing.eval.gap.evidence import Column, Problem
-from inclined_landing.eval.gap.naming import refit
-from inclined_landing.eval.gap.result import Diagnosis
+from inclined_landing.eval.gap.naming import Fit, left_out_vehicles, refit
+from inclined_landing.eval.gap.result import Diagnosis, PlantGap
 from inclined_landing.eval.gap.windows import prepare_all
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
@@ -63,11 +64,23 @@ def stability(logs: Sequence[FlightLog], vehicle: Vehicle, values) -> list[Stabi
     return rows
 
 
+def judged(logs: Sequence[FlightLog], vehicle: Vehicle, values) -> PlantGap:
+    """Gap with the effects of `values`, not searched for, refitted to all flights but the one judged."""
+    problem = Problem(prepare_all(logs, vehicle, False, []), vehicle, LIBRARY)
+    fit = _refit(problem, values)
+    starts = rollout.Starts.of(problem.flights)
+    floor = rollout.noise_floor(starts, problem.corrected(fit.values))
+    return rollout.plant_gap(starts, vehicle, left_out_vehicles(problem, fit), "analytic", floor)
+
+
+def _refit(problem: Problem, values) -> Fit:
+    columns = [Column(n, p.name) for n in values for p in LIBRARY[n].parameters]
+    return refit(problem, values, problem.linearise(values, columns).inflation())
+
+
 def _fit(logs, vehicle: Vehicle, values) -> dict[tuple[str, str], tuple[float, float]]:
     problem = Problem(prepare_all(logs, vehicle, False, []), vehicle, LIBRARY)
-    columns = [Column(n, p.name) for n in values for p in LIBRARY[n].parameters]
-    inflation = problem.linearise(values, columns).inflation()
-    fit = refit(problem, values, inflation)
+    fit = _refit(problem, values)
     error = np.sqrt(np.diag(fit.weighted.covariance(fit.index)))
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     return {

@@ -12,7 +12,7 @@ from rich.console import Console
 from inclined_landing.eval import runs
 from inclined_landing.eval.figures.style import save_figure, styled
 from inclined_landing.eval.gap.reading import read_flights
-from inclined_landing.eval.gap.real import attitude, figures, pads, tables, thrust
+from inclined_landing.eval.gap.real import attitude, figures, halves, pads, tables, thrust
 from inclined_landing.eval.gap.real.halves import Study
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -26,16 +26,27 @@ FLEETS = {
     "nanobench": ("nanobench", "nb_*.csv.gz", None),
     "nanobench_motors": ("nanobench", "nb_*.csv.gz", str(MOTORS)),
 }
-OTHER = {"attitude": "utias_fmpc", "thrust": "nanobench"}
+OTHER = {"attitude": "utias_fmpc", "utias_given": "utias_fmpc", "thrust": "nanobench"}
+# What single fits of the first day suggest (part `attitude`): start values of a fit without search.
+GIVEN = {
+    "thrust_scale": {"scale": 0.8},
+    "mocap_tilt": {"roll": 0.045, "pitch": 0.02},
+    "attitude_trim": {"roll": -0.015, "pitch": -0.02},
+    "attitude_gain": {"scale": 0.8},
+    "attitude_time_constant": {"scale": 0.4},
+    "attitude_delay": {"delay": 0.05},
+    "rotor_drag": {"scale": 1.5},
+    "thrust_delay": {"delay": 0.04},
+}
 
 
 def run(data: Path, out: Path, *, only: Sequence[str] = (), vehicle: Path | None = None) -> None:
     """Study the flights under `data` and write the new folder `out`: real.json, tables.md, PNG figures.
 
-    only: names of parts (the fleets, and `attitude`, `thrust`, `crazypad`, `arp_sysid`); all without it.
+    only: names of parts (the fleets, and `utias_given`, `attitude`, `thrust`, `crazypad`, `arp_sysid`); all without it.
     Raises UserError when `data` lacks a part or `out` exists.
     """
-    parts = [*FLEETS, "attitude", "thrust", "crazypad", "arp_sysid"]
+    parts = [*FLEETS, "utias_given", "attitude", "thrust", "crazypad", "arp_sysid"]
     for name in only:
         if name not in parts:
             raise UserError(f"unknown part {name!r}; known are {', '.join(parts)}")
@@ -48,15 +59,24 @@ def run(data: Path, out: Path, *, only: Sequence[str] = (), vehicle: Path | None
     console = Console(stderr=True)
     began = time.monotonic()
     results, pictures, text = {}, {}, []
+
+    def source(fleet: str):
+        folder, pattern, mapping = FLEETS[fleet]
+        return data / folder, pattern, mapping
+
     for name in only or parts:
         console.print(f"{time.monotonic() - began:5.0f} s  {name}")
         if name in FLEETS:
-            folder, pattern, mapping = FLEETS[name]
-            study = Study.of(name, flights(data / folder, pattern, mapping), nominal)
+            study = Study.of(name, flights(*source(name)), nominal)
             results[name] = _plain(study)
             with styled():
                 pictures[name] = figures.study(study)
             text.append(tables.study(study))
+        elif name == "utias_given":
+            logs = flights(*source("utias_day1"))
+            gap, rows = halves.judged(logs, nominal, GIVEN), halves.stability(logs, nominal, GIVEN)
+            results[name] = {"gap": dataclasses.asdict(gap), "stability": _stability(rows)}
+            text.append(tables.given(gap, rows))
         elif name == "attitude":
             logs = flights(data / "utias_fmpc", "utias_*.csv.gz")
             found = [loop for log in logs for loop in attitude.loops(log, nominal)]
@@ -104,10 +124,12 @@ def _plain(study: Study) -> dict:
         "all": study.diagnosis.to_json(),
         "first_halves": study.first.to_json(),
         "second_halves": study.second.to_json(),
-        "stability": [
-            dataclasses.asdict(r) | {"apart": r.apart, "change": r.change} for r in study.stability
-        ],
+        "stability": _stability(study.stability),
     }
+
+
+def _stability(rows) -> list[dict]:
+    return [dataclasses.asdict(row) | {"apart": row.apart, "change": row.change} for row in rows]
 
 
 def _rows(table) -> list[dict]:

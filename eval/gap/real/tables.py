@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import pandas as pd
 
 from inclined_landing.eval.gap.real.attitude import Loop, Tilt
-from inclined_landing.eval.gap.real.halves import Study
+from inclined_landing.eval.gap.real.halves import Stability, Study
 from inclined_landing.eval.gap.real.thrust import Lag, Law
-from inclined_landing.eval.gap.result import Diagnosis
+from inclined_landing.eval.gap.result import Diagnosis, PlantGap
 from inclined_landing.models.parameters import Vehicle
 
 
@@ -23,20 +23,48 @@ def study(s: Study) -> str:
         ("first halves fitted, second judged", s.first),
         ("second halves fitted, first judged", s.second),
     ):
-        for plant, gap in part.gap.items():
+        lines += [_gap(f"{name}, {plant}", gap) for plant, gap in part.gap.items()]
+    lines += [
+        "",
+        *stability(s.stability),
+        "",
+        "| all regimes | before | after | noise |",
+        "|---|---|---|---|",
+    ]
+    for row in d.where:
+        if row.regime == "all":
+            unit = row.unit.replace("m/s2", "m/s²")
             lines.append(
-                f"| {name}, {plant} | {100 * gap.before:.1f} cm | {100 * gap.after:.1f} cm | "
-                f"{100 * gap.floor:.1f} cm | {100 * gap.closed:.0f} % |"
+                f"| {row.channel} | {row.before:.3f} {unit} | {row.after:.3f} {unit} | {row.floor:.4f} {unit} |"
             )
-    lines += ["", "| effect | parameter | all | first halves | second halves | difference / 95 % |"]
-    lines += ["|---|---|---|---|---|---|"]
-    for r in s.stability:
-        cells = [f"{v:.4g} ± {h:.2g}" for v, h in (r.all, r.first, r.second)]
-        unit = "" if r.unit == "1" else f" {r.unit}"
-        lines.append(f"| {r.effect} | {r.parameter}{unit} | {' | '.join(cells)} | {r.apart:.2f} |")
     lines += ["", "Named on all flights: " + named(d)]
     lines += ["Named on first halves: " + named(s.first), "Named on second halves: " + named(s.second), ""]
     return "\n".join([*lines, d.remainder.text, ""])
+
+
+def _gap(name: str, gap: PlantGap) -> str:
+    return (
+        f"| {name} | {100 * gap.before:.1f} cm | {100 * gap.after:.1f} cm | "
+        f"{100 * gap.floor:.1f} cm | {100 * gap.closed:.0f} % |"
+    )
+
+
+def stability(rows: Sequence[Stability]) -> list[str]:
+    """Every parameter fitted to all flights and to their halves."""
+    lines = ["| effect | parameter | all | first halves | second halves | difference / 95 % |"]
+    lines += ["|---|---|---|---|---|---|"]
+    for r in rows:
+        cells = [f"{v:.4g} ± {h:.2g}" for v, h in (r.all, r.first, r.second)]
+        unit = "" if r.unit == "1" else f" {r.unit}"
+        lines.append(f"| {r.effect} | {r.parameter}{unit} | {' | '.join(cells)} | {r.apart:.2f} |")
+    return lines
+
+
+def given(gap: PlantGap, rows: Sequence[Stability]) -> str:
+    """Effects that were given instead of found."""
+    lines = ["## utias_given", "", "| 1 s position error | before | after | noise | closed |"]
+    lines += ["|---|---|---|---|---|", _gap("left out in turn", gap), "", *stability(rows), ""]
+    return "\n".join(lines)
 
 
 def named(d: Diagnosis) -> str:
