@@ -62,6 +62,7 @@ def diagnose(
     _limits_in_words(problem, library, notes)
     clock("prepare")
 
+    contact_unknown = False
     found = search(problem, limits)
     found = merge_delays(problem, found)
     clock("name")
@@ -91,6 +92,11 @@ def diagnose(
         after_contact = contact.corrected(named.fit.values)
         effects += _named(contact, named)
         steps += named.steps
+        contact_unknown = named.unexplained
+        if contact_unknown:
+            notes.append(
+                "the motion after the touch differs from the simulated one in a way no effect explains"
+            )
         test_landed = landings_of(heldout, corrected) or landed
         where += _where_touching(test_landed, vehicle, after_contact)
         clock("touchdown")
@@ -117,7 +123,8 @@ def diagnose(
         clock("gap mujoco")
     corrected = after_contact
 
-    verdict = "unknown" if left.unexplained or found.unstable else "effects" if effects else "nothing"
+    unknown = left.unexplained or found.unstable or contact_unknown
+    verdict = "unknown" if unknown else "effects" if effects else "nothing"
     if found.unstable:
         names = ", ".join(dict.fromkeys(found.unstable))
         notes.append(f"{names} would explain part of the error, but not the same way in every flight")

@@ -82,6 +82,7 @@ class Search:
     evidence: dict[str, float]
     classes: dict[str, tuple[str, ...]]
     follows: dict[str, str]  # accepted effect -> earlier one that entails it
+    unexplained: bool = dataclasses.field(default=False, kw_only=True)  # landings: errors remain
     unstable: list[str]  # effects turned away because flights disagree or a bound was met
 
 

@@ -37,7 +37,10 @@ FEWEST = 6  # landings
 # feet slide, across it, along its normal [m]; roll, pitch, yaw [rad].
 CONTACT_FLOOR = (0.003, 0.001, 0.001, 0.01, 0.01, 0.02)
 # Mean square of the errors, in standard deviations, below which nothing is looked for.
-QUIET = 0.6
+QUIET = 0.7
+MATCHED = 0.48  # the same for landings that nothing is wrong with
+UNEXPLAINED = 1.2  # mean square above which landings are not explained
+EXPLAINED = 0.6  # share of what is above that which an effect must explain to be named
 REFITTED = 2  # effects of every step
 HUBER = 3.0  # standard deviations beyond which errors count linearly
 SCAN = (-2.0, -1.0, -0.4, 0.4, 1.0, 2.0)  # times the plausible deviation
@@ -45,7 +48,7 @@ STEPS = 2.0  # difference quotients over this many times a parameter's negligibl
 # Landings are few, and each tells more than a window of free flight.
 LIMITS = Thresholds(
     evidence=2.0,
-    gain=400.0,
+    gain=600.0,
     share=0.15,
     share_more=0.05,
     share_left=0.2,
@@ -305,6 +308,9 @@ def name_contact(
         closable = max(1.0, trials[best].gain)
         found.closable = max(found.closable, closable)
         reasons[best] = objection(problem, best, trials[best], closable, found.closable, limits, fit.values)
+        excess = fit.squares - MATCHED * 6 * problem.rows.sum()
+        if not reasons[best] and trials[best].gain < EXPLAINED * excess:
+            reasons[best] = f"explains {100 * trials[best].gain / excess:.0f} % only"
         accepted = None if reasons[best] else best
         alike = [n for n in ranked if trials[n].gain > limits.alike * closable] if accepted else []
         rows = [
@@ -330,4 +336,5 @@ def name_contact(
         found.evidence[best], found.classes[best] = trials[best].evidence, tuple(alike)
         found.gains[best] = float(np.clip(trials[best].gain / total, 0.0, 1.0))
     found.fit = fit
+    found.unexplained = fit.squares > UNEXPLAINED * 6 * problem.rows.sum()
     return problem, found
