@@ -32,35 +32,40 @@ def draw_horizon(axes, s: Study) -> None:
         axes.plot(curve.horizon, 100.0 * curve.error, color=colour, label=text)
     axes.plot(curves[-1].horizon, 100.0 * curves[-1].floor, color=INK, ls=":", label="noise alone")
     axes.set(yscale="log", xlabel="seconds ahead", ylabel="position error (cm)", xlim=(0, None))
-    axes.set_ylim(0.01, None)
-    axes.set_title(f"{s.title}: error on flights left out", loc="left")
+    axes.set_ylim(0.001, None)
+    axes.set_title(f"{s.title.replace('_', ' ')}: error on flights left out", loc="left")
     axes.grid(axis="y")
     axes.legend(fontsize=7.5, ncols=2, loc="lower right")
 
 
 def draw_stability(axes, rows: list[Stability]) -> None:
-    """Distance from neutral in units of the fit to all flights; 1 is that fit."""
+    """Distances from neutral in units of the effect's largest, fitted to all flights (grey)."""
+    rows = [row for row in rows if row.parameter != "reference"]  # has no size of its own
+    sizes: dict[str, float] = {}
+    for row in rows:
+        sizes[row.effect] = max(sizes.get(row.effect, 0.0), abs(row.all[0] - row.neutral))
     for k, row in enumerate(rows):
-        size = row.all[0] - row.neutral
+        size = sizes[row.effect]
+        axes.plot([(row.all[0] - row.neutral) / size] * 2, [k - 0.3, k + 0.3], color=MUTED, lw=1.0)
         for value, offset, colour in ((row.first, -0.15, BLUE), (row.second, 0.15, ORANGE)):
             axes.errorbar(
                 (value[0] - row.neutral) / size,
                 k + offset,
-                xerr=value[1] / abs(size),
+                xerr=value[1] / size,
                 fmt="o",
                 ms=4,
                 color=colour,
                 capsize=2,
                 lw=1.4,
             )
-    axes.axvline(1.0, color=MUTED, lw=0.8)
     axes.axvline(0.0, color=INK, lw=0.8)
     axes.set_yticks(range(len(rows)), [_name(r) for r in rows], fontsize=8)
-    axes.set(ylim=(len(rows) - 0.5, -0.7), xlim=(-1.0, 3.0))
-    axes.set_xlabel("distance from neutral / that of all flights together")
+    axes.set(ylim=(len(rows) - 0.5, -1.1), xlim=(-2.0, 2.0))
+    axes.set_xlabel("distance from neutral (1: the effect's largest, all flights)")
+    axes.plot([], [], color=MUTED, lw=1.0, label="all")
     axes.plot([], [], "o", color=BLUE, ms=4, label="first halves")
     axes.plot([], [], "o", color=ORANGE, ms=4, label="second halves")
-    axes.legend(fontsize=7.5, loc="upper right")
+    axes.legend(fontsize=7.5, loc="upper center", ncols=3)
     axes.set_title("the same effects, fitted to halves (95 %)", loc="left")
 
 

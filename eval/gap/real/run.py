@@ -43,7 +43,8 @@ GIVEN = {
 def run(data: Path, out: Path, *, only: Sequence[str] = (), vehicle: Path | None = None) -> None:
     """Study the flights under `data` and write the new folder `out`: real.json, tables.md, PNG figures.
 
-    only: names of parts (the fleets, and `utias_given`, `attitude`, `thrust`, `crazypad`, `arp_sysid`); all without it.
+    only: names of parts: the fleets, `utias_given`, `attitude`, `thrust`, `crazypad`, `arp_sysid`; all
+    without it.
     Raises UserError when `data` lacks a part or `out` exists.
     """
     parts = [*FLEETS, "utias_given", "attitude", "thrust", "crazypad", "arp_sysid"]

@@ -33,10 +33,9 @@ def study(s: Study) -> str:
     ]
     for row in d.where:
         if row.regime == "all":
+            sizes = (row.before, row.after, row.floor)
             unit = row.unit.replace("m/s2", "m/s²")
-            lines.append(
-                f"| {row.channel} | {row.before:.3f} {unit} | {row.after:.3f} {unit} | {row.floor:.4f} {unit} |"
-            )
+            lines.append(f"| {row.channel} {unit} | " + " | ".join(f"{x:.2g}" for x in sizes) + " |")
     lines += ["", "Named on all flights: " + named(d)]
     lines += ["Named on first halves: " + named(s.first), "Named on second halves: " + named(s.second), ""]
     return "\n".join([*lines, d.remainder.text, ""])
@@ -82,6 +81,7 @@ def law(result: Law) -> str:
         f"F/m = {result.level[0]:.2f} ± {result.level[1]:.2f} m/s² "
         f"(PWM/55000)^({result.pwm[0]:.2f} ± {result.pwm[1]:.2f}) "
         f"(V/3.5)^({result.voltage[0]:.2f} ± {result.voltage[1]:.2f}), "
+        f"sag {result.sag[0]:.2f} ± {result.sag[1]:.2f} V per 10 000 PWM, "
         f"{100 * result.samples.ratio.std():.1f} % rms left in {len(result.samples)} rows"
     )
     lines += ["", "| height above rest | thrust ratio | flights | rows |", "|---|---|---|---|"]

@@ -31,6 +31,7 @@ class Law:
     level: tuple[float, float]  # m/s2
     pwm: tuple[float, float]
     voltage: tuple[float, float]
+    sag: tuple[float, float]  # V per 10 000 PWM, at a given time of a flight
     samples: pd.DataFrame  # flight, thrust (m/s2), pwm, voltage, ratio to the law
     near: pd.DataFrame  # height above rest (bin), ratio, half-width, flights, rows
 
@@ -43,6 +44,7 @@ def samples(log: FlightLog, vehicle: Vehicle) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "flight": log.name,
+            "t": log.t - log.t[0],
             "thrust": (up + vehicle.environment_gravity) / tilt,
             "pwm": lagged(log.command[:, 0], dt, vehicle.thrust_lag_rate),
             "sent": log.command[:, 0],
@@ -97,13 +99,22 @@ def law(logs: Sequence[FlightLog], vehicle: Vehicle) -> Law:
         rows.append((interval.left, interval.right, means.mean(), wide, k, len(group)))
     near = pd.DataFrame(rows, columns=["above", "below", "ratio", "half", "flights", "rows"])
     level = np.exp(fit[0])
+    slopes = -np.array([_voltage_slope(own) for _, own in free.groupby("flight")])
+    sag = slopes.mean(), stats.t.ppf(0.975, n - 1) * slopes.std(ddof=1) / np.sqrt(n)
     return Law(
         (float(level), float(level * half[0])),
         (float(fit[1]), float(half[1])),
         (float(fit[2]), float(half[2])),
+        (float(sag[0]), float(sag[1])),
         free[["flight", "thrust", "pwm", "voltage", "ratio"]],
         near,
     )
+
+
+def _voltage_slope(table: pd.DataFrame) -> float:
+    """Change of voltage per 10 000 PWM, beside a parabola in time."""
+    x = np.stack([table.pwm / 1e4, np.ones(len(table)), table.t, table.t**2], axis=1)
+    return float(np.linalg.lstsq(x, table.voltage.to_numpy(), rcond=None)[0][0])
 
 
 @dataclasses.dataclass(frozen=True)
