@@ -35,9 +35,10 @@ LEAD = 0.015  # s by which a response may seem to lead its cause before the cloc
 class Motion:
     """Smoothed motion of one flight in the air, on a grid of RATE; complex: x + iy.
 
-    height: z (m). tilt: pitch - i roll, NaN where one is not logged. pointed: where the thrust pointed,
-    in the frame of the heading. asked: commanded tilt. force: specific force (m/s2). lift: its vertical
-    part less g. moved, climbed: the derivatives of position. drift, climb: the logged velocity.
+    height: z (m). tilt: pitch - i roll, NaN where one is not logged. pointed: where the thrust pointed, in
+    the frame of the heading. asked: commanded tilt. force: specific force (m/s2). lift: its vertical part
+    less g. pushed: horizontal acceleration (m/s2). moved, climbed: the derivatives of position. drift,
+    climb: the logged velocity.
     """
 
     height: np.ndarray
@@ -47,6 +48,7 @@ class Motion:
     pwm: np.ndarray
     force: np.ndarray
     lift: np.ndarray
+    pushed: np.ndarray
     moved: np.ndarray
     climbed: np.ndarray
     drift: np.ndarray | None
@@ -85,6 +87,7 @@ def _motion(log: FlightLog) -> Motion:
         pwm=smooth(log.command[:, 0]),
         force=np.linalg.norm(acceleration + [0.0, 0.0, GRAVITY], axis=1),
         lift=acceleration[:, 2],
+        pushed=acceleration[:, 0] + 1j * acceleration[:, 1],
         moved=speed[:, 0] + 1j * speed[:, 1],
         climbed=speed[:, 2],
         drift=None if velocity is None else velocity[:, 0] + 1j * velocity[:, 1],
@@ -100,12 +103,28 @@ def check(log: FlightLog) -> Iterator[Finding]:
             "cmd_thrust_pwm", "no second with the motors on: signs, units and clocks were not checked"
         )
         return
+    swapped = list(_swapped_with_height(parts))
+    if swapped:
+        yield from swapped
+        return
     yield from _force(parts)
     tilt = list(_tilt_against_acceleration(parts))
     yield from tilt
     if not any(finding.decision == "refuse" for finding in tilt):
         yield from _tilt_against_command(parts)
     yield from _velocity(parts)
+
+
+def _swapped_with_height(parts: list[Motion]) -> Iterator[Finding]:
+    """Whether x or y moves as the thrust command says and z does not."""
+    pwm = [p.pwm for p in parts]
+    if _lag(pwm, [p.lift for p in parts])[1] > 0.3:
+        return
+    for axis, values in (("x", [p.pushed.real for p in parts]), ("y", [p.pushed.imag for p in parts])):
+        if np.concatenate(values).std() > 0.3 and _lag(pwm, values)[1] > 0.7:
+            yield refuse(
+                "z", f"{axis} moves up and down with the thrust command, z does not: they are swapped"
+            )
 
 
 def _force(parts: list[Motion]) -> Iterator[Finding]:
@@ -201,14 +220,13 @@ class _Pair:
 
 
 def _compare(first: list[np.ndarray], second: list[np.ndarray], excited: float = EXCITED) -> _Pair | None:
-    """None where the second moves too little. Axes that the first lacks (NaN) are left out."""
+    """None where the second moves too little. Axes that either lacks (NaN) are left out."""
     a = np.concatenate([x - x.mean() for x in first])
     b = np.concatenate([x - x.mean() for x in second])
-    for axis, lacking in (("y", np.isnan(a.real).any()), ("x", np.isnan(a.imag).any())):
-        if lacking:
-            a, b = (
-                (1j * np.nan_to_num(a.imag), 1j * b.imag) if axis == "y" else (np.nan_to_num(a.real), b.real)
-            )
+    if np.isnan(a.real).any() or np.isnan(b.real).any():
+        a, b = 1j * np.nan_to_num(a.imag), 1j * np.nan_to_num(b.imag)
+    if np.isnan(a.imag).any() or np.isnan(b.imag).any():
+        a, b = np.nan_to_num(a.real) + 0j, np.nan_to_num(b.real) + 0j
     if b.size == 0:
         return None
     # Noise of the derived second signal may pass for motion where the first, less noisy, shows none.

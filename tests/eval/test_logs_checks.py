@@ -121,6 +121,7 @@ def mistakes(log: FlightLog) -> dict[str, tuple[FlightLog, str]]:
             change(log, roll=pitch, pitch=-roll),
             "turned by .?90 deg .* columns are swapped and one sign",
         ),
+        "x and z swapped": (change(log, x=z, z=x), "x moves up and down with the thrust command"),
         "x and y swapped": (change(log, x=y, y=x), "roll and pitch mirror the horizontal acceleration"),
         "degrees": (change(log, roll=np.degrees(roll), pitch=np.degrees(pitch)), "degrees taken for radians"),
         "z down": (change(log, z=-z), "z must point up"),
