@@ -77,7 +77,7 @@ def diagnose(
     white_before = [x[0] for x in test.white([vehicle])]
     white_after = [test.white_of(k, v) for k, v in enumerate(after_vehicles)]
     where = _where(test, white_before, white_after)
-    left = remainder.assess(test, white_after)
+    left = remainder.assess(test, white_after, remainder.floors_with(test, found.fit.values))
     clock("where")
 
     ties = manoeuvres.separating(problem, [e.members for e in effects], found.fit.values)
@@ -227,7 +227,7 @@ def _named(problem: Problem, found: Search) -> tuple[NamedEffect, ...]:
                 continue
             p = next(p for p in effect.parameters if p.name == column.parameter)
             value = fit.values[name][p.name]
-            half = quantile * float(np.sqrt(covariance[k, k]))
+            half = quantile * float(np.sqrt(max(0.0, covariance[k, k])))
             own = np.where(
                 error[:, k] < 10 * max(abs(value - p.neutral), p.negligible), value + change[:, k], np.nan
             )

@@ -166,6 +166,21 @@ class Linear:
         freedom = np.maximum(1.0, (weight * self.problem.rows[:, None]).sum(axis=0))
         return np.maximum(1.0, (weight * left).sum(axis=0) / freedom)
 
+    def by_channel(self, inflation: np.ndarray, change: np.ndarray | None = None) -> np.ndarray:
+        """Squared error (6,) of every channel, after a change (P,) of all columns."""
+        weight = self.problem.weight / inflation
+        left = self.c
+        if change is not None:
+            left = left - 2.0 * self.b @ change
+            left = left + np.einsum("wcpq,p,q->wc", self.a, change, change, optimize=True)
+        return (weight * left).sum(axis=0)
+
+    def shown_by_channel(self, inflation: np.ndarray, index: np.ndarray, size: np.ndarray) -> np.ndarray:
+        """Squared error (6,) that a change `size` of the columns `index` makes in every channel."""
+        weight = self.problem.weight / inflation
+        a = self.a[:, :, index[:, None], index[None, :]]
+        return np.einsum("wc,wcpq,p,q->c", weight, a, size, size, optimize=True)
+
     def weighted(self, inflation: np.ndarray) -> Weighted:
         """Channels summed up, each with its weight."""
         weight = self.problem.weight / inflation

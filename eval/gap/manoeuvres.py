@@ -19,6 +19,8 @@ from inclined_landing.models.parameters import Vehicle
 
 SECONDS = 20.0
 RATE = 100.0
+# Standard errors below which a flight tells nothing apart.
+SEPARATED = 3.0
 # Effects that only a scale tells apart: the vehicle's mass.
 WEIGH = "Weigh the vehicle: in free flight only the ratio of thrust to mass shows."
 
@@ -130,6 +132,10 @@ def separating(problem: Problem, ties: Sequence[tuple[str, ...]], values) -> lis
             best = max(scored)
             words = f"To tell {_list(members)} apart: {best[2]} ({SECONDS:.0f} s separate them by "
             words += f"{best[0]:.0f} standard errors)."
+            if best[0] < SEPARATED:
+                best = (best[0], "none", "")
+                words = f"None of the flights tried tells {_list(members)} apart"
+                words += ": correct any one of them." if weigh else "."
         else:
             best, words = (0.0, "weigh", ""), ""
         if weigh:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.evidence import Column, Problem, Values, Weighted, invert, solve
+from inclined_landing.eval.gap.evidence import Column, Linear, Problem, Values, Weighted, invert, solve
 from inclined_landing.eval.gap.result import Candidate, SearchStep
 from inclined_landing.models.parameters import Vehicle
 
@@ -25,7 +25,11 @@ class Thresholds:
     evidence: float = 4.5  # standard errors of the gain over windows left out
     gain: float = 30.0  # decrease of the white squared error, over all windows
     share: float = 0.06  # of what the whole library could close at the first step
-    share_more: float = 0.0007  # the same for effects beside others
+    share_more: float = 0.0007  # the same for effects beside others, in the channels where they show
+    most_of_it: float = 0.5  # share of what is left that needs no share of the first step
+    sure: float = 6.0  # standard errors that go with it
+    nearly_all: float = 0.9  # share of what is left that needs fewer standard errors
+    evidence_all: float = 3.0  # those
     share_entailed: float = 0.30  # below which an effect follows from one that entails it
     share_left: float = 0.10  # of what it could close at this step
     agreement: float = 0.7  # share of groups of windows with a positive gain
@@ -53,6 +57,21 @@ ENTAILED = {
     "battery_voltage": ("thrust_fade", "motor_lag", "thrust_delay"),
     "mocap_delay": ("attitude_gain", "attitude_time_constant", "second_order_attitude"),
 }
+
+
+# The part of it that belongs to the form of the effect: named whatever its size.
+CORRECTS = {"spin_down": ("thrust_bias", "thrust_scale", "mass")}
+# Effects that undo each other one by one and are seen together only: a response that is both late and quick.
+PAIRS = (("attitude_delay", "attitude_time_constant"), ("thrust_delay", "motor_lag"))
+PAIR_GAIN = 1.3  # linear gain of a pair over that of its better half that makes it worth a fit
+# Squared error that an effect makes in a group (noise 1) so that a gain there can be expected.
+SHOWS = 9.0
+# An additive effect with so little of its range on the other side of neutral has one sign only.
+ONE_SIDED = 0.1
+# Effects that scale the thrust as a whole.
+SCALES = {"thrust_scale", "thrust_bias", "mass"}
+# Channels that are judged together.
+CHANNEL_GROUPS = np.array([0, 0, 1, 2, 2, 3])
 
 
 @dataclasses.dataclass
@@ -123,24 +142,31 @@ def _fit_at(problem: Problem, values, columns, inflation) -> Fit:
 
 def _moved(problem: Problem, fit: Fit, damping: float) -> dict[str, dict[str, float]]:
     """Values after a damped step; parameters that would leave their bounds stay there, the others refit."""
-    columns = fit.weighted.columns
     a, b = fit.weighted.group_a.sum(axis=0), fit.weighted.group_b.sum(axis=0)
+    at, bounds = _at(problem, fit)
+    step = _bounded_step(a + damping * np.diag(np.diag(a)), a, b, at, bounds, np.ones(len(at), bool))
+    return _stepped(problem, fit, step)
+
+
+def _at(problem: Problem, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Fitted values (k,) and bounds (2, k) of all columns of a fit."""
+    columns = fit.weighted.columns
     at = np.array([fit.values[c.effect][c.parameter] for c in columns])
-    bounds = np.array([_parameter(problem, c).bounds for c in columns]).T
-    free, step = np.ones(len(at), bool), np.zeros(len(at))
+    return at, np.array([_parameter(problem, c).bounds for c in columns]).reshape(-1, 2).T
+
+
+def _bounded_step(damped, a, b, at, bounds, free) -> np.ndarray:
+    """Step of the `free` columns; what would leave its bounds is held there and the others solved again."""
+    free, step = free.copy(), np.zeros(len(at))
     for _ in range(len(at) + 1):
         k = np.flatnonzero(free)
-        damped = a[np.ix_(k, k)] + damping * np.diag(np.diag(a)[k])
-        step[k] = solve(damped, b[k] - a[np.ix_(k, ~free)] @ step[~free])
+        step[k] = solve(damped[np.ix_(k, k)], b[k] - a[np.ix_(k, ~free)] @ step[~free])
         outside = free & ((at + step < bounds[0]) | (at + step > bounds[1]))
         if not outside.any():
             break
         step[outside] = np.clip(at + step, *bounds)[outside] - at[outside]
         free &= ~outside
-    new = {name: dict(v) for name, v in fit.values.items()}
-    for column, value in zip(columns, at + step):
-        new[column.effect][column.parameter] = float(value)
-    return new
+    return step
 
 
 def _predicted(fit: Fit, trial: Values) -> float:
@@ -159,8 +185,8 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
     limits = limits or Thresholds()
     names = list(problem.library)
     fit = _fit_at(problem, {}, [], np.ones(6))
-    steps, evidence, classes, follows, unstable = [], {}, {}, {}, []
-    closable_at_first = None
+    steps, evidence, classes, follows, unstable, gained = [], {}, {}, {}, [], {}
+    closable_at_first, first_by_channel = None, np.zeros(6)
     inflation = np.ones(6)
     for _ in range(limits.most + 1):
         linear = problem.linearise(fit.values, problem.columns(fit.values, names))
@@ -168,10 +194,9 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
         weighted = linear.weighted(inflation)
         base = weighted.index(list(fit.values))
         before = weighted.left_out(base)
-        whole = weighted.left(
-            np.arange(len(weighted.columns)), weighted.fit(np.arange(len(weighted.columns)))
-        )
-        closable = max(1e-9, float(before.sum() - whole.sum()))
+        everything = np.arange(len(weighted.columns))
+        change = weighted.fit(everything)
+        closable = max(1e-9, float(before.sum() - weighted.left(everything, change).sum()))
         others = [n for n in names if n not in fit.values]
         linear_gain = {
             n: float((before - weighted.left_out(np.concatenate([base, weighted.index([n])]))).sum())
@@ -180,60 +205,166 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
         order = sorted(others, key=lambda n: -linear_gain[n])
         tried = [n for n in order[: limits.shortlist] if linear_gain[n] > limits.gain / 3]
         trials = {n: _trial(problem, weighted, fit, n, inflation, before) for n in tried}
-        closable_at_first = closable_at_first or closable
+        if closable_at_first is None:
+            closable_at_first = closable
+            first_by_channel = np.maximum(
+                0.0, linear.by_channel(inflation) - linear.by_channel(inflation, change)
+            )
+            first_by_channel = np.bincount(CHANNEL_GROUPS, first_by_channel)[CHANNEL_GROUPS]
+
+        step = _Step(problem, linear, weighted, fit, inflation, closable, closable_at_first, first_by_channel)
         ranked = sorted(tried, key=lambda n: -_score(problem, n, trials, limits))
-        accepted, reasons = None, {}
+        accepted, reasons = (), {}
         refused: list[str] = []
         for name in ranked:
-            if any(_overlap(weighted, base, name, other) > limits.overlap for other in refused):
+            if not _corrects(name, fit.values) and any(
+                _overlap(weighted, base, name, other) > limits.overlap for other in refused
+            ):
                 reasons[name] = f"explains the same as {refused[0]}, worse"
                 continue
-            reasons[name] = objection(
-                problem, name, trials[name], closable, closable_at_first, limits, fit.values
-            )
+            reasons[name] = step.objection(name, trials[name], limits)
             large = trials[name].gain > limits.share * closable_at_first
             if large and reasons[name].startswith(("differs", "at its bound")):
                 unstable.append(name)
             if not reasons[name]:
-                accepted = name
+                accepted = (name,)
                 break
             # A worse explanation of the same error must not slip in where the best one was refused.
             if trials[name].gain > limits.gain and reasons[name].startswith("differs"):
                 refused.append(name)
+        if not accepted:
+            accepted, trial = _pair(step, before, linear_gain, limits)
+            trials |= {n: dataclasses.replace(trial, values=trial.fit.values[n]) for n in accepted}
+            reasons |= dict.fromkeys(accepted, "")
+            ranked = [*accepted, *(n for n in ranked if n not in accepted)]
         dropped: tuple[str, ...] = ()
         members: tuple[str, ...] = ()
-        if accepted:
-            trial = trials[accepted]
+        for name in accepted:
+            trial = trials[name]
             for cause in fit.values:
-                if (
-                    accepted in ENTAILED.get(cause, ())
-                    and trial.gain < limits.share_entailed * closable_at_first
-                ):
-                    follows[accepted] = cause
-            fit = trial.fit
-            evidence[accepted] = trial.evidence
-            members = tie_class(problem, weighted, base, accepted, trial, trials, limits)
-            classes[accepted] = members
-            fit, dropped = _drop_useless(problem, fit, accepted, inflation, limits, closable_at_first)
-        steps.append(
-            SearchStep(
-                accepted,
-                dropped,
-                tuple(
-                    _row(n, trials.get(n), linear_gain[n], closable, members, reasons.get(n))
-                    for n in ranked + [n for n in order if n not in ranked]
-                ),
-            )
+                if name in ENTAILED.get(cause, ()) and trial.gain < limits.share_entailed * closable_at_first:
+                    follows[name] = cause
+            evidence[name], gained[name] = trial.evidence, trial.gain
+            classes[name] = tie_class(problem, weighted, base, name, trial, trials, limits)
+            members += classes[name]
+        if accepted:
+            fit, dropped = _drop_useless(problem, trial.fit, accepted, inflation, limits, step)
+        rows = tuple(
+            _row(n, trials.get(n), linear_gain[n], closable, members, reasons.get(n))
+            for n in ranked + [n for n in order if n not in ranked]
         )
+        steps += [SearchStep(name, dropped, rows) for name in accepted or (None,)]
         if not accepted:
             break
     if fit.values:
         fit = refit(problem, fit.values, inflation)
+        fit = _most_plausible(problem, fit, inflation, limits, (evidence, classes, follows, gained))
     weight = problem.weight / inflation
     nothing = problem.linearise({}, []).weighted(inflation).c.sum()
     closable = max(1e-9, float(nothing - (weight * problem.rows[:, None]).sum()))
     gains = {name: _share(problem, fit, name, inflation, closable) for name in fit.values}
+    named = set(fit.values).union(*(classes.get(n, ()) for n in fit.values))
+    unstable = [n for n in unstable if n not in named]  # others may have to be found first
     return Search(fit, steps, inflation, closable_at_first, gains, evidence, classes, follows, unstable)
+
+
+@dataclasses.dataclass
+class _Step:
+    """What a step of the search starts from."""
+
+    problem: Problem
+    linear: Linear
+    weighted: Weighted
+    fit: Fit
+    inflation: np.ndarray
+    closable: float
+    closable_at_first: float
+    first_by_channel: np.ndarray  # (6,) the same, each channel with those judged together
+
+    def at_first(self, name: str, size: np.ndarray) -> float:
+        """What was closable at first in the channels where an effect of this size shows."""
+        shown = self.linear.shown_by_channel(self.inflation, self.linear.index([name]), size)
+        return min(self.closable_at_first, float(shown @ self.first_by_channel / max(shown.sum(), 1e-12)))
+
+    def objection(self, name: str, trial: Trial, limits: Thresholds) -> str:
+        """As `objection`, an effect beside others measured by what was closable where it shows."""
+        least = self.closable_at_first
+        if self.fit.values:
+            base = self.weighted.index(list(self.fit.values))
+            least = self.at_first(name, _size_in(self.weighted, base, self.weighted.index([name])))
+        return objection(self.problem, name, trial, self.closable, least, limits, self.fit.values)
+
+
+def _corrects(name: str, found: Values) -> bool:
+    """Whether an effect belongs to the form of one found already."""
+    return any(name in CORRECTS.get(cause, ()) for cause in found)
+
+
+def _pair(step: _Step, before, linear_gain, limits: Thresholds):
+    """The two names of a pair that explains what neither of its effects explains alone, and its trial."""
+    problem, weighted, fit, inflation = step.problem, step.weighted, step.fit, step.inflation
+    base = weighted.index(list(fit.values))
+    for pair in PAIRS:
+        if any(n not in linear_gain for n in pair):
+            continue
+        both = np.concatenate([base, weighted.index(pair)])
+        gain = float((before - weighted.left_out(both)).sum())
+        if gain < max(limits.gain, PAIR_GAIN * max(linear_gain[n] for n in pair)):
+            continue
+        new = refit(problem, {**fit.values, **{n: problem.library[n].neutral for n in pair}}, inflation)
+        after = new.weighted.left_out(new.index)
+        trial = trial_of(problem, new, pair[0], before - after)
+        if any(step.objection(n, dataclasses.replace(trial, values=new.values[n]), limits) for n in pair):
+            continue
+        for name in pair:
+            half = refit(problem, {n: v for n, v in new.values.items() if n != name}, inflation)
+            more = half.weighted.left_out(half.index) - after
+            if more.sum() < limits.gain or standard_errors(more) < limits.evidence:
+                break
+        else:
+            return pair, trial
+    return (), None
+
+
+def _most_plausible(problem: Problem, fit: Fit, inflation, limits: Thresholds, tables) -> Fit:
+    """Of effects that look alike, name the one whose fit asks for the least unusual sizes of all effects.
+
+    tables: of what is known of the accepted effects, renamed in place.
+    """
+    classes, gained = tables[1], tables[3]
+    for name in list(fit.values):
+        parameters = problem.library[name].parameters
+        best = fit
+        for other in classes.get(name, ()):
+            if other in fit.values or len(problem.library[other].parameters) > len(parameters):
+                continue
+            values = {(other if n == name else n): v for n, v in fit.values.items()}
+            new = refit(problem, values | {other: dict(problem.library[other].neutral)}, inflation)
+            worse = new.weighted.left_out(new.index) - fit.weighted.left_out(fit.index)
+            if (
+                worse.sum() < limits.gain + (1.0 - limits.alike) * gained[name]
+                and standard_errors(worse) < limits.evidence
+                and unusual(problem, new.values) < unusual(problem, best.values)
+            ):
+                best = new
+        if best is not fit:
+            other = next(n for n in best.values if n not in fit.values)
+            for table in tables:
+                if name in table:
+                    table[other] = table.pop(name)
+            classes[other] = (other, *(n for n in classes[other] if n != other))
+            fit = best
+    return fit
+
+
+def unusual(problem: Problem, values: Values) -> float:
+    """Sum of the squared sizes of effects, each over its plausible size."""
+    return sum(
+        ((values[name][p.name] - p.neutral) / (p.plausible - p.neutral)) ** 2
+        for name in values
+        for p in problem.library[name].parameters
+        if _sized(p)
+    )
 
 
 @dataclasses.dataclass
@@ -260,13 +391,26 @@ def _trial(problem: Problem, weighted: Weighted, fit: Fit, name: str, inflation,
 def trial_of(problem: Problem, fit: Fit, name: str, difference: np.ndarray) -> Trial:
     """A trial from the decrease (w,) of the squared error of every window."""
     by_group = np.bincount(problem.group_of, difference, minlength=problem.groups)
+    shows = _shown_in(problem, fit, name) > SHOWS
+    # Flights where the effect cannot show say nothing about it.
+    agreement = (by_group[shows] > 0).mean() if shows.sum() >= 2 else (by_group > 0).mean()
     return Trial(
-        fit,
-        float(difference.sum()),
-        standard_errors(difference),
-        float((by_group > 0).mean()),
-        fit.values[name],
+        fit, float(difference.sum()), standard_errors(difference), float(agreement), fit.values[name]
     )
+
+
+def _shown_in(problem: Problem, fit: Fit, name: str) -> np.ndarray:
+    """Squared error (g,) that an effect of the fitted size makes in every group, what others absorb apart."""
+    own = fit.weighted.index([name])
+    others = np.setdiff1d(fit.index, own)
+    parameters = [_parameter(problem, fit.weighted.columns[k]) for k in own]
+    size = np.array([fit.values[name][p.name] - p.neutral if _sized(p) else 0.0 for p in parameters])
+    a = fit.weighted.group_a
+    total = a.sum(axis=0)
+    absorbed = np.zeros(a.shape[1])
+    absorbed[own] = size
+    absorbed[others] = -solve(total[np.ix_(others, others)], total[np.ix_(others, own)] @ size)
+    return np.einsum("gpq,p,q->g", a, absorbed, absorbed)
 
 
 def standard_errors(difference: np.ndarray) -> float:
@@ -309,28 +453,48 @@ def _score(problem: Problem, name: str, trials: dict[str, Trial], limits: Thresh
 def objection(problem, name, trial: Trial, closable, at_first, limits: Thresholds, found: Values) -> str:
     """Why a candidate is not accepted; empty if it is."""
     effect = problem.library[name]
+    share = trial.gain / closable
     # All windows alike give the square root of their number: no more can be asked of a few.
     evidence = min(limits.evidence, ENOUGH * math.sqrt(len(problem.flight_of)))
+    if share > limits.nearly_all and trial.gain > 10.0 * limits.gain:
+        evidence = min(evidence, limits.evidence_all)
     if trial.gain < limits.gain or trial.evidence < evidence:
         return f"not significant ({trial.evidence:.1f} standard errors)"
     if trial.agreement < limits.agreement:
         return f"helps in {100 * trial.agreement:.0f} % of the flights only"
+    if share < limits.share_left:
+        return f"explains {100 * share:.0f} % only"
+    bound = _bound(problem, trial, name, found)
+    if bound:
+        return bound
+    # What follows from another effect corrects its form: it need be neither large nor the same everywhere.
+    if _corrects(name, found):
+        return ""
     large = [abs(trial.values[p.name] - p.neutral) > p.negligible for p in effect.parameters if _sized(p)]
     if not any(large):
         return "negligible"
     least = limits.share_more if found else limits.share
-    if trial.gain < limits.share_left * closable or trial.gain < least * at_first:
-        return f"explains {100 * trial.gain / closable:.0f} % only"
-    for p in effect.parameters:
-        lo, hi = p.bounds
-        if (
-            _sized(p)
-            and lo != p.neutral
-            and min(trial.values[p.name] - lo, hi - trial.values[p.name]) < 1e-3 * (hi - lo)
-        ):
-            return f"at its bound ({p.name} = {trial.values[p.name]:g} {p.unit})"
+    sure = found and share > limits.most_of_it and trial.evidence > limits.sure
+    if trial.gain < least * at_first and not sure:
+        return f"explains {100 * share:.0f} % only"
     if disagreement(problem, trial.fit, name) > limits.spread:
         return "differs between flights"
+    return ""
+
+
+def _bound(problem, trial: Trial, name: str, found: Values) -> str:
+    """Why a value is none that the effect can have; empty if it can."""
+    for p in problem.library[name].parameters:
+        value, (lo, hi) = trial.values[p.name], p.bounds
+        if p.neutral == 0.0 and value < -p.negligible and -lo < ONE_SIDED * (hi - lo):
+            return f"the wrong way round ({p.name} = {value:g} {p.unit})"
+        if lo == p.neutral and value < 0.5 * (lo + hi):
+            continue
+        # A reference goes to its bound where it has to scale the thrust as well, unless something else does.
+        if not _sized(p) and set(found) & SCALES:
+            continue
+        if min(value - lo, hi - value) < 1e-3 * (hi - lo):
+            return f"at its bound ({p.name} = {value:g} {p.unit})"
     return ""
 
 
@@ -381,10 +545,14 @@ def left_out_vehicles(problem: Problem, fit: Fit) -> list[Vehicle]:
     w = fit.weighted
     a, b = w.a.sum(axis=0), w.b.sum(axis=0)
     weight = problem.weight / fit.inflation
+    at, bounds = _at(problem, fit)
+    # What the fit left at a bound stays there: alone it would move along what it cannot be told from.
+    free = np.minimum(at - bounds[0], bounds[1] - at) > 1e-6 * (bounds[1] - bounds[0])
     vehicles = []
     for k in range(len(problem.flights)):
         own = problem.flight_of == k
-        step = solve(a - w.a[own].sum(axis=0), b - w.b[own].sum(axis=0))
+        rest = a - w.a[own].sum(axis=0)
+        step = _bounded_step(rest, rest, b - w.b[own].sum(axis=0), at, bounds, free)
         others = float(w.c[~own].sum())
         for _ in range(6):
             vehicle = problem.corrected(_stepped(problem, fit, step))
@@ -453,28 +621,37 @@ def _explained(a: np.ndarray, own: np.ndarray, size: np.ndarray, columns: np.nda
     return float(cross @ solve(a[np.ix_(columns, columns)], cross)) / total
 
 
-def _drop_useless(problem: Problem, fit: Fit, newest: str, inflation, limits: Thresholds, at_first: float):
+def _drop_useless(
+    problem: Problem, fit: Fit, newest: Sequence[str], inflation, limits: Thresholds, step: _Step
+):
     """Leave out earlier effects that the newest one made useless."""
     dropped = []
-    for name in [n for n in fit.values if n != newest]:
+    for name in [n for n in fit.values if n not in newest]:
         rest = {n: v for n, v in fit.values.items() if n != name}
         smaller = refit(problem, rest, inflation)
+        if name in SCALES and _reference_at_bound(problem, smaller):
+            continue
         with_it = fit.weighted.left_out(fit.index)
         without = smaller.weighted.left_out(smaller.index)
         difference = without - with_it
-        small = all(
-            abs(fit.values[name][p.name] - p.neutral) < p.negligible
-            for p in problem.library[name].parameters
-            if _sized(p)
-        )
+        parameters = problem.library[name].parameters
+        size = np.array([fit.values[name][p.name] - p.neutral if _sized(p) else 0.0 for p in parameters])
+        small = all(abs(fit.values[name][p.name] - p.neutral) < p.negligible for p in parameters if _sized(p))
+        belongs = _corrects(name, rest)
         if (
-            small
+            (small and not belongs)
             or difference.sum() < limits.gain
             or standard_errors(difference) < limits.evidence
-            or difference.sum() < limits.share_more * at_first
+            or (difference.sum() < limits.share_more * step.at_first(name, size) and not belongs)
         ):
             fit, _ = smaller, dropped.append(name)
     return fit, tuple(dropped)
+
+
+def _reference_at_bound(problem: Problem, fit: Fit) -> bool:
+    at, bounds = _at(problem, fit)
+    near = np.minimum(at - bounds[0], bounds[1] - at) < 1e-3 * (bounds[1] - bounds[0])
+    return any(near[k] and not _sized(_parameter(problem, c)) for k, c in enumerate(fit.weighted.columns))
 
 
 def _share(problem: Problem, fit: Fit, name: str, inflation, closable: float) -> float:

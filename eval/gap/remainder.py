@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from inclined_landing.eval.gap.evidence import Problem
+from inclined_landing.eval.gap.evidence import Problem, Values
+from inclined_landing.eval.gap.naming import ENTAILED
 from inclined_landing.eval.gap.prediction import CHANNELS
 from inclined_landing.eval.gap.result import Dependence, Remainder
 
@@ -14,6 +15,8 @@ FLOORS = {"x": 0.03, "y": 0.03, "z": 0.03, "roll": 0.005, "pitch": 0.005, "yaw":
 UNITS = {"x": "m/s2", "y": "m/s2", "z": "m/s2", "roll": "rad", "pitch": "rad", "yaw": "rad"}
 WORTH_TELLING = 0.1  # share of the remainder
 BINS = 8
+# Share of the squared error taken away by an effect of an idealised form that its form may leave.
+FORM = 0.03
 
 
 def sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -23,6 +26,27 @@ def sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.nda
         [np.tile(1.0 / f.whitening.power, (len(x), 1)) for f, x in zip(problem.flights, white)]
     )
     return value, variance
+
+
+def floors_with(problem: Problem, values: Values) -> dict[str, float]:
+    """`FLOORS`, raised by what the idealised form of the effects at `values` is known to leave.
+
+    Effects that entail others are idealised; a turning vehicle couples its loops of roll and pitch, which
+    are predicted apart.
+    """
+    squares = {c: f**2 for c, f in FLOORS.items()}
+    for cause in set(values) & set(ENTAILED):
+        without = problem.corrected({n: v for n, v in values.items() if n != cause})
+        value, variance = sizes(problem, [x[0] for x in problem.white([without])])
+        for k, channel in enumerate(CHANNELS):
+            squares[channel] += FORM * max(0.0, float((value[:, k] ** 2 - variance[:, k]).mean()))
+    drift = values.get("yaw_drift", {}).get("rate", 0.0)
+    if drift:
+        angle = np.concatenate([f.attitude[f.usable, :2] for f in problem.flights])
+        coupled = drift * problem.corrected(values).attitude_time_constant * np.sqrt((angle**2).mean(axis=0))
+        squares["roll"] += float(coupled[1] ** 2)
+        squares["pitch"] += float(coupled[0] ** 2)
+    return {c: float(np.sqrt(s)) for c, s in squares.items()}
 
 
 def assess(problem: Problem, white: list[np.ndarray], floors: dict[str, float] | None = None) -> Remainder:

@@ -29,6 +29,8 @@ LOW_BATTERY = 3.4  # V under load
 REGIMES = ("hover", "climb", "lateral", "attitude_step", "near_surface", "low_battery")
 # Commanded thrust below this share of the hover thrust is no flight.
 IDLE = 0.3
+# Without contacts in the log, rows no higher than this above its lowest one, at its ends, may touch [m].
+LOW = 0.02
 # Least noise believed, where a log is so smooth that its noise cannot be seen: m, rad.
 LEAST_POSITION_NOISE, LEAST_ANGLE_NOISE = 1e-4, 3e-4
 
@@ -195,6 +197,8 @@ def flying(log: FlightLog, vehicle: Vehicle) -> np.ndarray:
     bad |= log.command[:, 0] < IDLE * vehicle.hover_pwm
     if log.contact is not None:
         bad |= log.contact
+    else:
+        bad |= _on_the_ground(log.position[:, 2])
     # At rest at the lowest height while the record begins or ends: standing on the ground.
     height = log.position[:, 2]
     still = np.abs(height - height[0]) < 0.01
@@ -206,6 +210,16 @@ def flying(log: FlightLog, vehicle: Vehicle) -> np.ndarray:
     for k in np.flatnonzero(bad[1:] != bad[:-1]):
         wide[max(0, k - round(0.05 / dt)) : k + 2 + round(0.1 / dt)] = True
     return ~wide
+
+
+def _on_the_ground(height: np.ndarray) -> np.ndarray:
+    """Rows (m,) next to the lowest height as the record begins or ends, when it leads well above that."""
+    low = ~(height > np.nanmin(height) + LOW)
+    result = np.zeros(len(low), bool)
+    if np.nanmedian(height) > np.nanmin(height) + 0.1 and not low.all():
+        result[: int(np.argmin(low))] = True
+        result[len(low) - int(np.argmin(low[::-1])) :] = True
+    return result
 
 
 def _window_starts(usable: np.ndarray, rows: int) -> np.ndarray:
