@@ -29,6 +29,7 @@ Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(met
 Camera = Annotated[str, tyro.conf.arg(metavar="{side,hero,pad,track,chase,closeup,onboard}")]
 Backend = Annotated[str, tyro.conf.arg(metavar="{auto,ray,gl}")]
 LogFiles = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+EffectNames = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME ...]")]
 Mapping = Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")]
 Units = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=UNIT")]
 Flag = tyro.conf.FlagCreatePairsOff[bool]
@@ -472,6 +473,17 @@ def gap_real(
     run.run(data, out, only=only, vehicle=vehicle)
 
 
+def effects(names: EffectNames = (), /) -> None:
+    """The physical effects that a model may lack: formula, size, where they show, what to do about them.
+
+    Args:
+        names: these in detail (default: all in one table).
+    """
+    from inclined_landing.eval import effects as module
+
+    module.show(names)
+
+
 COMMANDS = {
     "success": success,
     "touchdown": touchdown,
@@ -484,6 +496,7 @@ COMMANDS = {
     "equivalence": equivalence,
     "contact": contact,
     "contact-truth": contact_truth,
+    "effects": effects,
     "logs": logs,
     "identify": identify,
     "gap": gap,
@@ -499,7 +512,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = tyro.extras.subcommand_cli_from_dict(
             COMMANDS,
             prog="landing-eval",
-            description="Evaluate policies: success tables, pictures, benchmarks.",
+            description="Evaluate policies and models: success, pictures, equivalence, contact, measured flights.",
             args=arguments,
         )
     except UserError as error:

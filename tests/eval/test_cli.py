@@ -16,6 +16,7 @@ from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import benchmark, cli, doctor, policy
 from inclined_landing.eval.plain_env import PlainLandingEnv
 from inclined_landing.models import plugins
+from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plant import make_plant
@@ -229,3 +230,13 @@ def test_time_to_99_reads_run_folders(tmp_path):
     (tmp_path / "a" / "metrics.json").write_text("{}")
     with pytest.raises(UserError, match="is not the metrics of a training run"):
         benchmark.time_to_99(folders)
+
+
+def test_the_effects_are_listed_and_explained(capsys):
+    assert cli.main(["effects"]) == 0
+    printed = capsys.readouterr().out
+    assert all(name in printed for name in LIBRARY)
+    assert cli.main(["effects", "ground_effect"]) == 0
+    assert "Cheeseman" in capsys.readouterr().out
+    assert cli.main(["effects", "nonsense"]) == 2
+    assert "unknown effect 'nonsense'" in capsys.readouterr().err

@@ -1,0 +1,59 @@
+"""The library of effects as tables: `landing-eval effects`."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.table import Table
+
+from inclined_landing.models.effects import LIBRARY, Effect
+from inclined_landing.models.errors import UserError
+
+
+def show(names: tuple[str, ...]) -> None:
+    """Print all effects in one table, or those in `names` with everything that is known of them.
+
+    Raises UserError for an unknown name.
+    """
+    for name in names:
+        if name not in LIBRARY:
+            raise UserError(f"unknown effect {name!r}; known are {', '.join(LIBRARY)}")
+    console = Console()
+    if not names:
+        console.print(_overview())
+        console.print("landing-eval effects NAME tells more", highlight=False)
+    for name in names:
+        console.print(_sheet(LIBRARY[name]))
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit
+
+
+def _numbers(effect: Effect) -> str:
+    return "\n".join(f"{p.name} {p.plausible:g} {_unit(p.unit)}" for p in effect.parameters)
+
+
+def _overview() -> Table:
+    table = Table("effect", "formula", "a plausible size", "shows in", box=None, header_style="bold")
+    for effect in LIBRARY.values():
+        table.add_row(effect.name, effect.formula, _numbers(effect), ", ".join(effect.regimes))
+    return table
+
+
+def _sheet(effect: Effect) -> Table:
+    table = Table(title=effect.name, title_justify="left", show_header=False, box=None)
+    parameters = "\n".join(
+        f"{p.name} [{p.unit}]: neutral {p.neutral:g}, plausible {p.plausible:g}, from {p.bounds[0]:g} to "
+        f"{p.bounds[1]:g}, negligible within {p.negligible:g}"
+        for p in effect.parameters
+    )
+    table.add_row("what", effect.description)
+    table.add_row("formula", effect.formula)
+    table.add_row("source", effect.source)
+    table.add_row("parameters", parameters)
+    table.add_row("shows in", ", ".join(effect.regimes))
+    table.add_row("confused with", ", ".join(effect.confused_with))
+    table.add_row("remedy", effect.remedy)
+    if effect.requires:
+        table.add_row("needs in the log", ", ".join(effect.requires))
+    return table
