@@ -512,7 +512,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = tyro.extras.subcommand_cli_from_dict(
             COMMANDS,
             prog="landing-eval",
-            description="Evaluate policies and models: success, pictures, equivalence, contact, measured flights.",
+            description="Evaluate policies and models: success, pictures, contact, measured flights.",
             args=arguments,
         )
     except UserError as error:

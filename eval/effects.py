@@ -34,7 +34,9 @@ def _numbers(effect: Effect) -> str:
 
 
 def _overview() -> Table:
-    table = Table("effect", "formula", "a plausible size", "shows in", box=None, header_style="bold")
+    table = Table(box=None, header_style="bold")
+    for title in ("effect", "formula", "a plausible size", "shows in"):
+        table.add_column(title, no_wrap=title == "effect")
     for effect in LIBRARY.values():
         table.add_row(effect.name, effect.formula, _numbers(effect), ", ".join(effect.regimes))
     return table
