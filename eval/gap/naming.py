@@ -25,9 +25,7 @@ class Thresholds:
     evidence: float = 4.5  # standard errors of the gain over windows left out
     gain: float = 30.0  # decrease of the white squared error, over all windows
     share: float = 0.06  # of what the whole library could close at the first step
-    share_more: float = 0.0007  # the same for effects beside others, in the channels where they show
-    most_of_it: float = 0.5  # share of what is left that needs no share of the first step
-    sure: float = 6.0  # standard errors that go with it
+    share_more: float = 0.0015  # the same for effects beside others, in the channels where they show
     nearly_all: float = 0.9  # share of what is left that needs fewer standard errors
     evidence_all: float = 3.0  # those
     share_entailed: float = 0.30  # below which an effect follows from one that entails it
@@ -36,7 +34,7 @@ class Thresholds:
     spread: float = 0.45  # between flights, as a share of the parameter's distance from neutral
     alike: float = 0.98  # R2 above which two effects are one class
     overlap: float = 0.3  # R2 above which an effect explains the same as one that was refused
-    simpler: float = 0.04  # share of the gain that a further parameter must add
+    simpler: float = 0.025  # share of the gain that a further parameter must add
     most: int = 5  # effects
     shortlist: int = 6
 
@@ -68,6 +66,9 @@ PAIR_GAIN = 1.3  # linear gain of a pair over that of its better half that makes
 SHOWS = 9.0
 # An additive effect with so little of its range on the other side of neutral has one sign only.
 ONE_SIDED = 0.1
+# Effects whose reference scales the thrust as well, and the share of the first step their form may leave.
+BATTERY = {"battery_sag", "battery_voltage"}
+FORM_LEAVES = 0.02
 # Effects that scale the thrust as a whole.
 SCALES = {"thrust_scale", "thrust_bias", "mass"}
 # Channels that are judged together.
@@ -188,6 +189,7 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
     steps, evidence, classes, follows, unstable, gained = [], {}, {}, {}, [], {}
     closable_at_first, first_by_channel = None, np.zeros(6)
     inflation = np.ones(6)
+    useless: set[str] = set()  # beside what was found later: not tried again, lest they take turns
     for _ in range(limits.most + 1):
         linear = problem.linearise(fit.values, problem.columns(fit.values, names))
         inflation = linear.inflation()
@@ -197,7 +199,7 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
         everything = np.arange(len(weighted.columns))
         change = weighted.fit(everything)
         closable = max(1e-9, float(before.sum() - weighted.left(everything, change).sum()))
-        others = [n for n in names if n not in fit.values]
+        others = [n for n in names if n not in fit.values and n not in useless]
         linear_gain = {
             n: float((before - weighted.left_out(np.concatenate([base, weighted.index([n])]))).sum())
             for n in others
@@ -230,7 +232,7 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
                 accepted = (name,)
                 break
             # A worse explanation of the same error must not slip in where the best one was refused.
-            if trials[name].gain > limits.gain and reasons[name].startswith("differs"):
+            if trials[name].gain > limits.gain and reasons[name].startswith(("differs", "negligible")):
                 refused.append(name)
         if not accepted:
             accepted, trial = _pair(step, before, linear_gain, limits)
@@ -249,6 +251,7 @@ def search(problem: Problem, limits: Thresholds | None = None) -> Search:
             members += classes[name]
         if accepted:
             fit, dropped = _drop_useless(problem, trial.fit, accepted, inflation, limits, step)
+            useless.update(dropped)
         rows = tuple(
             _row(n, trials.get(n), linear_gain[n], closable, members, reasons.get(n))
             for n in ranked + [n for n in order if n not in ranked]
@@ -474,8 +477,10 @@ def objection(problem, name, trial: Trial, closable, at_first, limits: Threshold
     if not any(large):
         return "negligible"
     least = limits.share_more if found else limits.share
-    sure = found and share > limits.most_of_it and trial.evidence > limits.sure
-    if trial.gain < least * at_first and not sure:
+    # The reference of a battery carries an overall factor already: what more there is, is its form.
+    if name in SCALES and set(found) & BATTERY:
+        least = min(limits.share, FORM_LEAVES)
+    if trial.gain < least * at_first:
         return f"explains {100 * share:.0f} % only"
     if disagreement(problem, trial.fit, name) > limits.spread:
         return "differs between flights"
