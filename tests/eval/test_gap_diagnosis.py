@@ -8,8 +8,8 @@ import pytest
 from inclined_landing.eval.gap import diagnose, measure_gap
 from inclined_landing.eval.gap.evidence import Problem
 from inclined_landing.eval.gap.identify import identify, static_map
-from inclined_landing.eval.gap.naming import spread_between
-from inclined_landing.eval.gap.windows import measurement_noise, prepare
+from inclined_landing.eval.gap.naming import _bounded_step, spread_between
+from inclined_landing.eval.gap.windows import _on_the_ground, measurement_noise, prepare
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import analytic, effects
 from inclined_landing.models.effects import LIBRARY
@@ -267,3 +267,32 @@ def test_static_map_fits_into_a_vehicle_file():
             np.ones(3), np.zeros(3), np.eye(3), lag, pwm, ambient, analytic.pack(v), neutral(1)[0], out
         )
         assert out[2] == pytest.approx(4 * (a * pwm**2 + b * pwm + c), rel=1e-9)
+
+
+def test_late_but_quick_attitude_loop_is_two_effects():
+    hidden = {"attitude_delay": {"delay": 0.05}, "attitude_time_constant": {"scale": 0.6}}
+    values = quick(flights(hidden, seed=7)).values()
+    assert set(values) == set(hidden)
+    assert values["attitude_delay"]["delay"] == pytest.approx(0.05, abs=0.005)
+    assert values["attitude_time_constant"]["scale"] == pytest.approx(0.6, rel=0.05)
+
+
+def test_weak_effects_beside_a_grossly_wrong_thrust():
+    hidden = {"thrust_scale": {"scale": 0.6}, "attitude_gain": {"scale": 0.95}}
+    values = quick(flights(hidden, seed=8)).values()
+    assert values["attitude_gain"]["scale"] == pytest.approx(0.95, abs=0.01)
+
+
+def test_rows_on_the_ground_are_no_free_flight():
+    height = np.concatenate([np.full(20, 0.054), np.linspace(0.06, 1.0, 100), np.full(300, 1.0)])
+    assert _on_the_ground(height)[:20].all()
+    assert not _on_the_ground(height)[30:].any()
+    assert not _on_the_ground(np.full(100, 1.0) + 1e-3).any()
+
+
+def test_what_would_leave_its_bounds_is_held_and_the_others_solved():
+    a, b = np.array([[1.0, 0.9], [0.9, 1.0]]), np.array([1.0, 0.0])
+    bounds = np.array([[-10.0, -1.0], [10.0, 1.0]])
+    step = _bounded_step(a, a, b, np.zeros(2), bounds, np.ones(2, bool))
+    assert step == pytest.approx([1.9, -1.0])
+    assert _bounded_step(a, a, b, np.zeros(2), bounds, np.array([True, False])) == pytest.approx([1.0, 0.0])
