@@ -44,8 +44,12 @@ MISMATCH = (0.0010, 0.0005, 0.0003, 0.010, 0.016, 0.006)
 OFFSET = (0.0030, 0.0008, 0.0004, 0.008, 0.005, 0.012)
 # Mean error, drawn in, above which landings are not explained; it is 0.7 to 0.76 where nothing is hidden.
 UNEXPLAINED = 0.95
+MATCHED = 0.77  # the same, below which no second effect is looked for
 REFITTED = 2  # effects of every step
 TIED = 0.7  # standard errors by which the best must beat an effect that is told from it
+# Effects not named beside another, because MuJoCo couples what feet do not: its friction answers within
+# 1/damping of the contact, so that vehicles with less damping slide further than feet do.
+COUPLED = {"contact_damping": ("friction",)}
 SCAN = (-2.0, -1.0, -0.4, 0.4, 1.0, 2.0)  # times the plausible deviation
 SCAN_SCALE = (0.27, 0.4, 0.6, 0.8, 1.25, 1.7, 2.5, 3.6)  # scales instead
 STEPS = 2.0  # difference quotients over this many times a parameter's negligible size
@@ -200,15 +204,16 @@ class TouchdownProblem:
         return {float(x): self._cells(name, float(x), values) for x in grid if lo <= x <= hi}
 
     def refined(self, name: str, values: Values, left: dict[float, np.ndarray]) -> dict[str, float]:
-        """The value of least squared error: twice the vertex of a parabola through the best three."""
+        """The value of least squared error: the neighbourhood halved twice, then the vertex of a parabola."""
         left = {x: float(c.sum()) for x, c in left.items()}
         for _ in range(2):
-            x = np.array(sorted(left))
-            k = int(np.clip(np.argmin([left[v] for v in x]), 1, len(x) - 2))
-            a, b, _ = np.polyfit(x[k - 1 : k + 2] - x[k], [left[v] for v in x[k - 1 : k + 2]], 2)
-            if a <= 0:
-                break
-            vertex = float(np.clip(x[k] - 0.5 * b / a, x[k - 1], x[k + 1]))
+            for middle in _between(left):
+                left[middle] = float(self._cells(name, middle, values).sum())
+        x = np.array(sorted(left))
+        k = int(np.clip(np.argmin([left[v] for v in x]), 1, len(x) - 2))
+        a, b, _ = np.polyfit(x[k - 1 : k + 2] - x[k], [left[v] for v in x[k - 1 : k + 2]], 2)
+        vertex = float(x[k] - 0.5 * b / a) if a > 0 else float(x[k])
+        if x[k - 1] < vertex < x[k + 1] and vertex not in left:
             left[vertex] = float(self._cells(name, vertex, values).sum())
         return {self.library[name].parameters[0].name: min(left, key=left.get)}
 
@@ -347,7 +352,10 @@ def name_contact(
     fit = refit(problem, {}, noise)
     found = Search(fit, [], noise, 1.0, {}, {}, {}, {}, [])
     total = fit.squares
+    size = 6 * problem.rows.sum()
     for _ in range(limits.most):
+        if fit.values and fit.squares < MATCHED * size:
+            break
         before = problem.cells(problem.corrected(fit.values))
         scans = {n: problem.scan(n, fit.values) for n in problem.library if n not in fit.values}
         best_of = {n: min(cells.values(), key=np.sum) for n, cells in scans.items()}
@@ -366,6 +374,8 @@ def name_contact(
         reasons[best] = objection(
             problem, best, trials[best], closable, max(found.closable, closable), limits, fit.values
         )
+        if any(best in COUPLED.get(name, ()) for name in fit.values):
+            reasons[best] = "coupled with contact damping in MuJoCo"
         accepted = None if reasons[best] else best
         alike = []
         if accepted:
@@ -401,8 +411,15 @@ def name_contact(
         found.evidence[best], found.classes[best] = trials[best].evidence, tuple(alike)
         found.gains[best] = float(np.clip(trials[best].gain / total, 0.0, 1.0))
     found.fit = fit
-    found.unexplained = fit.squares > UNEXPLAINED * 6 * problem.rows.sum()
+    found.unexplained = fit.squares > UNEXPLAINED * size
     return problem, found
+
+
+def _between(left: Mapping[float, float]) -> list[float]:
+    """Middles between the key of the least value and its neighbours."""
+    x = sorted(left)
+    k = min(range(len(x)), key=lambda i: left[x[i]])
+    return [0.5 * (x[k] + x[i]) for i in (k - 1, k + 1) if 0 <= i < len(x)]
 
 
 def _neutral(problem: TouchdownProblem, name: str) -> float:

@@ -5,7 +5,8 @@ import pytest
 
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.blind.generate import landings, logs
-from inclined_landing.eval.gap.touchdown import landings_of
+from inclined_landing.eval.gap.touchdown import landings_of, name_contact, sag
+from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 
 VEHICLE = load_vehicle()
@@ -29,6 +30,34 @@ def test_landings_are_found_with_their_start_states(higher):
         path = log.position[landing.first - 2 : landing.first + 3].mean(axis=0)
         assert landing.start[:3] == pytest.approx(path, abs=2e-3)
         assert np.all(landing.deviation > 0)
+
+
+def test_errors_of_known_covariance_come_out_white(higher):
+    """Drawn with the inverse of what whitens them, they are independent with unit variance."""
+    landing = landings_of(higher[0][:1], VEHICLE)[0]
+    draws = np.random.default_rng(0).standard_normal((400, len(landing.compared)))
+    for whiten in landing.whiten:
+        errors = draws @ np.linalg.inv(whiten).T
+        assert ((errors @ whiten.T) ** 2).mean() == pytest.approx(1.0, abs=0.05)
+    # The resting pose is known less well than the approach along the slope, where feet slide.
+    assert landing.deviation[-1, 0] > 1.5 * landing.deviation[0, 0]
+
+
+def test_softer_feet_give_way_under_the_weight():
+    soft = LIBRARY["contact_stiffness"].apply(VEHICLE, {"scale": 0.5})
+    assert np.array(sag(soft)) == pytest.approx(2.0 * np.array(sag(VEHICLE)))
+    assert sag(VEHICLE)[0] == pytest.approx(9.81 * VEHICLE.contact_solref[0] ** 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "cause, size, seed",
+    [("contact_stiffness", "strong", 403), ("contact_damping", "strong", 403), (None, None, 415)],
+)
+def test_springs_and_dampers_are_told_apart(cause, size, seed):
+    recordings, _ = landings(cause, size, seed=seed)
+    _, found = name_contact(landings_of(logs(recordings, contact=True), VEHICLE), VEHICLE, LIBRARY)
+    assert list(found.fit.values) == ([cause] if cause else [])
 
 
 @pytest.mark.slow
