@@ -344,8 +344,10 @@ def _most_plausible(problem: Problem, fit: Fit, inflation, limits: Thresholds, t
             values = {(other if n == name else n): v for n, v in fit.values.items()}
             new = refit(problem, values | {other: dict(problem.library[other].neutral)}, inflation)
             worse = new.weighted.left_out(new.index) - fit.weighted.left_out(fit.index)
+            # Left out is linear: a fit that stopped in a long valley would seem as good as its other end.
+            loss = max(float(worse.sum()), new.squares - fit.squares)
             if (
-                worse.sum() < limits.gain + (1.0 - limits.alike) * gained[name]
+                loss < limits.gain + (1.0 - limits.alike) * gained[name]
                 and standard_errors(worse) < limits.evidence
                 and unusual(problem, new.values) < unusual(problem, best.values)
             ):
