@@ -1,4 +1,4 @@
-"""What a blind set consists of, and what counts as right: fixed on development sets, before a fresh one is drawn.
+"""What a blind set consists of, and what counts as right: fixed on development sets before a fresh one.
 
 Strata (cases in a full set): every effect weak, medium and strong; pairs; nothing hidden; causes that no
 library effect describes; three flights only; three times the noise; mass and drag 10 % off besides the cause;
