@@ -11,7 +11,14 @@ from scipy import stats
 
 from inclined_landing.eval.gap import manoeuvres, remainder, rollout, touchdown
 from inclined_landing.eval.gap.evidence import Problem
-from inclined_landing.eval.gap.naming import Search, Thresholds, left_out_vehicles, search, spread_between
+from inclined_landing.eval.gap.naming import (
+    Search,
+    Thresholds,
+    left_out_vehicles,
+    refit,
+    search,
+    spread_between,
+)
 from inclined_landing.eval.gap.prediction import CHANNELS
 from inclined_landing.eval.gap.result import (
     Diagnosis,
@@ -194,15 +201,16 @@ def merge_delays(problem: Problem, found: Search) -> Search:
     )
     if abs(a - b) > max(0.003, 2.5 * error):
         return found
-    from inclined_landing.eval.gap.naming import refit
-
     merged = {k: v for k, v in values.items() if k not in ("thrust_delay", "attitude_delay")}
     merged["mocap_delay"] = {"delay": 0.5 * (a + b)}
     fit = refit(problem, merged, found.inflation)
     gain = found.gains["thrust_delay"] + found.gains["attitude_delay"]
     evidence = max(found.evidence["thrust_delay"], found.evidence["attitude_delay"])
     drop = ("thrust_delay", "attitude_delay")
-    keep = lambda d: {k: v for k, v in d.items() if k not in drop}  # noqa: E731
+
+    def keep(table: dict) -> dict:
+        return {name: value for name, value in table.items() if name not in drop}
+
     return dataclasses.replace(
         found,
         fit=fit,

@@ -17,7 +17,7 @@ import numba
 import numpy as np
 from scipy.linalg import expm
 
-from inclined_landing.models.analytic import AMBIENT_SIZE, pack, wrench
+from inclined_landing.models.analytic import _INERTIA, _SPIN_DOWN, AMBIENT_SIZE, pack, wrench
 from inclined_landing.models.attitude import PWM, euler_rates, rotation, tilted
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import NEUTRAL
@@ -110,8 +110,8 @@ def _translate(position, velocity, attitude_matrix, attitude, pwm, ambient, c, d
     for k in range(pwm.shape[0]):
         u = pwm[k]
         rate = c[2]
-        if c[35] != 0.0 and u < c[2] * lag:  # spins down slower, with that effect
-            rate /= 1.0 + c[35]
+        if c[_SPIN_DOWN] != 0.0 and u < c[2] * lag:  # spins down slower, with that effect
+            rate /= 1.0 + c[_SPIN_DOWN]
         steady = u / c[2]
         decay = np.exp(-rate * dt)
         mean = steady + (lag - steady) * (1.0 - decay) / (rate * dt)
@@ -127,7 +127,7 @@ def _translate(position, velocity, attitude_matrix, attitude, pwm, ambient, c, d
             out[k + 1, i] = p[i]
         if f[3] != 0.0 or f[4] != 0.0:
             twist[k, 0], twist[k, 1], twist[k, 2] = euler_rates(
-                attitude[k, 0], attitude[k, 1], f[3] / c[18], f[4] / c[19], 0.0
+                attitude[k, 0], attitude[k, 1], f[3] / c[_INERTIA], f[4] / c[_INERTIA + 1], 0.0
             )
 
 

@@ -17,7 +17,7 @@ EFFECTS = (
         name="attitude_gain",
         description="The steady roll and pitch angles are another share of the commanded ones.",
         formula="d(angle)/dt = (scale gain command - angle)/time_constant",
-        source="Kooi and Babuska 2021: k = 1.1094 identified in flight; about 0.91 in the utias_fmpc flights",
+        source="Kooi and Babuska 2021: k identified in flight; about 0.89 in the utias_fmpc flights",
         parameters=(Parameter("scale", "1", 1.0, (0.4, 1.8), 0.9, 0.01),),
         regimes=("attitude_step", "lateral"),
         confused_with=("attitude_time_constant", "attitude_trim"),

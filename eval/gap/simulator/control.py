@@ -2,7 +2,7 @@
 
 The flight controller is cascaded: an attitude loop with a derivative term asks for body rates, a rate loop
 asks for torques, whose derivative cancels the motors' lag, and the mixer asks for four thrusts. It has no
-integral terms: the paper's identified loop, with its steady gain of 1.1094, has none either.
+integral terms: the paper's identified loop, with a steady gain above one, has none either.
 """
 
 import math
