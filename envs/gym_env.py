@@ -28,7 +28,7 @@ from inclined_landing.envs.tasks import landing, make_task, setpoint, touchdown
 from inclined_landing.models import geometry
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plant import make_plant
+from inclined_landing.models.plants import make_plant
 
 _HISTORY = "\nVersion history: v0.\n"
 _METADATA = {"render_modes": ["rgb_array"], "render_fps": 50}

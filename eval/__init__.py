@@ -1,1 +1,1 @@
-"""Success tables, figures, videos and the `landing-eval` command."""
+"""Evaluation, in rooms: each holds the commands of `landing-eval` that it is named for."""

@@ -66,7 +66,7 @@ def success(
         json: print JSON, and nothing else, on standard output.
         out: new folder for success.json and (without effects) flights.csv.
     """
-    from inclined_landing.eval import success
+    from inclined_landing.eval.policies import success
 
     success.run(
         policy,
@@ -101,7 +101,7 @@ def touchdown(
         json: print JSON, and nothing else, on standard output.
         out: new folder for touchdown.json.
     """
-    from inclined_landing.eval import touchdown
+    from inclined_landing.eval.policies import touchdown
 
     touchdown.run(policy, baseline, friction=friction, restitution=restitution, json=json, out=out)
 
@@ -112,7 +112,7 @@ def doctor(json: Flag = False) -> int:
     Args:
         json: print JSON, and nothing else, on standard output.
     """
-    from inclined_landing.eval import doctor
+    from inclined_landing.eval.machine import doctor
 
     return doctor.run(json=json)
 
@@ -137,7 +137,7 @@ def benchmark(
         json: print JSON, and nothing else, on standard output.
         out: new folder for benchmark.json.
     """
-    from inclined_landing.eval import benchmark
+    from inclined_landing.eval.machine import benchmark
 
     benchmark.run(
         policy=policy,
@@ -170,7 +170,7 @@ def figure(
         plant: the physics to fly in.
         inclination: of the platform in degrees, where it differs from the training's.
     """
-    from inclined_landing.eval import pictures
+    from inclined_landing.eval.pictures import commands as pictures
 
     files = pictures.figure(policy, out, start, task=task, plant=plant, inclination=inclination)
     print(*files, sep="\n")
@@ -212,7 +212,7 @@ def video(
         plant: the physics to fly in.
         inclination: of the platform in degrees, where it differs from the training's.
     """
-    from inclined_landing.eval import pictures
+    from inclined_landing.eval.pictures import commands as pictures
 
     flown = {"task": task, "plant": plant, "inclination": inclination}
     look = {"camera": camera, "width": width, "height": height, "backend": backend}
@@ -247,7 +247,7 @@ def picture(
         plant: the physics to fly in.
         inclination: of the platform in degrees, where it differs from the training's.
     """
-    from inclined_landing.eval import pictures
+    from inclined_landing.eval.pictures import commands as pictures
 
     flown = {"task": task, "plant": plant, "inclination": inclination}
     look = {"camera": camera, "width": width, "height": height, "backend": backend}
@@ -265,7 +265,7 @@ def curves(
         runs: run folders of landing-train.
         out: .png or .pdf file.
     """
-    from inclined_landing.eval import pictures
+    from inclined_landing.eval.pictures import commands as pictures
 
     print(pictures.curves(runs, out))
 
@@ -287,7 +287,7 @@ def contact(
         address: of a running Ray cluster; without it, Ray is started on this machine.
         resume: go on with the study that was interrupted in this folder.
     """
-    from inclined_landing.eval.studies import run
+    from inclined_landing.eval.landings import run
 
     run.run(study, out, engine=engine, address=address, resume=resume)
 
@@ -306,7 +306,7 @@ def equivalence(
         seed: of commands and states.
         quick: fewer commands, states and starts.
     """
-    from inclined_landing.eval.equivalence import report
+    from inclined_landing.eval.truth.equivalence import report
 
     return report.run(policy, out, seed=seed, quick=quick)
 
@@ -328,7 +328,7 @@ def contact_truth(
         restitution: of your own setting, 0 to 0.6; together with the contact time.
         contact_time: of your own setting in seconds, 0.012 to 0.02.
     """
-    from inclined_landing.eval.contact import report
+    from inclined_landing.eval.truth.contact_truth import report
 
     report.run(out, flights, friction=friction, restitution=restitution, contact_time=contact_time)
 
@@ -376,7 +376,7 @@ def gap(
         unit: of a column that states none, roll=deg for example; repeat the option for more.
         platform: the slab of the vehicle file stood in the arena (known from logs with contacts).
     """
-    from inclined_landing.eval.gap import cli
+    from inclined_landing.eval.gap import command as cli
 
     cli.run(
         files,
@@ -409,7 +409,7 @@ def gap_blind(
         keep: keep the flights, some 3 MB a case.
         processes: cases diagnosed at a time.
     """
-    from inclined_landing.eval.gap.blind import run
+    from inclined_landing.eval.proof.gap_blind import run
 
     run.run(set, seed, out, cases=cases, methods=method, keep=keep, processes=processes)
 
@@ -435,7 +435,7 @@ def identify(
         unit: of a column that states none, roll=deg for example; repeat the option for more.
         platform: the slab of the vehicle file stood in the arena.
     """
-    from inclined_landing.eval.gap import cli
+    from inclined_landing.eval.gap import command as cli
 
     cli.identify(files, out, heldout=heldout, vehicle=vehicle, mapping=mapping, units=unit, platform=platform)
 
@@ -447,7 +447,7 @@ def gap_example(out: OutFolder, seed: int = 0) -> None:
         out: new folder for fit/*.csv and heldout/*.csv.
         seed: of paths and noise.
     """
-    from inclined_landing.eval.gap import example
+    from inclined_landing.eval.proof import gap_example as example
 
     example.run(out, seed)
 
@@ -468,7 +468,7 @@ def gap_real(
             crazypad, arp_sysid.
         vehicle: vehicle file (TOML), where the model differs from the shipped one.
     """
-    from inclined_landing.eval.gap.real import run
+    from inclined_landing.eval.proof.gap_real import run
 
     run.run(data, out, only=only, vehicle=vehicle)
 
@@ -479,7 +479,7 @@ def effects(names: EffectNames = (), /) -> None:
     Args:
         names: these in detail (default: all in one table).
     """
-    from inclined_landing.eval import effects as module
+    from inclined_landing.eval.gap import effects as module
 
     module.show(names)
 

@@ -11,7 +11,7 @@ import tyro
 
 from inclined_landing.envs.tasks import TASKS
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.plant import PLANTS
+from inclined_landing.models.plants import PLANTS
 from inclined_landing.models.scene import INTEGRATORS
 
 # What a field left at None becomes, by task; None is every other task.

@@ -10,7 +10,7 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import Task, make_task
-from inclined_landing.models.plant import Snapshot, make_plant
+from inclined_landing.models.plants import Snapshot, make_plant
 from inclined_landing.train.config import TrainConfig
 
 # Saved policies must not drag training code along: the schedule is set anew by the callback.

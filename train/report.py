@@ -6,10 +6,12 @@ from pathlib import Path
 
 from rich.console import Console
 
+from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks.landing import Conditions
-from inclined_landing.eval import pictures, runs, success, success_table, touchdown
-from inclined_landing.eval.figures import curriculum_figure, learning_curves, save_figure
-from inclined_landing.eval.policy import load_policy
+from inclined_landing.eval.pictures import commands as pictures
+from inclined_landing.eval.pictures.figures import curriculum_figure, learning_curves, save_figure
+from inclined_landing.eval.policies import success, success_table, touchdown
+from inclined_landing.models import storage
 from inclined_landing.train.curriculum import AdaptiveCurriculum, PaperCurriculum
 
 THRUST_SCALES = (1.0, 1.05, 0.95)
@@ -27,12 +29,12 @@ def report(folder: Path, metrics: dict) -> None:
     landing = metrics["config"]["task"] == "landing"
     final = folder / "final.zip"
     table = success.evaluate(load_policy(final), thrust_scales=THRUST_SCALES if landing else (1.0,))
-    runs.write_json(folder / "success.json", table)
+    storage.write_json(folder / "success.json", table)
     metrics["success"] = {"final": _headline(table, landing)}
     if (folder / "best.zip").exists():
         best = success.evaluate(load_policy(folder / "best.zip"))
         metrics["success"]["best"] = _headline(best, landing)
-    runs.write_json(folder / "metrics.json", metrics)
+    storage.write_json(folder / "metrics.json", metrics)
     save_figure(learning_curves([folder]), folder / "learning_curves.png")
     if landing:
         save_figure(curriculum_figure(stages(metrics["config"]["curriculum"])), folder / "curriculum.png")
@@ -48,9 +50,9 @@ def _touchdown(folder: Path, metrics: dict) -> None:
     """touchdown.json, learning curves, video and picture of `final.zip`."""
     final = folder / "final.zip"
     table = touchdown.evaluate(load_policy(final), load_policy(metrics["config"]["start_from"]))
-    runs.write_json(folder / "touchdown.json", table)
+    storage.write_json(folder / "touchdown.json", table)
     metrics["success"] = {"final": touchdown.overall(table, "touchdown")}
-    runs.write_json(folder / "metrics.json", metrics)
+    storage.write_json(folder / "metrics.json", metrics)
     save_figure(learning_curves([folder]), folder / "learning_curves.png")
     pictures.video(str(final), folder / "touchdown.mp4", _FILM_STARTS, gif=True)
     pictures.picture(str(final), folder / "picture.png")

@@ -25,22 +25,17 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 
+from inclined_landing.envs.flights import record_flight, record_flights
+from inclined_landing.envs.policy import Policy, load_policy, stamp
 from inclined_landing.envs.tasks import touchdown
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.envs.tasks.landing import PAPER_STARTS
-from inclined_landing.eval import runs
-from inclined_landing.eval.flights import record_flight, record_flights
-from inclined_landing.eval.policy import Policy, load_policy, stamp
+from inclined_landing.eval.base import runs
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.plant import make_plant
+from inclined_landing.models.plants import make_plant
 from inclined_landing.train import ppo, warm_start
-from inclined_landing.train.callbacks import (
-    Clock,
-    CriticFirst,
-    CurriculumCallback,
-    Every,
-    ProgressCallback,
-)
+from inclined_landing.train.callbacks import Clock, CriticFirst, CurriculumCallback, Every, ProgressCallback
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.curriculum import make_curriculum
 
@@ -81,7 +76,7 @@ class Run:
         else:
             if teacher is not None:
                 warm_start.teach_cut(self.model, self.env.env, teacher, config.seed)
-            runs.write_json(self.folder / "run.json", self._record())
+            storage.write_json(self.folder / "run.json", self._record())
         self.clock = Clock(spent)
         self._judge = _Judge(config, self.env.env.task.vehicle)
 
@@ -144,7 +139,7 @@ class Run:
 
     def save_policy(self, path: Path) -> None:
         """Write the present policy with its stamp."""
-        with runs.atomic(path) as part:
+        with storage.atomic(path) as part:
             ppo.save_model(self.model, part)
             stamp(part, self.stamp())
 
@@ -180,7 +175,7 @@ class Run:
 
     def film(self, iteration: int) -> None:
         """A video of one flight."""
-        from inclined_landing.eval.video import render_flight, write_video
+        from inclined_landing.eval.pictures.video import render_flight, write_video
 
         self.clock.switch("video")
         policy = self._policy()
@@ -211,10 +206,10 @@ class Run:
             "evaluations": self.evaluations,
             "spent": dict(self.clock.spent),
         }
-        with runs.atomic(self.folder / CHECKPOINT) as part:
+        with storage.atomic(self.folder / CHECKPOINT) as part:
             torch.save(saved, part)
         for name, rows in (("learning", self.history), ("evaluations", self.evaluations)):
-            runs.write_text(self.folder / f"{name}.csv", pd.DataFrame(rows).to_csv(index=False))
+            storage.write_text(self.folder / f"{name}.csv", pd.DataFrame(rows).to_csv(index=False))
 
     def _policy(self) -> Policy:
         path = self.folder / ".current.zip"
@@ -315,5 +310,5 @@ def train(config: TrainConfig) -> tuple[Path, dict]:
     """Run a configuration to its end; returns the run folder and the metrics."""
     run = Run(config)
     metrics = run.execute()
-    runs.write_json(run.folder / "metrics.json", metrics)
+    storage.write_json(run.folder / "metrics.json", metrics)
     return run.folder, metrics

@@ -14,9 +14,9 @@ import torch
 from stable_baselines3 import PPO
 
 from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.touchdown import IDLE_ACTION, Conditions
-from inclined_landing.eval.policy import Policy
 from inclined_landing.models.attitude import X, Z
 from inclined_landing.models.errors import UserError
 

@@ -14,7 +14,7 @@ import numpy as np
 from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
-from inclined_landing.models.plant import Contacts
+from inclined_landing.models.plants import Contacts
 
 
 @dataclasses.dataclass

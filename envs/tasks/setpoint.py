@@ -30,15 +30,7 @@ import dataclasses
 import numpy as np
 
 from inclined_landing.envs.tasks.base import Judgement, Start, hover_states, resolve_pwm_centre
-from inclined_landing.models.attitude import (
-    PITCH,
-    PITCH_COMMAND,
-    PWM,
-    ROLL,
-    ROLL_COMMAND,
-    VX,
-    VZ,
-)
+from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, ROLL, ROLL_COMMAND, VX, VZ
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 _COLUMNS = [0, 1, 2, 3, 4, 5, ROLL, PITCH]

@@ -4,8 +4,8 @@
 shows the gap before and after.
 """
 
-from inclined_landing.eval.gap.diagnosis import diagnose
+from inclined_landing.eval.gap.answer.diagnosis import diagnose
 from inclined_landing.eval.gap.result import Diagnosis
-from inclined_landing.eval.gap.rollout import measure_gap
+from inclined_landing.eval.gap.search.rollout import measure_gap
 
 __all__ = ["Diagnosis", "diagnose", "measure_gap"]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from inclined_landing.eval import runs
 from inclined_landing.eval.logs.checks import check_fleet, check_log
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
 from inclined_landing.eval.logs.read import read_log
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 
@@ -27,7 +27,7 @@ def run(
     fleet = check_fleet(logs) if len(logs) > 1 else ()
     if json:
         flights = [_plain(file, log, findings) for file, (log, findings) in zip(files, reports)]
-        print(runs.to_json({"flights": flights, "together": [_finding(f) for f in fleet]}))
+        print(storage.to_json({"flights": flights, "together": [_finding(f) for f in fleet]}))
     else:
         for file, (log, findings) in zip(files, reports):
             print(_words(file, log, findings))

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pandas
 
-from inclined_landing.eval import runs
 from inclined_landing.eval.logs import assemble, bag, checks, csv_file, sd_card
 from inclined_landing.eval.logs import mapping as mappings
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
 from inclined_landing.eval.logs.mapping import ColumnMap
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.eval.logs.units import COLUMNS, factor
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 
@@ -57,7 +57,7 @@ def write_log(path: str | Path, log: FlightLog) -> None:
         table["vbat"] = log.voltage
     if log.contact is not None:
         table["contact"] = log.contact.astype(int)
-    with runs.atomic(path) as part:
+    with storage.atomic(path) as part:
         pandas.DataFrame(table).to_csv(part, index=False)
 
 

@@ -5,7 +5,7 @@ changed `Vehicle`, which both plants understand and a vehicle file stores:
 
     vehicle = LIBRARY["battery_sag"].apply(load_vehicle(), {"sag": 0.15, "reference": 34100.0})
 
-The terms are those of `analytic.py` and of the plugin attributes in `plugin/README.md`.
+The terms are those of `equations.py` and of the plugin attributes in `plugin/README.md`.
 """
 
 from collections.abc import Mapping

@@ -9,7 +9,7 @@ from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.envs.tasks.landing import Conditions
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plant import make_plant
+from inclined_landing.models.plants import make_plant
 
 V = load_vehicle()
 

@@ -18,7 +18,7 @@ from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plant import make_plant
+from inclined_landing.models.plants import make_plant
 
 V = load_vehicle()
 IDS = {"landing": "inclined_landing.envs:InclinedLanding-v0", "setpoint": "inclined_landing.envs:Setpoint-v0"}

@@ -14,7 +14,7 @@ from inclined_landing.envs.tasks.landing import Conditions
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, X, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plant import Contacts
+from inclined_landing.models.plants import Contacts
 
 V = load_vehicle()
 TASK = InclinedLanding()

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.starts import at_rest
 from inclined_landing.envs.tasks import InclinedTouchdown, make_task
 from inclined_landing.envs.tasks.landing import LOWEST_START, START_CLEARANCE
 from inclined_landing.envs.tasks.touchdown import GENTLE_FORCE, HOLD_STEPS, IMPACT, Conditions
-from inclined_landing.eval.landing_starts import at_rest
 from inclined_landing.models.attitude import PITCH, PWM, STATE_SIZE, VX, WY, X, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plant import Contacts, MujocoPlant, make_plant
+from inclined_landing.models.plants import Contacts, MujocoPlant, make_plant
 
 V = load_vehicle()
 TASK = InclinedTouchdown(pwm_centre="hover")

@@ -10,16 +10,18 @@ import pytest
 import torch
 from stable_baselines3 import PPO
 
+from inclined_landing.envs import policy
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.eval import benchmark, cli, doctor, policy
-from inclined_landing.eval.plain_env import PlainLandingEnv
+from inclined_landing.eval import cli
+from inclined_landing.eval.machine import benchmark, doctor
+from inclined_landing.eval.machine.plain_env import PlainLandingEnv
 from inclined_landing.models import plugins
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plant import make_plant
+from inclined_landing.models.plants import make_plant
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +107,7 @@ def test_wrong_input(landing_policy, tmp_path, monkeypatch, capsys, arguments, s
 
 
 def test_a_diverging_simulation_is_one_sentence(landing_policy, monkeypatch, capsys):
-    from inclined_landing.models.plant import AnalyticPlant
+    from inclined_landing.models.plants import AnalyticPlant
 
     def diverge(self, commands):
         raise FloatingPointError("the engine diverged for vehicles [0]")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.contact import laws, report, touchdowns
-from inclined_landing.eval.contact.checks import Check
+from inclined_landing.eval.truth.contact_truth import laws, report, touchdowns
+from inclined_landing.eval.truth.contact_truth.checks import Check
 from inclined_landing.models.errors import UserError
 
 FLIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data" / "nanobench"

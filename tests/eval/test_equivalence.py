@@ -13,8 +13,10 @@ import re
 import numpy as np
 import pytest
 
-from inclined_landing.eval import cli, landing_starts
-from inclined_landing.eval.equivalence import (
+from inclined_landing.envs import starts as landing_starts
+from inclined_landing.envs.policy import load_policy
+from inclined_landing.eval import cli
+from inclined_landing.eval.truth.equivalence import (
     bandwidth,
     closed_loop,
     convergence,
@@ -27,8 +29,7 @@ from inclined_landing.eval.equivalence import (
     sequences,
     twin,
 )
-from inclined_landing.eval.equivalence.claims import Claim, number
-from inclined_landing.eval.policy import load_policy
+from inclined_landing.eval.truth.equivalence.claims import Claim, number
 from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW_RATE_COMMAND
 from inclined_landing.models.parameters import load_vehicle
 
@@ -171,7 +172,7 @@ def test_a_policy_that_does_not_land_fails_the_claim(policy, monkeypatch):
 
 
 def _short_flights(policy, plant, states):
-    from inclined_landing.eval.flights import record_flights
+    from inclined_landing.envs.flights import record_flights
 
     return record_flights(policy, plant, states, steps=2)
 

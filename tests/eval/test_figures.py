@@ -14,17 +14,24 @@ from matplotlib.colors import to_hex
 from PIL import Image
 from stable_baselines3 import PPO
 
+from inclined_landing.envs import policy
+from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering.stamp import StampMaker
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import Conditions
-from inclined_landing.eval import cli, pictures, policy
-from inclined_landing.eval.figures import curriculum_figure, learning_curves, save_figure, trajectory_figure
-from inclined_landing.eval.figures.curves import band
-from inclined_landing.eval.figures.scene import platform_outline
-from inclined_landing.eval.figures.style import STAMP_DPI
-from inclined_landing.eval.flights import Flight
-from inclined_landing.eval.plain_env import PlainLandingEnv
-from inclined_landing.eval.video import render_flight
+from inclined_landing.eval import cli
+from inclined_landing.eval.base.style import STAMP_DPI
+from inclined_landing.eval.machine.plain_env import PlainLandingEnv
+from inclined_landing.eval.pictures import commands as pictures
+from inclined_landing.eval.pictures.figures import (
+    curriculum_figure,
+    learning_curves,
+    save_figure,
+    trajectory_figure,
+)
+from inclined_landing.eval.pictures.figures.curves import band
+from inclined_landing.eval.pictures.figures.scene import platform_outline
+from inclined_landing.eval.pictures.video import render_flight
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 

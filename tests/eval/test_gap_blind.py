@@ -6,9 +6,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from inclined_landing.eval.gap.blind import causes, generate, run, score, strata
-from inclined_landing.eval.gap.blind.page import markdown, page
 from inclined_landing.eval.logs import read_log
+from inclined_landing.eval.proof.gap_blind import causes, generate, run, score, strata
+from inclined_landing.eval.proof.gap_blind.page import markdown, page
 from inclined_landing.models import effects
 from inclined_landing.models.errors import UserError
 
@@ -211,7 +211,7 @@ def test_labels_are_sealed_and_a_run_goes_on(tmp_path, monkeypatch):
         flown.append(case.name)
         assert (out / "sealed" / "labels.json").exists()
         for method in methods:
-            run.runs.write_json(out / "reports" / method / f"{case.name}.json", report())
+            run.storage.write_json(out / "reports" / method / f"{case.name}.json", report())
 
     class Now:
         """An executor that runs at once."""

@@ -12,9 +12,9 @@ import pytest
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.blind.causes import Drawn
-from inclined_landing.eval.gap.blind.generate import fly_all, table
-from inclined_landing.eval.gap.reading import read_flights
+from inclined_landing.eval.gap.flights.reading import read_flights
+from inclined_landing.eval.proof.gap_blind.causes import Drawn
+from inclined_landing.eval.proof.gap_blind.generate import fly_all, table
 from inclined_landing.models.parameters import load_vehicle
 
 HIDDEN = Drawn(world={"thrust_scale": 0.88}, parameters={})

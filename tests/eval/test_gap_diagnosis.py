@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.gap import diagnose, measure_gap
-from inclined_landing.eval.gap.evidence import Problem
-from inclined_landing.eval.gap.identify import identify, static_map
-from inclined_landing.eval.gap.naming import _bounded_step, spread_between
-from inclined_landing.eval.gap.windows import _on_the_ground, measurement_noise, prepare
+from inclined_landing.eval.gap.answer.identify import identify, static_map
+from inclined_landing.eval.gap.flights.windows import _on_the_ground, measurement_noise, prepare
+from inclined_landing.eval.gap.search.evidence import Problem
+from inclined_landing.eval.gap.search.naming import _bounded_step, spread_between
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models import analytic, effects
+from inclined_landing.models import effects, equations
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -36,7 +36,7 @@ def flights(hidden=None, *, count=5, seconds=10.0, seed=0, voltage=None, distort
 
 def _fly(vehicle, rng, seconds, name, voltage, distort):
     m, h = round(seconds / STEP), STEP / SUBSTEPS
-    c, p = analytic.pack(vehicle), neutral(1)
+    c, p = equations.pack(vehicle), neutral(1)
     state = np.zeros((1, 13))
     state[0, :3] = rng.uniform([-1, -1, 0.8], [1, 1, 1.5])
     state[0, 12] = VEHICLE.hover_pwm / vehicle.thrust_lag_rate
@@ -63,7 +63,7 @@ def _fly(vehicle, rng, seconds, name, voltage, distort):
             received[0] = sent[max(0, len(sent) - 1 - late[0])][0]
             if voltage is not None:
                 around[0, 1] = voltage(t)
-            analytic.advance(state, received[None], around, c, p, True, h, 1)
+            equations.advance(state, received[None], around, c, p, True, h, 1)
     pose += NOISE * rng.standard_normal(pose.shape)
     t = np.arange(m) * STEP
     volts = None if voltage is None else np.array([voltage(x) for x in t])
@@ -263,8 +263,8 @@ def test_static_map_fits_into_a_vehicle_file():
     ambient, out = np.array([0.0, np.nan, 0.0, 0.0]), np.zeros(5)
     for pwm in (10000.0, 42000.0, 60000.0):
         lag = pwm / v.thrust_lag_rate
-        analytic.wrench(
-            np.ones(3), np.zeros(3), np.eye(3), lag, pwm, ambient, analytic.pack(v), neutral(1)[0], out
+        equations.wrench(
+            np.ones(3), np.zeros(3), np.eye(3), lag, pwm, ambient, equations.pack(v), neutral(1)[0], out
         )
         assert out[2] == pytest.approx(4 * (a * pwm**2 + b * pwm + c), rel=1e-9)
 

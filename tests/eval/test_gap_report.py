@@ -9,7 +9,6 @@ import sys
 import numpy as np
 import pytest
 
-from inclined_landing.eval import runs
 from inclined_landing.eval.gap.report import figures, model, terminal, words
 from inclined_landing.eval.gap.report.page import page
 from inclined_landing.eval.gap.report.tracks import Track
@@ -26,7 +25,7 @@ from inclined_landing.eval.gap.result import (
     WhereRow,
     WindowCurves,
 )
-from inclined_landing.models import effects
+from inclined_landing.models import effects, storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import constants, load_vehicle
 
@@ -187,7 +186,7 @@ def test_the_corrected_mjcf_loads_in_plain_mujoco(tmp_path):
 
 
 def test_the_json_has_the_promised_keys():
-    record = json.loads(runs.to_json(example().to_json()))
+    record = json.loads(storage.to_json(example().to_json()))
     promised = ("verdict", "effects", "separating_manoeuvre", "where", "gap", "remainder", "seconds")
     assert set(promised) <= set(record)
     assert set(record["effects"][0]) >= {"name", "class", "parameters", "gain"}

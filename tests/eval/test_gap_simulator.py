@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inclined_landing.eval.gap import simulator
-from inclined_landing.eval.gap.simulator import World, constants, control, dynamics, fly, landing, ordinary
+from inclined_landing.eval.proof import simulator
+from inclined_landing.eval.proof.simulator import World, constants, control, dynamics, fly, landing, ordinary
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plant import AnalyticPlant
+from inclined_landing.models.plants import AnalyticPlant
 
 C = constants()
 QUIET = C._replace(gyro_noise=0.0, position_noise=0.0, attitude_noise=0.0, voltage_noise=0.0)

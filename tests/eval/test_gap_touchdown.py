@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.blind.generate import landings, logs
-from inclined_landing.eval.gap.touchdown import landings_of, name_contact, sag
+from inclined_landing.eval.gap.search.touchdown import landings_of, name_contact, sag
+from inclined_landing.eval.proof.gap_blind.generate import landings, logs
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 

@@ -9,9 +9,9 @@ import pytest
 import torch
 from stable_baselines3 import PPO
 
+from inclined_landing.envs import policy
 from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.eval import policy
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 

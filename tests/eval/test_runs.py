@@ -8,13 +8,14 @@ import pathlib
 import numpy as np
 import pytest
 
-from inclined_landing.eval import runs
+from inclined_landing.eval.base import runs
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 
 def test_json_holds_plain_values_only(tmp_path):
     value = {"a": np.float32(0.5), "b": np.arange(2), "c": float("nan"), "d": (True, None)}
-    runs.write_json(tmp_path / "x.json", value)
+    storage.write_json(tmp_path / "x.json", value)
     assert json.loads((tmp_path / "x.json").read_text("utf-8")) == {
         "a": 0.5, "b": [0, 1], "c": None, "d": [True, None],
     }  # fmt: skip
@@ -23,7 +24,7 @@ def test_json_holds_plain_values_only(tmp_path):
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
     path = tmp_path / "x.json"
     path.write_text("old")
-    with pytest.raises(RuntimeError), runs.atomic(path) as part:
+    with pytest.raises(RuntimeError), storage.atomic(path) as part:
         part.write_text("half")
         raise RuntimeError
     assert path.read_text() == "old"
@@ -38,17 +39,17 @@ def test_a_full_disk_is_one_sentence(tmp_path, monkeypatch):
 
     monkeypatch.setattr(pathlib.Path, "write_bytes", full)
     with pytest.raises(UserError, match=r"cannot write .*x\.json: no space left on device"):
-        runs.write_json(tmp_path / "x.json", {"a": 1})
+        storage.write_json(tmp_path / "x.json", {"a": 1})
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_missing_folder_is_one_sentence(tmp_path):
     with pytest.raises(UserError, match="no such file"):
-        runs.write_text(tmp_path / "none" / "x", "")
+        storage.write_text(tmp_path / "none" / "x", "")
 
 
 def test_the_temporary_name_keeps_the_suffix(tmp_path):
-    with runs.atomic(tmp_path / "x.png") as part:
+    with storage.atomic(tmp_path / "x.png") as part:
         assert part.suffix == ".png" and part.parent == tmp_path
         part.touch()
     assert (tmp_path / "x.png").exists()

@@ -2,8 +2,8 @@
 
 import pytest
 
-from inclined_landing.eval.policy import SHIPPED, load_policy
-from inclined_landing.eval.success import evaluate
+from inclined_landing.envs.policy import SHIPPED, load_policy
+from inclined_landing.eval.policies.success import evaluate
 
 FIRST_SEED = {"landing": 0, "setpoint": 0, "touchdown": 10}
 

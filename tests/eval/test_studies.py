@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from inclined_landing.eval.contact.impulse import next_impulses
-from inclined_landing.eval.studies import design, landing, maps, sensitivity
-from inclined_landing.eval.studies.landing import OUTCOMES, RESULTS, simulate, touchdown_states
-from inclined_landing.eval.studies.study import Study, known_parameters, read_study, shipped
+from inclined_landing.eval.landings import design, landing, maps, sensitivity
+from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS, simulate, touchdown_states
+from inclined_landing.eval.landings.study import Study, known_parameters, read_study, shipped
+from inclined_landing.eval.truth.contact_truth.impulse import next_impulses
 from inclined_landing.models.attitude import PITCH, X, Z
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plant import MujocoPlant
+from inclined_landing.models.plants import MujocoPlant
 
 V = load_vehicle()
 STUDY = """

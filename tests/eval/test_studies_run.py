@@ -12,8 +12,9 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from inclined_landing.eval import cli, runs
-from inclined_landing.eval.studies import design, engines, landing, run
+from inclined_landing.eval import cli
+from inclined_landing.eval.landings import design, engines, landing, run
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 STUDY = """
@@ -113,7 +114,7 @@ def check(part, written):
 
 def test_kill_9_and_resume(study, tmp_path, reference):
     code = (
-        "import sys; from inclined_landing.eval.studies import run, engines; import time\n"
+        "import sys; from inclined_landing.eval.landings import run, engines; import time\n"
         "real = engines.local\n"
         "def slow(*a):\n"
         "    for item in real(*a): yield item; time.sleep(1)\n"
@@ -229,7 +230,7 @@ def test_a_full_disk_at_the_start_leaves_nothing(study, tmp_path, capsys, monkey
     def full(path, data):
         raise UserError(f"cannot write {path}: no space left on device")
 
-    monkeypatch.setattr(runs, "write_bytes", full)
+    monkeypatch.setattr(storage, "write_bytes", full)
     assert cli.main(["contact", str(study), "--out", str(tmp_path / "out")]) == 2
     refused(capsys, tmp_path, "no space left on device", ["small.toml"])
 

@@ -7,23 +7,18 @@ from importlib import resources
 import numpy as np
 import pytest
 
+from inclined_landing.envs import starts as landing_starts
+from inclined_landing.envs.flights import record_flight, record_flights
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.eval import (
-    landing_starts,
-    motors_cut,
-    runs,
-    statistics,
-    success,
-    success_effects,
-    success_table,
-)
-from inclined_landing.eval.flights import record_flight, record_flights
+from inclined_landing.eval.base import statistics
+from inclined_landing.eval.policies import motors_cut, success, success_effects, success_table
+from inclined_landing.models import storage
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plant import make_plant
+from inclined_landing.models.plants import make_plant
 
 ALPHA = load_vehicle().platform_inclination
 
@@ -81,7 +76,7 @@ def test_mean_interval_by_hand():
 def test_the_frozen_grid_is_what_its_rule_makes():
     task = make_task("landing")
     made = landing_starts.make_grid(task)
-    file = resources.files("inclined_landing.eval") / "starts" / "landing_grid.csv"
+    file = resources.files("inclined_landing.envs") / "shipped" / "landing_grid.csv"
     assert file.read_text("utf-8") == landing_starts.grid_text(made)
     np.testing.assert_array_equal(landing_starts.grid(), made)
 
@@ -206,7 +201,7 @@ def test_landing_report_of_a_policy_that_hovers(landing):
     assert weak["paper_starts"]["touched"]["count"] == 1  # sinks onto the slope from (0, 2)
     assert hover["entry"] is None and hover["motors_cut"] is None
     assert hover["grid"]["left_out"] == 0
-    runs.to_json(report)
+    storage.to_json(report)
 
 
 def test_entry_statistics(landing):
@@ -258,7 +253,7 @@ def test_effects_report_of_a_policy_that_hovers(landing, few, capsys):
     assert weak["touched"]["count"] > 0
     assert slow["touched"]["count"] == tilted["touched"]["count"] == 0
     assert none["at_rest_on_feet"]["count"] == 0
-    runs.to_json(report)
+    storage.to_json(report)
     success_table.show_effects(report)
     assert "scale 0.88" in capsys.readouterr().out
 

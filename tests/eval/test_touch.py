@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from inclined_landing.eval import pictures
+from inclined_landing.envs.flights import Flight
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.flights import Flight
-from inclined_landing.eval.pictures import CASES, fly, load
-from inclined_landing.eval.touch import LEAD, STEP, watch
-from inclined_landing.eval.touch_video import caption_of, render_touchdowns
+from inclined_landing.eval.pictures import commands as pictures
+from inclined_landing.eval.pictures.commands import CASES, fly, load
+from inclined_landing.eval.pictures.touch import LEAD, STEP, watch
+from inclined_landing.eval.pictures.touch_video import caption_of, render_touchdowns
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from inclined_landing.envs import starts as landing_starts
+from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
-from inclined_landing.eval import cli, landing_starts, touchdown
-from inclined_landing.eval.policy import load_policy
+from inclined_landing.eval import cli
+from inclined_landing.eval.policies import touchdown
 
 
 @pytest.fixture

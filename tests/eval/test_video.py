@@ -4,7 +4,7 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
-from inclined_landing.eval.video import Flight, caption_of, render_flight, strobe, write_video
+from inclined_landing.eval.pictures.video import Flight, caption_of, render_flight, strobe, write_video
 from inclined_landing.models.errors import UserError
 
 

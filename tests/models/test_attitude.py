@@ -9,8 +9,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from inclined_landing.models import attitude
-from inclined_landing.models.analytic import derivative
 from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE
+from inclined_landing.models.equations import derivative
 from inclined_landing.models.parameters import load_vehicle
 
 ROUNDING = 1e-14  # a dozen operations on numbers of size 1, each 1.1e-16

@@ -10,7 +10,7 @@ from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, STATE_SIZE, VX, VZ, WX, WZ, X, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plant import MujocoPlant
+from inclined_landing.models.plants import MujocoPlant
 
 V = load_vehicle()
 G = V.environment_gravity

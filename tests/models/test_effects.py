@@ -15,15 +15,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from inclined_landing.eval.equivalence.flying import largest_gaps, start_states
-from inclined_landing.eval.equivalence.levels import FLIGHT_LIMITS
-from inclined_landing.eval.equivalence.sequences import full_steps
-from inclined_landing.models import analytic, effects, geometry, perturbation
+from inclined_landing.eval.truth.equivalence.flying import largest_gaps, start_states
+from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
+from inclined_landing.eval.truth.equivalence.sequences import full_steps
+from inclined_landing.models import effects, equations, geometry, perturbation
 from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, YAW, X, Z, quaternion
 from inclined_landing.models.effects import CHANNELS, LIBRARY, REGIMES
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import constants, load_vehicle, write_vehicle
-from inclined_landing.models.plant import MujocoPlant, make_plant
+from inclined_landing.models.plants import MujocoPlant, make_plant
 from inclined_landing.models.scene import build_spec
 
 V = load_vehicle()
@@ -207,7 +207,7 @@ def test_both_plants_feel_surfaces_alike():
 def test_both_plants_see_the_same_edges_of_the_slab():
     """The force on a vehicle at rest anywhere around the slab, with any attitude: rays against formulas."""
     vehicle, rng = changed("ground_effect", strength=20.0), np.random.default_rng(1)
-    model, c = MujocoPlant(1, vehicle).model, analytic.pack(vehicle)
+    model, c = MujocoPlant(1, vehicle).model, equations.pack(vehicle)
     data, seen = mujoco.MjData(model), set()
     for _ in range(300):
         inclination = rng.uniform(-0.8, 0.8)
@@ -225,7 +225,7 @@ def test_both_plants_see_the_same_edges_of_the_slab():
         data.act[:], data.ctrl[0] = V.hover_lag, V.hover_pwm
         mujoco.mj_forward(model, data)
         frame = data.body("crazyflie").xmat.reshape(3, 3)
-        extra, x, y = analytic.ground_effect(position, frame, WEIGHT, inclination, 1.0, c)
+        extra, x, y = equations.ground_effect(position, frame, WEIGHT, inclination, 1.0, c)
         assert data.actuator_force[0] == pytest.approx(WEIGHT + extra, rel=1e-9)
         # qfrc_passive of a free joint: force in the world, torque in the body's axes; no speed, no drag
         np.testing.assert_allclose(data.qfrc_passive[:6], [0, 0, 0, x, y, 0], atol=1e-12)
@@ -270,7 +270,7 @@ def test_the_saved_xml_flies_with_the_effects(integrator):
 
 def test_neutral_effects_change_no_bit():
     """Neutral numbers passed through the code of every effect, against none of it."""
-    plain, active = analytic.pack(V), analytic.pack(V)
+    plain, active = equations.pack(V), equations.pack(V)
     assert active[-1] == 0.0
     active[-1] = 1.0  # as if an effect were on
     spec = build_spec(V, visuals=False, torque_limit=False)
@@ -284,7 +284,7 @@ def test_neutral_effects_change_no_bit():
         data.qpos[2], data.act[:] = states[0][0, Z], V.hover_lag
     for row in COMMANDS[:, :1]:
         for state, constants_ in zip(states, (plain, active)):
-            analytic.step(state, row, constants_, perturbation.neutral(1), True, 0.004, 5)
+            equations.step(state, row, constants_, perturbation.neutral(1), True, 0.004, 5)
         for model, data in zip(models, engines):
             data.ctrl[:] = row
             mujoco.mj_step(model, data, 5)

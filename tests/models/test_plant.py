@@ -12,7 +12,7 @@ from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, YAW, X, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import PART_BODIES, PARTS, PLATFORM_BODIES, PLATFORM_GEOMS, SURFACES
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plant import AnalyticPlant, MujocoPlant, make_plant
+from inclined_landing.models.plants import AnalyticPlant, MujocoPlant, make_plant
 
 V = load_vehicle()
 FEET, BODY, ROTORS = range(3)
@@ -459,7 +459,7 @@ def test_divergence_is_an_error_that_names_the_vehicle():
 
 
 def test_surfaces_and_parts_are_those_of_the_contact_sensors():
-    """15 sensors, surface by surface, feet, body, rotors: `plant.py` reads them by position."""
+    """15 sensors, surface by surface, feet, body, rotors: `plants` reads them by position."""
     names = [MODEL.sensor(k).name for k in range(MODEL.nsensor)]
     geoms = [*PLATFORM_GEOMS, "floor"]
     assert names[: 3 * len(geoms)] == [f"{part}_{geom}" for geom in geoms for part in PARTS]

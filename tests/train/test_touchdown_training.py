@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.starts import at_rest
 from inclined_landing.envs.tasks.touchdown import IDLE_ACTION, IMPACT
-from inclined_landing.eval.landing_starts import at_rest
-from inclined_landing.eval.policy import load_policy
 from inclined_landing.models.attitude import PITCH
 from inclined_landing.models.errors import UserError
 from inclined_landing.train import ppo, warm_start

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 import torch
 
-from inclined_landing.eval.policy import load_policy
+from inclined_landing.envs.policy import load_policy
 from inclined_landing.models.errors import UserError
 from inclined_landing.train import cli, run
 from inclined_landing.train.config import TrainConfig
@@ -166,7 +166,7 @@ def test_policy_files_need_no_training_code(landing_run):
     """A fresh interpreter that only knows envs and eval reads and flies the policy."""
     code = (
         "import sys, numpy as np\n"
-        "from inclined_landing.eval.policy import load_policy\n"
+        "from inclined_landing.envs.policy import load_policy\n"
         f"policy = load_policy({str(landing_run[0] / 'final.zip')!r})\n"
         "assert policy.predict(np.zeros((2, 5))).shape == (2, 2)\n"
         "assert policy.task.options['pwm_centre'] == 'hover'\n"

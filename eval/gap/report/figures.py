@@ -15,17 +15,7 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from inclined_landing.eval.figures.style import (
-    BLUE,
-    GREEN,
-    INK,
-    MUTED,
-    ORANGE,
-    PURPLE,
-    RULE,
-    panel,
-    styled,
-)
+from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, RULE, panel, styled
 from inclined_landing.eval.gap.report.tracks import Track
 from inclined_landing.eval.gap.report.words import REGIMES, SHOWN, label
 from inclined_landing.eval.gap.result import (

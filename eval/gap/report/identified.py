@@ -12,8 +12,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from inclined_landing.eval.figures.style import INK, panel, styled
-from inclined_landing.eval.gap.identify import PAPER, Identification, Identified
+from inclined_landing.eval.base.style import INK, panel, styled
+from inclined_landing.eval.gap.answer.identify import PAPER, Identification, Identified
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE
 from inclined_landing.eval.gap.report.model import VEHICLE

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.eval import runs
 from inclined_landing.eval.gap.result import Diagnosis, NamedEffect
+from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import Vehicle, write_vehicle
 
@@ -34,7 +34,7 @@ def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = N
     )
     spec = build_spec(d.corrected)
     spec.compile()  # to_xml needs it
-    runs.write_text(folder / MJCF, spec.to_xml())
+    storage.write_text(folder / MJCF, spec.to_xml())
 
 
 def provenance(

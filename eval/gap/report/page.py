@@ -8,7 +8,7 @@ from importlib import resources
 import jinja2
 from matplotlib.figure import Figure
 
-from inclined_landing.eval.figures.style import styled
+from inclined_landing.eval.base.style import styled
 from inclined_landing.eval.gap.report import figures, words
 from inclined_landing.eval.gap.report.model import MJCF, VEHICLE
 from inclined_landing.eval.gap.report.tracks import Track

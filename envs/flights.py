@@ -1,0 +1,115 @@
+"""Flights of a policy, recorded: the one source of success tables, figures and videos."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks import setpoint
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.plants import make_plant
+
+
+@dataclasses.dataclass
+class Flight:
+    """One flight, from its start to the goal or the time limit, at the control rate; T = steps + 1.
+
+    Row k of `actions` and `commands` is what was applied from t[k] to t[k + 1]; the last row, after
+    which nothing was flown, repeats the one before.
+    """
+
+    task: str
+    t: np.ndarray  # (T,) s
+    state: np.ndarray  # (T, 13), columns of `models.attitude`
+    actions: np.ndarray  # (T, a) in [-1, 1]
+    commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s
+    reward: np.ndarray  # (T,), of the step that ended at t[k]; 0 at the start
+    inclination: float | None  # of the platform, rad; None without one
+    goal: np.ndarray  # the observation at the goal: (5,) landing, (8,) setpoint
+    success: bool  # at the end: in the goal box (landing), within 5 cm (setpoint), at rest (touchdown)
+    touched: bool  # did any part touch the platform
+
+    @property
+    def strict(self) -> bool:
+        """Success without having touched the platform."""
+        return self.success and not self.touched
+
+    @property
+    def duration(self) -> float:
+        """Length of the flight [s]."""
+        return float(self.t[-1])
+
+
+def record_flights(policy: Policy, plant, states: np.ndarray, *, steps: int | None = None) -> list[Flight]:
+    """Fly the deterministic policy from each of `states` (n, 13), all at once.
+
+    plant: of n vehicles, or a name ("mujoco", "analytic") for a plain one of the task's vehicle.
+    steps: fly at most this many control steps (default: the task's limit).
+    Raises UserError when the number of states is not the plant's.
+    """
+    states = np.atleast_2d(np.asarray(states, float))
+    if isinstance(plant, str):
+        plant = make_plant(plant, len(states), policy.task.vehicle)
+    if plant.n != len(states):
+        raise UserError(f"the plant has {plant.n} vehicles, but {len(states)} starts were given")
+    env = BatchEnv(policy.task, plant, seed=0)
+    limit = policy.task.max_steps if steps is None else steps
+    if not 1 <= limit <= policy.task.max_steps:
+        raise UserError(f"a flight has 1 to {policy.task.max_steps} control steps, not {limit}")
+    observation = env.reset(state=states)
+    n = len(states)
+    state = np.empty((limit + 1, n, states.shape[1]))
+    actions = np.empty((limit + 1, n, len(policy.task.action_names)))
+    commands, reward = np.empty((limit + 1, n, 4)), np.zeros((limit + 1, n))
+    state[0] = plant.state
+    ended = np.zeros(n, int)  # index of the last row; 0 while flying
+    success, touched = np.zeros(n, bool), np.zeros(n, bool)
+    last = 0
+    while last < limit and not ended.all():
+        actions[last] = policy.predict(observation)
+        step = env.step(actions[last])
+        observation = step.observation
+        commands[last] = env.commands
+        last += 1
+        state[last], reward[last] = plant.state, step.reward
+        now = (ended == 0) & (step.terminated | step.truncated | (last == limit))
+        ended[now] = last
+        success[now], touched[now] = step.success[now], env.touched[now]
+    actions[last], commands[last] = actions[last - 1], commands[last - 1]
+    goal = _goal(policy.task)
+    flights = []
+    for i, end in enumerate(ended):
+        rows = slice(end + 1)
+        a, u = actions[rows, i].copy(), commands[rows, i].copy()
+        a[end], u[end] = a[end - 1], u[end - 1]
+        flights.append(
+            Flight(
+                task=policy.task.name,
+                t=plant.control_period * np.arange(end + 1),
+                state=state[rows, i].copy(),
+                actions=a,
+                commands=u,
+                reward=reward[rows, i].copy(),
+                inclination=float(plant.inclination[i]) if plant.present[i] else None,
+                goal=goal,
+                success=bool(success[i]),
+                touched=bool(touched[i]),
+            )
+        )
+    return flights
+
+
+def record_flight(policy: Policy, plant, start_state: np.ndarray, **options) -> Flight:
+    """`record_flights` of one start (13,)."""
+    return record_flights(policy, plant, start_state, **options)[0]
+
+
+def _goal(task) -> np.ndarray:
+    if task.name == "landing":
+        return np.array([*task.goal_position, 0.0, 0.0, task.inclination])
+    if task.name == "touchdown":
+        return np.array([*task.rest_position, 0.0, 0.0, task.inclination])
+    return np.array([*setpoint.GOAL, 0.0, 0.0, 0.0, 0.0, 0.0])

@@ -1,0 +1,119 @@
+"""Run folders, and the versions behind a result."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.metadata
+import os
+import platform
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError
+
+_PACKAGES = (
+    *("mujoco", "gymnasium", "stable-baselines3", "torch", "numpy", "numba"),
+    "inclined-landing",
+)
+
+
+def new_run(path: str | Path | None, name: str = "run", *, resumable: str | None = None) -> Path:
+    """Create the run folder `path` (default: `runs/<name>-<date>-<time>`) and return it.
+
+    resumable: a file name; an existing folder that holds this file is returned as it is.
+    Raises UserError when the folder exists and is not empty, or cannot be created.
+    """
+    if path is None:
+        path = Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    path = Path(path)
+    if resumable is not None and (path / resumable).is_file():
+        return path
+    check_new_run(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot create the run folder {path}: {storage.reason(error)}") from error
+    return path
+
+
+def check_new_run(path: str | Path) -> None:
+    """Raise UserError if `path` could not become a new run folder; creates nothing."""
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise UserError(f"the run folder {path} exists and is not a folder; choose another name")
+    if path.is_dir() and any(path.iterdir()):
+        raise UserError(f"the run folder {path} exists and is not empty; choose another name")
+
+
+@contextlib.contextmanager
+def staged_run(path: str | Path) -> Iterator[Path]:
+    """A folder beside `path` to write a run into; it becomes `path` when everything is written.
+
+    On any error, an interruption included, nothing of it stays. Raises UserError where `new_run` does and
+    when the disk is full.
+    """
+    check_new_run(path)
+    path = Path(path)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.mkdir()
+        yield part
+        os.replace(part, path)
+    except OSError as error:
+        raise UserError(f"cannot write the run folder {path}: {storage.reason(error)}") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def versions() -> dict[str, str | int | None]:
+    """Versions, source revision and machine, for the record of a run; imports nothing heavy."""
+    result: dict[str, str | int | None] = {"python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            result[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            result[package] = None
+    result["git revision"] = git_revision()
+    result["system"] = platform.platform()
+    result["cpu"] = cpu_name()
+    result["cores"] = len(os.sched_getaffinity(0))
+    return result
+
+
+def git_revision() -> str | None:
+    """Commit of the sources, with `+changes` when files differ from it; None outside a clone."""
+    from inclined_landing import models
+
+    for folder in map(Path, models.__path__):
+        root = folder.resolve().parent
+        if not ((root / ".git").exists() and (root / "pyproject.toml").exists()):
+            continue
+        commit = _git(root, "rev-parse", "HEAD")
+        if commit:
+            changed = _git(root, "status", "--porcelain", "--untracked-files=no")
+            return commit + ("+changes" if changed else "")
+    return None
+
+
+def _git(root: Path, *arguments: str) -> str:
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(root), *arguments], capture_output=True, text=True, timeout=10
+        )
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""
+
+
+def cpu_name() -> str:
+    """The processor's name, as well as the system tells it."""
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()

@@ -1,0 +1,85 @@
+"""Fonts, colours and files that all figures share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError
+
+# Colours of Okabe and Ito, told apart with any colour vision.
+BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#b0528d"
+INK, MUTED = "#1f2733", "#5f6b7a"
+AIR, RULE, SLAB, BASE = "#f1f6fc", "#d3deea", "#c9ced4", "#435062"
+STAMP_DPI = 500  # of rendered vehicles in a PDF
+PNG_DPI = 200
+
+STYLE = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.labelsize": 9.5,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": INK,
+    "axes.linewidth": 0.9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "grid.color": RULE,
+    "grid.linewidth": 0.7,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.8,
+    "figure.facecolor": "white",
+    "pdf.fonttype": 42,  # text stays text
+    "image.composite_image": False,  # each vehicle its own picture, not one over the whole page
+}
+
+
+def styled():
+    """Context in which figures are made and saved."""
+    return matplotlib.rc_context(STYLE)
+
+
+def time_colours(share) -> np.ndarray:
+    """RGB (k, 3) for shares of the way flown (k,): dark violet at 0 to orange at 1."""
+    return matplotlib.colormaps["plasma"](0.02 + 0.76 * np.asarray(share, float))[..., :3]
+
+
+def panel(figure: Figure, left: float, bottom: float, width: float, height: float, **options) -> Axes:
+    """Axes whose box is given in inches from the lower left corner of the figure."""
+    w, h = figure.get_size_inches()
+    return figure.add_axes((left / w, bottom / h, width / w, height / h), **options)
+
+
+def save_figure(figure: Figure, path: str | Path) -> Path:
+    """Write the figure as .png or .pdf, whole or not at all; returns the path.
+
+    Raises UserError for another suffix and when the file cannot be written.
+    """
+    path = Path(path)
+    kind = path.suffix.lower()
+    if kind not in (".png", ".pdf"):
+        raise UserError(f"a figure is a .png or .pdf file, not {path.name!r}")
+    metadata = {"CreationDate": None} if kind == ".pdf" else {}
+    make_folder(path.parent)
+    with styled(), storage.atomic(path) as part:
+        figure.savefig(part, dpi=STAMP_DPI if kind == ".pdf" else PNG_DPI, metadata=metadata)
+    return path
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder for a file; raises UserError when that is impossible."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise UserError(f"cannot create the folder {path}: {reason}") from error

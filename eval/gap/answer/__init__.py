@@ -1,0 +1,1 @@
+"""From flights to a diagnosis."""

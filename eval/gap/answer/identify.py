@@ -1,0 +1,342 @@
+"""Grey-box identification of what the model already has, from flights.
+
+Two forms of the thrust are fitted, the transfer function of the paper times a gain and the static map of a
+single motor (behind the same lag) times a gain; flights left out decide. With them: lag and delay of the
+thrust, gain, time constant, rate lag, delay and trim of the attitude loops, rotor drag, and the tilt of the
+measured attitude.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from inclined_landing.eval.gap.flights.windows import Flight, prepare_all
+from inclined_landing.eval.gap.search.evidence import Problem
+from inclined_landing.eval.gap.search.naming import Fit, left_out_vehicles, refit, spread_between
+from inclined_landing.eval.gap.search.prediction import predict
+from inclined_landing.eval.logs import FlightLog
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+
+# Effects of the library that rescale what the model has.
+EFFECTS = (
+    "thrust_scale",
+    "motor_lag",
+    "thrust_delay",
+    "rotor_drag",
+    "attitude_gain",
+    "attitude_time_constant",
+    "second_order_attitude",
+    "attitude_delay",
+    "attitude_trim",
+    "mocap_tilt",
+)
+# Starts of the fit beside the neutral one: lag and delay of a loop can stand for one another, so that the
+# way from one to the other leads over a hill.
+STARTS = (
+    {},
+    {"attitude_time_constant": {"scale": 0.4}, "attitude_delay": {"delay": 0.05}},
+    {"motor_lag": {"scale": 0.5}, "thrust_delay": {"delay": 0.03}},
+)
+# What the paper reports of the attitude loops: gain, time constant [s] and fit [%].
+PAPER = {name: getattr(load_vehicle(), name) for name in ("attitude_gain", "attitude_time_constant")}
+PAPER["fit"] = 85.3
+FIT_HORIZON = 1.0  # s, of the velocity changes that the fit of x, y and z is about
+# A parameter is not identified when its 95 % interval is wider than this share of its range.
+TOO_WIDE = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Identified:
+    """A number of the vehicle: as it was, as identified, with its 95 % interval clustered by flight."""
+
+    name: str  # lag, attitude gain, ...
+    field: str  # of Vehicle
+    unit: str
+    before: float
+    value: float
+    ci95: tuple[float, float]
+    per_flight: tuple[float, ...]
+    spread: float  # standard deviation between flights beyond their errors, in the unit
+    note: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Identification:
+    """The answer of `identify`."""
+
+    vehicle: Vehicle
+    thrust: str  # "transfer function" or "static map"
+    parameters: tuple[Identified, ...]
+    fit: dict[str, dict[str, float]]  # channel -> {"before", "after"}: NRMSE fit [%] on flights left out
+    alternatives: dict[str, float]  # form of the thrust -> white squared error on flights left out
+    fields: dict[str, tuple[float, ...] | float]  # changed Vehicle field -> half-width of its interval
+    flights: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def to_json(self) -> dict:
+        """Plain dicts, lists, strings and numbers."""
+        result = dataclasses.asdict(self)
+        result["vehicle"] = {f: getattr(self.vehicle, f) for f in self.fields}
+        result["paper"] = PAPER
+        return result
+
+
+def static_map(vehicle: Vehicle) -> Vehicle:
+    """The same vehicle with the static map of its motors behind the lag in place of the transfer function.
+
+    The map is quadratic with two negative zeros, so that it is a line through the lagged PWM (with its
+    offset as the thrust bias) times a sag, here negative, with the load.
+    """
+    a, b, c = (vehicle.motor_count * x for x in vehicle.motor_pwm_to_force)
+    root = math.sqrt(b * b - 4.0 * a * c)
+    near, far = (b - root) / (2.0 * a), (b + root) / (2.0 * a)  # minus the zeros
+    reference = vehicle.effects_battery_reference
+    sag = -reference / (far + reference)
+    slope = a * far / (1.0 + sag)  # of the line: a (P + near)(P + far)
+    return dataclasses.replace(
+        vehicle,
+        thrust_state_gain=slope * vehicle.thrust_lag_rate,
+        thrust_direct_gain=0.0,
+        effects_thrust_bias=slope * near,
+        effects_battery_sag=sag,
+        effects_battery_reference=reference,
+    )
+
+
+def identify(
+    flights: Sequence[FlightLog],
+    vehicle: Vehicle,
+    *,
+    heldout: Sequence[FlightLog] = (),
+    platform: bool = False,
+) -> Identification:
+    """Fit the vehicle's own constants to flights.
+
+    heldout: flights for the fit in percent; without them each flight is judged with the others' fit.
+    Raises UserError when no flight can be used.
+    """
+    notes: list[str] = []
+    fitted = prepare_all(flights, vehicle, platform, notes)
+    judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
+    forms = {"transfer function": vehicle, "static map": static_map(vehicle)}
+    if vehicle.effects_battery_sag or vehicle.effects_thrust_bias:
+        del forms["static map"]
+    fits = {name: _fit(fitted, base) for name, base in forms.items()}
+    scores = {name: float(fit.weighted.left_out(fit.index).sum()) for name, (_, fit) in fits.items()}
+    chosen = min(scores, key=scores.get)
+    problem, fit = fits[chosen]
+    fit = _without_unseen(problem, fit, notes)
+    result = problem.corrected(fit.values)
+    own = left_out_vehicles(problem, fit)
+    test = judged or fitted
+    vehicles = [result] * len(judged) if judged else own
+    if not judged and len(fitted) < 2:
+        notes.append("one flight only: the fit in percent is on the flight that was fitted")
+    channels = {}
+    for channel, (measured, before, after) in _compared(test, vehicle, vehicles).items():
+        channels[channel] = {"before": nrmse_fit(measured, before), "after": nrmse_fit(measured, after)}
+    parameters = _parameters(problem, fit, vehicle, result)
+    return Identification(
+        vehicle=result,
+        thrust=chosen,
+        parameters=parameters,
+        fit=channels,
+        alternatives=scores,
+        fields=_fields(vehicle, result, parameters),
+        flights=tuple(f.name for f in fitted),
+        notes=tuple(notes),
+    )
+
+
+def _fit(flights: list[Flight], base: Vehicle) -> tuple[Problem, Fit]:
+    """All of EFFECTS together, from the best of STARTS."""
+    problem = Problem(flights, base, LIBRARY)
+    return problem, _best(problem, EFFECTS)
+
+
+def _best(problem: Problem, names: Sequence[str]) -> Fit:
+    values = {name: {} for name in names}
+    starts = [{n: v for n, v in start.items() if n in values} for start in STARTS]
+    fits = [refit(problem, values | start, np.ones(6), iterations=15) for start in starts]
+    return min(fits, key=lambda fit: fit.squares)
+
+
+def _without_unseen(problem: Problem, fit: Fit, notes: list[str]) -> Fit:
+    """Leave out, one by one, effects that the flights do not excite enough to be told."""
+    while fit.values:
+        covariance = fit.weighted.covariance(fit.index)
+        width = {}
+        for k, column in enumerate(fit.weighted.columns):
+            p = next(p for p in problem.library[column.effect].parameters if p.name == column.parameter)
+            share = 4.0 * math.sqrt(covariance[k, k]) / (p.bounds[1] - p.bounds[0])
+            width[column.effect] = max(share, width.get(column.effect, 0.0))
+        worst = max(width, key=width.get)
+        if width[worst] < TOO_WIDE:
+            break
+        notes.append(f"{worst.replace('_', ' ')} is not excited enough in these flights; it stays as it was")
+        fit = _best(problem, [name for name in fit.values if name != worst])
+    return fit
+
+
+def nrmse_fit(measured: np.ndarray, predicted: np.ndarray) -> float:
+    """100 (1 - |y - p| / |y - mean y|) percent."""
+    spread = np.linalg.norm(measured - measured.mean())
+    return float(100.0 * (1.0 - np.linalg.norm(measured - predicted) / spread)) if spread > 0 else math.nan
+
+
+def _compared(flights: list[Flight], before: Vehicle, after: Sequence[Vehicle]):
+    """Channel -> (measured, before, after): velocity changes over FIT_HORIZON, and angles open loop."""
+    parts: dict[str, list] = {}
+    for flight, own in zip(flights, after):
+        predictions = [predict(flight, v) for v in (before, own)]
+        n = round(FIT_HORIZON / flight.dt)
+        usable = np.concatenate([[0], np.cumsum(~flight.usable)])
+        first = np.arange(0, flight.samples - n - 1, max(1, n // 2))
+        first = first[usable[first + n + 1] == usable[first]]
+        for k, axis in enumerate("xyz"):
+            rates = [np.gradient(p[:, k], flight.dt) for p in predictions]
+            series = [flight.velocity[:, k], *rates]
+            parts.setdefault(axis, []).append([s[first + n] - s[first] for s in series])
+        rows = flight.usable
+        for k, angle in enumerate(("roll", "pitch")):
+            series = [flight.attitude[:, k], *(p[:, 3 + k] for p in predictions)]
+            parts.setdefault(angle, []).append([s[rows] for s in series])
+    return {c: tuple(np.concatenate(x) for x in zip(*rows)) for c, rows in parts.items()}
+
+
+# Name, field of Vehicle, unit, effect, parameter, and the number's value from the effect's.
+_WORDS = (
+    ("thrust gain", "thrust_state_gain", "1", "thrust_scale", "scale", lambda v, x: x),
+    ("thrust lag", "thrust_lag_rate", "s", "motor_lag", "scale", lambda v, x: x / v.thrust_lag_rate),
+    (
+        "thrust delay",
+        "effects_thrust_delay",
+        "s",
+        "thrust_delay",
+        "delay",
+        lambda v, x: x + v.effects_thrust_delay,
+    ),
+    ("rotor drag", "drag_coefficients", "1", "rotor_drag", "scale", lambda v, x: x),
+    ("attitude gain k", "attitude_gain", "1", "attitude_gain", "scale", lambda v, x: x * v.attitude_gain),
+    (
+        "attitude time constant tau",
+        "attitude_time_constant",
+        "s",
+        "attitude_time_constant",
+        "scale",
+        lambda v, x: x * v.attitude_time_constant,
+    ),
+    (
+        "rate loop lag",
+        "attitude_bandwidth",
+        "s",
+        "second_order_attitude",
+        "rate_lag",
+        lambda v, x: x + 1.0 / v.attitude_bandwidth,
+    ),
+    (
+        "attitude delay",
+        "effects_attitude_delay",
+        "s",
+        "attitude_delay",
+        "delay",
+        lambda v, x: x + v.effects_attitude_delay,
+    ),
+    (
+        "measured roll, tilt",
+        "effects_mocap_tilt",
+        "rad",
+        "mocap_tilt",
+        "roll",
+        lambda v, x: x + v.effects_mocap_tilt[0],
+    ),
+    (
+        "measured pitch, tilt",
+        "effects_mocap_tilt",
+        "rad",
+        "mocap_tilt",
+        "pitch",
+        lambda v, x: x + v.effects_mocap_tilt[1],
+    ),
+    (
+        "roll trim",
+        "effects_attitude_trim",
+        "rad",
+        "attitude_trim",
+        "roll",
+        lambda v, x: x + v.effects_attitude_trim[0],
+    ),
+    (
+        "pitch trim",
+        "effects_attitude_trim",
+        "rad",
+        "attitude_trim",
+        "pitch",
+        lambda v, x: x + v.effects_attitude_trim[1],
+    ),
+)
+
+
+def _parameters(problem: Problem, fit: Fit, before: Vehicle, after: Vehicle) -> tuple[Identified, ...]:
+    covariance = fit.weighted.covariance(fit.index)
+    change, error = fit.weighted.per_flight(fit.index)
+    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
+    place = {(c.effect, c.parameter): k for k, c in enumerate(fit.weighted.columns)}
+    result = []
+    for name, field, unit, effect, parameter, number in _WORDS:
+        if (effect, parameter) not in place:
+            continue
+        k = place[effect, parameter]
+        p = next(p for p in problem.library[effect].parameters if p.name == parameter)
+        value = fit.values[effect][parameter]
+        half = quantile * math.sqrt(covariance[k, k])
+        ends = sorted(number(before, float(np.clip(value + s * half, *p.bounds))) for s in (-1, 1))
+        note = "at its bound" if min(value - p.bounds[0], p.bounds[1] - value) < 1e-6 else ""
+        final = number(before, value)
+        result.append(
+            Identified(
+                name,
+                field,
+                unit,
+                number(before, p.neutral),
+                final,
+                (ends[0], ends[1]),
+                tuple(number(before, float(x)) for x in value + change[:, k]),
+                spread_between(change[:, k], error[:, k]) * abs(number(before, 2.0) - number(before, 1.0)),
+                note,
+            )
+        )
+    return tuple(result)
+
+
+def _fields(before: Vehicle, after: Vehicle, parameters: tuple[Identified, ...]):
+    """Changed fields of the vehicle with the half-width of their intervals, in the field's own unit."""
+    relative = {}
+    for p in parameters:
+        half = 0.5 * (p.ci95[1] - p.ci95[0])
+        relative.setdefault(p.field, []).append((half, half / max(abs(p.value), 1e-12)))
+    fields = {}
+    for f in dataclasses.fields(after):
+        value = getattr(after, f.name)
+        if value == getattr(before, f.name):
+            continue
+        known = relative.get(f.name)
+        if known is None and f.name in ("thrust_direct_gain", "effects_thrust_bias"):
+            known = relative.get("thrust_state_gain")
+        if known is None:
+            fields[f.name] = 0.0 if not isinstance(value, tuple) else tuple(0.0 for _ in value)
+        elif f.name in ("effects_attitude_trim", "effects_mocap_tilt"):
+            fields[f.name] = tuple(h for h, _ in known)
+        elif f.name.startswith("effects_") and f.name.endswith("delay"):
+            fields[f.name] = known[0][0]
+        elif isinstance(value, tuple):
+            fields[f.name] = tuple(abs(x) * known[0][1] for x in value)
+        else:
+            fields[f.name] = abs(value) * known[0][1]
+    return fields

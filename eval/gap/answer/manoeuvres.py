@@ -1,0 +1,172 @@
+"""Flights that would tell effects apart which look alike in the flights at hand.
+
+Each manoeuvre is a smooth path flown perfectly; how far it separates two effects is computed with the
+same windows and noise as the diagnosis, in standard errors, after everything else that could be adjusted
+(the first effect's own size, the accepted effects) has been.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from inclined_landing.eval.gap.flights.windows import prepare
+from inclined_landing.eval.gap.search.evidence import Problem, solve
+from inclined_landing.eval.logs import FlightLog
+from inclined_landing.models.parameters import Vehicle
+
+SECONDS = 20.0
+RATE = 100.0
+# Standard errors below which a flight tells nothing apart.
+SEPARATED = 3.0
+# Effects that only a scale tells apart: the vehicle's mass.
+WEIGH = "Weigh the vehicle: in free flight only the ratio of thrust to mass shows."
+
+
+def _yaw_turn(t):
+    return np.zeros((len(t), 3)) + [0, 0, 1.2], 2.0 * math.pi * t / t[-1]
+
+
+def _vertical(t):
+    z = 1.2 + 0.35 * np.sin(2 * np.pi * 0.5 * t) + 0.03 * np.sign(np.sin(2 * np.pi * 1.0 * t))
+    return np.stack([0 * t, 0 * t, _smooth(z)], axis=1), 0 * t
+
+
+def _fast(t):
+    speed = 0.3 + 0.7 * (t > 0.5 * t[-1])
+    phase = np.cumsum(speed) * (t[1] - t[0]) * 2 * np.pi * 0.35
+    return np.stack([1.4 * np.sin(phase), 0.4 * np.sin(0.5 * phase), 1.2 + 0 * t], axis=1), 0 * t
+
+
+def _doublets(t):
+    x = 0.25 * np.sign(np.sin(2 * np.pi * 0.45 * t))
+    return np.stack([_smooth(x, 0.25), _smooth(-x, 0.25), 1.2 + 0 * t], axis=1), 0 * t
+
+
+def _low_and_high(t):
+    z = 0.55 + 0.5 * np.sign(np.sin(2 * np.pi * t / 8.0))
+    return np.stack([0 * t, 0 * t, _smooth(z, 0.5)], axis=1), 0 * t
+
+
+def _heights(t):
+    z = 1.2 + 0.5 * np.sin(2 * np.pi * 0.8 * t)
+    return np.stack([0 * t, 0 * t, z], axis=1), 0 * t
+
+
+MANOEUVRES: dict[str, tuple[str, Callable]] = {
+    "turn": ("hover while turning once around the vertical axis", _yaw_turn),
+    "thrust_steps": ("steps of thrust up and down in place, half a second apart", _vertical),
+    "fast": ("fly to and fro over two metres, first slowly, then fast", _fast),
+    "attitude_steps": ("quick steps of roll and pitch to both sides", _doublets),
+    "low_and_high": ("hover a few centimetres above the floor and one metre higher in turn", _low_and_high),
+    "heave": ("climb and sink over one metre as hard as the thrust allows", _heights),
+}
+
+
+def _smooth(x: np.ndarray, seconds: float = 0.15) -> np.ndarray:
+    from scipy.ndimage import gaussian_filter1d
+
+    return gaussian_filter1d(x, seconds * RATE, mode="nearest")
+
+
+def fly(name: str, vehicle: Vehicle, noise: np.ndarray) -> FlightLog:
+    """A manoeuvre flown perfectly by `vehicle` without effects: pose and the commands it takes."""
+    t = np.arange(0, SECONDS, 1 / RATE)
+    position, yaw = MANOEUVRES[name][1](t)
+    acceleration = np.gradient(np.gradient(position, t, axis=0), t, axis=0)
+    thrust = acceleration + [0, 0, vehicle.environment_gravity]
+    size = np.linalg.norm(thrust, axis=1)
+    d = thrust / size[:, None]
+    across = np.cos(yaw) * d[:, 1] - np.sin(yaw) * d[:, 0]
+    along = np.cos(yaw) * d[:, 0] + np.sin(yaw) * d[:, 1]
+    # Thrust along the third column of Rx Ry: (sin pitch, -sin roll cos pitch, cos roll cos pitch).
+    pitch = np.arcsin(np.clip(along, -0.7, 0.7))
+    roll = np.arctan2(-across, d[:, 2])
+    angles = np.stack([roll, pitch], axis=1)
+    wanted = (
+        angles + vehicle.attitude_time_constant * np.gradient(angles, t, axis=0)
+    ) / vehicle.attitude_gain
+    pwm = vehicle.hover_pwm * size / vehicle.environment_gravity
+    pwm = pwm + np.gradient(pwm, t) / vehicle.thrust_lag_rate
+    # Measured poses carry noise, for `prepare` to find.
+    rng = np.random.default_rng(0)
+    command = np.stack([np.clip(pwm, 10000, 60000), wanted[:, 0], wanted[:, 1], np.gradient(yaw, t)], axis=1)
+    shape = position.shape
+    return FlightLog(
+        name,
+        t,
+        position + noise[:3] * rng.standard_normal(shape),
+        np.column_stack([roll, pitch, yaw]) + noise[3:] * rng.standard_normal(shape),
+        command,
+    )
+
+
+def separating(problem: Problem, ties: Sequence[tuple[str, ...]], values) -> list[dict]:
+    """For every class of more than one effect, the manoeuvre that separates its members best.
+
+    Returns [{name, text, separation, members}], separation in standard errors of the closest pair,
+    largest first.
+    """
+    noise = np.median([f.noise for f in problem.flights], axis=0)
+    result = []
+    for members in ties:
+        if len(members) < 2:
+            continue
+        scored = []
+        weigh = "mass" in members
+        members = tuple(m for m in members if not (weigh and m == "mass"))
+        for name, (text, _) in MANOEUVRES.items() if len(members) > 1 else ():
+            flight = prepare(fly(name, problem.vehicle, noise), problem.vehicle)
+            own = Problem([flight], problem.vehicle, problem.library)
+            live = [m for m in members if m in own.library]
+            if len(live) < 2:
+                continue
+            others = {k: v for k, v in values.items() if k not in members}
+            lin = own.linearise(others, own.columns(others, live + list(others))).weighted(np.ones(6))
+            a = lin.a.sum(axis=0)
+            nuisance = lin.index(list(others))
+            scored.append((_separation(problem, a, lin, live, nuisance, values, members), name, text))
+        if scored:
+            best = max(scored)
+            words = f"To tell {_list(members)} apart: {best[2]} ({SECONDS:.0f} s separate them by "
+            words += f"{best[0]:.0f} standard errors)."
+            if best[0] < SEPARATED:
+                best = (best[0], "none", "")
+                words = f"None of the flights tried tells {_list(members)} apart"
+                words += ": correct any one of them." if weigh else "."
+        else:
+            best, words = (0.0, "weigh", ""), ""
+        if weigh:
+            words = (WEIGH + " " + words).strip()
+        result.append(
+            {"name": best[1], "text": words, "separation": float(best[0]), "members": list(members)}
+        )
+    return sorted(result, key=lambda r: -r["separation"])
+
+
+def _separation(problem, a, lin, live, nuisance, values, members) -> float:
+    """Standard errors between the accepted effect and the member closest to it."""
+    first = members[0] if members[0] in live else live[0]
+    own = lin.index([first])
+    size = []
+    for k in own:
+        column = lin.columns[k]
+        p = next(p for p in problem.library[first].parameters if p.name == column.parameter)
+        at = values.get(first, {}).get(p.name, p.plausible)
+        size.append((at - p.neutral) if p.name != "reference" else 0.0)
+    size = np.array(size)
+    distance = []
+    for other in live:
+        if other == first:
+            continue
+        columns = np.concatenate([lin.index([other]), nuisance])
+        cross = a[np.ix_(columns, own)] @ size
+        left = size @ a[np.ix_(own, own)] @ size - cross @ solve(a[np.ix_(columns, columns)], cross)
+        distance.append(math.sqrt(max(0.0, float(left))))
+    return min(distance)
+
+
+def _list(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]

@@ -1,0 +1,1 @@
+"""Measured flights as the search wants them."""

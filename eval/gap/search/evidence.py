@@ -1,0 +1,290 @@
+"""White window errors of a vehicle, their sensitivity to every effect, and what follows linearly.
+
+Everything after one linearisation works on small Gram matrices per window and channel: single-effect
+gains, scores on flights left out, per-flight estimates and classes of effects that look alike.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from inclined_landing.eval.gap.flights.windows import Flight
+from inclined_landing.eval.gap.search.prediction import YAW_CHANNEL, predict
+from inclined_landing.models.effects import Effect
+from inclined_landing.models.parameters import Vehicle
+
+Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
+
+# With fewer flights than this, flights are split into this many groups of windows in all.
+LEAST_GROUPS = 4
+_RIDGE = 1e-9
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """One direction in which an effect changes the prediction."""
+
+    effect: str
+    parameter: str
+    fixed: tuple[tuple[str, float], ...] = ()  # other parameters of the effect, where they differ
+
+
+class Problem:
+    """Flights, the vehicle they are compared with, and the effects that may be added to it."""
+
+    def __init__(self, flights: Sequence[Flight], vehicle: Vehicle, library: Mapping[str, Effect]):
+        self.flights = list(flights)
+        self.vehicle = vehicle
+        voltage = all(f.voltage is not None for f in flights)
+        yaw = any(f.has_yaw for f in flights)
+        self.library = {
+            name: effect
+            for name, effect in library.items()
+            if set(effect.channels) - {"touchdown"} - (set() if yaw else {"yaw"})
+            and (voltage or "voltage" not in effect.requires)
+        }
+        self.flight_of = np.concatenate([np.full(len(f.starts), k) for k, f in enumerate(self.flights)])
+        self.group_of = _groups(self.flights)
+        self.groups = int(self.group_of.max()) + 1
+        self.rows = np.array([f.rows - 2 for f in self.flights])[self.flight_of]  # white numbers each
+        # Weights (w, 6): channels that were not logged have none.
+        self.logged = np.ones((len(self.flight_of), 6))
+        self.logged[~np.array([f.has_yaw for f in self.flights])[self.flight_of], YAW_CHANNEL] = 0.0
+        self.weight = self.logged.copy()
+        self._pool = ThreadPoolExecutor(2)
+
+    def corrected(self, values: Values) -> Vehicle:
+        """The vehicle with effects at `values`, applied in the order of the library."""
+        vehicle = self.vehicle
+        for name, effect in self.library.items():
+            if name in values:
+                vehicle = effect.apply(vehicle, values[name])
+        return vehicle
+
+    def white(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
+        """White errors, one array (k, w, 6, q) for each flight, of k vehicles."""
+
+        def of(flight: Flight) -> np.ndarray:
+            measured = flight.measured
+            return np.stack([flight.whitening(flight.cut(measured - predict(flight, v))) for v in vehicles])
+
+        return list(self._pool.map(of, self.flights))
+
+    def white_of(self, k: int, vehicle: Vehicle) -> np.ndarray:
+        """White errors (w, 6, q) of one vehicle on the flight k."""
+        flight = self.flights[k]
+        return flight.whitening(flight.cut(flight.measured - predict(flight, vehicle)))
+
+    def columns(self, values: Values, names: Sequence[str]) -> list[Column]:
+        """Directions of the effects `names` at `values`.
+
+        A parameter that changes nothing while its effect is neutral (the reference of a battery) has no
+        direction of its own there; the first parameter then counts at both ends of its range.
+        """
+        result = []
+        for name in names:
+            effect = self.library[name]
+            first, *others = effect.parameters
+            idle = [p for p in others if p.name == "reference"]
+            at = values.get(name, effect.neutral)
+            if idle and at.get(first.name, first.neutral) == first.neutral:
+                other = idle[0]
+                result += [Column(name, first.name, ((other.name, end),)) for end in other.bounds]
+            else:
+                result += [Column(name, p.name) for p in effect.parameters]
+        return result
+
+    def linearise(self, values: Values, columns: Sequence[Column]) -> Linear:
+        """Errors at `values` and their Gram matrices with all `columns`."""
+        vehicles, steps = [self.corrected(values)], []
+        for column in columns:
+            effect = self.library[column.effect]
+            parameter = next(p for p in effect.parameters if p.name == column.parameter)
+            at = dict(effect.neutral) | dict(values.get(column.effect, {})) | dict(column.fixed)
+            lo, hi = parameter.bounds
+            centre = at[parameter.name]
+            ends = [max(lo, centre - parameter.negligible), min(hi, centre + parameter.negligible)]
+            steps.append(ends[1] - ends[0])
+            vehicles += [self.corrected({**values, column.effect: {**at, parameter.name: x}}) for x in ends]
+        steps = np.array(steps)
+
+        def of(flight: Flight):
+            measured = flight.measured
+            predicted = [predict(flight, v) for v in vehicles]
+            error = flight.whitening(flight.cut(measured - predicted[0]))
+            slopes = [
+                flight.whitening(flight.cut((predicted[2 * k + 2] - predicted[2 * k + 1]) / steps[k]))
+                for k in range(len(steps))
+            ]
+            c = np.einsum("wcq,wcq->wc", error, error)
+            if not slopes:
+                return np.zeros((*c.shape, 0, 0)), np.zeros((*c.shape, 0)), c
+            j = np.stack(slopes, axis=2)  # (w, 6, P, q)
+            return j @ j.swapaxes(2, 3), np.einsum("wcpq,wcq->wcp", j, error), c
+
+        parts = list(self._pool.map(of, self.flights))
+        a, b, c = (np.concatenate(x) for x in zip(*parts))
+        return Linear(tuple(columns), a, b, c, self)
+
+
+def _groups(flights: Sequence[Flight]) -> np.ndarray:
+    """Group of every window: its flight, or part of its flight where there are few."""
+    parts = 1 if len(flights) >= LEAST_GROUPS else -(-LEAST_GROUPS // len(flights))
+    groups, offset = [], 0
+    for flight in flights:
+        n = len(flight.starts)
+        own = min(parts, n)
+        groups.append(offset + np.arange(n) * own // n)
+        offset += own
+    return np.concatenate(groups)
+
+
+@dataclasses.dataclass
+class Linear:
+    """Gram matrices a (w, 6, P, P), b (w, 6, P), squared errors c (w, 6) of white window errors."""
+
+    columns: tuple[Column, ...]
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    problem: Problem
+
+    def index(self, names: Sequence[str]) -> np.ndarray:
+        """Positions of the columns of the effects `names`."""
+        return np.array([k for k, column in enumerate(self.columns) if column.effect in names], int)
+
+    def inflation(self) -> np.ndarray:
+        """(6,) squared error per degree of freedom that the whole library leaves, at least 1."""
+        weight = self.problem.weight
+        a, b = np.einsum("wc,wcpq->pq", weight, self.a), np.einsum("wc,wcp->p", weight, self.b)
+        d = solve(a, b)
+        left = self.c - 2.0 * self.b @ d + np.einsum("wcpq,p,q->wc", self.a, d, d, optimize=True)
+        freedom = np.maximum(1.0, (weight * self.problem.rows[:, None]).sum(axis=0))
+        return np.maximum(1.0, (weight * left).sum(axis=0) / freedom)
+
+    def by_channel(self, inflation: np.ndarray, change: np.ndarray | None = None) -> np.ndarray:
+        """Squared error (6,) of every channel, after a change (P,) of all columns."""
+        weight = self.problem.weight / inflation
+        left = self.c
+        if change is not None:
+            left = left - 2.0 * self.b @ change
+            left = left + np.einsum("wcpq,p,q->wc", self.a, change, change, optimize=True)
+        return (weight * left).sum(axis=0)
+
+    def shown_by_channel(self, inflation: np.ndarray, index: np.ndarray, size: np.ndarray) -> np.ndarray:
+        """Squared error (6,) that a change `size` of the columns `index` makes in every channel."""
+        weight = self.problem.weight / inflation
+        a = self.a[:, :, index[:, None], index[None, :]]
+        return np.einsum("wc,wcpq,p,q->c", weight, a, size, size, optimize=True)
+
+    def weighted(self, inflation: np.ndarray) -> Weighted:
+        """Channels summed up, each with its weight."""
+        weight = self.problem.weight / inflation
+        return Weighted(
+            self.columns,
+            np.einsum("wc,wcpq->wpq", weight, self.a, optimize=True),
+            np.einsum("wc,wcp->wp", weight, self.b),
+            np.einsum("wc,wc->w", weight, self.c),
+            self.problem,
+        )
+
+
+@dataclasses.dataclass
+class Weighted:
+    """As `Linear` with the channels summed: a (w, P, P), b (w, P), c (w,)."""
+
+    columns: tuple[Column, ...]
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    problem: Problem
+
+    def __post_init__(self):
+        g = self.problem.group_of
+        self.group_a = np.stack([self.a[g == k].sum(axis=0) for k in range(self.problem.groups)])
+        self.group_b = np.stack([self.b[g == k].sum(axis=0) for k in range(self.problem.groups)])
+
+    def index(self, names) -> np.ndarray:
+        """Positions of the columns of the effects `names`."""
+        return np.array([k for k, column in enumerate(self.columns) if column.effect in names], int)
+
+    def fit(self, index: np.ndarray) -> np.ndarray:
+        """(k,) change of the columns `index` that fits all windows best."""
+        if not len(index):
+            return np.zeros(0)
+        a, b = self.group_a.sum(axis=0), self.group_b.sum(axis=0)
+        return solve(a[np.ix_(index, index)], b[index])
+
+    def left(self, index: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Squared error (w,) of every window after a change of the columns `index`."""
+        if not len(index):
+            return self.c
+        a = self.a[:, index[:, None], index[None, :]]
+        return self.c - 2.0 * self.b[:, index] @ change + np.einsum("wpq,p,q->w", a, change, change)
+
+    def left_out(self, index: np.ndarray) -> np.ndarray:
+        """Squared error (w,) of every window, columns `index` fitted to the other groups."""
+        if not len(index):
+            return self.c
+        result = np.empty(len(self.c))
+        grid = np.ix_(index, index)
+        total_a, total_b = self.group_a.sum(axis=0), self.group_b.sum(axis=0)
+        for group in range(self.problem.groups):
+            d = solve((total_a - self.group_a[group])[grid], (total_b - self.group_b[group])[index])
+            w = self.problem.group_of == group
+            a = self.a[w][:, index[:, None], index[None, :]]
+            result[w] = self.c[w] - 2.0 * self.b[w][:, index] @ d + np.einsum("wpq,p,q->w", a, d, d)
+        return result
+
+    def per_flight(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Change (f, k) that fits each flight alone best, and its standard error (f, k)."""
+        flights = len(self.problem.flights)
+        value, error = np.full((2, flights, len(index)), np.nan)
+        for f in range(flights):
+            w = self.problem.flight_of == f
+            a = self.a[w].sum(axis=0)[np.ix_(index, index)]
+            inverse = invert(a)
+            with np.errstate(invalid="ignore"):  # what a flight does not show at all is NaN
+                value[f] = inverse @ self.b[w].sum(axis=0)[index]
+            error[f] = np.sqrt(np.diag(inverse))
+        return value, error
+
+    def covariance(self, index: np.ndarray) -> np.ndarray:
+        """Covariance (k, k) of the fit of the columns `index`, clustered by group."""
+        total = self.group_a.sum(axis=0)[np.ix_(index, index)]
+        inverse = invert(total)
+        d = inverse @ self.group_b.sum(axis=0)[index]
+        scores = self.group_b[:, index] - self.group_a[:, index[:, None], index[None, :]] @ d
+        n = self.problem.groups
+        meat = scores.T @ scores * n / max(1, n - 1)
+        clustered = inverse @ meat @ inverse
+        # Never smaller than what the noise of the windows alone gives.
+        floor = np.diag(inverse)
+        scale = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(clustered), 1e-300)))
+        return clustered * np.outer(scale, scale)
+
+
+def solve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Solution of a x = b for a positive semidefinite matrix, columns without any effect left at zero."""
+    scale = np.sqrt(np.diag(a))
+    live = scale > 0.0
+    x = np.zeros_like(b)
+    s = scale[live]
+    scaled = a[np.ix_(live, live)] / np.outer(s, s) + _RIDGE * np.eye(int(live.sum()))
+    x[live] = np.linalg.solve(scaled, b[live] / s) / s
+    return x
+
+
+def invert(a: np.ndarray) -> np.ndarray:
+    """Inverse of a positive semidefinite matrix; infinite variance for columns without any effect."""
+    scale = np.sqrt(np.diag(a))
+    live = scale > 0.0
+    result = np.diag(np.where(live, 0.0, np.inf))
+    s = scale[live]
+    scaled = a[np.ix_(live, live)] / np.outer(s, s) + _RIDGE * np.eye(int(live.sum()))
+    result[np.ix_(live, live)] = np.linalg.inv(scaled) / np.outer(s, s)
+    return result

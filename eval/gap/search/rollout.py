@@ -1,0 +1,316 @@
+"""Open-loop simulation from measured states: the gap in metres, in both plants.
+
+A window starts at the smoothed measured state (the thrust lag from the commands before it) and is driven
+by the commands alone, attitude included. Delays shift the commands, averaged exactly over each step.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import savgol_coeffs, savgol_filter
+
+from inclined_landing.eval.gap.flights.windows import SMOOTHING, Flight, prepare
+from inclined_landing.eval.gap.result import PlantGap
+from inclined_landing.eval.gap.search.prediction import averages, level, predict
+from inclined_landing.models import equations
+from inclined_landing.models.attitude import LAG, PWM, ROLL, STATE_SIZE, VX, WX, body_rates, tilted
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.perturbation import neutral
+from inclined_landing.models.plants import PLANTS, MujocoPlant
+
+HORIZON = 1.0  # s
+ENGINE_STEP = 0.004  # s at most
+FAR_UP = 50.0  # m
+ANGLE_SMOOTHING = 0.05  # s to either side, for start attitudes and their rates
+
+
+@dataclasses.dataclass
+class Starts:
+    """Windows of several flights to simulate together; all have the same number of rows."""
+
+    flights: list[Flight]
+    flight_of: np.ndarray  # (n,)
+    first: np.ndarray  # (n,) row in the flight
+    rows: int  # steps of the horizon
+    dt: float
+
+    @staticmethod
+    def of(flights: Sequence[Flight], horizon: float = HORIZON, every: float = 1.0) -> Starts:
+        """A window every `every` seconds wherever all of it is usable.
+
+        Raises UserError when the flights have different rates, or no stretch is long enough.
+        """
+        dt = flights[0].dt
+        if any(abs(f.dt - dt) > 0.02 * dt for f in flights):
+            raise UserError("flights logged at different rates cannot be simulated together")
+        rows, stride = round(horizon / dt), max(1, round(every / dt))
+        flight_of, first = [], []
+        for k, f in enumerate(flights):
+            margin = max(2, round(SMOOTHING / dt))
+            blocked = np.concatenate([[0], np.cumsum(~f.usable)])
+            for a in range(margin, f.samples - rows - 1, stride):
+                if blocked[a + rows + 1] == blocked[a - margin]:
+                    flight_of.append(k)
+                    first.append(a)
+        return Starts(list(flights), np.array(flight_of, int), np.array(first, int), rows, dt)
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    def gather(self, values: Sequence[np.ndarray], rows: int | None = None) -> np.ndarray:
+        """Rows (n, rows, ...) of one array for each flight, from each window's first on."""
+        rows = self.rows if rows is None else rows
+        return np.stack([values[f][a : a + rows] for f, a in zip(self.flight_of, self.first)])
+
+    def measured(self) -> np.ndarray:
+        """Measured pose (n, rows + 1, 6)."""
+        return self.gather([f.measured for f in self.flights], self.rows + 1)
+
+
+def smoothed_states(flight: Flight) -> np.ndarray:
+    """States (m, 13) from smoothed measurements; lag zero."""
+    dt = flight.dt
+    wide, narrow = (2 * max(2, round(x / dt)) + 1 for x in (SMOOTHING, ANGLE_SMOOTHING))
+    state = np.zeros((flight.samples, STATE_SIZE))
+    state[:, :3] = savgol_filter(flight.position, wide, 2, axis=0)
+    state[:, VX : VX + 3] = flight.velocity
+    state[:, ROLL : ROLL + 3] = savgol_filter(flight.attitude, narrow, 2, axis=0)
+    rates = savgol_filter(flight.attitude, narrow, 2, deriv=1, delta=dt, axis=0)
+    for k in range(flight.samples):
+        state[k, WX : WX + 3] = body_rates(state[k, ROLL], state[k, ROLL + 1], *rates[k])
+    return state
+
+
+def start_noise(flight: Flight) -> np.ndarray:
+    """Standard deviations (12,) of a smoothed state's noise: position, velocity, attitude, rates."""
+    dt = flight.dt
+    wide, narrow = (2 * max(2, round(x / dt)) + 1 for x in (SMOOTHING, ANGLE_SMOOTHING))
+    factor = [
+        np.linalg.norm(savgol_coeffs(n, 2, deriv=d, delta=dt))
+        for n, d in ((wide, 0), (wide, 1), (narrow, 0), (narrow, 1))
+    ]
+    p, a = flight.noise[:3], flight.noise[3:]
+    return np.concatenate([factor[0] * p, factor[1] * p, factor[2] * a, factor[3] * a])
+
+
+def drive(flight: Flight, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
+    """Delayed commands (m - 1, 4), a mean over each step, and the thrust lag (m,) they lead to."""
+    late = vehicle.effects_mocap_delay
+    delays = [vehicle.effects_thrust_delay + late] + [vehicle.effects_attitude_delay + late] * 3
+    commands = np.stack([averages(flight.command[:, k], flight.dt, d) for k, d in enumerate(delays)], axis=1)
+    return commands, _lag(commands[:, PWM], flight.dt, vehicle)
+
+
+def _lag(pwm: np.ndarray, dt: float, vehicle: Vehicle) -> np.ndarray:
+    lag = np.empty(len(pwm) + 1)
+    lag[0] = pwm[0] / vehicle.thrust_lag_rate
+    slow = 1.0 + vehicle.effects_spin_down
+    for k, u in enumerate(pwm):
+        steady = u / vehicle.thrust_lag_rate
+        rate = vehicle.thrust_lag_rate / (slow if steady < lag[k] else 1.0)
+        lag[k + 1] = steady + (lag[k] - steady) * math.exp(-rate * dt)
+    return lag
+
+
+def simulate(
+    starts: Starts, vehicle: Vehicle, plant: str = "analytic", disturbance: np.ndarray | None = None
+) -> np.ndarray:
+    """Simulated pose (n, rows + 1, 6) of every window.
+
+    disturbance: (n, 12) added to position, velocity, attitude and body rates of the start states.
+    """
+    driven = [drive(f, vehicle) for f in starts.flights]
+    commands = starts.gather([c for c, _ in driven])
+    state = starts.gather([smoothed_states(f) for f in starts.flights], 1)[:, 0]
+    tilt = vehicle.effects_mocap_tilt
+    if any(tilt):
+        state[:, ROLL : ROLL + 3] = level(state[:, ROLL : ROLL + 3].copy(), tilt)
+    state[:, LAG] = starts.gather([lag for _, lag in driven], 1)[:, 0]
+    if disturbance is not None:
+        state[:, :LAG] += disturbance
+    ambient = starts.gather([f.ambient for f in starts.flights])
+    if plant not in PLANTS:
+        raise UserError(f"unknown plant {plant!r}; known are {' and '.join(PLANTS)}")
+    run = _analytic if plant == "analytic" else _mujoco
+    pose = run(starts, vehicle, state, commands, ambient)
+    if any(tilt):
+        for window in pose:
+            tilted(window[:, 3:].copy(), *tilt, window[:, 3:])
+    return pose
+
+
+def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
+    n = len(starts)
+    c, p = equations.pack(vehicle), neutral(n)
+    pose = np.empty((n, starts.rows + 1, 6))
+    pose[:, 0] = state[:, _POSE]
+    substeps = max(1, math.ceil(starts.dt / 0.01))
+    around = ambient[:, 0].copy()
+    around[:, 0] -= 0.5 * starts.dt
+    for k in range(starts.rows):
+        around[:, 1:] = ambient[:, k, 1:]
+        equations.advance(
+            state, np.ascontiguousarray(commands[:, k]), around, c, p, True, starts.dt / substeps, substeps
+        )
+        pose[:, k + 1] = state[:, _POSE]
+    return pose
+
+
+def _mujoco(starts, vehicle, state, commands, ambient) -> np.ndarray:
+    """As `_analytic`; what depends on flight time and measured voltage enters as a scale of the thrust."""
+    n = len(starts)
+    plain = dataclasses.replace(
+        vehicle,
+        command_control_period=starts.dt,
+        effects_thrust_delay=0.0,
+        effects_attitude_delay=0.0,
+        effects_mocap_delay=0.0,
+        effects_thrust_fade=0.0,
+        effects_voltage_sensitivity=0.0,
+    )
+    scale = 1.0 - vehicle.effects_thrust_fade * ambient[:, :, 0]
+    if vehicle.effects_voltage_sensitivity:
+        voltage = ambient[:, :, 1]
+        if np.isnan(voltage).any():
+            load = vehicle.thrust_lag_rate * starts.gather([drive(f, vehicle)[1] for f in starts.flights])
+            time = ambient[:, :, 0]
+            voltage = (
+                vehicle.effects_voltage_open
+                - vehicle.effects_voltage_drop * load
+                - vehicle.effects_voltage_discharge * time
+            )
+        scale = scale * (
+            1.0 + vehicle.effects_voltage_sensitivity * (voltage - vehicle.effects_voltage_reference)
+        )
+    varies = bool((scale != 1.0).any())
+    plant = MujocoPlant(n, plain, timestep=starts.dt / math.ceil(starts.dt / ENGINE_STEP - 1e-9))
+    plant.set_platform(np.arange(n), vehicle.platform_inclination, ambient[:, 0, 3] > 0.0)
+    # Free flight meets nothing: without surfaces that matter it is flown high above the floor.
+    lift = 0.0 if vehicle.effects_ground_effect or ambient[:, 0, 3].any() else FAR_UP
+    state[:, 2] += lift
+    plant.reset(np.arange(n), state)
+    pose = np.empty((n, starts.rows + 1, 6))
+    pose[:, 0] = state[:, _POSE]
+    for k in range(starts.rows):
+        if varies:
+            plant.perturb(thrust_scale=scale[:, k])
+        plant.step(commands[:, k])
+        pose[:, k + 1] = plant.state[:, _POSE]
+    pose[:, :, 2] -= lift
+    return pose
+
+
+_POSE = [0, 1, 2, 6, 7, 8]
+
+
+def position_error(simulated: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Root mean square distance (rows,) [m] over windows, after every step."""
+    return np.sqrt(((simulated - measured)[:, 1:, :3] ** 2).sum(axis=2).mean(axis=0))
+
+
+def noise_floor(starts: Starts, vehicle: Vehicle, seed: int = 0) -> np.ndarray:
+    """Error (rows,) [m] that a perfect model would show: noise of start state and of the comparison.
+
+    By simulation of `vehicle` from start states with and without the noise that smoothing leaves, plus
+    the measurement noise at the end.
+    """
+    rng = np.random.default_rng(seed)
+    scale = np.stack([start_noise(f) for f in starts.flights])[starts.flight_of]
+    a = simulate(starts, vehicle)
+    b = simulate(starts, vehicle, disturbance=scale * rng.standard_normal(scale.shape))
+    end = np.stack([f.noise[:3] for f in starts.flights])[starts.flight_of]
+    return np.sqrt(position_error(a, b) ** 2 + (end**2).sum(axis=1).mean())
+
+
+def translation_error(starts: Starts, vehicle: Vehicle) -> np.ndarray:
+    """As `position_error` with the measured attitude in place of the simulated one."""
+    squares = np.zeros((len(starts), starts.rows))
+    time = np.arange(1, starts.rows + 1) * starts.dt
+    for k, flight in enumerate(starts.flights):
+        own = np.flatnonzero(starts.flight_of == k)
+        if not len(own):
+            continue
+        predicted = predict(flight, vehicle)[:, :3]
+        start = smoothed_states(flight)
+        rate = np.gradient(predicted, flight.dt, axis=0)
+        for i in own:
+            a = starts.first[i]
+            line = start[a, :3] + time[:, None] * (start[a, VX : VX + 3] - rate[a])
+            moved = predicted[a + 1 : a + 1 + starts.rows] - predicted[a] + line
+            squares[i] = ((moved - flight.position[a + 1 : a + 1 + starts.rows]) ** 2).sum(axis=1)
+    return np.sqrt(squares.mean(axis=0))
+
+
+def plant_gap(
+    starts: Starts, before: Vehicle, after: Vehicle | Sequence[Vehicle], plant: str, floor: np.ndarray
+) -> PlantGap:
+    """Gap at the end of the horizon; `after`: one vehicle, or one for each flight of `starts`."""
+    measured = starts.measured()
+    first = position_error(simulate(starts, before, plant), measured)
+    second, translation = errors_by_flight(starts, after, plant)
+    return PlantGap(
+        before=float(first[-1]),
+        after=float(second[-1]),
+        floor=float(floor[-1]),
+        translation_before=float(translation_error(starts, before)[-1]),
+        translation_after=float(translation[-1]),
+        windows=len(starts),
+        horizon=starts.rows * starts.dt,
+    )
+
+
+def errors_by_flight(
+    starts: Starts, vehicle: Vehicle | Sequence[Vehicle], plant: str = "analytic"
+) -> tuple[np.ndarray, np.ndarray]:
+    """`position_error` and `translation_error` (rows,), where each flight may have a vehicle of its own."""
+    if isinstance(vehicle, Vehicle):
+        return (
+            position_error(simulate(starts, vehicle, plant), starts.measured()),
+            translation_error(starts, vehicle),
+        )
+    squares, translation, total = 0.0, 0.0, 0
+    for k, own in enumerate(vehicle):
+        part = dataclasses.replace(
+            starts,
+            flights=[starts.flights[k]],
+            first=starts.first[starts.flight_of == k],
+            flight_of=np.zeros(int((starts.flight_of == k).sum()), int),
+        )
+        if len(part):
+            squares = squares + len(part) * position_error(simulate(part, own, plant), part.measured()) ** 2
+            translation = translation + len(part) * translation_error(part, own) ** 2
+            total += len(part)
+    return np.sqrt(squares / total), np.sqrt(translation / total)
+
+
+def measure_gap(
+    vehicle: Vehicle, flights: Sequence, horizon: float = HORIZON, plant: str = "analytic", *, platform=False
+) -> dict:
+    """Open-loop position error of a vehicle on measured flights.
+
+    flights: `FlightLog`s. Returns {error, floor, translation, windows, horizon, curve}: root mean square
+    distance [m] after `horizon` seconds, what noise alone gives, the error with the measured attitude in
+    place of the simulated one, how many windows, and {t, error, floor} against the horizon.
+    Raises UserError when no flight has a usable stretch of that length.
+    """
+    prepared = [f if isinstance(f, Flight) else prepare(f, vehicle, platform=platform) for f in flights]
+    starts = Starts.of(prepared, horizon)
+    if not len(starts):
+        raise UserError(
+            f"no stretch of {horizon:g} s in free flight in {', '.join(f.name for f in prepared)}"
+        )
+    error = position_error(simulate(starts, vehicle, plant), starts.measured())
+    floor = noise_floor(starts, vehicle)
+    return {
+        "error": float(error[-1]),
+        "floor": float(floor[-1]),
+        "translation": float(translation_error(starts, vehicle)[-1]),
+        "windows": len(starts),
+        "horizon": starts.rows * starts.dt,
+        "curve": {"t": np.arange(1, starts.rows + 1) * starts.dt, "error": error, "floor": floor},
+    }

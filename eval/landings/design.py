@@ -1,0 +1,102 @@
+"""Spreads a study's landings over its parameters, and simulates any chunk of them."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+import pyarrow as pa
+from scipy import stats
+
+from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS, Landings, simulate, touchdown_states
+from inclined_landing.eval.landings.study import Levels, Range, Study, known_parameters
+from inclined_landing.models.attitude import STATE_SIZE
+from inclined_landing.models.parameters import load_vehicle
+
+CHUNK = 500  # landings
+
+
+def total(study: Study) -> int:
+    """Number of landings."""
+    if study.sampling == "latin-hypercube":
+        return study.samples
+    levels = math.prod(len(p.values) for p in study.parameters)
+    return levels * max(1, len(study.starts))
+
+
+@functools.lru_cache(maxsize=2)
+def design(study: Study) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Parameters by name, arrays (n,) [SI], and the index (n,) of the start state.
+
+    Parameters that the study does not name have their defaults. A factorial runs through its levels
+    in the file's order, the last fastest, and flies every start state at each; a Latin hypercube
+    draws the start states too.
+    """
+    n = total(study)
+    values = {name: np.full(n, p.default) for name, p in known_parameters().items()}
+    starts = max(1, len(study.starts))
+    if study.sampling == "factorial":
+        axes = [np.array(p.values) for p in study.parameters]
+        grid = np.meshgrid(*axes, np.arange(starts), indexing="ij")
+        for p, column in zip(study.parameters, grid):
+            values[p.name] = column.ravel()
+        return values, grid[-1].ravel().astype(np.int64)
+    drawn = stats.qmc.LatinHypercube(len(study.parameters) + 1, rng=np.random.default_rng(study.seed)).random(
+        n
+    )
+    for p, u in zip(study.parameters, drawn.T):
+        values[p.name] = _quantile(p, u)
+    return values, np.minimum((drawn[:, -1] * starts).astype(np.int64), starts - 1)
+
+
+def _quantile(p: Levels | Range, u: np.ndarray) -> np.ndarray:
+    """Values of a parameter at probabilities u (n,)."""
+    if isinstance(p, Levels):
+        return np.array(p.values)[np.minimum((u * len(p.values)).astype(int), len(p.values) - 1)]
+    if p.distribution == "normal":
+        low, high = (p.low - p.mean) / p.deviation, (p.high - p.mean) / p.deviation
+        return np.clip(stats.truncnorm.ppf(u, low, high, p.mean, p.deviation), p.low, p.high)
+    if p.distribution == "log-uniform":
+        return np.clip(p.low * (p.high / p.low) ** u, p.low, p.high)
+    return p.low + (p.high - p.low) * u
+
+
+def run_chunk(study: Study, chunk: int, size: int = CHUNK, threads: int = 0) -> pa.Table:
+    """Landings chunk * size .. of the study, a function of its arguments alone.
+
+    The number of threads changes nothing; nor does `size`, for the landings that are in it.
+    """
+    values, start = design(study)
+    rows = slice(chunk * size, min((chunk + 1) * size, total(study)))
+    p = {name: column[rows].copy() for name, column in values.items()}
+    vehicle = load_vehicle()
+    if study.starts:
+        states = np.array(study.starts)[start[rows]]
+        states = states.reshape(-1, STATE_SIZE)
+    else:
+        states = touchdown_states(p, vehicle)
+    landings = simulate(
+        states, p, from_start=bool(study.starts), duration=study.duration, timestep=study.timestep,
+        vehicle=vehicle, threads=threads,
+    )  # fmt: skip
+    return _table(study, rows, p, start[rows], landings)
+
+
+def _table(study: Study, rows: slice, p, start, landings: Landings) -> pa.Table:
+    """Columns: landing, start, every parameter [SI], outcome, RESULTS [SI]; units are in the metadata."""
+    known = known_parameters()
+    columns = {"landing": pa.array(np.arange(rows.start, rows.stop), pa.int64())}
+    fields = [pa.field("landing", pa.int64(), metadata={"meaning": "number in the study"})]
+    columns["start"] = pa.array(start, pa.int32())
+    fields.append(pa.field("start", pa.int32(), metadata={"meaning": "index of the start state"}))
+    for name, column in p.items():
+        columns[name] = pa.array(column, pa.float64(), from_pandas=True)
+        meta = {"unit": known[name].kind, "meaning": known[name].label}
+        fields.append(pa.field(name, pa.float64(), metadata=meta))
+    columns["outcome"] = pa.array([OUTCOMES[k] for k in landings.outcome], pa.string())
+    fields.append(pa.field("outcome", pa.string(), metadata={"meaning": ", ".join(OUTCOMES)}))
+    for k, (name, meaning) in enumerate(RESULTS.items()):
+        columns[name] = pa.array(landings.values[:, k], pa.float64(), from_pandas=True)
+        fields.append(pa.field(name, pa.float64(), metadata={"meaning": meaning}))
+    return pa.table(columns, schema=pa.schema(fields))

@@ -1,0 +1,210 @@
+"""Outcome maps over two parameters, their boundaries, and profiles over one."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from scipy.ndimage import gaussian_filter
+
+from inclined_landing.eval.base.style import BLUE, GREEN, INK, ORANGE, PURPLE, styled
+from inclined_landing.eval.landings.landing import OUTCOMES, RESTS
+from inclined_landing.eval.landings.parameters import Parameter
+
+COLOURS = dict(zip(OUTCOMES, (GREEN, ORANGE, BLUE, PURPLE, "#9aa5b1", INK)))
+_PER_CELL = 12  # landings, of a Latin hypercube
+_CELLS = (6, 24)  # least and most in a row
+_BINS_OF_PROFILE = 20
+_LEVELS = 60  # more different values than these are binned
+_SHARES = LinearSegmentedColormap.from_list("rests", ["#ffffff", "#cfeee3", GREEN, "#004f3a"])
+
+
+@dataclasses.dataclass(frozen=True)
+class Map:
+    """Outcome shares in cells over two parameters, in report units."""
+
+    x: Parameter
+    y: Parameter
+    x_edges: np.ndarray  # (a + 1,)
+    y_edges: np.ndarray  # (b + 1,)
+    counts: np.ndarray  # (b, a, outcomes) landings
+    levels: bool  # cells are levels of a factorial; otherwise bins
+
+    @property
+    def centres(self) -> tuple[np.ndarray, np.ndarray]:
+        """Middles of the columns (a,) and rows (b,)."""
+        return 0.5 * (self.x_edges[1:] + self.x_edges[:-1]), 0.5 * (self.y_edges[1:] + self.y_edges[:-1])
+
+    @property
+    def rests(self) -> np.ndarray:
+        """Share (b, a) of landings that rest; NaN in empty cells."""
+        total = self.counts.sum(axis=2)
+        with np.errstate(invalid="ignore"):
+            return self.counts[:, :, RESTS] / total
+
+    def smooth(self) -> np.ndarray:
+        """`rests` (b, a) as contours are drawn from: bins averaged with their neighbours."""
+        if self.levels:
+            return self.rests
+        total = gaussian_filter(self.counts.sum(axis=2).astype(float), 1.0, mode="nearest")
+        good = gaussian_filter(self.counts[:, :, RESTS].astype(float), 1.0, mode="nearest")
+        return good / np.maximum(total, 1e-9)
+
+
+def make_map(x: Parameter, y: Parameter, xs: np.ndarray, ys: np.ndarray, outcome: np.ndarray) -> Map:
+    """Count outcomes (n,) in cells over xs and ys (n,) [SI]."""
+    xs, ys = xs / x.factor, ys / y.factor
+    bins = int(np.clip(math.sqrt(len(xs) / _PER_CELL), *_CELLS))
+    (x_edges, x_level), (y_edges, y_level) = _edges(xs, bins), _edges(ys, bins)
+    i = np.clip(np.searchsorted(x_edges, xs, side="right") - 1, 0, len(x_edges) - 2)
+    j = np.clip(np.searchsorted(y_edges, ys, side="right") - 1, 0, len(y_edges) - 2)
+    counts = np.zeros((len(y_edges) - 1, len(x_edges) - 1, len(OUTCOMES)), int)
+    np.add.at(counts, (j, i, outcome), 1)
+    return Map(x, y, x_edges, y_edges, counts, x_level and y_level)
+
+
+def _edges(values: np.ndarray, bins: int) -> tuple[np.ndarray, bool]:
+    """Edges of cells, and whether they enclose one level each."""
+    levels = np.unique(values)
+    if len(levels) > _LEVELS:
+        return np.linspace(levels[0], levels[-1], bins + 1), False
+    middle = 0.5 * (levels[1:] + levels[:-1])
+    if not len(middle):
+        return np.array([levels[0] - 0.5, levels[0] + 0.5]), True
+    first, last = levels[0] - (middle[0] - levels[0]), levels[-1] + (levels[-1] - middle[-1])
+    return np.concatenate([[first], middle, [last]]), True
+
+
+def quasi_static(one: Map, fixed: dict[str, float]) -> tuple[np.ndarray, np.ndarray] | None:
+    """The line tan(inclination) = friction in the map's units; None where it says nothing.
+
+    fixed: values [SI] of the parameters that do not vary.
+    """
+    names = one.x.name, one.y.name
+    (x0, x1), (y0, y1) = one.x_edges[[0, -1]], one.y_edges[[0, -1]]
+    if set(names) == {"inclination", "friction"}:
+        swap = names[0] == "friction"
+        span = np.linspace(*((y0, y1) if swap else (x0, x1)), 200)
+        mu = np.tan(np.radians(span))
+        return (mu, span) if swap else (span, mu)
+    for axis, name in enumerate(names):
+        if name == "friction" and "inclination" in fixed:
+            value = math.tan(fixed["inclination"])
+        elif name == "inclination" and "friction" in fixed:
+            value = math.degrees(math.atan(fixed["friction"]))
+        else:
+            continue
+        line = np.array([value, value])
+        return (line, np.array([y0, y1])) if axis == 0 else (np.array([x0, x1]), line)
+    return None
+
+
+def boundary(one: Map, along: str) -> list[dict]:
+    """Where half of the landings rest, walking along "x" in each row or along "y" in each column.
+
+    One entry for each row or column: its `place` on the other axis and its crossings, each with
+    `rests_above`: do more than half rest on the upper side. Report units.
+    """
+    walked, places = one.centres if along == "x" else one.centres[::-1]
+    lines = one.smooth() if along == "x" else one.smooth().T
+    rows = []
+    for place, share in zip(places, lines):
+        above = share >= 0.5
+        crossings = []
+        for j in np.flatnonzero(above[1:] != above[:-1]):
+            t = (0.5 - share[j]) / (share[j + 1] - share[j])
+            at = walked[j] + t * (walked[j + 1] - walked[j])
+            crossings.append({"at": float(at), "rests_above": bool(above[j + 1])})
+        rows.append({"place": float(place), "crossings": crossings})
+    return rows
+
+
+def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
+    """The most frequent outcome on the left, the share that rests on the right, boundaries on both."""
+    with styled():
+        figure = Figure(figsize=(8.6, 4.15), layout="constrained")
+        left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+        seen = one.counts.sum(axis=(0, 1)) > 0
+        total = one.counts.sum(axis=2)
+        best = one.counts.argmax(axis=2)
+        picture = np.ones((*best.shape, 3))
+        for k, name in enumerate(OUTCOMES):
+            # The paler, the smaller the majority.
+            with np.errstate(invalid="ignore", divide="ignore"):
+                share = np.nan_to_num(one.counts[:, :, k] / total)
+            weight = (0.25 + 0.75 * np.clip((share - 0.3) / 0.7, 0, 1))[best == k][:, None]
+            picture[best == k] = 1.0 - weight * (1.0 - np.array(to_rgb(COLOURS[name])))
+        picture[total == 0] = 1.0
+        left.pcolormesh(one.x_edges, one.y_edges, picture, rasterized=True)
+        mesh = right.pcolormesh(
+            one.x_edges, one.y_edges, 100 * one.rests, cmap=_SHARES, vmin=0, vmax=100, rasterized=True
+        )
+        bar = figure.colorbar(mesh, ax=right, label="landings that rest [%]", pad=0.02)
+        bar.outline.set_visible(False)
+        handles = [Patch(color=COLOURS[name], label=name) for k, name in enumerate(OUTCOMES) if seen[k]]
+        handles += _lines(left, one, fixed, (0.5,))
+        _lines(right, one, fixed, (0.1, 0.5, 0.9) if one.levels else (0.5,))
+        left.set_ylabel(one.y.title())
+        left.set_title("most frequent outcome", loc="left")
+        lines = "; lines at 10, 50, 90 %" if one.levels else ""
+        right.set_title(f"share at rest on the feet{lines}", loc="left")
+        for axes in (left, right):
+            axes.set_xlabel(one.x.title())
+            axes.set(xlim=one.x_edges[[0, -1]], ylim=one.y_edges[[0, -1]])
+        figure.legend(
+            handles=handles,
+            loc="outside lower center",
+            ncols=len(handles),
+            columnspacing=1.3,
+            handlelength=1.6,
+        )
+    return figure
+
+
+def _lines(axes: Axes, one: Map, fixed: dict[str, float], shares: tuple[float, ...]) -> list:
+    """Contours of the share that rests, and the quasi-static prediction; returns legend handles."""
+    handles = []
+    x, y = one.centres
+    share = one.smooth()
+    if min(share.shape) > 1 and np.isfinite(share).all() and share.min() < 0.5 < share.max():
+        widths = [1.0 if s != 0.5 else 2.0 for s in shares]
+        axes.contour(x, y, share, levels=shares, colors=INK, linewidths=widths)
+        handles += axes.plot([], [], color=INK, lw=2.0, label="half of them rest")
+    predicted = quasi_static(one, fixed)
+    if predicted:
+        handles += axes.plot(
+            *predicted, color="black", lw=1.8, ls=(0, (4, 2)), label="tan(inclination) = friction"
+        )
+    return handles
+
+
+def profile_figure(parameters: list[tuple[Parameter, np.ndarray]], outcome: np.ndarray) -> Figure:
+    """Shares of the outcomes over each varied parameter, stacked, everything else as it varies."""
+    columns = min(3, len(parameters))
+    rows = -(-len(parameters) // columns)
+    present = [k for k in range(len(OUTCOMES)) if (outcome == k).any()]
+    with styled():
+        figure = Figure(figsize=(2.9 * columns + 0.2, 1.95 * rows + 0.55), layout="constrained")
+        grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
+        for axes in grid.ravel()[len(parameters) :]:
+            axes.set_visible(False)
+        for axes, (parameter, values) in zip(grid.ravel(), parameters):
+            values = values / parameter.factor
+            edges, levels = _edges(values, _BINS_OF_PROFILE)
+            bins = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+            total = np.maximum(np.bincount(bins, minlength=len(edges) - 1), 1)
+            middles = np.unique(values) if levels else 0.5 * (edges[1:] + edges[:-1])
+            stack = [100 * np.bincount(bins[outcome == k], minlength=len(edges) - 1) / total for k in present]
+            colours = [COLOURS[OUTCOMES[k]] for k in present]
+            axes.stackplot(middles, stack, colors=colours, lw=0, alpha=0.9)
+            axes.set(xlim=(middles[0], middles[-1]), ylim=(0, 100), xlabel=parameter.title())
+        for row in grid:
+            row[0].set_ylabel("landings [%]")
+        handles = [Patch(color=COLOURS[OUTCOMES[k]], label=OUTCOMES[k]) for k in present]
+        figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    return figure

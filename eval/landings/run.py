@@ -1,0 +1,191 @@
+"""`landing-eval contact`: a study from its file to a folder with results, figures and a page.
+
+While it runs, the folder holds `study.json` (the study resolved, written first) and `parts/`, one
+Parquet file for each finished chunk, each whole or not there. In the end the parts become
+`results.parquet`, and the rest is made from it. A study that was interrupted, even by kill -9, goes
+on with --resume and ends with the same bits.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import math
+import shutil
+import time
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.landings import design, engines
+from inclined_landing.eval.landings.study import Study, known_parameters, read_study
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError
+
+RECORD, RESULTS, PARTS = "study.json", "results.parquet", "parts"
+
+
+def run(
+    study: str | Path,
+    out: Path,
+    *,
+    engine: str = "local",
+    address: str | None = None,
+    resume: bool = False,
+    chunk: int = design.CHUNK,
+) -> dict:
+    """The command; returns the summary that it writes and prints."""
+    engines.check(engine, address)
+    wanted = read_study(study)
+    out = Path(out)
+    if resume and out.exists():
+        wanted, chunk = _resumed(wanted, out)
+    else:
+        runs.check_new_run(out)
+        wanted = with_starts(wanted)
+        _begin(wanted, out, chunk)
+    count = math.ceil(design.total(wanted) / chunk)
+    table = _finished(out, design.total(wanted))
+    if table is None:
+        todo = [k for k in range(count) if not _whole(out, k, wanted, chunk)]
+        _simulate(wanted, out, engine, address, chunk, todo)
+        table = _merge(out, count)
+    from inclined_landing.eval.landings import report
+
+    try:
+        summary = report.write(wanted, table, out)
+    except OSError as error:
+        raise UserError(f"cannot write {out}: {str(error.strerror or error).lower()}") from error
+    shutil.rmtree(out / PARTS, ignore_errors=True)
+    report.show(summary, out)
+    return summary
+
+
+def with_starts(study: Study) -> Study:
+    """The study with the states at which its policy enters the goal box, from the frozen grid.
+
+    Raises UserError when the policy is not for landing or never gets there.
+    """
+    if study.policy is None:
+        return study
+    from inclined_landing.envs import starts as landing_starts
+    from inclined_landing.envs.flights import record_flights
+    from inclined_landing.envs.policy import load_policy
+
+    policy = load_policy(study.policy, "landing")
+    inclination = known_parameters()["inclination"].default
+    if not math.isclose(policy.task.inclination, -inclination, rel_tol=1e-9):
+        raise UserError(
+            f"policy {study.policy} was trained for {math.degrees(policy.task.inclination):.1f} deg; "
+            f"a study can start only from one for {-math.degrees(inclination):.1f} deg"
+        )
+    grid = landing_starts.clear(policy.task, landing_starts.grid())
+    flights = record_flights(policy, "mujoco", landing_starts.at_rest(policy.task, grid))
+    entries = [flight.state[-1] for flight in flights if flight.strict]
+    if not entries:
+        raise UserError(f"policy {study.policy} never reaches the goal box from the frozen grid")
+    return dataclasses.replace(study, starts=tuple(tuple(map(float, row)) for row in entries))
+
+
+def _begin(study: Study, out: Path, chunk: int) -> None:
+    """Make the folder with its record, or nothing."""
+    fresh = not out.exists()
+    runs.new_run(out)
+    record = {
+        "study": study.to_dict(),
+        "fingerprint": study.fingerprint(),
+        "landings": design.total(study),
+        "chunk": chunk,
+        "versions": runs.versions(),
+    }
+    try:
+        storage.write_json(out / RECORD, record)
+        (out / PARTS).mkdir()
+    except (UserError, OSError) as error:
+        (out / RECORD).unlink(missing_ok=True)
+        if fresh:
+            with contextlib.suppress(OSError):
+                out.rmdir()
+        if isinstance(error, UserError):
+            raise
+        raise UserError(f"cannot write {out}: {str(error.strerror or error).lower()}") from error
+
+
+def _resumed(wanted: Study, out: Path) -> tuple[Study, int]:
+    """The study to go on with, start states included, and its chunk size."""
+    try:
+        record = json.loads((out / RECORD).read_text("utf-8"))
+        begun, chunk = Study.from_dict(record["study"]), int(record["chunk"])
+    except FileNotFoundError as error:
+        raise UserError(f"{out} holds no study that could be resumed ({RECORD} is missing)") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{out / RECORD} cannot be read: {error}") from error
+    wanted = dataclasses.replace(wanted, starts=begun.starts)
+    if wanted.fingerprint() != record.get("fingerprint"):
+        raise UserError(
+            f"{out} was begun with another study, vehicle or engine version; choose another folder"
+        )
+    for left in (out / PARTS).glob(".*.part.parquet"):
+        left.unlink(missing_ok=True)
+    return wanted, chunk
+
+
+def _part(out: Path, chunk: int) -> Path:
+    return out / PARTS / f"{chunk:05d}.parquet"
+
+
+def _whole(out: Path, chunk: int, study: Study, size: int) -> bool:
+    """Is the chunk's part there and complete?"""
+    rows = min(size, design.total(study) - chunk * size)
+    try:
+        return pq.read_metadata(_part(out, chunk)).num_rows == rows
+    except (OSError, pa.ArrowInvalid):
+        return False
+
+
+def _finished(out: Path, landings: int) -> pa.Table | None:
+    """The merged results if they are there already."""
+    try:
+        table = pq.read_table(out / RESULTS)
+    except (OSError, pa.ArrowInvalid):
+        return None
+    return table if table.num_rows == landings else None
+
+
+def _simulate(study: Study, out: Path, engine: str, address, size: int, todo: list[int]) -> None:
+    n = design.total(study)
+    console = Console(stderr=True)
+    columns = (
+        *(TextColumn("landing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()),
+        TextColumn("{task.fields[rate]}"),
+    )
+    (out / PARTS).mkdir(exist_ok=True)
+    with Progress(*columns, console=console, transient=True) as progress:
+        missing = sum(min(size, n - k * size) for k in todo)
+        task = progress.add_task("", total=n, completed=n - missing, rate="")
+        began, done = time.monotonic(), 0
+        for chunk, table in engines.chunks_of(engine, study, todo, size, address):
+            try:
+                _write(table, _part(out, chunk))
+            except UserError as error:
+                raise UserError(f"{error}; what is finished is kept, go on with --resume") from error
+            done += table.num_rows
+            rate = 60.0 * done / (time.monotonic() - began)
+            progress.update(task, advance=table.num_rows, rate=f"{rate:.0f} per minute")
+
+
+def _write(table: pa.Table, path: Path) -> None:
+    file = pa.BufferOutputStream()
+    pq.write_table(table, file, compression="zstd")
+    storage.write_bytes(path, file.getvalue().to_pybytes())
+
+
+def _merge(out: Path, count: int) -> pa.Table:
+    table = pa.concat_tables([pq.read_table(_part(out, k)) for k in range(count)]).combine_chunks()
+    _write(table, out / RESULTS)
+    return table

@@ -1,0 +1,305 @@
+"""`landing-eval benchmark`: what a step, an action, a picture and a training cost on this machine.
+
+Whatever is compared is measured in turns within one run, so that other load meets both sides; every
+number is a median over repeats with its smallest and largest value.
+"""
+
+from __future__ import annotations
+
+import json as json_format
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.envs.sb3 import BatchVecEnv
+from inclined_landing.envs.tasks import make_task
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.statistics import spread
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.plants import make_plant
+
+VEHICLES = 256
+_BLOCK = 25  # control steps in one timed block
+_PLANTS = (
+    ("mujoco RK4", "mujoco", {}),
+    ("mujoco implicitfast", "mujoco", {"integrator": "implicitfast"}),
+    ("analytic", "analytic", {}),
+)
+_PICTURE = {"width": 640, "height": 480, "camera": "hero"}
+
+
+def run(
+    *,
+    policy: str | None = None,
+    finished: Sequence[Path] = (),
+    quick: bool = False,
+    training: bool = True,
+    seed: int = 0,
+    json: bool = False,
+    out: Path | None = None,
+) -> None:
+    """The command. Prints a table, or JSON alone."""
+    if seed < 0:
+        raise UserError(f"--seed must not be negative, it is {seed}")
+    if out is not None:
+        runs.check_new_run(out)
+    to_99 = time_to_99(finished) if finished else None
+    loaded = load_policy(policy, "landing") if policy is not None else None
+    report = {
+        "command": "benchmark",
+        "quick": quick,
+        "seed": seed,
+        "versions": runs.versions(),
+        "load_before": os.getloadavg(),
+    }
+    from rich.console import Console
+
+    with Console(stderr=True).status("environments") as status:
+        report["environments"] = environments(5 if quick else 25, seed)
+        status.update("policy")
+        report["policy"] = policy_latency(loaded, 500 if quick else 5000, seed)
+        status.update("video")
+        report["video"] = video(10 if quick else 60)
+        if training:
+            status.update("training")
+            repeats, steps, plain_steps = (1, 100_000, 4096) if quick else (3, 300_000, 16_384)
+            report["training"] = training_speed(repeats, steps, plain_steps, seed, status.update)
+    report["time_to_99_percent"] = to_99
+    report["load_after"] = os.getloadavg()
+    if out is not None:
+        storage.write_json(runs.new_run(out) / "benchmark.json", report)
+    if json:
+        print(storage.to_json(report))
+    else:
+        from inclined_landing.eval.machine import benchmark_table
+
+        benchmark_table.show(report)
+
+
+def environments(repeats: int, seed: int) -> list[dict]:
+    """Control steps per second of 256 vehicles: the training environment and the bare physics.
+
+    The environment is `BatchVecEnv` (task, reward, resets, episode statistics) under random actions.
+    Each of its blocks is replayed at once, from the same states with the same commands, by the bare
+    plant: for MuJoCo `mujoco.batch.Batch.step` and nothing else.
+    """
+    return [_environment(*plant, repeats, seed) for plant in _PLANTS]
+
+
+def _environment(label: str, kind: str, options: dict, repeats: int, seed: int) -> dict:
+    rng = np.random.default_rng(seed)
+    task = make_task("landing", pwm_centre="hover")
+    plant, bare = (make_plant(kind, VEHICLES, **options) for _ in range(2))
+    env = BatchEnv(task, plant, seed)
+    face = BatchVecEnv(env)
+    face.reset()
+    env.length[:] = rng.integers(0, task.max_steps, VEHICLES)  # so that resets spread evenly
+    whole, physics, contact = [], [], []
+    for repeat in range(repeats + 2):
+        actions = rng.uniform(-1, 1, (_BLOCK, VEHICLES, len(task.action_names)))
+        commands = [task.commands(a) for a in actions]
+        before = plant.save()
+        began = time.perf_counter()
+        for a in actions:
+            face.step(a)
+        between = time.perf_counter()
+        bare.restore(before)
+        advance = _bare(bare)
+        middle = time.perf_counter()
+        for u in commands:
+            advance(u)
+        ended = time.perf_counter()
+        if repeat >= 2:  # the first blocks compile and warm up
+            whole.append(between - began)
+            physics.append(ended - middle)
+            contact.append(float(plant.contacts.touch.any(axis=(1, 2)).mean()))
+    steps = _BLOCK * VEHICLES
+    whole, physics = np.array(whole), np.array(physics)
+    return {
+        "plant": label,
+        "vehicles": VEHICLES,
+        "steps_per_second": spread(steps / whole),
+        "bare_steps_per_second": spread(steps / physics),
+        "overhead": spread(whole / physics - 1.0),
+        "in_contact": float(np.mean(contact)),
+    }
+
+
+def _bare(plant) -> Callable[[np.ndarray], None]:
+    """The cheapest way to advance this plant by one control step under commands (n, 4)."""
+    if plant.kind == "analytic":
+        return plant.step
+    batch, substeps = plant.batch, plant.substeps
+    ctrl = batch.bind("ctrl")
+
+    def advance(commands: np.ndarray) -> None:
+        ctrl[:] = commands
+        batch.step(nstep=substeps)
+
+    return advance
+
+
+def policy_latency(policy: Policy | None, repeats: int, seed: int) -> dict:
+    """Microseconds for one action of one observation: this package's loop and SB3's `predict`."""
+    from stable_baselines3 import PPO
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = policy.path if policy is not None else _untrained(Path(folder))
+        policy = policy or load_policy(path, "landing")
+        model = PPO.load(path, device="cpu")
+    rows = np.random.default_rng(seed).normal(size=(repeats, len(policy.centre))).astype(np.float32)
+    own, stock = np.empty(repeats), np.empty(repeats)
+    for row in rows[:10]:
+        policy.predict(row), model.predict(row, deterministic=True)
+    for k, row in enumerate(rows):
+        began = time.perf_counter()
+        policy.predict(row)
+        between = time.perf_counter()
+        model.predict(row, deterministic=True)
+        own[k], stock[k] = between - began, time.perf_counter() - between
+    batch = np.random.default_rng(seed).normal(size=(VEHICLES, len(policy.centre)))
+    many = [_seconds(lambda: policy.predict(batch)) for _ in range(min(repeats, 200))]
+    return {
+        "policy": policy.name,
+        "predict_us": spread(1e6 * own),
+        "sb3_predict_us": spread(1e6 * stock),
+        "predict_batch_us_per_row": spread(1e6 * np.array(many) / VEHICLES),
+    }
+
+
+def _untrained(folder: Path) -> Path:
+    """A policy of the usual size with random weights."""
+    from stable_baselines3 import PPO
+
+    from inclined_landing.eval.machine.plain_env import PlainLandingEnv
+
+    PPO("MlpPolicy", PlainLandingEnv(), seed=0, device="cpu").save(folder / "untrained.zip")
+    return folder / "untrained.zip"
+
+
+def video(frames: int) -> list[dict]:
+    """Milliseconds per 640x480 frame of a moving vehicle and a fixed camera, per backend."""
+    from inclined_landing.envs.rendering.gl import probe
+
+    found = probe()
+    rows = [_frames("ray", frames)]
+    if found.kind:
+        rows.append(_frames("gl", frames) | {"hardware": found.hardware})
+    else:
+        rows.append({"backend": "gl", "skipped": f"{found.missing} is missing"})
+    return rows
+
+
+def _frames(backend: str, frames: int) -> dict:
+    from inclined_landing.envs.rendering import make_renderer
+    from inclined_landing.envs.tasks.base import hover_states
+    from inclined_landing.models.parameters import load_vehicle
+
+    along = np.linspace(0.0, 1.0, frames + 2)
+    positions = np.column_stack([1.5 - 1.5 * along, 0 * along, 1.8 - 0.5 * along])
+    states = hover_states(positions, load_vehicle())
+    try:
+        renderer = make_renderer(**_PICTURE, backend=backend)
+    except UserError as error:
+        return {"backend": backend, "skipped": str(error)}
+    wall, cpu = [], []
+    for k, state in enumerate(states):
+        began, spent = time.perf_counter(), time.process_time()
+        renderer.render(state)
+        if k >= 2:  # the first frames draw the background
+            wall.append(1e3 * (time.perf_counter() - began))
+            cpu.append(1e3 * (time.process_time() - spent))
+    renderer.close()
+    return {"backend": backend, "wall_ms": spread(wall), "cpu_ms": spread(cpu)} | _PICTURE
+
+
+def training_speed(
+    repeats: int, steps: int, plain_steps: int, seed: int, notice: Callable[[str], None]
+) -> dict:
+    """Training steps per second, in turns: this package's configuration and the plain baseline.
+
+    Both sides run in processes of their own and count from the first environment step to the last
+    update, without start-up, evaluation and reports.
+    """
+    ours, plain = [], []
+    for k in range(repeats):
+        notice(f"training, landing-train, {k + 1} of {repeats}")
+        ours.append(_landing_train(steps, seed + k))
+        notice(f"training, plain baseline, {k + 1} of {repeats}")
+        plain.append(_plain(plain_steps, seed + k))
+    return {
+        "steps": steps,
+        "plain_steps": plain_steps,
+        "seeds": [seed + k for k in range(repeats)],
+        "steps_per_second": spread(ours),
+        "plain_steps_per_second": spread(plain),
+        "ratio": spread(np.array(ours) / np.array(plain)),
+    }
+
+
+def _landing_train(steps: int, seed: int) -> float:
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "run"
+        _python(
+            *("inclined_landing.train", "landing", "--steps", str(steps), "--seed", str(seed)),
+            *("--out", str(out), "--no-report", "--evaluate-every", "0", "--video-every", "0"),
+        )
+        metrics = json_format.loads((out / "metrics.json").read_text("utf-8"))
+    return float(metrics["steps_per_second"])
+
+
+def _plain(steps: int, seed: int) -> float:
+    module = "inclined_landing.eval.machine.baseline"
+    text = _python(module, "--steps", str(steps), "--seed", str(seed))
+    return float(json_format.loads(text.splitlines()[-1])["steps_per_second"])
+
+
+def _python(module: str, *arguments: str) -> str:
+    done = subprocess.run([sys.executable, "-m", module, *arguments], capture_output=True, text=True)
+    if done.returncode:
+        reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise UserError(f"the benchmark's `python -m {module}` failed: {reason}")
+    return done.stdout
+
+
+def time_to_99(folders: Sequence[Path]) -> dict:
+    """When finished runs of landing-train first evaluated at 99 % or more.
+
+    Raises UserError when a folder holds no finished run.
+    """
+    rows = []
+    for folder in folders:
+        path = folder / "metrics.json"
+        try:
+            metrics = json_format.loads(path.read_text("utf-8"))
+            first = metrics["evaluations"]["first_at_99_percent"]
+            row = {"run": str(folder), "seed": metrics["seed"], "cpu": metrics["versions"]["cpu"]}
+            if first is not None:
+                row |= {"steps": first["steps"], "seconds": first["training_seconds"]}
+        except OSError as error:
+            raise UserError(f"{folder} is not a finished training run: no metrics.json") from error
+        except (ValueError, KeyError, TypeError) as error:
+            raise UserError(f"{path} is not the metrics of a training run") from error
+        rows.append(row)
+    reached = [row for row in rows if "steps" in row]
+    return {
+        "runs": rows,
+        "reached": len(reached),
+        "steps": spread([row["steps"] for row in reached]),
+        "seconds": spread([row["seconds"] for row in reached]),
+    }
+
+
+def _seconds(call: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    call()
+    return time.perf_counter() - began

@@ -1,0 +1,222 @@
+"""`landing-eval doctor`: versions, plugins, rendering, and a remedy for everything that is missing."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import os
+import re
+import shutil
+import sys
+
+from inclined_landing.envs import policy
+from inclined_landing.eval.base import runs
+from inclined_landing.models import plugins, storage
+from inclined_landing.models.errors import UserError
+
+_OLDEST_PYTHON = (3, 11)
+_COMPILERS = ("c++", "g++", "clang++")
+
+
+@dataclasses.dataclass
+class Finding:
+    """The outcome of one check."""
+
+    name: str
+    ok: bool
+    detail: str
+    remedy: str = ""  # when not ok
+    needed: bool = True  # False: the package works without it
+
+
+def examine() -> list[Finding]:
+    """Run every check."""
+    findings = [_python(), _packages(), _engine(), _plugins(), _compiler()]
+    if all(finding.ok for finding in findings[:4]):
+        findings += [_simulation(), _rendering(), _opengl()]
+    return [*findings, _video(), _policies()]
+
+
+def run(*, json: bool = False) -> int:
+    """The command; returns 0 when everything needed is there, otherwise 2."""
+    findings = examine()
+    healthy = all(finding.ok or not finding.needed for finding in findings)
+    if json:
+        report = {
+            "command": "doctor",
+            "healthy": healthy,
+            "versions": runs.versions(),
+            "checks": [dataclasses.asdict(finding) for finding in findings],
+        }
+        print(storage.to_json(report))
+    else:
+        _show(findings)
+    return 0 if healthy else 2
+
+
+def _python() -> Finding:
+    return Finding(
+        "Python",
+        sys.version_info >= _OLDEST_PYTHON,
+        f"{sys.version.split()[0]}, {sys.executable}",
+        "use Python 3.11 or newer: make PYTHON=python3.12",
+    )
+
+
+def _packages() -> Finding:
+    """Are the distribution's own requirements installed?"""
+    try:
+        requirements = importlib.metadata.requires("inclined-landing") or []
+    except importlib.metadata.PackageNotFoundError:
+        return Finding("packages", False, "inclined-landing is not installed", "run `make` in the repository")
+    missing = []
+    for requirement in requirements:
+        if "extra ==" in requirement:
+            continue
+        name = re.match(r"[A-Za-z0-9._-]+", requirement).group()
+        try:
+            importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            missing.append(name)
+    if missing:
+        names = ", ".join(missing)
+        return Finding("packages", False, f"missing: {names}", "run `make` in the repository")
+    installed = runs.versions()
+    shown = ("gymnasium", "stable-baselines3", "torch", "numpy", "numba", "inclined-landing")
+    return Finding("packages", True, ", ".join(f"{name} {installed[name]}" for name in shown))
+
+
+def _engine() -> Finding:
+    try:
+        import mujoco
+    except Exception as error:  # with MUJOCO_GL set, missing GL shows as various errors
+        remedy = "run `make` in the repository"
+        if os.environ.get("MUJOCO_GL"):
+            remedy = f"unset MUJOCO_GL (it is {os.environ['MUJOCO_GL']!r}) or install that library"
+        return Finding("MuJoCo", False, _first_line(error), remedy)
+    return Finding("MuJoCo", True, mujoco.mj_versionString())
+
+
+def _plugins() -> Finding:
+    remedy = "run `make` in the repository, or reinstall the package in this environment"
+    try:
+        plugins.load()
+    except (ImportError, OSError) as error:
+        return Finding("native plugins", False, _first_line(error), remedy)
+    status = plugins.loaded()
+    names = ", ".join(name.removeprefix("inclined_landing.") for name in status.names)
+    complete = set(status.names) == set(plugins.NAMES)
+    detail = f"{names} for MuJoCo {status.built_for}, {status.library}"
+    return Finding("native plugins", complete, detail, remedy)
+
+
+def _compiler() -> Finding:
+    names = [os.environ["CXX"]] if os.environ.get("CXX") else []
+    found = next(filter(None, map(shutil.which, [*names, *_COMPILERS])), None)
+    return Finding(
+        "C++ compiler",
+        found is not None,
+        found or "none found; only building the plugins needs one",
+        "apt install g++, or name a compiler in CXX",
+        needed=False,
+    )
+
+
+def _simulation() -> Finding:
+    """Does a hovering vehicle stay where it is for a second?"""
+    import numpy as np
+
+    try:
+        from inclined_landing.envs.tasks.base import hover_states
+        from inclined_landing.models.plants import MujocoPlant
+
+        plant = MujocoPlant(1, threads=1)
+        start = hover_states(np.array([[0.0, 0.0, 2.0]]), plant.vehicle)
+        plant.reset(np.arange(1), start)
+        for _ in range(round(1.0 / plant.control_period)):
+            plant.step(np.array([[plant.vehicle.hover_pwm, 0.0, 0.0, 0.0]]))
+        drift = float(np.linalg.norm(plant.state[0, :3] - start[0, :3]))
+    except (ImportError, UserError, RuntimeError, FloatingPointError) as error:
+        return Finding("simulation", False, _first_line(error), "run `make test` for more")
+    return Finding(
+        "simulation", drift < 1e-6, f"hovering 1 s drifts {drift:.1e} m", "run `make test` for more"
+    )
+
+
+def _rendering() -> Finding:
+    """Rays need nothing but MuJoCo."""
+    try:
+        from inclined_landing.envs.rendering import make_renderer
+        from inclined_landing.envs.rendering.gl import probe
+
+        hardware = probe().hardware
+        if not hardware:
+            renderer = make_renderer(64, 48, backend="ray")
+            renderer.render(None)
+            renderer.close()
+    except Exception as error:
+        return Finding("rendering", False, _first_line(error), "run `make test` for more")
+    backend = "OpenGL on hardware" if hardware else "ray casting on the processor"
+    return Finding("rendering", True, f"backend auto: {backend}")
+
+
+def _opengl() -> Finding:
+    from inclined_landing.envs.rendering.gl import probe
+
+    found = probe()
+    detail = f"{found.kind}, {'hardware' if found.hardware else 'software'}"
+    return Finding(
+        "OpenGL",
+        bool(found.kind),
+        detail if found.kind else f"none, {found.missing} is missing; pictures are ray-cast",
+        "apt install libegl1 libgl1 (or libosmesa6) for --backend gl",
+        needed=False,
+    )
+
+
+def _video() -> Finding:
+    try:
+        import imageio_ffmpeg
+
+        return Finding("video encoder", True, imageio_ffmpeg.get_ffmpeg_exe())
+    except (ImportError, RuntimeError) as error:
+        return Finding("video encoder", False, _first_line(error), "pip install imageio-ffmpeg")
+
+
+def _policies() -> Finding:
+    there, missing = [], []
+    for name in policy.SHIPPED:
+        try:
+            policy.locate(name)
+            there.append(name)
+        except UserError:
+            missing.append(name)
+    detail = ", ".join(there) or "none"
+    if missing:
+        detail += f" (missing: {', '.join(missing)})"
+    return Finding("shipped policies", not missing, detail, "train one with landing-train", needed=False)
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0]
+
+
+def _show(findings: list[Finding]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(highlight=False)
+    table = Table(box=box.SIMPLE, show_header=False)
+    for finding in findings:
+        state = "[green]ok" if finding.ok else ("[red]missing" if finding.needed else "[yellow]-")
+        table.add_row(state, finding.name, Text(finding.detail, overflow="fold"))
+    console.print(table)
+    versions = runs.versions()
+    console.print(f"{versions['cpu']}, {versions['cores']} cores, {versions['system']}")
+    if versions["git revision"]:
+        console.print(f"source {versions['git revision']}")
+    for finding in findings:
+        if not finding.ok:
+            console.print(f"{finding.name}: {finding.remedy}", markup=False)

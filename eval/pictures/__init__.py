@@ -1,0 +1,1 @@
+"""What a flight or a training looks like: `figure`, `video`, `picture`, `curves`."""

@@ -1,0 +1,180 @@
+"""Learning curves of one or several training runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
+
+from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, styled
+from inclined_landing.eval.policies.success import PAPER, SETPOINT_TOLERANCE
+from inclined_landing.models.errors import UserError
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """What a run folder says: task, the rows of learning.csv and of evaluations.csv."""
+
+    folder: Path
+    task: str
+    learning: pd.DataFrame
+    evaluations: pd.DataFrame
+
+
+@dataclasses.dataclass(frozen=True)
+class _Curve:
+    table: str  # "learning" or "evaluations"
+    column: str
+    label: str
+    colour: str
+    factor: float = 1.0
+    limits: tuple[float, float] | None = None
+    reference: tuple[float, str] | None = None  # value and what it is
+    logarithmic: bool = False
+
+
+_LEVEL = _Curve("learning", "level", "curriculum level", PURPLE, 1.0, (-0.03, 1.08))
+_REWARD = _Curve("learning", "episode_reward", "episode reward", ORANGE)
+_LENGTH = _Curve("learning", "episode_length", "episode length [steps]", GREEN)
+_PANELS = {
+    "landing": (
+        _Curve(
+            *("evaluations", "strict_success", "strict success [%]", BLUE, 100.0, (-3.0, 108.0)),
+            (100.0 * PAPER[0]["share"], f"paper: {100 * PAPER[0]['share']:.1f} %"),
+        ),
+        _LEVEL,
+        _LENGTH,
+        _REWARD,
+    ),
+    "touchdown": (
+        _Curve("evaluations", "at_rest", "at rest on the slope [%]", BLUE, 100.0, (-3.0, 108.0)),
+        _REWARD,
+        _LENGTH,
+        _LEVEL,
+    ),
+    "setpoint": (
+        _Curve(
+            *("evaluations", "mean_error", "mean error after 3 s [cm]", BLUE, 100.0, None),
+            (100.0 * SETPOINT_TOLERANCE, f"tolerance: {100 * SETPOINT_TOLERANCE:g} cm"),
+            True,
+        ),
+        _REWARD,
+        _LEVEL,
+    ),
+}
+
+
+def read_run(folder: str | Path) -> Run:
+    """Read a run folder; raises UserError, naming the file, if it is not one."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise UserError(f"the run folder {folder} does not exist")
+    try:
+        task = json.loads((folder / "run.json").read_text("utf-8"))["config"]["task"]
+        learning = pd.read_csv(folder / "learning.csv")
+        file = folder / "evaluations.csv"
+        evaluations = pd.read_csv(file) if file.stat().st_size > 1 else pd.DataFrame({"steps": []})
+    except FileNotFoundError as error:
+        raise UserError(f"the run folder {folder} holds no {Path(error.filename).name}") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(f"the run folder {folder} cannot be read: {error}") from error
+    if task not in _PANELS:
+        raise UserError(f"{folder / 'run.json'}: no learning curves are known for the task {task!r}")
+    for name, table in (("learning", learning), ("evaluations", evaluations)):
+        needed = ["steps", *(c.column for c in _PANELS[task] if c.table == name and len(table))]
+        missing = [column for column in needed if column not in table]
+        if missing:
+            raise UserError(f"{folder / name}.csv lacks the column {missing[0]}")
+    return Run(folder, task, learning, evaluations)
+
+
+def learning_curves(runs: Sequence[str | Path]) -> Figure:
+    """Figure of success, curriculum, episodes and reward against environment steps.
+
+    runs: run folders of one task, usually one for each seed. Each is a thin line; from two on, the
+    median is a thick line and the range from the lowest to the highest a band, as far as all runs
+    reach. The curriculum's level is left out where it never changes.
+    Raises UserError for no runs, runs of different tasks and folders that are no runs.
+    """
+    if not runs:
+        raise UserError("learning curves need at least one run folder")
+    read = [read_run(folder) for folder in runs]
+    tasks = sorted({run.task for run in read})
+    if len(tasks) > 1:
+        raise UserError(f"the runs are of different tasks ({' and '.join(tasks)}); choose runs of one")
+    moves = any(run.learning["level"].nunique() > 1 for run in read)
+    curves = [curve for curve in _PANELS[tasks[0]] if curve is not _LEVEL or moves]
+    with styled():
+        columns = 2 if len(curves) == 4 else len(curves)  # two to four
+        rows = len(curves) // columns
+        figure = Figure(figsize=(3.4 * columns, 0.45 + 2.05 * rows), layout="constrained")
+        grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
+        for axes, curve in zip(grid.ravel(), curves):
+            _draw(axes, curve, [getattr(run, curve.table) for run in read])
+        for axes in grid[-1]:
+            axes.set_xlabel("environment steps [10⁶]")
+        final = max(run.learning["steps"].max() for run in read) / 1e6
+        grid[0, 0].set_xlim(0, 1.01 * final)
+        if len(read) > 1:
+            handles = [
+                *grid[0, 0].plot([], [], color=MUTED, lw=2.2, label=f"median of {len(read)} seeds"),
+                grid[0, 0].fill_between([], [], color=MUTED, alpha=0.25, lw=0, label="lowest to highest"),
+                *grid[0, 0].plot([], [], color=MUTED, lw=0.7, alpha=0.7, label="each seed"),
+            ]
+            figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    return figure
+
+
+def _draw(axes: Axes, curve: _Curve, tables: list[pd.DataFrame]) -> None:
+    axes.grid(True)
+    axes.set_ylabel(curve.label)
+    lines = []
+    for table in tables:
+        rows = table[["steps", curve.column]].dropna() if curve.column in table else table.iloc[:0]
+        if len(rows):
+            values = rows.to_numpy(float)
+            lines.append((values[:, 0] / 1e6, curve.factor * values[:, 1]))
+    several = len(lines) > 1
+    for x, y in lines:
+        style = {"lw": 0.7, "alpha": 0.6} if several else {"lw": 2.0}
+        style |= {"marker": "o", "ms": 3.5} if not several and len(x) < 16 else {}
+        axes.plot(x, y, color=curve.colour, gid="run", **style)
+    if several:
+        x, middle, low, high = band(lines)
+        axes.fill_between(x, low, high, color=curve.colour, alpha=0.2, lw=0, gid="band")
+        axes.plot(x, middle, color=curve.colour, lw=2.2, gid="median")
+    if not lines:
+        axes.text(0.5, 0.5, "no evaluations yet", transform=axes.transAxes, ha="center", color=MUTED)
+    if curve.reference:
+        value, text = curve.reference
+        axes.axhline(value, color="black", lw=1.1, ls=(0, (5, 2)), zorder=1.5, gid="reference")
+        axes.annotate(
+            text, (0.02, value), xycoords=axes.get_yaxis_transform(), xytext=(0, 2), size=8.5,
+            textcoords="offset points", ha="left", va="bottom",
+        )  # fmt: skip
+    if curve.limits:
+        axes.set_ylim(*curve.limits)
+    if curve.logarithmic:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_locator(NullLocator())
+
+
+def band(lines: Sequence[tuple[np.ndarray, np.ndarray]]):
+    """Common steps and the median, lowest and highest value there of curves (x, y).
+
+    Curves are interpolated linearly; only the range that all of them cover is used.
+    """
+    start, end = max(x[0] for x, _ in lines), min(x[-1] for x, _ in lines)
+    steps = np.unique(np.concatenate([x for x, _ in lines]))
+    steps = steps[(steps >= start) & (steps <= end)]
+    values = np.array([np.interp(steps, x, y) for x, y in lines])
+    return steps, np.median(values, axis=0), values.min(axis=0), values.max(axis=0)

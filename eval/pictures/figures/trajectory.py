@@ -1,0 +1,190 @@
+"""The stroboscopic figure of a flight: the way above, PWM and pitch commands below."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.transforms import ScaledTranslation
+
+from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.rendering.stamp import StampMaker
+from inclined_landing.envs.tasks.landing import GOAL_SIZE
+from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, panel, styled, time_colours
+from inclined_landing.eval.pictures.figures.scene import TARGET, draw_air, draw_platform, draw_vehicle
+from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, ROLL, ROLL_COMMAND, X, Z
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+
+_WIDTH, _LEFT, _RIGHT = 7.0, 0.78, 0.16  # in
+_SCENE, _PWM, _PITCH = 3.05, 0.80, 1.20  # heights of the panels, in
+_SPACING = 0.18  # m; copies are at least about this apart
+_TURN = 0.12  # m; how much path a turn of one radian counts when copies are spread
+_SLOPE = ((-0.45, 1.15), (0.45, 1.35))  # m; is always shown of the platform
+_MARGIN = 0.27  # m around the flight
+_LOW = 0.85  # m; the scene is cut off here unless the flight goes lower
+
+
+def trajectory_figure(flight: Flight, *, copies: int | None = None, vehicle: Vehicle | None = None) -> Figure:
+    """Figure of one flight: vehicles in time order along the way, PWM and pitch over time.
+
+    copies: how many vehicles are drawn at most (default: 11 landing, 8 set-point).
+    Raises UserError for a flight of less than two samples or with states that are not finite.
+    """
+    if len(flight.t) < 2 or not np.isfinite(flight.state).all():
+        raise UserError("a trajectory figure needs a flight of at least two samples with finite states")
+    vehicle = vehicle or load_vehicle()
+    chosen = spread_copies(flight.state, copies or (11 if flight.inclination is not None else 8))
+    gap, foot = 0.33, 0.50
+    middle = foot + _PITCH + gap
+    scene = middle + _PWM + 0.74
+    with styled():
+        figure = Figure(figsize=(_WIDTH, scene + _SCENE + 0.14))
+        width = _WIDTH - _LEFT - _RIGHT
+        if flight.inclination is not None:
+            axes = panel(figure, _LEFT, scene, width, _SCENE)
+            _draw_scene(axes, flight, chosen, StampMaker(vehicle), width / _SCENE)
+        else:
+            half = 0.5 * (width - 0.25)
+            side = panel(figure, _LEFT, scene, half, _SCENE)
+            front = panel(figure, _LEFT + half + 0.25, scene, half, _SCENE, sharey=side)
+            for across, axes in enumerate((side, front)):
+                _draw_scene(axes, flight, chosen, StampMaker(vehicle, across=across), half / _SCENE)
+            front.tick_params(labelleft=False)
+            front.set_ylabel("")
+        pitch = panel(figure, _LEFT, foot, width, _PITCH)
+        pwm = panel(figure, _LEFT, middle, width, _PWM, sharex=pitch)
+        _draw_commands(pwm, pitch, flight, chosen, vehicle)
+    return figure
+
+
+def progress(state: np.ndarray) -> np.ndarray:
+    """Share (T,) of the way that states (T, 13) have covered, turns counted; by index if at rest."""
+    step = np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1)
+    turn = np.abs(np.diff(state[:, [ROLL, PITCH]], axis=0)).sum(axis=1)
+    way = np.concatenate([[0.0], np.cumsum(step + _TURN * turn)])
+    return way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(state))
+
+
+def spread_copies(state: np.ndarray, copies: int) -> np.ndarray:
+    """At most `copies` samples of states (T, 13), first and last included, evenly spread on the way."""
+    length = np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1).sum()
+    count = int(np.clip(length / _SPACING, 1, max(copies - 1, 1)))
+    samples = np.searchsorted(progress(state), np.linspace(0.0, 1.0, count + 1) - 1e-9)
+    return np.unique(np.minimum(samples, len(state) - 1))
+
+
+def _draw_scene(axes, flight: Flight, chosen, maker: StampMaker, ratio: float) -> None:
+    """The flight seen as the maker's stamps are: x or y to the right, z up."""
+    state, landing, plane = flight.state, flight.inclination is not None, [maker.across, Z]
+    target = _target(flight.goal)
+    points = np.vstack([state[:, plane], target[plane]])
+    if landing:
+        window = _window(np.vstack([points, _SLOPE]), ratio, floor=_LOW)
+    else:  # both views get the same scale
+        widest = np.ptp(np.vstack([state[:, :2], target[:2]]), axis=0).max()
+        window = _window(points, ratio, least=(widest + 2.0 * _MARGIN) / ratio)
+    draw_air(axes, *window, "xy"[maker.across])
+    _place_label(axes)
+    if landing:
+        draw_platform(axes, flight.inclination, maker.vehicle)
+    colours = time_colours(progress(state))
+    way = np.stack([state[:-1][:, plane], state[1:][:, plane]], axis=1)
+    axes.add_collection(
+        LineCollection(way, colors=colours[:-1], lw=1.6, capstyle="round", zorder=3, gid="way"), autolim=False
+    )
+    draw_vehicle(axes, maker, target, colour=TARGET, alpha=0.75, zorder=2.5, gid="target")
+    if landing:
+        d = GOAL_SIZE
+        box = Rectangle((target[X] - d, target[Z] - d), 2 * d, 2 * d, fill=False, gid="goal box")
+        box.set(edgecolor=GREEN, linewidth=1.0, linestyle=(0, (3, 2)), zorder=2.6)
+        axes.add_patch(box)
+    for order, k in enumerate(chosen):
+        above = 4.0 + 0.01 * order
+        draw_vehicle(axes, maker, state[k], colour=colours[k], alpha=0.92, zorder=above, gid=f"copy {k}")
+    if maker.across:
+        return
+    note = f"quadrotor drawn at {maker.scale:g}× size; green: target pose"
+    note += f" and goal box (±{100 * GOAL_SIZE:.0f} cm)" if landing else ""
+    axes.text(0.012, 0.975, note, transform=axes.transAxes, va="top", size=8.5, color=MUTED)
+
+
+def _target(goal: np.ndarray) -> np.ndarray:
+    """State (13,) at a planar (5,) or spatial (8,) goal."""
+    state = np.zeros(13)
+    state[[X, Z, PITCH] if len(goal) == 5 else [X, 1, Z, ROLL, PITCH]] = (
+        goal[[0, 1, 4]] if len(goal) == 5 else goal[[0, 1, 2, 6, 7]]
+    )
+    return state
+
+
+def _window(points: np.ndarray, ratio: float, *, floor: float | None = None, least: float = 0.0):
+    """Limits of x (or y) and z [m] that show points (k, 2) in a box of width = ratio * height.
+
+    floor: the lower limit, unless points lie lower; without it, points are in the middle. least: the
+    height is at least this.
+    """
+    low, high = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
+    if floor is not None:
+        low[1] = min(low[1], floor)
+    height = max(high[1] - low[1], (high[0] - low[0]) / ratio, least)
+    bottom = low[1] if floor is not None else 0.5 * (low[1] + high[1] - height)
+    bottom = max(bottom, -0.02)  # the floor
+    left = 0.5 * (low[0] + high[0] - ratio * height)
+    return (left, left + ratio * height), (bottom, bottom + height)
+
+
+def _place_label(axes) -> None:
+    """Put the vertical axis' label where those of the other panels are."""
+    inches = axes.get_position().width * axes.figure.get_figwidth()
+    axes.yaxis.set_label_coords(-0.48 / inches, 0.5)
+
+
+def _draw_commands(pwm, pitch, flight: Flight, chosen, vehicle: Vehicle) -> None:
+    t, end = flight.t, float(flight.t[-1])
+    held = {"drawstyle": "steps-post"}
+    pwm.plot(t, 1e-3 * flight.commands[:, PWM], color=BLUE, label="PWM command", **held)
+    pwm.axhline(1e-3 * vehicle.hover_pwm, color=MUTED, lw=1.0, ls=":", label="hover")
+    pwm.set(ylabel="PWM [10³]", ylim=(5, 65), yticks=[10, 30, 50])
+    pwm.tick_params(labelbottom=False)
+    degrees = np.degrees(flight.state[:, PITCH])
+    command = np.degrees(flight.commands[:, PITCH_COMMAND])
+    pitch.plot(t, degrees, color=ORANGE, label="pitch")
+    pitch.set_ylabel("pitch [deg]")
+    pitch.plot(t, command, color=ORANGE, lw=1.2, ls=(0, (4, 1.5)), label="pitch command", **held)
+    if flight.inclination is None:
+        roll, command = np.degrees(flight.state[:, ROLL]), np.degrees(flight.commands[:, ROLL_COMMAND])
+        pitch.plot(t, roll, color=PURPLE, label="roll")
+        pitch.plot(t, command, color=PURPLE, lw=1.2, ls=(0, (4, 1.5)), label="roll command", **held)
+        pitch.set_ylabel("attitude [deg]")
+        degrees = np.concatenate([degrees, roll])
+    else:
+        pitch.axhline(np.degrees(flight.inclination), color=MUTED, lw=1.2, ls=":", label="inclination")
+    reach = max(36.0, 1.08 * np.abs(degrees).max())
+    pitch.set(xlabel="time [s]", ylim=(-reach - 16, reach), yticks=[-30, 0, 30])
+    pitch.set_xlim(-0.012 * end, 1.012 * end)
+    colours = time_colours(progress(flight.state)[chosen])
+    for axes in (pwm, pitch):
+        axes.grid(True, axis="y")
+        axes.vlines(t[chosen], *axes.get_ylim(), color=colours, lw=0.6, alpha=0.35, zorder=1)
+        axes.legend(
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderpad=0.25, borderaxespad=0,
+            handlelength=1.9, columnspacing=1.6,
+        )  # fmt: skip
+        _place_label(axes)
+    foot = pitch.get_xaxis_transform()
+    marks = pitch.vlines(t[chosen], 0.0, 0.12, color=colours, lw=3.2, transform=foot, zorder=3)
+    marks.set_gid("copies")
+    above = pwm.transAxes + ScaledTranslation(0, 0.045, pwm.figure.dpi_scale_trans)
+    colour = GREEN if flight.strict else ORANGE
+    pwm.text(1.0, 1.0, _ending(flight), ha="right", va="bottom", transform=above, size=8.5, color=colour)
+
+
+def _ending(flight: Flight) -> str:
+    """How the flight ended, in a few words."""
+    end = float(flight.t[-1])
+    if flight.inclination is None:
+        return f"{'within' if flight.success else 'not within'} 5 cm of the goal at {end:.2f} s"
+    arrived = f"goal box reached at {end:.2f} s" if flight.success else f"goal box not reached in {end:.2f} s"
+    return arrived + (", platform touched" if flight.touched else "")

@@ -1,0 +1,96 @@
+"""What the surface does to the vehicle at touchdown, at every step of the engine.
+
+A recorded flight holds states at the control rate; contact comes and goes within it. So the flight's
+commands are flown again, one engine step at a time (the states come out the same, bit for bit), and a
+forward pass on the state after every step gives its contacts and their forces. A landing ends in the
+goal box before anything touches: there its motors are cut and the vehicle falls on.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+
+from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.rendering import contact_forces
+from inclined_landing.eval.policies.motors_cut import normal_of
+from inclined_landing.models.attitude import VX, VZ
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.plants import MujocoPlant
+
+STEP = 0.004  # s, of the engine
+AFTER_CUT = 1.0  # s that a landing is watched after its motors are cut
+LEAD = 0.1  # s before the first touch that belong to it
+STILL = 0.12  # s that it goes on once the vehicle is still
+_SLOW = 0.02  # m/s
+
+
+@dataclasses.dataclass
+class Touchdown:
+    """A flight at the engine's steps, from shortly before the first touch until still; T steps."""
+
+    t: np.ndarray  # (T,) s since the flight's start
+    state: np.ndarray  # (T, 13), columns of `models.attitude`
+    commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s, that led to the state
+    inclination: float  # rad, of the platform
+    points: list[np.ndarray]  # T arrays (k, 3) m, contacts that carry force
+    forces: list[np.ndarray]  # T arrays (k, 3) N, on the vehicle
+
+    @property
+    def net(self) -> np.ndarray:
+        """Net normal force and size of the net tangential force (T, 2) on the vehicle [N]."""
+        normal = normal_of(self.inclination)
+        total = np.array([force.sum(axis=0) for force in self.forces])
+        away = total @ normal
+        return np.stack([away, np.linalg.norm(total - away[:, None] * normal, axis=1)], axis=1)
+
+    @property
+    def strongest(self) -> float:
+        """Largest force at one point [N]."""
+        return max(float(np.linalg.norm(force, axis=1).max()) for force in self.forces if len(force))
+
+
+def watch(flight: Flight, vehicle: Vehicle | None = None) -> Touchdown:
+    """Fly the commands of a flight in the MuJoCo plant again and watch its touchdown.
+
+    flight: of the landing or the touchdown task, nominal physics. Raises UserError for one without a
+    platform, and where nothing touches it.
+    """
+    if flight.inclination is None:
+        raise UserError("contact forces need a flight that touches something; this task has no platform")
+    vehicle = vehicle or load_vehicle()
+    held = round(vehicle.command_control_period / STEP)
+    commands = np.repeat(flight.commands[:-1], held, axis=0)
+    if flight.task == "landing":
+        commands = np.concatenate([commands, np.zeros((round(AFTER_CUT / STEP), 4))])
+    plant = MujocoPlant(1, dataclasses.replace(vehicle, command_control_period=STEP), timestep=STEP)
+    plant.torque_needs_motors = True
+    plant.set_platform(np.arange(1), np.array([flight.inclination]))
+    plant.reset([0], flight.state[:1])
+    model, data = plant.batch.get_model(0), None
+    states, points, forces = [], [], []
+    for command in commands:
+        plant.step(command[None])
+        data = plant.batch.get_data(0, data)
+        mujoco.mj_forward(model, data)
+        seen = contact_forces(model, data)
+        states.append(plant.state[0].copy())
+        points.append(seen[0])
+        forces.append(seen[1])
+    touching = [k for k, force in enumerate(forces) if len(force)]
+    if not touching:
+        x, z = flight.state[0, [0, 2]]
+        raise UserError(f"nothing touches in the flight from x {x:g}, z {z:g} m: no contact force to draw")
+    moving = np.flatnonzero(np.linalg.norm(np.array(states)[:, VX : VZ + 1], axis=1) > _SLOW)
+    part = slice(max(touching[0] - round(LEAD / STEP), 0), moving[-1] + 1 + round(STILL / STEP))
+    return Touchdown(
+        STEP * np.arange(1, len(commands) + 1)[part],
+        np.array(states)[part],
+        commands[part],
+        flight.inclination,
+        points[part],
+        forces[part],
+    )

@@ -1,0 +1,97 @@
+"""`landing-eval success POLICY --effects`: how a policy fares when the model lacks a physical effect.
+
+One row for every effect of the library at its plausible size, and one for none. Only the vehicle in the
+plant has the effect: the policy, its task and its goal know nothing of it. Landing policies fly from the
+frozen grid, and where they arrive their motors are cut; set-point policies fly from 200 random starts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from inclined_landing.envs import starts as landing_starts
+from inclined_landing.envs.flights import record_flights
+from inclined_landing.envs.policy import Policy
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.statistics import proportion
+from inclined_landing.eval.policies.motors_cut import cut_motors
+from inclined_landing.eval.policies.success import landing_summary, setpoint_starts, setpoint_summary
+from inclined_landing.models.attitude import LAG
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.plants import make_plant
+
+
+def evaluate(policy: Policy, *, plant: str = "mujoco", seed: int = 0, progress: bool = False) -> dict:
+    """The report, as plain numbers; one entry of `effects` per effect, the first without any.
+
+    plant: "mujoco" or "analytic". seed: of the random starts of a set-point policy.
+    """
+    cases = [(None, {}), *((effect, effect.plausible) for effect in LIBRARY.values())]
+    if progress:
+        from rich.console import Console
+        from rich.progress import track
+
+        cases = track(cases, "flying", console=Console(stderr=True), transient=True)
+    judge = _landing if policy.task.name == "landing" else _setpoint
+    rows = []
+    for effect, values in cases:
+        name = "none" if effect is None else effect.name
+        vehicle = policy.task.vehicle if effect is None else effect.apply(policy.task.vehicle, values)
+        units = {} if effect is None else {p.name: p.unit for p in effect.parameters}
+        try:
+            outcome = judge(policy, plant, vehicle, seed)
+        except FloatingPointError as error:
+            raise UserError(f"effect {name}: {error}") from error
+        parameters = {key: {"value": value, "unit": units[key]} for key, value in values.items()}
+        rows.append({"effect": name, "parameters": parameters, **outcome})
+    return {
+        "command": "success --effects",
+        "policy": str(policy.path),
+        "trained": policy.metadata,
+        "task": policy.task.name,
+        "task_options": policy.task.options,
+        "plant": plant,
+        "seed": int(seed),
+        "effects": rows,
+        "versions": runs.versions(),
+    }
+
+
+def _landing(policy: Policy, plant: str, vehicle: Vehicle, seed: int) -> dict:
+    task = policy.task
+    starts = landing_starts.at_rest(task, landing_starts.clear(task, landing_starts.grid()))
+    tilt = vehicle.platform_inclination - task.vehicle.platform_inclination
+    flights = _fly(policy, plant, vehicle, starts, tilt)
+    arrived = [f for f in flights if f.success]
+    rest = 0
+    if arrived:
+        states = np.array([f.state[-1] for f in arrived])
+        rest = cut_motors(states, task.inclination + tilt, vehicle).at_rest.sum()
+    return landing_summary(flights) | {"at_rest_on_feet": proportion(rest, len(flights))}
+
+
+def _setpoint(policy: Policy, plant: str, vehicle: Vehicle, seed: int) -> dict:
+    starts, steps = setpoint_starts(policy.task, seed)
+    return setpoint_summary(policy.task, _fly(policy, plant, vehicle, starts, 0.0, steps=steps))
+
+
+def _fly(policy: Policy, plant: str, vehicle: Vehicle, starts: np.ndarray, tilt: float, **options):
+    starts = starts.copy()
+    starts[:, LAG] *= policy.task.vehicle.thrust_lag_rate / vehicle.thrust_lag_rate  # the same load
+    fleet = make_plant(plant, len(starts), vehicle)
+    return record_flights(policy, _Tilted(fleet, tilt) if tilt else fleet, starts, **options)
+
+
+class _Tilted:
+    """A plant whose platforms are inclined by `tilt` [rad] more than the task sets them."""
+
+    def __init__(self, plant, tilt: float):
+        self._plant, self._tilt = plant, tilt
+
+    def __getattr__(self, name):
+        return getattr(self._plant, name)
+
+    def set_platform(self, ids, inclination, present=True) -> None:
+        self._plant.set_platform(ids, np.asarray(inclination) + self._tilt, present)

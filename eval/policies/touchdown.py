@@ -1,0 +1,250 @@
+"""`landing-eval touchdown`: at rest on the slope by the policy's own command, against cutting the motors.
+
+From every start of the frozen grid, at each friction and restitution, two vehicles fly in the MuJoCo plant
+(RK4, 4 ms):
+
+- `motor_cut`: a landing policy; at its entry into the goal box the motors are cut from outside, as in the
+  paper. It has 300 control steps to get there and 2 s more to come to rest;
+- `touchdown`: a touchdown policy, which idles the motors itself, within 300 control steps.
+
+Both are judged by the touchdown task: 0.3 s at rest on the feet; the floor ends a flight. A vehicle under
+PWM 0 has no attitude torque. Speeds are those of the centre of mass before any part first meets the slab;
+the peak normal force is that on the feet at any engine step. Where friction cannot hold the slope,
+mu <= tan(inclination), nobody can come to rest: such conditions are named, not counted.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from inclined_landing.envs import starts as landing_starts
+from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.envs.tasks.landing import GOAL_SIZE
+from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, InclinedTouchdown
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.statistics import proportion, spread
+from inclined_landing.eval.policies.motors_cut import normal_of, split_velocity
+from inclined_landing.models import contact, storage
+from inclined_landing.models.attitude import PWM, VX, VZ
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.plants import Contacts, MujocoPlant
+
+FRICTIONS = (0.55, 0.6, 0.8, 1.2)
+RESTITUTIONS = (0.0, 0.25, 0.5)
+SETTLING = 100  # control steps that the motor cut has after the goal box
+MODES = ("motor_cut", "touchdown")
+_TIMESTEP = 0.004  # s, of the engine and of the observation
+_FIELDS = ("at_rest", "normal_speed", "tangential_speed", "peak_normal_force", "time")
+
+
+@dataclasses.dataclass
+class Landings:
+    """One entry per flight; NaN where there was none."""
+
+    at_rest: np.ndarray  # (n,) bool
+    normal_speed: np.ndarray  # (n,) m/s into the surface at the first touch
+    tangential_speed: np.ndarray  # (n,) m/s along it, unsigned
+    peak_normal_force: np.ndarray  # (n,) N on the feet
+    time: np.ndarray  # (n,) s until 0.3 s were held
+
+
+def land(policy: Policy, states: np.ndarray, friction: float, restitution: float) -> Landings:
+    """Fly from `states` (n, 13); a landing policy gets its motors cut in the goal box."""
+    task, n = policy.task, len(states)
+    judge, cutting = task, task.name == "landing"
+    if cutting:
+        judge = InclinedTouchdown(task.vehicle, inclination=task.inclination)
+    fine = dataclasses.replace(task.vehicle, command_control_period=_TIMESTEP)
+    period = task.vehicle.command_control_period
+    normal = normal_of(task.inclination)
+
+    def prepared(states: np.ndarray) -> MujocoPlant:
+        k = len(states)
+        plant, everyone = MujocoPlant(k, fine, timestep=_TIMESTEP), np.arange(k)
+        judge.prepare(plant)
+        plant.set_platform(everyone, np.full(k, task.inclination))
+        plant.set_contact(everyone, friction=friction, restitution=restitution, contact_time=CONTACT_TIME)
+        plant.reset(everyone, states)
+        return plant
+
+    cut, touched, ended, feet = (np.zeros(n, bool) for _ in range(4))
+    held, last, peak = np.zeros(n, int), np.full(n, task.max_steps), np.zeros(n)
+    into, along, time = (np.full(n, np.nan) for _ in range(3))
+    plant, ids = prepared(states), np.arange(n)
+    before = now = states[:, VX : VZ + 1].copy()
+    for tick in range(1, task.max_steps + SETTLING + 1):
+        flying = ~ended[ids]
+        if 4 * flying.sum() < len(ids):  # go on with the few that are left
+            plant, ids = prepared(plant.state[flying]), ids[flying]
+            before, now = before[flying], now[flying]
+        state = plant.state
+        commands = task.commands(policy.predict(task.observe(state, feet[ids])).astype(float))
+        if cutting:
+            entered = ~cut[ids] & task.in_goal(state, task.inclination, GOAL_SIZE)
+            last[ids[entered]] = tick - 1 + SETTLING
+            cut[ids] |= entered
+            commands[cut[ids], PWM] = 0.0
+        k = len(ids)
+        seen = Contacts(np.zeros((k, 3, 3), bool), np.zeros((k, 3, 3), bool), np.zeros((k, 3, 3)))
+        for _ in range(round(period / _TIMESTEP)):
+            before, now = now, plant.state[:, VX : VZ + 1].copy()  # see motors_cut
+            plant.step(commands)
+            seen.touch |= plant.contacts.touch
+            seen.near |= plant.contacts.near
+            push = np.where(ended[ids], 0.0, np.abs(plant.feet_force @ normal))
+            peak[ids] = np.maximum(peak[ids], push)
+            first = plant.contacts.touch[:, 0].any(axis=1) & ~touched[ids] & ~ended[ids]
+            away, sideways = split_velocity(before[first], task.inclination)
+            touched[ids[first]], into[ids[first]], along[ids[first]] = True, -away, sideways
+        feet[ids] = seen.touch[:, 0, 0]
+        holding = judge.holding(plant.state, commands[:, PWM] == 0.0, seen)
+        held[ids] = np.where(holding, held[ids] + 1, 0)
+        rests = (held[ids] >= HOLD_STEPS) & ~ended[ids]
+        time[ids[rests]] = tick * period
+        ended[ids] |= rests | (tick >= last[ids]) | seen.touch[:, 2].any(axis=1)
+        if ended.all():
+            break
+    return Landings(~np.isnan(time), into, along, np.where(touched, peak, np.nan), time)
+
+
+def evaluate(
+    policy: Policy,
+    baseline: Policy,
+    *,
+    frictions: Sequence[float] = FRICTIONS,
+    restitutions: Sequence[float] = RESTITUTIONS,
+) -> dict:
+    """The comparison as plain numbers."""
+    if policy.task.name != "touchdown":
+        raise UserError(f"policy {policy.path} is for the task {policy.task.name}, not for touchdown")
+    if baseline.task.name != "landing":
+        raise UserError(f"the baseline {baseline.path} is for the task {baseline.task.name}, not for landing")
+    if not math.isclose(policy.task.inclination, baseline.task.inclination):
+        raise UserError("the touchdown policy and the baseline are for platforms of different inclination")
+    task = policy.task
+    starts = landing_starts.clear(task, landing_starts.grid())
+    states = landing_starts.at_rest(task, starts)
+    slip = math.tan(abs(task.inclination))
+    pairs = [(mu, e) for mu, e in itertools.product(frictions, restitutions) if mu > slip]
+    flown: dict = {mode: {} for mode in MODES}
+    work = list(itertools.product(zip(MODES, (baseline, policy)), pairs))
+    for (mode, pilot), (mu, e) in track(work, "landing", console=Console(stderr=True), transient=True):
+        flown[mode][mu, e] = land(pilot, states, mu, e)
+
+    def summary(mode, wanted):
+        return summarise([flights for (mu, e), flights in flown[mode].items() if wanted(mu, e)])
+
+    def both(wanted):
+        return {mode: summary(mode, wanted) for mode in MODES}
+
+    held = sorted({mu for mu, _ in pairs})
+    return {
+        "command": "touchdown",
+        "policy": str(policy.path),
+        "baseline": str(baseline.path),
+        "trained": policy.metadata,
+        "inclination": task.inclination,
+        "starts": len(states),
+        "weight": task.vehicle.body_mass * task.vehicle.environment_gravity,
+        "cannot_hold": sorted({float(mu) for mu in frictions if mu <= slip}),
+        "all": both(lambda mu, e: True) if pairs else None,
+        "friction": [{"friction": mu, **both(lambda m, e, mu=mu: m == mu)} for mu in held],
+        "restitution": [{"restitution": e, **both(lambda m, r, e=e: r == e)} for e in restitutions if pairs],
+        "conditions": [
+            {"friction": mu, "restitution": e, **both(lambda m, r, mu=mu, e=e: (m, r) == (mu, e))}
+            for mu, e in pairs
+        ],
+        "versions": runs.versions(),
+    }
+
+
+def summarise(parts: Sequence[Landings]) -> dict:
+    """Share at rest and spreads over some sets of landings."""
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS}
+    rest = joined.pop("at_rest")
+    return {"at_rest": proportion(rest.sum(), len(rest))} | {k: spread(v) for k, v in joined.items()}
+
+
+def overall(report: dict, mode: str) -> dict | None:
+    """The share at rest over all conditions that friction can hold."""
+    return report["all"][mode]["at_rest"] if report["all"] else None
+
+
+def run(
+    policy: str,
+    baseline: str,
+    *,
+    friction: Sequence[float],
+    restitution: Sequence[float],
+    json: bool,
+    out: Path | None,
+) -> None:
+    """The command. Prints a table, or JSON alone."""
+    if not (friction and restitution):
+        raise UserError("give at least one --friction and one --restitution")
+    contact.check_friction(friction)
+    contact.check_restitution(restitution)
+    if out is not None:
+        runs.check_new_run(out)
+    report = evaluate(
+        load_policy(policy, "touchdown"),
+        load_policy(baseline, "landing"),
+        frictions=friction,
+        restitutions=restitution,
+    )
+    if out is not None:
+        storage.write_json(runs.new_run(out) / "touchdown.json", report)
+    if json:
+        print(storage.to_json(report))
+    else:
+        show(report)
+
+
+def show(report: dict) -> None:
+    """Print the report of `evaluate`."""
+    console = Console(markup=False, highlight=False)
+    if not console.is_terminal:
+        console.width = 120
+    angle = math.degrees(report["inclination"])
+    title = f"At rest on a slope of {abs(angle):.1f} deg, {report['starts']} starts each"
+    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold")
+    names = ("", "motors", "at rest [%]", "into it [m/s]", "along it [m/s]", "peak [N]", "time [s]")
+    for k, name in enumerate(names):
+        table.add_column(name, justify="left" if k < 2 else "right")
+    rows = [(f"mu {row['friction']:g}", row) for row in report["friction"]]
+    rows += [(f"restitution {row['restitution']:g}", row) for row in report["restitution"]]
+    if report["all"]:
+        rows.append(("all", report["all"]))
+    for label, row in rows:
+        for mode, who in zip(MODES, ("cut in the goal box", "touchdown policy")):
+            cells = [_share(row[mode]["at_rest"])]
+            cells += [_median(row[mode][name]) for name in _FIELDS[1:]]
+            table.add_row(label if mode == MODES[0] else "", who, *cells)
+        table.add_section()
+    weight = report["weight"]
+    table.caption = (
+        f"95 % Wilson intervals; speeds at the first touch, peak normal force on the feet (the weight is "
+        f"{weight:.2f} N) and time: medians"
+    )
+    console.print(table)
+    for mu in report["cannot_hold"]:
+        console.print(f"mu {mu:g} cannot hold this slope (tan {abs(angle):.1f} deg is more): not counted")
+
+
+def _share(value: dict) -> str:
+    low, high = value["interval"]
+    return f"{100 * value['share']:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
+
+
+def _median(value: dict) -> str:
+    return "-" if value["median"] is None else f"{value['median']:.2f}"

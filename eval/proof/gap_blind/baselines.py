@@ -1,0 +1,199 @@
+"""What others would do with the same flights: tune the model's own parameters, or regress its residuals.
+
+- `tuning`: all parameters that the model already has are fitted together, and those count as named whose 95 %
+  interval leaves out the nominal value by more than is negligible. This is what system identification tools
+  do; it is given the workflow's own windows and whitening, which they lack.
+- `sparse`: accelerations and angular rates by Savitzky-Golay differentiation, less those of the nominal
+  model, regressed by pysindy's sequentially thresholded least squares on the terms that the library's effects
+  add to them. Scale, bias and mass are one term: free flight shows thrust over mass alone, and several terms
+  that cancel would be kept. Lags, delays and contact have no term.
+
+Neither can answer that something unknown remains.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+from scipy.signal import lfilter, savgol_filter
+
+from inclined_landing.eval.gap import measure_gap
+from inclined_landing.eval.gap.flights.windows import flying, prepare_all
+from inclined_landing.eval.gap.search.evidence import Problem
+from inclined_landing.eval.gap.search.naming import refit
+from inclined_landing.eval.logs import FlightLog
+from inclined_landing.models.attitude import rotation
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.equations import pack, rotor_speed_sum
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+
+TUNED = (
+    *("thrust_scale", "motor_lag", "rotor_drag"),
+    *("attitude_gain", "attitude_time_constant", "second_order_attitude"),
+)
+# Only thrust over mass is visible in free flight.
+_CLASSES = {"thrust_scale": ("thrust_scale", "thrust_bias", "mass")}
+_SMOOTH = 0.1  # s to either side, as the workflow's own velocities
+# Least contribution of a term, root mean square over all rows: m/s2 and rad/s. Chosen on development sets.
+THRESHOLDS = {"translation": 0.03, "attitude": 0.015, "yaw": 0.01}
+
+
+def report(method: str, flights: Sequence[FlightLog], heldout: Sequence[FlightLog], vehicle: Vehicle) -> dict:
+    """What the scorer reads of a report, by baseline `method` (tuning or sparse)."""
+    values = {"tuning": tune, "sparse": regress}[method](flights, vehicle)
+    corrected = vehicle
+    for name, effect in LIBRARY.items():
+        if name in values:
+            corrected = effect.apply(corrected, values[name])
+    gap = {}
+    for plant in ("analytic", "mujoco"):
+        try:
+            before = measure_gap(vehicle, heldout, plant=plant)
+            after = measure_gap(corrected, heldout, plant=plant)
+        except UserError:
+            continue  # landings: no second of free flight
+        gap[plant] = {"before": before["error"], "after": after["error"], "floor": before["floor"]}
+    return {
+        "verdict": "effects" if values else "nothing",
+        "effects": [
+            {
+                "name": name,
+                "class": list(_CLASSES.get(name, (name,))),
+                "parameters": {key: {"value": value} for key, value in numbers.items()},
+            }
+            for name, numbers in values.items()
+        ],
+        "gap": gap,
+    }
+
+
+def tune(flights: Sequence[FlightLog], vehicle: Vehicle) -> dict[str, dict[str, float]]:
+    """Effect -> parameter -> value for TUNED, those that differ from nominal."""
+    problem = Problem(prepare_all(flights, vehicle, False, []), vehicle, LIBRARY)
+    fit = refit(problem, {name: {} for name in TUNED}, np.ones(6), iterations=15)
+    error = np.sqrt(np.diag(fit.weighted.covariance(fit.index)))
+    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
+    found: dict[str, dict[str, float]] = {}
+    for column, e in zip(fit.weighted.columns, error):
+        p = next(p for p in LIBRARY[column.effect].parameters if p.name == column.parameter)
+        value = fit.values[column.effect][column.parameter]
+        if abs(value - p.neutral) > max(quantile * e, p.negligible):
+            found[column.effect] = dict(fit.values[column.effect])
+    return found
+
+
+def regress(flights: Sequence[FlightLog], vehicle: Vehicle) -> dict[str, dict[str, float]]:
+    """Effect -> parameter -> value by sparse regression."""
+    tables = [_terms(log, vehicle) for log in flights]
+    voltage = all(log.voltage is not None for log in flights)
+    coefficients: dict[tuple[str, str], float] = {}
+    for channel, threshold in THRESHOLDS.items():
+        residual = np.concatenate([table[channel][0] for table in tables])
+        terms = tables[0][channel][1].keys()
+        columns = {key: np.concatenate([table[channel][1][key] for table in tables]) for key in terms}
+        if not voltage:
+            columns.pop(("battery_voltage", "sensitivity"), None)
+        coefficients |= _stlsq(columns, residual, threshold)
+    values: dict[str, dict[str, float]] = {}
+    for (name, parameter), coefficient in coefficients.items():
+        p = next(p for p in LIBRARY[name].parameters if p.name == parameter)
+        numbers = values.setdefault(name, dict(LIBRARY[name].neutral))
+        numbers[parameter] = float(np.clip(p.neutral + coefficient, *p.bounds))
+    # The term of a sag is about hover; what is off there belongs to the thrust scale.
+    if "battery_sag" in values:
+        values["battery_sag"]["reference"] = vehicle.hover_pwm
+    if "battery_voltage" in values:
+        values["battery_voltage"]["reference"] = vehicle.effects_voltage_reference
+    return values
+
+
+def _stlsq(columns: dict, residual: np.ndarray, threshold: float) -> dict:
+    """Coefficients of the terms that stay, each contributing at least `threshold` root mean square."""
+    import pysindy
+
+    size = {key: float(np.sqrt(np.mean(column**2))) for key, column in columns.items()}
+    keys = [key for key in columns if size[key] > 0]
+    x = np.column_stack([columns[key] / size[key] for key in keys])
+    optimiser = pysindy.STLSQ(threshold=threshold, alpha=1e-6)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # it warns when no term stays, which is an answer
+        optimiser.fit(x, residual[:, None])
+    found = np.ravel(optimiser.coef_)
+    return {key: c / size[key] for key, c in zip(keys, found) if c != 0.0}
+
+
+def _terms(log: FlightLog, vehicle: Vehicle) -> dict[str, tuple[np.ndarray, dict]]:
+    """Channel -> (residual (n,), {(effect, parameter): term (n,)}) of the free flight of one log."""
+    v, c = vehicle, pack(vehicle)
+    dt = 1.0 / log.rate
+    window = 2 * round(_SMOOTH / dt) + 1
+    rows = flying(log, vehicle)
+    rows[: max(window, round(0.3 / dt))] = rows[-window:] = False
+
+    def smooth(x, derivative=0):
+        return savgol_filter(x, window, 3, deriv=derivative, delta=dt, axis=0)
+
+    velocity, acceleration = smooth(log.position, 1), smooth(log.position, 2)
+    attitude, rates = smooth(log.attitude), smooth(log.attitude, 1)
+    pwm = log.command[:, 0]
+    keep = math.exp(-v.thrust_lag_rate * dt)
+    load = lfilter([0.0, 1.0 - keep], [1.0, -keep], pwm - pwm[0]) + pwm[0]
+    n = int(rows.sum())
+    up, drag, still, wind_x, wind_y = (np.empty((n, 3)) for _ in range(5))
+    force, plane, axial, near = (np.empty(n) for _ in range(4))
+    for k, i in enumerate(np.flatnonzero(rows)):
+        r = rotation(*attitude[i])
+        force[k] = v.thrust_state_gain * load[i] / v.thrust_lag_rate + v.thrust_direct_gain * pwm[i]
+        k_drag = r @ np.diag(v.drag_coefficients) @ r.T * rotor_speed_sum(force[k], c) / v.body_mass
+        body = r.T @ velocity[i]
+        up[k], drag[k] = r[:, 2], k_drag @ velocity[i]
+        wind_x[k], wind_y[k] = -k_drag[:, 0], -k_drag[:, 1]
+        still[k] = -np.linalg.norm(body) * velocity[i] / v.body_mass
+        plane[k], axial[k] = body[0] ** 2 + body[1] ** 2, body[2]
+        near[k] = min(0.5, v.rotor_radius / (4.0 * max(log.position[i, 2], 0.01))) ** 2
+    thrust = up * force[:, None] / v.body_mass
+    t, load, hover = log.t[rows] - log.t[0], load[rows], v.hover_pwm
+    translation = {
+        ("thrust_scale", "scale"): thrust,
+        ("thrust_fade", "rate"): -thrust * t[:, None],
+        ("battery_sag", "sag"): -thrust * (load / hover - 1.0)[:, None],
+        ("rotor_drag", "scale"): drag,
+        ("body_drag", "coefficient"): still,
+        ("wind", "x"): wind_x,
+        ("wind", "y"): wind_y,
+        ("translational_lift", "coefficient"): thrust * plane[:, None],
+        ("axial_inflow", "coefficient"): -thrust * axial[:, None],
+        ("ground_effect", "strength"): thrust * near[:, None],
+    }
+    if log.voltage is not None:
+        volts = log.voltage[rows] - v.effects_voltage_reference
+        translation["battery_voltage", "sensitivity"] = thrust * volts[:, None]
+    nominal = thrust + drag - np.array([0.0, 0.0, v.environment_gravity])
+    # The rate loop delays the command; its time constant is known.
+    keep = math.exp(-v.attitude_bandwidth * dt)
+    wanted = log.command[:, 1:3]
+    wanted = lfilter([0.0, 1.0 - keep], [1.0, -keep], wanted - wanted[0], axis=0) + wanted[0]
+    gain, tau = v.attitude_gain, v.attitude_time_constant
+    wanted, angle = wanted[rows], attitude[rows, :2]
+    loop = (gain * wanted - angle) / tau
+    one, none = np.full(n, gain / tau), np.zeros(n)
+    attitude_terms = {
+        ("attitude_gain", "scale"): gain * wanted / tau,
+        ("attitude_time_constant", "scale"): -loop,
+        ("attitude_trim", "roll"): np.column_stack([one, none]),
+        ("attitude_trim", "pitch"): np.column_stack([none, one]),
+    }
+    return {
+        "translation": _flat(acceleration[rows] - nominal, translation),
+        "attitude": _flat(rates[rows, :2] - loop, attitude_terms),
+        "yaw": _flat(rates[rows, 2] - log.command[rows, 3], {("yaw_drift", "rate"): np.ones(n)}),
+    }
+
+
+def _flat(residual: np.ndarray, terms: dict) -> tuple[np.ndarray, dict]:
+    return residual.ravel(), {key: term.ravel() for key, term in terms.items()}

@@ -1,0 +1,204 @@
+"""The hidden causes: what each does to the simulator's world, and what the label says about it.
+
+A cause has three sizes. The number drawn lies within 15 % of the size, with a random sign or direction where
+both make sense. Weak is somewhat above the smallest that a prototype of the diagnosis could name.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from inclined_landing.eval.proof.simulator import World, constants
+
+SIZES = ("weak", "medium", "strong")
+_TICK = 0.002  # s, delays are whole control periods
+
+
+@dataclasses.dataclass(frozen=True)
+class Drawn:
+    """One cause with its numbers.
+
+    world: fields of the simulator's World that differ; parameters: the same in the library's names and
+    units, for the label; voltage: the log needs a battery channel; spread: fields that differ by flight,
+    each uniform within (lo, hi).
+    """
+
+    world: dict[str, float]
+    parameters: dict[str, float]
+    voltage: bool = False
+    spread: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+
+
+Draw = Callable[[float, np.random.Generator], Drawn]
+
+
+def _sign(rng) -> float:
+    return 1.0 if rng.uniform() < 0.5 else -1.0
+
+
+def _scale(field: str, both: bool = True) -> Draw:
+    """A factor: size 0.1 is 1.1, or 1/1.1 where both make sense."""
+
+    def draw(size, rng):
+        up = not both or rng.uniform() < 0.5
+        value = 1 + size if up else 1 / (1 + size)
+        return Drawn({field: value}, {"scale": value})
+
+    return draw
+
+
+def _less(field: str) -> Draw:
+    """A factor below 1: below 0.65 of the nominal friction landings slide off the slope."""
+
+    def draw(size, rng):
+        return Drawn({field: (1 - size) * World._field_defaults[field]}, {"scale": 1 - size})
+
+    return draw
+
+
+def _plain(field: str, parameter: str, signed: bool = False) -> Draw:
+    def draw(size, rng):
+        value = size * (_sign(rng) if signed else 1.0)
+        return Drawn({field: value}, {parameter: value})
+
+    return draw
+
+
+def _delay(*fields: str) -> Draw:
+    def draw(size, rng):
+        value = max(1, round(size / _TICK)) * _TICK
+        return Drawn(dict.fromkeys(fields, value), {"delay": value})
+
+    return draw
+
+
+def _vector(first: str, second: str, names: tuple[str, str]) -> Draw:
+    def draw(size, rng):
+        a = rng.uniform(-math.pi, math.pi)
+        x, y = size * math.cos(a), size * math.sin(a)
+        return Drawn({first: x, second: y}, {names[0]: x, names[1]: y})
+
+    return draw
+
+
+def _battery(channel: bool) -> Draw:
+    """Size: volts lost at hover load. Without a channel every flight starts on the same charge."""
+
+    def draw(size, rng):
+        c = constants()
+        start = rng.uniform(-0.1, 0.15)
+        full = c.battery_voltage + start
+        # The supply at which PWM gives its nominal thrust: that of a load of 0.7 to 1.2 times hover.
+        reference = full - size * rng.uniform(0.7, 1.2)
+        world = {
+            "battery_resistance": size / c.hover_current,
+            "battery_reference": reference,
+            "battery_voltage": start,
+        }
+        # Thrust is PWM times voltage squared, and the voltage falls with thrust. In hover:
+        hover = full - size
+        if channel:
+            spread = {"battery_voltage": (start - 0.15, start + 0.15)}
+            return Drawn(world, {"slope": 2.0 / hover, "voltage": hover}, True, spread)
+        pwm = c.mass * c.gravity / c.thrust_per_pwm * (reference / hover) ** 2
+        lost = 2.0 * size / hover  # share of thrust per share of thrust
+        return Drawn(world, {"slope": lost / (1.0 + lost) / pwm, "pwm": pwm})
+
+    return draw
+
+
+def _updraft(size, rng):
+    world = {"updraft": size * _sign(rng), "updraft_radius": rng.uniform(0.3, 0.5)}
+    world |= {"updraft_x": rng.uniform(-0.5, 0.5), "updraft_y": rng.uniform(-0.5, 0.5)}
+    return Drawn(world, {})
+
+
+def _outside(field: str, **also) -> Draw:
+    return lambda size, rng: Drawn({field: size, **also}, {})
+
+
+def _signed_outside(field: str) -> Draw:
+    return lambda size, rng: Drawn({field: size * _sign(rng)}, {})
+
+
+# name: (weak, medium, strong), how it is drawn. Names are those of the library of effects.
+FREE_FLIGHT: dict[str, tuple[tuple[float, float, float], Draw]] = {
+    "thrust_scale": ((0.02, 0.06, 0.14), _scale("thrust_scale")),
+    "thrust_bias": ((0.008, 0.02, 0.045), _plain("thrust_bias", "force", signed=True)),
+    "thrust_fade": ((0.0015, 0.003, 0.007), _plain("thrust_fade", "rate")),
+    "battery_sag": ((0.10, 0.22, 0.42), _battery(False)),
+    "battery_voltage": ((0.10, 0.22, 0.42), _battery(True)),
+    "motor_lag": ((0.4, 0.7, 1.2), _scale("motor_time_scale")),
+    "spin_down": ((0.6, 1.0, 1.8), _plain("spin_down", "excess")),
+    "mass": ((0.025, 0.06, 0.14), _scale("mass_scale", both=False)),
+    "rotor_drag": ((0.4, 0.8, 1.6), _scale("drag_scale")),
+    "body_drag": ((0.004, 0.008, 0.016), _plain("body_drag", "coefficient")),
+    "wind": ((0.15, 0.4, 0.9), _vector("wind_x", "wind_y", ("x", "y"))),
+    "translational_lift": ((0.015, 0.035, 0.08), _plain("translational_lift", "coefficient")),
+    "axial_inflow": ((0.02, 0.045, 0.10), _plain("axial_inflow", "coefficient")),
+    "ground_effect": ((2.5, 5.0, 9.0), _plain("ground_effect", "strength")),
+    "com_offset": ((1e-4, 3e-4, 8e-4), _vector("com_x", "com_y", ("x", "y"))),
+    "thrust_delay": ((0.008, 0.014, 0.03), _delay("thrust_delay")),
+    "attitude_delay": ((0.008, 0.014, 0.03), _delay("attitude_delay")),
+    "mocap_delay": ((0.008, 0.014, 0.03), _delay("mocap_delay")),
+    "attitude_gain": ((0.05, 0.12, 0.25), _scale("attitude_gain_scale")),
+    "attitude_time_constant": ((0.15, 0.35, 0.7), _scale("attitude_time_scale")),
+    "second_order_attitude": ((0.015, 0.03, 0.06), _plain("rate_lag", "rate_lag")),
+    "attitude_trim": ((0.006, 0.015, 0.04), _vector("trim_roll", "trim_pitch", ("roll", "pitch"))),
+    "mocap_tilt": ((0.008, 0.02, 0.045), _vector("mocap_roll", "mocap_pitch", ("roll", "pitch"))),
+    "yaw_drift": ((0.03, 0.08, 0.25), _plain("yaw_drift", "rate", signed=True)),
+}
+
+# Outside the library of effects: the diagnosis should say that it knows no such thing.
+UNKNOWN: dict[str, tuple[tuple[float, float, float], Draw]] = {
+    "updraft": ((0.5, 0.9, 1.4), _updraft),
+    "dead_zone": ((0.03, 0.05, 0.08), _outside("dead_zone")),
+    "gust": ((0.4, 0.7, 1.1), _outside("gust")),
+    "cross_coupling": ((0.12, 0.2, 0.35), _signed_outside("cross_coupling")),
+    "slung_load": ((0.0015, 0.003, 0.005), _outside("load_mass")),
+}
+
+
+# Seen only when the feet touch.
+TOUCHDOWN: dict[str, tuple[tuple[float, float, float], Draw]] = {
+    "friction": ((0.10, 0.18, 0.27), _less("friction")),
+    "contact_stiffness": ((0.6, 1.3, 2.5), _scale("stiffness_scale")),
+    "contact_damping": ((0.5, 0.9, 1.6), _scale("damping_scale")),
+    "platform_height": ((0.006, 0.012, 0.03), _plain("surface_height", "offset", signed=True)),
+    "platform_tilt": ((0.02, 0.05, 0.1), _plain("surface_tilt", "offset", signed=True)),
+}
+
+
+def draw(name: str, size: str, rng: np.random.Generator) -> Drawn:
+    """Draw the numbers of cause `name` at `size` (weak, medium, strong)."""
+    sizes, how = (FREE_FLIGHT | UNKNOWN | TOUCHDOWN)[name]
+    return how(sizes[SIZES.index(size)] * rng.uniform(0.85, 1.15), rng)
+
+
+def combined(*drawn: Drawn, names: Sequence[str] = ()) -> Drawn:
+    """All of `drawn` in one world; factors multiply. Parameters are keyed `name.parameter`."""
+    world: dict[str, float] = {}
+    for one in drawn:
+        for field, value in one.world.items():
+            if World._field_defaults[field] == 1.0:
+                value *= world.get(field, 1.0)
+            world[field] = value
+    return Drawn(
+        world,
+        {f"{name}.{key}": value for name, one in zip(names, drawn) for key, value in one.parameters.items()},
+        any(one.voltage for one in drawn),
+        {field: ends for one in drawn for field, ends in one.spread.items()},
+    )
+
+
+def base_constants(rng: np.random.Generator) -> dict[str, Drawn]:
+    """Mass and drag 10 % off, either way."""
+    mass, drag = 1 + 0.1 * _sign(rng), 1 + 0.1 * _sign(rng)
+    return {
+        "mass": Drawn({"mass_scale": mass}, {"scale": mass}),
+        "rotor_drag": Drawn({"drag_scale": drag}, {"scale": drag}),
+    }

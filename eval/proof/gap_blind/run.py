@@ -1,0 +1,169 @@
+"""`landing-eval gap-blind`: draw a set, seal its labels, diagnose every case, open the labels, count."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+import shutil
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from inclined_landing.eval.base import runs
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError
+
+from . import score, strata
+from .page import markdown, page
+
+# Development and fresh sets differ by these numbers and the seed alone.
+SETS = {"dev": 1, "fresh": 2}
+METHODS = ("workflow", "tuning", "sparse")
+_SET, _LABELS, _RESULTS = "set.json", "sealed/labels.json", "results.json"
+_COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+
+
+def run(
+    which: str,
+    seed: int,
+    out: Path,
+    *,
+    cases: int | None = None,
+    methods: Sequence[str] = ("workflow",),
+    keep: bool = False,
+    processes: int = 2,
+) -> dict:
+    """Draw, fly, diagnose and score a blind set into `out`; returns the contents of results.json.
+
+    which: dev or fresh; cases: at most so many (None: the full set); methods: of METHODS; keep: the flights
+    stay in `out` (some 3 MB a case). An interrupted run goes on where it stopped: every case has its report.
+    Raises UserError for unknown names or a folder that holds another set.
+    """
+    if which not in SETS:
+        raise UserError(f"unknown set {which!r}; known are {', '.join(SETS)}")
+    for method in methods:
+        if method not in METHODS:
+            raise UserError(f"unknown method {method!r}; known are {', '.join(METHODS)}")
+    if cases is not None and cases < len(strata.STRATA):
+        raise UserError(f"a set needs at least {len(strata.STRATA)} cases, one for each stratum, not {cases}")
+    drawn = strata.cases((SETS[which], seed), cases)
+    labels = {case.name: case.label() for case in drawn}
+    out = runs.new_run(out, "gap-blind", resumable=_SET)
+    _open_set(out, {"set": which, "seed": seed, "cases": len(drawn)}, labels)
+    _diagnose_all(drawn, methods, out, keep, processes)
+    results = _score(out, labels, methods)
+    storage.write_json(out / _RESULTS, results)
+    storage.write_text(out / "table.md", markdown(results))
+    storage.write_text(out / "report.html", page(results))
+    Console().print(markdown(results), markup=False, highlight=False, soft_wrap=True)
+    return results
+
+
+def _open_set(out: Path, description: dict, labels: dict) -> None:
+    """Seal the labels and describe the set, or check that the folder holds this very set."""
+    sealed = storage.to_json(labels) + "\n"
+    description = description | {"labels sha256": hashlib.sha256(sealed.encode("utf-8")).hexdigest()}
+    if (out / _SET).exists():
+        found = json.loads((out / _SET).read_text("utf-8"))
+        if {key: found.get(key) for key in description} != description:
+            raise UserError(f"{out} holds another blind set; choose another folder")
+        return
+    (out / "sealed").mkdir()
+    storage.write_text(out / _LABELS, sealed)
+    storage.write_json(out / _SET, description | {"versions": runs.versions()})
+
+
+def _diagnose_all(drawn, methods, out: Path, keep: bool, processes: int) -> None:
+    for method in methods:
+        (out / "reports" / method).mkdir(parents=True, exist_ok=True)
+    todo = []
+    for case in drawn:
+        left = [m for m in methods if not _report(out, m, case.name).exists()]
+        if left:
+            todo.append((case, left))
+    # A spawned process starts clean: threads of libraries do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    with Progress(*_COLUMNS, console=Console(stderr=True), transient=True) as progress:
+        bar = progress.add_task("cases", total=len(drawn), completed=len(drawn) - len(todo))
+        with ProcessPoolExecutor(processes, mp_context=context, initializer=_few_threads) as pool:
+            jobs = [pool.submit(_case, case, left, out, keep) for case, left in todo]
+            try:
+                for job in as_completed(jobs):
+                    job.result()
+                    progress.advance(bar)
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+
+
+def _few_threads() -> None:
+    """One thread a process: the processes share the cores already."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+
+
+def _report(out: Path, method: str, name: str) -> Path:
+    return out / "reports" / method / f"{name}.json"
+
+
+def _case(case: strata.Case, methods: Sequence[str], out: Path, keep: bool) -> None:
+    """Fly one case, read its logs as a user would, and write the report of every method."""
+    from inclined_landing.eval.logs import read_log
+
+    folder = out / "flights" / case.name
+    write_flights(case, folder)
+    fitted = [read_log(path) for path in sorted(folder.glob("flight_*.csv"))]
+    kept = [read_log(path) for path in sorted(folder.glob("heldout_*.csv"))]
+    for method in methods:
+        began = time.perf_counter()
+        report = diagnosed(method, fitted, kept)
+        report["wall seconds"] = time.perf_counter() - began
+        storage.write_json(_report(out, method, case.name), report)
+    if not keep:
+        shutil.rmtree(folder)
+
+
+def write_flights(case: strata.Case, folder: Path) -> None:
+    """Fly `case` and write its logs: flight_NN.csv to diagnose, heldout_NN.csv to measure the gap on."""
+    from . import generate
+
+    recordings = generate.flights_of(case)
+    folder.mkdir(parents=True, exist_ok=True)
+    for k, recording in enumerate(recordings):
+        name = f"flight_{k:02d}" if k < case.count else f"heldout_{k - case.count:02d}"
+        generate.write_csv(recording, folder / f"{name}.csv", voltage=case.voltage, contact=case.landings)
+
+
+def diagnosed(method: str, flights: Sequence, heldout: Sequence) -> dict:
+    """The report of one method on the logs of one case, for the nominal vehicle."""
+    from inclined_landing.models.parameters import load_vehicle
+
+    if method == "workflow":
+        from inclined_landing.eval.gap import diagnose
+
+        diagnosis = diagnose(
+            flights, load_vehicle(), heldout=heldout, plants=("analytic", "mujoco"), curves=False
+        )
+        return diagnosis.to_json()
+    from . import baselines
+
+    return baselines.report(method, flights, heldout, load_vehicle())
+
+
+def _score(out: Path, labels: dict, methods: Sequence[str]) -> dict:
+    """Open the labels and judge every report."""
+    description = json.loads((out / _SET).read_text("utf-8"))
+    results = description | {"methods": {}}
+    for method in methods:
+        rows = []
+        for name, label in sorted(labels.items()):
+            report = json.loads(_report(out, method, name).read_text("utf-8"))
+            rows.append({"case": name} | score.score_case(label, report))
+        results["methods"][method] = {"table": score.table(rows), "cases": rows}
+    return results

@@ -1,0 +1,29 @@
+"""`landing-eval gap-example`: flights of the independent simulator to try the gap workflow on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.proof.gap_blind.causes import Drawn
+from inclined_landing.eval.proof.gap_blind.generate import fly_all, write_csv
+
+# Worn propellers, a vehicle that is not streamlined, and a floor nobody modelled.
+HIDDEN = Drawn(
+    world={"thrust_scale": 0.9, "drag_scale": 3.0, "ground_effect": 5.0},
+    parameters={"thrust_scale": 0.9, "rotor_drag": 3.0, "ground_effect": 5.0},
+)
+SETS = {"fit": 10, "heldout": 10}  # every kind of ordinary flight once in each
+
+
+def run(out: Path, seed: int = 0) -> None:
+    """Write fit/*.csv and heldout/*.csv into the new folder `out`; UserError when impossible."""
+    with runs.staged_run(out) as folder:
+        for k, (name, count) in enumerate(SETS.items()):
+            (folder / name).mkdir()
+            recordings = fly_all(HIDDEN, np.random.default_rng((seed, k)), count=count)
+            for j, recording in enumerate(recordings):
+                write_csv(recording, folder / name / f"{name}_{j + 1:02d}.csv")
+    print(f"landing-eval gap {out}/fit/*.csv --heldout {out}/heldout/*.csv --out {out}/report")

@@ -1,0 +1,106 @@
+"""Attitude loops and tilted motion capture of single flights, outside the search: to compare with it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from inclined_landing.eval.gap.flights.windows import prepare
+from inclined_landing.eval.gap.search.prediction import averages
+from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.proof.gap_real.thrust import SMOOTHING, derivative, lagged
+from inclined_landing.models.parameters import Vehicle
+
+STARTED = 2.5  # s, after the take-off
+RESTING = 0.0015  # m, height above the first row
+LONGEST = 0.15  # s of delay
+
+
+@dataclasses.dataclass(frozen=True)
+class Loop:
+    """angle = gain command(t - delay) behind a first-order lag, plus a constant; open loop."""
+
+    flight: str
+    axis: str
+    gain: float
+    time_constant: float  # s
+    delay: float  # s
+    offset: float  # rad
+    fit: float  # percent of the angle's own variation
+    nominal_fit: float  # with the vehicle's time constant, no delay; gain and offset fitted
+
+
+def loops(log: FlightLog, vehicle: Vehicle) -> list[Loop]:
+    """Both loops of one flight."""
+    flight = prepare(log, vehicle)
+    rows = flight.usable & (flight.t > STARTED)
+    found = []
+    for k, axis in enumerate(("roll", "pitch")):
+        y, command = flight.attitude[:, k], flight.command[:, 1 + k]
+
+        def fit(tau, delay, y=y, command=command):
+            x = lagged(np.append(averages(command, flight.dt, delay), 0.0), flight.dt, 1.0 / tau)
+            x = np.concatenate([[x[0]], x[:-1]])
+            a = np.stack([x, np.ones(len(x))], axis=1)[rows]
+            q = np.linalg.lstsq(a, y[rows], rcond=None)[0]
+            return a @ q - y[rows], q
+
+        starts = [(tau, delay) for tau in (0.03, 0.1, 0.2) for delay in (0.005, 0.04, 0.08)]
+        best = min(
+            (
+                least_squares(
+                    lambda p, fit=fit: fit(*p)[0],
+                    s,
+                    bounds=([0.005, 0.0], [1.0, LONGEST]),
+                    x_scale=0.02,
+                    diff_step=1e-3,
+                )
+                for s in starts
+            ),
+            key=lambda s: s.cost,
+        )
+        left, (gain, offset) = fit(*best.x)
+        before, _ = fit(vehicle.attitude_time_constant, 0.0)
+        variation = y[rows].std()
+        shares = [100.0 * (1.0 - r.std() / variation) for r in (left, before)]
+        found.append(
+            Loop(log.name, axis, float(gain), *map(float, best.x), float(offset), *map(float, shares))
+        )
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class Tilt:
+    """Measured attitude where the true one is known otherwise."""
+
+    flight: str
+    rest: tuple[float, float] | None  # rad, roll and pitch measured on the floor before the take-off
+    flown: tuple[float, float]  # rad, offset that the flown accelerations need
+    drag: tuple[float, float]  # 1/s along x and y, beside it
+
+
+def tilt(log: FlightLog, vehicle: Vehicle) -> Tilt:
+    """Offset of the measured attitude by regression of horizontal accelerations on speed, and at rest."""
+    flight = prepare(log, vehicle)
+    u = flight.usable
+    acceleration = derivative(flight.position, flight.dt, SMOOTHING)
+    axis = np.concatenate([flight.middle_rotation[:, :, 2], flight.middle_rotation[-1:, :, 2]])
+    thrust = (acceleration[:, 2] + vehicle.environment_gravity) / axis[:, 2]
+    fits = []
+    for k in (0, 1):
+        left = acceleration[:, k] - thrust * axis[:, k]
+        a = np.stack([flight.velocity[:, k], np.ones(len(left))], axis=1)[u]
+        fits.append(np.linalg.lstsq(a, left[u], rcond=None)[0])
+    g = vehicle.environment_gravity
+    still = log.position[:, 2] < log.position[0, 2] + RESTING
+    lead = int(np.argmin(still)) if not still.all() else 0
+    rest = tuple(map(float, log.attitude[:lead, :2].mean(axis=0))) if lead >= 5 else None
+    # Thrust that seems to act towards +y is a roll measured too large; towards +x a pitch too small.
+    return Tilt(
+        log.name,
+        rest,
+        (float(fits[1][1] / g), float(-fits[0][1] / g)),
+        (float(-fits[0][0]), float(-fits[1][0])),
+    )

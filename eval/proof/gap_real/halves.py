@@ -1,0 +1,113 @@
+"""The same effects fitted to the first and to the second halves of flights: are they stable?"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from inclined_landing.eval.gap.answer.diagnosis import diagnose
+from inclined_landing.eval.gap.flights.windows import prepare_all
+from inclined_landing.eval.gap.result import Diagnosis, PlantGap
+from inclined_landing.eval.gap.search import rollout
+from inclined_landing.eval.gap.search.evidence import Column, Problem
+from inclined_landing.eval.gap.search.naming import Fit, left_out_vehicles, refit
+from inclined_landing.eval.logs import FlightLog
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.parameters import Vehicle
+
+
+def halves(logs: Sequence[FlightLog]) -> tuple[list[FlightLog], list[FlightLog]]:
+    """First and second halves in time of every flight."""
+    first, second = [], []
+    for log in logs:
+        middle = log.t[0] + 0.5 * log.duration
+        first.append(dataclasses.replace(log.between(log.t[0], middle), name=f"{log.name} first half"))
+        second.append(dataclasses.replace(log.between(middle, log.t[-1]), name=f"{log.name} second half"))
+    return first, second
+
+
+@dataclasses.dataclass(frozen=True)
+class Stability:
+    """One parameter fitted to both halves and to all."""
+
+    effect: str
+    parameter: str
+    unit: str
+    neutral: float
+    all: tuple[float, float]  # value, half-width of the 95 % interval
+    first: tuple[float, float]
+    second: tuple[float, float]
+
+    @property
+    def apart(self) -> float:
+        """Difference between the halves over the half-width of its 95 % interval: stable below 1."""
+        return abs(self.first[0] - self.second[0]) / max(math.hypot(self.first[1], self.second[1]), 1e-12)
+
+    @property
+    def change(self) -> float:
+        """Difference between the halves as a share of the size of the effect."""
+        return abs(self.first[0] - self.second[0]) / max(abs(self.all[0] - self.neutral), 1e-12)
+
+
+def stability(logs: Sequence[FlightLog], vehicle: Vehicle, values) -> list[Stability]:
+    """The effects of `values` refitted to all of `logs` and to both halves, together each time."""
+    fits = [_fit(part, vehicle, values) for part in (logs, *halves(logs))]
+    rows = []
+    for key in fits[0]:
+        effect, name = key
+        p = next(p for p in LIBRARY[effect].parameters if p.name == name)
+        rows.append(Stability(effect, name, p.unit, p.neutral, *(fit[key] for fit in fits)))
+    return rows
+
+
+def judged(logs: Sequence[FlightLog], vehicle: Vehicle, values) -> PlantGap:
+    """Gap with the effects of `values`, not searched for, refitted to all flights but the one judged."""
+    problem = Problem(prepare_all(logs, vehicle, False, []), vehicle, LIBRARY)
+    fit = _refit(problem, values)
+    starts = rollout.Starts.of(problem.flights)
+    floor = rollout.noise_floor(starts, problem.corrected(fit.values))
+    return rollout.plant_gap(starts, vehicle, left_out_vehicles(problem, fit), "analytic", floor)
+
+
+def _refit(problem: Problem, values) -> Fit:
+    columns = [Column(n, p.name) for n in values for p in LIBRARY[n].parameters]
+    return refit(problem, values, problem.linearise(values, columns).inflation())
+
+
+def _fit(logs, vehicle: Vehicle, values) -> dict[tuple[str, str], tuple[float, float]]:
+    problem = Problem(prepare_all(logs, vehicle, False, []), vehicle, LIBRARY)
+    fit = _refit(problem, values)
+    error = np.sqrt(np.diag(fit.weighted.covariance(fit.index)))
+    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
+    return {
+        (c.effect, c.parameter): (fit.values[c.effect][c.parameter], float(quantile * e))
+        for c, e in zip(fit.weighted.columns, error)
+    }
+
+
+@dataclasses.dataclass(frozen=True)
+class Study:
+    """A fleet diagnosed as a whole (each flight judged with the others fitted) and by halves."""
+
+    title: str
+    diagnosis: Diagnosis
+    first: Diagnosis  # first halves fitted, second halves judged
+    second: Diagnosis
+    stability: list[Stability]
+
+    @staticmethod
+    def of(title: str, logs: Sequence[FlightLog], vehicle: Vehicle) -> Study:
+        """Raises UserError when no flight can be used."""
+        whole = diagnose(logs, vehicle, plants=("analytic", "mujoco"))
+        a, b = halves(logs)
+        return Study(
+            title,
+            whole,
+            diagnose(a, vehicle, heldout=b, curves=False),
+            diagnose(b, vehicle, heldout=a, curves=False),
+            stability(logs, vehicle, whole.values()),
+        )

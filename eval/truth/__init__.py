@@ -1,0 +1,1 @@
+"""Is the simulator right? `equivalence`, `contact-truth`."""

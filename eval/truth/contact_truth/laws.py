@@ -1,0 +1,555 @@
+"""Measurements of contact against mechanics, each returned as a `Finding`.
+
+Everything is unpowered and uses the default contact setting unless it says otherwise.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from inclined_landing.eval.policies.motors_cut import normal_of
+from inclined_landing.eval.truth.contact_truth.checks import Check, Finding
+from inclined_landing.eval.truth.contact_truth.vehicles import (
+    BODY,
+    FEET,
+    FLOOR,
+    PHASES,
+    ROTORS,
+    SLAB,
+    STEP,
+    advance,
+    contact_forces,
+    drop,
+    energy,
+    place,
+    unpowered,
+)
+from inclined_landing.models import contact
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VZ, WX, WZ, YAW, X, Z
+from inclined_landing.models.geometry import PARTS
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants import MujocoPlant
+
+GRIP = 1.6  # friction that holds the vehicle on every supported slope (tan 50 deg = 1.19)
+STUDY_TIME = 0.02  # s, contact time of the settings that are compared
+RESTITUTIONS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+CONTACT_TIMES = (0.012, 0.016, 0.02)
+STEPS = (0.004, 0.002, 0.001, 0.0005)
+
+
+def rest() -> Finding:
+    """Forces and creep at rest on slopes of 0 to 50 degrees."""
+    degrees = np.arange(0.0, 51.0, 5.0)
+    alpha = np.radians(degrees)
+    n = len(alpha)
+    plant = unpowered(n)
+    place(plant, -alpha)
+    plant.set_contact(np.arange(n), friction=GRIP)
+    creep = _creep(plant)
+    forces = np.array([contact_forces(plant, k) for k in range(n)])
+    weight = plant.vehicle.body_mass * plant.vehicle.environment_gravity
+    expected = weight * np.stack([np.cos(alpha), np.sin(alpha)], axis=1)
+    error = np.abs(forces - expected).max() / weight
+
+    slope = unpowered(1)
+    place(slope, slope.vehicle.platform_inclination)
+    default = float(_creep(slope)[0])
+    springy = unpowered(len(RESTITUTIONS))
+    place(springy, springy.vehicle.platform_inclination)
+    springy.set_contact(np.arange(springy.n), restitution=np.array(RESTITUTIONS), contact_time=STUDY_TIME)
+    of_restitution = _creep(springy)
+    return Finding(
+        "rest",
+        "At rest on the slope",
+        "The surface carries m g cos(alpha) and holds m g sin(alpha). The vehicle creeps a little, because "
+        "friction in the engine is a very stiff damper, not a lock. Springy settings hold less firmly: from"
+        " a restitution of 0.3 on the feet tremble and the vehicle wanders down by millimetres per second.",
+        [
+            Check("forces at rest, 0 to 50 deg", 100 * error, "% of the weight", 1.0, f"friction {GRIP:g}"),
+            Check("creep on the default slope", 1e3 * default, "mm/s", 0.2, "default contact, over 2 s"),
+            Check("creep, 0 to 50 deg", 1e3 * creep.max(), "mm/s", 0.2, f"friction {GRIP:g}"),
+            Check(
+                "creep at restitution 0.6",
+                1e3 * of_restitution[-1],
+                "mm/s",
+                0.2,
+                f"contact time {1e3 * STUDY_TIME:g} ms; a limit of the springy setting",
+            ),
+        ],
+        {
+            "degrees": degrees,
+            "normal": forces[:, 0],
+            "tangential": forces[:, 1],
+            "expected": expected,
+            "creep": creep,
+            "restitution": RESTITUTIONS,
+            "creep_of_restitution": of_restitution,
+        },
+    )
+
+
+def _creep(plant: MujocoPlant) -> np.ndarray:
+    """Speed [m/s] of every vehicle over 2 s, after 1 s to settle."""
+    advance(plant, 1.0)
+    before = plant.state[:, :3].copy()
+    advance(plant, 2.0)
+    return np.linalg.norm(plant.state[:, :3] - before, axis=1) / 2.0
+
+
+def slip() -> Finding:
+    """Inclination at which a vehicle set down on the slope begins to slide."""
+    frictions = np.array([0.2, 0.3, 0.5, 0.8, 1.0])
+    around = np.radians(np.round(np.arange(-0.6, 1.01, 0.1), 1))
+    alpha = (np.arctan(frictions)[:, None] + around).ravel()
+    plant = unpowered(len(alpha))
+    place(plant, -alpha)
+    plant.set_contact(np.arange(plant.n), friction=np.repeat(frictions, len(around)))
+    advance(plant, 0.2)
+    start, before = plant.state[:, :3].copy(), np.linalg.norm(plant.state[:, VX : VZ + 1], axis=1)
+    advance(plant, 0.5)
+    distance = np.linalg.norm(plant.state[:, :3] - start, axis=1).reshape(len(frictions), -1)
+    gained = (np.linalg.norm(plant.state[:, VX : VZ + 1], axis=1) - before).reshape(distance.shape) / 0.5
+    slides = gained > 0.005  # m/s2; 0.03 degrees beyond the angle of friction
+    onset = np.degrees(around)[slides.argmax(axis=1)]
+    return Finding(
+        "slip",
+        "Where sliding starts",
+        "Each vehicle is set down level with its slope, 0.1 degrees apart around the angle of friction. "
+        "Below it nothing accelerates, above it everything does.",
+        [
+            Check(
+                "onset of sliding against atan(friction)",
+                float(np.abs(onset).max()),
+                "deg",
+                0.5,
+                "friction 0.2 to 1.0, resolution 0.1 deg",
+            )
+        ],
+        {
+            "friction": frictions,
+            "around": np.degrees(around),
+            "acceleration": gained,
+            "distance": distance,
+            "onset": np.degrees(np.arctan(frictions)) + onset,
+        },
+    )
+
+
+def restitution() -> Finding:
+    """Restitution and contact time that drops show, against what was set."""
+    gravity = load_vehicle().environment_gravity
+    pairs = np.array([(e, t) for t in CONTACT_TIMES for e in RESTITUTIONS])
+    solrefs = contact.solref(pairs[:, 0], pairs[:, 1], gravity)
+    shape = (len(CONTACT_TIMES), len(RESTITUTIONS))
+    speeds = (0.5, 1.0, 1.5)
+    drops = {speed: drop(speed, solrefs) for speed in speeds}
+    measured = {speed: d.restitution.mean(axis=1).reshape(shape) for speed, d in drops.items()}
+    scatter = drops[1.0].restitution.std(axis=1).reshape(shape)
+    pushed = drops[1.0].pushed.mean(axis=1).reshape(shape)
+    wanted = np.array(RESTITUTIONS)
+    off = np.abs(measured[1.0] - wanted)[:, 1:]
+    late = np.abs(pushed - np.array(CONTACT_TIMES)[:, None])[:, 1:]
+    return Finding(
+        "restitution",
+        "Restitution and contact time as set",
+        "Restitution and contact time are settings of the user; they are turned into the engine's contact "
+        f"spring. Drops on four feet, {PHASES} phases of the touch within one step; bars are their standard"
+        " deviation. A slower drop rebounds less, because the weight works against it for the same time.",
+        [
+            Check(
+                "restitution as set, 16 and 20 ms",
+                float(off[1:].max()),
+                "1",
+                0.03,
+                "drops at 1 m/s, mean over phases",
+            ),
+            Check("restitution as set, 12 ms", float(off[0].max()), "1", 0.05, "three steps of 4 ms"),
+            Check("scatter by the phase of the touch", float(scatter.max()), "1", 0.06, "standard deviation"),
+            Check("contact time as set", 1e3 * float(np.nanmax(late)), "ms", 1.0, "restitution 0.1 to 0.6"),
+        ],
+        {
+            "set": RESTITUTIONS,
+            "contact_time": CONTACT_TIMES,
+            "scatter": scatter,
+            "pushed": pushed,
+            "speeds": speeds,
+            **{f"measured at {speed:g} m/s": value for speed, value in measured.items()},
+        },
+    )
+
+
+def impulse() -> Finding:
+    """Impulse of the contact forces, and of their samples, against the change of momentum."""
+    gravity = load_vehicle().environment_gravity
+    spring = contact.solref([0.0, 0.3, 0.6], STUDY_TIME, gravity)
+    rows = []
+    for step in STEPS:
+        for name, solrefs in (("default", None), ("0.6", spring[2:])):
+            d = drop(1.0, solrefs, step)
+            error = (d.sampled / d.momentum - 1.0)[0]
+            rows.append((step, name, float(error.mean()), float(np.abs(error).max()), float(d.peak.mean())))
+    mean = [row for row in rows if row[0] == STEP]
+    fine = [row for row in rows if row[0] == STEPS[-1]]
+    drops = [drop(speed, s, stages=True) for speed in (0.3, 1.0, 2.0) for s in (None, spring)]
+    single = max(float(np.abs(d.impulse / d.momentum - 1.0).max()) for d in drops)
+    return Finding(
+        "impulse",
+        "Forces and momentum",
+        "The force sensors speak for the beginning of each engine step, so that their sum over a touch of a"
+        " few steps misses the impulse by up to a sixth, one way or the other, depending on where in the "
+        "step the feet meet the surface; on average it is right. A Runge-Kutta step evaluates the contact "
+        "four times: with all four forces, weighted as the engine weights them, the impulse of every single"
+        " touch agrees with the change of momentum to rounding errors (`impulse.py` beside this file). The "
+        "landing studies' impulse agrees with that one.",
+        [
+            Check(
+                "impulse of one touch, 4 ms",
+                100 * single,
+                "%",
+                2.0,
+                "contact forces of all stages against m (change of speed + g time); worst of 96 drops at 0.3 "
+                "to 2 m/s, default and restitution 0 to 0.6",
+            ),
+            Check(
+                "sampled forces, mean over phases, 4 ms",
+                100 * max(abs(row[2]) for row in mean),
+                "%",
+                2.0,
+                "1 m/s, force sum against change of momentum",
+            ),
+            Check(
+                "sampled forces, single drop, 0.5 ms",
+                100 * max(row[3] for row in fine),
+                "%",
+                2.0,
+                "worst of the phases",
+            ),
+            Check(
+                "sampled forces, single drop, 4 ms",
+                100 * max(row[3] for row in mean),
+                "%",
+                2.0,
+                "worst of the phases; what the step's beginning alone says",
+            ),
+        ],
+        {"rows": [dict(zip(("step", "setting", "mean", "worst", "peak"), row)) for row in rows]},
+    )
+
+
+def penetration() -> Finding:
+    """How deep the feet sink in, over speed and contact time."""
+    speeds = np.array([0.25, 0.5, 1.0, 1.5, 2.0])
+    gravity = load_vehicle().environment_gravity
+    solrefs = contact.solref(0.3, np.array(CONTACT_TIMES), gravity)
+    default = np.array([drop(speed).depth.max() for speed in speeds])
+    depth = np.array([drop(speed, solrefs).depth.max(axis=1) for speed in speeds])
+    at_one = int(np.flatnonzero(speeds == 1.0)[0])
+    grows = float(np.diff(depth, axis=1).min())
+    return Finding(
+        "penetration",
+        "Penetration",
+        "The feet sink in by about speed times contact time over pi. At 10 mm, half the slab's thickness, "
+        "the engine can no longer tell the upper side from the lower.",
+        [
+            Check(
+                "depth at 1 m/s, default setting",
+                1e3 * float(default[at_one]),
+                "mm",
+                5.0,
+                "deepest of the phases",
+            ),
+            Check(
+                "depth grows with the contact time",
+                1e3 * grows,
+                "mm",
+                np.inf,
+                "smallest difference between settings",
+                0.0,
+            ),
+        ],
+        {"speeds": speeds, "contact_time": CONTACT_TIMES, "default": default, "depth": depth},
+    )
+
+
+def convergence() -> Finding:
+    """What halving the step changes: rebound, depth, and where a landing on the slope ends."""
+    gravity = load_vehicle().environment_gravity
+    solrefs = contact.solref([0.3, 0.6], STUDY_TIME, gravity)
+    steps = (*STEPS, 0.00025)
+    drops = [drop(1.0, solrefs, step) for step in steps]
+    rebound = np.array([d.restitution.mean(axis=1) for d in drops])
+    spread = np.array([d.restitution.std(axis=1) for d in drops])
+    depth = np.array([drop(1.0, None, step).depth.mean() for step in steps])
+    error = np.abs(depth - depth[-1])[:-1]
+    order = float(np.polyfit(np.log(steps[:-2]), np.log(error[:-1]), 1)[0])
+    change = float(np.abs(rebound[0] - rebound[-1]).max())
+    halving = float((spread[1:] / spread[:-1])[:3].mean())
+    return Finding(
+        "convergence",
+        "Halving the step",
+        "A touch falls somewhere within a step, which makes contact first order in the step however the "
+        "flight is integrated: the scatter between phases halves with the step, and the depth converges.",
+        [
+            Check(
+                "order of the penetration's error", order, "1", np.inf, "default, 1 m/s, against 0.25 ms", 0.8
+            ),
+            Check(
+                "scatter of rebounds when the step is halved",
+                halving,
+                "ratio",
+                0.65,
+                "restitution 0.3 and 0.6",
+            ),
+            Check("rebound at 4 ms against 0.25 ms", change, "1", 0.02, "mean over phases"),
+        ],
+        {"steps": steps, "rebound": rebound, "scatter": spread, "depth": depth},
+    )
+
+
+def tumbling(n: int = 100) -> Finding:
+    """Passive drops in random attitudes: energy, and what no surface lets through."""
+    speeds = (0.5, 1.0, 2.0, 4.0)
+    settings = (None, 0.3, 0.6)
+    growth = np.zeros((len(settings), len(speeds)))
+    share = np.zeros_like(growth)
+    through = np.zeros_like(growth, dtype=int)
+    history = None
+    for i, setting in enumerate(settings):
+        for j, speed in enumerate(speeds):
+            energies, passed = _tumble(n, speed, setting)
+            scale = 0.5 * load_vehicle().body_mass * speed**2
+            gain = (energies.max(axis=0) - energies[0]) / scale
+            growth[i, j], share[i, j] = gain.max(), (gain > 0.01).mean()
+            through[i, j] = passed.sum()
+            if setting is None and speed == 1.0:
+                history = energies[::5, :40]
+    return Finding(
+        "tumbling",
+        "Random drops: energy and tunnelling",
+        f"{n} vehicles per speed in random attitudes and spins of 5 rad/s fall onto the default slope for "
+        "0.6 s. Energy is that of motion and height; what the contact spring holds for a moment is not "
+        "counted. Springy settings are within their supported range only up to 1.5 m/s.",
+        [
+            Check(
+                "energy gained, default",
+                100 * float(growth[0].max()),
+                "% of the impact's",
+                0.1,
+                "0.5 to 4 m/s",
+            ),
+            Check(
+                "energy gained, restitution 0.3",
+                100 * float(growth[1, :2].max()),
+                "% of the impact's",
+                0.1,
+                "0.5 and 1 m/s",
+            ),
+            Check(
+                "drops that gain over 1 %, restitution 0.6",
+                100 * float(share[2, :2].max()),
+                "%",
+                1.0,
+                "0.5 and 1 m/s",
+            ),
+            Check("drops through the slab, default", int(through[0].sum()), "of all", 0, "0.5 to 4 m/s"),
+            Check(
+                "drops through the slab at 4 m/s, restitution 0.6",
+                int(through[2, -1]),
+                f"of {n}",
+                0,
+                "beyond the supported range",
+            ),
+        ],
+        {
+            "speeds": speeds,
+            "settings": [s if s is not None else "default" for s in settings],
+            "growth": growth,
+            "share": share,
+            "through": through,
+            "history": history,
+        },
+    )
+
+
+def _tumble(n: int, speed: float, restitution: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Energies (steps + 1, n) [J] and which vehicles passed the slab (n,)."""
+    plant = unpowered(n)
+    ids, rng = np.arange(n), np.random.default_rng(0)
+    alpha = plant.vehicle.platform_inclination
+    normal = normal_of(alpha)
+    middle = np.array([0, 0, plant.vehicle.platform_surface_height])
+    if restitution is not None:
+        plant.set_contact(ids, restitution=restitution, contact_time=STUDY_TIME)
+    state = np.zeros((n, STATE_SIZE))
+    state[:, ROLL : YAW + 1] = rng.uniform(-1, 1, (n, 3)) * [np.pi, 1.5, np.pi]
+    state[:, WX : WZ + 1] = rng.normal(0, 5, (n, 3))
+    state[:, :3] = middle + normal * 0.075
+    state[:, VX : VZ + 1] = -normal * speed
+    plant.reset(ids, state)
+    energies, passed = [energy(plant.state, plant.vehicle)], np.zeros(n, bool)
+    nothing = np.zeros((n, 4))
+    for _ in range(round(0.6 / STEP)):
+        plant.step(nothing)
+        energies.append(energy(plant.state, plant.vehicle))
+        inside = np.hypot(plant.state[:, 0], plant.state[:, 1]) < 0.2
+        passed |= inside & ((plant.state[:, :3] - middle) @ normal < -plant.vehicle.platform_thickness)
+    return np.array(energies), passed
+
+
+def parts() -> Finding:
+    """Upright, nose down and upside down on slab and floor: which part the log names, and its force."""
+    vehicle = load_vehicle()
+    weight = vehicle.body_mass * vehicle.environment_gravity
+    rows, right, loads = [], 0, []
+    for surface, name in ((SLAB, "slab"), (FLOOR, "floor")):
+        for pitch, part in ((0.0, FEET), (np.pi / 2, ROTORS), (np.pi, BODY)):
+            plant = unpowered(1)
+            plant.set_platform([0], 0.0)
+            height = vehicle.platform_surface_height if surface == SLAB else 0.0
+            state = np.zeros((1, STATE_SIZE))
+            state[0, X], state[0, PITCH] = (0.0 if surface == SLAB else 1.5), pitch
+            state[0, Z] = height + _reach(plant, pitch) + 0.002
+            plant.reset([0], state)
+            first = None
+            for _ in range(400):
+                plant.step(np.zeros((1, 4)))
+                touch = plant.contacts.touch[0]
+                if first is None and touch.any():
+                    first = sorted(PARTS[k] for k in np.flatnonzero(touch.any(axis=0)))
+                    surfaces = touch.any(axis=1)
+            force = plant.contacts.force[0]
+            ok = first is not None and PARTS[part] in first and surfaces[surface] and surfaces.sum() == 1
+            right += ok
+            if pitch != np.pi / 2:  # nose down it falls over
+                loads.append(abs(force[surface].sum() / weight - 1))
+            rows.append(
+                {"surface": name, "pitch": float(np.degrees(pitch)), "first": first, "right": bool(ok)}
+            )
+    return Finding(
+        "parts",
+        "Which part touches what",
+        "Vehicles are let go 2 mm above slab and floor: upright, nose down, upside down. The log names "
+        "feet, rotors and body first, and only the surface below. Upside down the vehicle lies on body and "
+        "rotor discs, which carry its weight.",
+        [
+            Check(
+                "first part and surface named rightly", right, "of 6", 6, "slab and floor, three attitudes", 6
+            ),
+            Check(
+                "weight carried at rest",
+                100 * float(max(loads)),
+                "% off",
+                1.0,
+                "upright on feet, upside down on body and rotors",
+            ),
+        ],
+        {"rows": rows},
+    )
+
+
+def _reach(plant: MujocoPlant, pitch: float) -> float:
+    """How far the collision shapes reach below the centre of mass [m]."""
+    shapes = plant.shapes
+    height = -np.sin(pitch) * shapes.centres[:, 0] + np.cos(pitch) * shapes.centres[:, 2]
+    return float((shapes.radii - height).max())
+
+
+def torque() -> Finding:
+    """Thrust at which a vehicle told to pitch lifts two feet off the floor, against statics."""
+    vehicle = load_vehicle()
+    command = vehicle.command_angle_limit
+    wanted = vehicle.attitude_gain * command / vehicle.attitude_time_constant  # rad/s
+    loop = vehicle.body_inertia[1] * vehicle.attitude_bandwidth * wanted  # N m, while it stays level
+    weight = vehicle.body_mass * vehicle.environment_gravity
+    shares = np.round(np.arange(0.6, 1.0, 0.005), 3)
+    rows, largest = [], 0.0
+    for limit in (vehicle.attitude_torque_limit, 1e-3):
+        plant = MujocoPlant(len(shares), dataclasses.replace(vehicle, attitude_torque_limit=limit))
+        lever = float(np.abs(plant.shapes.centres[plant.shapes.parts == FEET, 0]).max())
+        torques = plant.batch.bind("actuator_force")[:, plant.model.actuator("pitch").id]
+        ids = np.arange(plant.n)
+        plant.set_platform(ids, 0.0, False)
+        state = np.zeros((plant.n, STATE_SIZE))
+        state[:, Z], state[:, LAG] = plant.foot_height, shares * vehicle.hover_lag
+        plant.reset(ids, state)
+        commands = np.zeros((plant.n, 4))
+        commands[:, 0], commands[:, 2] = shares * vehicle.hover_pwm, command
+        for _ in range(25):
+            plant.step(commands)
+            largest = max(largest, float(np.abs(torques).max() / limit))
+        pitch = np.degrees(plant.state[:, PITCH])
+        rows.append(
+            {
+                "limit": limit,
+                "pitch": pitch,
+                "lifts": float(shares[(pitch > 1.0).argmax()]),
+                "predicted": 1.0 - min(loop, limit) / (lever * weight),
+            }
+        )
+    off = max(abs(row["lifts"] - row["predicted"]) for row in rows)
+    return Finding(
+        "torque",
+        "Attitude loop on the ground",
+        "A vehicle on the floor is told to pitch by 30 degrees. Two feet lift where loop torque and thrust "
+        "together exceed the weight's moment about the other two; the loop's torque follows from its "
+        "equation, or is its limit where that is less. By default PWM 0 does not take the torques away; "
+        "`landing-eval success` removes them where it cuts the motors.",
+        [
+            Check(
+                "thrust at which two feet lift, against statics", off, "of the weight", 0.01, "steps of 0.005"
+            ),
+            Check("largest torque over its limit", largest, "1", 1.0 + 1e-9, "every control step"),
+        ],
+        {"share": shares, "rows": rows},
+    )
+
+
+def setting(friction: float | None, restitution: float | None, contact_time: float | None) -> Finding:
+    """Drops and creep with the user's own contact setting; None is the default.
+
+    Raises UserError for a setting out of range, before anything is measured.
+    """
+    chosen = {"friction": friction, "restitution": restitution, "contact_time": contact_time}
+    plant = unpowered(1)
+    plant.set_contact([0], **chosen)  # refuses what is wrong
+    place(plant, plant.vehicle.platform_inclination)
+    vehicle = plant.vehicle
+    mu = vehicle.contact_friction if friction is None else friction
+    checks = []
+    if mu > np.tan(abs(vehicle.platform_inclination)):
+        text = f"friction {mu:g} holds the default slope"
+        checks.append(Check("creep on the default slope", 1e3 * float(_creep(plant)[0]), "mm/s", 0.2, text))
+    springs = None
+    if restitution is not None:
+        springs = contact.solref([restitution], [contact_time], vehicle.environment_gravity)
+    drops = {speed: drop(speed, springs) for speed in (0.5, 1.0, 1.5)}
+    middle = drops[contact.REFERENCE_SPEED]
+    checks.append(
+        Check("depth at 1 m/s", 1e3 * float(middle.depth.max()), "mm", 5.0, "deepest of the phases")
+    )
+    if restitution is not None:
+        measured = float(middle.restitution.mean())
+        low, high = restitution - 0.05, restitution + 0.05
+        checks.append(Check("restitution at 1 m/s", measured, "1", high, "mean over phases", low))
+    return Finding(
+        "setting",
+        "The chosen setting",
+        ", ".join(
+            f"{name.replace('_', ' ')} {value:g}" for name, value in chosen.items() if value is not None
+        ),
+        checks,
+        {
+            "speeds": list(drops),
+            "restitution": [d.restitution.mean() for d in drops.values()],
+            "depth": [d.depth.max() for d in drops.values()],
+            "peak": [d.peak.mean() for d in drops.values()],
+        },
+    )
+
+
+FINDINGS = {
+    f.__name__: f
+    for f in (rest, slip, restitution, impulse, penetration, convergence, tumbling, parts, torque)
+}

@@ -1,0 +1,344 @@
+"""Measured touchdowns on a flat floor (NanoBench flights), and the same touchdowns simulated.
+
+A touchdown is where a descending vehicle with running motors turns upwards near the floor. From the
+measured position, velocity and attitude 60 ms before it, under the measured motor PWM and attitude
+commands, the MuJoCo vehicle flies on; restitution and contact time are fitted to the measured height.
+The thrust is taken relative to the flight's own hover, because mass and motors of the vehicle are unknown.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from inclined_landing.eval.truth.contact_truth.checks import Check, Finding
+from inclined_landing.models import contact
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VY, VZ, WX, WY, WZ, YAW, Z
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.plants import MujocoPlant
+
+PERIOD = 0.01  # s, of the measurements
+BEFORE, AFTER = 0.06, 0.10  # s of the flight that is compared
+_CLEAR = 0.02  # s around the touch that the straight lines leave out
+_STEP = 0.001  # s, of the engine in fits
+_MOTORS = ("m1_pwm", "m2_pwm", "m3_pwm", "m4_pwm")
+_COLUMNS = (
+    *("t", "x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "imu_az", "cmd_roll", "cmd_pitch"),
+    *_MOTORS,
+)
+# Fitted: restitution, contact time [s], height of the floor [m], change of the falling speed [m/s].
+_SCALE = np.array([0.1, 0.005, 0.001, 0.02])
+_LOW = np.array([0.02, 0.004, -0.006, -0.15])
+_HIGH = np.array([0.9, 0.045, 0.006, 0.15])
+
+
+@dataclasses.dataclass(frozen=True)
+class Touchdown:
+    """One measured touchdown; times in seconds from the touch, heights above the touch [m]."""
+
+    flight: str
+    time: np.ndarray  # (k,) from -BEFORE to AFTER
+    height: np.ndarray  # (k,)
+    commands: np.ndarray  # (k, 4), PWM in units of this project's vehicle
+    state: np.ndarray  # (13,) at the first time, its height still that of the measurement
+    down: float  # m/s, falling speed before, from a straight line
+    up: float  # m/s, rising speed after
+    tilt: float  # rad, between thrust and vertical at the touch
+    slide: float  # m/s, horizontal speed before
+    thrust: float  # over the weight, mean around the touch
+    shock: float  # m/s2, largest reading of the accelerometer within 50 ms
+
+    @property
+    def restitution(self) -> float:
+        """Rising over falling speed, straight from the data."""
+        return self.up / self.down
+
+
+def read_flights(folder: str | Path) -> dict[str, pd.DataFrame]:
+    """The flights (nb_*.csv.gz) of a folder; raises UserError when it holds none or bad ones."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise UserError(f"the folder of flights {folder} does not exist")
+    files = sorted(folder.glob("nb_*.csv.gz"))
+    if not files:
+        raise UserError(f"the folder {folder} holds no NanoBench flights (nb_*.csv.gz)")
+    flights = {}
+    for file in files:
+        try:
+            table = pd.read_csv(file)
+        except (OSError, ValueError, EOFError) as error:
+            raise UserError(f"{file} cannot be read: {error}") from error
+        missing = [column for column in _COLUMNS if column not in table]
+        if missing:
+            raise UserError(f"{file} lacks the column {missing[0]}")
+        flights[file.name.removesuffix(".csv.gz")] = table
+    return flights
+
+
+def find_touchdowns(flights: dict[str, pd.DataFrame], vehicle: Vehicle | None = None) -> list[Touchdown]:
+    """The first touchdown of each flight, where it has one with running motors and a rebound."""
+    found = (_first_touchdown(name, table, vehicle or load_vehicle()) for name, table in flights.items())
+    return [touchdown for touchdown in found if touchdown is not None]
+
+
+def _first_touchdown(name: str, table: pd.DataFrame, vehicle: Vehicle) -> Touchdown | None:
+    t, z, vz = (table[c].to_numpy() for c in ("t", "z", "vz"))
+    motors = table[list(_MOTORS)].to_numpy()
+    flying = (z > 0.5) & (np.abs(vz) < 0.2) & (motors.min(axis=1) > 0)
+    if not flying.any():
+        return None
+    force = _static_force(motors, vehicle)
+    ratio = force / np.median(force[flying])
+    floor = np.min(z)
+    low = (z < floor + 0.03) & (motors.min(axis=1) > 0) & (t > t[flying][0])
+    for k in np.flatnonzero(low[1:-1] & (z[1:-1] <= z[:-2]) & (z[1:-1] < z[2:])) + 1:
+        if t[k] < BEFORE + 0.05 or t[k] > t[-1] - AFTER - 0.05:
+            continue
+        early = (t > t[k] - 0.075) & (t < t[k] - _CLEAR)
+        late = (t > t[k] + _CLEAR) & (t < t[k] + 0.085)
+        before = np.polyfit(t[early] - t[k], z[early], 1)
+        after = np.polyfit(t[late] - t[k], z[late], 2)
+        touch = _crossing(before, after)
+        if touch is None:
+            continue
+        down, up = -before[0], 2 * after[0] * touch + after[1]
+        if down < 0.3 or up < 0.1:
+            continue
+        moment, level = t[k] + touch, np.polyval(before, touch)
+        window = np.flatnonzero((t >= moment - BEFORE) & (t <= moment + AFTER))
+        first = window[0]
+        state = _state(table, first, vehicle)
+        state[Z] = np.polyval(before, t[first] - t[k]) - level
+        state[VZ] = -down
+        pwm = ratio[window] * vehicle.hover_pwm
+        commands = np.zeros((len(window), 4))
+        commands[:, 0] = np.clip(pwm, 0, vehicle.command_pwm_range[1])
+        commands[:, 1:3] = table[["cmd_roll", "cmd_pitch"]].to_numpy()[window]
+        near = np.abs(t - moment) < 0.05
+        state[LAG] = commands[0, 0] / vehicle.thrust_lag_rate
+        return Touchdown(
+            flight=name,
+            time=t[window] - moment,
+            height=z[window] - level,
+            commands=commands,
+            state=state,
+            down=float(down),
+            up=float(up),
+            tilt=float(np.arccos(np.cos(state[ROLL]) * np.cos(state[PITCH]))),
+            slide=float(np.hypot(state[VX], state[VY])),
+            thrust=float(ratio[near].mean()),
+            shock=float(table["imu_az"].to_numpy()[near].max()),
+        )
+    return None
+
+
+def _static_force(pwm: np.ndarray, vehicle: Vehicle) -> np.ndarray:
+    """Total force (k,) [N] of the static map for motor PWM (k, 4)."""
+    a, b, c = vehicle.motor_pwm_to_force
+    return np.where(pwm > 0, a * pwm**2 + b * pwm + c, 0.0).sum(axis=1)
+
+
+def _crossing(line: np.ndarray, parabola: np.ndarray) -> float | None:
+    """Time where the falling line meets the rising parabola, nearest to zero; None without one."""
+    roots = np.roots(parabola - np.array([0.0, *line]))
+    real = roots.real[np.abs(roots.imag) < 1e-9]
+    real = real[np.abs(real) < 0.03]
+    return float(real[np.abs(real).argmin()]) if len(real) else None
+
+
+def _state(table: pd.DataFrame, k: int, vehicle: Vehicle) -> np.ndarray:
+    """State (13,) measured at row k; rates from the attitude over 40 ms."""
+    rows = slice(k - 2, k + 3)
+    quaternions = table[["qx", "qy", "qz", "qw"]].to_numpy()[rows]
+    rotations = Rotation.from_quat(quaternions)
+    yaw, roll, pitch = rotations[2].as_euler("ZXY")
+    turned = (rotations[0].inv() * rotations[4]).as_rotvec() / (4 * PERIOD)
+    state = np.zeros(STATE_SIZE)
+    state[[ROLL, PITCH, YAW]] = roll, pitch, yaw
+    state[[WX, WY, WZ]] = turned
+    state[[VX, VY]] = table[["vx", "vy"]].to_numpy()[k]
+    return state
+
+
+class Simulation:
+    """The touchdown in the MuJoCo plant: heights for rows of (restitution, contact time, floor, speed)."""
+
+    def __init__(self, touchdown: Touchdown, n: int, vehicle: Vehicle | None = None):
+        self.vehicle = vehicle or load_vehicle()
+        self.touchdown = touchdown
+        slow = dataclasses.replace(self.vehicle, command_control_period=PERIOD)
+        self.plant = MujocoPlant(n, slow, timestep=_STEP)
+        self.plant.set_platform(np.arange(n), self.vehicle.platform_inclination, False)
+        # The measured point is low when the tilted vehicle's lowest foot touches: refer height to that.
+        c = self.plant.shapes.centres
+        feet = self.plant.shapes.parts == 0
+        s = touchdown.state
+        up = np.array(
+            [-np.cos(s[ROLL]) * np.sin(s[PITCH]), np.sin(s[ROLL]), np.cos(s[ROLL]) * np.cos(s[PITCH])]
+        )
+        self.reach = float((self.plant.shapes.radii - c @ up)[feet].max())
+
+    def heights(self, rows: np.ndarray) -> np.ndarray:
+        """Heights (n, k) [m] at the measured times, in the measurement's terms; rows (n, 4)."""
+        n, time = self.plant.n, self.touchdown.time
+        ids = np.arange(n)
+        self.plant.set_contact(
+            ids, solref=contact.spring(rows[:, 0], rows[:, 1], self.vehicle.environment_gravity)
+        )
+        state = np.tile(self.touchdown.state, (n, 1))
+        state[:, Z] += self.reach - rows[:, 2]
+        state[:, VZ] += rows[:, 3]
+        self.plant.reset(ids, state)
+        out = np.empty((n, len(time)))
+        out[:, 0] = state[:, Z]
+        for k in range(1, len(time)):
+            self.plant.step(np.tile(self.touchdown.commands[k - 1], (n, 1)))
+            out[:, k] = self.plant.state[:, Z]
+        return out - self.reach + rows[:, 2:3]
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """Restitution and contact time that reproduce one touchdown best, with standard errors."""
+
+    touchdown: Touchdown
+    restitution: float
+    contact_time: float  # s
+    errors: tuple[float, float]
+    heights: np.ndarray  # (k,) m, of the fit
+    rms: float  # m
+    at_bound: bool
+
+
+def fit(touchdown: Touchdown) -> Fit:
+    """Fit restitution, contact time, floor height and falling speed to the measured heights."""
+    simulation = Simulation(touchdown, 5)
+    steps = np.array([0.2, 0.2, 0.2, 0.2])
+
+    def runs(x):
+        rows = np.tile(x, (5, 1))
+        rows[1:] += np.diag(steps)
+        return simulation.heights(rows * _SCALE)
+
+    def residuals(x):
+        return 1e3 * (runs(x)[0] - touchdown.height)
+
+    def jacobian(x):
+        heights = runs(x)
+        return 1e3 * ((heights[1:] - heights[0]) / steps[:, None]).T
+
+    start = np.array([min(max(touchdown.restitution, 0.1), 0.8), 0.02, 0.0, 0.0]) / _SCALE
+    low, high = _LOW / _SCALE, _HIGH / _SCALE
+    solution = least_squares(residuals, start, jacobian, bounds=(low, high), max_nfev=40)
+    spread = solution.fun @ solution.fun / max(len(solution.fun) - 4, 1)
+    covariance = spread * np.linalg.pinv(solution.jac.T @ solution.jac)
+    errors = np.sqrt(np.diag(covariance)) * _SCALE
+    values = solution.x * _SCALE
+    near = (solution.x[:2] - low[:2] < 1e-3) | (high[:2] - solution.x[:2] < 1e-3)
+    return Fit(
+        touchdown=touchdown,
+        restitution=float(values[0]),
+        contact_time=float(values[1]),
+        errors=(float(errors[0]), float(errors[1])),
+        heights=simulation.heights(np.tile(values, (5, 1)))[0],
+        rms=float(np.sqrt(np.mean((1e-3 * solution.fun) ** 2))),
+        at_bound=bool(near.any()),
+    )
+
+
+def rebound(touchdown: Touchdown, restitution: float, contact_time: float) -> float:
+    """Rising speed [m/s] of the simulation, read off its heights as from the measurement."""
+    simulation = Simulation(touchdown, 1)
+    heights = simulation.heights(np.array([[restitution, contact_time, 0.0, 0.0]]))[0]
+    late = touchdown.time > _CLEAR
+    curve = np.polyfit(touchdown.time[late], heights[late], 2)
+    return float(curve[1])
+
+
+def finding(folder: str | Path, tick=lambda name: None) -> Finding:
+    """Touchdowns of the flights in `folder`, fitted and predicted from one another."""
+    found = find_touchdowns(read_flights(folder))
+    if len(found) < 2:
+        raise UserError(
+            f"the flights in {folder} hold {len(found)} usable touchdowns; at least two are needed"
+        )
+    fits = []
+    for touchdown in found:
+        tick(touchdown.flight)
+        fits.append(fit(touchdown))
+    e, time = np.array([f.restitution for f in fits]), np.array([f.contact_time for f in fits])
+    rows = []
+    for k, f in enumerate(fits):
+        others = np.arange(len(fits)) != k
+        d = f.touchdown
+        rows.append(
+            {
+                "flight": d.flight,
+                "down": d.down,
+                "up": d.up,
+                "tilt_deg": float(np.degrees(d.tilt)),
+                "slide": d.slide,
+                "thrust": d.thrust,
+                "shock": d.shock,
+                "restitution_measured": d.restitution,
+                "restitution": f.restitution,
+                "restitution_error": f.errors[0],
+                "contact_time": f.contact_time,
+                "contact_time_error": f.errors[1],
+                "rms": f.rms,
+                "at_bound": f.at_bound,
+                "predicted_up": rebound(d, float(np.median(e[others])), float(np.median(time[others]))),
+                "time": d.time,
+                "measured": d.height,
+                "simulated": f.heights,
+            }
+        )
+    missed = np.array([row["predicted_up"] - row["up"] for row in rows])
+    return Finding(
+        "touchdowns",
+        "Measured touchdowns",
+        f"{len(rows)} touchdowns of NanoBench flights with motors running near hover. What fits: the height"
+        " through the bounce, to a fraction of a millimetre, with a restitution of its own for each. What "
+        "does not: one restitution for all; predicted from the others, rebounds are off by 0.1 m/s. At 100"
+        " Hz the contact time is hardly resolved, and thrust is known relative to hover only. Friction and"
+        " inclined surfaces are not in these data.",
+        [
+            Check(
+                "height of the simulated touchdowns, rms",
+                1e3 * max(row["rms"] for row in rows),
+                "mm",
+                1.0,
+                "worst touchdown, 60 ms before to 100 ms after",
+            ),
+            Check(
+                "median restitution fitted",
+                float(np.median(e)),
+                "1",
+                0.65,
+                "in the range read off the data",
+                0.4,
+            ),
+            Check(
+                "median contact time fitted",
+                1e3 * float(np.median(time)),
+                "ms",
+                20.0,
+                "samples every 10 ms",
+                4.0,
+            ),
+            Check(
+                "rebound predicted from the other touchdowns",
+                float(np.sqrt(np.mean(missed**2))),
+                "m/s rms",
+                0.1,
+                "with their median setting",
+            ),
+        ],
+        {"fits": rows},
+    )

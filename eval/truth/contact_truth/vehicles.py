@@ -1,0 +1,143 @@
+"""The vehicle without motors on a surface, watched at every engine step: what all measurements share."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+
+from inclined_landing.eval.policies.motors_cut import normal_of
+from inclined_landing.eval.truth.contact_truth.impulse import next_impulses
+from inclined_landing.models.attitude import LAG, STATE_SIZE, VX, VZ, WX, WZ, Z
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.plants import MujocoPlant
+
+STEP = 0.004  # s, the default step of the engine
+PHASES = 8  # drops of one kind, their touch spread evenly over one step
+_NO_TORQUE = 1e-12  # N m
+SLAB, BASE, FLOOR = 0, 1, 2
+FEET, BODY, ROTORS = 0, 1, 2
+
+
+def unpowered(n: int, step: float = STEP, **options) -> MujocoPlant:
+    """A plant of n vehicles that is stepped at the engine's step, without attitude torques."""
+    vehicle = dataclasses.replace(
+        load_vehicle(),
+        command_control_period=step,
+        attitude_torque_limit=_NO_TORQUE,
+        attitude_yaw_torque_limit=_NO_TORQUE,
+    )
+    return MujocoPlant(n, vehicle, timestep=step, **options)
+
+
+def advance(plant: MujocoPlant, duration: float) -> None:
+    """Motors off for `duration` [s]."""
+    nothing = np.zeros((plant.n, 4))
+    for _ in range(round(duration / plant.control_period)):
+        plant.step(nothing)
+
+
+def place(plant: MujocoPlant, inclination, height: float = 0.0) -> None:
+    """Put every vehicle at rest with its feet `height` [m] above the middle of its slope.
+
+    inclination (n,) [rad]: of the platform and of the vehicle.
+    """
+    ids = np.arange(plant.n)
+    inclination = np.broadcast_to(np.asarray(inclination, float), (plant.n,))
+    plant.set_platform(ids, inclination)
+    state = np.zeros((plant.n, STATE_SIZE))
+    state[:, :3] = normal_of(inclination) * (plant.foot_height + height)
+    state[:, Z] += plant.vehicle.platform_surface_height
+    state[:, 7] = inclination
+    plant.reset(ids, state)
+
+
+def contact_forces(plant: MujocoPlant, vehicle: int) -> tuple[float, float]:
+    """Sum of the normal forces and size of the summed tangential forces [N] in the present state."""
+    model, data = plant.batch.get_model(vehicle), plant.batch.get_data(vehicle)
+    mujoco.mj_forward(model, data)
+    normal, tangential, wrench = 0.0, np.zeros(3), np.zeros(6)
+    for k in range(data.ncon):
+        mujoco.mj_contactForce(model, data, k, wrench)
+        normal += wrench[0]
+        frame = data.contact[k].frame.reshape(3, 3)
+        tangential += wrench[1] * frame[1] + wrench[2] * frame[2]
+    return normal, float(np.linalg.norm(tangential))
+
+
+def energy(state: np.ndarray, vehicle: Vehicle) -> np.ndarray:
+    """Kinetic and potential energy [J] of states (..., 13), zero at the origin."""
+    v, w = state[..., VX : VZ + 1], state[..., WX : WZ + 1]
+    motion = vehicle.body_mass * (v**2).sum(axis=-1) + (w**2 * np.array(vehicle.body_inertia)).sum(axis=-1)
+    return 0.5 * motion + vehicle.body_mass * vehicle.environment_gravity * state[..., Z]
+
+
+@dataclasses.dataclass
+class Drops:
+    """First touch of drops on the level slab, four feet at once; arrays (settings, PHASES)."""
+
+    restitution: np.ndarray  # speed after over speed before; 0 where the vehicle stays down
+    pushed: np.ndarray  # s that the surface pushed; NaN where the vehicle stays down
+    depth: np.ndarray  # m, deepest penetration
+    peak: np.ndarray  # N, largest force
+    sampled: np.ndarray  # N s, sum of the sampled forces up to the rebound or `duration`
+    impulse: np.ndarray  # N s, of the contact forces in the engine's stages; NaN where not asked for
+    momentum: np.ndarray  # N s, what the forces must have given in that time
+    lifted: np.ndarray  # bool: left the surface
+
+
+def drop(
+    speed: float,
+    solrefs: np.ndarray | None = None,
+    step: float = STEP,
+    duration: float = 0.12,
+    stages: bool = False,
+) -> Drops:
+    """Drop level vehicles at `speed` [m/s] for each row of solrefs (k, 2); None is the default setting.
+
+    stages: repeat the stages of every step for the contacts' impulse, which takes longer.
+    """
+    k = 1 if solrefs is None else len(solrefs)
+    n = k * PHASES
+    plant = unpowered(n, step)
+    place(plant, 0.0)
+    if solrefs is not None:
+        plant.set_contact(np.arange(n), solref=np.repeat(solrefs, PHASES, axis=0))
+    state = plant.state.copy()
+    rest = state[:, Z].copy()
+    state[:, Z] += speed * step * (1 + (np.arange(n) % PHASES + 0.5) / PHASES)
+    state[:, VZ], state[:, LAG] = -speed, 0.0
+    plant.reset(np.arange(n), state)
+    v, nothing = plant.vehicle, np.zeros((n, 4))
+    weight = v.body_mass * v.environment_gravity
+    touched, lifted = np.zeros(n, bool), np.zeros(n, bool)
+    down, up, pushed = np.zeros(n), np.zeros(n), np.zeros(n)
+    depth, peak, sampled, momentum = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    impulse = np.full(n, 0.0 if stages else np.nan)
+    before = now = plant.state[:, VZ].copy()
+    for _ in range(round(duration / step)):
+        before, now = now, plant.state[:, VZ].copy()
+        given = next_impulses(plant, nothing)[:, 2] if stages else np.nan
+        plant.step(nothing)
+        touch, force = plant.contacts.touch[:, 0].any(axis=1), plant.contacts.force[:, 0].sum(axis=1)
+        first = touch & ~touched
+        down[first] = -before[first]
+        touched |= touch
+        leaves = touched & ~touch & ~lifted
+        up[leaves] = now[leaves]
+        lifted |= leaves
+        pushed += step * ((force > 0) & ~lifted)
+        sampled += step * np.where(lifted, 0, force)
+        impulse += np.where(lifted, 0, given)
+        gained = v.body_mass * (plant.state[:, VZ] - now) + weight * step
+        momentum += np.where(lifted, 0, gained)
+        depth = np.maximum(depth, np.where(lifted, 0, rest - plant.state[:, Z]))
+        peak = np.maximum(peak, force)
+    up[~lifted], pushed[~lifted] = 0.0, np.nan
+    return Drops(
+        *(
+            array.reshape(k, PHASES)
+            for array in (up / down, pushed, depth, peak, sampled, impulse, momentum, lifted)
+        )
+    )

@@ -1,0 +1,200 @@
+"""The policy flown from the frozen grid in both plants: success, time to land and final state."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from inclined_landing.envs import starts as landing_starts
+from inclined_landing.envs.flights import Flight, record_flights
+from inclined_landing.envs.policy import Policy
+from inclined_landing.eval.base.statistics import proportion
+from inclined_landing.eval.truth.equivalence import flying
+from inclined_landing.eval.truth.equivalence.claims import Claim, Section, Table, number
+from inclined_landing.models.attitude import PITCH, VX, VZ, X, Z
+from inclined_landing.models.plants import AnalyticPlant, MujocoPlant
+
+ALPHA = 0.01  # of each two-sample test
+QUANTITIES = ("time", "x", "z", "vx", "vz", "pitch")
+UNITS = ("s", "m", "m", "m/s", "m/s", "deg")
+_COLUMNS = [X, Z, VX, VZ, PITCH]
+# The plants by the name the report gives them.
+PAPER, EXTENDED, KINEMATIC, VEHICLE = (
+    "equations (paper)",
+    "equations with rate loop",
+    "MuJoCo, kinematic",
+    "MuJoCo, rate loop",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """Flights of two plants from the same starts, those successful in both."""
+
+    first: str
+    second: str
+    same: float  # share of starts with the same outcome
+    steps: np.ndarray  # (k,) control steps that the second takes longer
+    period: float  # s, of a control step
+    distance: dict[str, float]  # Kolmogorov-Smirnov, of each quantity
+    p: dict[str, float]
+    final: float  # m, largest distance of the final positions of flights of equal length
+
+    def first_to_second(self) -> np.ndarray:
+        """(3,) 5 % quantile, median and 95 % quantile of the second's time minus the first's [s]."""
+        return np.quantile(self.steps * self.period, [0.05, 0.5, 0.95])
+
+    def statement(self) -> str:
+        """One sentence on the two samples."""
+        told = [q for q in QUANTITIES if self.p[q] < ALPHA]
+        if not told:
+            return (
+                f"{self.second} against {self.first}: no quantity tells the two samples apart at the "
+                f"{ALPHA:.0%} level (Kolmogorov-Smirnov, smallest p = {number(min(self.p.values()))})."
+            )
+        parts = ", ".join(f"{q} (D = {self.distance[q]:.2f}, p = {number(self.p[q])})" for q in told)
+        return f"{self.second} against {self.first}: told apart at the {ALPHA:.0%} level by {parts}."
+
+
+def fly(policy: Policy, starts: np.ndarray, tick=lambda: None) -> dict[str, list[Flight]]:
+    """The policy's flights from `starts` (k, 2), by plant."""
+    states = landing_starts.at_rest(policy.task, starts)
+    n, v = len(states), policy.task.vehicle
+    flown = {}
+    for name, plant in (
+        (PAPER, AnalyticPlant(n, v)),
+        (EXTENDED, AnalyticPlant(n, v, attitude="rate_loop", substeps=flying.FINE)),
+        (KINEMATIC, MujocoPlant(n, v, attitude="kinematic")),
+        (VEHICLE, MujocoPlant(n, v)),
+    ):
+        flown[name] = record_flights(policy, plant, states)
+        tick()
+    return flown
+
+
+def quantities(flights: list[Flight]) -> np.ndarray:
+    """(k, 6) time to land [s] and final x, z, vx, vz, pitch [deg] of the flights."""
+    rows = np.array([[f.duration, *f.state[-1, _COLUMNS]] for f in flights])
+    rows[:, -1] = np.degrees(rows[:, -1])
+    return rows
+
+
+def compare(flown: dict[str, list[Flight]], first: str, second: str) -> Comparison | None:
+    """Two plants; None when fewer than ten flights succeed in both."""
+    from scipy.stats import ks_2samp
+
+    pairs = [(a, b) for a, b in zip(flown[first], flown[second]) if a.success and b.success]
+    same = np.mean(
+        [a.success == b.success and a.touched == b.touched for a, b in zip(flown[first], flown[second])]
+    )
+    if len(pairs) < 10:
+        return None
+    a, b = (quantities([pair[k] for pair in pairs]) for k in (0, 1))
+    tests = [ks_2samp(a[:, k], b[:, k]) for k in range(len(QUANTITIES))]
+    equal = [(p, q) for p, q in pairs if len(p.t) == len(q.t)]
+    final = max((np.linalg.norm(p.state[-1, :3] - q.state[-1, :3]) for p, q in equal), default=np.nan)
+    return Comparison(
+        first,
+        second,
+        float(same),
+        np.array([len(q.t) - len(p.t) for p, q in pairs]),
+        float(pairs[0][0].t[1]),
+        {name: float(t.statistic) for name, t in zip(QUANTITIES, tests)},
+        {name: float(t.pvalue) for name, t in zip(QUANTITIES, tests)},
+        float(final),
+    )
+
+
+def claims(flown: dict[str, list[Flight]], twins: list[Comparison]) -> list[Claim]:
+    """Same model, same flights; and the policy is as successful in either."""
+    result = []
+    for c in twins:
+        name = f"{c.second} and {c.first}"
+        result += [
+            Claim(f"{name}: same outcome", c.same, 1.0, "of the starts",
+                  "the flights differ by 1e-4 m; only one that passes the goal box's edge or the platform "
+                  "this closely may end otherwise", low=0.98),
+            Claim(f"{name}: equal time to land", float(np.mean(c.steps == 0)), 1.0, "of the landings",
+                  "as above: one control step is 2 cm of flight at 1 m/s, 1e-4 m is 0.5 % of it", low=0.97),
+            Claim(f"{name}: final position", c.final, 1e-3, "m",
+                  "landings of equal length; the open-loop tolerance of 5e-4 m, twice for the policy's "
+                  "reaction"),
+            Claim(f"{name}: smallest p of the two-sample tests", min(c.p.values()), 1.0, "p",
+                  f"Kolmogorov-Smirnov on {len(QUANTITIES)} quantities: the same distribution at the 1 % "
+                  "level",
+                  low=ALPHA),
+        ]  # fmt: skip
+    share = {name: np.mean([f.strict for f in flights]) for name, flights in flown.items()}
+    result.append(
+        Claim("success without touching, difference between vehicle and paper",
+              abs(share[VEHICLE] - share[PAPER]), 0.05, "of the starts",
+              "two shares near 95 % of 251 starts differ by less than 2.6 √(2 × 0.95 × 0.05 / 251) = 5 % "
+              "at the 1 % level")
+    )  # fmt: skip
+    return result
+
+
+def section(policy: Policy, starts: np.ndarray, tick) -> tuple[Section, dict]:
+    """The section, and the flights by plant for its figure."""
+    flown = fly(policy, starts, tick)
+    twins = [compare(flown, PAPER, KINEMATIC), compare(flown, EXTENDED, VEHICLE)]
+    cross = compare(flown, PAPER, VEHICLE)
+    rows, summary = [], {}
+    for name, flights in flown.items():
+        landed = [f for f in flights if f.success]
+        share = proportion(sum(f.strict for f in flights), len(flights))
+        middle = np.median(quantities(landed), axis=0) if landed else np.full(6, np.nan)
+        summary[name] = {"strict": share, "median": dict(zip(QUANTITIES, middle))}
+        rows.append(
+            (name, f"{len(landed)} of {len(flights)}", f"{share['count']} of {len(flights)}", *middle)
+        )
+    if None in twins or cross is None:
+        found = [
+            Claim("landings in both plants", min(sum(f.success for f in fs) for fs in flown.values()), np.inf,
+                  "landings", "fewer than ten landings cannot be compared", low=10)
+        ]  # fmt: skip
+        remarks = ["Too few landings for a comparison."]
+        tables = []
+    else:
+        found = claims(flown, twins)
+        remarks = [c.statement() for c in (*twins, cross)]
+        early, middle, late = cross.first_to_second()
+        remarks.append(
+            f"From the same start, {cross.second} lands {middle:+.2f} s later than {cross.first} (median; "
+            f"90 % of the starts: {early:+.2f} to {late:+.2f} s). Another loop is another closed-loop "
+            "flight: both reach the goal, by ways that differ."
+        )
+        tests = [
+            (q, *(f"{number(c.distance[q])} ({number(c.p[q])})" for c in (*twins, cross))) for q in QUANTITIES
+        ]
+        heads = tuple(f"{c.second} – {c.first}" for c in (*twins, cross))
+        tables = [
+            Table("Two-sample distance D (and p) of Kolmogorov and Smirnov", ("quantity", *heads), tests)
+        ]
+    heads = [f"{q} [{u}]" for q, u in zip(QUANTITIES, UNITS)]
+    part = Section(
+        "closed_loop",
+        "The policy in both plants",
+        [
+            f"The policy {policy.path.name} flown from {len(starts)} starts of the frozen grid in four "
+            "plants. Two pairs hold the same model and must give the same flights; the third comparison, "
+            "the paper's equations against the physical vehicle, is what a user crosses when training in "
+            "one and evaluating in the other."
+        ],
+        found,
+        [
+            Table(
+                "Landings and medians at the goal box",
+                ("plant", "success", "without touching", *heads),
+                rows,
+            ),
+            *tables,
+        ],
+        remarks=remarks,
+        data={
+            "plants": summary,
+            "comparisons": [dataclasses.asdict(c) for c in (*twins, cross) if c is not None],
+        },
+    )
+    return part, flown

@@ -1,0 +1,237 @@
+"""The figures of the report."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, RULE, styled
+from inclined_landing.eval.truth.equivalence import bandwidth, closed_loop, convergence, flying
+from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS, Gaps
+from inclined_landing.eval.truth.equivalence.motor import quoted
+from inclined_landing.eval.truth.equivalence.sequences import FAMILIES
+from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM
+from inclined_landing.models.parameters import Vehicle
+
+_COLOURS = dict(zip(FAMILIES, (BLUE, GREEN, ORANGE, PURPLE)))
+_MODES = {"kinematic": "Kinematic – paper's equations", "rate_loop": "Rate loop – extended equations"}
+
+
+def _figure(columns: int, height: float = 3.1) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(9.2, height), layout="constrained")
+    figure.get_layout_engine().set(wspace=0.06)
+    axes = figure.subplots(1, columns, squeeze=False)[0]
+    for axis in axes:
+        axis.grid(True)
+    return figure, list(axes)
+
+
+def levels(vehicle: Vehicle, drawn: dict[str, tuple[Gaps, Gaps]]) -> Figure:
+    """Growth of the position difference over 6 s, and the differences of single steps."""
+    with styled():
+        figure, axes = _figure(3, 3.3)
+        t = vehicle.command_control_period * np.arange(1, len(drawn["kinematic"][1].position) + 1)
+        for axis, (attitude, (_, flight)) in zip(axes, drawn.items()):
+            for k, label in enumerate(flight.labels):
+                family, dimension = label.rsplit(", ", 1)
+                largest = flight.position[:, flight.group == k].max(axis=1)
+                style = {"color": _COLOURS[family], "ls": "--" if dimension == "2-D" else "-", "lw": 1.4}
+                axis.semilogy(
+                    t, np.maximum(largest, 1e-13), label=family if dimension == "3-D" else None, **style
+                )
+            limit = FLIGHT_LIMITS[attitude][0]
+            axis.axhline(limit, color=INK, lw=1, ls=":")
+            axis.annotate("tolerance", (6, limit), ha="right", va="bottom", fontsize=8)
+            axis.set(title=_MODES[attitude], xlabel="time [s]", xlim=(0, 6), ylim=(1e-11, 1e-3))
+        axes[0].set_ylabel("largest position difference [m]")
+        axes[1].legend(loc="lower right", title="3-D  (2-D dashed)", title_fontsize=8)
+        edges = np.logspace(-15, -7, 49)
+        for (attitude, (step, _)), colour in zip(drawn.items(), (BLUE, ORANGE)):
+            sizes = np.clip(step.position.ravel(), 1.1e-15, None)
+            share = np.full(sizes.size, 100 / sizes.size)
+            axes[2].hist(
+                sizes, edges, weights=share, color=colour, alpha=0.65, label=attitude.replace("_", " ")
+            )
+        axes[2].set(
+            xscale="log",
+            title="One control step",
+            xlabel="position difference [m]",
+            ylabel="share of states [%]",
+        )
+        axes[2].legend(loc="upper left")
+    return figure
+
+
+def convergence_figure(found: list[convergence.Convergence]) -> Figure:
+    """Error over step for every integrator and both modes."""
+    looks = {
+        "RK4": (BLUE, "o"),
+        "implicitfast": (ORANGE, "s"),
+        "Euler": (GREEN, "^"),
+        "equations, RK4": (MUTED, "x"),
+    }
+    steps = np.array(convergence.STEPS_MS)
+    with styled():
+        figure, axes = _figure(2, 3.4)
+        for axis, attitude in zip(axes, flying.ATTITUDES):
+            for c in (c for c in found if c.attitude == attitude):
+                colour, marker = looks[c.integrator]
+                axis.loglog(steps, c.errors, color=colour, marker=marker, ms=5, lw=1.4,
+                            ls="--" if c.integrator == "Euler" else "-",
+                            label=f"{c.integrator}: order {c.measured[-1]:.2f}")  # fmt: skip
+            axis.set_xticks(steps, [f"{h:g}" for h in steps])
+            axis.minorticks_off()
+            axis.set(title=attitude.replace("_", " ").capitalize(), xlabel="step [ms]", ylim=(3e-11, 0.3))
+            axis.legend(loc="center left", bbox_to_anchor=(0, 0.64))
+        axes[0].set_ylabel("position error after 1 s [m]")
+    return figure
+
+
+def bandwidth_figure(v: Vehicle, gaps: list[bandwidth.Gap]) -> Figure:
+    """Gap over bandwidth, and a pitch step at some bandwidths."""
+    b = np.array([g.bandwidth for g in gaps])
+    with styled():
+        figure, (left, right) = _figure(2, 3.4)
+        for g in gaps:
+            left.plot(np.full(len(g.paper), g.bandwidth), g.paper, ".", color=BLUE, alpha=0.3, ms=5)
+        rms = np.array([g.rms for g in gaps])
+        left.loglog(b, rms, "-o", color=BLUE, ms=5, label="paper's equations, rms (dots: each flight)")
+        left.loglog(b, rms[-1] * b[-1] / b, "--", color=MUTED, lw=1, label="proportional to 1/B")
+        left.loglog(
+            b, [g.extended for g in gaps], "-s", color=ORANGE, ms=5, label="equations extended with B"
+        )
+        left.axvline(v.attitude_bandwidth, color=INK, lw=1, ls=":")
+        left.annotate(" default", (v.attitude_bandwidth, 2e-3), fontsize=8)
+        left.set_xticks(b, [f"{x:g}" for x in b])
+        left.minorticks_off()
+        left.set(title="Distance over 6 s of full steps, 3-D", xlabel="bandwidth B [1/s]",
+                 ylabel="distance [m]", ylim=(1e-7, 3e2))  # fmt: skip
+        left.legend(loc="upper right")
+        commands = np.zeros((40, 1, 4))
+        commands[..., PWM] = v.hover_pwm
+        commands[5:, 0, PITCH_COMMAND] = v.command_angle_limit
+        t = v.command_control_period * np.arange(-4, 37)
+
+        def pitch(plant):
+            flown = flying.fly(plant, commands)[:, 0, PITCH]
+            return np.degrees(np.concatenate([[0.0], flown]))
+
+        for value, colour in zip((25.0, 50.0, 100.0), (ORANGE, PURPLE, GREEN)):
+            plant = flying.engine(1, "rate_loop", bandwidth.with_bandwidth(v, value))
+            right.plot(t, pitch(plant), color=colour, lw=1.4, label=f"MuJoCo, B = {value:g} 1/s")
+        paper = pitch(flying.equations(1, "kinematic", vehicle=v))
+        right.plot(t, paper, color=INK, lw=1.4, label="paper's equations")
+        late = t + 1 / v.attitude_bandwidth
+        right.plot(
+            late,
+            paper,
+            color=INK,
+            lw=1.1,
+            ls=":",
+            label=f"the same, {1e3 / v.attitude_bandwidth:.0f} ms later",
+        )
+        right.set(
+            title="A full pitch step",
+            xlabel="time [s]",
+            ylabel="pitch [deg]",
+            xlim=(-0.02, 0.5),
+            ylim=(-1, 36),
+        )
+        right.legend(loc="lower right")
+    return figure
+
+
+def motor_figure(drawn: dict) -> Figure:
+    """Thrust of the discrete function and of the engine, and their difference."""
+    with styled():
+        figure, (left, right) = _figure(2, 2.9)
+        t = np.arange(len(drawn["pwm"])) / quoted("motor_function", "rate")
+        left.plot(t, drawn["discrete"], color=ORANGE, lw=3, alpha=0.6, label="paper's discrete function")
+        left.plot(t, drawn["engine"], color=BLUE, lw=1, label="engine")
+        left.set(title="Thrust under random commands", xlabel="time [s]", ylabel="thrust [N]", xlim=(0, 1))
+        left.legend(loc="lower right")
+        right.plot(t, 1e3 * (drawn["engine"] - drawn["discrete"]), color=BLUE, lw=1)
+        right.set(
+            title="Difference: rounding of the coefficients",
+            xlabel="time [s]",
+            ylabel="engine – paper [mN]",
+            xlim=(0, 1),
+        )
+    return figure
+
+
+def closed_loop_figure(flown: dict) -> Figure:
+    """Time to land and final state of the paper's equations and the vehicle."""
+    looks = {
+        closed_loop.PAPER: (BLUE, "-", 1.8),
+        closed_loop.KINEMATIC: (INK, ":", 1.2),
+        closed_loop.VEHICLE: (ORANGE, "-", 1.8),
+        closed_loop.EXTENDED: (INK, "--", 1.0),
+    }
+    with styled():
+        figure, axes = _figure(4, 3.2)
+        for name, (colour, line, width) in looks.items():
+            landed = [f for f in flown[name] if f.success]
+            if not landed:
+                continue
+            q = closed_loop.quantities(landed)
+            share = 100 * np.arange(1, len(q) + 1) / len(q)
+            for axis, column in ((axes[0], 0), (axes[3], 5)):
+                axis.step(
+                    np.sort(q[:, column]), share, color=colour, ls=line, lw=width, where="post", label=name
+                )
+            if name in (closed_loop.PAPER, closed_loop.VEHICLE):
+                axes[1].plot(q[:, 1], q[:, 2], ".", color=colour, ms=4, alpha=0.5)
+                axes[2].plot(q[:, 3], q[:, 4], ".", color=colour, ms=4, alpha=0.5)
+        axes[0].set(title="Time to land", xlabel="time [s]", ylabel="share of landings [%]", ylim=(0, 100))
+        axes[1].set(title="Final position", xlabel="x [m]", ylabel="z [m]")
+        axes[2].set(title="Final velocity", xlabel="vx [m/s]", ylabel="vz [m/s]")
+        axes[3].set(title="Final pitch", xlabel="pitch [deg]", ylabel="share of landings [%]", ylim=(0, 100))
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
+def inconsistencies_figure(v: Vehicle, drawn: dict) -> Figure:
+    """The two thrust maps with their hover points, and the effect of the public code's drag."""
+    with styled():
+        figure, (left, right) = _figure(2, 3.1)
+        pwm = np.linspace(0, v.command_pwm_range[1], 200)
+        a, b, c = v.motor_pwm_to_force
+        left.plot(pwm / 1e3, v.motor_count * (a * pwm**2 + b * pwm + c), color=ORANGE, label="static map")
+        left.plot(pwm / 1e3, v.thrust_per_pwm * pwm, color=BLUE, label="motor function, steady")
+        weight = v.body_mass * v.environment_gravity
+        left.axhline(weight, color=INK, lw=1, ls=":")
+        left.annotate("weight", (1, weight), va="bottom", fontsize=8)
+        for x, colour, side in ((v.hover_pwm, BLUE, "right"), (v.static_hover_pwm, ORANGE, "left")):
+            shift = (-5, 5) if side == "right" else (2, -12)
+            left.plot([x / 1e3], [weight], "o", color=colour, ms=5)
+            left.annotate(
+                f"{x:.0f}",
+                (x / 1e3, weight),
+                shift,
+                textcoords="offset points",
+                ha=side,
+                fontsize=8,
+                color=colour,
+            )
+        flight = quoted("hover", "flight_pwm")
+        left.plot([flight / 1e3], [weight], "D", color=INK, ms=4)
+        left.annotate(
+            "real flights", (flight / 1e3, weight), (4, -12), textcoords="offset points", fontsize=8
+        )
+        left.set(
+            title="Where it hovers",
+            xlabel="PWM / 1000",
+            ylabel="total thrust [N]",
+            xlim=(0, 60),
+            ylim=(0, None),
+        )
+        left.legend(loc="upper left")
+        apart = drawn["drag"].apart
+        t = v.command_control_period * np.arange(1, len(apart) + 1)
+        right.fill_between(t, 0, apart, color=RULE)
+        right.plot(t, apart, color=BLUE)
+        right.set(title="Public code against the paper, same commands", xlabel="time [s]",
+                  ylabel="median distance [m]", xlim=(0, t[-1]), ylim=(0, None))  # fmt: skip
+    return figure

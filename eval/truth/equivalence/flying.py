@@ -1,0 +1,64 @@
+"""The same commands flown in both plants, far from every surface, and how far the flights differ."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from inclined_landing.models.attitude import LAG, ROLL, YAW, Z
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.plants import AnalyticPlant, MujocoPlant
+
+HEIGHT = 500.0  # m; full thrust up or none at all moves 6 s x up to 60 m/s
+FINE = 20  # RK4 steps in a control period, 1 ms each: the equations solved to 1e-8 m
+ATTITUDES = ("kinematic", "rate_loop")
+
+
+def engine(n: int, attitude: str, vehicle: Vehicle | None = None, **options) -> MujocoPlant:
+    """The MuJoCo vehicle without torque limit, which the equations do not have."""
+    return MujocoPlant(n, vehicle, attitude=attitude, **({"torque_limit": False} | options))
+
+
+def equations(n: int, attitude: str, substeps: int = FINE, vehicle: Vehicle | None = None) -> AnalyticPlant:
+    """The paper's equations (kinematic), or those extended with the rate loop."""
+    return AnalyticPlant(n, vehicle, attitude=attitude, substeps=substeps)
+
+
+def start_states(n: int, yaw=0.0, vehicle: Vehicle | None = None) -> np.ndarray:
+    """(n, 13) states in hover at HEIGHT, heading `yaw` (n,) [rad]."""
+    state = np.zeros((n, 13))
+    state[:, Z], state[:, YAW] = HEIGHT, yaw
+    state[:, LAG] = (vehicle or load_vehicle()).hover_lag
+    return state
+
+
+def fly(plant, commands: np.ndarray, starts: np.ndarray | None = None, **changes) -> np.ndarray:
+    """States (steps, n, 13) after each of `commands` (steps, n, 4), without platform.
+
+    starts: (n, 13), by default hovering; changes: perturbations (see `models.perturbation`).
+    """
+    everyone = np.arange(plant.n)
+    plant.set_platform(everyone, plant.vehicle.platform_inclination, False)
+    plant.reset(everyone, start_states(plant.n, vehicle=plant.vehicle) if starts is None else starts)
+    if changes:
+        plant.perturb(**changes)
+    history = np.empty((len(commands), *plant.state.shape))
+    for row, command in zip(history, commands):
+        plant.step(command)
+        row[:] = plant.state
+    return history
+
+
+def position_gap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Distance [m] between states (..., 13)."""
+    return np.linalg.norm(a[..., :3] - b[..., :3], axis=-1)
+
+
+def angle_gap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Largest difference of the three Euler angles [deg] between states (..., 13)."""
+    turns = a[..., ROLL : YAW + 1] - b[..., ROLL : YAW + 1]
+    return np.degrees(np.abs(np.arctan2(np.sin(turns), np.cos(turns))).max(axis=-1))
+
+
+def largest_gaps(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
+    """(m, deg) largest differences between states (..., 13)."""
+    return float(position_gap(a, b).max()), float(angle_gap(a, b).max())

@@ -1,0 +1,223 @@
+"""`landing-eval equivalence`: every measurement, one page, one JSON file and the figures."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import io
+import math
+import time
+from importlib import resources
+from pathlib import Path
+
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from inclined_landing.envs import starts as landing_starts
+from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.style import PNG_DPI, styled
+from inclined_landing.eval.truth.equivalence import (
+    bandwidth,
+    closed_loop,
+    convergence,
+    figures,
+    inconsistencies,
+    isolated,
+    levels,
+    motor,
+    sequences,
+    twin,
+)
+from inclined_landing.eval.truth.equivalence.claims import Claim, Section, number
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError
+
+TITLE = "Is the MuJoCo vehicle the paper's model?"
+SEQUENCES, STATES = 16, 1000  # of each family and dimension; random states of a forward pass
+QUICK_SEQUENCES, QUICK_STATES = 4, 200
+QUICK_STARTS = 4  # every fourth of the frozen grid
+_TICKS = 30  # of the progress bar
+_FULL_2D, _FULL_3D, _RECORDED_2D = "full steps, 2-D", "full steps, 3-D", "recorded, 2-D"
+
+
+def measure(
+    policy: Policy, *, seed: int = 0, quick: bool = False, tick=lambda text: None
+) -> tuple[list[Section], dict[str, Figure]]:
+    """All the sections, and the figures by file name. `tick` is called with what comes next."""
+    v = policy.task.vehicle
+    n, states = (QUICK_SEQUENCES, QUICK_STATES) if quick else (SEQUENCES, STATES)
+    starts = landing_starts.clear(policy.task, landing_starts.grid())[:: QUICK_STARTS if quick else 1]
+    drawn: dict[str, Figure] = {}
+
+    def within(text):
+        return lambda: tick(text)
+
+    tick("command sequences")
+    flights = sequences.all_sequences(v, n, seed, policy)
+    by_label = {s.label: s for s in flights}
+    tick("three levels")
+    level, gaps = levels.section(v, flights, states, seed, within("three levels"))
+    drawn["levels.png"] = figures.levels(v, gaps)
+    level.figures["levels.png"] = (
+        "Left and centre: largest position difference between engine and equations over the flights of "
+        "each family. Right: the differences that one control step makes, from every state of the flights."
+    )
+    tick("single terms")
+    alone = isolated.section(v, states // 2, seed)
+    tick("native twin")
+    native = twin.section(v, by_label[_FULL_2D].commands)
+    tick("motor function")
+    motors, thrust = motor.section(v, seed)
+    drawn["motor.png"] = figures.motor_figure(thrust)
+    motors.figures["motor.png"] = (
+        "The paper's discrete function and the engine's thrust under random commands."
+    )
+    tick("convergence")
+    order, errors = convergence.section(v, by_label[_FULL_3D].commands, within("convergence"))
+    drawn["convergence.png"] = figures.convergence_figure(errors)
+    order.figures["convergence.png"] = "Position error after 1 s against the step."
+    tick("bandwidth")
+    loop, found = bandwidth.section(v, by_label[_FULL_3D], by_label[_RECORDED_2D], within("bandwidth"))
+    drawn["bandwidth.png"] = figures.bandwidth_figure(v, found)
+    loop.figures["bandwidth.png"] = (
+        "Left: the rate loop leaves the paper's equations in proportion to 1/B and meets the extended ones. "
+        "Right: it answers a step one 1/B late."
+    )
+    tick("closed loop")
+    closed, flown = closed_loop.section(policy, starts, within("closed loop"))
+    drawn["closed_loop.png"] = figures.closed_loop_figure(flown)
+    closed.figures["closed_loop.png"] = (
+        "Landings of the same policy from the same starts. The dotted and dashed curves, which hold the "
+        "same models in the other plant, lie on the coloured ones."
+    )
+    tick("inconsistencies")
+    odd, shown = inconsistencies.section(v, by_label[_RECORDED_2D])
+    drawn["inconsistencies.png"] = figures.inconsistencies_figure(v, shown)
+    odd.figures["inconsistencies.png"] = (
+        "Left: the two thrust maps of the paper and the PWM at which each carries the weight. Right: "
+        "distance between the public code's planar motion and the paper's equations under the same "
+        "commands."
+    )
+    return [level, alone, native, motors, order, loop, closed, odd], drawn
+
+
+def headlines(sections: list[Section]) -> list[Claim]:
+    """The claims that say most, in plain words; of several the one closest to its tolerance."""
+    by = {s.key: s.claims for s in sections}
+
+    def worst(key, part, unit):
+        return max(
+            (c for c in by[key] if part in c.name and c.unit == unit), key=lambda c: c.measured / c.high
+        )
+
+    chosen = {
+        "Accelerations at random states, one forward pass": worst("levels", "linear acceleration", "m/s²"),
+        "One control step from every state of the flights": worst("levels", "one control step", "m"),
+        "6 s of commands, kinematic mode against the paper's equations": worst(
+            "levels", "6 s kinematic, full steps", "m"
+        ),
+        "6 s of commands, rate loop against the extended equations": worst("levels", "6 s rate loop", "m"),
+        "6 s beside a twin without plugins": worst("twin", "position", "m"),
+        "Order of convergence of RK4": worst("convergence", "RK4, rate loop", "order"),
+        "Doubling a large rate-loop bandwidth divides its gap to the paper by": by["bandwidth"][2],
+        "The policy's success in MuJoCo and in the paper's equations, difference": next(
+            (c for c in by["closed_loop"] if "difference" in c.name), by["closed_loop"][0]
+        ),
+    }
+    return [dataclasses.replace(claim, name=name) for name, claim in chosen.items()]
+
+
+def as_record(sections: list[Section], **head) -> dict:
+    """The JSON report."""
+    claims = [c for s in sections for c in s.claims]
+    return {
+        "command": "equivalence",
+        **head,
+        "passed": all(c.passed for c in claims),
+        "claims": len(claims),
+        "failed": [c.name for c in claims if not c.passed],
+        "sections": {
+            s.key: {
+                "title": s.title,
+                "claims": [c.record() for c in s.claims],
+                "tables": [{"caption": t.caption, "heads": t.heads, "rows": t.rows} for t in s.tables],
+                "remarks": s.remarks,
+                "data": s.data,
+            }
+            for s in sections
+        },
+    }
+
+
+def as_page(sections: list[Section], images: dict[str, bytes], record: dict) -> str:
+    """The page, figures inside."""
+    import jinja2
+
+    environment = jinja2.Environment(autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined)
+    environment.filters["number"] = number
+    text = resources.files(__package__).joinpath("report.html").read_text("utf-8")
+    claims = [c for s in sections for c in s.claims]
+    return environment.from_string(text).render(
+        title=TITLE,
+        sections=sections,
+        headlines=headlines(sections),
+        failed=[c for c in claims if not c.passed],
+        total=len(claims),
+        images={name: base64.b64encode(data).decode("ascii") for name, data in images.items()},
+        command="landing-eval equivalence" + (" --quick" if record["quick"] else ""),
+        seed=record["seed"],
+        policy=Path(record["policy"]).name,
+        wall=f"{record['seconds']:.0f}",
+        versions=record["versions"],
+    )
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a PNG file."""
+    file = io.BytesIO()
+    with styled():
+        figure.savefig(file, format="png", dpi=PNG_DPI)
+    return file.getvalue()
+
+
+def run(policy: str, out: Path, *, seed: int = 0, quick: bool = False) -> int:
+    """The command: writes report.html, report.json and the figures into `out`; 1 when a claim fails."""
+    if seed < 0:
+        raise UserError(f"--seed must not be negative, it is {seed}")
+    runs.check_new_run(out)
+    loaded = load_policy(policy, "landing")
+    began = time.monotonic()
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description:18}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=_TICKS)
+        sections, drawn = measure(
+            loaded, seed=seed, quick=quick, tick=lambda text: bar.update(task, advance=1, description=text)
+        )
+        images = {name: png(figure) for name, figure in drawn.items()}
+    record = as_record(
+        sections,
+        policy=str(loaded.path),
+        seed=int(seed),
+        quick=quick,
+        seconds=round(time.monotonic() - began, 1),
+        versions=runs.versions(),
+    )
+    page = as_page(sections, images, record)
+    folder = runs.new_run(out)
+    for name, data in images.items():
+        storage.write_bytes(folder / name, data)
+    storage.write_json(folder / "report.json", record)
+    storage.write_text(folder / "report.html", page)
+    failed = [c for s in sections for c in s.claims if not c.passed]
+    for c in failed:
+        print(f"fails: {c.name}: {_measured(c)}, tolerance {c.tolerance}")
+    print(f"{record['claims'] - len(failed)} of {record['claims']} claims hold, {record['seconds']:.0f} s")
+    print(folder / "report.html")
+    return 1 if failed else 0
+
+
+def _measured(claim: Claim) -> str:
+    return f"{number(claim.measured)} {claim.unit}" if math.isfinite(claim.measured) else "not a number"

@@ -1,0 +1,201 @@
+"""The equations against exact solutions, invariants, and the order of their integrator."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from inclined_landing.models import equations
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, WX, WY, YAW, Z, rotation
+from inclined_landing.models.equations import derivative
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.perturbation import neutral
+
+V = load_vehicle()
+G = V.environment_gravity
+HOVER = np.array([V.hover_pwm, 0.0, 0.0, 0.0])
+
+
+def hovering() -> np.ndarray:
+    state = np.zeros((1, 13))
+    state[0, Z], state[0, LAG] = 1.6, V.hover_lag
+    return state
+
+
+def fly(state, commands, duration, steps, rate_loop=False, vehicle=V) -> np.ndarray:
+    """Copy of `state` (n, 13) after `duration` [s] in `steps` RK4 steps."""
+    state = np.array(state)
+    commands = np.broadcast_to(np.asarray(commands, float), (len(state), 4)).copy()
+    equations.step(
+        state, commands, equations.pack(vehicle), neutral(len(state)), rate_loop, duration / steps, steps
+    )
+    return state
+
+
+@pytest.mark.parametrize("rate_loop", [False, True])
+def test_hover_is_an_equilibrium(rate_loop):
+    # 500 steps, weight and thrust cancel to 2e-16 g each: 10 s of that is 1e-13 m.
+    np.testing.assert_allclose(
+        fly(hovering(), HOVER, 10.0, 500, rate_loop), hovering(), rtol=1e-12, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("rate_loop", [False, True])
+def test_without_thrust_it_falls_freely(rate_loop):
+    """At PWM 0 and no lag the rotors stand, so that there is no drag either."""
+    state = np.zeros((1, 13))
+    state[0, Z], state[0, VX] = 50.0, 3.0
+    end = fly(state, np.zeros(4), 2.0, 100, rate_loop)[0]
+    # RK4 is exact for parabolas, up to rounding.
+    np.testing.assert_allclose(end[[0, Z, VX, VZ]], [6.0, 50 - 2 * G, 3.0, -2 * G], rtol=1e-13)
+
+
+@pytest.mark.parametrize("column, command", [(ROLL, 1), (PITCH, 2)])
+def test_attitude_steps_follow_the_exponential(column, command):
+    commands, tau = HOVER.copy(), V.attitude_time_constant
+    commands[command] = 0.3
+    final = V.attitude_gain * 0.3
+    at_tau = fly(hovering(), commands, tau, 10)[0]
+    # Ten RK4 steps of h = tau/10 err by (h/tau)^5/120 of the deviation each: 10 x 8e-8.
+    assert at_tau[column] == pytest.approx(final * (1 - math.exp(-1)), rel=1e-6)
+    assert at_tau[column] / final == pytest.approx(0.63, abs=0.005)
+    other = PITCH if column == ROLL else ROLL
+    assert at_tau[other] == 0
+
+
+def test_body_rates_of_the_kinematic_model_are_those_of_its_loops():
+    command = np.array([V.hover_pwm, 0.2, -0.3, 1.0])
+    end = fly(hovering(), command, 0.1, 5)[0]
+    wanted = derivative(end, command, V)["euler_rates"]
+    from inclined_landing.models.attitude import body_rates
+
+    np.testing.assert_allclose(end[WX : WX + 3], body_rates(end[ROLL], end[PITCH], *wanted), rtol=1e-12)
+
+
+def test_yaw_integrates_its_command():
+    end = fly(hovering(), [V.hover_pwm, 0, 0, 1.5], 1.0, 50)[0]
+    assert end[YAW] == pytest.approx(1.5, rel=1e-13)
+
+
+def test_thrust_step_follows_the_exact_solution():
+    """Omega(t) = u/a + (Omega_0 - u/a) exp(-a t)."""
+    a, pwm = V.thrust_lag_rate, 50_000.0
+    for steps in (1, 5, 25):
+        t = 0.02 * steps
+        end = fly(hovering(), [pwm, 0, 0, 0], t, steps)[0]
+        exact = pwm / a + (V.hover_lag - pwm / a) * math.exp(-a * t)
+        # One RK4 step errs by (a h)^5/120 = 2.4e-5 of the deviation; later steps shrink it with the lag.
+        assert end[LAG] == pytest.approx(exact, abs=2.4e-5 * steps * abs(pwm / a - V.hover_lag))
+
+
+def test_steady_thrust_is_the_gain_of_the_transfer_function():
+    assert equations.total_thrust(
+        V.hover_lag, V.hover_pwm, equations.pack(V), neutral(1)[0]
+    ) == pytest.approx(V.body_mass * G, rel=1e-14)
+
+
+def test_the_lag_is_the_papers_discrete_motor_function():
+    """7.2345374e-8 / (1 - 0.9695404 z^-1) at 500 Hz, four motors.
+
+    Both respond to a step with a geometric/exponential rise. The pole gives the rate, the steady gain the
+    sum; the discrete function answers in the very sample of the command, which the direct gain stands for.
+    """
+    gain, pole, dt = 7.2345374e-8, 0.9695404, 0.002
+    assert -math.log(pole) / dt == pytest.approx(V.thrust_lag_rate, rel=5e-5)  # printed with five digits
+    assert 4 * gain == pytest.approx(V.thrust_direct_gain, rel=5e-4)  # with four
+    assert 4 * gain / (1 - pole) == pytest.approx(V.thrust_per_pwm, rel=1e-3)
+    state, discrete, worst = np.zeros((1, 13)), 0.0, 0.0
+    c, p, pwm = equations.pack(V), neutral(1)[0], 40_000.0
+    for _ in range(250):
+        discrete = pole * discrete + 4 * gain * pwm
+        worst = max(worst, abs(equations.total_thrust(state[0, LAG], pwm, c, p) - discrete))
+        state = fly(state, [pwm, 0, 0, 0], dt, 1)
+    # The parameters' rounding, 1e-3 of the final thrust, is all that separates them.
+    assert worst < 1e-3 * V.thrust_per_pwm * pwm
+
+
+def test_rate_loop_poles():
+    """The eigenvalues of the attitude loop are -1/tau and -B, for yaw 0 and -B_yaw."""
+
+    def rows(angle, rate):
+        state = hovering()[0]
+        state[ROLL], state[WX] = angle, rate
+        d = derivative(state, HOVER, V, rate_loop=True)
+        return d["euler_rates"][0], d["euler_accelerations"][0]
+
+    matrix = np.array([rows(1e-3, 0), rows(0, 1e-3)]).T / 1e-3
+    poles = sorted(np.linalg.eigvals(matrix).real)
+    assert poles == pytest.approx([-V.attitude_bandwidth, -1 / V.attitude_time_constant], rel=1e-9)
+    state = hovering()[0]
+    state[WX + 2] = 1.0
+    yaw = derivative(state, HOVER, V, rate_loop=True)["euler_accelerations"][2]
+    assert yaw == pytest.approx(-V.attitude_yaw_bandwidth, rel=1e-12)
+
+
+def test_the_rate_loop_step_is_the_two_exponentials():
+    a, b, t = 1 / V.attitude_time_constant, V.attitude_bandwidth, 0.25
+    end = fly(hovering(), [V.hover_pwm, 0, 0.3, 0], t, 500, rate_loop=True)[0]
+    final = V.attitude_gain * 0.3
+    exact = final * (1 - (b * math.exp(-a * t) - a * math.exp(-b * t)) / (b - a))
+    assert end[PITCH] == pytest.approx(exact, rel=1e-8)  # (B h)^4 / 120 = 3e-9
+    rate = final * a * b * (math.exp(-a * t) - math.exp(-b * t)) / (b - a)
+    assert end[WY] == pytest.approx(rate, rel=1e-7)
+
+
+@pytest.mark.parametrize("rate_loop", [False, True])
+def test_the_integrator_is_of_fourth_order(rate_loop):
+    """Halving the step divides the error by 16."""
+    state = hovering()
+    state[0, VX : VZ + 1] = 2.0, -1.0, 0.5
+    command = [50_000.0, 0.4, -0.3, 2.0]
+
+    def end(steps):
+        return fly(state, command, 0.32, steps, rate_loop)[0, :6]
+
+    fine = end(1024)
+    errors = [np.abs(end(steps) - fine).max() for steps in (16, 32, 64)]
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    # 4 in the limit; at finite steps the next term of relative size h B / 2 shifts it.
+    assert np.all(np.abs(orders - 4) < 0.5), orders
+
+
+@given(
+    st.tuples(*[st.floats(-10, 10)] * 3),
+    st.tuples(*[st.floats(-1.4, 1.4)] * 3),
+    st.floats(0, 60_000),
+    st.floats(0, 4_000),
+)
+@settings(max_examples=200)
+def test_drag_never_adds_power(velocity, angles, pwm, lag):
+    state = np.zeros(13)
+    state[VX : VZ + 1], state[ROLL : YAW + 1], state[LAG] = velocity, angles, lag
+    acceleration = derivative(state, [pwm, 0, 0, 0], V)["acceleration"]
+    thrust = equations.total_thrust(lag, pwm, equations.pack(V), neutral(1)[0])
+    without_drag = rotation(*angles)[:, 2] * thrust / V.body_mass - [0, 0, G]
+    power = V.body_mass * (acceleration - without_drag) @ velocity
+    # m |v| times the rounding of accelerations of about 50 m/s2
+    assert power <= V.body_mass * 17.4 * 50 * 1e-15
+
+
+def test_rotor_speeds_are_continuous_and_zero_without_thrust():
+    c = equations.pack(V)
+    a, b, floor = V.motor_pwm_to_force
+    slope, offset = V.motor_pwm_to_speed
+    assert equations.rotor_speed_sum(0.0, c) == equations.rotor_speed_sum(-1.0, c) == 0.0
+    below, above = (equations.rotor_speed_sum(4 * floor * (1 + e), c) for e in (-1e-9, 1e-9))
+    assert below == pytest.approx(4 * offset, rel=1e-6) and above == pytest.approx(4 * offset, rel=1e-6)
+    for pwm in (1_000.0, 30_000.0, 60_000.0):
+        force = a * pwm**2 + b * pwm + floor
+        assert equations.rotor_speed_sum(4 * force, c) == pytest.approx(4 * (slope * pwm + offset), rel=1e-12)
+
+
+def test_vehicles_do_not_influence_each_other():
+    rng = np.random.default_rng(0)
+    states = rng.uniform(-1, 1, (7, 13))
+    commands = rng.uniform([0, -0.5, -0.5, -3], [60_000, 0.5, 0.5, 3], (7, 4))
+    together = states.copy()
+    equations.step(together, commands, equations.pack(V), neutral(7), True, 0.004, 5)
+    for i in range(7):
+        np.testing.assert_array_equal(fly(states[i : i + 1], commands[i], 0.02, 5, True)[0], together[i])
