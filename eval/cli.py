@@ -7,6 +7,7 @@ Wrong input ends with one sentence on stderr and exit code 2.
 
 from __future__ import annotations
 
+import io
 import itertools
 import sys
 from collections.abc import Sequence
@@ -508,6 +509,8 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # file names that are no UTF-8
     try:
         code = tyro.extras.subcommand_cli_from_dict(
             COMMANDS,

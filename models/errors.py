@@ -1,8 +1,34 @@
 """The one exception that means "the input was wrong": its text is a sentence for the user."""
 
+LONGEST = 2000  # characters of a sentence; beyond, its middle is left out
+
 
 class UserError(ValueError):
     """Wrong input. The message says what was wrong, where, and what would be right.
 
-    The command lines print the message and exit with code 2; a library user sees a ValueError.
+    The command lines print the message and exit with code 2; a library user sees a ValueError. The
+    sentence stays one printable line whatever names it repeats.
     """
+
+    def __init__(self, sentence: str):
+        super().__init__(shown(sentence, LONGEST))
+
+
+def shown(name: object, longest: int = 300) -> str:
+    r"""A name (path, column, entry) as words can hold it: one line, nothing that turns or hides text.
+
+    Control characters, marks of direction and bytes that are no UTF-8 are escaped, as \n, \u202e and
+    \xff; of more than `longest` characters the middle is left out.
+    """
+    text = str(name)
+    if len(text) > longest:
+        text = f"{text[: longest * 2 // 3]} ... {text[-longest // 4 :]}"
+    return text if text.isprintable() else "".join(map(_printable, text))
+
+
+def _printable(character: str) -> str:
+    if character.isprintable():
+        return character
+    if 0xDC80 <= ord(character) <= 0xDCFF:  # how Python holds a byte of a file name that is no UTF-8
+        return f"\\x{ord(character) - 0xDC00:02x}"
+    return character.encode("unicode_escape").decode("ascii")

@@ -41,12 +41,17 @@ def new_run(path: str | Path | None, name: str = "run", *, resumable: str | None
 
 
 def check_new_run(path: str | Path) -> None:
-    """Raise UserError if `path` could not become a new run folder; creates nothing."""
+    """Raise UserError if `path` could not become a new run folder; leaves nothing behind."""
     path = Path(path)
-    if path.exists() and not path.is_dir():
-        raise UserError(f"the run folder {path} exists and is not a folder; choose another name")
-    if path.is_dir() and any(path.iterdir()):
-        raise UserError(f"the run folder {path} exists and is not empty; choose another name")
+    storage.check_folder(path.parent)
+    try:
+        if path.exists() and not path.is_dir():
+            raise UserError(f"the run folder {path} exists and is not a folder; choose another name")
+        if path.is_dir() and any(path.iterdir()):
+            raise UserError(f"the run folder {path} exists and is not empty; choose another name")
+    except OSError as error:
+        raise UserError(f"the run folder {path} cannot be used: {storage.reason(error)}") from error
+    storage.check_folder(path)
 
 
 @contextlib.contextmanager
@@ -58,7 +63,7 @@ def staged_run(path: str | Path) -> Iterator[Path]:
     """
     check_new_run(path)
     path = Path(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part = path.with_name(f".{path.name[:40]}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part.mkdir()

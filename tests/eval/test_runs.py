@@ -64,7 +64,7 @@ def test_new_run_refuses_what_is_there(tmp_path):
     with pytest.raises(UserError, match="not a folder"):
         runs.new_run(tmp_path / "a" / "file")
     assert runs.new_run(tmp_path / "a", resumable="file") == tmp_path / "a"
-    with pytest.raises(UserError, match="cannot create"):
+    with pytest.raises(UserError, match="cannot write"):
         runs.new_run(tmp_path / "a" / "file" / "c")
 
 

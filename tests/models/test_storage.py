@@ -1,0 +1,42 @@
+"""Files that appear whole or not at all, and names that words can hold."""
+
+import json
+import os
+
+import pytest
+
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, shown
+
+
+def test_names_are_shown_in_one_printable_line():
+    name = "a\nb\u202e\x1b[31m" + os.fsdecode(b"\xff") + "é🚁$<b>"
+    assert shown(name) == "a\\nb\\u202e\\x1b[31m\\xffé🚁$<b>"
+    assert len(shown("x" * 100_000)) < 400
+    assert str(UserError(f"no file {name}")) == f"no file {shown(name)}"
+
+
+def test_text_survives_names_that_are_no_utf8(tmp_path):
+    value = {"file": os.fsdecode(b"\xff.csv")}
+    path = tmp_path / os.fsdecode(b"out\xfe.json")
+    storage.write_json(path, value)
+    assert os.fsencode(path) in [os.fsencode(p) for p in tmp_path.iterdir()]
+    assert json.loads(path.read_text("utf-8")) == value
+
+
+@pytest.mark.parametrize(
+    "out", ["file/out", "file/deep/out", "x" * 300, "deep/" + "é" * 200, "a\0b", "/proc/none/out"]
+)
+def test_what_could_not_be_written_is_found_before(tmp_path, out):
+    (tmp_path / "file").write_text("kept")
+    for check in (storage.check_file, storage.check_folder):
+        with pytest.raises(UserError, match="cannot write"):
+            check(tmp_path / out)
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_checks_leave_nothing_behind(tmp_path):
+    storage.check_file(tmp_path / "new" / "folder" / "file.png")
+    storage.check_folder(tmp_path / "new" / "folder")
+    storage.write_text(tmp_path / ("é" * 120 + ".txt"), "long names are no hindrance")
+    assert len(list(tmp_path.iterdir())) == 1
