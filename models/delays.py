@@ -19,13 +19,14 @@ from inclined_landing.models.parameters import Vehicle
 class Delays:
     """The histories that a vehicle's delays need, and nothing for those that are 0.
 
+    period: of the commands [s].
     After `reset` the past is as if the first command had always been given, and the vehicle had always
     been in its first state.
     """
 
-    def __init__(self, n: int, vehicle: Vehicle):
+    def __init__(self, n: int, vehicle: Vehicle, period: float):
         v = vehicle
-        self.period = v.command_control_period
+        self.period = period
         self._command = np.full(4, v.effects_attitude_delay)
         self._command[PWM] = v.effects_thrust_delay
         self._mocap, self._tilt = v.effects_mocap_delay, v.effects_mocap_tilt

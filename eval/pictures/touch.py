@@ -66,7 +66,7 @@ def watch(flight: Flight, vehicle: Vehicle | None = None) -> Touchdown:
     commands = np.repeat(flight.commands[:-1], held, axis=0)
     if flight.task == "landing":
         commands = np.concatenate([commands, np.zeros((round(AFTER_CUT / STEP), 4))])
-    plant = MujocoPlant(1, dataclasses.replace(vehicle, command_control_period=STEP), timestep=STEP)
+    plant = MujocoPlant(1, vehicle, control_period=STEP, timestep=STEP)
     plant.torque_needs_motors = True
     plant.set_platform(np.arange(1), np.array([flight.inclination]))
     plant.reset([0], flight.state[:1])

@@ -54,11 +54,10 @@ def cut_motors(
     n = len(states)
     unpowered = dataclasses.replace(
         vehicle,
-        command_control_period=_TIMESTEP,
         attitude_torque_limit=_NO_TORQUE,
         attitude_yaw_torque_limit=_NO_TORQUE,
     )
-    plant = MujocoPlant(n, unpowered, timestep=_TIMESTEP)
+    plant = MujocoPlant(n, unpowered, control_period=_TIMESTEP, timestep=_TIMESTEP)
     ids = np.arange(n)
     plant.set_platform(ids, np.full(n, inclination))
     plant.reset(ids, states)

@@ -64,13 +64,13 @@ def land(policy: Policy, states: np.ndarray, friction: float, restitution: float
     judge, cutting = task, task.name == "landing"
     if cutting:
         judge = InclinedTouchdown(task.vehicle, inclination=task.inclination)
-    fine = dataclasses.replace(task.vehicle, command_control_period=_TIMESTEP)
     period = task.vehicle.command_control_period
     normal = normal_of(task.inclination)
 
     def prepared(states: np.ndarray) -> MujocoPlant:
         k = len(states)
-        plant, everyone = MujocoPlant(k, fine, timestep=_TIMESTEP), np.arange(k)
+        plant = MujocoPlant(k, task.vehicle, control_period=_TIMESTEP, timestep=_TIMESTEP)
+        everyone = np.arange(k)
         judge.prepare(plant)
         plant.set_platform(everyone, np.full(k, task.inclination))
         plant.set_contact(everyone, friction=friction, restitution=restitution, contact_time=CONTACT_TIME)

@@ -111,7 +111,7 @@ def test_impulse_is_that_of_the_contact_forces():
     )
     states = touchdown_states(p, V)
     column = simulate(states, p).values[:, list(RESULTS).index("impulse")]
-    plant = MujocoPlant(4, dataclasses.replace(V, command_control_period=0.004))
+    plant = MujocoPlant(4, control_period=0.004)
     alpha = -p["inclination"]
     plant.set_platform(np.arange(4), alpha)
     plant.reset(np.arange(4), states)

@@ -21,12 +21,11 @@ def unpowered(n, **changes):
     """A plant that is stepped at the engine's step, without attitude torques."""
     vehicle = dataclasses.replace(
         V,
-        command_control_period=STEP,
         attitude_torque_limit=1e-12,
         attitude_yaw_torque_limit=1e-12,
         **changes,
     )
-    return MujocoPlant(n, vehicle, timestep=STEP)
+    return MujocoPlant(n, vehicle, control_period=STEP, timestep=STEP)
 
 
 def drop(restitution, contact_time, speed, phases=8):

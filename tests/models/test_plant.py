@@ -106,6 +106,23 @@ def test_reset_of_a_few_leaves_the_others_alone(build):
     assert_same([a[ids] for a in later], [a[ids] for a in whole[:80]])
 
 
+@pytest.mark.parametrize("kind", ["mujoco", "analytic"])
+def test_a_finer_control_period_flies_the_same_held_commands(kind):
+    """Five periods of one engine step are one of five, bit for bit."""
+    fine, coarse = (
+        make_plant(kind, 3, control_period=period, **({"substeps": substeps} if kind == "analytic" else {}))
+        for period, substeps in ((0.004, 1), (None, 5))
+    )
+    states, commands = random_states(3), random_commands(20, 3)
+    for plant in (fine, coarse):
+        plant.reset(np.arange(3), states)
+    for row in commands:
+        for _ in range(5):
+            fine.step(row)
+        coarse.step(row)
+        np.testing.assert_array_equal(fine.state, coarse.state)
+
+
 def test_boolean_ids_are_taken(build):
     plant, states = build(3), random_states(3)
     plant.reset(np.array([True, False, True]), states[[0, 2]])
@@ -415,6 +432,8 @@ def test_kinematic_mode_lets_go_after_contact():
     ({"timestep": math.nan}, "timestep must be positive"),
     ({"attitude": "quaternion"}, "attitude must be 'rate_loop' or 'kinematic', not 'quaternion'"),
     ({"keep_out": -0.01}, "keep_out must not be negative, it is -0.01"),
+    ({"control_period": 0.0}, "control_period must be positive, not 0.0"),
+    ({"control_period": 0.002}, "control period 0.002 s is not a whole number of time steps of 0.004 s"),
     ({"keep_out": math.nan}, "keep_out must not be negative, it is nan"),
     ({"n": 0}, "at least one vehicle, not 0"),
 ])  # fmt: skip

@@ -166,7 +166,6 @@ def _mujoco(starts, vehicle, state, commands, ambient) -> np.ndarray:
     n = len(starts)
     plain = dataclasses.replace(
         vehicle,
-        command_control_period=starts.dt,
         effects_thrust_delay=0.0,
         effects_attitude_delay=0.0,
         effects_mocap_delay=0.0,
@@ -188,7 +187,8 @@ def _mujoco(starts, vehicle, state, commands, ambient) -> np.ndarray:
             1.0 + vehicle.effects_voltage_sensitivity * (voltage - vehicle.effects_voltage_reference)
         )
     varies = bool((scale != 1.0).any())
-    plant = MujocoPlant(n, plain, timestep=starts.dt / math.ceil(starts.dt / ENGINE_STEP - 1e-9))
+    step = starts.dt / math.ceil(starts.dt / ENGINE_STEP - 1e-9)
+    plant = MujocoPlant(n, plain, control_period=starts.dt, timestep=step)
     plant.set_platform(np.arange(n), vehicle.platform_inclination, ambient[:, 0, 3] > 0.0)
     # Free flight meets nothing: without surfaces that matter it is flown high above the floor.
     lift = 0.0 if vehicle.effects_ground_effect or ambient[:, 0, 3].any() else FAR_UP

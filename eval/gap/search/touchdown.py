@@ -295,7 +295,6 @@ def simulate(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
     n = len(landings)
     plain = dataclasses.replace(
         vehicle,
-        command_control_period=dt,
         effects_thrust_delay=0.0,
         effects_attitude_delay=0.0,
         effects_mocap_delay=0.0,
@@ -308,7 +307,8 @@ def simulate(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
         commands[k, : len(part)] = part
         commands[k, len(part) :] = part[-1]
         state[k, LAG] = lag[x.first]
-    plant = MujocoPlant(n, plain, timestep=dt / math.ceil(dt / STEP - 1e-9), integrator="implicitfast")
+    step = dt / math.ceil(dt / STEP - 1e-9)
+    plant = MujocoPlant(n, plain, control_period=dt, timestep=step, integrator="implicitfast")
     plant.torque_needs_motors = True
     plant.set_platform(np.arange(n), vehicle.platform_inclination)
     plant.reset(np.arange(n), state)

@@ -172,8 +172,7 @@ class Simulation:
     def __init__(self, touchdown: Touchdown, n: int, vehicle: Vehicle | None = None):
         self.vehicle = vehicle or load_vehicle()
         self.touchdown = touchdown
-        slow = dataclasses.replace(self.vehicle, command_control_period=PERIOD)
-        self.plant = MujocoPlant(n, slow, timestep=_STEP)
+        self.plant = MujocoPlant(n, self.vehicle, control_period=PERIOD, timestep=_STEP)
         self.plant.set_platform(np.arange(n), self.vehicle.platform_inclination, False)
         # The measured point is low when the tilted vehicle's lowest foot touches: refer height to that.
         c = self.plant.shapes.centres

@@ -24,11 +24,10 @@ def unpowered(n: int, step: float = STEP, **options) -> MujocoPlant:
     """A plant of n vehicles that is stepped at the engine's step, without attitude torques."""
     vehicle = dataclasses.replace(
         load_vehicle(),
-        command_control_period=step,
         attitude_torque_limit=_NO_TORQUE,
         attitude_yaw_torque_limit=_NO_TORQUE,
     )
-    return MujocoPlant(n, vehicle, timestep=step, **options)
+    return MujocoPlant(n, vehicle, control_period=step, timestep=step, **options)
 
 
 def advance(plant: MujocoPlant, duration: float) -> None:

@@ -1,0 +1,89 @@
+"""The paper's equations as a plant."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from inclined_landing.models import equations, geometry
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.plants.base import Attitude, Plant
+from inclined_landing.models.scene import compile_scene
+
+
+class AnalyticPlant(Plant):
+    """The equations of `equations.py`; obstacles are detected geometrically, never felt.
+
+    substeps: RK4 steps per control period. The default of one is the paper's 0.02 s.
+    """
+
+    kind = "analytic"
+
+    def __init__(
+        self,
+        n: int,
+        vehicle: Vehicle | None = None,
+        *,
+        attitude: Attitude = "kinematic",
+        keep_out: float = 0.0,
+        control_period: float | None = None,
+        substeps: int = 1,
+    ):
+        super().__init__(n, vehicle, attitude, keep_out, control_period)
+        if substeps < 1:
+            raise UserError(f"substeps must be at least 1, not {substeps}")
+        self.substeps = substeps
+        self.shapes = geometry.shapes_of(compile_scene(self.vehicle))
+        self._position, _ = geometry.platform_poses(self.inclination, self.present, self.vehicle)
+        self._distance = np.empty((n, 3, 3))
+        self._ambient = np.zeros((n, equations.AMBIENT_SIZE))
+        self._ambient[:, equations.VOLTAGE] = np.nan
+        self._ambient[:, equations.INCLINATION], self._ambient[:, equations.PRESENT] = self.inclination, True
+        self.contacts.force[:] = np.nan
+
+    def _arrays(self):
+        return super()._arrays() | {"position": self._position, "ambient": self._ambient}
+
+    def _clear_contacts(self, ids) -> None:
+        super()._clear_contacts(ids)
+        self.contacts.force[ids] = np.nan
+
+    def set_platform(self, ids, inclination, present=True) -> None:
+        """Platform inclination [rad] and presence of the vehicles `ids`."""
+        self.inclination[ids] = inclination
+        self.present[ids] = present
+        self._position[ids] = geometry.platform_poses(self.inclination[ids], self.present[ids], self.vehicle)[
+            0
+        ]
+        self._ambient[ids, equations.INCLINATION], self._ambient[ids, equations.PRESENT] = (
+            inclination,
+            present,
+        )
+
+    def reset(self, ids, state: np.ndarray) -> None:
+        """Put the vehicles `ids` into `state` (k, 13) at time 0; contacts and past commands cleared."""
+        self.state[ids] = state
+        self._ambient[ids, equations.TIME] = 0.0
+        self.delays.reset(ids, state)
+        self._clear_contacts(ids)
+
+    def step(self, commands: np.ndarray) -> None:
+        """Advance every vehicle by one control period under commands (n, 4)."""
+        commands = np.ascontiguousarray(commands, dtype=float)
+        dt = self.control_period / self.substeps
+        self.delays.push_commands(commands)
+        if self.delays.of_commands:
+            for k in range(self.substeps):
+                self._advance(self.delays.acting(k * dt, dt), dt, 1)
+        else:
+            self._advance(commands, dt, self.substeps)
+        self.delays.push_state(self.state)
+        geometry.clearances(self.state, self.inclination, self._position, self.shapes, self._distance)
+        np.less(self._distance, self.keep_out, out=self.contacts.near)
+        np.less(self._distance, 0.0, out=self.contacts.touch)
+
+    def _advance(self, commands: np.ndarray, dt: float, substeps: int) -> None:
+        rate_loop = self.attitude == "rate_loop"
+        equations.advance(
+            self.state, commands, self._ambient, self._constants, self.perturbation, rate_loop, dt, substeps
+        )

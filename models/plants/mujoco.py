@@ -1,0 +1,316 @@
+"""The MuJoCo vehicle as a plant."""
+
+from __future__ import annotations
+
+import math
+import os
+
+import mujoco
+import mujoco.batch
+import numba
+import numpy as np
+
+from inclined_landing.models import contact, equations, geometry, perturbation
+from inclined_landing.models.attitude import (
+    LAG,
+    PITCH,
+    PWM,
+    ROLL,
+    VX,
+    WX,
+    WZ,
+    YAW,
+    body_rates,
+    euler_angles,
+    quaternion,
+)
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.plants.base import Attitude, Plant, Snapshot
+from inclined_landing.models.scene import compile_scene
+
+# The engine's warnings on which it silently resets a simulation.
+_DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
+
+
+class MujocoPlant(Plant):
+    """The MJCF vehicle on `mujoco.batch`: real bodies, native actuator plugins, real contact.
+
+    attitude: "rate_loop" is the physical vehicle; "kinematic" sets the body rates to the paper's
+    first-order loops at every control tick (free flight only: a vehicle that touched something
+    keeps its physical rates), the mode for exact comparison. A delayed attitude command that changes
+    between two ticks is followed by the rate loop until the next one.
+    integrator, timestep: of the engine; the control period must be a whole number of time steps.
+    keep_out: sensor-only zone around the platform [m] in which contacts count as `near`.
+    threads: 0 takes all cores.
+    """
+
+    kind = "mujoco"
+
+    def __init__(
+        self,
+        n: int,
+        vehicle: Vehicle | None = None,
+        *,
+        attitude: Attitude = "rate_loop",
+        keep_out: float = 0.0,
+        control_period: float | None = None,
+        integrator: str = "RK4",
+        timestep: float = 0.004,
+        threads: int = 0,
+        torque_limit: bool = True,
+    ):
+        super().__init__(n, vehicle, attitude, keep_out, control_period)
+        if not (math.isfinite(timestep) and timestep > 0):
+            raise UserError(f"timestep must be positive, not {timestep!r}")
+        self.substeps = round(self.control_period / timestep)
+        if self.substeps < 1 or abs(self.substeps * timestep - self.control_period) > 1e-12:
+            raise UserError(
+                f"the control period {self.control_period:g} s is not a whole number of "
+                f"time steps of {timestep:g} s"
+            )
+        self.model = compile_scene(
+            self.vehicle,
+            integrator=integrator,
+            timestep=timestep,
+            keep_out=keep_out,
+            torque_limit=torque_limit,
+        )
+        self.shapes = geometry.shapes_of(self.model)
+        threads = min(threads or len(os.sched_getaffinity(0)), n)
+        self.batch = mujoco.batch.Batch(self.model, n, threads)
+        bind = self.batch.bind
+        self._qpos, self._qvel, self._act = bind("qpos"), bind("qvel"), bind("act")
+        self._ctrl, self._warmstart, self._time = bind("ctrl"), bind("qacc_warmstart"), bind("time")
+        self._mocap_pos, self._mocap_quat = bind("mocap_pos"), bind("mocap_quat")
+        self._mocap = [int(self.model.body(b).mocapid[0]) for b in geometry.PLATFORM_BODIES]
+        self._warning = self.batch.warning
+        self._history = bind("history") if self.model.nhistory else None
+        self._held = _held_histories(self.model) if self.model.nhistory else None
+        self._sensors = np.zeros((n, self.substeps, self.model.nsensordata))
+        self._perturbed = self._contact_set = False
+        self.torque_needs_motors = False
+        self._loops = np.array([self.model.actuator(name).id for name in ("roll", "pitch", "yaw_rate")])
+        v, feet = self.vehicle, self.shapes.parts == geometry.PARTS.index("feet")
+        self.foot_height = float((self.shapes.radii - self.shapes.centres[:, 2])[feet].max())
+        self._contact_default = np.array([v.contact_friction, *v.contact_solref, self.foot_height])
+        self._contact = np.tile(self._contact_default, (n, 1))
+        self.set_platform(np.arange(n), self.inclination)
+        self.reset(np.arange(n), self.state)
+
+    def _arrays(self):
+        return super()._arrays() | {"engine": self.batch.state, "contact": self._contact}
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Return to a snapshot of a plant of the same kind and size."""
+        super().restore(snapshot)
+        self._apply_contact()
+        self._warning[:] = 0
+
+    def set_contact(
+        self, ids, *, friction=None, restitution=None, contact_time=None, solref=None, foot_height=None
+    ) -> None:
+        """Contact parameters of the vehicles `ids`, numbers or (k,) arrays; None leaves them as they are.
+
+        friction: sliding friction between the vehicle and every surface.
+        restitution, contact_time [s]: see `contact.solref`; both or none.
+        solref: instead of these, MuJoCo's own (2,) or (k, 2).
+        foot_height: how far the feet reach below the centre of mass [m]; the plant's `foot_height` is
+            the nominal one.
+
+        Vehicle and surfaces get the same values, because the engine mixes those of both sides.
+        Raises UserError, and changes nothing, for values that are out of range.
+        """
+        rows = self._contact[ids].copy()
+        if friction is not None:
+            rows[..., 0] = contact.check_friction(friction)
+        if (restitution is None) != (contact_time is None):
+            raise UserError("restitution and contact time belong together: give both or none")
+        if restitution is not None:
+            if solref is not None:
+                raise UserError("give either restitution and contact time or solref, not all of them")
+            solref = contact.solref(restitution, contact_time, self.vehicle.environment_gravity)
+        if solref is not None:
+            rows[..., 1:3] = contact.check_solref(solref)
+        if foot_height is not None:
+            rows[..., 3] = contact.check_foot_height(foot_height, self.foot_height)
+        self._contact[ids] = rows
+        self._apply_contact()
+
+    def _apply_contact(self) -> None:
+        if not self._contact_set and (self._contact == self._contact_default).all():
+            return
+        self._contact_set = True
+        model, c, expand = self.model, self._contact, self.batch.expand
+        geoms = np.flatnonzero(model.geom_contype)
+        expand("geom_friction")[:, geoms, 0] = c[:, :1]
+        expand("geom_solref")[:, geoms] = c[:, None, 1:3]
+        if (c[:, 3] != self.foot_height).any() or self.batch.expanded("body_pos") is not None:
+            feet = model.body("feet").id
+            expand("body_pos")[:, feet, 2] = model.body_pos[feet, 2] + self.foot_height - c[:, 3]
+            self.batch.set_const()
+
+    def set_platform(self, ids, inclination, present=True) -> None:
+        """Platform inclination [rad] and presence of the vehicles `ids`."""
+        self.inclination[ids] = inclination
+        self.present[ids] = present
+        position, quat = geometry.platform_poses(self.inclination[ids], self.present[ids], self.vehicle)
+        for k, mocap in enumerate(self._mocap):
+            self._mocap_pos[ids, mocap] = position[:, k]
+            self._mocap_quat[ids, mocap] = quat[:, k]
+
+    def reset(self, ids, state: np.ndarray) -> None:
+        """Put the vehicles `ids` into `state` (k, 13): pose, rates, lag; contacts, past commands cleared."""
+        ids = np.asarray(ids)
+        if ids.dtype == bool:
+            ids = np.flatnonzero(ids)
+        state = np.ascontiguousarray(state, dtype=float)
+        _write_state(ids, state, self._qpos, self._qvel, self._act)
+        self._ctrl[ids] = 0.0
+        self._warmstart[ids] = 0.0
+        self._time[ids] = 0.0
+        self._warning[ids] = 0
+        self.state[ids] = state
+        self.delays.reset(ids, state)
+        self._clear_contacts(ids)
+
+    def step(self, commands: np.ndarray) -> None:
+        """Advance every vehicle by one control period under commands (n, 4).
+
+        Contacts are the maximum over the control step's substeps, each seen at its beginning.
+        Raises FloatingPointError, naming the vehicles, when the engine diverges; reset them to go on.
+        """
+        commands = np.asarray(commands, float)
+        self._ctrl[:] = commands
+        fresh = np.flatnonzero(self.delays.fresh)
+        if self._history is not None and len(fresh):
+            empty, held = self._held
+            self._history[fresh] = empty + commands[fresh] @ held
+        self.delays.push_commands(commands)
+        if self.torque_needs_motors:
+            self._allow_torque(commands[:, PWM] > 0.0)
+        if self.attitude == "kinematic":
+            touched = self.contacts.touch.any(axis=(1, 2))
+            wanted = self._ctrl
+            if self.delays.of_commands:
+                wanted = self.delays.acting(0.0, self.control_period / self.substeps)
+            _synchronise_rates(self._qpos, self._qvel, wanted, self._constants, self.perturbation, touched)
+        self.batch.rollout(self.substeps, record=("sensordata",), out={"sensordata": self._sensors})
+        c = self.contacts
+        _read_contacts(self._sensors, self.keep_out > 0.0, c.near, c.touch, c.force)
+        _read_state(self._qpos, self._qvel, self._act, self.state)
+        self.delays.push_state(self.state)
+        if self._warning[:, _DIVERGED, 1].any() or not np.isfinite(self.state).all():
+            bad = self._warning[:, _DIVERGED, 1].any(axis=1) | ~np.isfinite(self.state).all(axis=1)
+            raise FloatingPointError(f"the engine diverged for vehicles {np.flatnonzero(bad)[:5].tolist()}")
+
+    @property
+    def feet_force(self) -> np.ndarray:
+        """(n, 3) net force between slab and feet at the beginning of the last engine step [N]."""
+        return self._sensors[:, -1, 1:4]
+
+    def _allow_torque(self, running: np.ndarray) -> None:
+        """Attitude torques within the vehicle's limits where the motors are `running` (n,), else none."""
+        if running.all() and self.batch.expanded("actuator_forcerange") is None:
+            return
+        limits = self.model.actuator_forcerange[self._loops]
+        self.batch.expand("actuator_forcerange")[:, self._loops] = running[:, None, None] * limits
+
+    def _apply_perturbation(self) -> None:
+        if not self._perturbed and (self.perturbation == perturbation.NEUTRAL).all():
+            return
+        self._perturbed = True
+        p, expand = self.perturbation, self.batch.expand
+        model = self.model
+        thrust = model.actuator("thrust").id
+        gain, dynamics, bias = (expand(f"actuator_{k}prm") for k in ("gain", "dyn", "bias"))
+        gain[:, thrust, 0] = p[:, perturbation.THRUST_SCALE]
+        dynamics[:, thrust, 0] = p[:, perturbation.LAG_SCALE]
+        bias[:, thrust, 0] = p[:, perturbation.THRUST_BIAS]
+        bias[:, thrust, 1] = p[:, perturbation.DRAG_CHANGE]
+        for loop in (model.actuator(name).id for name in ("roll", "pitch")):
+            gain[:, loop, 0] = p[:, perturbation.GAIN_SCALE]
+            dynamics[:, loop, 0] = p[:, perturbation.TIME_CONSTANT_SCALE]
+        if (p[:, perturbation.MASS_SCALE] != 1.0).any() or self.batch.expanded("body_mass") is not None:
+            body = model.body("crazyflie").id
+            mass = expand("body_mass")
+            mass[:, body] = model.body_mass[body] * p[:, perturbation.MASS_SCALE]
+            self.batch.set_const()
+
+
+def _held_histories(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """The engine's history buffer at time 0: empty (h,), and per control what one unit held adds (nu, h)."""
+    data = mujoco.MjData(model)
+    empty, held = data.history.copy(), np.zeros((model.nu, model.nhistory))
+    for actuator in range(model.nactuator):
+        samples = model.actuator_history[actuator, 0]
+        if samples:
+            mujoco.mj_initCtrlHistory(model, data, actuator, None, np.ones(samples))
+            held[model.actuator_ctrladr[actuator]] = data.history - empty
+            data.history[:] = empty
+    return empty, held
+
+
+@numba.njit(cache=True)
+def _write_state(ids, state, qpos, qvel, act):
+    for k in range(len(ids)):
+        i, s = ids[k], state[k]
+        qpos[i, :3] = s[:3]
+        qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6] = quaternion(s[ROLL], s[PITCH], s[YAW])
+        qvel[i, :3] = s[VX : VX + 3]
+        qvel[i, 3:6] = s[WX : WX + 3]
+        act[i, 0] = s[LAG]
+
+
+@numba.njit(cache=True)
+def _read_state(qpos, qvel, act, state):
+    for i in range(state.shape[0]):
+        q, s = qpos[i], state[i]
+        s[:3] = q[:3]
+        s[VX : VX + 3] = qvel[i, :3]
+        s[ROLL], s[PITCH], s[YAW] = euler_angles(q[3], q[4], q[5], q[6])
+        s[WX : WZ + 1] = qvel[i, 3:6]
+        s[LAG] = act[i, 0]
+
+
+@numba.njit(cache=True)
+def _synchronise_rates(qpos, qvel, ctrl, c, p, touched):
+    for i in range(qpos.shape[0]):
+        if touched[i]:
+            continue
+        roll, pitch, _ = euler_angles(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
+        a, b, d = equations.loop_rates(roll, pitch, ctrl[i], c, p[i])
+        qvel[i, 3], qvel[i, 4], qvel[i, 5] = body_rates(roll, pitch, a, b, d)
+
+
+@numba.njit(cache=True)
+def _read_contacts(sensors, zone, near, touch, force):
+    """Fold the (n, substeps, 60) contact sensors into (n, 3, 3) arrays, maximum over substeps.
+
+    Sensors come in the order slab, three base geoms, floor, each feet, body, rotors, each found and
+    net force. The forces on one part by the base's geoms are added as vectors.
+    """
+    net = np.empty(3)
+    for i in range(sensors.shape[0]):
+        near[i] = False
+        touch[i] = False
+        force[i] = 0.0
+        for s in range(sensors.shape[1]):
+            row = sensors[i, s]
+            for surface in range(3):
+                first = 0 if surface == 0 else (1 if surface == 1 else 4)
+                last = 1 if surface == 0 else (4 if surface == 1 else 5)
+                for part in range(3):
+                    found = False
+                    net[:] = 0.0
+                    for geom in range(first, last):
+                        k = 4 * (3 * geom + part)
+                        if row[k] > 0.0:
+                            found = True
+                            net += row[k + 1 : k + 4]
+                    if found:
+                        near[i, surface, part] = True
+                        size = np.sqrt(net[0] ** 2 + net[1] ** 2 + net[2] ** 2)
+                        force[i, surface, part] = max(force[i, surface, part], size)
+                        if size > 0.0 or not zone:
+                            touch[i, surface, part] = True
