@@ -1,11 +1,13 @@
-"""Files that appear whole or not at all."""
+"""Files read within limits, and written whole or not at all."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import os
+import stat
 import tempfile
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +15,68 @@ import numpy as np
 
 from inclined_landing.models.errors import UserError, shown
 
+LARGEST = 1_000_000  # bytes of a file that people write
+LARGEST_JSON = 100_000_000
 LONGEST_NAME = 255  # bytes, of any file system in use
+
+
+def read_bytes(path: str | Path, what: str, largest: int = LARGEST) -> bytes:
+    """The content of a file of at most `largest` bytes.
+
+    what: how sentences call it, as in "vehicle file". Raises UserError for a file that is missing,
+    unreadable or too large, and for pipes and devices, which have no end.
+    """
+    try:
+        kind = os.stat(path)
+        if not stat.S_ISREG(kind.st_mode):
+            raise UserError(f"{what} {path} is {_kind(kind.st_mode)}, not a file")
+        if kind.st_size > largest:
+            raise UserError(f"{what} {path} has {kind.st_size} bytes; at most {largest} are read")
+        with open(path, "rb") as file:
+            return file.read(largest)
+    except FileNotFoundError as error:
+        raise UserError(f"{what} {path} does not exist") from error
+    except (OSError, ValueError) as error:
+        if isinstance(error, UserError):
+            raise
+        raise UserError(f"{what} {path} cannot be read: {reason(error)}") from error
+
+
+def read_text(path: str | Path, what: str, largest: int = LARGEST) -> str:
+    """The UTF-8 text of a file, with the limits and errors of `read_bytes`."""
+    try:
+        return read_bytes(path, what, largest).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise UserError(f"{what} {path} is not UTF-8 text: {error.reason} at byte {error.start}") from error
+
+
+def read_toml(path: str | Path, what: str) -> dict:
+    """The tables of a TOML file; UserError when it cannot be read or is none."""
+    text = read_text(path, what)
+    try:
+        return tomllib.loads(text)
+    except (
+        ValueError,
+        RecursionError,
+    ) as error:  # ValueError: bad syntax, or a number of thousands of digits
+        raise UserError(f"{what} {path} is not TOML: {_lower(error)}") from error
+
+
+def read_json(path: str | Path, what: str, largest: int = LARGEST_JSON):
+    """The value in a JSON file; UserError when it cannot be read or is none."""
+    text = read_text(path, what, largest)
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"{what} {path} is not JSON: {_lower(error)}") from error
+
+
+def _kind(mode: int) -> str:
+    return "a folder" if stat.S_ISDIR(mode) else "a pipe or device"
+
+
+def _lower(error: Exception) -> str:
+    return "nested too deeply" if isinstance(error, RecursionError) else str(error).partition("\n")[0]
 
 
 @contextlib.contextmanager

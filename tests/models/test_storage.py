@@ -40,3 +40,35 @@ def test_checks_leave_nothing_behind(tmp_path):
     storage.check_folder(tmp_path / "new" / "folder")
     storage.write_text(tmp_path / ("é" * 120 + ".txt"), "long names are no hindrance")
     assert len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"a = " + b"[" * 100_000, "nested too deeply"),
+        (b"a = " + b"9" * 5000, "is not TOML"),
+        (b"a = 1\na = 2", "is not TOML"),
+        (b"\xff\xfe", "is not UTF-8 text"),
+        (b"a" * 20_000_000, "has 20000000 bytes"),
+        (None, "does not exist"),
+    ],
+)
+def test_settings_that_cannot_be_read(tmp_path, content, said):
+    path = tmp_path / "file.toml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(UserError, match=rf"vehicle file .*file\.toml .*{said}"):
+        storage.read_toml(path, "vehicle file")
+
+
+def test_json_nested_deeply(tmp_path):
+    (tmp_path / "run.json").write_bytes(b"[" * 1_000_000)
+    with pytest.raises(UserError, match="nested too deeply"):
+        storage.read_json(tmp_path / "run.json", "record")
+
+
+def test_pipes_are_refused_without_waiting(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", "/dev/zero", tmp_path):
+        with pytest.raises(UserError, match="not a file"):
+            storage.read_bytes(path, "study")
