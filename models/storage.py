@@ -18,6 +18,7 @@ from inclined_landing.models.errors import UserError, shown
 LARGEST = 1_000_000  # bytes of a file that people write
 LARGEST_JSON = 100_000_000
 LONGEST_NAME = 255  # bytes, of any file system in use
+_LONGEST_LINE = 10_000  # characters of a TOML file; the time that a dotted key takes grows with its square
 
 
 def read_bytes(path: str | Path, what: str, largest: int = LARGEST) -> bytes:
@@ -53,22 +54,25 @@ def read_text(path: str | Path, what: str, largest: int = LARGEST) -> str:
 def read_toml(path: str | Path, what: str) -> dict:
     """The tables of a TOML file; UserError when it cannot be read or is none."""
     text = read_text(path, what)
+    if max(map(len, text.splitlines()), default=0) > _LONGEST_LINE:
+        raise UserError(f"{what} {path} is not read: a line has more than {_LONGEST_LINE} characters")
     try:
         return tomllib.loads(text)
-    except (
-        ValueError,
-        RecursionError,
-    ) as error:  # ValueError: bad syntax, or a number of thousands of digits
+    except (ValueError, RecursionError) as error:  # bad syntax, or a number of thousands of digits
         raise UserError(f"{what} {path} is not TOML: {_lower(error)}") from error
 
 
 def read_json(path: str | Path, what: str, largest: int = LARGEST_JSON):
     """The value in a JSON file; UserError when it cannot be read or is none."""
-    text = read_text(path, what, largest)
+    return parse_json(read_text(path, what, largest), f"{what} {path}")
+
+
+def parse_json(text: str | bytes, what: str):
+    """The value in a JSON text; UserError, beginning with `what`, when it is none."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise UserError(f"{what} {path} is not JSON: {_lower(error)}") from error
+        raise UserError(f"{what} is not JSON: {_lower(error)}") from error
 
 
 def _kind(mode: int) -> str:

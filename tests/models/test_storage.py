@@ -45,7 +45,8 @@ def test_checks_leave_nothing_behind(tmp_path):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"a = " + b"[" * 100_000, "nested too deeply"),
+        (b"a = " + b"[\n" * 100_000, "nested too deeply"),
+        (b"a" + b".a" * 100_000 + b" = 1", "a line has more than 10000 characters"),
         (b"a = " + b"9" * 5000, "is not TOML"),
         (b"a = 1\na = 2", "is not TOML"),
         (b"\xff\xfe", "is not UTF-8 text"),

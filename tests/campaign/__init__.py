@@ -1,0 +1,1 @@
+"""Wrong input, generated: everything that is read gets every kind of evil value (see `judge`)."""
