@@ -18,7 +18,7 @@ from inclined_landing.models.errors import UserError, shown
 LARGEST = 1_000_000  # bytes of a file that people write
 LARGEST_JSON = 100_000_000
 LONGEST_NAME = 255  # bytes, of any file system in use
-_LONGEST_LINE = 10_000  # characters of a TOML file; the time that a dotted key takes grows with its square
+_DOTS = 3e7  # squared and summed over the lines of a TOML file: a dotted key takes a second for this many
 
 
 def read_bytes(path: str | Path, what: str, largest: int = LARGEST) -> bytes:
@@ -54,8 +54,8 @@ def read_text(path: str | Path, what: str, largest: int = LARGEST) -> str:
 def read_toml(path: str | Path, what: str) -> dict:
     """The tables of a TOML file; UserError when it cannot be read or is none."""
     text = read_text(path, what)
-    if max(map(len, text.splitlines()), default=0) > _LONGEST_LINE:
-        raise UserError(f"{what} {path} is not read: a line has more than {_LONGEST_LINE} characters")
+    if sum(line.count(".") ** 2 for line in text.splitlines()) > _DOTS:
+        raise UserError(f"{what} {path} is not read: it has lines with thousands of dots")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # bad syntax, or a number of thousands of digits

@@ -46,7 +46,7 @@ def test_checks_leave_nothing_behind(tmp_path):
     ("content", "said"),
     [
         (b"a = " + b"[\n" * 100_000, "nested too deeply"),
-        (b"a" + b".a" * 100_000 + b" = 1", "a line has more than 10000 characters"),
+        (b"a" + b".a" * 100_000 + b" = 1", "thousands of dots"),
         (b"a = " + b"9" * 5000, "is not TOML"),
         (b"a = 1\na = 2", "is not TOML"),
         (b"\xff\xfe", "is not UTF-8 text"),
