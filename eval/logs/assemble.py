@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from inclined_landing.eval.logs.limits import LARGEST_VALUE
 from inclined_landing.eval.logs.log import COMMANDS, GAP_SECONDS, GAP_STEPS, FlightLog
 from inclined_landing.eval.logs.mapping import Channel
 from inclined_landing.eval.logs.units import QUATERNION
@@ -136,7 +137,7 @@ def _check_angle(path: str, key: str, channel: Channel) -> None:
 
 def _cleaned(key: str, channel: Channel, notes: list[str]) -> Channel:
     """Without rows that have no number, and with one value per instant."""
-    finite = np.isfinite(channel.value)
+    finite = np.abs(channel.value) < LARGEST_VALUE
     lost = int((~finite).sum())
     if lost:
         share = f"{lost} of {len(finite)} rows"

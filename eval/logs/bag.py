@@ -6,19 +6,20 @@ A column is `topic:field.path`, as `/cf1/pose:pose.position.x`; an array's eleme
 from __future__ import annotations
 
 import contextlib
+import itertools
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from inclined_landing.eval.logs import mapping
+from inclined_landing.eval.logs.limits import LARGEST, MOST_ROWS
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.errors import UserError
 
-SUFFIXES = (".bag", ".mcap", ".db3")
 _PART = re.compile(r"(\w+)(?:\[(\d+)\])?")
 
 
@@ -38,19 +39,15 @@ def read(path: Path, patterns: Sequence[str]) -> Record:
                 wanted.setdefault(found, []).append(field)
         for topic, fields in wanted.items():
             stamps, received, rows = [], [], []
-            connections = [c for c in reader.connections if c.topic == topic]
-            try:
-                for connection, timestamp, raw in reader.messages(connections=connections):
-                    message = reader.deserialize(raw, connection.msgtype)
-                    stamps.append(_stamp(message))
-                    received.append(1e-9 * timestamp)
+            for message, timestamp in _messages(path, reader, topic):
+                try:
                     rows.append([_value(message, field) for field in fields])
-            except (AttributeError, IndexError, TypeError, ValueError) as error:
-                raise UserError(
-                    f"{path}: topic {topic} has no number {', '.join(fields)} ({error})"
-                ) from error
-            except (AnyReaderError, KeyError) as error:
-                raise UserError(f"{path}: topic {topic} cannot be decoded ({error})") from error
+                except (AttributeError, IndexError, TypeError, ValueError) as error:
+                    raise UserError(
+                        f"{path}: topic {topic} has no number {', '.join(fields)} ({error})"
+                    ) from error
+                stamps.append(_stamp(message))
+                received.append(1e-9 * timestamp)
             if not rows:
                 continue
             stamped = all(stamps)
@@ -64,20 +61,47 @@ def read(path: Path, patterns: Sequence[str]) -> Record:
     return Record(str(path), columns, times=times, notes=tuple(notes))
 
 
+def _messages(path: Path, reader: AnyReader, topic: str) -> Iterator[tuple[object, int]]:
+    """The messages of a topic and when the bag received them [ns]."""
+    connections = [c for c in reader.connections if c.topic == topic]
+    stored = reader.messages(connections=connections)
+    for count in itertools.count(1):
+        try:
+            connection, timestamp, raw = next(stored)
+            message = reader.deserialize(raw, connection.msgtype)
+        except StopIteration:
+            return
+        except Exception as error:
+            raise UserError(f"{path}: topic {topic} cannot be decoded ({_words(error)})") from error
+        if count > MOST_ROWS:
+            raise UserError(
+                f"{path}: topic {topic} has more than {MOST_ROWS:.0e} messages; cut the flight out"
+            )
+        yield message, timestamp
+
+
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[AnyReader]:
+    """The bag, opened. What rosbags raises on damaged bytes is of every kind, so all of it is caught."""
     folder = path.parent if path.suffix in (".mcap", ".db3") else path
-    if path.suffix != ".bag" and not (folder / "metadata.yaml").is_file():
+    files = [file for file in folder.iterdir() if file.is_file()] if folder.is_dir() else []
+    if path.suffix != ".bag" and folder / "metadata.yaml" not in files:
         raise UserError(f"{path}: a ROS 2 bag is a folder with metadata.yaml; none is there")
+    if sum(file.stat().st_size for file in files) > LARGEST:
+        raise UserError(f"{path}: has more than {LARGEST:.3g} bytes; cut the flight out")
     try:
         reader = AnyReader([folder], default_typestore=get_typestore(Stores.LATEST))
         reader.open()
-    except (AnyReaderError, OSError) as error:
-        raise UserError(f"{path}: not a readable bag ({error})") from error
+    except Exception as error:
+        raise UserError(f"{path}: not a readable bag ({_words(error)})") from error
     try:
         yield reader
     finally:
         reader.close()
+
+
+def _words(error: Exception) -> str:
+    return str(error) or type(error).__name__
 
 
 def _stamp(message) -> float | None:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import gzip
+import io
 import warnings
-import zlib
 from pathlib import Path
 
 import numpy as np
 import pandas
 
+from inclined_landing.eval.logs.limits import MOST_COLUMNS, read_table
 from inclined_landing.eval.logs.record import Record
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 
 def read(path: Path) -> Record:
@@ -20,21 +20,23 @@ def read(path: Path) -> Record:
     `.gz` is unpacked on the way; comma, semicolon or tab separate. Text columns become NaN: none is
     ever asked for. Raises UserError for what is not such a table, and for text among numbers.
     """
+    data = read_table(path)
     try:
-        with (gzip.open if path.suffix == ".gz" else open)(path, "rt", encoding="utf-8-sig") as file:
-            first, second = file.readline(), file.readline()
+        file = io.TextIOWrapper(data, encoding="utf-8-sig")
+        first, second = file.readline(), file.readline()
+        file.detach()  # or the text layer closes the bytes with itself
         separator = next((mark for mark in ",;\t" if mark in first), ",")
-        header = [name.strip().strip('"') for name in first.strip().split(separator)]
+        header = _header(path, first, separator)
         cells = [cell.strip().strip('"') for cell in second.strip().split(separator)]
-        _check_header(path, header)
         units = {}
         if second.strip() and not any(_is_number(cell) or not cell for cell in cells):
             units = dict(zip(header, cells))
+        data.seek(0)
         with warnings.catch_warnings():
             # A row too long is an error below, not the first column turned into an index.
             warnings.simplefilter("error", pandas.errors.ParserWarning)
             table = pandas.read_csv(
-                path,
+                data,
                 sep=separator,
                 names=header,
                 skiprows=2 if units else 1,
@@ -43,25 +45,31 @@ def read(path: Path) -> Record:
                 encoding="utf-8-sig",
                 low_memory=False,
             )
-    except (UnicodeDecodeError, gzip.BadGzipFile, zlib.error, EOFError) as error:
+    except UnicodeDecodeError as error:
         raise UserError(f"{path}: not a readable text table ({error})") from error
     except (pandas.errors.ParserError, pandas.errors.ParserWarning) as error:
         raise UserError(f"{path}: rows of different length ({str(error).strip()})") from error
     except pandas.errors.EmptyDataError as error:
         raise UserError(f"{path}: a header and no rows") from error
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from error
     return Record(str(path), {name: _numbers(path, table[name], bool(units)) for name in header}, units=units)
 
 
-def _check_header(path: Path, header: list[str]) -> None:
-    if not any(header):
+def _header(path: Path, line: str, separator: str) -> list[str]:
+    """The names of the columns; those that have none are numbered."""
+    names = [name.strip().strip('"') for name in line.strip("\r\n").split(separator)]
+    if not any(names):
         raise UserError(f"{path}: empty; expected a line of column names and rows of numbers")
-    if any(_is_number(name) for name in header):
+    if len(names) > MOST_COLUMNS:
+        raise UserError(f"{path}: {len(names)} columns; at most {MOST_COLUMNS} are read")
+    if any(_is_number(name) for name in names):
         raise UserError(f"{path}: the first line holds numbers; expected column names")
-    twice = [name for name in header if header.count(name) > 1]
-    if twice:
-        raise UserError(f"{path}: column {twice[0]} appears twice")
+    names = [name or f"column {k + 1}" for k, name in enumerate(names)]
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise UserError(f"{path}: column {shown(name)} appears twice")
+        seen.add(name)
+    return names
 
 
 def _numbers(path: Path, column: pandas.Series, has_units: bool) -> np.ndarray:
@@ -73,8 +81,9 @@ def _numbers(path: Path, column: pandas.Series, has_units: bool) -> np.ndarray:
     values = pandas.to_numeric(text, errors="coerce")
     bad = values.isna() & text.notna() & ~lower.isin(["nan", ""]).fillna(False)
     if bad.any() and values.notna().mean() > 0.5:  # numbers with text among them, not a text column
-        row = int(np.argmax(bad.to_numpy())) + (3 if has_units else 2)
-        raise UserError(f"{path}: line {row}, column {column.name}: {text[bad].iloc[0]!r} is not a number")
+        line = int(np.argmax(bad.to_numpy())) + (3 if has_units else 2)
+        cell = shown(text[bad].iloc[0], 40)
+        raise UserError(f"{path}: line {line}, column {shown(column.name)}: {cell!r} is not a number")
     return values.to_numpy(float, na_value=np.nan)
 
 

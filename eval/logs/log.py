@@ -97,8 +97,11 @@ class FlightLog:
     def pieces(self, shortest: float = 0.0) -> tuple[FlightLog, ...]:
         """The stretches between holes that last at least `shortest` seconds and two rows."""
         ends = [0, *(self.gap_starts + 1), len(self)]
-        pieces = [self.rows(slice(a, b)) for a, b in itertools.pairwise(ends) if b - a >= 2]
-        return tuple(piece for piece in pieces if piece.duration >= shortest)
+        return tuple(
+            self.rows(slice(a, b))
+            for a, b in itertools.pairwise(ends)
+            if b - a >= 2 and self.t[b - 1] - self.t[a] >= shortest
+        )
 
     def resampled(self, rate: float) -> FlightLog:
         """On an even grid of `rate` rows per second from the first row on.

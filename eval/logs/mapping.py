@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import fnmatch
+import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -12,11 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.eval.logs import units
+from inclined_landing.eval.logs import limits, units
 from inclined_landing.eval.logs.record import Record
-from inclined_landing.models.errors import UserError
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, shown
 
 _SOURCE_KEYS = {"column", "unit", "sign", "add", "late", "mean", "sum"}
+DEEPEST = 20  # mapping files that inherit one another
 _FILE_KEYS = {"description", "detect", "inherit", "euler", "notes", "refuse", "columns"}
 
 
@@ -59,7 +62,7 @@ def shipped() -> Mapping[str, ColumnMap]:
     """The mappings that come with this package, by name."""
     folder = resources.files("inclined_landing.eval.logs") / "mappings"
     files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
-    return {f.name[:-5]: _parse(f.name[:-5], f.name, f.read_text("utf-8")) for f in files}
+    return {f.name[:-5]: _parse(f.name[:-5], f.name, tomllib.loads(f.read_text("utf-8")), ()) for f in files}
 
 
 def load(name: str | Path) -> ColumnMap:
@@ -69,14 +72,21 @@ def load(name: str | Path) -> ColumnMap:
     """
     if str(name) in shipped():
         return shipped()[str(name)]
-    path = Path(name)
-    if not path.is_file():
-        raise UserError(f"no mapping {name}: neither a file nor one of {', '.join(shipped())}")
-    try:
-        text = path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: not a readable mapping file ({error})") from error
-    return _parse(path.stem, str(path), text)
+    return _load(Path(name), ())
+
+
+def _load(path: Path, heirs: tuple[Path, ...]) -> ColumnMap:
+    """The mapping file, or the shipped mapping of that name, which `heirs` inherit."""
+    if str(path) in shipped():
+        return shipped()[str(path)]
+    if path.resolve() in heirs:
+        raise UserError(f"{heirs[0]}: inherit leads back to {path}")
+    if not os.path.lexists(path):
+        whose = f"{heirs[-1]}: inherit: " if heirs else ""
+        raise UserError(f"{whose}no mapping {path}: neither a file nor one of {', '.join(shipped())}")
+    if len(heirs) > DEEPEST:
+        raise UserError(f"{heirs[0]}: inherit goes through more than {DEEPEST} files")
+    return _parse(path.stem, str(path), storage.read_toml(path, "mapping"), (*heirs, path.resolve()))
 
 
 def detect(names: Sequence[str], where: str) -> ColumnMap:
@@ -87,7 +97,7 @@ def detect(names: Sequence[str], where: str) -> ColumnMap:
     fitting = [m for m in shipped().values() if m.detect and all(_any(names, d) for d in m.detect)]
     if not fitting:
         raise UserError(
-            f"{where}: its columns ({', '.join(names)}) are those of no known kind of log; "
+            f"{where}: its columns ({shown(', '.join(names), 90)}) are those of no known kind of log; "
             "expected t, x, y, z, roll, pitch, yaw, cmd_thrust_pwm, cmd_roll, cmd_pitch, or a mapping file"
         )
     return max(fitting, key=lambda m: len(m.detect))
@@ -137,7 +147,10 @@ def apply(
         if clock is None:
             wanted = ", ".join(s.columns[0] for s in column_map.columns.get("t", ()))
             raise UserError(f"{where}: no time column ({wanted or 't'})")
-        _check_clock(where, clock)
+        _check_clock(where, clock.value, f"column {clock.column}")
+        if clock.value[0] == clock.value[-1]:
+            rows = f"{len(clock.value)} row{'s' if len(clock.value) > 1 else ''}"
+            raise UserError(f"{where}: {rows}, all at {clock.value[0]:g} s ({clock.column}): not a flight")
     channels = {}
     for canonical in column_map.columns:
         if canonical == "t":
@@ -164,87 +177,116 @@ def _channel(canonical, column_map, record, names, given, clock, notes) -> Chann
         if np.isnan(value).all():
             continue  # a column of empty cells was not logged
         time = record.times[found[0]] if record.times else clock
+        if record.times:
+            _check_clock(record.path, time, f"the time of {found[0]}")
         if source.late:
             notes.append(f"{canonical} is dated {1e3 * source.late:.0f} ms earlier than in the file")
-        return Channel(time - source.late, source.sign * scale * value + source.add, "+".join(found))
+        value = source.sign * scale * value + source.add
+        if canonical != "t" and not (np.abs(value) < limits.LARGEST_VALUE).any():
+            raise UserError(
+                f"{record.path}: column {'+'.join(found)} ({canonical}) holds no number of a flight"
+            )
+        return Channel(time - source.late, value, "+".join(found))
     return None
 
 
-def _check_clock(where: str, clock: Channel) -> None:
-    bad = np.flatnonzero(~np.isfinite(clock.value))
+def _check_clock(where: str, t: np.ndarray, column: str) -> None:
+    bad = np.flatnonzero(~np.isfinite(t))
     if bad.size:
-        raise UserError(f"{where}: column {clock.column} has no number in row {bad[0] + 1} of the data")
-    back = np.flatnonzero(np.diff(clock.value) < 0)
+        raise UserError(f"{where}: {column} has no number in row {bad[0] + 1} of the data")
+    back = np.flatnonzero(t[1:] < t[:-1])
     if back.size:
-        a, b = clock.value[back[0] : back[0] + 2]
+        a, b = t[back[0] : back[0] + 2]
         raise UserError(
-            f"{where}: column {clock.column} goes back from {a:g} to {b:g} s "
+            f"{where}: {column} goes back from {a:g} to {b:g} s "
             f"in row {back[0] + 2} of the data; are two flights in one file?"
+        )
+    if t[-1] - t[0] > limits.LONGEST:
+        row = int(np.argmax(np.diff(t)))
+        raise UserError(
+            f"{where}: {column} runs over {t[-1] - t[0]:.3g} s, in one step from {t[row]:.6g} to "
+            f"{t[row + 1]:.6g} s; a flight lasts at most {limits.LONGEST:g} s: state the unit of time, "
+            "or cut the flight out"
         )
 
 
-def _parse(name: str, where: str, text: str) -> ColumnMap:
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{where}: not valid TOML ({error})") from error
-    _only(where, "", data, _FILE_KEYS)
+def _parse(name: str, where: str, data: dict, heirs: tuple[Path, ...]) -> ColumnMap:
+    _only(where, data, _FILE_KEYS)
+    for key in ("description", "inherit", "refuse"):
+        if not isinstance(data.get(key, ""), str):
+            raise UserError(f"{where}: {key} must be text, not {shown(data[key])}")
+    given = data.get("columns", {})
+    if not isinstance(given, dict):
+        raise UserError(f"{where}: columns must be a table, not {shown(given)}")
     columns = {}
-    inherited = data.get("inherit")
-    if inherited is not None:
-        columns |= load(inherited).columns
-    for canonical, entry in data.get("columns", {}).items():
+    if data.get("inherit"):
+        columns |= _load(Path(data["inherit"]), heirs).columns
+    for canonical, entry in given.items():
         if canonical not in units.COLUMNS:
-            raise UserError(f"{where}: [columns] {canonical} is not one of {', '.join(units.COLUMNS)}")
+            raise UserError(f"{where}: [columns] {shown(canonical)} is not one of {', '.join(units.COLUMNS)}")
         entries = entry if isinstance(entry, list) else [entry]
+        if not entries:
+            raise UserError(f"{where}: [columns] {canonical} names no column")
         columns[canonical] = tuple(_source(where, canonical, item) for item in entries)
     euler = data.get("euler", "ZXY")
     if euler not in ("ZXY", "ZYX"):
-        raise UserError(f"{where}: euler = {euler!r}; expected ZXY or ZYX")
+        raise UserError(f"{where}: euler = {shown(euler)!r}; expected ZXY or ZYX")
     if not columns and "refuse" not in data:
         raise UserError(f"{where}: no [columns]")
     return ColumnMap(
         name=name,
         description=data.get("description", ""),
         columns=columns,
-        detect=tuple(data.get("detect", ())),
+        detect=_texts(where, "detect", data.get("detect", [])),
         euler=euler,
-        notes=tuple(data.get("notes", ())),
+        notes=_texts(where, "notes", data.get("notes", [])),
         refuse=data.get("refuse"),
     )
 
 
 def _source(where: str, canonical: str, entry) -> Source:
-    if isinstance(entry, str):
-        return Source((entry,))
+    entry = {"column": entry} if isinstance(entry, str) else entry
+    where = f"{where}: [columns] {canonical}"
     if not isinstance(entry, dict):
-        raise UserError(f"{where}: [columns] {canonical} must be a column name or a table with one")
-    _only(where, f"[columns] {canonical}: ", entry, _SOURCE_KEYS)
+        raise UserError(f"{where} must be a column name or a table with one, not {shown(entry)}")
+    _only(where, entry, _SOURCE_KEYS)
     kinds = [key for key in ("column", "mean", "sum") if key in entry]
     if len(kinds) != 1:
-        raise UserError(f"{where}: [columns] {canonical} needs exactly one of column, mean, sum")
+        raise UserError(f"{where} needs exactly one of column, mean, sum")
     kind = kinds[0]
-    columns = (entry[kind],) if kind == "column" else tuple(entry[kind])
-    if not columns or not all(isinstance(column, str) for column in columns):
-        raise UserError(f"{where}: [columns] {canonical}: {kind} must name columns")
-    if entry.get("sign", 1) not in (1, -1):
-        raise UserError(f"{where}: [columns] {canonical}: sign must be 1 or -1")
+    columns = _texts(where, kind, [entry[kind]] if kind == "column" else entry[kind])
+    if not all(columns) or not columns:
+        raise UserError(f"{where}: {kind} must name columns")
     if "unit" in entry:
-        units.factor(canonical, str(entry["unit"]), f"{where}: [columns]")
-    for key in ("add", "late"):
-        if not isinstance(entry.get(key, 0), (int, float)):
-            raise UserError(f"{where}: [columns] {canonical}: {key} must be a number")
+        (unit,) = _texts(where, "unit", [entry["unit"]])
+        units.factor(canonical, unit, where)
+    sign = entry.get("sign", 1)
+    if type(sign) not in (int, float) or sign not in (1, -1):
+        raise UserError(f"{where}: sign must be 1 or -1, not {shown(sign)}")
     return Source(
         columns,
         derived=None if kind == "column" else kind,
         unit=entry.get("unit"),
-        sign=float(entry.get("sign", 1)),
-        add=float(entry.get("add", 0.0)),
-        late=float(entry.get("late", 0.0)),
+        sign=float(sign),
+        add=_number(where, "add", entry, 0.0, limits.LARGEST_VALUE),
+        late=_number(where, "late", entry, 0.0, limits.LATEST),
     )
 
 
-def _only(where: str, table: str, given: Mapping, known: set[str]) -> None:
+def _texts(where: str, key: str, given) -> tuple[str, ...]:
+    if not isinstance(given, list) or not all(isinstance(text, str) for text in given):
+        raise UserError(f"{where}: {key} must be text (where several are meant, a list), not {shown(given)}")
+    return tuple(given)
+
+
+def _number(where: str, key: str, entry: Mapping, default: float, most: float) -> float:
+    value = entry.get(key, default)
+    if type(value) not in (int, float) or not abs(value) <= most:
+        raise UserError(f"{where}: {key} must be a number from {-most:g} to {most:g}, not {shown(value)}")
+    return float(value)
+
+
+def _only(where: str, given: Mapping, known: set[str]) -> None:
     unknown = [key for key in given if key not in known]
     if unknown:
-        raise UserError(f"{where}: {table}{unknown[0]} is not one of {', '.join(sorted(known))}")
+        raise UserError(f"{where}: {shown(unknown[0])} is not one of {', '.join(sorted(known))}")

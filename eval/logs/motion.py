@@ -59,11 +59,11 @@ def motion(log: FlightLog) -> list[Motion]:
     """The stretches with the motors on, without holes, that last at least SHORTEST."""
     result = []
     for piece in log.pieces(SHORTEST):
-        off = np.flatnonzero(piece.command[:, 0] <= MOTORS_OFF)
-        for rows in np.split(np.arange(len(piece)), off):
-            rows = np.setdiff1d(rows, off)
-            if len(rows) > 1 and piece.t[rows[-1]] - piece.t[rows[0]] >= SHORTEST:
-                result.append(_motion(piece.rows(rows).resampled(RATE)))
+        on = ~(piece.command[:, 0] <= MOTORS_OFF)
+        edges = np.flatnonzero(np.diff(np.r_[False, on, False]))
+        for a, b in edges.reshape(-1, 2):
+            if b - a > 1 and piece.t[b - 1] - piece.t[a] >= SHORTEST:
+                result.append(_motion(piece.rows(slice(a, b)).resampled(RATE)))
     return result
 
 

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas
 
-from inclined_landing.eval.logs import assemble, bag, checks, csv_file, sd_card
+from inclined_landing.eval.logs import assemble, checks, csv_file, limits, sd_card
 from inclined_landing.eval.logs import mapping as mappings
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
 from inclined_landing.eval.logs.mapping import ColumnMap
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.eval.logs.units import COLUMNS, factor
 from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
+
+BAGS = (".bag", ".mcap", ".db3")
 
 
 def read_log(
@@ -79,15 +82,15 @@ def _read(paths: list[Path], chosen: str | Path | None, units: dict[str, str], n
 
 
 def _record(path: Path, column_map: ColumnMap | None) -> Record:
-    if not path.exists():
-        raise UserError(f"no flight log {path}")
-    try:
-        if path.is_dir() or path.suffix in bag.SUFFIXES:
-            return bag.read(path, mappings.patterns(column_map))
-        if sd_card.is_sd_card_log(path):
-            return sd_card.read(path)
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from error
+    folder = limits.check_file(path)
+    if folder or path.suffix in BAGS:
+        try:
+            from inclined_landing.eval.logs import bag
+        except ImportError as error:
+            raise UserError(f"{path}: ROS bags need rosbags; pip install 'inclined-landing[eval]'") from error
+        return bag.read(path, mappings.patterns(column_map))
+    if sd_card.is_sd_card_log(path):
+        return sd_card.read(path)
     return csv_file.read(path)
 
 
@@ -100,13 +103,12 @@ def _check_units(units: Mapping[str, str], where: str) -> None:
 
 def _paths(path: str | Path | Sequence[str | Path]) -> list[Path]:
     if isinstance(path, (str, Path)):
-        if "+" in str(path) and not Path(path).exists():
-            return [Path(part) for part in str(path).split("+")]
-        return [Path(path)]
-    if not path:
-        raise UserError("no flight log given")
+        whole = "+" not in str(path) or os.path.exists(path)
+        path = [path] if whole else str(path).split("+")
+    if not path or not all(str(part).strip() for part in path):
+        raise UserError("no flight log given, or an empty name among several")
     return [Path(part) for part in path]
 
 
 def _stem(path: Path) -> str:
-    return path.name.removesuffix(".gz").removesuffix(".csv")
+    return shown(path.name).removesuffix(".gz").removesuffix(".csv")

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
+from inclined_landing.eval.logs.limits import MOST_PER_SECOND
 from inclined_landing.eval.logs.log import COMMANDS, GAP_SECONDS, GAP_STEPS, MEASURED, FlightLog
 
 SHORTEST = 1.0  # s: below, not even one prediction window with room for delays
@@ -35,6 +36,9 @@ def check(log: FlightLog) -> Iterator[Finding]:
 def _time(log: FlightLog) -> Iterator[Finding]:
     if log.duration < SHORTEST:
         yield refuse("t", f"lasts only {log.duration:.2g} s; at least {SHORTEST:g} s of flight are needed")
+        return
+    if log.rate > MOST_PER_SECOND:
+        yield refuse("t", f"has {log.rate:.3g} rows per second: state the unit of time")
         return
     if log.duration < SHORT:
         yield limit("t", f"lasts only {log.duration:.2g} s: little can be told from it")
@@ -87,7 +91,10 @@ def _position(log: FlightLog) -> Iterator[Finding]:
     if len(jumps):
         # Wide enough to be a hole: what comes before and after is not predicted from one another.
         width = 0.6 * max(GAP_STEPS / log.rate, GAP_SECONDS)
-        near = np.flatnonzero((np.abs(log.t[:, None] - log.t[jumps]) <= width).any(axis=1))
+        before = np.maximum(np.searchsorted(jumps, np.arange(len(log))) - 1, 0)
+        after = np.minimum(before + 1, len(jumps) - 1)
+        away = [np.abs(log.t - log.t[jumps[k]]) for k in (before, after)]
+        near = np.flatnonzero(np.minimum(*away) <= width)
         often = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
         text = f"position jumps for good {often} at t = {log.t[jumps[0]]:.2f} s"
         yield limit("x, y, z", f"{text}: the rows around are left out", rows=tuple(map(int, near)))

@@ -309,7 +309,7 @@ def test_a_mapping_names_scales_turns_shifts_and_derives(tmp_path):
         ("[columns]\nz = { column = 'z', unit = 's' }", "unit 's' of column z is not known"),
         ("[columns]\nz = { column = 'z', sign = 2 }", "sign must be 1 or -1"),
         ("euler = 'XYZ'\n[columns]\nz = 'z'", "euler = 'XYZ'; expected ZXY or ZYX"),
-        ("[columns", "not valid TOML"),
+        ("[columns", "is not TOML"),
         ("", r"no \[columns\]"),
     ],
 )
