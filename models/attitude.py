@@ -94,3 +94,12 @@ def rotation(roll, pitch, yaw):
     r[1, 0], r[1, 1], r[1, 2] = sy * cp + cy * sr * sp, cy * cr, sy * sp - cy * sr * cp
     r[2, 0], r[2, 1], r[2, 2] = -cr * sp, sr, cr * cp
     return r
+
+
+@numba.njit(cache=True, nogil=True)
+def rotations(attitude):
+    """Rotation matrices (m, 3, 3) of attitudes (m, 3)."""
+    r = np.empty((attitude.shape[0], 3, 3))
+    for k in range(attitude.shape[0]):
+        r[k] = rotation(attitude[k, 0], attitude[k, 1], attitude[k, 2])
+    return r

@@ -58,6 +58,10 @@ class NamedEffect:
     follows_from: str = ""  # another named effect that entails this one: no cause of its own
     note: str = ""  # a sentence, e.g. that all delays agree
 
+    def values(self) -> dict[str, float]:
+        """Fitted parameter values."""
+        return {name: p.value for name, p in self.parameters.items()}
+
 
 @dataclasses.dataclass(frozen=True)
 class Candidate:
@@ -170,7 +174,7 @@ class Diagnosis:
 
     def values(self) -> dict[str, dict[str, float]]:
         """Fitted parameter values: effect -> parameter -> value."""
-        return {e.name: {p: x.value for p, x in e.parameters.items()} for e in self.effects}
+        return {e.name: e.values() for e in self.effects}
 
     def apply(self, vehicle: Vehicle, library=None) -> Vehicle:
         """`vehicle` with the named effects added."""

@@ -1,6 +1,6 @@
 """Effects of the air: drag, wind, inflow and surfaces nearby."""
 
-from inclined_landing.models.effects.effect import Effect, Parameter, added, scaled
+from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added, scaled
 
 EFFECTS = (
     Effect(
@@ -9,27 +9,32 @@ EFFECTS = (
         "modelled.",
         formula="F_a = scale diag(drag) w_sum v_body",
         source="Foerster 2015; fitted flights of similar vehicles show up to 1.5 times as much",
-        parameters=(Parameter("scale", "1", 1.0, (0.0, 6.0), 1.5, 0.1),),
+        parameters=(
+            Parameter(
+                *("scale", "1", 1.0, (0.0, 6.0), 1.5, 0.1),
+                constant=FittedConstant("rotor drag", "drag_coefficients", "1", lambda v, x: x),
+            ),
+        ),
         regimes=("lateral", "climb"),
         confused_with=("body_drag", "wind", "translational_lift"),
         remedy="Accept the corrected coefficient; a flight at high speed tells it from quadratic body drag.",
         channels=("translation",),
-        requires=(),
         apply=scaled("drag_coefficients"),
+        says="the rotors have {scale} times the modelled drag",
     ),
     Effect(
         name="body_drag",
         description="Drag of body, decks and markers, growing with the square of the air speed.",
         formula="F_a += -coefficient |v_air| v_air",
         source="drag of a blunt body: half of air density, drag coefficient and area; 0.006 kg/m for 0.01 m2",
-        parameters=(Parameter("coefficient", "kg/m", 0.0, (0.0, 0.08), 0.006, 0.0005),),
+        parameters=(Parameter("coefficient", "kg/m", 0.0, (0.0, 0.08), 0.006, 0.0005, one_signed=True),),
         regimes=("lateral", "climb"),
         confused_with=("rotor_drag", "wind"),
         remedy="Remove what stands in the wind, or accept the term. A slow and a fast flight over the same "
         "way tell it from rotor drag.",
         channels=("translation",),
-        requires=(),
         apply=added("effects_body_drag", "coefficient"),
+        says="the body has a quadratic drag of {coefficient}",
     ),
     Effect(
         name="wind",
@@ -46,8 +51,8 @@ EFFECTS = (
         remedy="Switch off the ventilation and close the doors. Hovering at two headings a quarter turn "
         "apart tells it from a trim, which turns with the vehicle.",
         channels=("translation",),
-        requires=(),
         apply=added("effects_wind", "x", "y"),
+        says="the air moves with {x} along x and {y} along y",
     ),
     Effect(
         name="translational_lift",
@@ -59,8 +64,8 @@ EFFECTS = (
         confused_with=("rotor_drag", "body_drag", "axial_inflow"),
         remedy="Expect to gain height in fast flight and give less thrust there.",
         channels=("translation",),
-        requires=(),
         apply=added("effects_translational_lift", "coefficient"),
+        says="fast flight through the air adds thrust ({coefficient})",
     ),
     Effect(
         name="axial_inflow",
@@ -73,8 +78,8 @@ EFFECTS = (
         confused_with=("rotor_drag", "motor_lag", "translational_lift"),
         remedy="Give more thrust in climbs and less in descents than the hover thrust suggests.",
         channels=("translation",),
-        requires=(),
         apply=added("effects_axial_inflow", "coefficient"),
+        says="climbing costs thrust and sinking adds it ({coefficient})",
     ),
     Effect(
         name="ground_effect",
@@ -84,13 +89,13 @@ EFFECTS = (
         formula="F_i times (1 + strength (r/(4 h_i))^2), r/(4 h_i) at most 1/2",
         source="Cheeseman and Bennett 1955 (strength 1, one rotor); multirotors measure several times that, "
         "4 to 9 % below 7 cm in the nanobench flights",
-        parameters=(Parameter("strength", "1", 0.0, (-2.0, 40.0), 5.0, 0.5),),
+        parameters=(Parameter("strength", "1", 0.0, (-2.0, 40.0), 5.0, 0.5, one_signed=True),),
         regimes=("near_surface", "touchdown"),
         confused_with=("thrust_scale", "thrust_bias", "platform_height"),
         remedy="Reduce the thrust during the last 10 cm, or approach faster. Flights near to and far from "
         "surfaces tell it from a thrust scale.",
         channels=("translation", "attitude"),
-        requires=(),
         apply=added("effects_ground_effect", "strength"),
+        says="near a surface the rotors give more thrust (strength {strength})",
     ),
 )

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from inclined_landing.models.effects.effect import Effect, Parameter, added, scaled
+from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added, scaled
 
 
 def _second_order(vehicle, values):
@@ -12,19 +12,39 @@ def _second_order(vehicle, values):
     return dataclasses.replace(vehicle, attitude_bandwidth=1.0 / (1.0 / vehicle.attitude_bandwidth + lag))
 
 
+def _angles(plausible: float, field: str, name: str) -> tuple[Parameter, ...]:
+    """Roll and pitch added to a field of two angles."""
+
+    def angle(axis: str, k: int) -> Parameter:
+        constant = FittedConstant(
+            name.format(axis), field, "rad", lambda v, x: x + getattr(v, field)[k], offset=True
+        )
+        size = -plausible if k else plausible
+        return Parameter(axis, "rad", 0.0, (-0.25, 0.25), size, 0.002, constant=constant)
+
+    return angle("roll", 0), angle("pitch", 1)
+
+
 EFFECTS = (
     Effect(
         name="attitude_gain",
         description="The steady roll and pitch angles are another share of the commanded ones.",
         formula="d(angle)/dt = (scale gain command - angle)/time_constant",
         source="Kooi and Babuska 2021: k identified in flight; about 0.89 in the utias_fmpc flights",
-        parameters=(Parameter("scale", "1", 1.0, (0.4, 1.8), 0.9, 0.01),),
+        parameters=(
+            Parameter(
+                *("scale", "1", 1.0, (0.4, 1.8), 0.9, 0.01),
+                constant=FittedConstant(
+                    "attitude gain k", "attitude_gain", "1", lambda v, x: x * v.attitude_gain
+                ),
+            ),
+        ),
         regimes=("attitude_step", "lateral"),
         confused_with=("attitude_time_constant", "attitude_trim"),
         remedy="Check units and signs of the commands, then calibrate: multiply the commands by 1/scale.",
         channels=("attitude",),
-        requires=(),
         apply=scaled("attitude_gain"),
+        says="the vehicle tilts {scale} times as far as modelled",
     ),
     Effect(
         name="attitude_time_constant",
@@ -32,13 +52,21 @@ EFFECTS = (
         "the firmware, another inertia.",
         formula="d(angle)/dt = (gain command - angle)/(scale time_constant)",
         source="Kooi and Babuska 2021: tau = 0.184 s; about 0.06 s in the utias_fmpc flights",
-        parameters=(Parameter("scale", "1", 1.0, (0.15, 4.0), 0.7, 0.03),),
+        parameters=(
+            Parameter(
+                *("scale", "1", 1.0, (0.15, 4.0), 0.7, 0.03),
+                constant=FittedConstant(
+                    *("attitude time constant tau", "attitude_time_constant", "s"),
+                    lambda v, x: x * v.attitude_time_constant,
+                ),
+            ),
+        ),
         regimes=("attitude_step", "lateral"),
         confused_with=("second_order_attitude", "attitude_delay", "attitude_gain"),
         remedy="Use the attitude controller gains the model was identified with, or accept the new constant.",
         channels=("attitude",),
-        requires=(),
         apply=scaled("attitude_time_constant"),
+        says="the attitude loops have {scale} times the modelled time constant",
     ),
     Effect(
         name="second_order_attitude",
@@ -46,13 +74,21 @@ EFFECTS = (
         "respond with an S-shaped start instead of at once.",
         formula="bandwidth = 1/(1/attitude_bandwidth + rate_lag)",
         source="cascaded attitude and rate controllers of the Crazyflie firmware",
-        parameters=(Parameter("rate_lag", "s", 0.0, (-0.01, 0.15), 0.03, 0.004),),
+        parameters=(
+            Parameter(
+                *("rate_lag", "s", 0.0, (-0.01, 0.15), 0.03, 0.004),
+                one_signed=True,
+                constant=FittedConstant(
+                    *("rate loop lag", "attitude_bandwidth", "s"), lambda v, x: x + 1.0 / v.attitude_bandwidth
+                ),
+            ),
+        ),
         regimes=("attitude_step",),
         confused_with=("attitude_delay", "attitude_time_constant"),
         remedy="Raise the rate controller's gains, or check for slack in motor mounts and heavy propellers.",
         channels=("attitude",),
-        requires=(),
         apply=_second_order,
+        says="the rate loop lags {rate_lag} more than modelled",
     ),
     Effect(
         name="attitude_trim",
@@ -60,17 +96,14 @@ EFFECTS = (
         "frame: a tilted sensor, an uncalibrated accelerometer, or motion capture markers out of level.",
         formula="roll and pitch command + (roll, pitch)",
         source="the Crazyflie client's trim fields; -0.05 and -0.02 rad in the utias_fmpc flights",
-        parameters=(
-            Parameter("roll", "rad", 0.0, (-0.25, 0.25), 0.02, 0.002),
-            Parameter("pitch", "rad", 0.0, (-0.25, 0.25), -0.02, 0.002),
-        ),
+        parameters=_angles(0.02, "effects_attitude_trim", "{} trim"),
         regimes=("hover", "attitude_step", "lateral"),
         confused_with=("wind", "com_offset"),
         remedy="Calibrate the accelerometer on a level table, redefine the rigid body in the motion capture "
         "system, or enter the trim in the Crazyflie client.",
         channels=("attitude",),
-        requires=(),
         apply=added("effects_attitude_trim", "roll", "pitch"),
+        says="commanded level, the vehicle holds {roll} of roll and {pitch} of pitch",
     ),
     Effect(
         name="mocap_tilt",
@@ -79,17 +112,14 @@ EFFECTS = (
         "unchanged, but thrust seems to point elsewhere.",
         formula="measured R = R Rx(roll) Ry(pitch)",
         source="the utias_fmpc flights hover with 0.05 rad of measured roll",
-        parameters=(
-            Parameter("roll", "rad", 0.0, (-0.25, 0.25), 0.03, 0.002),
-            Parameter("pitch", "rad", 0.0, (-0.25, 0.25), -0.03, 0.002),
-        ),
+        parameters=_angles(0.03, "effects_mocap_tilt", "measured {}, tilt"),
         regimes=("hover", "lateral", "climb"),
         confused_with=("wind", "attitude_trim"),
         remedy="Redefine the rigid body with the vehicle on a level table, or turn the measured attitude "
         "back. To tell it from wind, hover while the vehicle yaws: a tilt turns with it, wind does not.",
         channels=("translation", "attitude"),
-        requires=(),
         apply=added("effects_mocap_tilt", "roll", "pitch"),
+        says="the measured attitude is turned against the rotors by {roll} of roll and {pitch} of pitch",
     ),
     Effect(
         name="yaw_drift",
@@ -101,7 +131,7 @@ EFFECTS = (
         confused_with=(),
         remedy="Keep the vehicle still while it starts, so that the gyroscopes calibrate.",
         channels=("yaw",),
-        requires=(),
         apply=added("effects_yaw_drift", "rate"),
+        says="the heading turns by {rate} without a command",
     ),
 )

@@ -54,7 +54,8 @@ EFFECTS = (
         parameters=(
             Parameter("sag", "1", 0.0, (-0.3, 0.7), 0.15, 0.01),
             Parameter(
-                "reference", "PWM", _SHIPPED.effects_battery_reference, (5000.0, 65000.0), 34100.0, 1000.0
+                *("reference", "PWM", _SHIPPED.effects_battery_reference, (5000.0, 65000.0), 34100.0, 1000.0),
+                is_reference=True,
             ),
         ),
         regimes=("hover", "climb", "low_battery"),
@@ -62,8 +63,10 @@ EFFECTS = (
         remedy="Use a fresh battery with low internal resistance, or log pm.vbat and scale the thrust "
         "command by nominal over measured voltage.",
         channels=("translation",),
-        requires=(),
         apply=_sag,
+        says="the thrust sags under load (sag {sag}, right at a load of {reference})",
+        # It also runs down, and its voltage follows the load at once, which looks like faster motors.
+        entails=("thrust_fade", "motor_lag", "thrust_delay"),
     ),
     Effect(
         name="battery_voltage",
@@ -75,14 +78,20 @@ EFFECTS = (
         "hover within 1.3 % in the nanobench flights",
         parameters=(
             Parameter("sensitivity", "1/V", 0.0, (-0.3, 1.2), 0.27, 0.02),
-            Parameter("reference", "V", _SHIPPED.effects_voltage_reference, (2.8, 4.6), 3.8, 0.03),
+            Parameter(
+                *("reference", "V", _SHIPPED.effects_voltage_reference, (2.8, 4.6), 3.8, 0.03),
+                is_reference=True,
+            ),
         ),
         regimes=("hover", "climb", "low_battery"),
         confused_with=("battery_sag", "thrust_fade", "thrust_scale"),
         remedy="Scale the thrust command by reference over measured voltage (pm.vbat), or switch on the "
         "firmware's battery compensation.",
         channels=("translation",),
-        requires=("voltage",),
         apply=_voltage,
+        says="the thrust follows the battery voltage by {sensitivity} (right at {reference})",
+        requires={"voltage": 0.02},
+        # As the sag under load.
+        entails=("thrust_fade", "motor_lag", "thrust_delay"),
     ),
 )

@@ -15,8 +15,10 @@ EFFECTS = (
         remedy="Weigh the vehicle as it flies and write the mass into the vehicle file. In free flight only "
         "thrust over mass can be seen, so that no flight tells mass from thrust.",
         channels=("translation",),
-        requires=(),
         apply=scaled("body_mass"),
+        says="the vehicle has {scale} times the modelled mass",
+        scales_thrust=True,
+        told_by="Weigh the vehicle: in free flight only the ratio of thrust to mass shows.",
     ),
     Effect(
         name="com_offset",
@@ -34,7 +36,7 @@ EFFECTS = (
         remedy="Balance the vehicle on two fingers under the motor arms and shift the battery. Climbs with "
         "changing thrust tell it from a trim, which does not grow with the thrust.",
         channels=("attitude",),
-        requires=(),
         apply=added("effects_com_offset", "x", "y"),
+        says="the thrust acts {x} forward and {y} left of the centre of mass",
     ),
 )

@@ -39,8 +39,8 @@ EFFECTS = (
         remedy="Tilt the platform until a switched-off vehicle slides: the tangent of that angle is the "
         "friction. Put rubber on the feet or a mat on the platform.",
         channels=("touchdown",),
-        requires=(),
         apply=scaled("contact_friction"),
+        says="the feet have {scale} times the modelled friction",
     ),
     Effect(
         name="contact_stiffness",
@@ -53,8 +53,8 @@ EFFECTS = (
         remedy="Drop the switched-off vehicle from 5 cm and film the rebound; measure the contact with "
         "restitution and contact time.",
         channels=("touchdown",),
-        requires=(),
         apply=lambda vehicle, values: _spring(vehicle, values.get("scale", 1.0), 1.0),
+        says="feet and platform are {scale} times as stiff as modelled",
     ),
     Effect(
         name="contact_damping",
@@ -67,7 +67,10 @@ EFFECTS = (
         remedy="Drop the switched-off vehicle from 5 cm and film the rebound; put foam under the feet if it "
         "bounces.",
         channels=("touchdown",),
-        requires=(),
         apply=lambda vehicle, values: _spring(vehicle, 1.0, values.get("scale", 1.0)),
+        says="touches are {scale} times as damped as modelled",
+        # Friction in MuJoCo answers within 1/damping of the contact: with less damping vehicles slide
+        # further than feet do.
+        couples_with=("friction",),
     ),
 )

@@ -1,6 +1,15 @@
 """Dead times between a command and its effect, and between the vehicle and what the ground station sees."""
 
-from inclined_landing.models.effects.effect import Effect, Parameter, added
+from inclined_landing.models.effects.effect import Effect, FittedConstant, Pair, Parameter, added
+
+
+def _delay(longest: float, plausible: float, negligible: float, name: str, field: str) -> Parameter:
+    """A delay of commands, added to a field of the vehicle."""
+    constant = FittedConstant(name, field, "s", lambda v, x: x + getattr(v, field), offset=True)
+    return Parameter(
+        *("delay", "s", 0.0, (0.0, longest), plausible, negligible), one_signed=True, constant=constant
+    )
+
 
 EFFECTS = (
     Effect(
@@ -8,28 +17,30 @@ EFFECTS = (
         description="The PWM command acts later than it was sent: radio, queues, the firmware's loop.",
         formula="PWM(t - delay) in the equations of thrust and lag",
         source="radio links of the Crazyflie: 2 to 20 ms; streams of the nanobench flights up to 35 ms apart",
-        parameters=(Parameter("delay", "s", 0.0, (0.0, 0.15), 0.02, 0.002),),
+        parameters=(_delay(0.15, 0.02, 0.002, "thrust delay", "effects_thrust_delay"),),
         regimes=("climb",),
         confused_with=("motor_lag", "spin_down", "mocap_delay"),
         remedy="Send commands at 100 Hz or more with a fresh radio channel, lower the load of the link, or "
         "predict the state by the delay before computing a command.",
         channels=("translation",),
-        requires=(),
         apply=added("effects_thrust_delay", "delay"),
+        says="thrust commands act {delay} after they were sent",
+        pairs_with=Pair("motor_lag", (0.03, 0.5)),  # late but quick: together they undo each other
     ),
     Effect(
         name="attitude_delay",
         description="The roll, pitch and yaw rate commands act later than they were sent.",
         formula="roll, pitch and yaw rate command (t - delay) in the attitude loops",
         source="radio links of the Crazyflie; about 60 ms in the utias_fmpc flights",
-        parameters=(Parameter("delay", "s", 0.0, (0.0, 0.2), 0.04, 0.003),),
+        parameters=(_delay(0.2, 0.04, 0.003, "attitude delay", "effects_attitude_delay"),),
         regimes=("attitude_step", "lateral"),
         confused_with=("second_order_attitude", "attitude_time_constant", "mocap_delay"),
         remedy="Send commands at 100 Hz or more with a fresh radio channel, lower the load of the link, or "
         "predict the state by the delay before computing a command.",
         channels=("attitude", "yaw"),
-        requires=(),
         apply=added("effects_attitude_delay", "delay"),
+        says="attitude commands act {delay} after they were sent",
+        pairs_with=Pair("attitude_time_constant", (0.05, 0.4)),  # the same of the attitude loops
     ),
     Effect(
         name="mocap_delay",
@@ -38,12 +49,17 @@ EFFECTS = (
         "controller sees, is late.",
         formula="measured(t) = state(t - delay)",
         source="motion capture over a network: 4 to 20 ms",
-        parameters=(Parameter("delay", "s", 0.0, (0.0, 0.15), 0.02, 0.002),),
+        parameters=(Parameter("delay", "s", 0.0, (0.0, 0.15), 0.02, 0.002, one_signed=True),),
         regimes=("attitude_step", "lateral", "climb"),
         confused_with=("thrust_delay", "attitude_delay"),
         remedy="Use the capture time stamps of the cameras instead of the time of arrival, or shift the log.",
         channels=("translation", "attitude", "yaw"),
-        requires=(),
         apply=added("effects_mocap_delay", "delay"),
+        says="the measured pose is {delay} older than its time stamp",
+        # An attitude estimate that is corrected by late measurements is wrong in proportion to the rates, and
+        # so is the loop closed over it.
+        entails=("attitude_gain", "attitude_time_constant", "second_order_attitude"),
+        unites=("thrust_delay", "attitude_delay"),
+        unites_because="commands of thrust and attitude that are late by the same time look the same",
     ),
 )

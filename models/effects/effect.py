@@ -9,6 +9,18 @@ from inclined_landing.models.parameters import Vehicle
 
 
 @dataclasses.dataclass(frozen=True)
+class FittedConstant:
+    """The vehicle's constant that a parameter rescales: what `landing-eval identify` fits and reports."""
+
+    name: str  # as a person calls it
+    field: str  # of Vehicle
+    unit: str  # of the number reported
+    number: Callable[[Vehicle, float], float]  # reported for a vehicle whose parameter is this value
+    also: tuple[str, ...] = ()  # fields that scale with it
+    offset: bool = False  # the parameter is added to the field, else the field is rescaled
+
+
+@dataclasses.dataclass(frozen=True)
 class Parameter:
     """One number of an effect."""
 
@@ -18,6 +30,26 @@ class Parameter:
     bounds: tuple[float, float]  # what a fit may find
     plausible: float  # a value that a real vehicle may well have
     negligible: float  # distance from neutral, in the unit, that nobody needs to correct
+    one_signed: bool = False  # below neutral lies no physical cause, only room for the noise of a fit
+    is_reference: bool = False  # where another parameter acts about; no size of its own, any value is neutral
+    constant: FittedConstant | None = None
+
+    @property
+    def is_factor(self) -> bool:
+        """Whether it multiplies (neutral is 1) instead of adding (neutral is 0)."""
+        return self.neutral == 1.0 and not self.is_reference
+
+    def size(self, value: float) -> float:
+        """How far a value is from neutral; 0 of a reference."""
+        return 0.0 if self.is_reference else value - self.neutral
+
+
+@dataclasses.dataclass(frozen=True)
+class Pair:
+    """An effect that undoes another one, so that the two together can hide what neither shows alone."""
+
+    name: str
+    starts: tuple[float, float]  # of the first parameters of the effect and of its partner, for a fit of both
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,6 +58,8 @@ class Effect:
 
     `apply(vehicle, values)` returns the vehicle with the effect on top of what it has already: scales
     multiply, offsets add. `values` maps parameter names to numbers; a missing name is neutral.
+
+    Everything that the gap workflow knows of an effect stands here; other effects are meant by name.
     """
 
     name: str
@@ -37,8 +71,22 @@ class Effect:
     confused_with: tuple[str, ...]  # effects that look alike in ordinary flights
     remedy: str  # what a person can do about it
     channels: tuple[str, ...]  # in what it shows: see CHANNELS
-    requires: tuple[str, ...]  # log channels without which it cannot be told
     apply: Callable[[Vehicle, Mapping[str, float]], Vehicle]
+    says: str  # part of a sentence; {parameter} stands for its value with unit
+    # Log channel without which it cannot be told -> change over the flights below which neither.
+    requires: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    # What it brings with it physically: found beside it, explaining less, that is no cause of its own.
+    entails: tuple[str, ...] = ()
+    # Those of `entails` that belong to its form, named whatever their size.
+    corrects: tuple[str, ...] = ()
+    pairs_with: Pair | None = None
+    scales_thrust: bool = False  # free flight shows the ratio of thrust to mass alone
+    # Effects that, found together and equal, are this one, and the sentence that says why.
+    unites: tuple[str, ...] = ()
+    unites_because: str = ""
+    # Not named beside it, because MuJoCo's contact couples what feet do not.
+    couples_with: tuple[str, ...] = ()
+    told_by: str = ""  # how it is told without a flight, a sentence; "": by flights
 
     @property
     def neutral(self) -> dict[str, float]:
@@ -49,6 +97,20 @@ class Effect:
     def plausible(self) -> dict[str, float]:
         """Parameter values of a real vehicle that has the effect."""
         return {p.name: p.plausible for p in self.parameters}
+
+    @property
+    def reference(self) -> Parameter | None:
+        """The parameter that the others act about, if there is one."""
+        return next((p for p in self.parameters if p.is_reference), None)
+
+    @property
+    def contact(self) -> bool:
+        """Whether it shows in touchdowns only."""
+        return self.channels == ("touchdown",)
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter called `name`."""
+        return next(p for p in self.parameters if p.name == name)
 
 
 REGIMES = ("hover", "climb", "lateral", "attitude_step", "near_surface", "low_battery", "touchdown")

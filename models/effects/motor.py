@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from inclined_landing.models.effects.effect import Effect, Parameter, added
+from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added
 
 
 def _lag(vehicle, values):
@@ -21,27 +21,41 @@ EFFECTS = (
         "the same. Heavier propellers and tired brushes slow them down.",
         formula="dOmega/dt = PWM - (lag_rate/scale) Omega,  F_t = (state_gain/scale) Omega + direct_gain PWM",
         source="Kooi and Babuska 2021: first-order motor function, 65 ms",
-        parameters=(Parameter("scale", "1", 1.0, (0.2, 5.0), 1.5, 0.05),),
+        parameters=(
+            Parameter(
+                *("scale", "1", 1.0, (0.2, 5.0), 1.5, 0.05),
+                constant=FittedConstant(
+                    "thrust lag", "thrust_lag_rate", "s", lambda v, x: x / v.thrust_lag_rate
+                ),
+            ),
+        ),
         regimes=("climb",),
         confused_with=("thrust_delay", "spin_down"),
         remedy="Check propellers and motors for drag (hair in the shaft, a bent axle). Fly steps of thrust "
         "to tell a lag from a pure delay.",
         channels=("translation",),
-        requires=(),
         apply=_lag,
+        says="the motors need {scale} times the modelled time to follow",
     ),
     Effect(
         name="spin_down",
         description="The motors slow down more slowly than they speed up: nothing brakes them but the air.",
         formula="dOmega/dt divided by (1 + excess) while it is negative",
         source="brushed motors without active braking",
-        parameters=(Parameter("excess", "1", 0.0, (-0.6, 6.0), 1.0, 0.1),),
+        parameters=(Parameter("excess", "1", 0.0, (-0.6, 6.0), 1.0, 0.1, one_signed=True),),
         regimes=("climb",),
         confused_with=("motor_lag", "thrust_delay", "thrust_bias"),
         remedy="Nothing is broken. Brake earlier in descents; steps of thrust up and down tell it from an "
         "equal lag.",
         channels=("translation",),
-        requires=(),
         apply=added("effects_spin_down", "excess"),
+        says="the motors' time constant grows by a share of {excess} while they slow down",
+        # Motors that slow down late give more thrust on average, because the attitude controller drives them
+        # up and down all the time, most in fast flight.
+        entails=(
+            *("thrust_bias", "thrust_scale", "mass", "battery_sag", "battery_voltage"),
+            *("motor_lag", "thrust_delay", "translational_lift", "axial_inflow"),
+        ),
+        corrects=("thrust_bias", "thrust_scale", "mass"),
     ),
 )

@@ -24,8 +24,8 @@ EFFECTS = (
         confused_with=("platform_tilt", "contact_stiffness", "ground_effect"),
         remedy="Put a motion capture marker on the platform, or the vehicle itself, and read its height.",
         channels=("touchdown",),
-        requires=(),
         apply=added("platform_surface_height", "offset"),
+        says="the platform's surface is off by {offset} in height",
     ),
     Effect(
         name="platform_tilt",
@@ -37,7 +37,7 @@ EFFECTS = (
         confused_with=("friction", "platform_height"),
         remedy="Put a spirit level app or three markers on the platform and read the angle.",
         channels=("touchdown",),
-        requires=(),
         apply=_tilt,
+        says="the platform's tilt is off by {offset}",
     ),
 )

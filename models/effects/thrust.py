@@ -1,6 +1,6 @@
 """Effects on the size of the collective thrust."""
 
-from inclined_landing.models.effects.effect import Effect, Parameter, added, scaled
+from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added, scaled
 
 EFFECTS = (
     Effect(
@@ -9,14 +9,23 @@ EFFECTS = (
         "motors of another batch, a thrust function identified on another vehicle.",
         formula="F_t = scale (state_gain Omega + direct_gain PWM)",
         source="Kooi and Babuska 2021: their flights needed 0.88 of the modelled force",
-        parameters=(Parameter("scale", "1", 1.0, (0.4, 1.6), 0.88, 0.005),),
+        parameters=(
+            Parameter(
+                *("scale", "1", 1.0, (0.4, 1.6), 0.88, 0.005),
+                constant=FittedConstant(
+                    *("thrust gain", "thrust_state_gain", "1", lambda v, x: x),
+                    also=("thrust_direct_gain", "effects_thrust_bias"),
+                ),
+            ),
+        ),
         regimes=("hover", "climb", "lateral"),
         confused_with=("mass", "thrust_bias", "battery_sag", "battery_voltage", "ground_effect"),
         remedy="Weigh the vehicle, to tell it from a wrong mass. Then replace worn or bent propellers, or "
         "accept the corrected thrust function.",
         channels=("translation",),
-        requires=(),
         apply=scaled("thrust_state_gain", "thrust_direct_gain"),
+        says="the rotors give {scale} times the modelled thrust",
+        scales_thrust=True,
     ),
     Effect(
         name="thrust_bias",
@@ -30,8 +39,9 @@ EFFECTS = (
         remedy="Fly climbs and descents with a wide range of PWM, to tell an offset from a scale. Check the "
         "firmware's base thrust.",
         channels=("translation",),
-        requires=(),
         apply=added("effects_thrust_bias", "force"),
+        says="a constant {force} is added to the thrust, whatever the command",
+        scales_thrust=True,
     ),
     Effect(
         name="thrust_fade",
@@ -45,7 +55,7 @@ EFFECTS = (
         remedy="Start with a full battery, fly shorter, or log the battery voltage and compensate the thrust "
         "command for it.",
         channels=("translation",),
-        requires=(),
         apply=added("effects_thrust_fade", "rate"),
+        says="the thrust falls by {rate} of flight",
     ),
 )

@@ -9,7 +9,7 @@ from inclined_landing.eval.gap import diagnose, measure_gap
 from inclined_landing.eval.gap.answer.identify import identify, static_map
 from inclined_landing.eval.gap.flights.windows import _on_the_ground, measurement_noise, prepare
 from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.naming import _bounded_step, spread_between
+from inclined_landing.eval.gap.search.fit import bounded_step, spread_between
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import effects, equations
 from inclined_landing.models.effects import LIBRARY
@@ -88,7 +88,7 @@ def test_errors_of_the_true_model_are_white(matched):
     """Unit variance in every channel within 10 %: 5 flights of 16 windows and 58 numbers scatter by 2 %."""
     prepared = [prepare(log, VEHICLE) for log in matched]
     problem = Problem(prepared, VEHICLE, LIBRARY)
-    white = np.concatenate([x[0] for x in problem.white([VEHICLE])])
+    white = np.concatenate(problem.white([VEHICLE] * len(prepared)))
     assert (white**2).mean(axis=(0, 2)) == pytest.approx(1.0, abs=0.1)
 
 
@@ -201,7 +201,7 @@ def test_one_flight_only_is_used_with_a_stated_limit(weak):
 def test_constant_voltage_tells_nothing(weak):
     logs = [dataclasses.replace(log, voltage=np.full(len(log), 3.9)) for log in weak]
     d = quick(logs)
-    assert any("battery voltage is constant" in note for note in d.notes)
+    assert any("voltage logged is constant: battery_voltage" in note for note in d.notes)
     assert not any("battery_voltage" in e.members for e in d.effects)
 
 
@@ -293,6 +293,6 @@ def test_rows_on_the_ground_are_no_free_flight():
 def test_what_would_leave_its_bounds_is_held_and_the_others_solved():
     a, b = np.array([[1.0, 0.9], [0.9, 1.0]]), np.array([1.0, 0.0])
     bounds = np.array([[-10.0, -1.0], [10.0, 1.0]])
-    step = _bounded_step(a, a, b, np.zeros(2), bounds, np.ones(2, bool))
+    step = bounded_step(a, a, b, np.zeros(2), bounds, np.ones(2, bool))
     assert step == pytest.approx([1.9, -1.0])
-    assert _bounded_step(a, a, b, np.zeros(2), bounds, np.array([True, False])) == pytest.approx([1.0, 0.0])
+    assert bounded_step(a, a, b, np.zeros(2), bounds, np.array([True, False])) == pytest.approx([1.0, 0.0])

@@ -30,39 +30,34 @@ from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import constants, load_vehicle
 
 FLIGHTS = ("a", "b", "c")
-NAMED = {"thrust_scale": {"scale": 0.88}, "attitude_trim": {"roll": 0.02, "pitch": -0.01}}
+SCALE, TRIM = {"scale": 0.88}, {"roll": 0.02, "pitch": -0.01}
 
 
 def estimate(effect, name, value):
-    p = next(p for p in LIBRARY[effect].parameters if p.name == name)
+    p = LIBRARY[effect].parameter(name)
     half = 0.1 * abs(value - p.neutral)
     per_flight = (value, value + half, float("nan"))
     ci = (value - half, value + half)
     return Estimate(value, p.unit, ci, p.neutral, p.bounds, False, per_flight, (half,) * 3, 0.0)
 
 
+def named(name, values, gain=0.5, *alike):
+    parameters = {p: estimate(name, p, x) for p, x in values.items()}
+    return NamedEffect(name, (name, *alike), parameters, gain, 9.0, LIBRARY[name].remedy)
+
+
 def example(verdict="effects"):
-    named = tuple(
-        NamedEffect(
-            name,
-            ("thrust_scale", "mass") if name == "thrust_scale" else (name,),
-            {p: estimate(name, p, x) for p, x in values.items()},
-            gain,
-            9.0,
-            LIBRARY[name].remedy,
-        )
-        for (name, values), gain in zip(NAMED.items(), (0.8, 0.1))
-    )
-    if verdict == "nothing":
-        named = ()
+    said = ()
+    if verdict != "nothing":
+        said = (named("thrust_scale", SCALE, 0.8, "mass"), named("attitude_trim", TRIM, 0.1))
     t = np.linspace(0.01, 1.0, 20)
     shape = np.outer(t, np.ones(6))
     left = Dependence("z", "height z", 0.4, np.arange(3.0), np.arange(3.0), "m/s2")
     return Diagnosis(
         verdict=verdict,
-        effects=named,
-        corrected=effects.apply(load_vehicle(), {e.name: NAMED[e.name] for e in named}),
-        separating_manoeuvre="Weigh the vehicle. To tell thrust_scale from mass: weigh." if named else None,
+        effects=said,
+        corrected=effects.apply(load_vehicle(), {e.name: e.values() for e in said}),
+        separating_manoeuvre="Weigh the vehicle. To tell thrust_scale from mass: weigh." if said else None,
         manoeuvres=(),
         where=tuple(
             WhereRow(r, c, 1.0, 0.1, 0.05, "m/s2" if c == "z" else "rad", 12)
@@ -108,13 +103,10 @@ def track():
 
 def test_every_effect_is_said_in_words_with_its_numbers():
     for name, effect in LIBRARY.items():
-        text = words.says(name, {p.name: (p.plausible, p.unit) for p in effect.parameters})
-        assert name in words._SAYS and re.search(r"\d", text) and "_" not in text
-    assert (
-        words.says("thrust_delay", {"delay": (0.012, "s")})
-        == "thrust commands act 12.0 ms after they were sent"
-    )
-    assert words.says("new_one", {"size": (2.0, "N")}) == "new one with size 2000 mN"
+        text = words.says(named(name, effect.plausible))
+        assert len(re.findall(r"-?\d[\d.]*", text)) == len(effect.parameters) and "_" not in text
+    late = words.says(named("thrust_delay", {"delay": 0.012}))
+    assert late == "thrust commands act 12.0 ms after they were sent"
 
 
 def test_headlines_say_what_is_known_and_what_is_not():

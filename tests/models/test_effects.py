@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.truth.equivalence.flying import largest_gaps, start_states
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
 from inclined_landing.eval.truth.equivalence.sequences import full_steps
@@ -30,8 +31,11 @@ V = load_vehicle()
 METRES, DEGREES = FLIGHT_LIMITS["rate_loop"]
 N = 8
 COMMANDS = full_steps(V, N, np.random.default_rng(4))[:150]
-TOUCHDOWN = ("friction", "contact_stiffness", "contact_damping", "platform_height", "platform_tilt")
-FREE = [name for name in LIBRARY if name not in (*TOUCHDOWN, "ground_effect")]
+TOUCHDOWN = [name for name, effect in LIBRARY.items() if effect.contact]
+# Flights high above everything show the others.
+FREE = [
+    name for name, effect in LIBRARY.items() if "near_surface" not in effect.regimes and not effect.contact
+]
 BOTH = ("mujoco", "analytic")
 WEIGHT = V.body_mass * V.environment_gravity
 
@@ -90,11 +94,24 @@ def test_every_effect_is_complete(name):
         assert len(text) > 8
     assert effect.parameters and effect.regimes and effect.channels
     assert set(effect.regimes) <= set(REGIMES) and set(effect.channels) <= set(CHANNELS)
-    assert set(effect.confused_with) <= set(LIBRARY) - {name}
+    pair = {effect.pairs_with.name} if effect.pairs_with else set()
+    for others in (effect.confused_with, effect.entails, effect.unites, effect.couples_with, pair):
+        assert set(others) <= set(LIBRARY) - {name}
+    assert set(effect.corrects) <= set(effect.entails) and bool(effect.unites) == bool(effect.unites_because)
+    assert set(effect.requires) <= {f.name for f in dataclasses.fields(FlightLog)}
+    says = effect.says.format(**{p.name: f"[{p.name}]" for p in effect.parameters})
+    assert all(f"[{p.name}]" in says for p in effect.parameters)
     for p in effect.parameters:
         low, high = p.bounds
         assert low <= p.neutral <= high and low < p.plausible < high and p.unit
         assert 0 < p.negligible < high - low
+        assert not (p.one_signed and -low > 0.1 * (high - low))  # room for noise only
+        if p.constant:  # what identify reports is a field that the effect changes
+            moved = effect.apply(V, {p.name: p.plausible})
+            changed_fields = {
+                f.name for f in dataclasses.fields(V) if getattr(moved, f.name) != getattr(V, f.name)
+            }
+            assert {p.constant.field, *p.constant.also} & changed_fields
     first = effect.parameters[0]
     assert abs(first.plausible - first.neutral) > first.negligible
     # Every size within the bounds can be flown.

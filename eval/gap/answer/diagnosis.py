@@ -21,17 +21,12 @@ from inclined_landing.eval.gap.result import (
     WindowCurves,
 )
 from inclined_landing.eval.gap.search import remainder, rollout, touchdown
-from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.naming import (
-    Search,
-    Thresholds,
-    left_out_vehicles,
-    refit,
-    search,
-    spread_between,
-)
+from inclined_landing.eval.gap.search.evidence import Problem, tellable
+from inclined_landing.eval.gap.search.fit import left_out_vehicles, refit, spread_between
+from inclined_landing.eval.gap.search.naming import Search, search
 from inclined_landing.eval.gap.search.prediction import CHANNELS
 from inclined_landing.eval.gap.search.touchdown import landings_of
+from inclined_landing.eval.gap.search.trial import Thresholds
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
@@ -65,14 +60,13 @@ def diagnose(
         platform = any(log.contact is not None and log.contact.any() for log in flights)
     fitted = prepare_all(flights, vehicle, platform, notes)
     judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
+    library, untold = tellable(library, fitted)
     problem = Problem(fitted, vehicle, library)
-    touches = {n: e for n, e in library.items() if set(e.channels) == {"touchdown"}}
-    _limits_in_words(problem, library, notes)
+    notes += [*_limits_in_words(problem), *untold]
     clock("prepare")
 
     contact_unknown = False
-    found = search(problem, limits)
-    found = merge_delays(problem, found)
+    found = united(problem, search(problem, limits))
     clock("name")
 
     effects = _named(problem, found)
@@ -82,8 +76,8 @@ def diagnose(
         after_vehicles = [problem.corrected(found.fit.values)] * len(judged)
     else:
         test, after_vehicles = problem, own
-    white_before = [x[0] for x in test.white([vehicle])]
-    white_after = [test.white_of(k, v) for k, v in enumerate(after_vehicles)]
+    white_before = test.white([vehicle] * len(test.flights))
+    white_after = test.white(after_vehicles)
     where = _where(test, white_before, white_after)
     left = remainder.assess(test, white_after, remainder.floors_with(test, found.fit.values))
     clock("where")
@@ -95,8 +89,8 @@ def diagnose(
     steps = list(found.steps)
     landed = landings_of(flights, corrected)
     after_contact = corrected
-    if len(landed) >= touchdown.FEWEST and touches:
-        contact, named = touchdown.name_contact(landed, corrected, touches)
+    if len(landed) >= touchdown.FEWEST and any(e.contact for e in library.values()):
+        contact, named = touchdown.name_contact(landed, corrected, library)
         after_contact = contact.corrected(named.fit.values)
         effects += _named(contact, named)
         steps += named.steps
@@ -166,8 +160,9 @@ class _Clock:
         self._last = now
 
 
-def _limits_in_words(problem: Problem, library, notes: list[str]) -> None:
-    n = len(problem.flights)
+def _limits_in_words(problem: Problem) -> list[str]:
+    """What the flights are too few or too short for."""
+    n, notes = len(problem.flights), []
     if n < FEW_FLIGHTS:
         notes.append(
             f"{n} flight{'s' * (n > 1)} only: parts of a flight take the place of flights left out, and "
@@ -176,48 +171,38 @@ def _limits_in_words(problem: Problem, library, notes: list[str]) -> None:
     seconds = sum(len(f.starts) * f.rows * f.dt for f in problem.flights)
     if seconds < 20.0:
         notes.append(f"{seconds:.0f} s of usable flight only: small effects cannot be seen")
-    if "battery_voltage" in library and "battery_voltage" not in problem.library:
-        notes.append("battery voltage not logged in every flight: only the sag with the load can be told")
-    elif "battery_voltage" in problem.library:
-        spans = [np.ptp(f.voltage[f.usable]) for f in problem.flights]
-        means = [f.voltage[f.usable].mean() for f in problem.flights]
-        if max(spans) < 0.02 and np.ptp(means) < 0.02:
-            del problem.library["battery_voltage"]
-            notes.append("the battery voltage is constant: its effect on the thrust cannot be told")
     if not problem.logged[:, 5].any():
         notes.append("yaw or its command not logged: the yaw channel was left out")
+    return notes
 
 
-def merge_delays(problem: Problem, found: Search) -> Search:
-    """Equal delays of thrust and attitude are one late measurement, where that explains as much."""
-    values = found.fit.values
-    if not {"thrust_delay", "attitude_delay"} <= set(values) or "mocap_delay" not in problem.library:
+def united(problem: Problem, found: Search) -> Search:
+    """Effects found that are equal are the one that unites them, where that explains as much."""
+    for name, effect in problem.library.items():
+        if effect.unites and set(effect.unites) <= set(found.fit.values):
+            found = _united(problem, found, name)
+    return found
+
+
+def _united(problem: Problem, found: Search, name: str) -> Search:
+    parts, values = problem.library[name].unites, found.fit.values
+    parameters = [problem.library[n].parameters[0] for n in parts]
+    sizes = [values[n][p.name] for n, p in zip(parts, parameters)]
+    variance = np.diag(found.fit.weighted.covariance(found.fit.index))[found.fit.weighted.index(parts)]
+    least = max(p.negligible for p in parameters)
+    if max(sizes) - min(sizes) > max(least, 2.5 * np.sqrt(variance.sum())):
         return found
-    a, b = values["thrust_delay"]["delay"], values["attitude_delay"]["delay"]
-    covariance = found.fit.weighted.covariance(found.fit.index)
-    columns = [c.effect for c in found.fit.weighted.columns]
-    error = np.sqrt(
-        covariance[columns.index("thrust_delay"), columns.index("thrust_delay")]
-        + covariance[columns.index("attitude_delay"), columns.index("attitude_delay")]
-    )
-    if abs(a - b) > max(0.003, 2.5 * error):
-        return found
-    merged = {k: v for k, v in values.items() if k not in ("thrust_delay", "attitude_delay")}
-    merged["mocap_delay"] = {"delay": 0.5 * (a + b)}
-    fit = refit(problem, merged, found.inflation)
-    gain = found.gains["thrust_delay"] + found.gains["attitude_delay"]
-    evidence = max(found.evidence["thrust_delay"], found.evidence["attitude_delay"])
-    drop = ("thrust_delay", "attitude_delay")
+    own = {problem.library[name].parameters[0].name: sum(sizes) / len(sizes)}
 
-    def keep(table: dict) -> dict:
-        return {name: value for name, value in table.items() if name not in drop}
+    def merged(table: dict, value) -> dict:
+        return {n: x for n, x in table.items() if n not in parts} | {name: value}
 
     return dataclasses.replace(
         found,
-        fit=fit,
-        gains=keep(found.gains) | {"mocap_delay": gain},
-        evidence=keep(found.evidence) | {"mocap_delay": evidence},
-        classes=keep(found.classes) | {"mocap_delay": ("mocap_delay",)},
+        fit=refit(problem, merged(values, own), found.inflation),
+        gains=merged(found.gains, sum(found.gains[n] for n in parts)),
+        evidence=merged(found.evidence, max(found.evidence[n] for n in parts)),
+        classes=merged(found.classes, (name,)),
     )
 
 
@@ -261,18 +246,12 @@ def _named(problem: Problem, found: Search) -> tuple[NamedEffect, ...]:
                 found.evidence.get(name, 0.0),
                 effect.remedy,
                 found.follows.get(name, ""),
-                _note(name, found),
+                f"follows from {cause} physically"
+                if (cause := found.follows.get(name))
+                else effect.unites_because,
             )
         )
     return tuple(sorted(effects, key=lambda e: -e.gain))
-
-
-def _note(name: str, found: Search) -> str:
-    if name in found.follows:
-        return f"follows from {found.follows[name]} physically"
-    if name == "mocap_delay":
-        return "commands of thrust and attitude that are late by the same time look the same"
-    return ""
 
 
 def _where(problem: Problem, before, after) -> tuple[WhereRow, ...]:

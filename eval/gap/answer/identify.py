@@ -15,34 +15,16 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from inclined_landing.eval.gap.flights.windows import Flight, prepare_all
+from inclined_landing.eval.gap.flights.windows import Measured, prepare_all
 from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.naming import Fit, left_out_vehicles, refit, spread_between
+from inclined_landing.eval.gap.search.fit import Fit, left_out_vehicles, refit, spread_between
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
-# Effects of the library that rescale what the model has.
-EFFECTS = (
-    "thrust_scale",
-    "motor_lag",
-    "thrust_delay",
-    "rotor_drag",
-    "attitude_gain",
-    "attitude_time_constant",
-    "second_order_attitude",
-    "attitude_delay",
-    "attitude_trim",
-    "mocap_tilt",
-)
-# Starts of the fit beside the neutral one: lag and delay of a loop can stand for one another, so that the
-# way from one to the other leads over a hill.
-STARTS = (
-    {},
-    {"attitude_time_constant": {"scale": 0.4}, "attitude_delay": {"delay": 0.05}},
-    {"motor_lag": {"scale": 0.5}, "thrust_delay": {"delay": 0.03}},
-)
+# Effects that rescale what the model has.
+EFFECTS = tuple(name for name, e in LIBRARY.items() if any(p.constant for p in e.parameters))
 # What the paper reports of the attitude loops: gain, time constant [s] and fit [%].
 PAPER = {name: getattr(load_vehicle(), name) for name in ("attitude_gain", "attitude_time_constant")}
 PAPER["fit"] = 85.3
@@ -141,7 +123,7 @@ def identify(
     channels = {}
     for channel, (measured, before, after) in _compared(test, vehicle, vehicles).items():
         channels[channel] = {"before": nrmse_fit(measured, before), "after": nrmse_fit(measured, after)}
-    parameters = _parameters(problem, fit, vehicle, result)
+    parameters = _parameters(problem, fit, vehicle)
     return Identification(
         vehicle=result,
         thrust=chosen,
@@ -154,16 +136,19 @@ def identify(
     )
 
 
-def _fit(flights: list[Flight], base: Vehicle) -> tuple[Problem, Fit]:
-    """All of EFFECTS together, from the best of STARTS."""
+def _fit(flights: list[Measured], base: Vehicle) -> tuple[Problem, Fit]:
+    """All of EFFECTS together, from the best start."""
     problem = Problem(flights, base, LIBRARY)
     return problem, _best(problem, EFFECTS)
 
 
 def _best(problem: Problem, names: Sequence[str]) -> Fit:
+    """The best fit from neutral and from the starts of pairs, from one to the other of which it is uphill."""
     values = {name: {} for name in names}
-    starts = [{n: v for n, v in start.items() if n in values} for start in STARTS]
-    fits = [refit(problem, values | start, np.ones(6), iterations=15) for start in starts]
+    fits = [refit(problem, values, np.ones(6), iterations=15)]
+    for pair in problem.pairs():
+        start = {n: {problem.library[n].parameters[0].name: x} for n, x in pair.items() if n in values}
+        fits.append(refit(problem, values | start, np.ones(6), iterations=15))
     return min(fits, key=lambda fit: fit.squares)
 
 
@@ -173,8 +158,8 @@ def _without_unseen(problem: Problem, fit: Fit, notes: list[str]) -> Fit:
         covariance = fit.weighted.covariance(fit.index)
         width = {}
         for k, column in enumerate(fit.weighted.columns):
-            p = next(p for p in problem.library[column.effect].parameters if p.name == column.parameter)
-            share = 4.0 * math.sqrt(covariance[k, k]) / (p.bounds[1] - p.bounds[0])
+            low, high = problem.parameter(column).bounds
+            share = 4.0 * math.sqrt(covariance[k, k]) / (high - low)
             width[column.effect] = max(share, width.get(column.effect, 0.0))
         worst = max(width, key=width.get)
         if width[worst] < TOO_WIDE:
@@ -190,7 +175,7 @@ def nrmse_fit(measured: np.ndarray, predicted: np.ndarray) -> float:
     return float(100.0 * (1.0 - np.linalg.norm(measured - predicted) / spread)) if spread > 0 else math.nan
 
 
-def _compared(flights: list[Flight], before: Vehicle, after: Sequence[Vehicle]):
+def _compared(flights: list[Measured], before: Vehicle, after: Sequence[Vehicle]):
     """Channel -> (measured, before, after): velocity changes over FIT_HORIZON, and angles open loop."""
     parts: dict[str, list] = {}
     for flight, own in zip(flights, after):
@@ -210,106 +195,28 @@ def _compared(flights: list[Flight], before: Vehicle, after: Sequence[Vehicle]):
     return {c: tuple(np.concatenate(x) for x in zip(*rows)) for c, rows in parts.items()}
 
 
-# Name, field of Vehicle, unit, effect, parameter, and the number's value from the effect's.
-_WORDS = (
-    ("thrust gain", "thrust_state_gain", "1", "thrust_scale", "scale", lambda v, x: x),
-    ("thrust lag", "thrust_lag_rate", "s", "motor_lag", "scale", lambda v, x: x / v.thrust_lag_rate),
-    (
-        "thrust delay",
-        "effects_thrust_delay",
-        "s",
-        "thrust_delay",
-        "delay",
-        lambda v, x: x + v.effects_thrust_delay,
-    ),
-    ("rotor drag", "drag_coefficients", "1", "rotor_drag", "scale", lambda v, x: x),
-    ("attitude gain k", "attitude_gain", "1", "attitude_gain", "scale", lambda v, x: x * v.attitude_gain),
-    (
-        "attitude time constant tau",
-        "attitude_time_constant",
-        "s",
-        "attitude_time_constant",
-        "scale",
-        lambda v, x: x * v.attitude_time_constant,
-    ),
-    (
-        "rate loop lag",
-        "attitude_bandwidth",
-        "s",
-        "second_order_attitude",
-        "rate_lag",
-        lambda v, x: x + 1.0 / v.attitude_bandwidth,
-    ),
-    (
-        "attitude delay",
-        "effects_attitude_delay",
-        "s",
-        "attitude_delay",
-        "delay",
-        lambda v, x: x + v.effects_attitude_delay,
-    ),
-    (
-        "measured roll, tilt",
-        "effects_mocap_tilt",
-        "rad",
-        "mocap_tilt",
-        "roll",
-        lambda v, x: x + v.effects_mocap_tilt[0],
-    ),
-    (
-        "measured pitch, tilt",
-        "effects_mocap_tilt",
-        "rad",
-        "mocap_tilt",
-        "pitch",
-        lambda v, x: x + v.effects_mocap_tilt[1],
-    ),
-    (
-        "roll trim",
-        "effects_attitude_trim",
-        "rad",
-        "attitude_trim",
-        "roll",
-        lambda v, x: x + v.effects_attitude_trim[0],
-    ),
-    (
-        "pitch trim",
-        "effects_attitude_trim",
-        "rad",
-        "attitude_trim",
-        "pitch",
-        lambda v, x: x + v.effects_attitude_trim[1],
-    ),
-)
-
-
-def _parameters(problem: Problem, fit: Fit, before: Vehicle, after: Vehicle) -> tuple[Identified, ...]:
+def _parameters(problem: Problem, fit: Fit, before: Vehicle) -> tuple[Identified, ...]:
     covariance = fit.weighted.covariance(fit.index)
     change, error = fit.weighted.per_flight(fit.index)
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
-    place = {(c.effect, c.parameter): k for k, c in enumerate(fit.weighted.columns)}
     result = []
-    for name, field, unit, effect, parameter, number in _WORDS:
-        if (effect, parameter) not in place:
-            continue
-        k = place[effect, parameter]
-        p = next(p for p in problem.library[effect].parameters if p.name == parameter)
-        value = fit.values[effect][parameter]
+    for k, column in enumerate(fit.weighted.columns):
+        p = problem.parameter(column)
+        c, value = p.constant, fit.values[column.effect][p.name]
         half = quantile * math.sqrt(covariance[k, k])
-        ends = sorted(number(before, float(np.clip(value + s * half, *p.bounds))) for s in (-1, 1))
-        note = "at its bound" if min(value - p.bounds[0], p.bounds[1] - value) < 1e-6 else ""
-        final = number(before, value)
+        ends = sorted(c.number(before, float(np.clip(value + s * half, *p.bounds))) for s in (-1, 1))
+        per_unit = abs(c.number(before, 2.0) - c.number(before, 1.0))
         result.append(
             Identified(
-                name,
-                field,
-                unit,
-                number(before, p.neutral),
-                final,
-                (ends[0], ends[1]),
-                tuple(number(before, float(x)) for x in value + change[:, k]),
-                spread_between(change[:, k], error[:, k]) * abs(number(before, 2.0) - number(before, 1.0)),
-                note,
+                name=c.name,
+                field=c.field,
+                unit=c.unit,
+                before=c.number(before, p.neutral),
+                value=c.number(before, value),
+                ci95=(ends[0], ends[1]),
+                per_flight=tuple(c.number(before, float(x)) for x in value + change[:, k]),
+                spread=spread_between(change[:, k], error[:, k]) * per_unit,
+                note="at its bound" if min(value - p.bounds[0], p.bounds[1] - value) < 1e-6 else "",
             )
         )
     return tuple(result)
@@ -317,26 +224,23 @@ def _parameters(problem: Problem, fit: Fit, before: Vehicle, after: Vehicle) -> 
 
 def _fields(before: Vehicle, after: Vehicle, parameters: tuple[Identified, ...]):
     """Changed fields of the vehicle with the half-width of their intervals, in the field's own unit."""
-    relative = {}
-    for p in parameters:
-        half = 0.5 * (p.ci95[1] - p.ci95[0])
-        relative.setdefault(p.field, []).append((half, half / max(abs(p.value), 1e-12)))
+    half = {p.name: 0.5 * (p.ci95[1] - p.ci95[0]) for p in parameters}
+    share = {p.name: half[p.name] / max(abs(p.value), 1e-12) for p in parameters}
+    offsets: dict[str, list[float]] = {}
+    factors: dict[str, float] = {}
+    for c in (p.constant for e in LIBRARY.values() for p in e.parameters if p.constant):
+        if c.name in half and c.offset:
+            offsets.setdefault(c.field, []).append(half[c.name])
+        elif c.name in half:
+            factors |= dict.fromkeys((c.field, *c.also), share[c.name])
     fields = {}
-    for f in dataclasses.fields(after):
-        value = getattr(after, f.name)
-        if value == getattr(before, f.name):
+    for name in (f.name for f in dataclasses.fields(after)):
+        value = getattr(after, name)
+        if value == getattr(before, name):
             continue
-        known = relative.get(f.name)
-        if known is None and f.name in ("thrust_direct_gain", "effects_thrust_bias"):
-            known = relative.get("thrust_state_gain")
-        if known is None:
-            fields[f.name] = 0.0 if not isinstance(value, tuple) else tuple(0.0 for _ in value)
-        elif f.name in ("effects_attitude_trim", "effects_mocap_tilt"):
-            fields[f.name] = tuple(h for h, _ in known)
-        elif f.name.startswith("effects_") and f.name.endswith("delay"):
-            fields[f.name] = known[0][0]
-        elif isinstance(value, tuple):
-            fields[f.name] = tuple(abs(x) * known[0][1] for x in value)
+        if isinstance(value, tuple):
+            factor = factors.get(name, 0.0)
+            fields[name] = tuple(offsets.get(name) or (abs(x) * factor for x in value))
         else:
-            fields[f.name] = abs(value) * known[0][1]
+            fields[name] = offsets[name][0] if name in offsets else abs(value) * factors.get(name, 0.0)
     return fields

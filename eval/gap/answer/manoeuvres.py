@@ -21,8 +21,6 @@ SECONDS = 20.0
 RATE = 100.0
 # Standard errors below which a flight tells nothing apart.
 SEPARATED = 3.0
-# Effects that only a scale tells apart: the vehicle's mass.
-WEIGH = "Weigh the vehicle: in free flight only the ratio of thrust to mass shows."
 
 
 def _yaw_turn(t):
@@ -115,8 +113,8 @@ def separating(problem: Problem, ties: Sequence[tuple[str, ...]], values) -> lis
         if len(members) < 2:
             continue
         scored = []
-        weigh = "mass" in members
-        members = tuple(m for m in members if not (weigh and m == "mass"))
+        told = " ".join(problem.library[m].told_by for m in members if problem.library[m].told_by)
+        members = tuple(m for m in members if not problem.library[m].told_by)
         for name, (text, _) in MANOEUVRES.items() if len(members) > 1 else ():
             flight = prepare(fly(name, problem.vehicle, noise), problem.vehicle)
             own = Problem([flight], problem.vehicle, problem.library)
@@ -135,11 +133,10 @@ def separating(problem: Problem, ties: Sequence[tuple[str, ...]], values) -> lis
             if best[0] < SEPARATED:
                 best = (best[0], "none", "")
                 words = f"None of the flights tried tells {_list(members)} apart"
-                words += ": correct any one of them." if weigh else "."
+                words += ": correct any one of them." if told else "."
         else:
-            best, words = (0.0, "weigh", ""), ""
-        if weigh:
-            words = (WEIGH + " " + words).strip()
+            best, words = (0.0, "none", ""), ""
+        words = f"{told} {words}".strip()
         result.append(
             {"name": best[1], "text": words, "separation": float(best[0]), "members": list(members)}
         )
@@ -150,13 +147,8 @@ def _separation(problem, a, lin, live, nuisance, values, members) -> float:
     """Standard errors between the accepted effect and the member closest to it."""
     first = members[0] if members[0] in live else live[0]
     own = lin.index([first])
-    size = []
-    for k in own:
-        column = lin.columns[k]
-        p = next(p for p in problem.library[first].parameters if p.name == column.parameter)
-        at = values.get(first, {}).get(p.name, p.plausible)
-        size.append((at - p.neutral) if p.name != "reference" else 0.0)
-    size = np.array(size)
+    parameters = [problem.parameter(lin.columns[k]) for k in own]
+    size = np.array([p.size(values.get(first, {}).get(p.name, p.plausible)) for p in parameters])
     distance = []
     for other in live:
         if other == first:

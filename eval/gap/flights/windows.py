@@ -14,8 +14,9 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from inclined_landing.eval.gap.flights.whitening import Whitening
-from inclined_landing.eval.gap.search.prediction import AMBIENT_SIZE, rotations
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.models.attitude import rotations
+from inclined_landing.models.equations import AMBIENT_SIZE
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
@@ -36,7 +37,7 @@ LEAST_POSITION_NOISE, LEAST_ANGLE_NOISE = 1e-4, 3e-4
 
 
 @dataclasses.dataclass
-class Flight:
+class Measured:
     """One flight on an even time grid; the arrays that `prediction.predict` needs, and its windows."""
 
     name: str
@@ -75,8 +76,8 @@ class Flight:
         return values[self.starts[:, None] + np.arange(self.rows)]
 
 
-def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False, window: float = WINDOW) -> Flight:
-    """A `Flight` from a log: the whitening's attitude modes are those of `vehicle`.
+def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False, window: float = WINDOW) -> Measured:
+    """A `Measured` flight from a log: the whitening's attitude modes are those of `vehicle`.
 
     platform: the slab of the vehicle file stands there (for the ground effect); else the floor only.
     Raises UserError, naming the flight, when there is too little to use.
@@ -128,7 +129,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False, window:
             f"{log.name}: no window of {window:g} s in free flight; nothing of it can be used "
             f"({100 * usable.mean():.0f} % of its rows are in flight)"
         )
-    flight = Flight(
+    flight = Measured(
         name=log.name,
         dt=dt,
         t=t,
@@ -158,7 +159,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False, window:
 
 def prepare_all(
     logs: Sequence[FlightLog], vehicle: Vehicle, platform: bool, notes: list[str]
-) -> list[Flight]:
+) -> list[Measured]:
     """Those of `logs` that can be used; the others, and what the logs note, are added to `notes`.
 
     Raises UserError when none can be used.
@@ -242,7 +243,7 @@ def _acceleration_noise(noise: np.ndarray, attitude: np.ndarray, vehicle: Vehicl
     return np.array([horizontal, horizontal, horizontal * min(1.0, 1.5 * tilt)])
 
 
-def _regimes(flight: Flight, vehicle: Vehicle, platform: bool) -> np.ndarray:
+def _regimes(flight: Measured, vehicle: Vehicle, platform: bool) -> np.ndarray:
     speed = flight.cut(flight.velocity)
     horizontal = np.hypot(speed[..., 0], speed[..., 1]).mean(axis=1)
     vertical = np.abs(speed[..., 2]).mean(axis=1)

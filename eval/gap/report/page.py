@@ -82,7 +82,7 @@ def table_block(heads: Sequence[str], numbers: Sequence[str], rows: Sequence[Seq
 
 
 def _card(effect: NamedEffect) -> dict:
-    says = words.effect_says(effect)
+    says = words.says(effect)
     lines = []
     for name, p in effect.parameters.items():
         of = "" if len(effect.parameters) == 1 else f" of {words.label(name)}"

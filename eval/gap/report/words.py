@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from inclined_landing.eval.gap.result import Diagnosis, Estimate, NamedEffect, PlantGap
+from inclined_landing.models.effects import LIBRARY, Effect
 
 # Factor and name of the unit a person reads, by the unit of the number.
 SHOWN = {
@@ -31,38 +32,6 @@ REGIMES = {
     "low_battery": "low battery",
     "touchdown": "touchdown",
     "all": "all windows",
-}
-# What an effect means with its fitted values.
-_SAYS = {
-    "thrust_scale": "the rotors give {scale} times the modelled thrust",
-    "thrust_bias": "a constant {force} is added to the thrust, whatever the command",
-    "thrust_fade": "the thrust falls by {rate} of flight",
-    "battery_sag": "the thrust sags under load (sag {sag}, right at a load of {reference})",
-    "battery_voltage": "the thrust follows the battery voltage by {sensitivity} (right at {reference})",
-    "motor_lag": "the motors need {scale} times the modelled time to follow",
-    "spin_down": "the motors' time constant grows by a share of {excess} while they slow down",
-    "mass": "the vehicle has {scale} times the modelled mass",
-    "com_offset": "the thrust acts {x} forward and {y} left of the centre of mass",
-    "rotor_drag": "the rotors have {scale} times the modelled drag",
-    "body_drag": "the body has a quadratic drag of {coefficient}",
-    "wind": "the air moves with {x} along x and {y} along y",
-    "translational_lift": "fast flight through the air adds thrust ({coefficient})",
-    "axial_inflow": "climbing costs thrust and sinking adds it ({coefficient})",
-    "ground_effect": "near a surface the rotors give more thrust (strength {strength})",
-    "thrust_delay": "thrust commands act {delay} after they were sent",
-    "attitude_delay": "attitude commands act {delay} after they were sent",
-    "mocap_delay": "the measured pose is {delay} older than its time stamp",
-    "attitude_gain": "the vehicle tilts {scale} times as far as modelled",
-    "attitude_time_constant": "the attitude loops have {scale} times the modelled time constant",
-    "second_order_attitude": "the rate loop lags {rate_lag} more than modelled",
-    "attitude_trim": "commanded level, the vehicle holds {roll} of roll and {pitch} of pitch",
-    "mocap_tilt": "the measured attitude is turned against the rotors by {roll} of roll and {pitch} of pitch",
-    "yaw_drift": "the heading turns by {rate} without a command",
-    "friction": "the feet have {scale} times the modelled friction",
-    "contact_stiffness": "feet and platform are {scale} times as stiff as modelled",
-    "contact_damping": "touches are {scale} times as damped as modelled",
-    "platform_height": "the platform's surface is off by {offset} in height",
-    "platform_tilt": "the platform's tilt is off by {offset}",
 }
 
 
@@ -118,17 +87,10 @@ def _places(width: float) -> int:
     return min(6, max(0, 1 - math.floor(math.log10(abs(width))))) if width else 3
 
 
-def says(effect: str, values: Mapping[str, tuple[float, str]]) -> str:
-    """What an effect means, {parameter: (value, unit)}, as part of a sentence."""
-    shown = {name: quantity(value, unit) for name, (value, unit) in values.items()}
-    if effect in _SAYS:
-        return _SAYS[effect].format(**shown)
-    return f"{label(effect)} with " + listed([f"{label(name)} {text}" for name, text in shown.items()])
-
-
-def effect_says(effect: NamedEffect) -> str:
-    """What a named effect means, as part of a sentence."""
-    return says(effect.name, {name: (p.value, p.unit) for name, p in effect.parameters.items()})
+def says(effect: NamedEffect, library: Mapping[str, Effect] = LIBRARY) -> str:
+    """What a named effect means with its values, as part of a sentence."""
+    shown = {name: quantity(p.value, p.unit) for name, p in effect.parameters.items()}
+    return library[effect.name].says.format(**shown)
 
 
 def tie(effect: NamedEffect) -> str | None:
@@ -188,7 +150,7 @@ def sentences(d: Diagnosis) -> list[str]:
     """The first lines of the report, after the headline."""
     said = []
     for effect in d.effects:
-        text = effect_says(effect)
+        text = says(effect)
         said.append(text[0].upper() + text[1:] + ".")
         said += [s for s in (tie(effect), plain(effect.note)) if s]
     if d.separating_manoeuvre:
@@ -202,7 +164,7 @@ def sentences(d: Diagnosis) -> list[str]:
 
 def plain(text: str) -> str:
     """A sentence of the diagnosis with effects and units as a person writes them."""
-    for name in _SAYS:
+    for name in LIBRARY:
         text = text.replace(name, label(name))
     text = text.replace("m/s2", "m/s²")
     return text if not text or text.endswith((".", "!", "?")) else text + "."

@@ -12,9 +12,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from inclined_landing.eval.gap.flights.windows import Flight
+from inclined_landing.eval.gap.flights.windows import Measured
 from inclined_landing.eval.gap.search.prediction import YAW_CHANNEL, predict
-from inclined_landing.models.effects import Effect
+from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.parameters import Vehicle
 
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
@@ -33,19 +33,55 @@ class Column:
     fixed: tuple[tuple[str, float], ...] = ()  # other parameters of the effect, where they differ
 
 
-class Problem:
-    """Flights, the vehicle they are compared with, and the effects that may be added to it."""
+class Suspects:
+    """The vehicle that measurements are compared with, and the effects that may be added to it."""
 
-    def __init__(self, flights: Sequence[Flight], vehicle: Vehicle, library: Mapping[str, Effect]):
+    vehicle: Vehicle
+    library: dict[str, Effect]
+
+    def corrected(self, values: Values) -> Vehicle:
+        """The vehicle with effects at `values`, applied in the order of the library."""
+        vehicle = self.vehicle
+        for name, effect in self.library.items():
+            if name in values:
+                vehicle = effect.apply(vehicle, values[name])
+        return vehicle
+
+    def parameter(self, column: Column) -> Parameter:
+        """The parameter that a column is about."""
+        return self.library[column.effect].parameter(column.parameter)
+
+    def sizes(self, name: str, values: Values) -> np.ndarray:
+        """How far every parameter of an effect is from neutral."""
+        return np.array([p.size(values[name][p.name]) for p in self.library[name].parameters])
+
+    def pairs(self) -> list[dict[str, float]]:
+        """Effects that undo each other, with starts of their first parameters; attitude before thrust."""
+        pairs = [(n, e.pairs_with) for n, e in self.library.items() if e.pairs_with]
+        return [dict(zip((name, other.name), other.starts)) for name, other in reversed(pairs)]
+
+    def to_either_side(self, values: Values, column: Column, times: float) -> tuple[list[Vehicle], float]:
+        """Vehicles some negligible sizes below and above `values`, within bounds, and what lies between."""
+        p = self.parameter(column)
+        at = {**self.library[column.effect].neutral, **values.get(column.effect, {}), **dict(column.fixed)}
+        low = max(p.bounds[0], at[p.name] - times * p.negligible)
+        high = min(p.bounds[1], at[p.name] + times * p.negligible)
+        ends = [self.corrected({**values, column.effect: {**at, p.name: x}}) for x in (low, high)]
+        return ends, high - low
+
+
+class Problem(Suspects):
+    """Flights with their windows, and what may explain them."""
+
+    def __init__(self, flights: Sequence[Measured], vehicle: Vehicle, library: Mapping[str, Effect]):
         self.flights = list(flights)
         self.vehicle = vehicle
-        voltage = all(f.voltage is not None for f in flights)
-        yaw = any(f.has_yaw for f in flights)
+        ignored = {"touchdown"} if any(f.has_yaw for f in flights) else {"touchdown", "yaw"}
         self.library = {
             name: effect
             for name, effect in library.items()
-            if set(effect.channels) - {"touchdown"} - (set() if yaw else {"yaw"})
-            and (voltage or "voltage" not in effect.requires)
+            if set(effect.channels) - ignored
+            and all(getattr(f, channel) is not None for f in flights for channel in effect.requires)
         }
         self.flight_of = np.concatenate([np.full(len(f.starts), k) for k, f in enumerate(self.flights)])
         self.group_of = _groups(self.flights)
@@ -57,22 +93,9 @@ class Problem:
         self.weight = self.logged.copy()
         self._pool = ThreadPoolExecutor(2)
 
-    def corrected(self, values: Values) -> Vehicle:
-        """The vehicle with effects at `values`, applied in the order of the library."""
-        vehicle = self.vehicle
-        for name, effect in self.library.items():
-            if name in values:
-                vehicle = effect.apply(vehicle, values[name])
-        return vehicle
-
     def white(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
-        """White errors, one array (k, w, 6, q) for each flight, of k vehicles."""
-
-        def of(flight: Flight) -> np.ndarray:
-            measured = flight.measured
-            return np.stack([flight.whitening(flight.cut(measured - predict(flight, v))) for v in vehicles])
-
-        return list(self._pool.map(of, self.flights))
+        """White errors (w, 6, q) of every flight, each with its vehicle."""
+        return list(self._pool.map(self.white_of, range(len(self.flights)), vehicles))
 
     def white_of(self, k: int, vehicle: Vehicle) -> np.ndarray:
         """White errors (w, 6, q) of one vehicle on the flight k."""
@@ -82,18 +105,15 @@ class Problem:
     def columns(self, values: Values, names: Sequence[str]) -> list[Column]:
         """Directions of the effects `names` at `values`.
 
-        A parameter that changes nothing while its effect is neutral (the reference of a battery) has no
-        direction of its own there; the first parameter then counts at both ends of its range.
+        A reference changes nothing while its effect is neutral and has no direction of its own there; the
+        first parameter then counts at both ends of its range.
         """
         result = []
         for name in names:
             effect = self.library[name]
-            first, *others = effect.parameters
-            idle = [p for p in others if p.name == "reference"]
-            at = values.get(name, effect.neutral)
-            if idle and at.get(first.name, first.neutral) == first.neutral:
-                other = idle[0]
-                result += [Column(name, first.name, ((other.name, end),)) for end in other.bounds]
+            first, idle = effect.parameters[0], effect.reference
+            if idle and values.get(name, effect.neutral).get(first.name, first.neutral) == first.neutral:
+                result += [Column(name, first.name, ((idle.name, end),)) for end in idle.bounds]
             else:
                 result += [Column(name, p.name) for p in effect.parameters]
         return result
@@ -102,17 +122,11 @@ class Problem:
         """Errors at `values` and their Gram matrices with all `columns`."""
         vehicles, steps = [self.corrected(values)], []
         for column in columns:
-            effect = self.library[column.effect]
-            parameter = next(p for p in effect.parameters if p.name == column.parameter)
-            at = dict(effect.neutral) | dict(values.get(column.effect, {})) | dict(column.fixed)
-            lo, hi = parameter.bounds
-            centre = at[parameter.name]
-            ends = [max(lo, centre - parameter.negligible), min(hi, centre + parameter.negligible)]
-            steps.append(ends[1] - ends[0])
-            vehicles += [self.corrected({**values, column.effect: {**at, parameter.name: x}}) for x in ends]
-        steps = np.array(steps)
+            ends, step = self.to_either_side(values, column, 1.0)
+            vehicles += ends
+            steps.append(step)
 
-        def of(flight: Flight):
+        def of(flight: Measured):
             measured = flight.measured
             predicted = [predict(flight, v) for v in vehicles]
             error = flight.whitening(flight.cut(measured - predicted[0]))
@@ -120,18 +134,14 @@ class Problem:
                 flight.whitening(flight.cut((predicted[2 * k + 2] - predicted[2 * k + 1]) / steps[k]))
                 for k in range(len(steps))
             ]
-            c = np.einsum("wcq,wcq->wc", error, error)
-            if not slopes:
-                return np.zeros((*c.shape, 0, 0)), np.zeros((*c.shape, 0)), c
-            j = np.stack(slopes, axis=2)  # (w, 6, P, q)
-            return j @ j.swapaxes(2, 3), np.einsum("wcpq,wcq->wcp", j, error), c
+            return gram(error, slopes)
 
         parts = list(self._pool.map(of, self.flights))
         a, b, c = (np.concatenate(x) for x in zip(*parts))
         return Linear(tuple(columns), a, b, c, self)
 
 
-def _groups(flights: Sequence[Flight]) -> np.ndarray:
+def _groups(flights: Sequence[Measured]) -> np.ndarray:
     """Group of every window: its flight, or part of its flight where there are few."""
     parts = 1 if len(flights) >= LEAST_GROUPS else -(-LEAST_GROUPS // len(flights))
     groups, offset = [], 0
@@ -141,6 +151,40 @@ def _groups(flights: Sequence[Flight]) -> np.ndarray:
         groups.append(offset + np.arange(n) * own // n)
         offset += own
     return np.concatenate(groups)
+
+
+def gram(error: np.ndarray, slopes: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gram matrices (w, 6, P, P), (w, 6, P) and squares (w, 6) of errors (w, 6, q) and slopes, P of that."""
+    c = np.einsum("wcq,wcq->wc", error, error)
+    if not slopes:
+        return np.zeros((*c.shape, 0, 0)), np.zeros((*c.shape, 0)), c
+    j = np.stack(slopes, axis=2)  # (w, 6, P, q)
+    return j @ j.swapaxes(2, 3), np.einsum("wcpq,wcq->wcp", j, error), c
+
+
+def tellable(
+    library: Mapping[str, Effect], flights: Sequence[Measured]
+) -> tuple[dict[str, Effect], list[str]]:
+    """The effects whose required log channels tell something on these flights; sentences on the others."""
+    kept, notes = {}, []
+    for name, effect in library.items():
+        why = {_untold(channel, least, flights) for channel, least in effect.requires.items()} - {""}
+        if why:
+            alike = ", ".join(effect.confused_with)
+            notes += [f"{reason}: {name} cannot be told from {alike}" for reason in sorted(why)]
+        else:
+            kept[name] = effect
+    return kept, notes
+
+
+def _untold(channel: str, least: float, flights: Sequence[Measured]) -> str:
+    """Why a log channel tells nothing; empty if it does."""
+    logged = [getattr(f, channel) for f in flights]
+    if any(x is None for x in logged):
+        return f"{channel} not logged in every flight"
+    flown = [x[f.usable] for x, f in zip(logged, flights)]
+    constant = max(map(np.ptp, flown)) < least and np.ptp([x.mean() for x in flown]) < least
+    return f"the {channel} logged is constant" if constant else ""
 
 
 @dataclasses.dataclass
@@ -155,7 +199,7 @@ class Linear:
 
     def index(self, names: Sequence[str]) -> np.ndarray:
         """Positions of the columns of the effects `names`."""
-        return np.array([k for k, column in enumerate(self.columns) if column.effect in names], int)
+        return _index(self.columns, names)
 
     def inflation(self) -> np.ndarray:
         """(6,) squared error per degree of freedom that the whole library leaves, at least 1."""
@@ -208,9 +252,9 @@ class Weighted:
         self.group_a = np.stack([self.a[g == k].sum(axis=0) for k in range(self.problem.groups)])
         self.group_b = np.stack([self.b[g == k].sum(axis=0) for k in range(self.problem.groups)])
 
-    def index(self, names) -> np.ndarray:
+    def index(self, names: Sequence[str]) -> np.ndarray:
         """Positions of the columns of the effects `names`."""
-        return np.array([k for k, column in enumerate(self.columns) if column.effect in names], int)
+        return _index(self.columns, names)
 
     def fit(self, index: np.ndarray) -> np.ndarray:
         """(k,) change of the columns `index` that fits all windows best."""
@@ -266,6 +310,10 @@ class Weighted:
         floor = np.diag(inverse)
         scale = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(clustered), 1e-300)))
         return clustered * np.outer(scale, scale)
+
+
+def _index(columns: Sequence[Column], names: Sequence[str]) -> np.ndarray:
+    return np.array([k for k, column in enumerate(columns) if column.effect in names], int)
 
 
 def solve(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -17,8 +17,8 @@ import numba
 import numpy as np
 from scipy.linalg import expm
 
-from inclined_landing.models.attitude import PWM, euler_rates, rotation, tilted
-from inclined_landing.models.equations import _INERTIA, _SPIN_DOWN, AMBIENT_SIZE, pack, wrench
+from inclined_landing.models.attitude import PWM, euler_rates, rotations, tilted
+from inclined_landing.models.equations import _INERTIA, _SPIN_DOWN, pack, wrench
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import NEUTRAL
 
@@ -28,7 +28,7 @@ _NEUTRAL = np.array(NEUTRAL)
 
 
 def predict(flight, vehicle: Vehicle) -> np.ndarray:
-    """Predicted pose (m, 6) of `vehicle` along a `windows.Flight`: x, y, z, roll, pitch, yaw.
+    """Predicted pose (m, 6) of `vehicle` along a `windows.Measured`: x, y, z, roll, pitch, yaw.
 
     Positions start at zero with velocity zero: compare them up to a line in time. Measurements that are
     late (mocap_delay) meet commands that are early by as much; a tilt of the measured attitude
@@ -166,15 +166,3 @@ def _first_order(rate_wanted, bandwidth, dt, out):
         angle += u * dt + (rate - u) * (1.0 - decay) / bandwidth
         rate = u + (rate - u) * decay
         out[k + 1] = angle
-
-
-@numba.njit(cache=True, nogil=True)
-def rotations(attitude):
-    """Rotation matrices (m, 3, 3) of attitudes (m, 3)."""
-    r = np.empty((attitude.shape[0], 3, 3))
-    for k in range(attitude.shape[0]):
-        r[k] = rotation(attitude[k, 0], attitude[k, 1], attitude[k, 2])
-    return r
-
-
-__all__ = ["AMBIENT_SIZE", "CHANNELS", "averages", "predict", "rotations"]

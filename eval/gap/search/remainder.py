@@ -6,7 +6,6 @@ import numpy as np
 
 from inclined_landing.eval.gap.result import Dependence, Remainder
 from inclined_landing.eval.gap.search.evidence import Problem, Values
-from inclined_landing.eval.gap.search.naming import ENTAILED
 from inclined_landing.eval.gap.search.prediction import CHANNELS
 
 # Root mean square beyond the noise that counts as nothing: m/s2 for x, y, z, rad for roll, pitch, yaw.
@@ -35,15 +34,16 @@ def floors_with(problem: Problem, values: Values) -> dict[str, float]:
     are predicted apart.
     """
     squares = {c: f**2 for c, f in FLOORS.items()}
-    for cause in set(values) & set(ENTAILED):
+    for cause in (n for n in values if problem.library[n].entails):
         without = problem.corrected({n: v for n, v in values.items() if n != cause})
-        value, variance = sizes(problem, [x[0] for x in problem.white([without])])
+        value, variance = sizes(problem, problem.white([without] * len(problem.flights)))
         for k, channel in enumerate(CHANNELS):
             squares[channel] += FORM * max(0.0, float((value[:, k] ** 2 - variance[:, k]).mean()))
-    drift = values.get("yaw_drift", {}).get("rate", 0.0)
+    corrected = problem.corrected(values)
+    drift = corrected.effects_yaw_drift - problem.vehicle.effects_yaw_drift
     if drift:
         angle = np.concatenate([f.attitude[f.usable, :2] for f in problem.flights])
-        coupled = drift * problem.corrected(values).attitude_time_constant * np.sqrt((angle**2).mean(axis=0))
+        coupled = drift * corrected.attitude_time_constant * np.sqrt((angle**2).mean(axis=0))
         squares["roll"] += float(coupled[1] ** 2)
         squares["pitch"] += float(coupled[0] ** 2)
     return {c: float(np.sqrt(s)) for c, s in squares.items()}

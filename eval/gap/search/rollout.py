@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from inclined_landing.eval.gap.flights.windows import SMOOTHING, Flight, prepare
+from inclined_landing.eval.gap.flights.windows import SMOOTHING, Measured, prepare
 from inclined_landing.eval.gap.result import PlantGap
 from inclined_landing.eval.gap.search.prediction import averages, level, predict
 from inclined_landing.models import equations
@@ -33,14 +33,14 @@ ANGLE_SMOOTHING = 0.05  # s to either side, for start attitudes and their rates
 class Starts:
     """Windows of several flights to simulate together; all have the same number of rows."""
 
-    flights: list[Flight]
+    flights: list[Measured]
     flight_of: np.ndarray  # (n,)
     first: np.ndarray  # (n,) row in the flight
     rows: int  # steps of the horizon
     dt: float
 
     @staticmethod
-    def of(flights: Sequence[Flight], horizon: float = HORIZON, every: float = 1.0) -> Starts:
+    def of(flights: Sequence[Measured], horizon: float = HORIZON, every: float = 1.0) -> Starts:
         """A window every `every` seconds wherever all of it is usable.
 
         Raises UserError when the flights have different rates, or no stretch is long enough.
@@ -72,7 +72,7 @@ class Starts:
         return self.gather([f.measured for f in self.flights], self.rows + 1)
 
 
-def smoothed_states(flight: Flight) -> np.ndarray:
+def smoothed_states(flight: Measured) -> np.ndarray:
     """States (m, 13) from smoothed measurements; lag zero."""
     dt = flight.dt
     wide, narrow = (2 * max(2, round(x / dt)) + 1 for x in (SMOOTHING, ANGLE_SMOOTHING))
@@ -86,7 +86,7 @@ def smoothed_states(flight: Flight) -> np.ndarray:
     return state
 
 
-def start_noise(flight: Flight) -> np.ndarray:
+def start_noise(flight: Measured) -> np.ndarray:
     """Standard deviations (12,) of a smoothed state's noise: position, velocity, attitude, rates."""
     dt = flight.dt
     wide, narrow = (2 * max(2, round(x / dt)) + 1 for x in (SMOOTHING, ANGLE_SMOOTHING))
@@ -98,7 +98,7 @@ def start_noise(flight: Flight) -> np.ndarray:
     return np.concatenate([factor[0] * p, factor[1] * p, factor[2] * a, factor[3] * a])
 
 
-def drive(flight: Flight, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
+def drive(flight: Measured, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     """Delayed commands (m - 1, 4), a mean over each step, and the thrust lag (m,) they lead to."""
     late = vehicle.effects_mocap_delay
     delays = [vehicle.effects_thrust_delay + late] + [vehicle.effects_attitude_delay + late] * 3
@@ -298,7 +298,7 @@ def measure_gap(
     place of the simulated one, how many windows, and {t, error, floor} against the horizon.
     Raises UserError when no flight has a usable stretch of that length.
     """
-    prepared = [f if isinstance(f, Flight) else prepare(f, vehicle, platform=platform) for f in flights]
+    prepared = [f if isinstance(f, Measured) else prepare(f, vehicle, platform=platform) for f in flights]
     starts = Starts.of(prepared, horizon)
     if not len(starts):
         raise UserError(

@@ -19,16 +19,18 @@ from scipy.signal import savgol_coeffs
 
 from inclined_landing.eval.gap.flights.windows import measurement_noise
 from inclined_landing.eval.gap.result import Candidate, SearchStep
-from inclined_landing.eval.gap.search.evidence import Column, Linear, Values
-from inclined_landing.eval.gap.search.naming import (
-    Search,
+from inclined_landing.eval.gap.search.evidence import Column, Linear, Suspects, Values, gram
+from inclined_landing.eval.gap.search.fit import Fit, refit, standard_errors
+from inclined_landing.eval.gap.search.naming import Search
+from inclined_landing.eval.gap.search.rollout import drive
+from inclined_landing.eval.gap.search.trial import (
+    Objection,
+    Reason,
     Thresholds,
+    Trial,
     objection,
-    refit,
-    standard_errors,
     trial_of,
 )
-from inclined_landing.eval.gap.search.rollout import drive
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, WX, X, Y, Z, body_rates
 from inclined_landing.models.effects import Effect
@@ -54,11 +56,8 @@ UNEXPLAINED = 0.95
 MATCHED = 0.77  # the same, below which no second effect is looked for
 REFITTED = 2  # effects of every step
 TIED = 0.7  # standard errors by which the best must beat an effect that is told from it
-# Effects not named beside another, because MuJoCo couples what feet do not: its friction answers within
-# 1/damping of the contact, so that vehicles with less damping slide further than feet do.
-COUPLED = {"contact_damping": ("friction",)}
 SCAN = (-2.0, -1.0, -0.4, 0.4, 1.0, 2.0)  # times the plausible deviation
-SCAN_SCALE = (0.27, 0.4, 0.6, 0.8, 1.25, 1.7, 2.5, 3.6)  # scales instead
+SCAN_FACTOR = (0.27, 0.4, 0.6, 0.8, 1.25, 1.7, 2.5, 3.6)  # factors instead
 STEPS = 2.0  # difference quotients over this many times a parameter's negligible size
 # Landings are few, and each tells more than a window of free flight.
 LIMITS = Thresholds(
@@ -173,8 +172,8 @@ def _covariance(t: np.ndarray, noise: np.ndarray, gain: Sequence[float]) -> np.n
     return result
 
 
-class TouchdownProblem:
-    """Landings with the face of `evidence.Problem`, for `naming.search`.
+class TouchdownProblem(Suspects):
+    """Landings with the face of `evidence.Problem`, for fits and trials.
 
     Channels: along and across the slope, along its normal, roll, pitch, yaw.
     """
@@ -182,7 +181,7 @@ class TouchdownProblem:
     def __init__(self, landings: Sequence[Landing], vehicle: Vehicle, library: Mapping[str, Effect]):
         self.flights = list(landings)
         self.vehicle = vehicle
-        self.library = {n: e for n, e in library.items() if set(e.channels) == {"touchdown"}}
+        self.library = {name: effect for name, effect in library.items() if effect.contact}
         n = len(self.flights)
         self.flight_of = self.group_of = np.arange(n)
         self.groups = n
@@ -190,23 +189,11 @@ class TouchdownProblem:
         self.rows = np.full(n, self.samples)
         self.logged = self.weight = np.ones((n, 6))
 
-    def corrected(self, values: Values) -> Vehicle:
-        """The vehicle with effects at `values`."""
-        vehicle = self.vehicle
-        for name, effect in self.library.items():
-            if name in values:
-                vehicle = effect.apply(vehicle, values[name])
-        return vehicle
-
-    def columns(self, values: Values, names: Sequence[str]) -> list[Column]:
-        """All parameters of the effects `names`."""
-        return [Column(name, p.name) for name in names for p in self.library[name].parameters]
-
     def scan(self, name: str, values: Values) -> dict[float, np.ndarray]:
         """`cells` for a few values of an effect with one parameter."""
         parameter = self.library[name].parameters[0]
         grid = parameter.neutral + (parameter.plausible - parameter.neutral) * np.array(SCAN)
-        grid = SCAN_SCALE if parameter.name == "scale" else grid
+        grid = SCAN_FACTOR if parameter.is_factor else grid
         lo, hi = parameter.bounds
         return {float(x): self._cells(name, float(x), values) for x in grid if lo <= x <= hi}
 
@@ -259,22 +246,10 @@ class TouchdownProblem:
         error = self.errors(self.corrected(values))
         slopes = []
         for column in columns:
-            effect = self.library[column.effect]
-            parameter = next(p for p in effect.parameters if p.name == column.parameter)
-            at = dict(effect.neutral) | dict(values.get(column.effect, {}))
-            lo, hi = parameter.bounds
-            step = STEPS * parameter.negligible
-            ends = [max(lo, at[parameter.name] - step), min(hi, at[parameter.name] + step)]
-            low, high = (
-                self.errors(self.corrected({**values, column.effect: {**at, parameter.name: x}}))
-                for x in ends
-            )
-            slopes.append(-(high - low) / (ends[1] - ends[0]))
-        c = np.einsum("wcq,wcq->wc", error, error)
-        if not slopes:
-            return Linear((), np.zeros((*c.shape, 0, 0)), np.zeros((*c.shape, 0)), c, self)
-        j = np.stack(slopes, axis=2)
-        return Linear(tuple(columns), j @ j.swapaxes(2, 3), np.einsum("wcpq,wcq->wcp", j, error), c, self)
+            ends, step = self.to_either_side(values, column, STEPS)
+            low, high = map(self.errors, ends)
+            slopes.append(-(high - low) / step)
+        return Linear(tuple(columns), *gram(error, slopes), self)
 
 
 def sag(vehicle: Vehicle) -> tuple[float, float]:
@@ -356,70 +331,88 @@ def name_contact(
     """
     problem = TouchdownProblem(landings, vehicle, library)
     noise = np.ones(6)
-    fit = refit(problem, {}, noise)
-    found = Search(fit, [], noise, 1.0, {}, {}, {}, {}, [])
-    total = fit.squares
+    found = Search(refit(problem, {}, noise), noise)
+    total = found.fit.squares
     size = 6 * problem.rows.sum()
     for _ in range(limits.most):
-        if fit.values and fit.squares < MATCHED * size:
+        if found.fit.values and found.fit.squares < MATCHED * size:
             break
-        before = problem.cells(problem.corrected(fit.values))
-        scans = {n: problem.scan(n, fit.values) for n in problem.library if n not in fit.values}
-        best_of = {n: min(cells.values(), key=np.sum) for n, cells in scans.items()}
-        order = sorted(scans, key=lambda n: -standard_errors(before - best_of[n]))
-        trials, left, reasons = {}, {}, {}
-        for name in order[:REFITTED]:
-            start = {_neutral(problem, name): before, **scans[name]}
-            value = problem.refined(name, fit.values, start)
-            new = refit(problem, {**fit.values, name: value}, noise, iterations=0)
-            left[name] = problem.cells(problem.corrected(new.values))
-            trial = trial_of(problem, new, name, (before - left[name]).sum(axis=1))
-            trials[name] = dataclasses.replace(trial, evidence=standard_errors(before - left[name]))
-        ranked = sorted(trials, key=lambda n: -trials[n].evidence)
-        best = ranked[0]
-        closable = max(1.0, trials[best].gain)
-        reasons[best] = objection(
-            problem, best, trials[best], closable, max(found.closable, closable), limits, fit.values
+        scans = _Scans(problem, found.fit)
+        best, trial = max(scans.trials.items(), key=lambda item: item[1].evidence)
+        closable = max(1.0, trial.gain)
+        against = _coupled(problem, best, found.fit.values) or objection(
+            problem, best, trial, closable, max(found.closable, closable), limits, found.fit.values
         )
-        if any(best in COUPLED.get(name, ()) for name in fit.values):
-            reasons[best] = "coupled with contact damping in MuJoCo"
-        accepted = None if reasons[best] else best
-        alike = []
-        if accepted:
-            alike = [
-                n
-                for n in ranked
-                if trials[n].evidence > limits.evidence and standard_errors(left[n] - left[best]) < TIED
-            ]
-        rows = [
-            Candidate(
-                n,
-                t.gain,
-                t.gain / closable,
-                t.evidence,
-                True,
-                n in alike,
-                reasons.get(n, "less evidence"),
-                t.values,
-            )
-            for n, t in ((n, trials[n]) for n in ranked)
-        ]
-        for n in order[REFITTED:]:
-            value = min(scans[n], key=lambda x: scans[n][x].sum())
-            difference = before - scans[n][value]
-            gain, values = float(difference.sum()), {problem.library[n].parameters[0].name: value}
-            evidence = standard_errors(difference)
-            rows.append(Candidate(n, gain, gain / closable, evidence, False, False, "less evidence", values))
-        found.steps.append(SearchStep(accepted, (), tuple(rows)))
-        if accepted is None:
+        alike = [] if against else scans.alike(best, limits)
+        rows = scans.rows(best, alike, closable, against)
+        found.steps.append(SearchStep(None if against else best, (), rows))
+        if against:
             break
         found.closable = max(found.closable, closable)
-        fit = trials[best].fit
-        found.evidence[best], found.classes[best] = trials[best].evidence, tuple(alike)
-        found.gains[best] = float(np.clip(trials[best].gain / total, 0.0, 1.0))
-    found.fit = fit
-    found.unexplained = fit.squares > UNEXPLAINED * size
+        found.fit = trial.fit
+        found.evidence[best], found.classes[best] = trial.evidence, tuple(alike)
+        found.gains[best] = float(np.clip(trial.gain / total, 0.0, 1.0))
+    found.unexplained = found.fit.squares > UNEXPLAINED * size
     return problem, found
+
+
+def _coupled(problem: TouchdownProblem, name: str, found: Values) -> Objection | None:
+    """What speaks against naming an effect beside one that the engine couples it with."""
+    for other in found:
+        if name in problem.library[other].couples_with:
+            return Objection(Reason.COUPLED, {"other": other})
+    return None
+
+
+class _Scans:
+    """Every effect scanned beside those found, and trials of the best few."""
+
+    def __init__(self, problem: TouchdownProblem, fit: Fit):
+        self.problem = problem
+        self.before = problem.cells(problem.corrected(fit.values))
+        self.scans = {n: problem.scan(n, fit.values) for n in problem.library if n not in fit.values}
+        best = {n: min(cells.values(), key=np.sum) for n, cells in self.scans.items()}
+        self.order = sorted(self.scans, key=lambda n: -standard_errors(self.before - best[n]))
+        self.trials: dict[str, Trial] = {}
+        self.left: dict[str, np.ndarray] = {}
+        for name in self.order[:REFITTED]:
+            start = {problem.library[name].parameters[0].neutral: self.before, **self.scans[name]}
+            values = {**fit.values, name: problem.refined(name, fit.values, start)}
+            new = refit(problem, values, fit.inflation, iterations=0)
+            self.left[name] = problem.cells(problem.corrected(new.values))
+            gain = self.before - self.left[name]
+            trial = trial_of(problem, new, name, gain.sum(axis=1))
+            self.trials[name] = dataclasses.replace(trial, evidence=standard_errors(gain))
+
+    def alike(self, best: str, limits: Thresholds) -> list[str]:
+        """The refined effects that cannot be told from the best."""
+        return [
+            n
+            for n in self._ranked()
+            if self.trials[n].evidence > limits.evidence
+            and standard_errors(self.left[n] - self.left[best]) < TIED
+        ]
+
+    def _ranked(self) -> list[str]:
+        return sorted(self.trials, key=lambda n: -self.trials[n].evidence)
+
+    def rows(
+        self, best: str, alike: Sequence[str], closable: float, against: Objection | None
+    ) -> tuple[Candidate, ...]:
+        """The ranking of this step."""
+        less, rows = str(Objection(Reason.LESS_EVIDENCE)), []
+        for n in self._ranked():
+            t = self.trials[n]
+            reason = less if n != best else str(against or "")
+            rows.append(
+                Candidate(n, t.gain, t.gain / closable, t.evidence, True, n in alike, reason, t.values)
+            )
+        for n in self.order[REFITTED:]:
+            value, cells = min(self.scans[n].items(), key=lambda item: item[1].sum())
+            gain, evidence = float((self.before - cells).sum()), standard_errors(self.before - cells)
+            values = {self.problem.library[n].parameters[0].name: value}
+            rows.append(Candidate(n, gain, gain / closable, evidence, False, False, less, values))
+        return tuple(rows)
 
 
 def _between(left: Mapping[float, float]) -> list[float]:
@@ -427,7 +420,3 @@ def _between(left: Mapping[float, float]) -> list[float]:
     x = sorted(left)
     k = min(range(len(x)), key=lambda i: left[x[i]])
     return [0.5 * (x[k] + x[i]) for i in (k - 1, k + 1) if 0 <= i < len(x)]
-
-
-def _neutral(problem: TouchdownProblem, name: str) -> float:
-    return problem.library[name].parameters[0].neutral

@@ -24,7 +24,7 @@ from scipy.signal import lfilter, savgol_filter
 from inclined_landing.eval.gap import measure_gap
 from inclined_landing.eval.gap.flights.windows import flying, prepare_all
 from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.naming import refit
+from inclined_landing.eval.gap.search.fit import refit
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import rotation
 from inclined_landing.models.effects import LIBRARY
@@ -32,12 +32,14 @@ from inclined_landing.models.equations import pack, rotor_speed_sum
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
-TUNED = (
-    *("thrust_scale", "motor_lag", "rotor_drag"),
-    *("attitude_gain", "attitude_time_constant", "second_order_attitude"),
+# Effects that rescale a constant of the paper's equations.
+TUNED = tuple(
+    name
+    for name, effect in LIBRARY.items()
+    if any(p.constant and not p.constant.field.startswith("effects_") for p in effect.parameters)
 )
 # Only thrust over mass is visible in free flight.
-_CLASSES = {"thrust_scale": ("thrust_scale", "thrust_bias", "mass")}
+_LEVEL = tuple(name for name, effect in LIBRARY.items() if effect.scales_thrust)
 _SMOOTH = 0.1  # s to either side, as the workflow's own velocities
 # Least contribution of a term, root mean square over all rows: m/s2 and rad/s. Chosen on development sets.
 THRESHOLDS = {"translation": 0.03, "attitude": 0.015, "yaw": 0.01}
@@ -63,7 +65,7 @@ def report(method: str, flights: Sequence[FlightLog], heldout: Sequence[FlightLo
         "effects": [
             {
                 "name": name,
-                "class": list(_CLASSES.get(name, (name,))),
+                "class": list(_LEVEL if name in _LEVEL else (name,)),
                 "parameters": {key: {"value": value} for key, value in numbers.items()},
             }
             for name, numbers in values.items()
@@ -80,7 +82,7 @@ def tune(flights: Sequence[FlightLog], vehicle: Vehicle) -> dict[str, dict[str, 
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     found: dict[str, dict[str, float]] = {}
     for column, e in zip(fit.weighted.columns, error):
-        p = next(p for p in LIBRARY[column.effect].parameters if p.name == column.parameter)
+        p = problem.parameter(column)
         value = fit.values[column.effect][column.parameter]
         if abs(value - p.neutral) > max(quantile * e, p.negligible):
             found[column.effect] = dict(fit.values[column.effect])
@@ -90,25 +92,22 @@ def tune(flights: Sequence[FlightLog], vehicle: Vehicle) -> dict[str, dict[str, 
 def regress(flights: Sequence[FlightLog], vehicle: Vehicle) -> dict[str, dict[str, float]]:
     """Effect -> parameter -> value by sparse regression."""
     tables = [_terms(log, vehicle) for log in flights]
-    voltage = all(log.voltage is not None for log in flights)
     coefficients: dict[tuple[str, str], float] = {}
     for channel, threshold in THRESHOLDS.items():
         residual = np.concatenate([table[channel][0] for table in tables])
-        terms = tables[0][channel][1].keys()
+        terms = [key for key in tables[0][channel][1] if all(key in table[channel][1] for table in tables)]
         columns = {key: np.concatenate([table[channel][1][key] for table in tables]) for key in terms}
-        if not voltage:
-            columns.pop(("battery_voltage", "sensitivity"), None)
         coefficients |= _stlsq(columns, residual, threshold)
     values: dict[str, dict[str, float]] = {}
     for (name, parameter), coefficient in coefficients.items():
-        p = next(p for p in LIBRARY[name].parameters if p.name == parameter)
+        p = LIBRARY[name].parameter(parameter)
         numbers = values.setdefault(name, dict(LIBRARY[name].neutral))
         numbers[parameter] = float(np.clip(p.neutral + coefficient, *p.bounds))
-    # The term of a sag is about hover; what is off there belongs to the thrust scale.
-    if "battery_sag" in values:
-        values["battery_sag"]["reference"] = vehicle.hover_pwm
-    if "battery_voltage" in values:
-        values["battery_voltage"]["reference"] = vehicle.effects_voltage_reference
+    # The terms of a battery are about these; what is off there belongs to the thrust scale.
+    about = {"PWM": vehicle.hover_pwm, "V": vehicle.effects_voltage_reference}
+    for name in values:
+        if reference := LIBRARY[name].reference:
+            values[name][reference.name] = about[reference.unit]
     return values
 
 

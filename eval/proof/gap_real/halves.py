@@ -14,7 +14,7 @@ from inclined_landing.eval.gap.flights.windows import prepare_all
 from inclined_landing.eval.gap.result import Diagnosis, PlantGap
 from inclined_landing.eval.gap.search import rollout
 from inclined_landing.eval.gap.search.evidence import Column, Problem
-from inclined_landing.eval.gap.search.naming import Fit, left_out_vehicles, refit
+from inclined_landing.eval.gap.search.fit import Fit, left_out_vehicles, refit
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import Vehicle
@@ -59,7 +59,7 @@ def stability(logs: Sequence[FlightLog], vehicle: Vehicle, values) -> list[Stabi
     rows = []
     for key in fits[0]:
         effect, name = key
-        p = next(p for p in LIBRARY[effect].parameters if p.name == name)
+        p = LIBRARY[effect].parameter(name)
         rows.append(Stability(effect, name, p.unit, p.neutral, *(fit[key] for fit in fits)))
     return rows
 

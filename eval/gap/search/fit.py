@@ -1,0 +1,155 @@
+"""Effects fitted together through the simulator, within their bounds."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from inclined_landing.eval.gap.search.evidence import Column, Problem, Values, Weighted, solve
+from inclined_landing.models.parameters import Vehicle
+
+
+@dataclasses.dataclass
+class Fit:
+    """Effects fitted together, with the linearisation at the fit."""
+
+    values: dict[str, dict[str, float]]
+    weighted: Weighted  # columns of the effects in `values`
+    index: np.ndarray  # all of them
+    inflation: np.ndarray  # (6,) that the weights were divided by
+
+    @property
+    def squares(self) -> float:
+        """White squared error over all windows."""
+        return float(self.weighted.c.sum())
+
+
+def refit(
+    problem: Problem, values: Values, inflation: np.ndarray, iterations: int = 8, tolerance: float = 0.05
+) -> Fit:
+    """Levenberg-Marquardt fit, within bounds, of all parameters of the effects in `values`."""
+    names = list(values)
+    values = {name: dict(problem.library[name].neutral) | dict(v) for name, v in values.items()}
+    damping = 1e-3
+    columns = [Column(name, p.name) for name in names for p in problem.library[name].parameters]
+    fit = fit_at(problem, values, columns, inflation)
+    for _ in range(iterations if names else 0):
+        improved = False
+        while damping < 1e4:
+            trial = _moved(problem, fit, damping)
+            new = fit_at(problem, trial, columns, inflation)
+            if new.squares < fit.squares:
+                gain, fit, improved = fit.squares - new.squares, new, True
+                damping = max(1e-9, damping / 10.0)
+                break
+            if fit.squares - _predicted(fit, trial) < tolerance:
+                break
+            damping *= 10.0
+        if not improved or gain < tolerance:
+            break
+    return fit
+
+
+def fit_at(problem: Problem, values, columns, inflation) -> Fit:
+    """The linearisation at `values`, nothing fitted."""
+    weighted = problem.linearise(values, columns).weighted(inflation)
+    return Fit(values, weighted, np.arange(len(columns)), inflation)
+
+
+def _moved(problem: Problem, fit: Fit, damping: float) -> dict[str, dict[str, float]]:
+    """Values after a damped step; parameters that would leave their bounds stay there, the others refit."""
+    a, b = fit.weighted.group_a.sum(axis=0), fit.weighted.group_b.sum(axis=0)
+    at, bounds = at_and_bounds(problem, fit)
+    step = bounded_step(a + damping * np.diag(np.diag(a)), a, b, at, bounds, np.ones(len(at), bool))
+    return _stepped(problem, fit, step)
+
+
+def at_and_bounds(problem: Problem, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Fitted values (k,) and bounds (2, k) of all columns of a fit."""
+    columns = fit.weighted.columns
+    at = np.array([fit.values[c.effect][c.parameter] for c in columns])
+    return at, np.array([problem.parameter(c).bounds for c in columns]).reshape(-1, 2).T
+
+
+def bounded_step(damped, a, b, at, bounds, free) -> np.ndarray:
+    """Step of the `free` columns; what would leave its bounds is held there and the others solved again."""
+    free, step = free.copy(), np.zeros(len(at))
+    for _ in range(len(at) + 1):
+        k = np.flatnonzero(free)
+        step[k] = solve(damped[np.ix_(k, k)], b[k] - a[np.ix_(k, ~free)] @ step[~free])
+        outside = free & ((at + step < bounds[0]) | (at + step > bounds[1]))
+        if not outside.any():
+            break
+        step[outside] = np.clip(at + step, *bounds)[outside] - at[outside]
+        free &= ~outside
+    return step
+
+
+def _predicted(fit: Fit, trial: Values) -> float:
+    step = np.array(
+        [trial[c.effect][c.parameter] - fit.values[c.effect][c.parameter] for c in fit.weighted.columns]
+    )
+    return float(fit.weighted.left(fit.index, step).sum())
+
+
+def spread_between(value: np.ndarray, error: np.ndarray) -> float:
+    """Standard deviation between flights beyond their standard errors (DerSimonian and Laird 1986)."""
+    good = np.isfinite(value) & np.isfinite(error) & (error > 0)
+    if good.sum() < 3:
+        return 0.0
+    w = 1.0 / error[good] ** 2
+    mean = (w * value[good]).sum() / w.sum()
+    q = (w * (value[good] - mean) ** 2).sum()
+    excess = (q - (good.sum() - 1)) / (w.sum() - (w**2).sum() / w.sum())
+    return math.sqrt(max(0.0, float(excess)))
+
+
+def left_out_vehicles(problem: Problem, fit: Fit) -> list[Vehicle]:
+    """For every flight, the vehicle with the effects fitted to the other flights.
+
+    One Newton step from the fit to all, shortened where it does not fit the other flights as foreseen:
+    parameters that only some flights tell apart may ask for steps beyond what is linear.
+    """
+    if not len(fit.index) or len(problem.flights) < 2:
+        return [problem.corrected(fit.values)] * len(problem.flights)
+    w = fit.weighted
+    a, b = w.a.sum(axis=0), w.b.sum(axis=0)
+    weight = problem.weight / fit.inflation
+    at, bounds = at_and_bounds(problem, fit)
+    # What the fit left at a bound stays there: alone it would move along what it cannot be told from.
+    free = np.minimum(at - bounds[0], bounds[1] - at) > 1e-6 * (bounds[1] - bounds[0])
+    vehicles = []
+    for k in range(len(problem.flights)):
+        own = problem.flight_of == k
+        rest = a - w.a[own].sum(axis=0)
+        step = bounded_step(rest, rest, b - w.b[own].sum(axis=0), at, bounds, free)
+        others = float(w.c[~own].sum())
+        for _ in range(6):
+            vehicle = problem.corrected(_stepped(problem, fit, step))
+            white = [problem.white_of(i, vehicle) for i in range(len(problem.flights)) if i != k]
+            squares = (np.concatenate([(x**2).sum(axis=2) for x in white]) * weight[~own]).sum()
+            if squares <= others * 1.001:
+                break
+            step = 0.3 * step
+        vehicles.append(vehicle)
+    return vehicles
+
+
+def _stepped(problem: Problem, fit: Fit, step: np.ndarray) -> dict[str, dict[str, float]]:
+    """Values of a fit after a step of its columns, within bounds."""
+    values = {name: dict(v) for name, v in fit.values.items()}
+    for column, change in zip(fit.weighted.columns, step):
+        at = values[column.effect][column.parameter] + change
+        values[column.effect][column.parameter] = float(np.clip(at, *problem.parameter(column).bounds))
+    return values
+
+
+def standard_errors(difference: np.ndarray) -> float:
+    """Sum of the signed roots of the gains (w,) of all windows in standard errors of zero.
+
+    Roots, because an effect that shows in a few windows only has very unequal gains.
+    """
+    root = np.sign(difference) * np.sqrt(np.abs(difference))
+    return float(root.sum() / max(math.sqrt(float((root**2).sum())), 1e-9))
