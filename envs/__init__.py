@@ -1,6 +1,6 @@
 """Tasks, environments and rendering.
 
-Importing this package registers `InclinedLanding-v0`, `InclinedTouchdown-v0` and `Setpoint-v0`:
+Importing this package registers every task with Gymnasium, under the name of its class:
 
     gymnasium.make("inclined_landing.envs:InclinedLanding-v0")
     gymnasium.make_vec("inclined_landing.envs:InclinedLanding-v0", num_envs=64)
@@ -8,11 +8,13 @@ Importing this package registers `InclinedLanding-v0`, `InclinedTouchdown-v0` an
 
 from gymnasium.envs.registration import register
 
+from inclined_landing.envs.tasks import TASKS
+
 _FACES = "inclined_landing.envs.gym_env"
 
-for _task in ("InclinedLanding", "InclinedTouchdown", "Setpoint"):
+for _task in TASKS.values():
     register(
-        f"{_task}-v0",
-        entry_point=f"{_FACES}:{_task}Env",
-        vector_entry_point=f"{_FACES}:{_task}VectorEnv",
+        f"{_task.__name__}-v0",
+        entry_point=f"{_FACES}:{_task.__name__}Env",
+        vector_entry_point=f"{_FACES}:{_task.__name__}VectorEnv",
     )

@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 
 from inclined_landing.envs.tasks import Task
-from inclined_landing.envs.tasks.base import Judgement, Start
+from inclined_landing.envs.tasks.base import Judgement, Moment, Start
 from inclined_landing.models.errors import UserError
 
 _START = ("state", "inclination", "present", "goal_size")  # what is recorded of a start
@@ -54,8 +54,7 @@ class BatchEnv:
             np.full(n, np.nan),
         )
         self._action_size = len(task.action_names)
-        if hasattr(task, "prepare"):
-            task.prepare(plant)
+        task.prepare(plant)
 
     def seed(self, seed: int | None) -> None:
         """Restart the random starts from `seed`."""
@@ -77,7 +76,7 @@ class BatchEnv:
 
     def observe(self, ids=slice(None)) -> np.ndarray:
         """Observations (k, o) of the vehicles `ids` as motion capture shows them now."""
-        return self.task.observe(self.plant.measurement[ids], self.plant.contacts.touch[ids, 0, 0])
+        return self.task.observe(Moment(self.plant.measurement[ids], self.plant.contacts[ids]))
 
     def reset(self, ids=None, state: np.ndarray | None = None) -> np.ndarray:
         """Begin new episodes for the vehicles `ids` (all by default); return their observations.
@@ -125,9 +124,10 @@ class BatchEnv:
         self.length += 1
         self.contact_steps += contacts.platform_near
         self.touched |= contacts.platform
-        verdict: Judgement = self.task.judge(
-            self.plant.state, actions, contacts, self._start, self.length, self.contact_steps, self.held
+        moment = Moment(
+            self.plant.state, contacts, actions, self._start, self.length, self.contact_steps, self.held
         )
+        verdict: Judgement = self.task.judge(moment)
         if verdict.holding is not None:
             self.held = np.where(verdict.holding, self.held + 1, 0)
         reward = verdict.reward

@@ -8,7 +8,7 @@ import numpy as np
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.tasks import setpoint
+from inclined_landing.envs.tasks import Task
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import make_plant
 
@@ -21,15 +21,14 @@ class Flight:
     which nothing was flown, repeats the one before.
     """
 
-    task: str
+    task: Task
     t: np.ndarray  # (T,) s
     state: np.ndarray  # (T, 13), columns of `models.attitude`
     actions: np.ndarray  # (T, a) in [-1, 1]
     commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s
     reward: np.ndarray  # (T,), of the step that ended at t[k]; 0 at the start
     inclination: float | None  # of the platform, rad; None without one
-    goal: np.ndarray  # the observation at the goal: (5,) landing, (8,) setpoint
-    success: bool  # at the end: in the goal box (landing), within 5 cm (setpoint), at rest (touchdown)
+    success: bool  # at the end, as the task judges it
     touched: bool  # did any part touch the platform
 
     @property
@@ -79,7 +78,6 @@ def record_flights(policy: Policy, plant, states: np.ndarray, *, steps: int | No
         ended[now] = last
         success[now], touched[now] = step.success[now], env.touched[now]
     actions[last], commands[last] = actions[last - 1], commands[last - 1]
-    goal = _goal(policy.task)
     flights = []
     for i, end in enumerate(ended):
         rows = slice(end + 1)
@@ -87,14 +85,13 @@ def record_flights(policy: Policy, plant, states: np.ndarray, *, steps: int | No
         a[end], u[end] = a[end - 1], u[end - 1]
         flights.append(
             Flight(
-                task=policy.task.name,
+                task=policy.task,
                 t=plant.control_period * np.arange(end + 1),
                 state=state[rows, i].copy(),
                 actions=a,
                 commands=u,
                 reward=reward[rows, i].copy(),
                 inclination=float(plant.inclination[i]) if plant.present[i] else None,
-                goal=goal,
                 success=bool(success[i]),
                 touched=bool(touched[i]),
             )
@@ -105,11 +102,3 @@ def record_flights(policy: Policy, plant, states: np.ndarray, *, steps: int | No
 def record_flight(policy: Policy, plant, start_state: np.ndarray, **options) -> Flight:
     """`record_flights` of one start (13,)."""
     return record_flights(policy, plant, start_state, **options)[0]
-
-
-def _goal(task) -> np.ndarray:
-    if task.name == "landing":
-        return np.array([*task.goal_position, 0.0, 0.0, task.inclination])
-    if task.name == "touchdown":
-        return np.array([*task.rest_position, 0.0, 0.0, task.inclination])
-    return np.array([*setpoint.GOAL, 0.0, 0.0, 0.0, 0.0, 0.0])

@@ -15,6 +15,7 @@ reward. Options of both constructors:
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import gymnasium as gym
@@ -24,7 +25,7 @@ from gymnasium.vector.utils import batch_space
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.spaces import action_space, observation_space
-from inclined_landing.envs.tasks import landing, make_task, setpoint, touchdown
+from inclined_landing.envs.tasks import TASKS, Task, make_task
 from inclined_landing.models import geometry
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -192,31 +193,13 @@ class TaskVectorEnv(VectorEnv):
         return observation, step.reward, step.terminated, step.truncated, info
 
 
-class InclinedLandingEnv(TaskEnv):
-    __doc__ = landing.__doc__ + _HISTORY
-    task_name = landing.InclinedLanding.name
+def _faces(task: type[Task]) -> dict[str, type]:
+    """Both environments of a task, by name; their manual is that of the task's module."""
+    manual = (sys.modules[task.__module__].__doc__ or "") + _HISTORY
+    content = {"__doc__": manual, "__module__": __name__, "task_name": task.name}
+    kinds = {f"{task.__name__}Env": TaskEnv, f"{task.__name__}VectorEnv": TaskVectorEnv}
+    return {name: type(name, (kind,), content) for name, kind in kinds.items()}
 
 
-class InclinedLandingVectorEnv(TaskVectorEnv):
-    __doc__ = InclinedLandingEnv.__doc__
-    task_name = landing.InclinedLanding.name
-
-
-class SetpointEnv(TaskEnv):
-    __doc__ = setpoint.__doc__ + _HISTORY
-    task_name = setpoint.Setpoint.name
-
-
-class SetpointVectorEnv(TaskVectorEnv):
-    __doc__ = SetpointEnv.__doc__
-    task_name = setpoint.Setpoint.name
-
-
-class InclinedTouchdownEnv(TaskEnv):
-    __doc__ = touchdown.__doc__ + _HISTORY
-    task_name = touchdown.InclinedTouchdown.name
-
-
-class InclinedTouchdownVectorEnv(TaskVectorEnv):
-    __doc__ = InclinedTouchdownEnv.__doc__
-    task_name = touchdown.InclinedTouchdown.name
+for _task in TASKS.values():
+    globals().update(_faces(_task))

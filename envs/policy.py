@@ -18,14 +18,14 @@ from pathlib import Path
 import numba
 import numpy as np
 
-from inclined_landing.envs.tasks import TASKS, Task, make_task
+from inclined_landing.envs.tasks import TASKS, Task, make_task, task_class
 from inclined_landing.envs.tasks.base import resolve_pwm_centre
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 STAMP = "inclined_landing.json"
-SHIPPED = ("landing", "setpoint", "touchdown")
+SHIPPED = tuple(task.name for task in TASKS.values() if task.shipped)
 _ACTIVATIONS = ("Tanh", "ReLU")  # index is the code in the compiled loop
 _LIMIT = 10.0  # of `features.ScaledObservation`
 
@@ -112,7 +112,7 @@ def stamp(path: str | Path, metadata: dict) -> None:
 
 
 def locate(name: str | Path) -> Path:
-    """Path of a policy: a shipped one by name ("landing", "setpoint", "touchdown"), otherwise a file."""
+    """Path of a policy: a shipped one by name (see SHIPPED), otherwise a file."""
     if str(name) in SHIPPED:
         path = Path(str(resources.files("inclined_landing.envs") / "shipped" / f"{name}.zip"))
         if not path.is_file():
@@ -176,7 +176,7 @@ def _build_task(name, metadata, vehicle, inclination, path) -> Task:
         raise UserError(f"policy {path}: task_options in its {STAMP} is not a table")
     options = dict(options)
     if inclination is not None:
-        if name == "setpoint":
+        if not task_class(name).has_platform:
             raise UserError(f"policy {path} is for the task {name}, which has no inclined platform")
         options["inclination"] = inclination
     if vehicle is not None:

@@ -27,9 +27,6 @@ from stable_baselines3.common.logger import configure
 
 from inclined_landing.envs.flights import record_flight, record_flights
 from inclined_landing.envs.policy import Policy, load_policy, stamp
-from inclined_landing.envs.tasks import touchdown
-from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.envs.tasks.landing import PAPER_STARTS
 from inclined_landing.eval.base import runs
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
@@ -41,7 +38,6 @@ from inclined_landing.train.curriculum import make_curriculum
 
 CHECKPOINT = "checkpoint.pt"
 EVALUATION_STARTS = 64
-SETTLED = 150  # control steps (3 s) after which a set-point flight is judged
 TARGET = 0.99  # success that "time to 99 %" means
 
 
@@ -170,7 +166,7 @@ class Run:
         self.evaluations.append(row)
         for name, value in result.items():
             self.model.logger.record(f"evaluation/{name}", value)
-        self.progress.notice = f", evaluation {self._judge.text(result)}"
+        self.progress.notice = f", evaluation {self._judge.task.score_words(result)}"
         self.clock.switch("training")
 
     def film(self, iteration: int) -> None:
@@ -244,41 +240,16 @@ class _Judge:
     def __init__(self, config: TrainConfig, vehicle):
         self.task = ppo.build_task(config)
         rng = np.random.default_rng(ppo.evaluation_seed(config))
-        self.starts = self.task.sample(rng, EVALUATION_STARTS).state
+        start = self.task.evaluation_starts(rng, EVALUATION_STARTS)
+        self.starts = start.state
         self.plant = make_plant("mujoco", EVALUATION_STARTS, vehicle, threads=config.threads)
-        if config.task == "touchdown":
-            spread = make_curriculum(config.curriculum, config.task, config.gamma).conditions()
-            self.plant.set_contact(
-                np.arange(EVALUATION_STARTS),
-                friction=rng.uniform(*spread.friction, EVALUATION_STARTS),
-                restitution=rng.uniform(*spread.restitution, EVALUATION_STARTS),
-                contact_time=touchdown.CONTACT_TIME,
-            )
-        x, z = PAPER_STARTS[2]
-        y = 1.0 if config.task == "setpoint" else 0.0
-        self.film_start = hover_states(np.array([[x, y, z]]), vehicle)
+        if start.contact is not None:
+            self.plant.set_contact(np.arange(EVALUATION_STARTS), **start.contact)
+        self.film_start = self.task.states_at(self.task.film_starts[:1])
 
     def __call__(self, policy: Policy) -> dict:
-        if self.task.name == "landing":
-            flights = record_flights(policy, self.plant, self.starts)
-            strict = float(np.mean([f.strict for f in flights]))
-            goal = float(np.mean([f.success for f in flights]))
-            return {"score": strict, "strict_success": strict, "goal_reached": goal}
-        if self.task.name == "touchdown":
-            flights = record_flights(policy, self.plant, self.starts)
-            rest = float(np.mean([f.success for f in flights]))
-            return {"score": rest, "at_rest": rest}
-        flights = record_flights(policy, self.plant, self.starts, steps=SETTLED)
-        error = np.array([self.task.position_error(f.state[-1:])[0] for f in flights])
-        return {"score": float((error < 0.05).mean()), "mean_error": float(error.mean())}
-
-    def text(self, result: dict) -> str:
-        """The result in a few words."""
-        if self.task.name == "landing":
-            return f"{result['strict_success']:.0%}"
-        if self.task.name == "touchdown":
-            return f"{result['at_rest']:.0%}"
-        return f"{100 * result['mean_error']:.1f} cm"
+        flights = record_flights(policy, self.plant, self.starts, steps=self.task.judged_steps)
+        return self.task.score(flights)
 
 
 class _History(BaseCallback):

@@ -15,8 +15,9 @@ from stable_baselines3 import PPO
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks import Moment
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
-from inclined_landing.envs.tasks.touchdown import IDLE_ACTION, Conditions
+from inclined_landing.envs.tasks.touchdown import FRICTION, IDLE_ACTION, RESTITUTION, Conditions
 from inclined_landing.models.attitude import X, Z
 from inclined_landing.models.errors import UserError
 
@@ -50,7 +51,7 @@ def lesson(state: np.ndarray, landing: Policy) -> np.ndarray:
     """Actions (n, 2) to imitate in states (n, 13)."""
     task = landing.task
     v, slope = task.vehicle, task.inclination
-    action = landing.predict(task.observe(state)).astype(float)
+    action = landing.predict(task.observe(Moment(state))).astype(float)
     action[:, 0] = np.maximum(action[:, 0], _LOWEST)
     x, z = state[:, X], state[:, Z] - v.platform_surface_height
     height, along = x * np.sin(slope) + z * np.cos(slope), x * np.cos(slope) - z * np.sin(slope)
@@ -66,7 +67,7 @@ def teach_cut(model: PPO, env: BatchEnv, landing: Policy, seed: int) -> None:
     actor = model.policy
     before = env.task.conditions
     env.task.conditions = Conditions(
-        contact_limit=8, leave_limit=0.3, close=0.3, friction=(0.55, 1.2), restitution=(0.0, 0.5)
+        contact_limit=8, leave_limit=0.3, close=0.3, friction=FRICTION, restitution=RESTITUTION
     )
     learned = [p for name, p in actor.named_parameters() if "policy_net" in name or "action_net" in name]
     optimizer = torch.optim.Adam(learned, lr=_RATE)

@@ -1,20 +1,38 @@
-"""What a task is: observation, action map, starts and judgement, for n vehicles at once.
+"""What a task is: observation, action map, starts, judgement, and everything others ask about it.
 
 A task holds no vehicle state and steps nothing. `BatchEnv` owns the plant and the episodes and asks
 the task; every function here takes and returns arrays whose first axis is the vehicle.
+
+A new task is a file beside this one with a class derived from `Task`, and its entry in `TASKS`. It must
+have `name`, the names and scale of its observations, `action_names`, `sample` and `judge`; everything
+else has a default: it can then be trained, evaluated, filmed and pictured.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Protocol
+import math
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 
-from inclined_landing.models.attitude import LAG, STATE_SIZE
+from inclined_landing.models.attitude import (
+    LAG,
+    PITCH_COMMAND,
+    PWM,
+    ROLL_COMMAND,
+    STATE_NAMES,
+    STATE_SIZE,
+    YAW_RATE_COMMAND,
+)
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import Contacts
+
+COLUMNS = {name: column for column, name in enumerate(STATE_NAMES)}  # of the state
+_COMMANDS = {"thrust": PWM, "roll": ROLL_COMMAND, "pitch": PITCH_COMMAND, "yaw rate": YAW_RATE_COMMAND}
+_UNKNOWN: Any = None
 
 
 @dataclasses.dataclass
@@ -25,7 +43,24 @@ class Start:
     inclination: np.ndarray  # (k,) rad
     present: np.ndarray  # (k,) bool: is there a platform
     goal_size: np.ndarray  # (k,) d of the goal box; NaN for tasks without one
-    contact: dict[str, np.ndarray] | None = None  # arguments (k,) of the plant's set_contact
+    contact: dict[str, Any] | None = None  # arguments (k,) of the plant's set_contact
+
+
+@dataclasses.dataclass(frozen=True)
+class Moment:
+    """What a task is told of n vehicles at one moment.
+
+    `observe` needs the state, as motion capture reports it, and where contact is observed the contacts;
+    `judge` needs everything, and the true state.
+    """
+
+    state: np.ndarray  # (n, 13)
+    contacts: Contacts = _UNKNOWN  # of the last control step
+    actions: np.ndarray = _UNKNOWN  # (n, a) in [-1, 1] that led here
+    start: Start = _UNKNOWN  # of the running episodes
+    length: np.ndarray = _UNKNOWN  # (n,) steps of the episode so far, the last one included
+    in_contact: np.ndarray = _UNKNOWN  # (n,) those of them in contact with the platform
+    held: np.ndarray = _UNKNOWN  # (n,) steps in a row, before the last one, that were held
 
 
 @dataclasses.dataclass
@@ -41,47 +76,199 @@ class Judgement:
     @property
     def reward(self) -> np.ndarray:
         """(n,) sum of the terms."""
-        return sum(self.terms.values())
+        return sum(self.terms.values(), np.zeros(len(self.success)))
 
 
-class Task(Protocol):
-    """The interface; `options` is what `make_task(name, **options)` needs to build it again."""
+@dataclasses.dataclass(frozen=True)
+class Training:
+    """What `landing-train` takes where its option of the same name is not given."""
+
+    steps: int = 1_000_000
+    curriculum: str = "none"
+    epochs: int = 5
+    gamma: float = 0.99
+    integrator: str = "implicitfast"
+    keep_out: float = 0.04  # m
+    learning_rate: float = 1e-3
+    log_std_init: float = -0.4
+    start_from: str | None = None  # the shipped policy, and with it the task, that training goes on from
+
+
+@dataclasses.dataclass(frozen=True)
+class ScoreCurve:
+    """How the learning curves show what `Task.score` says."""
+
+    column: str = "score"
+    label: str = "success [%]"
+    factor: float = 100.0
+    limits: tuple[float, float] | None = (-3.0, 108.0)
+    reference: tuple[float, str] | None = None  # value and what it is
+    logarithmic: bool = False
+
+
+class Task:
+    """A task for vehicles of one kind. Everything but the first four and the two methods has a default.
+
+    `options` is what `make_task(name, **options)` needs to build the task again; `conditions` is what a
+    curriculum may ease, None where there is nothing to ease.
+    """
 
     name: str
-    vehicle: Vehicle
     observation_names: tuple[str, ...]
     observation_scale: np.ndarray  # typical size of each observation
-    action_names: tuple[str, ...]
-    max_steps: int
-    options: dict
+    action_names: tuple[str, ...]  # of: thrust, roll, pitch, yaw rate
+
+    max_steps = 300
+    has_platform = False
+    goal_size: float | None = None  # half width of the goal box, m
+    cut_at_success = False  # are the motors cut from outside where an episode ends with success
+    judged_after: float | None = None  # s that an evaluated flight lasts at most; None: max_steps
+    shipped = False  # is a policy of this name shipped
+    table = "flights"  # the command or the table that judges its policies, see eval.policies
+    training = Training()
+    curricula: tuple[str, ...] = ("none",)  # those of train.curriculum that know the task
+    training_conditions: Any = None  # conditions of training without a curriculum; None: the task as it is
+    score_curve = ScoreCurve()
+    start_axes: tuple[str, ...] = ("x", "y", "z")  # what a start is given by
+    film_starts: tuple[tuple[float, ...], ...] = ((1.5, 1.0, 0.6),)  # m; the first one is the usual one
+    figure_starts: ClassVar[dict[str, tuple[float, ...]]] = {
+        "trajectory": film_starts[0]
+    }  # by name of the file
+    conditions: Any = None
+
+    def __init__(self, vehicle: Vehicle | None = None, *, pwm_centre: float | str = "paper"):
+        self.vehicle = vehicle or load_vehicle()
+        self.pwm_centre = resolve_pwm_centre(pwm_centre, self.vehicle)
+        self.options: dict[str, Any] = {"pwm_centre": pwm_centre}
+
+    # --- what every task must say ----------------------------------------------------------------
 
     def sample(self, rng: np.random.Generator, k: int) -> Start:
         """k random starts."""
+        raise NotImplementedError
+
+    def judge(self, moment: Moment) -> Judgement:
+        """Reward terms, success and end of the step that led to this moment."""
+        raise NotImplementedError
+
+    # --- what an environment asks ----------------------------------------------------------------
+
+    def prepare(self, plant) -> None:
+        """Set a plant up for this task; raises UserError for one that cannot serve it."""
 
     def start(self, state: np.ndarray) -> Start:
         """Starts from given states (k, 13)."""
+        k = len(state)
+        return Start(state, np.zeros(k), np.zeros(k, bool), np.full(k, np.nan))
 
     def commands(self, actions: np.ndarray) -> np.ndarray:
         """Plant commands (n, 4) for actions (n, a) in [-1, 1]."""
+        v = self.vehicle
+        u = np.zeros((len(actions), 4))
+        for name, action in zip(self.action_names, actions.T):
+            if name == "thrust":
+                u[:, PWM] = np.clip(self.pwm_centre + v.command_pwm_span * action, *v.command_pwm_range)
+            else:
+                limit = v.command_yaw_rate_limit if name == "yaw rate" else v.command_angle_limit
+                u[:, _COMMANDS[name]] = limit * action
+        return u
 
-    def observe(self, state: np.ndarray, feet: np.ndarray | None = None) -> np.ndarray:
-        """Observations (n, o), float32, of states (n, 13); feet (n,): do the feet touch the slab."""
+    def observe(self, moment: Moment) -> np.ndarray:
+        """Observations (n, o), float32: those of `observation_names` that the state has."""
+        columns = [COLUMNS[name] for name in self.observation_names if name in COLUMNS]
+        return moment.state[:, columns].astype(np.float32)
 
-    def judge(
-        self, state, actions, contacts: Contacts, start: Start, length, in_contact, held=None
-    ) -> Judgement:
-        """Reward terms, success and end of the step that led to `state`.
+    # --- what training and evaluation ask --------------------------------------------------------
 
-        length, in_contact (n,): steps of this episode so far, this one included, and those of them
-        in contact with the platform. held (n,): steps in a row, before this one, that were held.
-        """
+    @property
+    def observation_centre(self) -> np.ndarray:
+        """(o,) what a policy network subtracts from the observation."""
+        return np.zeros(len(self.observation_names)) if self.goal is None else self.goal
+
+    @property
+    def goal(self) -> np.ndarray | None:
+        """The observation (o,) at the goal; None where there is no one goal."""
+        return None
+
+    @property
+    def goal_state(self) -> np.ndarray | None:
+        """The goal as a state (13,), what is not observed being 0."""
+        if self.goal is None:
+            return None
+        state = np.zeros(STATE_SIZE)
+        for name, value in zip(self.observation_names, self.goal):
+            if name in COLUMNS:
+                state[COLUMNS[name]] = value
+        return state
+
+    @property
+    def judged_steps(self) -> int | None:
+        """Control steps that an evaluated flight lasts at most; None: all."""
+        if self.judged_after is None:
+            return None
+        return round(self.judged_after / self.vehicle.command_control_period)
+
+    def evaluation_starts(self, rng: np.random.Generator, k: int) -> Start:
+        """k random starts of the task itself, and the contact to judge them in."""
+        return self.sample(rng, k)
+
+    def score(self, flights: Sequence) -> dict[str, float]:
+        """What recorded flights of the task are worth: `score`, best 1, and more for the curves."""
+        reward = float(np.mean([flight.reward.sum() for flight in flights]))
+        return {"score": float(np.mean([flight.success for flight in flights])), "reward": reward}
+
+    def score_words(self, score: dict[str, float]) -> str:
+        """A result of `score` in a few words."""
+        return f"{score['score']:.0%}"
+
+    def flight_words(self, flight) -> str:
+        """How a recorded flight ended, in one line."""
+        end = "success" if flight.success else "no success"
+        return f"{end} after {flight.duration:.2f} s"
+
+    # --- starts that people name -----------------------------------------------------------------
+
+    @property
+    def start_form(self) -> str:
+        """How a start is written: "X,Z" or "X,Y,Z"."""
+        return ",".join(self.start_axes).upper()
+
+    def parse_start(self, text: str) -> tuple[float, ...]:
+        """The start [m] that `text` writes; raises UserError unless it is in the arena and free."""
+        try:
+            point = tuple(float(number) for number in text.split(","))
+        except ValueError:
+            point = ()
+        if len(point) != len(self.start_axes) or not all(map(math.isfinite, point)):
+            example = ",".join(f"{number:g}" for number in self.film_starts[0])
+            raise UserError(f"start must be {self.start_form} in metres, like {example}, not {text!r}")
+        for name, value in zip(self.start_axes, point):
+            low, high = getattr(self.vehicle, f"arena_{name}")
+            if not low < value < high:
+                room = f"{name} must be between {low:g} and {high:g} m"
+                raise UserError(f"start {text} lies outside the arena: {room}")
+        self.check_start(point)
+        return point
+
+    def check_start(self, point: tuple[float, ...]) -> None:
+        """Raise UserError where something stands at the start `point` [m]."""
+
+    def start_words(self, state: np.ndarray) -> str:
+        """Where a state (13,) is, as starts are written."""
+        return ", ".join(f"{name} {state[COLUMNS[name]]:g}" for name in self.start_axes) + " m"
+
+    def states_at(self, points: Sequence[tuple[float, ...]]) -> np.ndarray:
+        """States (k, 13) of vehicles hovering at k starts [m]."""
+        positions = np.zeros((len(points), 3))
+        positions[:, [COLUMNS[name] for name in self.start_axes]] = points
+        return hover_states(positions, self.vehicle)
 
 
 def resolve_pwm_centre(centre, vehicle: Vehicle) -> float:
     """PWM at action 0: a number, "paper" (42 000) or "hover" (the true hover of the equations)."""
-    if centre == "paper":
+    if isinstance(centre, str) and centre == "paper":
         return vehicle.command_pwm_centre
-    if centre == "hover":
+    if isinstance(centre, str) and centre == "hover":
         return vehicle.hover_pwm
     low, high = vehicle.command_pwm_range
     if isinstance(centre, (int, float)) and low <= centre <= high:

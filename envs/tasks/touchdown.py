@@ -37,10 +37,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from inclined_landing.envs.tasks.base import Judgement, Start, hover_states
+from inclined_landing.envs.tasks.base import Judgement, Moment, ScoreCurve, Start, Training, hover_states
 from inclined_landing.envs.tasks.landing import START_CLEARANCE, InclinedLanding
 from inclined_landing.envs.tasks.landing import Conditions as LandingConditions
 from inclined_landing.models import geometry
@@ -55,6 +56,7 @@ HOLD_STEPS = 15  # 0.3 s
 GENTLE_FORCE = 2.0  # force on the feet that costs nothing, in weights
 IMPACT = 0.5  # reward lost for each weight beyond it
 CONTACT_TIME = 0.02  # s, wherever a restitution is set
+FRICTION, RESTITUTION = (0.55, 1.2), (0.0, 0.5)  # spread of the contact in training and its evaluation
 # Training starts close to the slope: these bounds times a number from 0 (at rest on the slope) to 1.
 _CLOSE_HEIGHT = 0.25  # m over the height at rest
 _CLOSE_PITCH = 0.15  # rad to both sides of the inclination
@@ -89,6 +91,21 @@ class InclinedTouchdown(InclinedLanding):
     """
 
     name = "touchdown"
+    goal_size = None
+    cut_at_success = False
+    table = "touchdown"
+    training = Training(
+        steps=1_500_000,
+        curriculum="touchdown",
+        integrator="RK4",  # in which springy contact comes to rest
+        keep_out=0.0,
+        learning_rate=4e-4,
+        log_std_init=-1.2,
+        start_from="landing",
+    )
+    curricula = ("touchdown",)
+    training_conditions = None
+    score_curve = ScoreCurve("at_rest", "at rest on the slope [%]")
 
     def __init__(
         self,
@@ -105,7 +122,6 @@ class InclinedTouchdown(InclinedLanding):
         if self.observe_contact:
             self.observation_names = (*self.observation_names, "feet")
             self.observation_scale = np.append(self.observation_scale, 1.0)
-            self.observation_centre = np.append(self.observation_centre, 0.0)
         feet = self._shapes.parts == geometry.PARTS.index("feet")
         self._rest_height = float((self._shapes.radii - self._shapes.centres[:, 2])[feet].max())  # m
         self._weight = self.vehicle.body_mass * self.vehicle.environment_gravity
@@ -116,6 +132,17 @@ class InclinedTouchdown(InclinedLanding):
         height = self._rest_height
         x, z = height * math.sin(self.inclination), height * math.cos(self.inclination)
         return x, self.vehicle.platform_surface_height + z
+
+    @property
+    def goal(self) -> np.ndarray:
+        """The observation at rest in the middle of the slope, (5,) or (6,)."""
+        rest = [*self.rest_position, 0.0, 0.0, self.inclination]
+        return np.array(rest + [1.0] * self.observe_contact)
+
+    @property
+    def observation_centre(self) -> np.ndarray:
+        """(5,) the landing's, or (6,)."""
+        return np.append(super().observation_centre, [0.0] * self.observe_contact)
 
     def prepare(self, plant) -> None:
         """Set a plant up for this task; raises UserError for one without contact."""
@@ -180,14 +207,14 @@ class InclinedTouchdown(InclinedLanding):
         u[actions[:, 0] <= IDLE_ACTION, PWM] = 0.0
         return u
 
-    def observe(self, state: np.ndarray, feet: np.ndarray | None = None) -> np.ndarray:
+    def observe(self, moment: Moment) -> np.ndarray:
         """[x z vx vz pitch] (n, 5), float32, or (n, 6) with the feet's contact."""
-        observation = super().observe(state)
+        observation = super().observe(moment)
         if not self.observe_contact:
             return observation
-        if feet is None:
+        if moment.contacts is None:
             raise UserError("this touchdown task observes the feet's contact; give it to observe")
-        return np.column_stack([observation, np.asarray(feet, np.float32)])
+        return np.column_stack([observation, moment.contacts.touch[:, 0, 0].astype(np.float32)])
 
     def wrong_contact(self, contacts) -> np.ndarray:
         """(n,) bool: body or rotors touch the slab, or anything touches the base."""
@@ -203,11 +230,11 @@ class InclinedTouchdown(InclinedLanding):
             & (np.linalg.norm(state[:, WX : WZ + 1], axis=1) < REST_RATE)
         )
 
-    def judge(self, state, actions, contacts, start: Start, length, in_contact, held=None) -> Judgement:
-        """See the module's docstring; the arguments are those of `Task.judge`."""
-        c = self.conditions
+    def judge(self, moment: Moment) -> Judgement:
+        """See the module's docstring."""
+        c, state, contacts = self.conditions, moment.state, moment.contacts
         wrong = self.wrong_contact(contacts)
-        holding = self.holding(state, actions[:, 0] <= IDLE_ACTION, contacts)
+        holding = self.holding(state, moment.actions[:, 0] <= IDLE_ACTION, contacts)
         excess = np.maximum(contacts.force[:, 0, 0] / self._weight - GENTLE_FORCE, 0.0)
         terms = {
             "time": -1.0 * ~holding,
@@ -215,14 +242,31 @@ class InclinedTouchdown(InclinedLanding):
             "obstacle": -6.0 * wrong,
             "impact": -c.impact * excess,
         }
-        success = holding & ((np.zeros(len(state)) if held is None else held) + 1 >= HOLD_STEPS)
+        success = holding & (moment.held + 1 >= HOLD_STEPS)
         cut = np.zeros_like(success)
         if c.leave_limit < math.inf:
             cut |= self.near_bounds(state, -c.leave_limit) | contacts.touch[:, 2].any(axis=1)
         if c.contact_limit:
-            cut |= wrong & (in_contact >= c.contact_limit)
+            cut |= wrong & (moment.in_contact >= c.contact_limit)
         cut &= ~success
         if c.departure:
             terms["departure"] = -c.departure * cut
             return Judgement(terms, success, success | cut, np.zeros_like(cut), holding)
         return Judgement(terms, success, success, cut, holding)
+
+    def evaluation_starts(self, rng: np.random.Generator, k: int) -> Start:
+        """k random starts of the task itself, with a contact of their own each."""
+        before, self.conditions = self.conditions, Conditions(friction=FRICTION, restitution=RESTITUTION)
+        try:
+            return self.sample(rng, k)
+        finally:
+            self.conditions = before
+
+    def score(self, flights: Sequence) -> dict[str, float]:
+        """Share of the flights that come to rest."""
+        rest = float(np.mean([flight.success for flight in flights]))
+        return {"score": rest, "at_rest": rest}
+
+    def flight_words(self, flight) -> str:
+        """When a flight came to rest, if it did."""
+        return f"at rest on the slope after {flight.duration:.2f} s" if flight.success else "not at rest"

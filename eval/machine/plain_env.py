@@ -68,7 +68,7 @@ class PlainLandingEnv(gym.Env):
             reward = -2.0
         else:
             reward = -1.0
-        truncated = self.steps >= landing.MAX_STEPS and not reached
+        truncated = self.steps >= self.task.max_steps and not reached
         return observation.astype(np.float32), reward, reached, truncated, {}
 
     def _observation(self):

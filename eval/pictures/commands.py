@@ -9,27 +9,22 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.path import Path as Outline
 from rich.console import Console
 from rich.progress import Progress
 
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy, load_policy
-from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.envs.tasks.landing import PAPER_STARTS
+from inclined_landing.envs.tasks import Task
 from inclined_landing.eval.base.style import make_folder
 from inclined_landing.eval.pictures.figures import learning_curves, save_figure, trajectory_figure
-from inclined_landing.eval.pictures.figures.scene import platform_outline
 from inclined_landing.eval.pictures.touch import STEP, Touchdown, watch
 from inclined_landing.eval.pictures.touch_video import render_touchdowns
 from inclined_landing.eval.pictures.video import FPS, render_flight, strobe, write_video
-from inclined_landing.eval.policies.success import SETPOINT_TIME
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS
 
-CASES = {"above_right": PAPER_STARTS[2], "above": PAPER_STARTS[0]}  # the paper's figures
-SETPOINT_START = (1.5, 1.0, 0.6)  # m
 GIF_FPS = 25.0  # players slow down faster ones
 _REST = 0.6  # s that the last frame of a flight stays
 
@@ -37,22 +32,19 @@ _REST = 0.6  # s that the last frame of a flight stays
 def figure(policy: str, out: Path, starts: Sequence[str] = (), **options) -> list[Path]:
     """Write the trajectory figures of a policy as PNG and PDF into the folder `out`.
 
-    starts: "X,Z" (landing) or "X,Y,Z" (set-point) each; default: the paper's two cases. options: those
-    of `fly`. Returns the files.
+    starts: each as the task writes them, "X,Z" or "X,Y,Z"; default: the task's cases. options: those of
+    `load`. Returns the files.
     """
     loaded = load(policy, **options)
+    task = loaded.task
+    cases = task.figure_starts
     if starts:
         names = ["trajectory"] if len(starts) == 1 else [f"trajectory_{k + 1}" for k in range(len(starts))]
-        points = [parse_start(text, loaded.task) for text in starts]
-    elif loaded.task.name != "setpoint":
-        names, points = [f"trajectory_{name}" for name in CASES], list(CASES.values())
-    else:
-        names, points = ["trajectory"], [SETPOINT_START]
+        cases = dict(zip(names, _points(starts, task)))
     files = []
-    landing, period = loaded.task.name != "setpoint", loaded.task.vehicle.command_control_period
-    steps = None if landing else round(SETPOINT_TIME / period)
-    for name, flight in zip(names, fly(loaded, points, options.get("plant", "mujoco"), steps)):
-        drawn = trajectory_figure(flight, vehicle=loaded.task.vehicle)
+    flights = fly(loaded, list(cases.values()), options.get("plant", "mujoco"), task.judged_steps)
+    for name, flight in zip(cases, flights):
+        drawn = trajectory_figure(flight)
         files += [save_figure(drawn, Path(out) / f"{name}{suffix}") for suffix in (".png", ".pdf")]
         report(flight, name)
     return files
@@ -85,8 +77,8 @@ def video(
     if width % 2 or height % 2:
         raise UserError(f"a video has an even number of pixels a side, not {width} x {height}")
     loaded = load(policy, **options)
-    if forces and loaded.task.name == "setpoint":
-        raise UserError("--forces is for landing and touchdown policies: a set-point flight touches nothing")
+    if forces and not loaded.task.has_platform:
+        raise UserError(f"--forces is for tasks with a platform: a {loaded.task.name} flight touches nothing")
     if forces and options.get("plant", "mujoco") != "mujoco":
         raise UserError("--forces needs the MuJoCo plant: in the analytic one nothing is felt")
     if camera == "touch" and not forces:
@@ -95,15 +87,14 @@ def video(
         raise UserError("--camera touch is drawn with rays: leave --backend gl out")
     flights = fly(loaded, _points(starts, loaded.task), options.get("plant", "mujoco"))
     look = {"camera": camera, "width": width, "height": height, "backend": backend}
-    look["vehicle"] = loaded.task.vehicle
-    touchdowns = [watch(flight, loaded.task.vehicle) for flight in flights] if forces else []
+    touchdowns = [watch(flight) for flight in flights] if forces else []
     files = [out] + ([out.with_suffix(".gif")] if gif and out.suffix.lower() != ".gif" else [])
     for path in files:
         most = GIF_FPS if path.suffix.lower() == ".gif" else FPS
         if forces:
             every = math.ceil(1.0 / (STEP * FPS * slow) - 1e-9)  # engine steps from frame to frame
             rate = 1.0 / (every * STEP * slow)
-            frames = film_touchdowns(touchdowns, every, rate, **look)
+            frames = film_touchdowns(touchdowns, every, rate, vehicle=loaded.task.vehicle, **look)
             total = sum(len(range(0, len(x.t), every)) + round(_REST * rate) for x in touchdowns)
         else:
             sampled = min(FPS, most * slow)  # frames for a second of flight; there are no more states
@@ -156,9 +147,7 @@ def picture(
     loaded = load(policy, **options)
     points = _points([start] if start else [], loaded.task)
     flight = fly(loaded, points, options.get("plant", "mujoco"))[0]
-    drawn = strobe(
-        flight, camera=camera, width=width, height=height, backend=backend, vehicle=loaded.task.vehicle
-    )
+    drawn = strobe(flight, camera=camera, width=width, height=height, backend=backend)
     make_folder(out.parent)
     with storage.atomic(out) as part:
         Image.fromarray(drawn).save(part)
@@ -172,62 +161,31 @@ def curves(folders: Sequence[Path], out: Path) -> Path:
 
 
 def load(
-    policy: str, *, task: str | None = None, inclination: float | None = None, plant: str = "mujoco"
+    policy: str,
+    *,
+    task: str | None = None,
+    inclination: float | None = None,
+    vehicle: Path | None = None,
+    plant: str = "mujoco",
 ) -> Policy:
-    """The policy, for a platform at `inclination` [deg] if given; checks the plant's name too."""
+    """The policy, for a platform at `inclination` [deg] and a vehicle file if given; checks the plant too."""
     if plant not in PLANTS:
         raise UserError(f"unknown plant {plant!r}; known are {' and '.join(PLANTS)}")
-    if inclination is None:
-        return load_policy(policy, task)
-    loaded = load_policy(policy, task)
-    if loaded.task.name == "setpoint":
-        raise UserError("--inclination is for landing policies; the setpoint task has no platform")
-    angle = loaded.task.vehicle.check_inclination(math.radians(inclination))
-    return load_policy(policy, task, inclination=angle)
+    flown = load_vehicle(vehicle)
+    angle = None if inclination is None else flown.check_inclination(math.radians(inclination))
+    return load_policy(policy, task, vehicle=None if vehicle is None else flown, inclination=angle)
 
 
 def fly(policy: Policy, points: Sequence[tuple[float, ...]], plant: str, steps: int | None = None):
-    """Flights from hover at points (x, z) or (x, y, z) [m], at most `steps` control steps long."""
-    return record_flights(policy, plant, _states(points, policy.task), steps=steps)
+    """Flights from hover at points of the task's start axes [m], at most `steps` control steps long."""
+    return record_flights(policy, plant, policy.task.states_at(points), steps=steps)
 
 
-def parse_start(text: str, task) -> tuple[float, ...]:
-    """The point in "X,Z" (landing) or "X,Y,Z" (set-point) [m], inside the arena, clear of the platform."""
-    form = "X,Z" if task.name != "setpoint" else "X,Y,Z"
+def _points(starts: Sequence[str], task: Task) -> list[tuple[float, ...]]:
     try:
-        point = tuple(float(number) for number in text.split(","))
-    except ValueError:
-        point = ()
-    if len(point) != form.count(",") + 1 or not all(map(math.isfinite, point)):
-        example = "1.5,1.8" if task.name != "setpoint" else "1.5,1,0.6"
-        raise UserError(f"--start must be {form} in metres, like {example}, not {text!r}")
-    v = task.vehicle
-    sides = (v.arena_x, v.arena_z) if len(point) == 2 else (v.arena_x, v.arena_y, v.arena_z)
-    for name, value, (low, high) in zip(form.split(","), point, sides):
-        if not low < value < high:
-            room = f"{name.lower()} must be between {low:g} and {high:g} m"
-            raise UserError(f"--start {text} lies outside the arena: {room}")
-    if task.name != "setpoint" and _inside_platform(point, task):
-        raise UserError(f"--start {text} lies in the platform")
-    return point
-
-
-def _inside_platform(point: tuple[float, float], task) -> bool:
-    """Does a vehicle at (x, z) touch the platform, or lie in the hollow under the slab."""
-    outlines = platform_outline(task.inclination, task.vehicle)
-    start = task.start(_states([point], task))
-    return any(Outline(o).contains_point(point) for o in outlines) or task.start_clearance(start)[0] <= 0.0
-
-
-def _points(starts: Sequence[str], task) -> list[tuple[float, ...]]:
-    default = CASES["above_right"] if task.name != "setpoint" else SETPOINT_START
-    return [parse_start(text, task) for text in starts] or [default]
-
-
-def _states(points, task) -> np.ndarray:
-    positions = np.zeros((len(points), 3))
-    positions[:, [0, 2] if task.name != "setpoint" else [0, 1, 2]] = points
-    return hover_states(positions, task.vehicle)
+        return [task.parse_start(text) for text in starts] or [task.film_starts[0]]
+    except UserError as error:
+        raise UserError(f"--{error}") from None
 
 
 def _frame_count(flights: Sequence[Flight], sampled: float, rate: float) -> int:
@@ -242,14 +200,5 @@ def _counted(frames: Iterator[np.ndarray], total: int, name: str) -> Iterator[np
 
 def report(flight: Flight, name: str) -> None:
     """One line on stderr about a flight."""
-    x, y, z = flight.state[0, :3]
-    place = f"x {x:g}, z {z:g} m" if flight.task != "setpoint" else f"x {x:g}, y {y:g}, z {z:g} m"
-    if flight.task == "landing":
-        end = f"goal box after {flight.duration:.2f} s" if flight.success else "goal box not reached"
-        end += ", platform touched before" if flight.touched else ""
-    elif flight.task == "touchdown":
-        end = f"at rest on the slope after {flight.duration:.2f} s" if flight.success else "not at rest"
-    else:
-        away = np.linalg.norm(flight.state[-1, :3] - flight.goal[:3])
-        end = f"{100 * away:.1f} cm from the goal after {flight.duration:.2f} s"
-    print(f"{name}: from {place}: {end}", file=sys.stderr)
+    task = flight.task
+    print(f"{name}: from {task.start_words(flight.state[0])}: {task.flight_words(flight)}", file=sys.stderr)

@@ -18,7 +18,6 @@ from inclined_landing.envs.rendering import contact_forces
 from inclined_landing.eval.policies.motors_cut import normal_of
 from inclined_landing.models.attitude import VX, VZ
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 
 STEP = 0.004  # s, of the engine
@@ -53,7 +52,7 @@ class Touchdown:
         return max(float(np.linalg.norm(force, axis=1).max()) for force in self.forces if len(force))
 
 
-def watch(flight: Flight, vehicle: Vehicle | None = None) -> Touchdown:
+def watch(flight: Flight) -> Touchdown:
     """Fly the commands of a flight in the MuJoCo plant again and watch its touchdown.
 
     flight: of the landing or the touchdown task, nominal physics. Raises UserError for one without a
@@ -61,10 +60,10 @@ def watch(flight: Flight, vehicle: Vehicle | None = None) -> Touchdown:
     """
     if flight.inclination is None:
         raise UserError("contact forces need a flight that touches something; this task has no platform")
-    vehicle = vehicle or load_vehicle()
+    vehicle = flight.task.vehicle
     held = round(vehicle.command_control_period / STEP)
     commands = np.repeat(flight.commands[:-1], held, axis=0)
-    if flight.task == "landing":
+    if flight.task.cut_at_success:
         commands = np.concatenate([commands, np.zeros((round(AFTER_CUT / STEP), 4))])
     plant = MujocoPlant(1, vehicle, control_period=STEP, timestep=STEP)
     plant.torque_needs_motors = True

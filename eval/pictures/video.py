@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import pathlib
 import tempfile
@@ -10,54 +9,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering import Ghost, Pose, make_renderer, qpos_of_state
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 FPS = 50.0  # one frame for every control step
 _EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # along a strobe picture
-
-
-@dataclasses.dataclass(frozen=True)
-class Flight:
-    """A recorded episode.
-
-    t (T,) s; state (T, 13), columns as in `models.attitude`; commands (T, 4): PWM, roll, pitch
-    [rad], yaw rate [rad/s]; goal (5,) or (8,): where the vehicle should come to, None if there is none;
-    inclination of the platform [rad], None without a platform.
-    """
-
-    t: np.ndarray
-    state: np.ndarray
-    commands: np.ndarray
-    goal: np.ndarray | None = None
-    inclination: float | None = None
-
-    def __post_init__(self):
-        rows = len(self.t)
-        for name, width in (("state", 13), ("commands", 4)):
-            shape = np.shape(getattr(self, name))
-            if shape != (rows, width):
-                raise UserError(f"a flight of {rows} samples has {name} ({rows}, {width}), not {shape}")
-        if rows < 2:
-            raise UserError("a flight needs at least two samples")
-        if not np.isfinite(self.state).all():
-            raise UserError("a flight's states must be finite")
-
-
-def goal_ghost(flight: Flight) -> Ghost | None:
-    """The translucent vehicle at the goal: [x z vx vz theta] or [x y z vx vy vz phi theta]."""
-    if flight.goal is None:
-        return None
-    goal = np.asarray(flight.goal, float)
-    state = np.zeros(13)
-    if goal.shape == (5,):
-        state[[0, 2, 7]] = goal[[0, 1, 4]]
-    elif goal.shape == (8,):
-        state[[0, 1, 2, 6, 7]] = goal[[0, 1, 2, 6, 7]]
-    else:
-        raise UserError(f"a goal is a planar (5,) or a spatial (8,) state, not {goal.shape}")
-    return Ghost(qpos_of_state(state))
 
 
 def scene_of(flight: Flight, k: int):
@@ -87,23 +44,22 @@ def render_flight(
     backend: str = "auto",
     fps: float = FPS,
     trail: bool = True,
-    vehicle: Vehicle | None = None,
 ) -> Iterator[np.ndarray]:
     """Frames (height, width, 3) uint8, `fps` of them for a second of flight."""
     if not fps > 0:
         raise UserError(f"fps must be positive, not {fps!r}")
-    vehicle = vehicle or load_vehicle()
     times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
     frames = np.minimum(np.searchsorted(flight.t, times - 1e-9), len(flight.t) - 1)
-    goal = goal_ghost(flight)
+    goal = flight.task.goal_state
+    ghosts = [] if goal is None else [Ghost(qpos_of_state(goal))]
     close = camera in ("closeup", "onboard")
-    with make_renderer(width, height, camera, backend, vehicle=vehicle) as renderer:
+    with make_renderer(width, height, camera, backend, vehicle=flight.task.vehicle) as renderer:
         for k in frames:
             yield renderer.render(
                 scene_of(flight, k),
                 inclination=flight.inclination,
                 trail=flight.state[: k + 1] if trail and not close else None,
-                ghosts=[goal] if goal is not None and not close else [],
+                ghosts=ghosts if not close else [],
                 caption=caption_of(flight, k),
             )
 
@@ -117,13 +73,11 @@ def strobe(
     copies: int = 10,
     spacing: float = 0.13,
     backend: str = "auto",
-    vehicle: Vehicle | None = None,
 ) -> np.ndarray:
     """One picture of the whole flight: copies of the vehicle along its way, the last one solid.
 
     Copies are at least `spacing` [m] apart, coloured from early (violet) to late (orange).
     """
-    vehicle = vehicle or load_vehicle()
     chosen = _spread(flight.state, copies, spacing)
     way = _way(flight.state)
     share = way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(way))
@@ -132,7 +86,7 @@ def strobe(
         Ghost(qpos_of_state(flight.state[k]), tuple(colours[k]), alpha=0.8, tint=0.7, shadow=True)
         for k in chosen
     ]
-    with make_renderer(width, height, camera, backend, vehicle=vehicle) as renderer:
+    with make_renderer(width, height, camera, backend, vehicle=flight.task.vehicle) as renderer:
         return renderer.render(
             scene_of(flight, -1),
             inclination=flight.inclination,

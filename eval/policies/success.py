@@ -6,7 +6,8 @@ around each, and from the frozen grid (`landing_starts.py`). *Success* is reachi
 touched the platform before. The goal box is not yet a landing, so the velocity at its entry is
 reported too, and what happens when the motors are cut there (`motors_cut.py`).
 
-Set-point: the position error after 3 s from 200 random starts.
+Set-point: the position error after 3 s from 200 random starts. Other tasks: success as they judge it,
+reward and duration, from as many (`judges.py`).
 
 With ``--effects`` the frozen grid (or the random starts) alone, once for every effect of the library
 (`success_effects.py`).
@@ -22,22 +23,14 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.envs import starts as landing_starts
-from inclined_landing.envs.flights import Flight, record_flights
+from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.statistics import mean, proportion, spread
-from inclined_landing.eval.policies.motors_cut import cut_motors, split_velocity
+from inclined_landing.eval.policies.judges import judge_of
 from inclined_landing.models import storage
-from inclined_landing.models.attitude import PITCH, VX, VZ
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
-
-PAPER = ({"count": 28, "of": 30, "share": 28 / 30}, {"share": 0.867})
-SETPOINT_STARTS = 200
-SETPOINT_TIME = 3.0  # s
-SETPOINT_TOLERANCE = 0.05  # m
 
 
 def evaluate(
@@ -82,8 +75,6 @@ def run(
     if angle is not None:
         (flown or load_vehicle()).check_inclination(angle)
     loaded = load_policy(policy, task, vehicle=flown, inclination=angle)
-    if loaded.task.name == "touchdown":
-        raise UserError(f"policy {policy} is for the task touchdown: landing-eval touchdown judges it")
     if effects:
         from inclined_landing.eval.policies import success_effects
 
@@ -104,23 +95,28 @@ def run(
         (success_table.show_effects if effects else success_table.show)(report)
 
 
-def _evaluate(policy, plant, thrust_scales, seed, progress=False):
-    judge = _landing if policy.task.name == "landing" else _setpoint
-    scales: Iterable[float] = thrust_scales
+def _evaluate(policy: Policy, plant: str, thrust_scales: Iterable[float], seed: int, progress=False):
+    task, judge = policy.task, judge_of(policy.task)
     if progress:
         from rich.console import Console
         from rich.progress import track
 
-        scales = track(list(scales), "flying", console=Console(stderr=True), transient=True)
-    conditions, flights = [], []
-    for scale in scales:
+        thrust_scales = track(list(thrust_scales), "flying", console=Console(stderr=True), transient=True)
+    groups = judge.groups(task, seed)
+    names = np.repeat(list(groups), [len(states) for states in groups.values()])
+    starts = np.concatenate(list(groups.values()))
+    conditions, rows = [], []
+    for scale in thrust_scales:
+        fleet = make_plant(plant, len(starts), task.vehicle)
+        if scale != 1.0:
+            fleet.perturb(thrust_scale=scale)
         try:
-            condition, flown = judge(policy, plant, scale, seed)
+            flights = record_flights(policy, fleet, starts, steps=task.judged_steps)
         except FloatingPointError as error:
             raise UserError(f"thrust scale {scale:g}: {error}") from error
-        conditions.append({"thrust_scale": float(scale), **condition})
-        flights += [(scale, group, flight) for group, flight in flown]
-    task = policy.task
+        flown = {name: [f for f, group in zip(flights, names) if group == name] for name in groups}
+        conditions.append({"thrust_scale": float(scale), **judge.condition(task, flown, scale)})
+        rows += [(scale, name, flight) for name, flight in zip(names, flights)]
     report = {
         "command": "success",
         "policy": str(policy.path),
@@ -129,103 +125,11 @@ def _evaluate(policy, plant, thrust_scales, seed, progress=False):
         "task_options": task.options,
         "plant": plant,
         "seed": int(seed),
-        "paper": PAPER if task.name == "landing" else None,
+        "paper": judge.paper,
         "conditions": conditions,
         "versions": runs.versions(),
     }
-    return report, flights
-
-
-def _landing(policy: Policy, plant: str, scale: float, seed: int):
-    task = policy.task
-    frozen = landing_starts.grid()
-    grid = landing_starts.clear(task, frozen)
-    groups = {
-        "paper_starts": landing_starts.paper(),
-        "scattered_starts": landing_starts.scattered(seed),
-        "grid": grid,
-    }
-    starts = np.concatenate(list(groups.values()))
-    flights = _fly(policy, plant, scale, landing_starts.at_rest(task, starts))
-    condition, flown, first = {}, [], 0
-    for name, group in groups.items():
-        members = flights[first : first + len(group)]
-        first += len(group)
-        condition[name] = landing_summary(members)
-        flown += [(name, flight) for flight in members]
-    condition["grid"]["left_out"] = len(frozen) - len(grid)  # too close at this inclination
-    arrived = [f for f in flights[-len(grid) :] if f.success]
-    condition["entry"] = _entry(arrived)
-    condition["motors_cut"] = _motors_cut(arrived, task, scale)
-    return condition, flown
-
-
-def landing_summary(flights: Sequence[Flight]) -> dict:
-    """Success, strict success, platform touches and time to the goal box of landing flights."""
-    n = len(flights)
-    return {
-        "success": proportion(sum(f.success for f in flights), n),
-        "strict": proportion(sum(f.strict for f in flights), n),
-        "touched": proportion(sum(f.touched for f in flights), n),
-        "time_to_goal": spread([f.duration for f in flights if f.success]),
-    }
-
-
-def _entry(arrived: Sequence[Flight]) -> dict | None:
-    """Velocities [m/s] and pitch error [rad] of the flights at the entry into the goal box."""
-    if not arrived:
-        return None
-    state = np.array([f.state[-1] for f in arrived])
-    velocity = state[:, VX : VZ + 1]
-    away, along = split_velocity(velocity, arrived[0].inclination)
-    return {
-        "speed": spread(np.linalg.norm(velocity, axis=1)),
-        "normal_speed": spread(-away),  # towards the surface
-        "tangential_speed": spread(along),
-        "moving_away": proportion((away > 0).sum(), len(arrived)),
-        "pitch_error": spread(np.abs(state[:, PITCH] - arrived[0].inclination)),
-    }
-
-
-def _motors_cut(arrived: Sequence[Flight], task, scale: float) -> dict | None:
-    if not arrived:
-        return None
-    states = np.array([f.state[-1] for f in arrived])
-    after = cut_motors(states, task.inclination, task.vehicle, scale)
-    return {
-        "touchdown": proportion(after.touched.sum(), len(arrived)),
-        "normal_speed": spread(after.normal_speed),
-        "tangential_speed": spread(after.tangential_speed),
-        "at_rest_on_feet": proportion(after.at_rest.sum(), len(arrived)),
-    }
-
-
-def _setpoint(policy: Policy, plant: str, scale: float, seed: int):
-    starts, steps = setpoint_starts(policy.task, seed)
-    flights = _fly(policy, plant, scale, starts, steps=steps)
-    return setpoint_summary(policy.task, flights), [("random", flight) for flight in flights]
-
-
-def setpoint_starts(task, seed: int) -> tuple[np.ndarray, int]:
-    """The random starts (200, 13) of a set-point task, and for how many control steps they are flown."""
-    starts = task.sample(np.random.default_rng(seed), SETPOINT_STARTS).state
-    return starts, round(SETPOINT_TIME / task.vehicle.command_control_period)
-
-
-def setpoint_summary(task, flights: Sequence[Flight]) -> dict:
-    """Position error [m] at the end of the flights, and the share within 5 cm."""
-    error = task.position_error(np.array([f.state[-1] for f in flights]))
-    return {
-        "error": mean(error) | spread(error),
-        "within": proportion((error < SETPOINT_TOLERANCE).sum(), len(error)),
-    }
-
-
-def _fly(policy: Policy, plant: str, scale: float, states: np.ndarray, **options) -> list[Flight]:
-    fleet = make_plant(plant, len(states), policy.task.vehicle)
-    if scale != 1.0:
-        fleet.perturb(thrust_scale=scale)
-    return record_flights(policy, fleet, states, **options)
+    return report, rows
 
 
 def _flights_csv(flights) -> str:

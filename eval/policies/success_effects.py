@@ -9,13 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.statistics import proportion
-from inclined_landing.eval.policies.motors_cut import cut_motors
-from inclined_landing.eval.policies.success import landing_summary, setpoint_starts, setpoint_summary
+from inclined_landing.eval.policies.judges import Flights, judge_of
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -34,14 +31,15 @@ def evaluate(policy: Policy, *, plant: str = "mujoco", seed: int = 0, progress: 
         from rich.progress import track
 
         cases = track(cases, "flying", console=Console(stderr=True), transient=True)
-    judge = _landing if policy.task.name == "landing" else _setpoint
+    judge = judge_of(policy.task)
+    starts = judge.groups(policy.task, seed)[judge.frozen]
     rows = []
     for effect, values in cases:
         name = "none" if effect is None else effect.name
         vehicle = policy.task.vehicle if effect is None else effect.apply(policy.task.vehicle, values)
         units = {} if effect is None else {p.name: p.unit for p in effect.parameters}
         try:
-            outcome = judge(policy, plant, vehicle, seed)
+            outcome = _outcome(judge, policy, plant, vehicle, starts)
         except FloatingPointError as error:
             raise UserError(f"effect {name}: {error}") from error
         parameters = {key: {"value": value, "unit": units[key]} for key, value in values.items()}
@@ -59,29 +57,13 @@ def evaluate(policy: Policy, *, plant: str = "mujoco", seed: int = 0, progress: 
     }
 
 
-def _landing(policy: Policy, plant: str, vehicle: Vehicle, seed: int) -> dict:
-    task = policy.task
-    starts = landing_starts.at_rest(task, landing_starts.clear(task, landing_starts.grid()))
+def _outcome(judge: Flights, policy: Policy, plant: str, vehicle: Vehicle, starts: np.ndarray) -> dict:
+    task, starts = policy.task, starts.copy()
+    starts[:, LAG] *= task.vehicle.thrust_lag_rate / vehicle.thrust_lag_rate  # the same load
     tilt = vehicle.platform_inclination - task.vehicle.platform_inclination
-    flights = _fly(policy, plant, vehicle, starts, tilt)
-    arrived = [f for f in flights if f.success]
-    rest = 0
-    if arrived:
-        states = np.array([f.state[-1] for f in arrived])
-        rest = cut_motors(states, task.inclination + tilt, vehicle).at_rest.sum()
-    return landing_summary(flights) | {"at_rest_on_feet": proportion(rest, len(flights))}
-
-
-def _setpoint(policy: Policy, plant: str, vehicle: Vehicle, seed: int) -> dict:
-    starts, steps = setpoint_starts(policy.task, seed)
-    return setpoint_summary(policy.task, _fly(policy, plant, vehicle, starts, 0.0, steps=steps))
-
-
-def _fly(policy: Policy, plant: str, vehicle: Vehicle, starts: np.ndarray, tilt: float, **options):
-    starts = starts.copy()
-    starts[:, LAG] *= policy.task.vehicle.thrust_lag_rate / vehicle.thrust_lag_rate  # the same load
     fleet = make_plant(plant, len(starts), vehicle)
-    return record_flights(policy, _Tilted(fleet, tilt) if tilt else fleet, starts, **options)
+    flights = record_flights(policy, _Tilted(fleet, tilt) if tilt else fleet, starts, steps=task.judged_steps)
+    return judge.effect(task, flights, vehicle, task.options.get("inclination", 0.0) + tilt)
 
 
 class _Tilted:

@@ -8,6 +8,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from inclined_landing.envs.tasks import TASKS
+
 _GROUPS = {
     "paper_starts": "paper's three",
     "scattered_starts": "paper's +-0.1 m",
@@ -23,13 +25,10 @@ def show(report: dict) -> None:
         console.width = _PIPED_WIDTH
     plant = {"mujoco": "MuJoCo", "analytic": "analytic"}[report["plant"]]
     title = f"{report['policy']}: {report['task']}, {plant} plant, seed {report['seed']}"
-    if report["task"] == "landing":
-        angle = math.degrees(report["task_options"]["inclination"])
-        title += f", {angle:.1f} deg"
-        console.print(_landing(report, title))
-        console.print(_entry(report))
-    else:
-        console.print(_setpoint(report, title))
+    if "inclination" in report["task_options"]:
+        title += f", {math.degrees(report['task_options']['inclination']):.1f} deg"
+    for table in _TABLES[TASKS[report["task"]].table](report, title):
+        console.print(table)
 
 
 def show_effects(report: dict) -> None:
@@ -37,28 +36,17 @@ def show_effects(report: dict) -> None:
     console = Console(markup=False, highlight=False)
     if not console.is_terminal:
         console.width = _PIPED_WIDTH
-    landing = report["task"] == "landing"
+    kind = TASKS[report["task"]].table
     plant = {"mujoco": "MuJoCo", "analytic": "analytic"}[report["plant"]]
     title = f"{report['policy']}: {report['task']} with one effect each, {plant} plant, seed {report['seed']}"
-    columns = ("strict [%]", "touched", "time [s]", "at rest on feet [%]")
-    columns = columns if landing else ("error after 3 s [cm]", "p95 [cm]", "< 5 cm [%]")
+    columns, numbers = _EFFECTS[kind]
     table = _table(title, "effect", "size", *columns)
     table.columns[1].justify = "left"
     for row in report["effects"]:
-        if landing:
-            numbers = [
-                _share(row["strict"]),
-                str(row["touched"]["count"]),
-                _spread(row["time_to_goal"]),
-                _share(row["at_rest_on_feet"]),
-            ]
-        else:
-            error = row["error"]
-            numbers = [f"{100 * error['mean']:.2f}", f"{100 * error['p95']:.2f}", _share(row["within"])]
-        table.add_row(row["effect"], _size(row["parameters"]), *numbers)
+        table.add_row(row["effect"], _size(row["parameters"]), *numbers(row))
         if row["effect"] == "none":
             table.add_section()
-    if landing:
+    if "at_rest_on_feet" in report["effects"][0]:
         flights = report["effects"][0]["success"]["of"]
         table.caption = (
             f"{flights} flights from the frozen grid; strict: the goal box within 300 steps and no touch "
@@ -85,7 +73,7 @@ def _table(title: str, *columns: str) -> Table:
     return table
 
 
-def _landing(report: dict, title: str) -> Table:
+def _landing(report: dict, title: str) -> tuple[Table, Table]:
     table = _table(title, "starts", "thrust", "flights", "success [%]", "strict [%]", "touched", "time [s]")
     for condition in report["conditions"]:
         scale = f"x {condition['thrust_scale']:g}"
@@ -110,7 +98,7 @@ def _landing(report: dict, title: str) -> Table:
         "success: the goal box within 300 steps; strict: and no touch before; "
         "95 % Wilson intervals; time to the goal: median (5 % to 95 %)"
     )
-    return table
+    return table, _entry(report)
 
 
 def _entry(report: dict) -> Table:
@@ -139,7 +127,7 @@ def _entry(report: dict) -> Table:
     return table
 
 
-def _setpoint(report: dict, title: str) -> Table:
+def _error(report: dict, title: str) -> tuple[Table]:
     table = _table(
         title, "thrust", "flights", "error after 3 s [cm]", "95 % interval", "p95 [cm]", "< 5 cm [%]"
     )
@@ -154,7 +142,30 @@ def _setpoint(report: dict, title: str) -> Table:
             f"{100 * error['p95']:.2f}",
             _share(within),
         )
-    return table
+    return (table,)
+
+
+def _flights(report: dict, title: str) -> tuple[Table]:
+    table = _table(title, "thrust", "flights", "success [%]", "reward", "duration [s]")
+    for condition in report["conditions"]:
+        count = str(condition["success"]["of"])
+        table.add_row(f"x {condition['thrust_scale']:g}", count, *_of_flights(condition))
+    table.caption = "95 % Wilson interval; reward and duration: median (5 % to 95 %)"
+    return (table,)
+
+
+def _of_flights(row: dict) -> list[str]:
+    return [_share(row["success"]), _spread(row["reward"]), _spread(row["duration"])]
+
+
+def _of_errors(row: dict) -> list[str]:
+    error = row["error"]
+    return [f"{100 * error['mean']:.2f}", f"{100 * error['p95']:.2f}", _share(row["within"])]
+
+
+def _of_landings(row: dict) -> list[str]:
+    strict, rest = _share(row["strict"]), _share(row["at_rest_on_feet"])
+    return [strict, str(row["touched"]["count"]), _spread(row["time_to_goal"]), rest]
 
 
 def _share(value: dict) -> str:
@@ -169,3 +180,12 @@ def _spread(value: dict, digits: int = 2) -> str:
         return "-"
     f = f".{digits}f"
     return f"{value['median']:{f}} ({value['p5']:{f}} to {value['p95']:{f}})"
+
+
+# By the `table` of a task: its tables, and with effects its columns and what stands in them.
+_TABLES = {"landing": _landing, "error": _error, "flights": _flights}
+_EFFECTS = {
+    "landing": (("strict [%]", "touched", "time [s]", "at rest on feet [%]"), _of_landings),
+    "error": (("error after 3 s [cm]", "p95 [cm]", "< 5 cm [%]"), _of_errors),
+    "flights": (("success [%]", "reward", "duration [s]"), _of_flights),
+}

@@ -29,6 +29,7 @@ from rich.table import Table
 
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.envs.tasks import Moment
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, InclinedTouchdown
 from inclined_landing.eval.base import runs
@@ -61,7 +62,7 @@ class Landings:
 def land(policy: Policy, states: np.ndarray, friction: float, restitution: float) -> Landings:
     """Fly from `states` (n, 13); a landing policy gets its motors cut in the goal box."""
     task, n = policy.task, len(states)
-    judge, cutting = task, task.name == "landing"
+    judge, cutting = task, task.cut_at_success
     if cutting:
         judge = InclinedTouchdown(task.vehicle, inclination=task.inclination)
     period = task.vehicle.command_control_period
@@ -77,25 +78,24 @@ def land(policy: Policy, states: np.ndarray, friction: float, restitution: float
         plant.reset(everyone, states)
         return plant
 
-    cut, touched, ended, feet = (np.zeros(n, bool) for _ in range(4))
+    cut, touched, ended = (np.zeros(n, bool) for _ in range(3))
     held, last, peak = np.zeros(n, int), np.full(n, task.max_steps), np.zeros(n)
     into, along, time = (np.full(n, np.nan) for _ in range(3))
-    plant, ids = prepared(states), np.arange(n)
+    plant, ids, seen = prepared(states), np.arange(n), _nothing(n)
     before = now = states[:, VX : VZ + 1].copy()
     for tick in range(1, task.max_steps + SETTLING + 1):
         flying = ~ended[ids]
         if 4 * flying.sum() < len(ids):  # go on with the few that are left
-            plant, ids = prepared(plant.state[flying]), ids[flying]
+            plant, ids, seen = prepared(plant.state[flying]), ids[flying], seen[flying]
             before, now = before[flying], now[flying]
         state = plant.state
-        commands = task.commands(policy.predict(task.observe(state, feet[ids])).astype(float))
+        commands = task.commands(policy.predict(task.observe(Moment(state, seen))).astype(float))
         if cutting:
             entered = ~cut[ids] & task.in_goal(state, task.inclination, GOAL_SIZE)
             last[ids[entered]] = tick - 1 + SETTLING
             cut[ids] |= entered
             commands[cut[ids], PWM] = 0.0
-        k = len(ids)
-        seen = Contacts(np.zeros((k, 3, 3), bool), np.zeros((k, 3, 3), bool), np.zeros((k, 3, 3)))
+        seen = _nothing(len(ids))
         for _ in range(round(period / _TIMESTEP)):
             before, now = now, plant.state[:, VX : VZ + 1].copy()  # see motors_cut
             plant.step(commands)
@@ -106,7 +106,6 @@ def land(policy: Policy, states: np.ndarray, friction: float, restitution: float
             first = plant.contacts.touch[:, 0].any(axis=1) & ~touched[ids] & ~ended[ids]
             away, sideways = split_velocity(before[first], task.inclination)
             touched[ids[first]], into[ids[first]], along[ids[first]] = True, -away, sideways
-        feet[ids] = seen.touch[:, 0, 0]
         holding = judge.holding(plant.state, commands[:, PWM] == 0.0, seen)
         held[ids] = np.where(holding, held[ids] + 1, 0)
         rests = (held[ids] >= HOLD_STEPS) & ~ended[ids]
@@ -117,6 +116,10 @@ def land(policy: Policy, states: np.ndarray, friction: float, restitution: float
     return Landings(~np.isnan(time), into, along, np.where(touched, peak, np.nan), time)
 
 
+def _nothing(n: int) -> Contacts:
+    return Contacts(np.zeros((n, 3, 3), bool), np.zeros((n, 3, 3), bool), np.zeros((n, 3, 3)))
+
+
 def evaluate(
     policy: Policy,
     baseline: Policy,
@@ -125,9 +128,9 @@ def evaluate(
     restitutions: Sequence[float] = RESTITUTIONS,
 ) -> dict:
     """The comparison as plain numbers."""
-    if policy.task.name != "touchdown":
+    if not isinstance(policy.task, InclinedTouchdown):
         raise UserError(f"policy {policy.path} is for the task {policy.task.name}, not for touchdown")
-    if baseline.task.name != "landing":
+    if not baseline.task.cut_at_success:
         raise UserError(f"the baseline {baseline.path} is for the task {baseline.task.name}, not for landing")
     if not math.isclose(policy.task.inclination, baseline.task.inclination):
         raise UserError("the touchdown policy and the baseline are for platforms of different inclination")

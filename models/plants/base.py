@@ -30,6 +30,10 @@ class Contacts:
     touch: np.ndarray  # (n, 3, 3) bool
     force: np.ndarray  # (n, 3, 3) N
 
+    def __getitem__(self, ids) -> Contacts:
+        """The contacts of the vehicles `ids`."""
+        return Contacts(self.near[ids], self.touch[ids], self.force[ids])
+
     @property
     def platform(self) -> np.ndarray:
         """(n,) bool: any part touches slab or base."""

@@ -14,7 +14,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.gym_env import InclinedLandingEnv, SetpointEnv
 from inclined_landing.envs.sb3 import BatchVecEnv
-from inclined_landing.envs.tasks import make_task
+from inclined_landing.envs.tasks import Moment, make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -199,7 +199,9 @@ def test_finished_episodes_restart_in_the_same_step():
     assert info["final_info"]["episode_length"].tolist() == [0, 1, 1]
     # Returned are the new episodes, at rest somewhere else.
     assert not np.array_equal(observation[1], final) and not observation[1:, 2:].any()
-    np.testing.assert_array_equal(observation, env.unwrapped.task.observe(env.unwrapped.batch.plant.state))
+    np.testing.assert_array_equal(
+        observation, env.unwrapped.task.observe(Moment(env.unwrapped.batch.plant.state))
+    )
     assert env.unwrapped.batch.length.tolist() == [1, 0, 0]
     assert "final_obs" not in env.step(np.zeros((3, 2)))[-1]
 

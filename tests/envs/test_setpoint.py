@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inclined_landing.envs.tasks import Setpoint, make_task, setpoint
+from inclined_landing.envs.tasks import Moment, Setpoint, make_task, setpoint
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -18,9 +18,7 @@ TASK = Setpoint()
 
 def judge(state, action, task=TASK, length=1):
     state, action = np.asarray(state, float)[None], np.asarray(action, float)[None]
-    return task.judge(
-        state, action, None, task.start(state), length=np.array([length]), in_contact=np.zeros(1)
-    )
+    return task.judge(Moment(state, actions=action, start=task.start(state), length=np.array([length])))
 
 
 def state(position=setpoint.GOAL, velocity=(0, 0, 0), roll=0.0, pitch=0.0):
@@ -62,8 +60,8 @@ def test_success_is_within_five_centimetres(distance, success):
 
 
 def test_observation():
-    assert TASK.observe(np.arange(13.0)[None]).tolist() == [[0, 1, 2, 3, 4, 5, 6, 7]]
-    assert TASK.observe(np.zeros((2, 13))).dtype == np.float32
+    assert TASK.observe(Moment(np.arange(13.0)[None])).tolist() == [[0, 1, 2, 3, 4, 5, 6, 7]]
+    assert TASK.observe(Moment(np.zeros((2, 13)))).dtype == np.float32
     assert len(TASK.observation_names) == 8 == len(TASK.observation_scale) == len(TASK.observation_centre)
 
 
@@ -76,7 +74,7 @@ def test_action_map():
 
 def test_conditions_ease_the_effort_and_shorten_episodes():
     task = Setpoint()
-    assert task.conditions == setpoint.Conditions(setpoint.EFFORT_FLOOR, setpoint.MAX_STEPS)
+    assert task.conditions == setpoint.Conditions(setpoint.EFFORT_FLOOR, Setpoint.max_steps)
     task.conditions = setpoint.Conditions(effort_floor=0.5, episode_limit=150)
     assert judge(state(), [0, 1, 0], task).reward[0] == pytest.approx(-0.1 / 0.5)
     cuts = [judge(state(), [0, 0, 0], task, length).cut[0] for length in (149, 150, 151)]

@@ -9,7 +9,7 @@ import pytest
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.starts import at_rest
-from inclined_landing.envs.tasks import InclinedTouchdown, make_task
+from inclined_landing.envs.tasks import InclinedTouchdown, Moment, make_task
 from inclined_landing.envs.tasks.landing import LOWEST_START, START_CLEARANCE
 from inclined_landing.envs.tasks.touchdown import GENTLE_FORCE, HOLD_STEPS, IMPACT, Conditions
 from inclined_landing.models.attitude import PITCH, PWM, STATE_SIZE, VX, WY, X, Z
@@ -41,7 +41,9 @@ def judge(state=None, action=IDLE, touching=((0, 0),), force=WEIGHT, held=0, con
         contacts.touch[0][pair] = contacts.near[0][pair] = True
         contacts.force[0][pair] = force
     count = np.ones(1, int)
-    return task.judge(state, action[None], contacts, task.start(state), count, 9 * count, np.array([held]))
+    return task.judge(
+        Moment(state, contacts, action[None], task.start(state), count, 9 * count, np.array([held]))
+    )
 
 
 def terms(judgement) -> dict:
@@ -149,9 +151,9 @@ def test_contact_can_be_observed():
     env = BatchEnv(task, MujocoPlant(1, threads=1))
     assert env.reset(state=resting()).shape == (1, 6)
     assert env.step(IDLE[None]).observation[0, 5] == 1.0
-    assert make_task("touchdown").observe(resting()).shape == (1, 5)
+    assert make_task("touchdown").observe(Moment(resting())).shape == (1, 5)
     with pytest.raises(UserError, match="observes the feet's contact"):
-        task.observe(resting())
+        task.observe(Moment(resting()))
 
 
 def test_training_starts_draw_contact_and_closeness():

@@ -8,7 +8,7 @@ import pytest
 from inclined_landing.envs.flights import Flight
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.pictures import commands as pictures
-from inclined_landing.eval.pictures.commands import CASES, fly, load
+from inclined_landing.eval.pictures.commands import fly, load
 from inclined_landing.eval.pictures.touch import LEAD, STEP, watch
 from inclined_landing.eval.pictures.touch_video import caption_of, render_touchdowns
 from inclined_landing.models.errors import UserError
@@ -19,7 +19,8 @@ WEIGHT = V.body_mass * V.environment_gravity
 
 
 def flown(name) -> Flight:
-    return fly(load(name), [CASES["above_right"]], "mujoco")[0]
+    policy = load(name)
+    return fly(policy, policy.task.film_starts[:1], "mujoco")[0]
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +103,7 @@ def test_the_command_films_every_engine_step(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("policy, options, sentence", [
     ("touchdown", ["--camera", "touch", "--backend", "gl"], "--camera touch is drawn with rays"),
-    ("setpoint", [], "a set-point flight touches nothing"),
+    ("setpoint", [], "a setpoint flight touches nothing"),
     ("landing", ["--plant", "analytic"], "--forces needs the MuJoCo plant"),
 ])  # fmt: skip
 def test_forces_without_a_touch_are_one_sentence(policy, options, sentence, tmp_path, capsys):

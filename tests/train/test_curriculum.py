@@ -226,7 +226,7 @@ def test_effort_eases_the_set_point_and_holds_the_learning_rate_for_60_percent()
     c = make_curriculum("effort", "setpoint", 0.97)
     conditions = c.conditions()
     assert conditions.effort_floor >= setpoint.EFFORT_FLOOR
-    assert conditions.episode_limit <= setpoint.MAX_STEPS
+    assert conditions.episode_limit <= setpoint.Setpoint.max_steps
     shares = [c.learning_rate_share(k, 1000) for k in (0, 600, 800, 1000)]
     assert shares == pytest.approx([1.0, 1.0, 0.5, 0.0])
     assert c.gamma() == 0.97

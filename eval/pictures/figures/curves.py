@@ -13,8 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
+from inclined_landing.envs.tasks import Task, task_class
+from inclined_landing.envs.tasks.base import ScoreCurve
 from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, styled
-from inclined_landing.eval.policies.success import PAPER, SETPOINT_TOLERANCE
 from inclined_landing.models.errors import UserError
 
 
@@ -31,44 +32,18 @@ class Run:
 @dataclasses.dataclass(frozen=True)
 class _Curve:
     table: str  # "learning" or "evaluations"
-    column: str
-    label: str
     colour: str
-    factor: float = 1.0
-    limits: tuple[float, float] | None = None
-    reference: tuple[float, str] | None = None  # value and what it is
-    logarithmic: bool = False
+    shown: ScoreCurve
 
 
-_LEVEL = _Curve("learning", "level", "curriculum level", PURPLE, 1.0, (-0.03, 1.08))
-_REWARD = _Curve("learning", "episode_reward", "episode reward", ORANGE)
-_LENGTH = _Curve("learning", "episode_length", "episode length [steps]", GREEN)
-_PANELS = {
-    "landing": (
-        _Curve(
-            *("evaluations", "strict_success", "strict success [%]", BLUE, 100.0, (-3.0, 108.0)),
-            (100.0 * PAPER[0]["share"], f"paper: {100 * PAPER[0]['share']:.1f} %"),
-        ),
-        _LEVEL,
-        _LENGTH,
-        _REWARD,
-    ),
-    "touchdown": (
-        _Curve("evaluations", "at_rest", "at rest on the slope [%]", BLUE, 100.0, (-3.0, 108.0)),
-        _REWARD,
-        _LENGTH,
-        _LEVEL,
-    ),
-    "setpoint": (
-        _Curve(
-            *("evaluations", "mean_error", "mean error after 3 s [cm]", BLUE, 100.0, None),
-            (100.0 * SETPOINT_TOLERANCE, f"tolerance: {100 * SETPOINT_TOLERANCE:g} cm"),
-            True,
-        ),
-        _REWARD,
-        _LEVEL,
-    ),
-}
+_LEVEL = _Curve("learning", PURPLE, ScoreCurve("level", "curriculum level", 1.0, (-0.03, 1.08)))
+_LENGTH = _Curve("learning", GREEN, ScoreCurve("episode_length", "episode length [steps]", 1.0, None))
+_REWARD = _Curve("learning", ORANGE, ScoreCurve("episode_reward", "episode reward", 1.0, None))
+
+
+def _curves(task: type[Task]) -> tuple[_Curve, ...]:
+    """What is shown of a task, its score first."""
+    return _Curve("evaluations", BLUE, task.score_curve), _LEVEL, _LENGTH, _REWARD
 
 
 def read_run(folder: str | Path) -> Run:
@@ -85,10 +60,12 @@ def read_run(folder: str | Path) -> Run:
         raise UserError(f"the run folder {folder} holds no {Path(error.filename).name}") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(f"the run folder {folder} cannot be read: {error}") from error
-    if task not in _PANELS:
-        raise UserError(f"{folder / 'run.json'}: no learning curves are known for the task {task!r}")
+    try:
+        curves = _curves(task_class(task))
+    except UserError as error:
+        raise UserError(f"{folder / 'run.json'}: {error}") from None
     for name, table in (("learning", learning), ("evaluations", evaluations)):
-        needed = ["steps", *(c.column for c in _PANELS[task] if c.table == name and len(table))]
+        needed = ["steps", *(c.shown.column for c in curves if c.table == name and len(table))]
         missing = [column for column in needed if column not in table]
         if missing:
             raise UserError(f"{folder / name}.csv lacks the column {missing[0]}")
@@ -100,7 +77,7 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
 
     runs: run folders of one task, usually one for each seed. Each is a thin line; from two on, the
     median is a thick line and the range from the lowest to the highest a band, as far as all runs
-    reach. The curriculum's level is left out where it never changes.
+    reach. The curriculum's level and the episodes' length are left out where they never change.
     Raises UserError for no runs, runs of different tasks and folders that are no runs.
     """
     if not runs:
@@ -109,8 +86,12 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
     tasks = sorted({run.task for run in read})
     if len(tasks) > 1:
         raise UserError(f"the runs are of different tasks ({' and '.join(tasks)}); choose runs of one")
-    moves = any(run.learning["level"].nunique() > 1 for run in read)
-    curves = [curve for curve in _PANELS[tasks[0]] if curve is not _LEVEL or moves]
+    curves = [
+        curve
+        for curve in _curves(task_class(tasks[0]))
+        if curve not in (_LEVEL, _LENGTH)
+        or any(run.learning[curve.shown.column].nunique() > 1 for run in read)
+    ]
     with styled():
         columns = 2 if len(curves) == 4 else len(curves)  # two to four
         rows = len(curves) // columns
@@ -133,14 +114,15 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
 
 
 def _draw(axes: Axes, curve: _Curve, tables: list[pd.DataFrame]) -> None:
+    shown = curve.shown
     axes.grid(True)
-    axes.set_ylabel(curve.label)
+    axes.set_ylabel(shown.label)
     lines = []
     for table in tables:
-        rows = table[["steps", curve.column]].dropna() if curve.column in table else table.iloc[:0]
+        rows = table[["steps", shown.column]].dropna() if shown.column in table else table.iloc[:0]
         if len(rows):
             values = rows.to_numpy(float)
-            lines.append((values[:, 0] / 1e6, curve.factor * values[:, 1]))
+            lines.append((values[:, 0] / 1e6, shown.factor * values[:, 1]))
     several = len(lines) > 1
     for x, y in lines:
         style = {"lw": 0.7, "alpha": 0.6} if several else {"lw": 2.0}
@@ -152,16 +134,16 @@ def _draw(axes: Axes, curve: _Curve, tables: list[pd.DataFrame]) -> None:
         axes.plot(x, middle, color=curve.colour, lw=2.2, gid="median")
     if not lines:
         axes.text(0.5, 0.5, "no evaluations yet", transform=axes.transAxes, ha="center", color=MUTED)
-    if curve.reference:
-        value, text = curve.reference
+    if shown.reference:
+        value, text = shown.reference
         axes.axhline(value, color="black", lw=1.1, ls=(0, (5, 2)), zorder=1.5, gid="reference")
         axes.annotate(
             text, (0.02, value), xycoords=axes.get_yaxis_transform(), xytext=(0, 2), size=8.5,
             textcoords="offset points", ha="left", va="bottom",
         )  # fmt: skip
-    if curve.limits:
-        axes.set_ylim(*curve.limits)
-    if curve.logarithmic:
+    if shown.limits:
+        axes.set_ylim(*shown.limits)
+    if shown.logarithmic:
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.yaxis.set_major_formatter("{x:g}")

@@ -10,12 +10,11 @@ from matplotlib.transforms import ScaledTranslation
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering.stamp import StampMaker
-from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, panel, styled, time_colours
 from inclined_landing.eval.pictures.figures.scene import TARGET, draw_air, draw_platform, draw_vehicle
-from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, ROLL, ROLL_COMMAND, X, Z
+from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, ROLL, ROLL_COMMAND, Z
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import Vehicle
 
 _WIDTH, _LEFT, _RIGHT = 7.0, 0.78, 0.16  # in
 _SCENE, _PWM, _PITCH = 3.05, 0.80, 1.20  # heights of the panels, in
@@ -26,7 +25,7 @@ _MARGIN = 0.27  # m around the flight
 _LOW = 0.85  # m; the scene is cut off here unless the flight goes lower
 
 
-def trajectory_figure(flight: Flight, *, copies: int | None = None, vehicle: Vehicle | None = None) -> Figure:
+def trajectory_figure(flight: Flight, *, copies: int | None = None) -> Figure:
     """Figure of one flight: vehicles in time order along the way, PWM and pitch over time.
 
     copies: how many vehicles are drawn at most (default: 11 landing, 8 set-point).
@@ -34,7 +33,7 @@ def trajectory_figure(flight: Flight, *, copies: int | None = None, vehicle: Veh
     """
     if len(flight.t) < 2 or not np.isfinite(flight.state).all():
         raise UserError("a trajectory figure needs a flight of at least two samples with finite states")
-    vehicle = vehicle or load_vehicle()
+    vehicle = flight.task.vehicle
     chosen = spread_copies(flight.state, copies or (11 if flight.inclination is not None else 8))
     gap, foot = 0.33, 0.50
     middle = foot + _PITCH + gap
@@ -78,13 +77,14 @@ def spread_copies(state: np.ndarray, copies: int) -> np.ndarray:
 def _draw_scene(axes, flight: Flight, chosen, maker: StampMaker, ratio: float) -> None:
     """The flight seen as the maker's stamps are: x or y to the right, z up."""
     state, landing, plane = flight.state, flight.inclination is not None, [maker.across, Z]
-    target = _target(flight.goal)
-    points = np.vstack([state[:, plane], target[plane]])
+    target, d = flight.task.goal_state, flight.task.goal_size
+    points, widest = state[:, plane], state[:, :2]
+    if target is not None:
+        points, widest = np.vstack([points, target[plane]]), np.vstack([widest, target[:2]])
     if landing:
         window = _window(np.vstack([points, _SLOPE]), ratio, floor=_LOW)
     else:  # both views get the same scale
-        widest = np.ptp(np.vstack([state[:, :2], target[:2]]), axis=0).max()
-        window = _window(points, ratio, least=(widest + 2.0 * _MARGIN) / ratio)
+        window = _window(points, ratio, least=(np.ptp(widest, axis=0).max() + 2.0 * _MARGIN) / ratio)
     draw_air(axes, *window, "xy"[maker.across])
     _place_label(axes)
     if landing:
@@ -94,10 +94,10 @@ def _draw_scene(axes, flight: Flight, chosen, maker: StampMaker, ratio: float) -
     axes.add_collection(
         LineCollection(way, colors=colours[:-1], lw=1.6, capstyle="round", zorder=3, gid="way"), autolim=False
     )
-    draw_vehicle(axes, maker, target, colour=TARGET, alpha=0.75, zorder=2.5, gid="target")
-    if landing:
-        d = GOAL_SIZE
-        box = Rectangle((target[X] - d, target[Z] - d), 2 * d, 2 * d, fill=False, gid="goal box")
+    if target is not None:
+        draw_vehicle(axes, maker, target, colour=TARGET, alpha=0.75, zorder=2.5, gid="target")
+    if target is not None and d is not None:
+        box = Rectangle(target[plane] - d, 2 * d, 2 * d, fill=False, gid="goal box")
         box.set(edgecolor=GREEN, linewidth=1.0, linestyle=(0, (3, 2)), zorder=2.6)
         axes.add_patch(box)
     for order, k in enumerate(chosen):
@@ -105,18 +105,10 @@ def _draw_scene(axes, flight: Flight, chosen, maker: StampMaker, ratio: float) -
         draw_vehicle(axes, maker, state[k], colour=colours[k], alpha=0.92, zorder=above, gid=f"copy {k}")
     if maker.across:
         return
-    note = f"quadrotor drawn at {maker.scale:g}× size; green: target pose"
-    note += f" and goal box (±{100 * GOAL_SIZE:.0f} cm)" if landing else ""
+    note = f"quadrotor drawn at {maker.scale:g}× size"
+    note += "; green: target pose" if target is not None else ""
+    note += f" and goal box (±{100 * d:.0f} cm)" if target is not None and d is not None else ""
     axes.text(0.012, 0.975, note, transform=axes.transAxes, va="top", size=8.5, color=MUTED)
-
-
-def _target(goal: np.ndarray) -> np.ndarray:
-    """State (13,) at a planar (5,) or spatial (8,) goal."""
-    state = np.zeros(13)
-    state[[X, Z, PITCH] if len(goal) == 5 else [X, 1, Z, ROLL, PITCH]] = (
-        goal[[0, 1, 4]] if len(goal) == 5 else goal[[0, 1, 2, 6, 7]]
-    )
-    return state
 
 
 def _window(points: np.ndarray, ratio: float, *, floor: float | None = None, least: float = 0.0):
@@ -178,13 +170,13 @@ def _draw_commands(pwm, pitch, flight: Flight, chosen, vehicle: Vehicle) -> None
     marks.set_gid("copies")
     above = pwm.transAxes + ScaledTranslation(0, 0.045, pwm.figure.dpi_scale_trans)
     colour = GREEN if flight.strict else ORANGE
-    pwm.text(1.0, 1.0, _ending(flight), ha="right", va="bottom", transform=above, size=8.5, color=colour)
-
-
-def _ending(flight: Flight) -> str:
-    """How the flight ended, in a few words."""
-    end = float(flight.t[-1])
-    if flight.inclination is None:
-        return f"{'within' if flight.success else 'not within'} 5 cm of the goal at {end:.2f} s"
-    arrived = f"goal box reached at {end:.2f} s" if flight.success else f"goal box not reached in {end:.2f} s"
-    return arrived + (", platform touched" if flight.touched else "")
+    pwm.text(
+        1.0,
+        1.0,
+        flight.task.flight_words(flight),
+        ha="right",
+        va="bottom",
+        transform=above,
+        size=8.5,
+        color=colour,
+    )

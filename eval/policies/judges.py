@@ -1,0 +1,156 @@
+"""What the success table of a task is made of: starts, and what is counted of the flights from there.
+
+A judge is found by the task's `table`. The one of this name, `flights`, fits any task.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from inclined_landing.envs import starts as landing_starts
+from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.tasks import Task
+from inclined_landing.envs.tasks.landing import PAPER_RESULTS
+from inclined_landing.envs.tasks.setpoint import TOLERANCE
+from inclined_landing.eval.base.statistics import mean, proportion, spread
+from inclined_landing.eval.policies.motors_cut import cut_motors, split_velocity
+from inclined_landing.models.attitude import PITCH, VX, VZ
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+
+RANDOM_STARTS = 200
+
+
+class Flights:
+    """Random starts of the task: success as the task judges it, the sum of rewards, the duration."""
+
+    paper: tuple | None = None  # the paper's results
+    frozen = "random"  # the group of starts from which effects are tried
+    report_scales: tuple[float, ...] = (1.0,)  # thrust scales of the report after a training
+
+    def groups(self, task: Task, seed: int) -> dict[str, np.ndarray]:
+        """Groups of starts, states (k, 13) each, by name."""
+        return {"random": task.sample(np.random.default_rng(seed), RANDOM_STARTS).state}
+
+    def summary(self, task: Task, flights: Sequence[Flight]) -> dict:
+        """What is counted of the flights from one group."""
+        reward = [f.reward.sum() for f in flights]
+        return {
+            "success": proportion(sum(f.success for f in flights), len(flights)),
+            "reward": mean(reward) | spread(reward),
+            "duration": spread([f.duration for f in flights]),
+        }
+
+    def condition(self, task: Task, flown: Mapping[str, Sequence[Flight]], scale: float) -> dict:
+        """The entry of one thrust scale in the report."""
+        return self.summary(task, flown["random"])
+
+    def effect(self, task: Task, flights: Sequence[Flight], vehicle: Vehicle, inclination: float) -> dict:
+        """The entry of one effect; vehicle, inclination [rad]: what was flown."""
+        return self.summary(task, flights)
+
+    def headline(self, condition: dict) -> dict:
+        """What the record of a training says of an entry of the report."""
+        return {"success": condition["success"], "reward": condition["reward"]["mean"]}
+
+
+class Errors(Flights):
+    """Distance to the goal at the end, in place of success."""
+
+    def summary(self, task, flights: Sequence[Flight]) -> dict:
+        """Position error [m] at the end of the flights, and the share within 5 cm."""
+        error = task.position_error(np.array([f.state[-1] for f in flights]))
+        return {
+            "error": mean(error) | spread(error),
+            "within": proportion((error < TOLERANCE).sum(), len(error)),
+        }
+
+    def headline(self, condition: dict) -> dict:
+        """Error and share within 5 cm."""
+        return {"mean_error": condition["error"], "within": condition["within"]}
+
+
+class Landings(Flights):
+    """The paper's starts, scattered ones and the frozen grid; from its flights the motors are cut."""
+
+    paper = PAPER_RESULTS
+    frozen = "grid"
+    report_scales = (1.0, 1.05, 0.95)
+
+    def groups(self, task, seed: int) -> dict[str, np.ndarray]:
+        """The starts of `envs.starts`."""
+        starts = {
+            "paper_starts": landing_starts.paper(),
+            "scattered_starts": landing_starts.scattered(seed),
+            "grid": landing_starts.clear(task, landing_starts.grid()),
+        }
+        return {name: landing_starts.at_rest(task, group) for name, group in starts.items()}
+
+    def summary(self, task, flights: Sequence[Flight]) -> dict:
+        """Success, strict success, platform touches and time to the goal box of landing flights."""
+        n = len(flights)
+        return {
+            "success": proportion(sum(f.success for f in flights), n),
+            "strict": proportion(sum(f.strict for f in flights), n),
+            "touched": proportion(sum(f.touched for f in flights), n),
+            "time_to_goal": spread([f.duration for f in flights if f.success]),
+        }
+
+    def condition(self, task, flown: Mapping[str, Sequence[Flight]], scale: float) -> dict:
+        """Each group, the entry into the goal box, and what follows when the motors are cut there."""
+        condition = {name: self.summary(task, flights) for name, flights in flown.items()}
+        left_out = len(landing_starts.grid()) - len(flown["grid"])  # too close at this inclination
+        condition["grid"]["left_out"] = left_out
+        arrived = [f for f in flown["grid"] if f.success]
+        condition["entry"] = _entry(arrived) if arrived else None
+        condition["motors_cut"] = _motors_cut(arrived, task, scale) if arrived else None
+        return condition
+
+    def effect(self, task, flights: Sequence[Flight], vehicle: Vehicle, inclination: float) -> dict:
+        """The frozen grid, and how many are at rest after their motors were cut."""
+        arrived = [f.state[-1] for f in flights if f.success]
+        rest = cut_motors(np.array(arrived), inclination, vehicle).at_rest.sum() if arrived else 0
+        return self.summary(task, flights) | {"at_rest_on_feet": proportion(rest, len(flights))}
+
+    def headline(self, condition: dict) -> dict:
+        """The frozen grid and the entry into the goal box."""
+        grid = condition["grid"]
+        scale, entry = condition["thrust_scale"], condition["entry"]
+        return {"thrust_scale": scale, "strict": grid["strict"], "success": grid["success"], "entry": entry}
+
+
+JUDGES = {"flights": Flights(), "error": Errors(), "landing": Landings()}
+
+
+def judge_of(task: Task) -> Flights:
+    """The judge of a task; raises UserError for a task that a command of its own judges."""
+    if task.table not in JUDGES:
+        raise UserError(f"the task {task.name} has a table of its own: landing-eval {task.table} judges it")
+    return JUDGES[task.table]
+
+
+def _entry(arrived: Sequence[Flight]) -> dict:
+    """Velocities [m/s] and pitch error [rad] of the flights at the entry into the goal box."""
+    state = np.array([f.state[-1] for f in arrived])
+    velocity = state[:, VX : VZ + 1]
+    away, along = split_velocity(velocity, arrived[0].inclination)
+    return {
+        "speed": spread(np.linalg.norm(velocity, axis=1)),
+        "normal_speed": spread(-away),  # towards the surface
+        "tangential_speed": spread(along),
+        "moving_away": proportion((away > 0).sum(), len(arrived)),
+        "pitch_error": spread(np.abs(state[:, PITCH] - arrived[0].inclination)),
+    }
+
+
+def _motors_cut(arrived: Sequence[Flight], task, scale: float) -> dict:
+    states = np.array([f.state[-1] for f in arrived])
+    after = cut_motors(states, task.inclination, task.vehicle, scale)
+    return {
+        "touchdown": proportion(after.touched.sum(), len(arrived)),
+        "normal_speed": spread(after.normal_speed),
+        "tangential_speed": spread(after.tangential_speed),
+        "at_rest_on_feet": proportion(after.at_rest.sum(), len(arrived)),
+    }
