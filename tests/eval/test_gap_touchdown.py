@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.search.touchdown import landings_of, name_contact, sag
+from inclined_landing.eval.gap.search.touchdown import FEWEST, LIMITS, landings_of, name_contact, sag
 from inclined_landing.eval.proof.gap_blind.generate import landings, logs
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
@@ -47,6 +47,21 @@ def test_softer_feet_give_way_under_the_weight():
     soft = LIBRARY["contact_stiffness"].apply(VEHICLE, {"scale": 0.5})
     assert np.array(sag(soft)) == pytest.approx(2.0 * np.array(sag(VEHICLE)))
     assert sag(VEHICLE)[0] == pytest.approx(9.81 * VEHICLE.contact_solref[0] ** 2)
+
+
+def test_a_contact_effect_is_named_among_few(higher):
+    """From as few landings as are taken: the offset within the 3 mm that start states leave open."""
+    flights, offset = higher
+    few = {name: LIBRARY[name] for name in ("friction", "platform_height")}
+    problem, found = name_contact(landings_of(flights[:FEWEST], VEHICLE), VEHICLE, few)
+    assert list(problem.library) == list(few) and list(found.fit.values) == ["platform_height"]
+    assert found.fit.values["platform_height"]["offset"] == pytest.approx(offset, abs=0.003)
+    assert found.classes == {"platform_height": ("platform_height",)} and not found.unexplained
+    best, other = found.steps[0].candidates
+    assert (best.effect, best.reason) == ("platform_height", "") and best.evidence > LIMITS.evidence
+    assert other.reason == "less evidence" and other.evidence < best.evidence
+    # It leaves nothing to explain, so that no second effect is looked for.
+    assert len(found.steps) == 1
 
 
 @pytest.mark.slow
