@@ -1,26 +1,29 @@
 """Reader of `crazyflie.toml`, the one source of every physical constant.
 
-`load_vehicle()` gives the values as a frozen :class:`Vehicle`; `constants()` gives unit, source and
-uncertainty beside each value.
+`load_vehicle()` gives the values as a frozen :class:`Vehicle`; `constants()` gives range, unit, source
+and uncertainty beside each value. Vehicle files and vehicles made in Python are held to the ranges of the
+shipped file and to what values must agree on (`plausible.py`).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import json
 import math
-import os
-import tomllib
 from collections.abc import Mapping
 from importlib import resources
+from numbers import Real
 from pathlib import Path
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models import plausible, storage
+from inclined_landing.models.errors import UserError, shown
 
 # Tables that a vehicle file may leave out, whole or in part: the shipped entries are taken.
 _LATER = ("effects", "rotor")
 _FIELDS = ("value", "unit", "source", "uncertainty")
+_SHIPPED = "crazyflie.toml"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,9 +33,15 @@ class Constant:
     section: str
     name: str
     value: float | tuple[float, ...]
+    range: tuple[tuple[float, float], ...]  # lowest and highest of each number
     unit: str
     source: str
     uncertainty: float | tuple[float, ...] | str
+
+    @property
+    def label(self) -> str:
+        """How sentences call it: as it stands in the file."""
+        return f"{self.section}.{self.name}"
 
     @property
     def field(self) -> str:
@@ -148,84 +157,138 @@ def constants(path: str | Path | None = None) -> list[Constant]:
     """Every entry of the vehicle file (default: the shipped `crazyflie.toml`), in the order of that one.
 
     Where another file lacks the tables `effects` and `rotor`, or entries of them, the shipped entries
-    stand in, so that files older than these tables stay what they were.
-    Raises UserError, naming file and entry, when the file is unreadable or an entry is incomplete.
+    stand in, so that files older than these tables stay what they were. Its ranges and units are the
+    shipped ones; an entry may repeat its range.
+    Raises UserError, naming file and entry, when the file is unreadable or an entry is missing, unknown
+    or not what it should be.
     """
-    name = str(path) if path is not None else "crazyflie.toml"
-    try:
-        if path is None:
-            text = resources.files("inclined_landing.models").joinpath(name).read_text("utf-8")
-        else:
-            text = Path(path).read_text("utf-8")
-        tables = tomllib.loads(text)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UserError(f"vehicle file {name} cannot be read: {error}") from error
-    entries = []
+    if path is None:
+        return list(_shipped().values())
+    shipped, what = _shipped(), f"vehicle file {path}"
+    given = _entries(storage.read_toml(path, "vehicle file"), what)
+    unknown = [f"{section}.{name}" for section, name in given if f"{section}_{name}" not in shipped]
+    if unknown:
+        raise UserError(f"{what} has unknown entries: {_first(unknown)}")
+    found = {f"{section}_{name}": entry for (section, name), entry in given.items()}
+    missing = [c.label for c in shipped.values() if c.field not in found and c.section not in _LATER]
+    if missing:
+        raise UserError(f"{what} lacks entries: {_first(missing)}")
+    return [
+        _constant(found[field], like, f"{what}: {like.label}") if field in found else like
+        for field, like in shipped.items()
+    ]
+
+
+@functools.lru_cache(maxsize=1)
+def _shipped() -> dict[str, Constant]:
+    """The shipped entries by the names of `Vehicle`'s fields."""
+    file = resources.files("inclined_landing.models") / _SHIPPED
+    with resources.as_file(file) as path:
+        entries = _entries(storage.read_toml(path, "vehicle file"), f"vehicle file {path}")
+    result = {}
+    for (section, name), entry in entries.items():
+        value, spread, uncertainty = (_tuples(entry[k]) for k in ("value", "range", "uncertainty"))
+        if not isinstance(spread[0], tuple):
+            spread = (spread,) * (len(value) if isinstance(value, tuple) else 1)
+        constant = Constant(section, name, value, spread, entry["unit"], entry["source"], uncertainty)
+        result[constant.field] = constant
+    return result
+
+
+def _entries(tables: dict, what: str) -> dict[tuple[str, str], dict]:
+    """The entries of a vehicle file by table and name; every one is a table with the right fields."""
+    entries = {}
     for section, table in tables.items():
         if not isinstance(table, dict):
-            raise UserError(f"vehicle file {name}: entry {section} stands outside any table")
-        for key, entry in table.items():
-            if not isinstance(entry, dict) or set(entry) != set(_FIELDS):
+            raise UserError(f"{what}: entry {shown(section, 60)} stands outside any table")
+        for name, entry in table.items():
+            if not isinstance(entry, dict) or set(entry) - {"range"} != set(_FIELDS):
                 raise UserError(
-                    f"vehicle file {name}: entry {section}.{key} must have exactly the fields "
+                    f"{what}: entry {shown(f'{section}.{name}', 60)} must have exactly the fields "
                     + ", ".join(_FIELDS)
                 )
-            given = entry["value"]
-            values = given if isinstance(given, list) else [given]
-            if not all(type(x) in (int, float) and math.isfinite(x) for x in values):
-                raise UserError(f"vehicle file {name}: {section}.{key} is not a finite number")
-            value = tuple(map(float, given)) if isinstance(given, list) else float(given)
-            entries.append(
-                Constant(section, key, value, entry["unit"], entry["source"], entry["uncertainty"])
+            entries[section, name] = entry
+    return entries
+
+
+def _constant(entry: dict, like: Constant, what: str) -> Constant:
+    """One entry of another vehicle file, checked against the shipped one."""
+    value = _checked(entry["value"], like, what)
+    if entry["unit"] != like.unit:
+        raise UserError(f"{what} must be in {like.unit!r}, not in {shown(repr(entry['unit']), 40)}")
+    given = entry.get("range")
+    if given is not None and _tuples(given) not in (like.range, like.range[0]):
+        raise UserError(f"{what} has a range of its own; leave it out, {_SHIPPED} has the ranges")
+    source, uncertainty = entry["source"], entry["uncertainty"]
+    if not isinstance(source, str):
+        raise UserError(f"{what}: its source must be a text, not {shown(repr(source), 40)}")
+    if not isinstance(uncertainty, str):
+        numbers = _numbers(uncertainty)
+        if numbers is None or _shape(uncertainty) not in ("one number", _shape(value)) or min(numbers) < 0:
+            raise UserError(
+                f"{what}: its uncertainty must be a text or numbers that are not negative, not "
+                f"{shown(repr(uncertainty), 40)}"
             )
-    if path is None:
-        return entries
-    shipped = constants()
-    given = {c.field for c in entries}
-    entries += [c for c in shipped if c.section in _LATER and c.field not in given]
-    order = {c.field: k for k, c in enumerate(shipped)}
-    return sorted(entries, key=lambda c: order.get(c.field, len(order)))
+        uncertainty = numbers if isinstance(uncertainty, list) else numbers[0]
+    return Constant(like.section, like.name, value, like.range, like.unit, source, uncertainty)
 
 
-@functools.lru_cache(maxsize=8)
+def _checked(value, like: Constant, what: str) -> float | tuple[float, ...]:
+    """The value of an entry as numbers within their range."""
+    if _shape(value) != _shape(like.value):
+        raise UserError(f"{what} needs {_shape(like.value)}, it has {_shape(value)}")
+    numbers = _numbers(value)
+    if numbers is None:
+        raise UserError(f"{what} is not a finite number: {shown(repr(value), 40)}")
+    units = like.unit.split(", ")
+    for k, (number, (low, high)) in enumerate(zip(numbers, like.range)):
+        if not low <= number <= high:
+            unit = units[k % len(units)]
+            unit = "" if unit == "1" else f" {unit}"
+            raise UserError(f"{what} is {number:g}{unit}; it must be from {low:g} to {high:g}{unit}")
+    return numbers if isinstance(value, (list, tuple)) else numbers[0]
+
+
+def _numbers(value) -> tuple[float, ...] | None:
+    """A number, or a list of them, as finite floats; None for anything else."""
+    numbers = value if isinstance(value, (list, tuple)) else (value,)
+    if any(isinstance(x, bool) or not isinstance(x, Real) for x in numbers):
+        return None
+    try:
+        numbers = tuple(map(float, numbers))
+    except OverflowError:  # an integer of hundreds of digits
+        return None
+    return numbers if all(map(math.isfinite, numbers)) else None
+
+
 def load_vehicle(path: str | Path | None = None) -> Vehicle:
     """Read a vehicle file (default: the shipped Crazyflie 2.1).
 
-    Raises UserError when an entry is missing, unknown, or has the wrong number of values.
+    Raises UserError, naming file and entry, when an entry is missing, unknown, of another type or outside
+    its range, and when entries contradict each other.
     """
-    name = str(path) if path is not None else "crazyflie.toml"
-    values = {c.field: c.value for c in constants(path)}
-    fields = {f.name for f in dataclasses.fields(Vehicle)}
-    for problem, names in (("lacks", fields - set(values)), ("has unknown", set(values) - fields)):
-        if names:
-            raise UserError(f"vehicle file {name} {problem} entries: {', '.join(sorted(names))}")
-    if path is not None:
-        shipped = dataclasses.asdict(load_vehicle())
-        for field, value in values.items():
-            if _shape(value) != _shape(shipped[field]):
-                raise UserError(
-                    f"vehicle file {name}: {field} needs {_shape(shipped[field])}, it has {_shape(value)}"
-                )
-    vehicle = Vehicle(**values)
-    try:
-        check_vehicle(vehicle)
-    except UserError as error:
-        raise UserError(f"vehicle file {name}: {error}") from None
+    if path is None:
+        return _crazyflie()
+    vehicle = Vehicle(**{c.field: c.value for c in constants(path)})
+    for sentence in itertools.chain(plausible.contradictions(vehicle), plausible.misplaced(vehicle)):
+        raise UserError(f"vehicle file {path}: {sentence}")
     return vehicle
 
 
+@functools.lru_cache(maxsize=1)
+def _crazyflie() -> Vehicle:
+    return Vehicle(**{field: c.value for field, c in _shipped().items()})
+
+
 def check_vehicle(vehicle: Vehicle) -> None:
-    """Raise UserError, naming the field, if a value makes no physical sense."""
-    for field in ("body_mass", "thrust_lag_rate", "attitude_time_constant", "attitude_bandwidth"):
-        if not getattr(vehicle, field) > 0:
-            raise UserError(f"{field} must be positive")
-    for field in ("thrust_delay", "attitude_delay", "mocap_delay", "body_drag"):
-        if not getattr(vehicle, f"effects_{field}") >= 0:
-            raise UserError(f"effects_{field} must not be negative")
-    if not vehicle.effects_spin_down > -1:
-        raise UserError("effects_spin_down must be greater than -1")
-    if vehicle.effects_battery_reference == 0:
-        raise UserError("effects_battery_reference must not be 0")
+    """Raise UserError, naming the entry, if a value is outside its range or contradicts another.
+
+    Platforms may lie where no task takes them (`plausible.misplaced`), as fits of their tilt try.
+    """
+    for field, constant in _shipped().items():
+        _checked(getattr(vehicle, field), constant, constant.label)
+    for sentence in plausible.contradictions(vehicle):
+        raise UserError(sentence)
 
 
 def write_vehicle(
@@ -239,6 +302,7 @@ def write_vehicle(
 ) -> None:
     """Write `vehicle` as a file that `load_vehicle` reads back exactly, whole or not at all.
 
+    The file has no ranges: they are not the vehicle's.
     sources, uncertainties: of the fields (`body_mass`) that differ from the vehicle file `base`
     (default: the shipped one); entries that do not differ keep theirs. heading: a comment on top.
     Raises UserError when the file cannot be written.
@@ -258,24 +322,26 @@ def write_vehicle(
             f"{c.name} = {{ value = {_toml(value)}, unit = {_toml(c.unit)}, source = {_toml(source)}, "
             f"uncertainty = {_toml(uncertainty)} }}"
         )
-    path = Path(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        part.write_text("\n".join(lines).lstrip("\n") + "\n", "utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise UserError(f"cannot write {path}: {(error.strerror or str(error)).lower()}") from error
-    load_vehicle.cache_clear()  # the same name may have been read before
+    storage.write_text(path, "\n".join(lines).lstrip("\n") + "\n")
 
 
 def _toml(value) -> str:
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, (tuple, list)):
         return "[" + ", ".join(repr(float(x)) for x in value) + "]"
     return repr(float(value))
 
 
 def _shape(value) -> str:
-    return f"a list of {len(value)}" if isinstance(value, tuple) else "one number"
+    return f"a list of {len(value)}" if isinstance(value, (tuple, list)) else "one number"
+
+
+def _tuples(value):
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def _first(names: list[str]) -> str:
+    """Names as words can hold them: the first three and how many more."""
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(shown(name, 60) for name in names[:3]) + more

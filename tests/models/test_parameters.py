@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import itertools
 import math
 import re
 from importlib import resources
@@ -11,8 +12,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import constants, load_vehicle, write_vehicle
+from inclined_landing.models.parameters import check_vehicle, constants, load_vehicle, write_vehicle
 from inclined_landing.models.scene import build_spec
 
 ROOT = Path(__file__).parents[2]
@@ -67,39 +69,55 @@ def _without(line_start: str):
 
 
 WRONG = {
-    "missing entry": (_without("mass "), r"lacks entries: body_mass"),
+    "missing entry": (_without("mass "), r"lacks entries: body\.mass$"),
     "unknown entry": (
         lambda t: t.replace(
             "[thrust]", '[thrust]\nlag = { value = 1, unit = "1", source = "x", uncertainty = 0 }'
         ),
-        r"has unknown entries: thrust_lag$",
+        r"has unknown entries: thrust\.lag$",
     ),
     "too few values": (
         lambda t: t.replace("[0.04076521, 380.8359]", "[0.04076521]"),
-        "motor_pwm_to_speed needs a list of 2, it has a list of 1",
+        r"motor\.pwm_to_speed needs a list of 2, it has a list of 1",
     ),
     "too many values": (
         lambda t: t.replace("value = 0.03303", "value = [0.03, 0.04]"),
-        "body_mass needs one number, it has a list of 2",
+        r"body\.mass needs one number, it has a list of 2",
     ),
     "a list of one": (
         lambda t: t.replace("value = 0.03303", "value = [0.03]"),
-        "body_mass needs one number, it has a list of 1",
+        r"body\.mass needs one number, it has a list of 1",
     ),
     "one for a list": (
         lambda t: t.replace("value = [-3.4, 3.4]", "value = 3.4"),
-        "arena_x needs a list of 2",
+        r"arena\.x needs a list of 2",
     ),
     "NaN": (lambda t: t.replace("value = 0.03303", "value = nan"), r"body\.mass is not a finite number"),
     "infinite": (lambda t: t.replace("value = 15.467", "value = -inf"), r"thrust\.lag_rate is not a finite"),
     "text": (lambda t: t.replace("value = 0.03303", 'value = "heavy"'), r"body\.mass is not a finite number"),
     "no unit": (
-        lambda t: t.replace('value = 0.03303, unit = "kg",', "value = 0.03303,"),
+        lambda t: t.replace('unit = "kg", ', "", 1),
         r"body\.mass must have exactly the fields value, unit, source, uncertainty",
     ),
     "bare number": (lambda t: "mass = 0.03\n" + t, r"entry mass stands outside any table"),
-    "negative mass": (lambda t: t.replace("value = 0.03303", "value = -1.0"), r"body_mass must be positive"),
-    "not TOML": (lambda t: "<mujoco/>", r"cannot be read"),
+    "negative mass": (
+        lambda t: t.replace("value = 0.03303", "value = -1.0"),
+        r"body\.mass is -1 kg; it must be from 0\.001 to 20 kg$",
+    ),
+    "another unit": (
+        lambda t: t.replace('unit = "kg"', 'unit = "g"'),
+        r"body\.mass must be in 'kg', not in 'g'",
+    ),
+    "another range": (lambda t: t.replace("[0.001, 20.0]", "[0, 99]"), r"body\.mass has a range of its own"),
+    "source": (
+        lambda t: t.replace('source = "[P] 50 Hz"', "source = 50"),
+        r"command\.control_period: its source must be a text, not 50",
+    ),
+    "uncertainty": (
+        lambda t: t.replace("uncertainty = 0.0003", "uncertainty = -1"),
+        r"body\.mass: its uncertainty must be a text or numbers that are not negative, not -1",
+    ),
+    "not TOML": (lambda t: "<mujoco/>", r"is not TOML"),
 }
 
 
@@ -114,11 +132,102 @@ def test_wrong_files_are_refused_in_one_sentence(load, text, problem):
     assert "\n" not in str(error.value)
 
 
+CONTRADICTIONS = {
+    "triangle": ({"body_inertia": (1e-5, 1e-5, 3e-5)}, r"body\.inertia is that of no body"),
+    "gyration": ({"body_inertia": (1e-2, 1e-2, 1e-2)}, r"radius of gyration of 0\.55 m"),
+    "overlap": ({"rotor_radius": 0.04}, "the rotors overlap"),
+    "half a motor": ({"motor_count": 3.5}, r"motor\.count must be a whole number"),
+    "too heavy": (
+        {"body_mass": 3.0, "body_inertia": (1e-3,) * 3},
+        r"cannot hover: .* is 0\.57 N, its weight 29\.4 N",
+    ),
+    "static map": ({"motor_pwm_to_force": (1e-11, 1e-6, 1.0)}, "carries the weight at PWM 0"),
+    "bias": ({"effects_thrust_bias": -9.0}, r"effects\.thrust_bias of -9 N is more than 10 times the weight"),
+    "reference": ({"effects_battery_reference": 0.0}, r"effects\.battery_reference must not be 0"),
+    "sag": (
+        {"effects_battery_sag": 0.5, "effects_battery_reference": 1.0},
+        r"effects\.battery_sag makes the thrust in hover -1\.7e\+04 times",
+    ),
+    "reversed PWM": ({"command_pwm_range": (6e4, 1e4)}, r"command\.pwm_range must rise"),
+    "centre": ({"command_pwm_centre": 5e3}, r"command\.pwm_centre of 5000 PWM is outside"),
+    "reversed arena": ({"arena_y": (1.4, -1.4)}, r"arena\.y must rise, not go from 1\.4 to -1\.4 m"),
+    "empty arena": ({"arena_z": (1.0, 1.0)}, r"arena\.z must rise"),
+    "solref": ({"contact_solref": (0.01, -5.0)}, r"contact\.solref must be"),
+    "period": ({"command_control_period": 0.015}, "not a whole number of engine steps"),
+    "lag": (
+        {"thrust_lag_rate": 400.0, "thrust_direct_gain": 1e-5},
+        r"thrust\.lag_rate of 400 1/s is too fast for steps of 0\.02 s",
+    ),
+    "loop": (
+        {"attitude_bandwidth": 700.0},
+        r"attitude\.bandwidth of 700 1/s is too fast for steps of 0\.004",
+    ),
+    "drag": ({"drag_coefficients": (-1e-3, 0.0, 0.0)}, r"drag\.coefficients slow the vehicle"),
+}
+MISPLACED = {
+    "inclination": ({"platform_inclination": 1.0}, "outside the supported range of -50 to 50 deg"),
+    "outside": ({"arena_x": (-0.3, 3.4)}, r"from -0\.4 to 0\.4 m in x and does not fit into arena\.x"),
+    "above": ({"platform_surface_height": 2.3}, r"in z and does not fit into arena\.z, 0 to 2\.4 m"),
+}
+
+
+@pytest.mark.parametrize("problem", CONTRADICTIONS | MISPLACED)
+def test_values_that_contradict_each_other_are_refused(tmp_path, problem):
+    change, sentence = (CONTRADICTIONS | MISPLACED)[problem]
+    vehicle = dataclasses.replace(load_vehicle(), **change)
+    write_vehicle(tmp_path / "v.toml", vehicle)
+    with pytest.raises(UserError, match=rf"v\.toml: .*{sentence}"):
+        load_vehicle(tmp_path / "v.toml")
+    if problem in MISPLACED:  # fits of the platform may look there
+        check_vehicle(vehicle)
+    else:
+        with pytest.raises(UserError, match=sentence):
+            check_vehicle(vehicle)
+
+
+def alike(mass):
+    """A vehicle of another mass [kg] with the proportions of the shipped one."""
+    v, share = load_vehicle(), mass / load_vehicle().body_mass
+    size = share ** (1 / 3)
+    return dataclasses.replace(
+        v,
+        body_mass=mass,
+        body_inertia=tuple(x * share * size**2 for x in v.body_inertia),
+        rotor_arm=v.rotor_arm * size,
+        rotor_radius=v.rotor_radius * size,
+        rotor_height=v.rotor_height * size,
+        thrust_state_gain=v.thrust_state_gain * share,
+        thrust_direct_gain=v.thrust_direct_gain * share,
+        motor_pwm_to_force=tuple(x * share for x in v.motor_pwm_to_force),
+        motor_pwm_to_speed=tuple(x / size for x in v.motor_pwm_to_speed),
+        drag_coefficients=tuple(x * share for x in v.drag_coefficients),
+    )
+
+
+@pytest.mark.parametrize("mass", [0.005, 0.03303, 0.5, 5.0])
+def test_ranges_leave_room_for_other_vehicles_with_every_effect_at_its_bounds(mass):
+    vehicle = alike(mass)
+    check_vehicle(vehicle)
+    for effect in LIBRARY.values():
+        names = [p.name for p in effect.parameters]
+        for corner in itertools.product(*(p.bounds for p in effect.parameters)):
+            check_vehicle(effect.apply(vehicle, dict(zip(names, corner))))
+
+
+def test_every_shipped_value_is_within_its_range_and_ranges_are_closed():
+    for c in constants():
+        values = c.value if isinstance(c.value, tuple) else (c.value,)
+        assert len(values) == len(c.range)
+        for value, (low, high) in zip(values, c.range):
+            assert low <= value <= high and low < high
+            assert math.isfinite(high - low)
+
+
 def test_missing_and_binary_files_are_refused(tmp_path):
-    with pytest.raises(UserError, match=r"nowhere\.toml cannot be read"):
+    with pytest.raises(UserError, match=r"nowhere\.toml does not exist"):
         load_vehicle(tmp_path / "nowhere.toml")
     (tmp_path / "noise.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(UserError, match=r"noise\.toml cannot be read"):
+    with pytest.raises(UserError, match=r"noise\.toml is not UTF-8 text"):
         load_vehicle(tmp_path / "noise.toml")
 
 
@@ -212,7 +321,7 @@ def test_the_rotors_of_the_equations_are_those_of_the_scene():
 
 
 def test_a_written_vehicle_reads_back_with_its_sources(tmp_path):
-    vehicle = dataclasses.replace(load_vehicle(), body_mass=0.1 + 0.2, effects_wind=(0.5, -1 / 3))
+    vehicle = dataclasses.replace(load_vehicle(), body_mass=0.01 + 0.02, effects_wind=(0.5, -1 / 3))
     path = tmp_path / "v.toml"
     write_vehicle(
         path, vehicle, {"body_mass": 'a "scale"'}, {"body_mass": 0.01}, heading="two lines\nof comment"

@@ -1,0 +1,181 @@
+"""What the values of a vehicle must agree on; the range of each one is in `crazyflie.toml`.
+
+`contradictions` gives a sentence for each pair that does not fit. All limits leave room for every
+quadrotor of 5 g to 5 kg and for what fits of the effects try on top of it; what is refused is a slip, or
+cannot be integrated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from inclined_landing.models import contact
+from inclined_landing.models.errors import UserError
+
+if TYPE_CHECKING:
+    from inclined_landing.models.parameters import Vehicle
+
+ENGINE_STEP = 0.004  # s, of scenes and plants unless told otherwise
+_STABLE = 2.5  # rate times step; RK4 follows decays up to 2.78
+_SMOOTH = 1.0  # the same for rates that grow with the speed
+_GYRATION = (0.05, 5.0)  # radius of gyration over the distance of a motor from the centre
+_HOVER = 5.0  # times the largest command; fits of weak motors go beyond one
+_BIAS = 10.0  # times the weight
+_FACTOR = 100.0  # of the thrust by battery, voltage and wind together
+_SOLREF = (1e-4, 0.01)  # s, 1: least time constant and damping ratio
+_STIFFNESS = 1.0  # 1/s2, least
+
+
+def contradictions(v: Vehicle) -> Iterator[str]:
+    """A sentence for everything that the values of a vehicle do not agree on."""
+    yield from _body(v)
+    yield from _thrust(v)
+    yield from _commands(v)
+    yield from _arena(v)
+    yield from _contact(v)
+    yield from _steps(v)
+
+
+def misplaced(v: Vehicle) -> Iterator[str]:
+    """A sentence for a platform that does not fit: into the arena, or what tasks support.
+
+    For vehicle files only: fits of platform height and tilt may look beyond.
+    """
+    try:
+        v.check_inclination(v.platform_inclination)
+    except UserError as error:
+        yield str(error)
+    rise = 0.5 * v.platform_width * abs(math.tan(v.platform_inclination))
+    extents = {
+        "x": (-0.5 * v.platform_width, 0.5 * v.platform_width),
+        "y": (-0.5 * v.platform_depth, 0.5 * v.platform_depth),
+        "z": (v.platform_surface_height - rise, v.platform_surface_height + rise),
+    }
+    for axis, (low, high) in extents.items():
+        least, most = getattr(v, f"arena_{axis}")
+        if low < least or high > most:
+            yield (
+                f"the platform reaches from {low:.3g} to {high:.3g} m in {axis} and does not fit into "
+                f"arena.{axis}, {least:g} to {most:g} m"
+            )
+
+
+def _body(v: Vehicle) -> Iterator[str]:
+    a, b, c = sorted(v.body_inertia)
+    if a + b < c * (1 - 1e-9):
+        yield f"body.inertia is that of no body: {c:g} kg m2 is more than the sum of the other two, {a + b:g}"
+    distance = math.sqrt(2.0) * v.rotor_arm
+    for moment in (a, c):
+        radius = math.sqrt(moment / v.body_mass)
+        low, high = (share * distance for share in _GYRATION)
+        if not low <= radius <= high:
+            yield (
+                f"body.inertia of {moment:g} kg m2 with body.mass of {v.body_mass:g} kg is a radius of "
+                f"gyration of {radius:.3g} m; with this rotor.arm it must be from {low:.3g} to {high:.3g} m"
+            )
+    if v.rotor_radius > v.rotor_arm:
+        yield (
+            f"the rotors overlap: rotor.radius of {v.rotor_radius:g} m is more than rotor.arm of "
+            f"{v.rotor_arm:g} m, half the distance between two"
+        )
+    if v.motor_count != round(v.motor_count):
+        yield f"motor.count must be a whole number, not {v.motor_count:g}"
+    if max(map(abs, v.effects_com_offset)) > v.rotor_arm:
+        yield f"effects.com_offset lies outside the rotors, farther than rotor.arm of {v.rotor_arm:g} m"
+
+
+def _thrust(v: Vehicle) -> Iterator[str]:
+    weight, most = v.body_mass * v.environment_gravity, v.command_pwm_range[1]
+    if v.thrust_per_pwm * _HOVER * most < weight:
+        full = v.thrust_per_pwm * most
+        yield (
+            f"the vehicle cannot hover: its thrust at the {most:g} PWM of command.pwm_range is {full:.3g} N, "
+            f"its weight {weight:.3g} N"
+        )
+        return
+    if v.hover_pwm < 1.0:
+        yield f"the thrust carries the weight at {v.hover_pwm:.3g} PWM; at least 1 PWM makes sense"
+    if weight <= v.motor_count * v.motor_pwm_to_force[2]:
+        yield "motor.pwm_to_force carries the weight at PWM 0; its last number is too large"
+    if abs(v.effects_thrust_bias) > _BIAS * weight:
+        yield (
+            f"effects.thrust_bias of {v.effects_thrust_bias:g} N is more than {_BIAS:g} times the weight, "
+            f"{weight:.3g} N"
+        )
+    if v.effects_battery_reference == 0.0:
+        yield "effects.battery_reference must not be 0 PWM"
+        return
+    sag = 1.0 - v.effects_battery_sag * (v.hover_pwm / v.effects_battery_reference - 1.0)
+    voltage = v.effects_voltage_open - v.effects_voltage_drop * v.hover_pwm
+    charge = 1.0 + v.effects_voltage_sensitivity * (voltage - v.effects_voltage_reference)
+    lift = 1.0 + v.effects_translational_lift * sum(x * x for x in v.effects_wind)
+    for name, factor in {
+        "effects.battery_sag": sag,
+        "effects.voltage_sensitivity": charge,
+        "effects.translational_lift with effects.wind": lift,
+    }.items():
+        if abs(factor) > _FACTOR:
+            yield f"{name} makes the thrust in hover {factor:.3g} times as large"
+
+
+def _commands(v: Vehicle) -> Iterator[str]:
+    low, high = v.command_pwm_range
+    if low >= high:
+        yield f"command.pwm_range must rise, not go from {low:g} to {high:g} PWM"
+    elif not low <= v.command_pwm_centre <= high:
+        yield (
+            f"command.pwm_centre of {v.command_pwm_centre:g} PWM is outside command.pwm_range, "
+            f"{low:g} to {high:g} PWM"
+        )
+
+
+def _arena(v: Vehicle) -> Iterator[str]:
+    for axis in "xyz":
+        low, high = getattr(v, f"arena_{axis}")
+        if low >= high:
+            yield f"arena.{axis} must rise, not go from {low:g} to {high:g} m"
+
+
+def _contact(v: Vehicle) -> Iterator[str]:
+    first, second = v.contact_solref
+    try:
+        contact.check_solref(v.contact_solref)
+    except UserError as error:
+        yield f"contact.{error}, not ({first:g}, {second:g})"
+        return
+    if first > 0 and (first < _SOLREF[0] or second < _SOLREF[1]):
+        yield (
+            f"contact.solref must be at least ({_SOLREF[0]:g} s, {_SOLREF[1]:g}), "
+            f"not ({first:g} s, {second:g})"
+        )
+    if -_STIFFNESS < first < 0:
+        yield f"contact.solref has a stiffness of {-first:g} 1/s2; it must be at least {_STIFFNESS:g} 1/s2"
+
+
+def _steps(v: Vehicle) -> Iterator[str]:
+    """What the control period, one step of the equations, and the engine's step can follow."""
+    period, mass = v.command_control_period, v.body_mass
+    steps = period / ENGINE_STEP
+    if round(steps) < 1 or abs(steps - round(steps)) > 1e-9:
+        yield (
+            f"command.control_period of {period:g} s is not a whole number of engine steps of "
+            f"{ENGINE_STEP:g} s"
+        )
+    speeds = v.motor_pwm_to_speed[0] * v.hover_pwm + v.motor_pwm_to_speed[1]
+    drag = max(map(abs, v.drag_coefficients)) * v.motor_count * speeds / mass
+    air = math.hypot(*v.effects_wind) + 2.0  # m/s, with some of the vehicle's own
+    for name, rate, step, most in (
+        ("thrust.lag_rate", v.thrust_lag_rate, period, _STABLE),
+        ("1/attitude.time_constant", 1.0 / v.attitude_time_constant, period, _STABLE),
+        ("drag.coefficients slow the vehicle; their rate", drag, period, _SMOOTH),
+        ("effects.body_drag slows the vehicle; its rate", v.effects_body_drag * air / mass, period, _SMOOTH),
+        ("attitude.bandwidth", v.attitude_bandwidth, ENGINE_STEP, _STABLE),
+        ("attitude.yaw_bandwidth", v.attitude_yaw_bandwidth, ENGINE_STEP, _STABLE),
+    ):
+        if rate * step > most:
+            yield (
+                f"{name} of {rate:.3g} 1/s is too fast for steps of {step:g} s, which can follow "
+                f"{most / step:.3g} 1/s"
+            )
