@@ -11,6 +11,8 @@ The named effects of the vehicle (`effects_...`; see `effects/`) are terms of th
 out while all are neutral. Delays are not equations: the plant shifts the commands.
 """
 
+import dataclasses
+import functools
 import math
 
 import numba
@@ -32,7 +34,7 @@ from inclined_landing.models.attitude import (
     body_rates,
     euler_rates,
 )
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.perturbation import (
     DRAG_CHANGE,
     GAIN_SCALE,
@@ -46,129 +48,108 @@ from inclined_landing.models.perturbation import (
 
 # The integrated vector: position, velocity, Euler angles, lag, Euler rates (rate loop only).
 _PHI, _THETA, _PSI, _OMEGA, _RATES, _SIZE = 6, 7, 8, 9, 10, 13
-# The packed constants of the effects (see `pack`), the last one telling whether any is not neutral.
-_INERTIA, _ARM, _DISC_HEIGHT, _DISC_RADIUS, _SURFACE, _HALF_LENGTH, _HALF_DEPTH = 18, 20, 21, 22, 23, 24, 25
-_SAG_REFERENCE, _V_REFERENCE, _V_OPEN, _V_DROP, _V_DISCHARGE = range(26, 31)
-_BIAS, _FADE, _SAG, _SENSITIVITY, _SPIN_DOWN, _BODY_DRAG, _WIND_X, _WIND_Y = range(31, 39)
-_LIFT, _INFLOW, _GROUND, _COM_X, _COM_Y, _TRIM_ROLL, _TRIM_PITCH, _YAW_DRIFT, _ACTIVE = range(39, 48)
 # What a vehicle meets: time [s], battery voltage [V] (NaN: that of the vehicle file), inclination of the
 # platform [rad] and whether it is there.
 AMBIENT_SIZE = 4
 TIME, VOLTAGE, INCLINATION, PRESENT = range(AMBIENT_SIZE)
+# Entries of [effects] that are no terms here: what other entries refer to, and what the plants do.
+_NO_TERMS = frozenset(
+    "battery_reference voltage_reference voltage_open voltage_drop voltage_discharge "
+    "thrust_delay attitude_delay mocap_tilt mocap_delay".split()
+)
+
+
+@functools.cache
+def _layout() -> tuple[dict[str, list[str]], np.dtype]:
+    """The entries of each table of the vehicle file, and the type of `pack`'s array."""
+    tables: dict[str, list[str]] = {}
+    shipped = load_vehicle()
+    for field in dataclasses.fields(Vehicle):
+        table, _, entry = field.name.partition("_")
+        tables.setdefault(table, []).append(entry)
+
+    def column(table, entry):
+        return entry, float, np.shape(getattr(shipped, f"{table}_{entry}"))
+
+    groups = [(table, [column(table, entry) for entry in entries]) for table, entries in tables.items()]
+    return tables, np.dtype([*groups, ("slab_half_length", float), ("any_effect", np.bool_)])
 
 
 def pack(vehicle: Vehicle) -> np.ndarray:
-    """The constants the kernels need, as one flat array in the order `_unpack` documents."""
-    v = vehicle
-    effects = [
-        v.effects_thrust_bias,
-        v.effects_thrust_fade,
-        v.effects_battery_sag,
-        v.effects_voltage_sensitivity,
-        v.effects_spin_down,
-        v.effects_body_drag,
-        *v.effects_wind,
-        v.effects_translational_lift,
-        v.effects_axial_inflow,
-        v.effects_ground_effect,
-        *v.effects_com_offset,
-        *v.effects_attitude_trim,
-        v.effects_yaw_drift,
-    ]
-    battery = [
-        v.effects_battery_reference,
-        v.effects_voltage_reference,
-        v.effects_voltage_open,
-        v.effects_voltage_drop,
-        v.effects_voltage_discharge,
-    ]
-    return np.array(
-        [
-            v.body_mass,
-            v.environment_gravity,
-            v.thrust_lag_rate,
-            v.thrust_state_gain,
-            v.thrust_direct_gain,
-            v.motor_count,
-            *v.motor_pwm_to_force,
-            *v.motor_pwm_to_speed,
-            *v.drag_coefficients,
-            v.attitude_gain,
-            v.attitude_time_constant,
-            v.attitude_bandwidth,
-            v.attitude_yaw_bandwidth,
-            *v.body_inertia[:2],
-            v.rotor_arm,
-            v.rotor_height,
-            v.rotor_radius,
-            v.platform_surface_height,
-            v.slab_half_length,
-            0.5 * v.platform_depth,
-            *battery,
-            *effects,
-            float(any(effects)),
-        ]
-    )
+    """The vehicle as the kernels take it: (1,), a record `v` in which entry `b` of table `a` is `v.a.b`.
+
+    `v.any_effect` tells whether any term beyond the paper's equations is not neutral. The names are part
+    of the array's type, and so of a compiled kernel's signature.
+    """
+    tables, layout = _layout()
+    values = {t: tuple(getattr(vehicle, f"{t}_{e}") for e in entries) for t, entries in tables.items()}
+    effects = zip(tables["effects"], values["effects"])
+    terms = [x for entry, x in effects if entry not in _NO_TERMS]
+    any_effect = any(any(x) if isinstance(x, tuple) else x for x in terms)
+    return np.array([(*values.values(), vehicle.slab_half_length, any_effect)], layout)
 
 
 @numba.njit(cache=True, inline="always")
-def rotor_speed_sum(thrust, c):
+def rotor_speed_sum(thrust, v):
     """Sum of rotor speeds [rad/s] at total thrust [N] through the static maps; 0 without thrust.
 
     Below the force that the map gives at PWM 0 the sum goes linearly to zero.
     """
-    motors = c[5]
+    motors = v.motor.count
+    to_force, to_speed = v.motor.pwm_to_force, v.motor.pwm_to_speed
+    quadratic, linear, idle_force = to_force[0], to_force[1], to_force[2]
+    slope, idle_speed = to_speed[0], to_speed[1]
     force = thrust / motors
     if force <= 0.0:
         return 0.0
-    if force < c[8]:
-        return motors * c[10] * force / c[8]
-    pwm = (-c[7] + math.sqrt(c[7] * c[7] + 4.0 * c[6] * (force - c[8]))) / (2.0 * c[6])
-    return motors * (c[9] * pwm + c[10])
+    if force < idle_force:
+        return motors * idle_speed * force / idle_force
+    pwm = (-linear + math.sqrt(linear * linear + 4.0 * quadratic * (force - idle_force))) / (2.0 * quadratic)
+    return motors * (slope * pwm + idle_speed)
 
 
 @numba.njit(cache=True, inline="always")
-def total_thrust(lag, pwm, c, p):
+def total_thrust(lag, pwm, v, p):
     """Total thrust F_t [N] from the lag state and the PWM command."""
-    return p[THRUST_SCALE] * (c[3] * lag + c[4] * pwm) + p[THRUST_BIAS]
+    return p[THRUST_SCALE] * (v.thrust.state_gain * lag + v.thrust.direct_gain * pwm) + p[THRUST_BIAS]
 
 
 @numba.njit(cache=True, inline="always")
-def loop_rates(roll, pitch, u, c, p):
+def loop_rates(roll, pitch, u, v, p):
     """Euler rates [rad/s] of the paper's first-order loops at (roll, pitch) under command u (4,)."""
-    gain, tau = c[14] * p[GAIN_SCALE], c[15] * p[TIME_CONSTANT_SCALE]
+    gain, tau = v.attitude.gain * p[GAIN_SCALE], v.attitude.time_constant * p[TIME_CONSTANT_SCALE]
     return (
-        (gain * (u[ROLL_COMMAND] + c[_TRIM_ROLL]) - roll) / tau,
-        (gain * (u[PITCH_COMMAND] + c[_TRIM_PITCH]) - pitch) / tau,
-        u[YAW_RATE_COMMAND] + c[_YAW_DRIFT],
+        (gain * (u[ROLL_COMMAND] + v.effects.attitude_trim[0]) - roll) / tau,
+        (gain * (u[PITCH_COMMAND] + v.effects.attitude_trim[1]) - pitch) / tau,
+        u[YAW_RATE_COMMAND] + v.effects.yaw_drift,
     )
 
 
 @numba.njit(cache=True, inline="always")
-def lag_derivative(lag, pwm, c, p):
+def lag_derivative(lag, pwm, v, p):
     """dOmega/dt [PWM] of the thrust lag; slower while it spins down, with that effect."""
-    rate = (pwm - c[2] * lag) / p[LAG_SCALE]
-    if c[_SPIN_DOWN] != 0.0 and rate < 0.0:
-        rate /= 1.0 + c[_SPIN_DOWN]
+    rate = (pwm - v.thrust.lag_rate * lag) / p[LAG_SCALE]
+    if v.effects.spin_down != 0.0 and rate < 0.0:
+        rate /= 1.0 + v.effects.spin_down
     return rate
 
 
 @numba.njit(cache=True, inline="always")
-def powered_thrust(thrust, lag, time, voltage, c):
+def powered_thrust(thrust, lag, time, voltage, v):
     """Thrust [N] with bias, fade, sag under load and battery voltage: what changes the rotor speed."""
-    load = c[2] * lag
+    load = v.thrust.lag_rate * lag
     if math.isnan(voltage):
-        voltage = c[_V_OPEN] - c[_V_DROP] * load - c[_V_DISCHARGE] * time
+        voltage = v.effects.voltage_open - v.effects.voltage_drop * load - v.effects.voltage_discharge * time
     return (
-        (thrust + c[_BIAS])
-        * (1.0 - c[_FADE] * time)
-        * (1.0 - c[_SAG] * (load / c[_SAG_REFERENCE] - 1.0))
-        * (1.0 + c[_SENSITIVITY] * (voltage - c[_V_REFERENCE]))
+        (thrust + v.effects.thrust_bias)
+        * (1.0 - v.effects.thrust_fade * time)
+        * (1.0 - v.effects.battery_sag * (load / v.effects.battery_reference - 1.0))
+        * (1.0 + v.effects.voltage_sensitivity * (voltage - v.effects.voltage_reference))
     )
 
 
 @numba.njit(cache=True)
-def ground_effect(position, r, thrust, inclination, present, c):
+def ground_effect(position, r, thrust, inclination, present, v):
     """Extra thrust [N] and body torque (x, y) [N m] of the rotors near a surface.
 
     position (3,), attitude r (3, 3), thrust [N] of all rotors. Each rotor sees the slab or else the floor
@@ -181,24 +162,24 @@ def ground_effect(position, r, thrust, inclination, present, c):
     si, ci = math.sin(inclination), math.cos(inclination)
     facing = si * r[0, 2] + ci * r[2, 2]  # of the rotor's axis and the slab's normal
     for side in range(4):
-        x = c[_ARM] if side < 2 else -c[_ARM]
-        y = c[_ARM] if side % 2 == 0 else -c[_ARM]
-        px = position[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * c[_DISC_HEIGHT]
-        py = position[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * c[_DISC_HEIGHT]
-        pz = position[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * c[_DISC_HEIGHT]
+        x = v.rotor.arm if side < 2 else -v.rotor.arm
+        y = v.rotor.arm if side % 2 == 0 else -v.rotor.arm
+        px = position[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * v.rotor.height
+        py = position[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * v.rotor.height
+        pz = position[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * v.rotor.height
         height = pz
         if present != 0.0 and facing > 0.0:
-            normal = si * px + ci * (pz - c[_SURFACE])
-            along = ci * px - si * (pz - c[_SURFACE])
+            normal = si * px + ci * (pz - v.platform.surface_height)
+            along = ci * px - si * (pz - v.platform.surface_height)
             down = normal / facing  # along the rotor's axis
             along -= down * (ci * r[0, 2] - si * r[2, 2])
             across = py - down * r[1, 2]
-            if normal > 0.0 and abs(along) <= c[_HALF_LENGTH] and abs(across) <= c[_HALF_DEPTH]:
+            if normal > 0.0 and abs(along) <= v.slab_half_length and abs(across) <= 0.5 * v.platform.depth:
                 height = normal
         ratio = 0.5
-        if height > 0.5 * c[_DISC_RADIUS]:
-            ratio = c[_DISC_RADIUS] / (4.0 * height)
-        force = 0.25 * thrust * c[_GROUND] * ratio * ratio
+        if height > 0.5 * v.rotor.radius:
+            ratio = v.rotor.radius / (4.0 * height)
+        force = 0.25 * thrust * v.effects.ground_effect * ratio * ratio
         extra += force
         torque_x += y * force
         torque_y -= x * force
@@ -206,34 +187,35 @@ def ground_effect(position, r, thrust, inclination, present, c):
 
 
 @numba.njit(cache=True, inline="always")
-def wrench(position, velocity, r, lag, pwm, ambient, c, p, out):
+def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
     """Force (3,) [N] and torque (x, y) [N m] on the vehicle in its body frame, without gravity, into `out`.
 
     position, velocity (3,) in the world, attitude r (3, 3), lag state and PWM, ambient (AMBIENT_SIZE,).
     """
-    thrust = total_thrust(lag, pwm, c, p)
+    thrust = total_thrust(lag, pwm, v, p)
     ax, ay, az = velocity[0], velocity[1], velocity[2]
     out[3] = out[4] = 0.0
-    active = c[_ACTIVE] != 0.0
-    if active:
-        thrust = powered_thrust(thrust, lag, ambient[TIME], ambient[VOLTAGE], c)
-        ax -= c[_WIND_X]
-        ay -= c[_WIND_Y]
-    speed = rotor_speed_sum(thrust, c) * (1.0 + p[DRAG_CHANGE])
+    if v.any_effect:
+        thrust = powered_thrust(thrust, lag, ambient[TIME], ambient[VOLTAGE], v)
+        ax -= v.effects.wind[0]
+        ay -= v.effects.wind[1]
+    speed = rotor_speed_sum(thrust, v) * (1.0 + p[DRAG_CHANGE])
     bx = r[0, 0] * ax + r[1, 0] * ay + r[2, 0] * az
     by = r[0, 1] * ax + r[1, 1] * ay + r[2, 1] * az
     bz = r[0, 2] * ax + r[1, 2] * ay + r[2, 2] * az
-    out[0], out[1], out[2] = c[11] * speed * bx, c[12] * speed * by, c[13] * speed * bz
-    if active:
-        thrust *= (1.0 + c[_LIFT] * (bx * bx + by * by)) * max(0.0, 1.0 - c[_INFLOW] * bz)
-        if c[_GROUND] != 0.0:
+    k = v.drag.coefficients
+    out[0], out[1], out[2] = k[0] * speed * bx, k[1] * speed * by, k[2] * speed * bz
+    if v.any_effect:
+        lift = 1.0 + v.effects.translational_lift * (bx * bx + by * by)
+        thrust *= lift * max(0.0, 1.0 - v.effects.axial_inflow * bz)
+        if v.effects.ground_effect != 0.0:
             extra, out[3], out[4] = ground_effect(
-                position, r, thrust, ambient[INCLINATION], ambient[PRESENT], c
+                position, r, thrust, ambient[INCLINATION], ambient[PRESENT], v
             )
             thrust += extra
-        out[3] -= c[_COM_Y] * thrust
-        out[4] += c[_COM_X] * thrust
-        drag = -c[_BODY_DRAG] * math.sqrt(bx * bx + by * by + bz * bz)
+        out[3] -= v.effects.com_offset[1] * thrust
+        out[4] += v.effects.com_offset[0] * thrust
+        drag = -v.effects.body_drag * math.sqrt(bx * bx + by * by + bz * bz)
         out[0] += drag * bx
         out[1] += drag * by
         out[2] += drag * bz
@@ -241,7 +223,7 @@ def wrench(position, velocity, r, lag, pwm, ambient, c, p, out):
 
 
 @numba.njit(cache=True)
-def _derivative(y, u, ambient, c, p, rate_loop, r, f, dy):
+def _derivative(y, u, ambient, v, p, rate_loop, r, f, dy):
     """dy/dt of the integrated vector y (13,) under command u (4,); r (3, 3) and f (5,) are scratch."""
     sr, cr = math.sin(y[_PHI]), math.cos(y[_PHI])
     sp, cp = math.sin(y[_THETA]), math.cos(y[_THETA])
@@ -249,23 +231,23 @@ def _derivative(y, u, ambient, c, p, rate_loop, r, f, dy):
     r[0, 0], r[0, 1], r[0, 2] = cy * cp - sy * sr * sp, -sy * cr, cy * sp + sy * sr * cp
     r[1, 0], r[1, 1], r[1, 2] = sy * cp + cy * sr * sp, cy * cr, sy * sp - cy * sr * cp
     r[2, 0], r[2, 1], r[2, 2] = -cr * sp, sr, cr * cp
-    wrench(y[:3], y[VX : VZ + 1], r, y[_OMEGA], u[PWM], ambient, c, p, f)
-    mass = c[0] * p[MASS_SCALE]
+    wrench(y[:3], y[VX : VZ + 1], r, y[_OMEGA], u[PWM], ambient, v, p, f)
+    mass = v.body.mass * p[MASS_SCALE]
     for k in range(3):
         dy[k] = y[VX + k]
         dy[VX + k] = (r[k, 0] * f[0] + r[k, 1] * f[1] + r[k, 2] * f[2]) / mass
-    dy[VZ] -= c[1]
-    dy[_OMEGA] = lag_derivative(y[_OMEGA], u[PWM], c, p)
-    roll_wanted, pitch_wanted, yaw_wanted = loop_rates(y[_PHI], y[_THETA], u, c, p)
+    dy[VZ] -= v.environment.gravity
+    dy[_OMEGA] = lag_derivative(y[_OMEGA], u[PWM], v, p)
+    roll_wanted, pitch_wanted, yaw_wanted = loop_rates(y[_PHI], y[_THETA], u, v, p)
     if rate_loop:
         phid, thetad, psid = y[_RATES], y[_RATES + 1], y[_RATES + 2]
-        tau = c[15] * p[TIME_CONSTANT_SCALE]
+        tau = v.attitude.time_constant * p[TIME_CONSTANT_SCALE]
         dy[_PHI], dy[_THETA], dy[_PSI] = phid, thetad, psid
-        dy[_RATES] = c[16] * (roll_wanted - phid) - phid / tau
-        dy[_RATES + 1] = c[16] * (pitch_wanted - thetad) - thetad / tau
-        dy[_RATES + 2] = c[17] * (yaw_wanted - psid)
+        dy[_RATES] = v.attitude.bandwidth * (roll_wanted - phid) - phid / tau
+        dy[_RATES + 1] = v.attitude.bandwidth * (pitch_wanted - thetad) - thetad / tau
+        dy[_RATES + 2] = v.attitude.yaw_bandwidth * (yaw_wanted - psid)
         if f[3] != 0.0 or f[4] != 0.0:
-            a, b, d = euler_rates(y[_PHI], y[_THETA], f[3] / c[_INERTIA], f[4] / c[_INERTIA + 1], 0.0)
+            a, b, d = euler_rates(y[_PHI], y[_THETA], f[3] / v.body.inertia[0], f[4] / v.body.inertia[1], 0.0)
             dy[_RATES] += a
             dy[_RATES + 1] += b
             dy[_RATES + 2] += d
@@ -274,26 +256,26 @@ def _derivative(y, u, ambient, c, p, rate_loop, r, f, dy):
 
 
 @numba.njit(cache=True)
-def step(state, commands, c, p, rate_loop, dt, substeps):
+def step(state, commands, vehicle, p, rate_loop, dt, substeps):
     """Advance every vehicle in place by substeps * dt with RK4, at time 0 without platform.
 
     Like `advance`; only effects that depend on time, voltage or surfaces see the difference.
     """
     ambient = np.zeros((state.shape[0], AMBIENT_SIZE))
     ambient[:, VOLTAGE] = np.nan
-    advance(state, commands, ambient, c, p, rate_loop, dt, substeps)
+    advance(state, commands, ambient, vehicle, p, rate_loop, dt, substeps)
 
 
 @numba.njit(cache=True)
-def advance(state, commands, ambient, c, p, rate_loop, dt, substeps):
+def advance(state, commands, ambient, vehicle, p, rate_loop, dt, substeps):
     """Advance every vehicle, and its time, in place by substeps * dt with RK4.
 
     state (n, 13) with the columns of `attitude.py`, commands (n, 4) held constant, ambient (n, 4) with
-    the columns time, voltage, inclination, present, c from `pack`, p (n, 7) perturbations, rate_loop:
+    the columns time, voltage, inclination, present, vehicle from `pack`, p (n, 7) perturbations, rate_loop:
     which attitude model. With the kinematic model the body rates in the state are those of the
     first-order loops at the end of the step, and torques have no effect.
     """
-    size = _SIZE if rate_loop else _RATES
+    v, size = vehicle[0], _SIZE if rate_loop else _RATES
     y, z, total = np.zeros(_SIZE), np.zeros(_SIZE), np.zeros(_SIZE)
     k, r, f = np.zeros(_SIZE), np.empty((3, 3)), np.zeros(5)
     for i in range(state.shape[0]):
@@ -302,27 +284,27 @@ def advance(state, commands, ambient, c, p, rate_loop, dt, substeps):
         y[_OMEGA] = s[LAG]
         y[_RATES], y[_RATES + 1], y[_RATES + 2] = euler_rates(s[ROLL], s[PITCH], s[WX], s[WY], s[WZ])
         for _ in range(substeps):
-            _derivative(y, u, around, c, p[i], rate_loop, r, f, k)
+            _derivative(y, u, around, v, p[i], rate_loop, r, f, k)
             for j in range(size):
                 total[j] = k[j]
                 z[j] = y[j] + 0.5 * dt * k[j]
             around[TIME] += 0.5 * dt
-            _derivative(z, u, around, c, p[i], rate_loop, r, f, k)
+            _derivative(z, u, around, v, p[i], rate_loop, r, f, k)
             for j in range(size):
                 total[j] += 2.0 * k[j]
                 z[j] = y[j] + 0.5 * dt * k[j]
-            _derivative(z, u, around, c, p[i], rate_loop, r, f, k)
+            _derivative(z, u, around, v, p[i], rate_loop, r, f, k)
             for j in range(size):
                 total[j] += 2.0 * k[j]
                 z[j] = y[j] + dt * k[j]
             around[TIME] += 0.5 * dt
-            _derivative(z, u, around, c, p[i], rate_loop, r, f, k)
+            _derivative(z, u, around, v, p[i], rate_loop, r, f, k)
             for j in range(size):
                 y[j] += dt / 6.0 * (total[j] + k[j])
         s[:9] = y[:9]
         s[LAG] = y[_OMEGA]
         if not rate_loop:
-            y[_RATES], y[_RATES + 1], y[_RATES + 2] = loop_rates(y[_PHI], y[_THETA], u, c, p[i])
+            y[_RATES], y[_RATES + 1], y[_RATES + 2] = loop_rates(y[_PHI], y[_THETA], u, v, p[i])
         s[WX], s[WY], s[WZ] = body_rates(y[_PHI], y[_THETA], y[_RATES], y[_RATES + 1], y[_RATES + 2])
 
 
@@ -336,8 +318,8 @@ def derivative(state: np.ndarray, command: np.ndarray, vehicle: Vehicle, rate_lo
     y[:9], y[_OMEGA] = state[:9], state[LAG]
     y[_RATES:] = euler_rates(state[ROLL], state[PITCH], state[WX], state[WY], state[WZ])
     ambient = np.array([0.0, np.nan, 0.0, 0.0])
-    c, p, command = pack(vehicle), np.array(NEUTRAL), np.asarray(command, float)
-    _derivative(y, command, ambient, c, p, rate_loop, np.empty((3, 3)), np.zeros(5), dy)
+    v, p, command = pack(vehicle)[0], np.array(NEUTRAL), np.asarray(command, float)
+    _derivative(y, command, ambient, v, p, rate_loop, np.empty((3, 3)), np.zeros(5), dy)
     result = {
         "acceleration": dy[VX : VZ + 1].copy(),
         "euler_rates": dy[_PHI : _PSI + 1].copy(),

@@ -274,12 +274,12 @@ def _read_state(qpos, qvel, act, state):
 
 
 @numba.njit(cache=True)
-def _synchronise_rates(qpos, qvel, ctrl, c, p, touched):
+def _synchronise_rates(qpos, qvel, ctrl, vehicle, p, touched):
     for i in range(qpos.shape[0]):
         if touched[i]:
             continue
         roll, pitch, _ = euler_angles(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
-        a, b, d = equations.loop_rates(roll, pitch, ctrl[i], c, p[i])
+        a, b, d = equations.loop_rates(roll, pitch, ctrl[i], vehicle[0], p[i])
         qvel[i, 3], qvel[i, 4], qvel[i, 5] = body_rates(roll, pitch, a, b, d)
 
 

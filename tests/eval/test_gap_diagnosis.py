@@ -264,7 +264,7 @@ def test_static_map_fits_into_a_vehicle_file():
     for pwm in (10000.0, 42000.0, 60000.0):
         lag = pwm / v.thrust_lag_rate
         equations.wrench(
-            np.ones(3), np.zeros(3), np.eye(3), lag, pwm, ambient, equations.pack(v), neutral(1)[0], out
+            np.ones(3), np.zeros(3), np.eye(3), lag, pwm, ambient, equations.pack(v)[0], neutral(1)[0], out
         )
         assert out[2] == pytest.approx(4 * (a * pwm**2 + b * pwm + c), rel=1e-9)
 

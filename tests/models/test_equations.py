@@ -92,7 +92,7 @@ def test_thrust_step_follows_the_exact_solution():
 
 def test_steady_thrust_is_the_gain_of_the_transfer_function():
     assert equations.total_thrust(
-        V.hover_lag, V.hover_pwm, equations.pack(V), neutral(1)[0]
+        V.hover_lag, V.hover_pwm, equations.pack(V)[0], neutral(1)[0]
     ) == pytest.approx(V.body_mass * G, rel=1e-14)
 
 
@@ -107,10 +107,10 @@ def test_the_lag_is_the_papers_discrete_motor_function():
     assert 4 * gain == pytest.approx(V.thrust_direct_gain, rel=5e-4)  # with four
     assert 4 * gain / (1 - pole) == pytest.approx(V.thrust_per_pwm, rel=1e-3)
     state, discrete, worst = np.zeros((1, 13)), 0.0, 0.0
-    c, p, pwm = equations.pack(V), neutral(1)[0], 40_000.0
+    v, p, pwm = equations.pack(V)[0], neutral(1)[0], 40_000.0
     for _ in range(250):
         discrete = pole * discrete + 4 * gain * pwm
-        worst = max(worst, abs(equations.total_thrust(state[0, LAG], pwm, c, p) - discrete))
+        worst = max(worst, abs(equations.total_thrust(state[0, LAG], pwm, v, p) - discrete))
         state = fly(state, [pwm, 0, 0, 0], dt, 1)
     # The parameters' rounding, 1e-3 of the final thrust, is all that separates them.
     assert worst < 1e-3 * V.thrust_per_pwm * pwm
@@ -172,7 +172,7 @@ def test_drag_never_adds_power(velocity, angles, pwm, lag):
     state = np.zeros(13)
     state[VX : VZ + 1], state[ROLL : YAW + 1], state[LAG] = velocity, angles, lag
     acceleration = derivative(state, [pwm, 0, 0, 0], V)["acceleration"]
-    thrust = equations.total_thrust(lag, pwm, equations.pack(V), neutral(1)[0])
+    thrust = equations.total_thrust(lag, pwm, equations.pack(V)[0], neutral(1)[0])
     without_drag = rotation(*angles)[:, 2] * thrust / V.body_mass - [0, 0, G]
     power = V.body_mass * (acceleration - without_drag) @ velocity
     # m |v| times the rounding of accelerations of about 50 m/s2
@@ -180,15 +180,15 @@ def test_drag_never_adds_power(velocity, angles, pwm, lag):
 
 
 def test_rotor_speeds_are_continuous_and_zero_without_thrust():
-    c = equations.pack(V)
+    v = equations.pack(V)[0]
     a, b, floor = V.motor_pwm_to_force
     slope, offset = V.motor_pwm_to_speed
-    assert equations.rotor_speed_sum(0.0, c) == equations.rotor_speed_sum(-1.0, c) == 0.0
-    below, above = (equations.rotor_speed_sum(4 * floor * (1 + e), c) for e in (-1e-9, 1e-9))
+    assert equations.rotor_speed_sum(0.0, v) == equations.rotor_speed_sum(-1.0, v) == 0.0
+    below, above = (equations.rotor_speed_sum(4 * floor * (1 + e), v) for e in (-1e-9, 1e-9))
     assert below == pytest.approx(4 * offset, rel=1e-6) and above == pytest.approx(4 * offset, rel=1e-6)
     for pwm in (1_000.0, 30_000.0, 60_000.0):
         force = a * pwm**2 + b * pwm + floor
-        assert equations.rotor_speed_sum(4 * force, c) == pytest.approx(4 * (slope * pwm + offset), rel=1e-12)
+        assert equations.rotor_speed_sum(4 * force, v) == pytest.approx(4 * (slope * pwm + offset), rel=1e-12)
 
 
 def test_vehicles_do_not_influence_each_other():

@@ -5,7 +5,7 @@ from the attitude commands, yaw from the yaw rate command. A start state enters 
 has died away in the others, so that one pass over a flight serves every short window of it: whitening
 projects the start state out.
 
-Effects are those of the vehicle: its packed constants (`analytic.pack`) and its delays. Commands are
+Effects are those of the vehicle: its packed constants (`equations.pack`) and its delays. Commands are
 held between rows and averaged exactly over each step, which makes delays differentiable.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from inclined_landing.models.attitude import PWM, euler_rates, rotations, tilted
-from inclined_landing.models.equations import _INERTIA, _SPIN_DOWN, pack, wrench
+from inclined_landing.models.equations import pack, wrench
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import NEUTRAL
 
@@ -38,7 +38,6 @@ def predict(flight, vehicle: Vehicle) -> np.ndarray:
     dt = flight.dt
     pwm = averages(flight.command[:, PWM], dt, vehicle.effects_thrust_delay + late)
     angles = [averages(flight.command[:, k], dt, vehicle.effects_attitude_delay + late) for k in (1, 2, 3)]
-    c = pack(vehicle)
     middle_attitude, middle_rotation, start = (
         flight.middle_attitude,
         flight.middle_rotation,
@@ -57,7 +56,7 @@ def predict(flight, vehicle: Vehicle) -> np.ndarray:
         middle_attitude,
         pwm,
         flight.ambient,
-        c,
+        pack(vehicle),
         dt,
         out,
         twist,
@@ -101,33 +100,33 @@ def averages(command, dt, delay):
 
 
 @numba.njit(cache=True, nogil=True)
-def _translate(position, velocity, attitude_matrix, attitude, pwm, ambient, c, dt, out, twist):
+def _translate(position, velocity, attitude_matrix, attitude, pwm, ambient, vehicle, dt, out, twist):
     """Positions from rest at zero into out[:, :3], angular accelerations (roll, pitch, yaw) into twist."""
-    f = np.zeros(5)
-    lag = pwm[0] / c[2]
-    v, p = np.zeros(3), np.zeros(3)
+    v, f = vehicle[0], np.zeros(5)
+    lag = pwm[0] / v.thrust.lag_rate
+    moved, speed = np.zeros(3), np.zeros(3)
     out[0, 0] = out[0, 1] = out[0, 2] = 0.0
     for k in range(pwm.shape[0]):
         u = pwm[k]
-        rate = c[2]
-        if c[_SPIN_DOWN] != 0.0 and u < c[2] * lag:  # spins down slower, with that effect
-            rate /= 1.0 + c[_SPIN_DOWN]
-        steady = u / c[2]
+        rate = v.thrust.lag_rate
+        if v.effects.spin_down != 0.0 and u < v.thrust.lag_rate * lag:  # spins down slower, with that effect
+            rate /= 1.0 + v.effects.spin_down
+        steady = u / v.thrust.lag_rate
         decay = np.exp(-rate * dt)
         mean = steady + (lag - steady) * (1.0 - decay) / (rate * dt)
         lag = steady + (lag - steady) * decay
         r = attitude_matrix[k]
-        wrench(position[k], velocity[k], r, mean, u, ambient[k], c, _NEUTRAL, f)
+        wrench(position[k], velocity[k], r, mean, u, ambient[k], v, _NEUTRAL, f)
         for i in range(3):
-            a = (r[i, 0] * f[0] + r[i, 1] * f[1] + r[i, 2] * f[2]) / c[0]
+            a = (r[i, 0] * f[0] + r[i, 1] * f[1] + r[i, 2] * f[2]) / v.body.mass
             if i == 2:
-                a -= c[1]
-            p[i] += dt * (v[i] + 0.5 * dt * a)
-            v[i] += dt * a
-            out[k + 1, i] = p[i]
+                a -= v.environment.gravity
+            moved[i] += dt * (speed[i] + 0.5 * dt * a)
+            speed[i] += dt * a
+            out[k + 1, i] = moved[i]
         if f[3] != 0.0 or f[4] != 0.0:
             twist[k, 0], twist[k, 1], twist[k, 2] = euler_rates(
-                attitude[k, 0], attitude[k, 1], f[3] / c[_INERTIA], f[4] / c[_INERTIA + 1], 0.0
+                attitude[k, 0], attitude[k, 1], f[3] / v.body.inertia[0], f[4] / v.body.inertia[1], 0.0
             )
 
 

@@ -128,7 +128,7 @@ def _stlsq(columns: dict, residual: np.ndarray, threshold: float) -> dict:
 
 def _terms(log: FlightLog, vehicle: Vehicle) -> dict[str, tuple[np.ndarray, dict]]:
     """Channel -> (residual (n,), {(effect, parameter): term (n,)}) of the free flight of one log."""
-    v, c = vehicle, pack(vehicle)
+    v, c = vehicle, pack(vehicle)[0]
     dt = 1.0 / log.rate
     window = 2 * round(_SMOOTH / dt) + 1
     rows = flying(log, vehicle)

@@ -132,10 +132,10 @@ def section(v: Vehicle, sequences: Sequences) -> tuple[Section, dict]:
     needed = v.hover_pwm / flight
     found = drag(v, sequences)
     weight = v.body_mass * g
-    speed = rotor_speed_sum(weight, pack(v))
+    speed = rotor_speed_sum(weight, pack(v)[0])
     excess = code_rotor_speed(weight, v) / speed - 1
     low = v.thrust_per_pwm * v.command_pwm_range[0]
-    excess_low = code_rotor_speed(low, v) / rotor_speed_sum(low, pack(v)) - 1
+    excess_low = code_rotor_speed(low, v) / rotor_speed_sum(low, pack(v)[0]) - 1
     defect, stretch = rotation_defects(v, printed=True)
     sound, _ = rotation_defects(v, printed=False)
     roll = v.command_angle_limit
