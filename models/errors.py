@@ -14,7 +14,7 @@ class UserError(ValueError):
         super().__init__(shown(sentence, LONGEST))
 
 
-def shown(name: object, longest: int = 300) -> str:
+def shown(name: object, longest: int = 80) -> str:
     r"""A name (path, column, entry) as words can hold it: one line, nothing that turns or hides text.
 
     Control characters, marks of direction and bytes that are no UTF-8 are escaped, as \n, \u202e and
@@ -22,7 +22,7 @@ def shown(name: object, longest: int = 300) -> str:
     """
     text = str(name)
     if len(text) > longest:
-        text = f"{text[: longest * 2 // 3]} ... {text[-longest // 4 :]}"
+        text = f"{text[: longest * 2 // 3]} ... {text[-(longest // 4) :]}"
     return text if text.isprintable() else "".join(map(_printable, text))
 
 

@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 from inclined_landing.eval.logs import mapping
 from inclined_landing.eval.logs.limits import LARGEST, MOST_ROWS
 from inclined_landing.eval.logs.record import Record
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 _PART = re.compile(r"(\w+)(?:\[(\d+)\])?")
 
@@ -44,7 +44,7 @@ def read(path: Path, patterns: Sequence[str]) -> Record:
                     rows.append([_value(message, field) for field in fields])
                 except (AttributeError, IndexError, TypeError, ValueError) as error:
                     raise UserError(
-                        f"{path}: topic {topic} has no number {', '.join(fields)} ({error})"
+                        f"{path}: topic {topic} has no number {', '.join(fields)} ({_words(error)})"
                     ) from error
                 stamps.append(_stamp(message))
                 received.append(1e-9 * timestamp)
@@ -101,7 +101,7 @@ def _opened(path: Path) -> Iterator[AnyReader]:
 
 
 def _words(error: Exception) -> str:
-    return str(error) or type(error).__name__
+    return shown(" ".join(str(error).split()) or type(error).__name__, 120)
 
 
 def _stamp(message) -> float | None:

@@ -10,7 +10,7 @@ from inclined_landing.eval.logs.findings import Finding, limit, refuse
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
 from inclined_landing.eval.logs.read import read_log
 from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 
 def run(
@@ -34,10 +34,9 @@ def run(
         if fleet:
             print("together\n" + "\n".join(_sentence(finding) for finding in fleet))
     refused = [
-        f"{file}: {finding.text.removeprefix(f'{file}: ')}"
-        for file, (_, findings) in zip(files, reports)
-        for finding in findings[:1]
-        if finding.decision == "refuse"
+        findings[0].text if log is None else f"{shown(file, 250)}: {findings[0].text}"
+        for file, (log, findings) in zip(files, reports)
+        if findings and findings[0].decision == "refuse"
     ]
     if refused:
         raise UserError(f"{len(refused)} of {len(files)} logs refused: {'; '.join(refused)}")
@@ -51,7 +50,7 @@ def parse_units(units: Sequence[str]) -> dict[str, str]:
     for option in units:
         column, sign, unit = option.partition("=")
         if not (column and sign and unit):
-            raise UserError(f"unit {option!r}: expected COLUMN=UNIT, as in roll=deg")
+            raise UserError(f"unit '{shown(option)}': expected COLUMN=UNIT, as in roll=deg")
         result[column] = unit
     return result
 
@@ -69,7 +68,7 @@ def _report(
 
 
 def _words(file: str, log: FlightLog | None, findings: Sequence[Finding]) -> str:
-    lines = [file]
+    lines = [shown(file, 250)]
     if log is not None:
         lines.append(f"  {len(log)} rows, {log.duration:.1f} s, {log.rate:.0f} rows per second")
         lines.append(f"  logged: {', '.join(_logged(log))}")

@@ -13,14 +13,14 @@ import zlib
 from pathlib import Path
 
 from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 LARGEST = 2**30  # bytes, unpacked
 LONGEST_LINE = 2**20  # bytes
 MOST_ROWS = 10_000_000
 MOST_COLUMNS = 5_000
 LONGEST = 12 * 3600.0  # s from the first row to the last
-MOST_PER_SECOND = 1e5
+FEWEST_PER_SECOND, MOST_PER_SECOND = 1.0, 1e5  # rows
 LARGEST_VALUE = 1e9  # in SI units: beyond, no quantity of a flight
 LATEST = 60.0  # s that a mapping may shift a column
 
@@ -35,14 +35,15 @@ def check_file(path: Path) -> bool:
             raise UserError(f"{path}: a pipe or device, not a file; write the log to a file first")
         if state.st_size > LARGEST:
             raise UserError(f"{path}: has {state.st_size:.3g} bytes; a log of at most {LARGEST:.3g} is read")
-        with path.open("rb"):
-            return False
+        with path.open("rb") as file:
+            file.read(1)
+        return False
     except FileNotFoundError as error:
-        raise UserError(f"no flight log {path}") from error
+        raise UserError(f"{path}: no such flight log") from error
     except (OSError, ValueError) as error:
         if isinstance(error, UserError):
             raise
-        raise UserError(f"{path}: cannot be read ({storage.reason(error)})") from error
+        raise UserError(f"{shown(path, 250)}: cannot be read ({storage.reason(error)})") from error
 
 
 def read_table(path: Path) -> io.BytesIO:

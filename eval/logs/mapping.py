@@ -83,7 +83,7 @@ def _load(path: Path, heirs: tuple[Path, ...]) -> ColumnMap:
         raise UserError(f"{heirs[0]}: inherit leads back to {path}")
     if not os.path.lexists(path):
         whose = f"{heirs[-1]}: inherit: " if heirs else ""
-        raise UserError(f"{whose}no mapping {path}: neither a file nor one of {', '.join(shipped())}")
+        raise UserError(f"{whose}no mapping {shown(path)}: neither a file nor one of {', '.join(shipped())}")
     if len(heirs) > DEEPEST:
         raise UserError(f"{heirs[0]}: inherit goes through more than {DEEPEST} files")
     return _parse(path.stem, str(path), storage.read_toml(path, "mapping"), (*heirs, path.resolve()))
@@ -116,7 +116,8 @@ def find(names: Sequence[str], pattern: str, where: str) -> str | None:
         return pattern if pattern in names else None
     found = [name for name in names if fnmatch.fnmatchcase(name, pattern)]
     if len(found) > 1:
-        raise UserError(f"{where}: {pattern} fits {', '.join(found)}; a mapping file must say which is meant")
+        fitting = shown(", ".join(found))
+        raise UserError(f"{where}: {shown(pattern)} fits {fitting}; a mapping file must say which is meant")
     return found[0] if found else None
 
 

@@ -97,7 +97,7 @@ def _record(path: Path, column_map: ColumnMap | None) -> Record:
 def _check_units(units: Mapping[str, str], where: str) -> None:
     for column, unit in units.items():
         if column not in COLUMNS:
-            raise UserError(f"unit given for {column}, which is not one of {', '.join(COLUMNS)}")
+            raise UserError(f"unit given for {shown(column)}, which is not one of {', '.join(COLUMNS)}")
         factor(column, unit, where)
 
 

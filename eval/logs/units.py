@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 
@@ -48,5 +48,7 @@ def factor(column: str, unit: str, where: str) -> float:
     unit = _SPELLINGS.get(unit, unit)
     if unit not in known:
         choices = ", ".join(name for name in known if name)
-        raise UserError(f"{where}: unit {unit!r} of column {column} is not known; one of {choices}")
+        raise UserError(
+            f"{where}: unit '{shown(unit, 40)}' of column {column} is not known; one of {choices}"
+        )
     return known[unit]

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
-from inclined_landing.eval.logs.limits import MOST_PER_SECOND
+from inclined_landing.eval.logs.limits import FEWEST_PER_SECOND, MOST_PER_SECOND
 from inclined_landing.eval.logs.log import COMMANDS, GAP_SECONDS, GAP_STEPS, MEASURED, FlightLog
 
 SHORTEST = 1.0  # s: below, not even one prediction window with room for delays
@@ -37,8 +37,8 @@ def _time(log: FlightLog) -> Iterator[Finding]:
     if log.duration < SHORTEST:
         yield refuse("t", f"lasts only {log.duration:.2g} s; at least {SHORTEST:g} s of flight are needed")
         return
-    if log.rate > MOST_PER_SECOND:
-        yield refuse("t", f"has {log.rate:.3g} rows per second: state the unit of time")
+    if not FEWEST_PER_SECOND <= log.rate <= MOST_PER_SECOND:
+        yield refuse("t", f"has {log.rate:.3g} rows per second: no flight, or time in another unit")
         return
     if log.duration < SHORT:
         yield limit("t", f"lasts only {log.duration:.2g} s: little can be told from it")
@@ -98,7 +98,11 @@ def _position(log: FlightLog) -> Iterator[Finding]:
         often = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
         text = f"position jumps for good {often} at t = {log.t[jumps[0]]:.2f} s"
         yield limit("x, y, z", f"{text}: the rows around are left out", rows=tuple(map(int, near)))
-    moving = np.abs(log.position[10:] - log.position[:-10]).max(axis=1) > 0.02 if len(log) > 20 else []
+    moving = (
+        np.abs(log.position[10:] - log.position[:-10]).max(axis=1) > 0.02
+        if len(log) > 20
+        else np.zeros(0, bool)
+    )
     repeated = (np.diff(log.position, axis=0) == 0).all(axis=1)[: len(moving)]
     share = float((repeated & moving).sum() / max(np.sum(moving), 1))
     if share > 0.2:
