@@ -9,22 +9,14 @@ from typing import Annotated
 
 import tyro
 
-from inclined_landing.envs.tasks import TASKS
+from inclined_landing.envs.tasks import TASKS, task_class
+from inclined_landing.envs.tasks.base import Training
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import PLANTS
 from inclined_landing.models.scene import INTEGRATORS
 
-# What a field left at None becomes, by task; None is every other task.
-_DEFAULTS = {
-    "steps": {"landing": 1_200_000, "touchdown": 1_500_000, None: 1_000_000},
-    "curriculum": {"landing": "adaptive", "touchdown": "touchdown", None: "effort"},
-    "epochs": {"setpoint": 8, None: 5},
-    "gamma": {"setpoint": 0.97, None: 0.99},
-    "integrator": {"touchdown": "RK4", None: "implicitfast"},
-    "keep_out": {"touchdown": 0.0, None: 0.04},
-    "learning_rate": {"touchdown": 4e-4, None: 1e-3},
-    "log_std_init": {"touchdown": -1.2, None: -0.4},
-}
+# A field of `envs.tasks.base.Training` that is left at None becomes what the task says there.
+_OF_THE_TASK = tuple(field.name for field in dataclasses.fields(Training))
 
 
 @dataclasses.dataclass
@@ -42,6 +34,8 @@ class TrainConfig:
     1 500 000 touchdown)."""
     start_from: Annotated[str | None, tyro.conf.arg(name="from", metavar="POLICY")] = None
     """touchdown: the landing policy to go on from, a file or a shipped one (default: landing)."""
+    vehicle: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Vehicle file (TOML), where it differs from the shipped one; the run keeps a copy."""
     max_seconds: float | None = None
     """Stop at this wall time; the checkpoint allows to resume."""
     resume: bool = False
@@ -96,27 +90,19 @@ class TrainConfig:
 
     def resolved(self) -> TrainConfig:
         """A copy with every default filled in and every value checked; raises UserError."""
-        if self.task not in TASKS:
-            raise UserError(f"unknown task {self.task!r}; known are {' and '.join(TASKS)}")
+        training = task_class(self.task).training
         if self.plant not in PLANTS:
             raise UserError(f"unknown plant {self.plant!r}; known are {' and '.join(PLANTS)}")
         if self.integrator not in (None, *INTEGRATORS):
             known = ", ".join(INTEGRATORS)
             raise UserError(f"unknown integrator {self.integrator!r}; known are {known}")
-        touchdown = self.task == "touchdown"
-        if self.start_from is not None and not touchdown:
-            raise UserError(f"--from is for the touchdown task; {self.task} is learned from nothing")
-
-        def default(name):
-            given = getattr(self, name)
-            return _DEFAULTS[name].get(self.task, _DEFAULTS[name][None]) if given is None else given
-
-        config = dataclasses.replace(
-            self,
-            out=self.out or Path("runs") / f"{self.task}-{self.seed}",
-            start_from=self.start_from or ("landing" if touchdown else None),
-            **{name: default(name) for name in _DEFAULTS},
-        )
+        if self.start_from is not None and training.start_from is None:
+            known = " and ".join(task.name for task in TASKS.values() if task.training.start_from)
+            raise UserError(f"--from is for the {known} task; {self.task} is learned from nothing")
+        given = {name: getattr(self, name) for name in _OF_THE_TASK}
+        filled = {k: getattr(training, k) if value is None else value for k, value in given.items()}
+        out = self.out or Path("runs") / f"{self.task}-{self.seed}"
+        config = dataclasses.replace(self, out=out, **filled)
         for field in dataclasses.fields(config):
             value = getattr(config, field.name)
             if isinstance(value, float) and not math.isfinite(value):
@@ -138,4 +124,5 @@ class TrainConfig:
 
     def as_json(self) -> dict:
         """The configuration with JSON types only."""
-        return dataclasses.asdict(self) | {"out": str(self.out)}
+        paths = {name: str(path) for name in ("out", "vehicle") if (path := getattr(self, name)) is not None}
+        return dataclasses.asdict(self) | paths

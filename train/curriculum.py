@@ -7,13 +7,15 @@ and never changes them.
 
 from __future__ import annotations
 
+import dataclasses
 from collections import deque
-from typing import Protocol
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import numpy as np
 
-from inclined_landing.envs.tasks import setpoint, touchdown
-from inclined_landing.envs.tasks.landing import EASIEST_GOAL_SIZE, GOAL_SIZE, Conditions
+from inclined_landing.envs.tasks import setpoint, task_class, touchdown
+from inclined_landing.envs.tasks.landing import AIDED, EASIEST_GOAL_SIZE, GOAL_SIZE, Conditions
 from inclined_landing.models.errors import UserError
 
 
@@ -25,6 +27,9 @@ class Curriculum(Protocol):
 
     def conditions(self):
         """Conditions of the next episodes; None where the task has none."""
+
+    def stages(self) -> list[tuple[str, Any]]:
+        """Title and conditions of some moments, for the figure of the curriculum; none without stages."""
 
     def episode(self, success: bool, length: int) -> None:
         """A training episode has ended."""
@@ -54,12 +59,14 @@ class NoCurriculum:
     name = "none"
     level = 1.0
 
-    def __init__(self, gamma: float, training_aids: bool = False):
-        self._gamma = gamma
-        self._conditions = Conditions(**_AIDS) if training_aids else None
+    def __init__(self, gamma: float, conditions: Any = None):
+        self._gamma, self._conditions = gamma, conditions
 
-    def conditions(self) -> Conditions | None:
+    def conditions(self) -> Any:
         return self._conditions
+
+    def stages(self) -> list[tuple[str, Any]]:
+        return [] if self._conditions is None else [("the task", self._conditions)]
 
     def episode(self, success: bool, length: int) -> None:
         return
@@ -81,11 +88,6 @@ class NoCurriculum:
 
     def restore(self, state: dict) -> None:
         return
-
-
-# Training aids: a real contact upsets the vehicle, which then lies on the slab for the rest of the
-# episode, and one that leaves the arena rarely comes back; neither teaches anything.
-_AIDS = {"contact_limit": 8, "leave_limit": 0.3, "goal_while_touching": False}
 
 
 def _stage(c: Conditions) -> dict[str, float]:
@@ -128,13 +130,21 @@ class AdaptiveCurriculum:
     def conditions(self) -> Conditions:
         l = self.level  # noqa: E741
         shrink = np.clip((l - 0.4) / 0.6, 0.0, 1.0)
-        return Conditions(
+        return dataclasses.replace(
+            AIDED,
             start_reach=0.5 + 2.8 * min(1.0, l / 0.8),
             tilt=min(1.0, l / 0.6),
             goal_size=float(EASIEST_GOAL_SIZE + (GOAL_SIZE - EASIEST_GOAL_SIZE) * shrink),
             platform=float(np.clip((l - 0.25) / 0.2, 0.0, 1.0)),
-            **_AIDS,
         )
+
+    def stages(self) -> list[tuple[str, Conditions]]:
+        """Four levels of a curriculum of this kind."""
+        other, moments = AdaptiveCurriculum(), []
+        for level in (0.0, 0.25, 0.6, 1.0):
+            other.level = level
+            moments.append((f"level {level:g}", other.conditions()))
+        return moments
 
     @property
     def success(self) -> float:
@@ -216,6 +226,19 @@ class PaperCurriculum:
             lowest_start=1.0,
         )
 
+    def stages(self) -> list[tuple[str, Conditions]]:
+        """Four moments of the schedule at the usual length of episodes."""
+        other, moments = PaperCurriculum(), []
+        for episodes, tilting, steps, title in (
+            (0, 0, 0, "0 k steps"),
+            (5000, 0, 390_000, "390 k steps"),
+            (9000, 3000, 700_000, "700 k steps"),
+            (19_000, 6000, 3_000_000, "3 M steps"),
+        ):
+            other.episodes, other.tilting_episodes, other.steps = episodes, tilting, steps
+            moments.append((title, other.conditions()))
+        return moments
+
     def episode(self, success: bool, length: int) -> None:
         self.episodes += 1
         self.tilting_episodes += self.steps >= 400_000
@@ -290,8 +313,8 @@ class TouchdownCurriculum(NoCurriculum):
             beside=0.3,
             close=0.2 * (1.0 - self.level),
             impact=touchdown.IMPACT * min(1.0, 2.0 * self.level),
-            friction=(0.55, 1.2),
-            restitution=(0.0, 0.5),
+            friction=touchdown.FRICTION,
+            restitution=touchdown.RESTITUTION,
         )
 
     def advance(self, steps: int) -> None:
@@ -307,19 +330,21 @@ class TouchdownCurriculum(NoCurriculum):
         self.level = state["level"]
 
 
+# Curricula by name, made from gamma; "none" is known besides. Tasks say which of them know them.
+_CURRICULA: dict[str, Callable[[float], Curriculum]] = {
+    "adaptive": AdaptiveCurriculum,
+    "paper": lambda gamma: PaperCurriculum(),
+    "effort": EffortCurriculum,
+    "touchdown": TouchdownCurriculum,
+}
+
+
 def make_curriculum(name: str, task: str, gamma: float) -> Curriculum:
-    """A curriculum by name: adaptive or paper (landing), effort (setpoint), none, or touchdown."""
-    if task == "touchdown":
-        if name == "touchdown":
-            return TouchdownCurriculum(gamma)
-        raise UserError(f"unknown curriculum {name!r} for task touchdown: it must be touchdown")
+    """A curriculum by name, one of those that the task names."""
+    kind = task_class(task)
+    if name not in kind.curricula:
+        known = " or ".join([", ".join(kind.curricula[:-1]), kind.curricula[-1]][-len(kind.curricula) :])
+        raise UserError(f"unknown curriculum {name!r} for task {task}: it must be {known}")
     if name == "none":
-        return NoCurriculum(gamma, training_aids=task == "landing")
-    if (task, name) == ("landing", "adaptive"):
-        return AdaptiveCurriculum(gamma)
-    if (task, name) == ("landing", "paper"):
-        return PaperCurriculum()
-    if (task, name) == ("setpoint", "effort"):
-        return EffortCurriculum(gamma)
-    known = "adaptive, paper or none" if task == "landing" else "effort or none"
-    raise UserError(f"unknown curriculum {name!r} for task {task}: it must be {known}")
+        return NoCurriculum(gamma, kind.training_conditions)
+    return _CURRICULA[name](gamma)

@@ -10,6 +10,8 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import Task, make_task
+from inclined_landing.envs.tasks.base import resolve_pwm_centre
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import Snapshot, make_plant
 from inclined_landing.train.config import TrainConfig
 
@@ -24,13 +26,18 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
     if config.plant == "mujoco":
         options |= {"integrator": config.integrator, "threads": config.threads}
     task = build_task(config)
-    plant = make_plant(config.plant, config.environments, **options)
+    plant = make_plant(config.plant, config.environments, task.vehicle, **options)
     return BatchVecEnv(BatchEnv(task, plant, config.seed), reward_scale=config.reward_scale)
 
 
 def build_task(config: TrainConfig) -> Task:
-    """The task with the configured action map."""
-    return make_task(config.task, pwm_centre=config.pwm_centre)
+    """The task with the configured vehicle and action map."""
+    if config.vehicle is None:
+        return make_task(config.task, pwm_centre=config.pwm_centre)
+    # A policy to go on from keeps the thrust at action 0 that it was trained with: the shipped vehicle's.
+    vehicle = load_vehicle(config.vehicle)
+    centre = resolve_pwm_centre(config.pwm_centre, load_vehicle() if config.start_from else vehicle)
+    return make_task(config.task, vehicle, pwm_centre=centre)
 
 
 def evaluation_seed(config: TrainConfig) -> int:

@@ -1,6 +1,7 @@
 """One training run: from a configuration to a run folder that holds everything about it.
 
 run.json         resolved configuration, command, versions
+vehicle.toml     the vehicle file, if one was given
 learning.csv     one row per iteration; the same curves stand in tensorboard/
 evaluations.csv  one row per periodic evaluation, in the plain plant, on starts of its own
 checkpoint.pt    for --resume: policy, optimizer, vehicles, random states, histories
@@ -12,6 +13,7 @@ metrics.json     what the run reached
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import math
@@ -27,9 +29,11 @@ from stable_baselines3.common.logger import configure
 
 from inclined_landing.envs.flights import record_flight, record_flights
 from inclined_landing.envs.policy import Policy, load_policy, stamp
+from inclined_landing.envs.tasks import task_class
 from inclined_landing.eval.base import runs
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
 from inclined_landing.train import ppo, warm_start
 from inclined_landing.train.callbacks import Clock, CriticFirst, CurriculumCallback, Every, ProgressCallback
@@ -37,6 +41,7 @@ from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.curriculum import make_curriculum
 
 CHECKPOINT = "checkpoint.pt"
+VEHICLE = "vehicle.toml"
 EVALUATION_STARTS = 64
 TARGET = 0.99  # success that "time to 99 %" means
 
@@ -51,7 +56,11 @@ class Run:
         else:
             runs.check_new_run(config.out)
         self.config = config
-        teacher = load_policy(config.start_from, "landing") if config.start_from else None
+        teacher = None
+        if config.start_from:
+            vehicle = load_vehicle(config.vehicle) if config.vehicle is not None else None
+            wanted = task_class(config.task).training.start_from
+            teacher = load_policy(config.start_from, wanted, vehicle=vehicle)
         self.env = ppo.training_environment(config)
         self.curriculum = make_curriculum(config.curriculum, config.task, config.gamma)
         if not config.resume:
@@ -71,7 +80,9 @@ class Run:
             self.model = ppo.restore_model(io.BytesIO(saved["policy"]), saved["training"], self.env)
         else:
             if teacher is not None:
-                warm_start.teach_cut(self.model, self.env.env, teacher, config.seed)
+                warm_start.teach(self.model, self.env.env, teacher, config.seed)
+            if config.vehicle is not None:
+                storage.write_text(self.folder / VEHICLE, config.vehicle.read_text("utf-8"))
             storage.write_json(self.folder / "run.json", self._record())
         self.clock = Clock(spent)
         self._judge = _Judge(config, self.env.env.task.vehicle)
@@ -83,6 +94,8 @@ class Run:
             raise UserError(f"nothing to resume: {config.out} holds no {CHECKPOINT}")
         stored = json.loads((config.out / "run.json").read_text("utf-8"))["config"]
         stored |= {"out": config.out, "resume": True, "max_seconds": config.max_seconds}
+        if stored.get("vehicle") is not None:
+            stored["vehicle"] = config.out / VEHICLE
         return TrainConfig(**stored)
 
     def _record(self) -> dict:
@@ -149,8 +162,17 @@ class Run:
             "curriculum": self.curriculum.name,
             "seed": config.seed,
             "steps": int(self.model.num_timesteps),
+            **self._vehicle_stamp(),
             **{k: v for k, v in self._record().items() if k != "config"},
         }
+
+    def _vehicle_stamp(self) -> dict:
+        """Where the vehicle is not the shipped one: its name and what differs."""
+        if self.config.vehicle is None:
+            return {}
+        shipped, own = (dataclasses.asdict(v) for v in (load_vehicle(), self.env.env.task.vehicle))
+        changed = {field: value for field, value in own.items() if value != shipped[field]}
+        return {"vehicle": changed}
 
     def evaluate(self, iteration: int) -> None:
         """Fly the deterministic policy in the plain plant from the run's own evaluation starts."""

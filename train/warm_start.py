@@ -17,7 +17,13 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Moment
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
-from inclined_landing.envs.tasks.touchdown import FRICTION, IDLE_ACTION, RESTITUTION, Conditions
+from inclined_landing.envs.tasks.touchdown import (
+    FRICTION,
+    IDLE_ACTION,
+    RESTITUTION,
+    Conditions,
+    InclinedTouchdown,
+)
 from inclined_landing.models.attitude import X, Z
 from inclined_landing.models.errors import UserError
 
@@ -59,6 +65,12 @@ def lesson(state: np.ndarray, landing: Policy) -> np.ndarray:
     idle = over | task.in_goal(state, slope, GOAL_SIZE)
     action[idle] = [_IDLE, slope / (v.attitude_gain * v.command_angle_limit)]
     return action
+
+
+def teach(model: PPO, env: BatchEnv, teacher: Policy, seed: int) -> None:
+    """What a task needs besides the teacher's weights: in touchdown, cutting the motors."""
+    if isinstance(env.task, InclinedTouchdown):
+        teach_cut(model, env, teacher, seed)
 
 
 def teach_cut(model: PPO, env: BatchEnv, landing: Policy, seed: int) -> None:

@@ -15,7 +15,9 @@ import pytest
 import torch
 
 from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.tasks import TASKS
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.train import cli, run
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.run import CHECKPOINT, Run, train
@@ -195,6 +197,25 @@ def test_the_stamp_says_what_the_policy_was_trained_for(landing_run):
     assert stamp["command"].startswith("landing-train") and stamp["versions"]["mujoco"] == "4.0.0"
 
 
+def test_a_run_trains_evaluates_and_resumes_with_its_own_vehicle(tmp_path):
+    shipped, file = load_vehicle(), tmp_path / "heavy.toml"
+    heavy = dataclasses.replace(shipped, body_mass=1.2 * shipped.body_mass)
+    write_vehicle(file, heavy)
+    out = tmp_path / "run"
+    begun = Run(config(out, vehicle=file, max_seconds=1e-6))
+    assert begun.env.env.plant.vehicle == begun._judge.plant.vehicle == begun._judge.task.vehicle == heavy
+    assert begun.env.env.task.pwm_centre == heavy.hover_pwm
+    begun.execute()
+    file.unlink()  # the run has its own
+    resumed = Run(TrainConfig(out=out, resume=True))
+    assert resumed.env.env.plant.vehicle == resumed._judge.task.vehicle == heavy
+    resumed.execute()
+    policy = load_policy(out / "final.zip")
+    assert policy.metadata["vehicle"] == {"body_mass": heavy.body_mass}
+    # Flown in any vehicle, action 0 is the thrust that it was in training.
+    assert policy.task.vehicle == shipped and policy.task.pwm_centre == heavy.hover_pwm
+
+
 def test_training_applies_the_curriculum_and_evaluation_does_not(tmp_path):
     """The vehicles train under the first stage; the judge's task and plant are the plain ones."""
     begun = Run(config(tmp_path / "a"))
@@ -218,7 +239,7 @@ def test_evaluation_starts_are_neither_training_starts_nor_another_seeds(tmp_pat
 # --- wrong input -------------------------------------------------------------------------------------
 
 WRONG = {
-    "hover": "unknown task 'hover'; known are landing and setpoint",
+    "hover": "unknown task 'hover'; known are landing, setpoint, touchdown",
     "--plant gazebo": "unknown plant 'gazebo'; known are mujoco and analytic",
     "--integrator rk4": "unknown integrator 'rk4'; known are RK4, implicitfast, Euler",
     "--steps 0": "--steps must be at least 1",
@@ -297,10 +318,10 @@ def test_an_interruption_says_how_to_go_on(tmp_path, monkeypatch, capsys):
 
 
 def test_resolved_configurations_stay_as_they_are(tmp_path):
-    for task in ("landing", "setpoint", "touchdown"):
+    for task, kind in TASKS.items():
         once = TrainConfig(task=task).resolved()
         assert once.resolved() == once
         left = {f.name for f in dataclasses.fields(once) if getattr(once, f.name) is None}
-        assert left == {"max_seconds"} | ({"start_from"} if task != "touchdown" else set())
+        assert left == {"max_seconds", "vehicle"} | (set() if kind.training.start_from else {"start_from"})
     with pytest.raises(UserError):
         TrainConfig(task="").resolved()
