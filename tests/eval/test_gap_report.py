@@ -163,7 +163,7 @@ def test_the_corrected_model_is_a_vehicle_file_with_provenance(tmp_path):
     )
     # Half the width of the interval, of the scale, times the nominal gain.
     assert gain.uncertainty == pytest.approx(0.012 * load_vehicle().thrust_state_gain, rel=1e-2)
-    assert entries["effects_attitude_trim"].uncertainty == [0.002, 0.001]
+    assert entries["effects_attitude_trim"].uncertainty == (0.002, 0.001)
     assert entries["body_mass"] in constants()
 
 
