@@ -17,6 +17,7 @@ from inclined_landing.eval.gap.result import (
     HorizonCurve,
     NamedEffect,
     PlantGap,
+    SearchStep,
     WhereRow,
     WindowCurves,
 )
@@ -25,10 +26,9 @@ from inclined_landing.eval.gap.search.evidence import Problem, tellable
 from inclined_landing.eval.gap.search.fit import left_out_vehicles, refit, spread_between
 from inclined_landing.eval.gap.search.naming import Search, search
 from inclined_landing.eval.gap.search.prediction import CHANNELS
-from inclined_landing.eval.gap.search.touchdown import landings_of
 from inclined_landing.eval.gap.search.trial import Thresholds
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models.effects import LIBRARY, Effect
+from inclined_landing.models.effects import LIBRARY, Effect, Parameter
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
@@ -54,8 +54,7 @@ def diagnose(
 
     Raises UserError when no flight can be used.
     """
-    clock = _Clock()
-    notes: list[str] = []
+    clock, notes = _Clock(), []
     if platform is None:
         platform = any(log.contact is not None and log.contact.any() for log in flights)
     fitted = prepare_all(flights, vehicle, platform, notes)
@@ -64,80 +63,50 @@ def diagnose(
     problem = Problem(fitted, vehicle, library)
     notes += [*_limits_in_words(problem), *untold]
     clock("prepare")
-
-    contact_unknown = False
     found = united(problem, search(problem, limits))
     clock("name")
-
-    effects = _named(problem, found)
-    own = left_out_vehicles(problem, found.fit)  # one for each fitted flight
+    effects, corrected = _named(problem, found), problem.corrected(found.fit.values)
     if judged:
-        test = Problem(judged, vehicle, library)
-        after_vehicles = [problem.corrected(found.fit.values)] * len(judged)
+        test, after = Problem(judged, vehicle, library), [corrected] * len(judged)
     else:
-        test, after_vehicles = problem, own
-    white_before = test.white([vehicle] * len(test.flights))
-    white_after = test.white(after_vehicles)
-    where = _where(test, white_before, white_after)
-    left = remainder.assess(test, white_after, remainder.floors_with(test, found.fit.values))
+        test, after = problem, left_out_vehicles(problem, found.fit)
+    white = test.white(after)
+    where = _where(test, test.white([vehicle] * len(after)), white)
+    left = remainder.assess(test, white, remainder.floors_with(test, found.fit.values))
     clock("where")
-
     ties = manoeuvres.separating(problem, [e.members for e in effects], found.fit.values)
     clock("manoeuvres")
-
-    corrected = problem.corrected(found.fit.values)
-    steps = list(found.steps)
-    landed = landings_of(flights, corrected)
-    after_contact = corrected
-    if len(landed) >= touchdown.FEWEST and any(e.contact for e in library.values()):
-        contact, named = touchdown.name_contact(landed, corrected, library)
-        after_contact = contact.corrected(named.fit.values)
-        effects += _named(contact, named)
-        steps += named.steps
-        contact_unknown = named.unexplained
-        if contact_unknown:
-            notes.append(
-                "the motion after the touch differs from the simulated one in a way no effect explains"
-            )
-        test_landed = landings_of(heldout, corrected) or landed
-        where += _where_touching(test_landed, vehicle, after_contact)
+    touched = _touched(flights, heldout, vehicle, corrected, library, notes)
+    if touched.landed:
         clock("touchdown")
-    elif landed:
-        notes.append(
-            f"{len(landed)} touchdown{'s' * (len(landed) > 1)} only: contact effects need {touchdown.FEWEST}"
-        )
     gap: dict[str, PlantGap] = {}
     horizon, windows = (), ()
     starts = _starts(test, notes)
     if starts is not None and (curves or plants):
         floor = rollout.noise_floor(starts, corrected)
         if curves:
-            horizon = _horizon(problem, test, starts, found, after_vehicles, floor)
-            windows = _window_curves(starts, vehicle, corrected, test)
+            horizon = _horizon(problem, starts, found, after, floor)
+            windows = _window_curves(starts, vehicle, corrected)
         clock("show")
         for plant in plants:
-            gap[plant] = rollout.plant_gap(
-                starts, vehicle, corrected if judged else after_vehicles, plant, floor
-            )
+            gap[plant] = rollout.plant_gap(starts, vehicle, corrected if judged else after, plant, floor)
             clock(f"gap {plant}")
-    elif len(landed) >= touchdown.FEWEST and "mujoco" in plants:
-        gap["mujoco"] = _landing_gap(landings_of(heldout, corrected) or landed, vehicle, after_contact)
+    elif touched.landed and "mujoco" in plants:
+        gap["mujoco"] = _landing_gap(touched.landed, vehicle, touched.vehicle)
         clock("gap mujoco")
-    corrected = after_contact
-
-    unknown = left.unexplained or found.unstable or contact_unknown
-    verdict = "unknown" if unknown else "effects" if effects else "nothing"
     if found.unstable:
         names = ", ".join(dict.fromkeys(found.unstable))
         notes.append(f"{names} would explain part of the error, but not the same way in every flight")
+    effects += touched.effects
+    unknown = left.unexplained or found.unstable or touched.unexplained
     return Diagnosis(
-        verdict=verdict,
+        verdict="unknown" if unknown else "effects" if effects else "nothing",
         effects=effects,
-        corrected=corrected,
+        corrected=touched.vehicle,
         separating_manoeuvre=" ".join(t["text"] for t in ties) or None,
         manoeuvres=tuple(ties),
-        where=where,
-        steps=tuple(steps),
+        where=where + touched.where,
+        steps=(*found.steps, *touched.steps),
         horizon=horizon,
         windows=windows,
         remainder=left,
@@ -147,6 +116,35 @@ def diagnose(
         seconds=clock.spent,
         notes=tuple(notes),
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Touched:
+    """What the landings say; `landed` is empty where they are too few."""
+
+    vehicle: Vehicle  # corrected for contact too
+    landed: list[touchdown.Landing] = dataclasses.field(default_factory=list)  # those judged on
+    effects: tuple[NamedEffect, ...] = ()
+    steps: Sequence[SearchStep] = ()
+    where: tuple[WhereRow, ...] = ()
+    unexplained: bool = False
+
+
+def _touched(flights, heldout, vehicle: Vehicle, corrected: Vehicle, library, notes: list[str]) -> _Touched:
+    """Name contact effects from the landings of the flights."""
+    landed = touchdown.landings_of(flights, corrected)
+    if len(landed) < touchdown.FEWEST or not any(e.contact for e in library.values()):
+        if landed:
+            few = f"{len(landed)} touchdown{'s' * (len(landed) > 1)} only"
+            notes.append(f"{few}: contact effects need {touchdown.FEWEST}")
+        return _Touched(corrected)
+    contact, named = touchdown.name_contact(landed, corrected, library)
+    after = contact.corrected(named.fit.values)
+    if named.unexplained:
+        notes.append("the motion after the touch differs from the simulated one in a way no effect explains")
+    test = touchdown.landings_of(heldout, corrected) or landed
+    where = _where_touching(test, vehicle, after)
+    return _Touched(after, test, _named(contact, named), named.steps, where, named.unexplained)
 
 
 class _Clock:
@@ -206,52 +204,49 @@ def _united(problem: Problem, found: Search, name: str) -> Search:
     )
 
 
-def _named(problem: Problem, found: Search) -> tuple[NamedEffect, ...]:
+def _named(problem: Problem | touchdown.TouchdownProblem, found: Search) -> tuple[NamedEffect, ...]:
     fit = found.fit
     covariance = fit.weighted.covariance(fit.index) if len(fit.index) else np.zeros((0, 0))
     change, error = fit.weighted.per_flight(fit.index)
-    clusters = problem.groups
-    quantile = stats.t.ppf(0.975, max(1, clusters - 1))
+    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
+    estimates: dict[str, dict[str, Estimate]] = {name: {} for name in fit.values}
+    for k, column in enumerate(fit.weighted.columns):
+        half = quantile * float(np.sqrt(max(0.0, covariance[k, k])))
+        p, value = problem.parameter(column), fit.values[column.effect][column.parameter]
+        estimates[column.effect][p.name] = _estimate(p, value, half, change[:, k], error[:, k])
     effects = []
-    for name in fit.values:
-        effect = problem.library[name]
-        parameters = {}
-        for k, column in enumerate(fit.weighted.columns):
-            if column.effect != name:
-                continue
-            p = next(p for p in effect.parameters if p.name == column.parameter)
-            value = fit.values[name][p.name]
-            half = quantile * float(np.sqrt(max(0.0, covariance[k, k])))
-            own = np.where(
-                error[:, k] < 10 * max(abs(value - p.neutral), p.negligible), value + change[:, k], np.nan
-            )
-            lo, hi = p.bounds
-            parameters[p.name] = Estimate(
-                value,
-                p.unit,
-                (float(max(lo, value - half)), float(min(hi, value + half))),
-                p.neutral,
-                p.bounds,
-                bool(min(value - lo, hi - value) <= 1e-6 * (hi - lo)),
-                tuple(map(float, own)),
-                tuple(map(float, error[:, k])),
-                spread_between(change[:, k], error[:, k]),
-            )
+    for name, parameters in estimates.items():
+        cause, effect = found.follows.get(name, ""), problem.library[name]
         effects.append(
             NamedEffect(
-                name,
-                found.classes.get(name, (name,)),
-                parameters,
-                found.gains.get(name, 0.0),
-                found.evidence.get(name, 0.0),
-                effect.remedy,
-                found.follows.get(name, ""),
-                f"follows from {cause} physically"
-                if (cause := found.follows.get(name))
-                else effect.unites_because,
+                name=name,
+                members=found.classes.get(name, (name,)),
+                parameters=parameters,
+                gain=found.gains.get(name, 0.0),
+                evidence=found.evidence.get(name, 0.0),
+                remedy=effect.remedy,
+                follows_from=cause,
+                note=f"follows from {cause} physically" if cause else effect.unites_because,
             )
         )
     return tuple(sorted(effects, key=lambda e: -e.gain))
+
+
+def _estimate(p: Parameter, value: float, half: float, change: np.ndarray, error: np.ndarray) -> Estimate:
+    """half: of the interval; change (f,) and error (f,): what every flight alone would have it."""
+    lo, hi = p.bounds
+    own = np.where(error < 10 * max(abs(value - p.neutral), p.negligible), value + change, np.nan)
+    return Estimate(
+        value=value,
+        unit=p.unit,
+        ci95=(float(max(lo, value - half)), float(min(hi, value + half))),
+        neutral=p.neutral,
+        bounds=p.bounds,
+        at_bound=bool(min(value - lo, hi - value) <= 1e-6 * (hi - lo)),
+        per_flight=tuple(map(float, own)),
+        per_flight_error=tuple(map(float, error)),
+        spread=spread_between(change, error),
+    )
 
 
 def _where(problem: Problem, before, after) -> tuple[WhereRow, ...]:
@@ -297,47 +292,37 @@ def _starts(problem: Problem, notes: list[str]) -> rollout.Starts | None:
     return starts
 
 
-def _horizon(problem, test, starts, found: Search, after_vehicles, floor) -> tuple[HorizonCurve, ...]:
+def _horizon(problem, starts, found: Search, after, floor) -> tuple[HorizonCurve, ...]:
+    """Error against horizon with the effects added one by one."""
     t = np.arange(1, starts.rows + 1) * starts.dt
-    measured = starts.measured()
-    curves = []
     names = sorted(found.fit.values, key=lambda n: -found.gains.get(n, 0.0))
+    curves = []
     for k in range(len(names) + 1):
         chosen = tuple(names[:k])
         vehicle = problem.corrected({n: found.fit.values[n] for n in chosen})
         if k and k == len(names):
-            error, _ = rollout.errors_by_flight(starts, after_vehicles)
+            error, _ = rollout.errors_by_flight(starts, after)
         else:
-            error = rollout.position_error(rollout.simulate(starts, vehicle), measured)
+            error = rollout.position_error(rollout.simulate(starts, vehicle), starts.measured())
         curves.append(HorizonCurve(f"+ {names[k - 1]}" if k else "nominal", chosen, t, error, floor))
     return tuple(curves)
 
 
-def _window_curves(starts, vehicle, corrected, problem) -> tuple[WindowCurves, ...]:
+def _window_curves(starts, vehicle: Vehicle, corrected: Vehicle) -> tuple[WindowCurves, ...]:
     """For every regime, the window whose error is largest before."""
     measured = starts.measured()
     before, after = rollout.simulate(starts, vehicle), rollout.simulate(starts, corrected)
     error = ((before - measured)[:, -1, :3] ** 2).sum(axis=1)
     t = np.arange(starts.rows + 1) * starts.dt
+    shown = np.zeros((len(starts), len(REGIMES)), bool)  # the regimes of the window that a start lies in
+    for i, (f, first) in enumerate(zip(starts.flight_of, starts.first)):
+        k = int(np.searchsorted(starts.flights[f].starts, first, side="right")) - 1
+        shown[i] = k >= 0 and starts.flights[f].regimes[k]
     result = []
-    for r, regime in enumerate(REGIMES):
-        best = None
-        for i in range(len(starts)):
+    for regime, member in zip(REGIMES, shown.T):
+        if member.any():
+            i = int(np.argmax(np.where(member, error, -1.0)))
             flight = starts.flights[starts.flight_of[i]]
-            k = int(np.searchsorted(flight.starts, starts.first[i], side="right")) - 1
-            if k >= 0 and flight.regimes[k, r] and (best is None or error[i] > error[best]):
-                best = i
-        if best is not None:
-            flight = starts.flights[starts.flight_of[best]]
-            result.append(
-                WindowCurves(
-                    flight.name,
-                    regime,
-                    float(flight.t[starts.first[best]]),
-                    t,
-                    measured[best],
-                    before[best],
-                    after[best],
-                )
-            )
+            begins = float(flight.t[starts.first[i]])
+            result.append(WindowCurves(flight.name, regime, begins, t, measured[i], before[i], after[i]))
     return tuple(result)

@@ -11,9 +11,10 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from inclined_landing.eval.gap.flights.windows import prepare
-from inclined_landing.eval.gap.search.evidence import Problem, solve
+from inclined_landing.eval.gap.search.evidence import Problem, Values, solve
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.parameters import Vehicle
 
@@ -64,8 +65,6 @@ MANOEUVRES: dict[str, tuple[str, Callable]] = {
 
 
 def _smooth(x: np.ndarray, seconds: float = 0.15) -> np.ndarray:
-    from scipy.ndimage import gaussian_filter1d
-
     return gaussian_filter1d(x, seconds * RATE, mode="nearest")
 
 
@@ -101,59 +100,51 @@ def fly(name: str, vehicle: Vehicle, noise: np.ndarray) -> FlightLog:
     )
 
 
-def separating(problem: Problem, ties: Sequence[tuple[str, ...]], values) -> list[dict]:
+def separating(problem: Problem, ties: Sequence[tuple[str, ...]], values: Values) -> list[dict]:
     """For every class of more than one effect, the manoeuvre that separates its members best.
 
     Returns [{name, text, separation, members}], separation in standard errors of the closest pair,
     largest first.
     """
+    answers = [_separating(problem, members, values) for members in ties if len(members) > 1]
+    return sorted(answers, key=lambda r: -r["separation"])
+
+
+def _separating(problem: Problem, members: tuple[str, ...], values: Values) -> dict:
+    told = " ".join(problem.library[m].told_by for m in members if problem.library[m].told_by)
+    members = tuple(m for m in members if not problem.library[m].told_by)
+    tried = {name: _separation(problem, name, members, values) for name in MANOEUVRES if len(members) > 1}
+    scored = {name: errors for name, errors in tried.items() if errors is not None}
+    best = max(scored, key=lambda name: (scored[name], name), default="none")
+    errors, text = scored.get(best, 0.0), ""
+    if scored and errors >= SEPARATED:
+        text = f"To tell {_list(members)} apart: {MANOEUVRES[best][0]} "
+        text += f"({SECONDS:.0f} s separate them by {errors:.0f} standard errors)."
+    elif scored:
+        best, text = "none", f"None of the flights tried tells {_list(members)} apart"
+        text += ": correct any one of them." if told else "."
+    text = f"{told} {text}".strip()
+    return {"name": best, "text": text, "separation": errors, "members": list(members)}
+
+
+def _separation(problem: Problem, name: str, members: Sequence[str], values: Values) -> float | None:
+    """Standard errors between the accepted effect, the first, and the closest to it; None if not seen."""
     noise = np.median([f.noise for f in problem.flights], axis=0)
-    result = []
-    for members in ties:
-        if len(members) < 2:
-            continue
-        scored = []
-        told = " ".join(problem.library[m].told_by for m in members if problem.library[m].told_by)
-        members = tuple(m for m in members if not problem.library[m].told_by)
-        for name, (text, _) in MANOEUVRES.items() if len(members) > 1 else ():
-            flight = prepare(fly(name, problem.vehicle, noise), problem.vehicle)
-            own = Problem([flight], problem.vehicle, problem.library)
-            live = [m for m in members if m in own.library]
-            if len(live) < 2:
-                continue
-            others = {k: v for k, v in values.items() if k not in members}
-            lin = own.linearise(others, own.columns(others, live + list(others))).weighted(np.ones(6))
-            a = lin.a.sum(axis=0)
-            nuisance = lin.index(list(others))
-            scored.append((_separation(problem, a, lin, live, nuisance, values, members), name, text))
-        if scored:
-            best = max(scored)
-            words = f"To tell {_list(members)} apart: {best[2]} ({SECONDS:.0f} s separate them by "
-            words += f"{best[0]:.0f} standard errors)."
-            if best[0] < SEPARATED:
-                best = (best[0], "none", "")
-                words = f"None of the flights tried tells {_list(members)} apart"
-                words += ": correct any one of them." if told else "."
-        else:
-            best, words = (0.0, "none", ""), ""
-        words = f"{told} {words}".strip()
-        result.append(
-            {"name": best[1], "text": words, "separation": float(best[0]), "members": list(members)}
-        )
-    return sorted(result, key=lambda r: -r["separation"])
-
-
-def _separation(problem, a, lin, live, nuisance, values, members) -> float:
-    """Standard errors between the accepted effect and the member closest to it."""
-    first = members[0] if members[0] in live else live[0]
-    own = lin.index([first])
-    parameters = [problem.parameter(lin.columns[k]) for k in own]
-    size = np.array([p.size(values.get(first, {}).get(p.name, p.plausible)) for p in parameters])
+    flown = Problem(
+        [prepare(fly(name, problem.vehicle, noise), problem.vehicle)], problem.vehicle, problem.library
+    )
+    live = [m for m in members if m in flown.library]
+    if len(live) < 2:
+        return None
+    others = {k: v for k, v in values.items() if k not in members}
+    linear = flown.linearise(others, flown.columns(others, live + list(others))).weighted(np.ones(6))
+    a = linear.a.sum(axis=0)
+    own, nuisance = linear.index(live[:1]), linear.index(list(others))
+    parameters = [problem.parameter(linear.columns[k]) for k in own]
+    size = np.array([p.size(values.get(live[0], {}).get(p.name, p.plausible)) for p in parameters])
     distance = []
-    for other in live:
-        if other == first:
-            continue
-        columns = np.concatenate([lin.index([other]), nuisance])
+    for other in live[1:]:
+        columns = np.concatenate([linear.index([other]), nuisance])
         cross = a[np.ix_(columns, own)] @ size
         left = size @ a[np.ix_(own, own)] @ size - cross @ solve(a[np.ix_(columns, columns)], cross)
         distance.append(math.sqrt(max(0.0, float(left))))
@@ -161,4 +152,4 @@ def _separation(problem, a, lin, live, nuisance, values, members) -> float:
 
 
 def _list(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
+    return ", ".join(names[:-1]) + f" and {names[-1]}"

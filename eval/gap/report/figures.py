@@ -17,7 +17,7 @@ from matplotlib.patches import Rectangle
 
 from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, RULE, panel, styled
 from inclined_landing.eval.gap.report.tracks import Track
-from inclined_landing.eval.gap.report.words import REGIMES, SHOWN, label
+from inclined_landing.eval.gap.report.words import REGIMES, label, shown
 from inclined_landing.eval.gap.result import (
     Diagnosis,
     HorizonCurve,
@@ -28,6 +28,7 @@ from inclined_landing.eval.gap.result import (
     WhereRow,
     WindowCurves,
 )
+from inclined_landing.eval.gap.search.remainder import UNITS
 
 BEFORE, AFTER = ORANGE, GREEN
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw", "touchdown")
@@ -36,6 +37,7 @@ _ENDS = (10.0, 30.0, 100.0, 300.0, 1000.0)  # times the floor, where the colour 
 _HEAT = LinearSegmentedColormap.from_list(
     "heat", ["#f4f8fb", "#fde3c8", "#f9b071", "#e66f22", "#a63c06", "#5e1f04"]
 )
+_MAPS = {"before": "before", "after": "after", "floor": "noise alone"}
 _CANDIDATES = 7  # rows of one step of the ranking
 _TIED = "#8cc0e2"
 _STEPS = (PURPLE, BLUE, "#56b4e9", "#8a8f98", "#c9b458")  # between before and after
@@ -58,25 +60,19 @@ def where_map(rows: Sequence[WhereRow]) -> Figure:
     figure = Figure(figsize=(WIDTH, height + 0.95))
     left, gap = 1.65, 0.18
     width = (WIDTH - left - 2 * gap - 0.1) / 3
-    axes = [panel(figure, left + k * (width + gap), 0.62, width, height) for k in range(3)]
-    for axis, what in zip(axes, ("before", "after", "floor")):
-        draw_where(axis, rows, what)
-    for axis in axes[1:]:
-        axis.set_yticks([])
+    for k, what in enumerate(_MAPS):
+        axis = panel(figure, left + k * (width + gap), 0.62, width, height)
+        draw_where(axis, rows, what, named=k == 0)
     _where_scale(figure, rows, left, 0.3, 2 * width + gap)
-    figure.text(
-        (left + 2 * (width + gap)) / WIDTH,
-        0.34 / figure.get_figheight(),
-        _where_units(rows),
-        color=MUTED,
-        fontsize=7.5,
-        va="center",
-    )
+    x, y = (left + 2 * (width + gap)) / WIDTH, 0.34 / figure.get_figheight()
+    figure.text(x, y, _where_units(rows), color=MUTED, fontsize=7.5, va="center")
     return figure
 
 
-def draw_where(axis: Axes, rows: Sequence[WhereRow], what: str, *, size: float = 7.5) -> None:
-    """One map: `what` is before, after or floor; colours are times the floor."""
+def draw_where(
+    axis: Axes, rows: Sequence[WhereRow], what: str, *, size: float = 7.5, named: bool = True
+) -> None:
+    """One map: `what` is before, after or floor; colours are times the floor; named: with its regimes."""
     regimes, channels = _axes_of(rows)
     cells = {(row.regime, row.channel): row for row in rows}
     norm = _where_norm(rows)
@@ -84,26 +80,24 @@ def draw_where(axis: Axes, rows: Sequence[WhereRow], what: str, *, size: float =
         for j, channel in enumerate(channels):
             row = cells.get((regime, channel))
             value = math.nan if row is None else getattr(row, what)
-            colour, ink = "white", INK
-            if math.isfinite(value) and what != "floor" and row.floor > 0:
-                times = min(max(value / row.floor, 1.0), norm.vmax)
-                colour = _HEAT(norm(times))
-                ink = "white" if norm(times) > 0.62 else INK
-            elif what == "floor":
-                ink = MUTED
+            colour, ink, text = "white", MUTED if what == "floor" else INK, "–"
+            if math.isfinite(value):
+                text = _number(shown(row.unit)[0] * value)
+                if what != "floor" and row.floor > 0:
+                    times = norm(min(max(value / row.floor, 1.0), norm.vmax))
+                    colour, ink = _HEAT(times), "white" if times > 0.62 else INK
             axis.add_patch(Rectangle((j, i), 1, 1, facecolor=colour, edgecolor="white", linewidth=1.2))
-            text = _number(SHOWN.get(row.unit, (1.0, ""))[0] * value) if math.isfinite(value) else "–"
             axis.text(j + 0.5, i + 0.52, text, ha="center", va="center", fontsize=size, color=ink)
     axis.set(xlim=(0, len(channels)), ylim=(len(regimes), 0))
     axis.set_xticks(np.arange(len(channels)) + 0.5, ["touch" if c == "touchdown" else c for c in channels])
-    counts = {regime: max(row.windows for row in rows if row.regime == regime) for regime in regimes}
-    axis.set_yticks(
-        np.arange(len(regimes)) + 0.5, [f"{REGIMES.get(r, label(r))} ({counts[r]})" for r in regimes]
-    )
+    axis.set_yticks([])
+    if named:
+        counts = [max(row.windows for row in rows if row.regime == regime) for regime in regimes]
+        names = [f"{REGIMES.get(r, label(r))} ({n})" for r, n in zip(regimes, counts)]
+        axis.set_yticks(np.arange(len(regimes)) + 0.5, names)
     axis.tick_params(length=0, labelsize=8, top=False)
-    for side in axis.spines.values():
-        side.set_visible(False)
-    axis.set_title({"before": "before", "after": "after", "floor": "noise alone"}[what], fontsize=9.5)
+    axis.spines[:].set_visible(False)
+    axis.set_title(_MAPS[what], fontsize=9.5)
 
 
 def _where_norm(rows: Sequence[WhereRow]) -> LogNorm:
@@ -127,7 +121,7 @@ def _where_units(rows: Sequence[WhereRow]) -> str:
     units: dict[str, list[str]] = {}
     for channel in _axes_of(rows)[1]:
         unit = next(row.unit for row in rows if row.channel == channel)
-        units.setdefault(SHOWN.get(unit, (1.0, unit))[1], []).append(channel)
+        units.setdefault(shown(unit)[1], []).append(channel)
     return "; ".join(f"{', '.join(names)} in {unit}" for unit, names in units.items())
 
 
@@ -154,60 +148,37 @@ def ranking(steps: Sequence[SearchStep]) -> Figure | None:
         return None
     rows = [min(_CANDIDATES, len(step.candidates)) for step in steps]
     head, line = 0.42, 0.21
-    height = sum(rows) * line + len(steps) * head + 0.42
-    figure = Figure(figsize=(WIDTH, height))
-    top = height
+    top = sum(rows) * line + len(steps) * head + 0.42
+    figure = Figure(figsize=(WIDTH, top))
     for k, (step, n) in enumerate(zip(steps, rows)):
         top -= head + n * line
         axis = panel(figure, 1.75, top, 3.4, n * line)
         _draw_step(axis, step, n, k + 1)
-        if k == len(steps) - 1:
-            axis.set_xlabel("share of the closable error that it closes on flights left out [%]", fontsize=8)
-        else:
+        if k < len(steps) - 1:
             axis.set_xticklabels([])
+    axis.set_xlabel("share of the closable error that it closes on flights left out [%]", fontsize=8)
     return figure
 
 
 def _draw_step(axis: Axes, step: SearchStep, n: int, number: int) -> None:
-    shown = step.candidates[:n]
-    for k, c in enumerate(shown):
-        accepted = c.effect == step.accepted
-        colour = BLUE if accepted else _TIED if c.tie else "#d5dae0"
-        axis.barh(k, 100 * max(0.0, c.share), 0.66, color=colour)
+    candidates, beside = step.candidates[:n], axis.get_yaxis_transform()
+    for k, c in enumerate(candidates):
+        accepted, share = c.effect == step.accepted, max(0.0, 100 * c.share)
         values = ", ".join(f"{label(name)} {value:.3g}" for name, value in c.values.items())
         why = f"added, {values}" if accepted else "cannot be told apart" if c.tie else c.reason
-        axis.text(
-            1.11,
-            k,
-            f"{max(0.0, 100 * c.share):.0f} %",
-            transform=axis.get_yaxis_transform(),
-            va="center",
-            ha="right",
-            fontsize=7.5,
-            color=INK,
-        )
-        axis.text(
-            1.15,
-            k,
-            why,
-            transform=axis.get_yaxis_transform(),
-            va="center",
-            fontsize=7.5,
-            color=BLUE if accepted else MUTED,
-            fontweight="bold" if accepted else "normal",
-        )
+        style = {"color": BLUE, "fontweight": "bold"} if accepted else {"color": MUTED}
+        axis.barh(k, share, 0.66, color=BLUE if accepted else _TIED if c.tie else "#d5dae0")
+        axis.text(1.11, k, f"{share:.0f} %", transform=beside, va="center", ha="right", fontsize=7.5)
+        axis.text(1.15, k, why, transform=beside, va="center", fontsize=7.5, **style)
     axis.set(xlim=(0, 100), ylim=(n - 0.4, -0.6))
-    axis.set_yticks(range(n), [label(c.effect) for c in shown], fontsize=8)
+    axis.set_yticks(range(n), [label(c.effect) for c in candidates], fontsize=8)
     axis.tick_params(axis="y", length=0)
     axis.tick_params(axis="x", labelsize=7.5, length=0)
     axis.grid(axis="x")
-    axis.spines["left"].set_visible(False)
-    axis.spines["bottom"].set_visible(False)
-    outcome = (
-        f"{label(step.accepted)} added"
-        if step.accepted
-        else f"nothing {'more ' if number > 1 else ''}is worth adding"
-    )
+    axis.spines[["left", "bottom"]].set_visible(False)
+    outcome = f"nothing {'more ' if number > 1 else ''}is worth adding"
+    if step.accepted:
+        outcome = f"{label(step.accepted)} added"
     if step.dropped:
         outcome += ", " + ", ".join(label(x) for x in step.dropped) + " no longer needed"
     axis.set_title(f"Step {number}: {outcome}", loc="left", fontsize=9, x=-0.5)
@@ -238,11 +209,12 @@ def draw_horizon(axis: Axes, curves: Sequence[HorizonCurve], gap: dict[str, Plan
         ends.append((100 * last.floor[-1], f"noise alone  {100 * last.floor[-1]:.1f} cm", INK))
     if "mujoco" in gap:
         g = gap["mujoco"]
-        for value, colour in ((g.before, BEFORE), (g.after, AFTER)):
+        for value, colour, name in ((g.before, BEFORE, "the same in MuJoCo"), (g.after, AFTER, None)):
             axis.plot(
-                g.horizon, 100 * value, "D", color="white", markeredgecolor=colour, markersize=5.5, zorder=20,
-                markeredgewidth=1.6, clip_on=False, label="the same in MuJoCo" if colour == BEFORE else None,
-            )  # fmt: skip
+                *(g.horizon, 100 * value, "D"),
+                **{"color": "white", "markeredgecolor": colour, "markeredgewidth": 1.6, "markersize": 5.5},
+                **{"zorder": 20, "clip_on": False, "label": name},
+            )
         axis.legend(loc="upper left", handletextpad=0.2)
     top = max([value for value, *_ in ends] + [1e-3]) * 1.06
     end = max((curve.horizon[-1] for curve in curves), default=1.0)
@@ -259,24 +231,12 @@ def _name_ends(axis: Axes, ends, top: float) -> None:
     heights = [value for value, *_ in ends]
     for k in range(1, len(heights)):
         heights[k] = max(heights[k], heights[k - 1] + least)
+    beside = axis.get_yaxis_transform()
     for height, (value, text, colour) in zip(heights, ends):
+        arrow = {"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkA": 1, "shrinkB": 0}
         axis.annotate(
-            text,
-            (1.0, value),
-            (1.035, height),
-            xycoords=axis.get_yaxis_transform(),
-            textcoords=axis.get_yaxis_transform(),
-            fontsize=8.5,
-            color=colour,
-            va="center",
-            arrowprops={
-                "arrowstyle": "-",
-                "color": colour,
-                "linewidth": 0.7,
-                "shrinkA": 1,
-                "shrinkB": 0,
-                "relpos": (0, 0.5),
-            },
+            *(text, (1.0, value), (1.035, height), beside, beside, arrow | {"relpos": (0, 0.5)}),
+            **{"fontsize": 8.5, "color": colour, "va": "center"},
         )
 
 
@@ -307,20 +267,17 @@ def draw_track(axis: Axes, one: Track, k: int) -> None:
         drawn.append((f"predicted {one.seconds:g} s ahead, {word}", pieces, colour, 1.5))
     for name, pieces, colour, width in drawn:
         for j, (t, p) in enumerate(pieces):
-            axis.plot(
-                t, p[:, k], color=colour, linewidth=width, solid_capstyle="round", label=None if j else name
-            )
+            style = {"linewidth": width, "solid_capstyle": "round", "label": None if j else name}
+            axis.plot(t, p[:, k], color=colour, **style)
             if colour != INK:
                 axis.plot(t[-1], p[-1, k], "o", color=colour, markersize=3)
     low, high = np.nanmin(one.position[:, k]), np.nanmax(one.position[:, k])
     # All of the measurement, and of the predictions what lies within its range once more.
-    reach = [p[:, k] for p in (*one.before, *one.after)]
+    reach = np.concatenate([p[:, k] for p in (*one.before, *one.after)])
     span = max(high - low, 0.1)
-    low = max(low - 0.8 * span, min([low, *(np.min(p) for p in reach)]))
-    high = min(high + 0.8 * span, max([high, *(np.max(p) for p in reach)]))
-    axis.set(
-        xlim=(one.t[0], one.t[-1]), ylim=(low - 0.04 * span, high + 0.04 * span), ylabel=f"{'xyz'[k]} [m]"
-    )
+    low = max(low - 0.8 * span, min(low, reach.min())) - 0.04 * span
+    high = min(high + 0.8 * span, max(high, reach.max())) + 0.04 * span
+    axis.set(xlim=(one.t[0], one.t[-1]), ylim=(low, high), ylabel=f"{'xyz'[k]} [m]")
     axis.grid()
 
 
@@ -336,9 +293,8 @@ def window_curves(windows: Sequence[WindowCurves]) -> Figure | None:
         low = panel(figure, j * width + 0.6, 0.5, width - 0.7, 1.3)
         _draw_window(high, w, (0, 1, 2), 100.0, "cm")
         _draw_window(low, w, (3, 4, 5), 180 / np.pi, "deg")
-        high.set_title(
-            f"{REGIMES.get(w.regime, w.regime)}\n{w.flight}, {w.start:.1f} s", fontsize=8, loc="left"
-        )
+        title = f"{REGIMES.get(w.regime, w.regime)}\n{w.flight}, {w.start:.1f} s"
+        high.set_title(title, fontsize=8, loc="left")
         low.set_xlabel("time in the window [s]", fontsize=8)
     figure.legend(*high.get_legend_handles_labels(), loc="upper left", ncols=3, bbox_to_anchor=(0.045, 1.0))
     return figure
@@ -370,10 +326,9 @@ def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> Figure 
     width = (WIDTH - names - 0.1) / columns
     for k, (effect, name, p) in enumerate(parts):
         i, j = divmod(k, columns)
-        axis = panel(
-            figure, names + j * width + 0.1, (rows - 1 - i) * (line + 0.95) + 0.55, width - 0.3, line
-        )
-        factor, unit = SHOWN.get(p.unit, (1.0, p.unit))
+        bottom = (rows - 1 - i) * (line + 0.95) + 0.55
+        axis = panel(figure, names + j * width + 0.1, bottom, width - 0.3, line)
+        factor, unit = shown(p.unit)
         y = np.arange(len(p.per_flight))
         value, error = factor * np.array(p.per_flight), 1.96 * factor * np.array(p.per_flight_error)
         axis.axvspan(*(factor * np.array(p.ci95)), color=BLUE, alpha=0.18, linewidth=0)
@@ -385,7 +340,7 @@ def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> Figure 
         axis.tick_params(axis="y", length=0)
         axis.tick_params(axis="x", labelsize=7.5)
         axis.grid(axis="y")
-        what = label(effect.name) if name == "scale" else f"{label(effect.name)}: {label(name)}"
+        what = label(effect.name) + (f": {label(name)}" if len(effect.parameters) > 1 else "")
         axis.set_title(what + (" (at its bound)" if p.at_bound else ""), fontsize=9, loc="left", pad=14)
         axis.set_xlabel(unit, fontsize=8, labelpad=1)
     return figure
@@ -400,10 +355,9 @@ def _mark_neutral(axis: Axes, neutral: float, unit: str) -> None:
         return
     right = neutral > high
     text = f"model as it was: {neutral:.3g} {unit}".rstrip()
-    axis.text(
-        0.99 if right else 0.01, 1.02, f"{text} →" if right else f"← {text}", transform=axis.transAxes,
-        ha="right" if right else "left", va="bottom", fontsize=7.5, color=MUTED,
-    )  # fmt: skip
+    x, text, side = (0.99, f"{text} →", "right") if right else (0.01, f"← {text}", "left")
+    style = {"ha": side, "va": "bottom", "fontsize": 7.5, "color": MUTED}
+    axis.text(x, 1.02, text, transform=axis.transAxes, **style)
     axis.set_xlim(low, high)
 
 
@@ -412,28 +366,23 @@ def remainder(left: Remainder) -> Figure | None:
     channels = [c for c in CHANNELS if c in left.size]
     if not channels:
         return None
-    shown = left.depends_on[:3]
     figure = Figure(figsize=(WIDTH, 2.6))
     axis = panel(figure, 0.75, 0.55, 2.6, 1.7)
-    for k, c in enumerate(channels):
-        floor = left.floor.get(c, math.nan)
-        times = left.size[c] / floor if floor > 0 else math.nan
-        axis.barh(k, times, 0.62, color=ORANGE if times > 1 else "#b9c4cf")
-        unit, factor = ("deg", 180 / np.pi) if c in ("roll", "pitch", "yaw") else ("m/s²", 1.0)
-        if c == "touchdown":
-            unit, factor = "mm", 1e3
-        axis.text(max(times, 1.0) + 0.06, k, f"{factor * left.size[c]:.2g} {unit}", va="center", fontsize=7.5)
+    times = [left.size[c] / left.floor[c] for c in channels]
+    for k, (channel, part) in enumerate(zip(channels, times)):
+        factor, unit = shown(UNITS[channel])
+        axis.barh(k, part, 0.62, color=ORANGE if part > 1 else "#b9c4cf")
+        size = f"{factor * left.size[channel]:.2g} {unit}"
+        axis.text(max(part, 1.0) + 0.06, k, size, va="center", fontsize=7.5)
     axis.axvline(1.0, color=INK, linewidth=1.0, linestyle=(0, (2, 2)))
     axis.set_yticks(range(len(channels)), channels)
     axis.tick_params(axis="y", length=0)
-    axis.set(
-        ylim=(len(channels) - 0.4, -0.6), xlim=(0, 1.35 * max([1.0, *(_times(left, c) for c in channels)]))
-    )
+    axis.set(ylim=(len(channels) - 0.4, -0.6), xlim=(0, 1.35 * max(1.0, *times)))
     axis.set_xlabel("times what counts as nothing", fontsize=8)
     axis.set_title("Left beyond the noise", loc="left", fontsize=9)
-    for k, d in enumerate(shown):
+    for k, d in enumerate(left.depends_on[:3]):
         plot = panel(figure, 4.35 + k * 2.1, 0.55, 1.5, 1.7)
-        factor, unit = (180 / np.pi, "deg") if d.channel in ("roll", "pitch", "yaw") else (1.0, "m/s²")
+        factor, unit = shown(UNITS[d.channel])
         plot.axhline(0, color=RULE, linewidth=1)
         plot.plot(d.x, factor * np.asarray(d.y), "o-", color=ORANGE, markersize=3, linewidth=1.4)
         plot.set_xlabel(d.on, fontsize=8)
@@ -442,12 +391,6 @@ def remainder(left: Remainder) -> Figure | None:
         plot.tick_params(labelsize=7.5)
         plot.grid()
     return figure
-
-
-def _times(left: Remainder, channel: str) -> float:
-    floor = left.floor.get(channel, math.nan)
-    times = left.size[channel] / floor if floor > 0 else 0.0
-    return times if math.isfinite(times) else 0.0
 
 
 # ---- all in one
@@ -464,9 +407,7 @@ def overview(d: Diagnosis, one: Track | None) -> Figure:
     width = 2.02
     for k, what in enumerate(("before", "after")):
         axis = panel(figure, 7.3 + k * (width + 0.14), low, width, 2.55)
-        draw_where(axis, rows, what, size=7)
-        if k:
-            axis.set_yticks([])
+        draw_where(axis, rows, what, size=7, named=k == 0)
     _where_scale(figure, rows, 7.3, low - 0.34, 2 * width + 0.14)
     h = figure.get_figheight()
     figure.text(5.75 / 11.6, (low + 2.79) / h, _where_units(rows), fontsize=8, color=MUTED)

@@ -45,17 +45,22 @@ def listed(names: Sequence[str], last: str = "and") -> str:
     return ", ".join(names[:-1]) + f" {last} {names[-1]}" if len(names) > 1 else "".join(names)
 
 
+def shown(unit: str) -> tuple[float, str]:
+    """Factor to the unit a person reads, and its name."""
+    return SHOWN.get(unit, (1.0, unit))
+
+
 def quantity(value: float, unit: str, *, digits: int = 3) -> str:
     """A number with the unit a person reads: 0.012 s is 12 ms."""
-    factor, name = SHOWN.get(unit, (1.0, unit))
-    shown = factor * value
-    text = f"{shown:.0f}" if abs(shown) >= 10**digits else f"{shown:#.{digits}g}".rstrip(".")
+    factor, name = shown(unit)
+    value *= factor
+    text = f"{value:.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
     return f"{text} {name}".rstrip()
 
 
 def exact(value: float, unit: str) -> str:
     """A number of the model as it stands there, with the unit a person reads."""
-    factor, name = SHOWN.get(unit, (1.0, unit))
+    factor, name = shown(unit)
     return f"{factor * value:.4g} {name}".rstrip()
 
 
@@ -66,7 +71,7 @@ def interval(estimate: Estimate) -> str:
 
 def span(ends: Sequence[float], unit: str) -> str:
     """An interval with as many digits as its width can bear."""
-    factor, name = SHOWN.get(unit, (1.0, unit))
+    factor, name = shown(unit)
     low, high = (factor * x for x in ends)
     if not (math.isfinite(low) and math.isfinite(high)):
         return "not known"
@@ -76,7 +81,7 @@ def span(ends: Sequence[float], unit: str) -> str:
 
 def rounded(value: float, ends: Sequence[float], unit: str) -> str:
     """A number with one digit more than its interval has."""
-    factor, name = SHOWN.get(unit, (1.0, unit))
+    factor, name = shown(unit)
     width = factor * (ends[1] - ends[0])
     if not math.isfinite(width):
         return quantity(value, unit)
@@ -89,8 +94,8 @@ def _places(width: float) -> int:
 
 def says(effect: NamedEffect, library: Mapping[str, Effect] = LIBRARY) -> str:
     """What a named effect means with its values, as part of a sentence."""
-    shown = {name: quantity(p.value, p.unit) for name, p in effect.parameters.items()}
-    return library[effect.name].says.format(**shown)
+    values = {name: quantity(p.value, p.unit) for name, p in effect.parameters.items()}
+    return library[effect.name].says.format(**values)
 
 
 def tie(effect: NamedEffect) -> str | None:

@@ -96,7 +96,39 @@ def derivative(s, target, gust, anchor, time, c, w, r, contact, ds):
     if rising != 0.0:
         inflow *= 1.0 + 0.05 * rising  # a rotor in rising air gains thrust
     inflow *= w.thrust_scale * (1.0 - w.thrust_fade * max(time, 0.0))
-    # Rotors.
+    thrust, speed, tx, ty, tz = rotors(s, target, inflow, c, w, r, ds)
+    drag = c.drag_per_speed
+    still = w.body_drag * math.sqrt(bx * bx + by * by + bz * bz)
+    fx = -(drag[0] * w.drag_scale * speed + still) * bx
+    fy = -(drag[1] * w.drag_scale * speed + still) * by
+    fz = -(drag[2] * w.drag_scale * speed + still) * bz + thrust
+    for k in range(3):
+        ds[k] = s[VELOCITY + k]
+        ds[VELOCITY + k] = (r[k, 0] * fx + r[k, 1] * fy + r[k, 2] * fz) / mass
+    ds[VELOCITY + 2] -= c.gravity
+    if w.load_mass > 0.0:
+        pull_load(s, mass, c, w, ds)
+    if w.contact != 0.0:
+        tx, ty, tz = feet(s, tx, ty, tz, anchor, mass, c, w, r, contact, ds)
+    # Rotation.
+    jx, jy, jz = c.inertia
+    p, q, o = s[RATES], s[RATES + 1], s[RATES + 2]
+    ds[RATES] = (tx - (jz - jy) * q * o) / jx
+    ds[RATES + 1] = (ty - (jx - jz) * o * p) / jy
+    ds[RATES + 2] = (tz - (jy - jx) * p * q) / jz
+    a, b, d, e = s[QUATERNION], s[QUATERNION + 1], s[QUATERNION + 2], s[QUATERNION + 3]
+    ds[QUATERNION] = 0.5 * (-b * p - d * q - e * o)
+    ds[QUATERNION + 1] = 0.5 * (a * p + d * o - e * q)
+    ds[QUATERNION + 2] = 0.5 * (a * q + e * p - b * o)
+    ds[QUATERNION + 3] = 0.5 * (a * o + b * q - d * p)
+
+
+@numba.njit(cache=True)
+def rotors(s, target, inflow, c, w, r, ds):
+    """Thrust [N], sum of speeds [rad/s] and torque (x, y, z) [N m] of the rotors; their part of ds.
+
+    inflow: factor of the thrust, of all rotors alike.
+    """
     nx, nz = math.sin(w.surface_tilt), math.cos(w.surface_tilt)
     thrust = speed = tx = ty = tz = 0.0
     for k in range(4):
@@ -119,79 +151,68 @@ def derivative(s, target, gust, anchor, time, c, w, r, contact, ds):
         tx += (y + w.com_y) * force
         ty -= (x + w.com_x) * force
         tz += SPIN[k] * c.torque_ratio * force
-    drag = c.drag_per_speed
-    still = w.body_drag * math.sqrt(bx * bx + by * by + bz * bz)
-    fx = -(drag[0] * w.drag_scale * speed + still) * bx
-    fy = -(drag[1] * w.drag_scale * speed + still) * by
-    fz = -(drag[2] * w.drag_scale * speed + still) * bz + thrust
+    return thrust, speed, tx, ty, tz
+
+
+@numba.njit(cache=True)
+def pull_load(s, mass, c, w, ds):
+    """A slung load on a string that only pulls: its part of ds, and what it pulls at the vehicle."""
+    dx, dy, dz = s[LOAD] - s[0], s[LOAD + 1] - s[1], s[LOAD + 2] - s[2]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    pull = 0.0
+    if length > w.load_length:
+        along = (
+            dx * (s[LOAD_VELOCITY] - s[VELOCITY])
+            + dy * (s[LOAD_VELOCITY + 1] - s[VELOCITY + 1])
+            + dz * (s[LOAD_VELOCITY + 2] - s[VELOCITY + 2])
+        ) / length
+        pull = _STRING_STIFFNESS * (length - w.load_length) + _STRING_DAMPING * along
+        pull = max(pull, 0.0) * w.load_mass / length
+    ds[VELOCITY] += pull * dx / mass
+    ds[VELOCITY + 1] += pull * dy / mass
+    ds[VELOCITY + 2] += pull * dz / mass
     for k in range(3):
-        ds[k] = s[VELOCITY + k]
-        ds[VELOCITY + k] = (r[k, 0] * fx + r[k, 1] * fy + r[k, 2] * fz) / mass
-    ds[VELOCITY + 2] -= c.gravity
-    # Slung load on a string that only pulls.
-    if w.load_mass > 0.0:
-        dx, dy, dz = s[LOAD] - s[0], s[LOAD + 1] - s[1], s[LOAD + 2] - s[2]
-        length = math.sqrt(dx * dx + dy * dy + dz * dz)
-        pull = 0.0
-        if length > w.load_length:
-            along = (
-                dx * (s[LOAD_VELOCITY] - s[VELOCITY])
-                + dy * (s[LOAD_VELOCITY + 1] - s[VELOCITY + 1])
-                + dz * (s[LOAD_VELOCITY + 2] - s[VELOCITY + 2])
-            ) / length
-            pull = _STRING_STIFFNESS * (length - w.load_length) + _STRING_DAMPING * along
-            pull = max(pull, 0.0) * w.load_mass / length
-        ds[VELOCITY] += pull * dx / mass
-        ds[VELOCITY + 1] += pull * dy / mass
-        ds[VELOCITY + 2] += pull * dz / mass
-        for k in range(3):
-            ds[LOAD + k] = s[LOAD_VELOCITY + k]
-        ds[LOAD_VELOCITY] = -pull * dx / w.load_mass
-        ds[LOAD_VELOCITY + 1] = -pull * dy / w.load_mass
-        ds[LOAD_VELOCITY + 2] = -pull * dz / w.load_mass - c.gravity
-    # Feet.
-    if w.contact != 0.0:
-        for k in range(4):
-            contact[k] = 0.0
-            x, y, z = c.arm * SIDE_X[k], c.arm * SIDE_Y[k], -c.foot_height
-            lx = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z
-            ly = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z
-            lz = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
-            px, py, pz = s[0] + lx, s[1] + ly, s[2] + lz
-            depth = -(px * nx + (pz - w.surface_height) * nz)
-            if depth <= 0.0:
-                continue
-            wx = r[0, 0] * s[RATES] + r[0, 1] * s[RATES + 1] + r[0, 2] * s[RATES + 2]
-            wy = r[1, 0] * s[RATES] + r[1, 1] * s[RATES + 1] + r[1, 2] * s[RATES + 2]
-            wz = r[2, 0] * s[RATES] + r[2, 1] * s[RATES + 1] + r[2, 2] * s[RATES + 2]
-            vx = s[VELOCITY] + wy * lz - wz * ly
-            vy = s[VELOCITY + 1] + wz * lx - wx * lz
-            vz = s[VELOCITY + 2] + wx * ly - wy * lx
-            out = vx * nx + vz * nz
-            normal = c.foot_stiffness * w.stiffness_scale * depth - c.foot_damping * w.damping_scale * out
-            normal = max(normal, 0.0)
-            contact[k] = normal
-            gx, gy, gz = friction(px, py, pz, vx, vy, vz, anchor[k], normal, nx, nz, c, w)
-            gx += normal * nx
-            gz += normal * nz
-            ds[VELOCITY] += gx / mass
-            ds[VELOCITY + 1] += gy / mass
-            ds[VELOCITY + 2] += gz / mass
-            mx, my, mz = ly * gz - lz * gy, lz * gx - lx * gz, lx * gy - ly * gx
-            tx += r[0, 0] * mx + r[1, 0] * my + r[2, 0] * mz
-            ty += r[0, 1] * mx + r[1, 1] * my + r[2, 1] * mz
-            tz += r[0, 2] * mx + r[1, 2] * my + r[2, 2] * mz
-    # Rotation.
-    jx, jy, jz = c.inertia
-    p, q, o = s[RATES], s[RATES + 1], s[RATES + 2]
-    ds[RATES] = (tx - (jz - jy) * q * o) / jx
-    ds[RATES + 1] = (ty - (jx - jz) * o * p) / jy
-    ds[RATES + 2] = (tz - (jy - jx) * p * q) / jz
-    a, b, d, e = s[QUATERNION], s[QUATERNION + 1], s[QUATERNION + 2], s[QUATERNION + 3]
-    ds[QUATERNION] = 0.5 * (-b * p - d * q - e * o)
-    ds[QUATERNION + 1] = 0.5 * (a * p + d * o - e * q)
-    ds[QUATERNION + 2] = 0.5 * (a * q + e * p - b * o)
-    ds[QUATERNION + 3] = 0.5 * (a * o + b * q - d * p)
+        ds[LOAD + k] = s[LOAD_VELOCITY + k]
+    ds[LOAD_VELOCITY] = -pull * dx / w.load_mass
+    ds[LOAD_VELOCITY + 1] = -pull * dy / w.load_mass
+    ds[LOAD_VELOCITY + 2] = -pull * dz / w.load_mass - c.gravity
+
+
+@numba.njit(cache=True)
+def feet(s, tx, ty, tz, anchor, mass, c, w, r, contact, ds):
+    """The torque (x, y, z) with that of the feet added, and their forces added to ds."""
+    nx, nz = math.sin(w.surface_tilt), math.cos(w.surface_tilt)
+    for k in range(4):
+        contact[k] = 0.0
+        x, y, z = c.arm * SIDE_X[k], c.arm * SIDE_Y[k], -c.foot_height
+        lx = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z
+        ly = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z
+        lz = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
+        px, py, pz = s[0] + lx, s[1] + ly, s[2] + lz
+        depth = -(px * nx + (pz - w.surface_height) * nz)
+        if depth <= 0.0:
+            continue
+        wx = r[0, 0] * s[RATES] + r[0, 1] * s[RATES + 1] + r[0, 2] * s[RATES + 2]
+        wy = r[1, 0] * s[RATES] + r[1, 1] * s[RATES + 1] + r[1, 2] * s[RATES + 2]
+        wz = r[2, 0] * s[RATES] + r[2, 1] * s[RATES + 1] + r[2, 2] * s[RATES + 2]
+        vx = s[VELOCITY] + wy * lz - wz * ly
+        vy = s[VELOCITY + 1] + wz * lx - wx * lz
+        vz = s[VELOCITY + 2] + wx * ly - wy * lx
+        out = vx * nx + vz * nz
+        normal = c.foot_stiffness * w.stiffness_scale * depth - c.foot_damping * w.damping_scale * out
+        normal = max(normal, 0.0)
+        contact[k] = normal
+        gx, gy, gz = friction(px, py, pz, vx, vy, vz, anchor[k], normal, nx, nz, c, w)
+        gx += normal * nx
+        gz += normal * nz
+        ds[VELOCITY] += gx / mass
+        ds[VELOCITY + 1] += gy / mass
+        ds[VELOCITY + 2] += gz / mass
+        mx, my, mz = ly * gz - lz * gy, lz * gx - lx * gz, lx * gy - ly * gx
+        tx += r[0, 0] * mx + r[1, 0] * my + r[2, 0] * mz
+        ty += r[0, 1] * mx + r[1, 1] * my + r[2, 1] * mz
+        tz += r[0, 2] * mx + r[1, 2] * my + r[2, 2] * mz
+    return tx, ty, tz
 
 
 @numba.njit(cache=True)

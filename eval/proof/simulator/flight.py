@@ -60,13 +60,7 @@ def _fly(s, reference, gust, gyro_noise, mocap_noise, warm_up, substeps, c, w, l
     for k in range(ticks):
         time = k * dt - warm_up
         # Measure.
-        dynamics.rotation(s[dynamics.QUATERNION : dynamics.QUATERNION + 4], r)
-        poses[k, 0], poses[k, 1], poses[k, 2] = s[0], s[1], s[2]
-        poses[k, 3], poses[k, 4], poses[k, 5] = dynamics.angles(r)
-        if k > 0:
-            jump = poses[k, 5] + turns - poses[k - 1, 5]
-            turns -= 2.0 * np.pi * np.round(jump / (2.0 * np.pi))
-            poses[k, 5] += turns
+        turns = _pose(s, r, poses, k, turns)
         for j in range(3):
             gyro[j] = s[dynamics.RATES + j] + gyro_noise[k, j]
         if k > 0:
@@ -83,11 +77,7 @@ def _fly(s, reference, gust, gyro_noise, mocap_noise, warm_up, substeps, c, w, l
                 measured[3], measured[4], measured[5] = dynamics.tilted(
                     measured[3], measured[4], measured[5], w.mocap_roll, w.mocap_pitch
                 )
-            for j in range(3):
-                position[j] += velocity[j] * dt * per_log
-                error = measured[j] - position[j]
-                position[j] += c.position_filter[0] * error
-                velocity[j] += c.position_filter[1] * error / (dt * per_log)
+            _track(measured, dt, per_log, c, position, velocity)
         # Command.
         if k % per_pilot == 0:
             row = min(k // per_pilot, reference.shape[0] - 1)
@@ -95,19 +85,12 @@ def _fly(s, reference, gust, gyro_noise, mocap_noise, warm_up, substeps, c, w, l
         for j in range(4):
             commands[k, j] = command[j]
         pwm = commands[max(0, k - thrust_delay), 0]
-        for j in range(3):
-            setpoint[j] = commands[max(0, k - attitude_delay), 1 + j]
-        if w.dead_zone > 0.0:
-            for j in range(2):
-                if abs(setpoint[j]) < w.dead_zone:
-                    setpoint[j] = 0.0
-        setpoint[1] += w.cross_coupling * setpoint[0]
+        _received(commands[max(0, k - attitude_delay)], w, setpoint)
         # A trim is an attitude sensor that sits crooked.
         gain = c.attitude_gain * w.attitude_gain_scale
         level_roll, level_pitch = roll - gain * w.trim_roll, pitch - gain * w.trim_pitch
-        gyro[2] -= (
-            w.yaw_drift
-        )  # the estimator knows its gyro's bias in roll and pitch, not about the vertical
+        # The estimator knows its gyro's bias in roll and pitch, not about the vertical.
+        gyro[2] -= w.yaw_drift
         control.flight_controller(pwm, setpoint, level_roll, level_pitch, gyro, memory, dt, c, w, target)
         volts = dynamics.voltage(s, time, c, w)
         if w.battery_reference > 0.0:
@@ -116,21 +99,62 @@ def _fly(s, reference, gust, gyro_noise, mocap_noise, warm_up, substeps, c, w, l
         # Log.
         if k % per_log == 0:
             i = k // per_log
-            for j in range(6):
-                log[i, j] = measured[j]
-            for j in range(4):
-                log[i, 6 + j] = command[j]
-            log[i, 10] = volts
-            for j in range(4):
-                if contact[j] > 0.0:
-                    log[i, 11] = 1.0
-            truth[i, :6] = s[:6]
-            truth[i, 6:9] = poses[k, 3:6]
-            truth[i, 9:12] = s[dynamics.RATES : dynamics.RATES + 3]
-            for j in range(4):
-                truth[i, 12 + j] = c.thrust_per_speed * s[dynamics.ROTORS + j] ** 2
+            _write(measured, command, volts, contact, log[i])
+            _write_truth(s, poses[k], c, truth[i])
         for j in range(substeps):
             dynamics.advance(s, target, gust[k], anchor, time + j * h, h, c, w, work, r, contact)
+
+
+@numba.njit(cache=True)
+def _pose(s, r, poses, k, turns):
+    """Pose of state s into row k of poses (m, 6), yaw continuous; returns the turns of yaw [rad] so far."""
+    dynamics.rotation(s[dynamics.QUATERNION : dynamics.QUATERNION + 4], r)
+    poses[k, 0], poses[k, 1], poses[k, 2] = s[0], s[1], s[2]
+    poses[k, 3], poses[k, 4], poses[k, 5] = dynamics.angles(r)
+    if k > 0:
+        jump = poses[k, 5] + turns - poses[k - 1, 5]
+        turns -= 2.0 * np.pi * np.round(jump / (2.0 * np.pi))
+        poses[k, 5] += turns
+    return turns
+
+
+@numba.njit(cache=True)
+def _track(measured, dt, per_log, c, position, velocity):
+    """The pilot's estimates (3,) of position and velocity follow the measured pose, every `per_log` steps."""
+    for j in range(3):
+        position[j] += velocity[j] * dt * per_log
+        error = measured[j] - position[j]
+        position[j] += c.position_filter[0] * error
+        velocity[j] += c.position_filter[1] * error / (dt * per_log)
+
+
+@numba.njit(cache=True)
+def _received(command, w, setpoint):
+    """Roll, pitch and yaw rate (3,) that the vehicle makes of a command (4,)."""
+    for j in range(3):
+        setpoint[j] = command[1 + j]
+    if w.dead_zone > 0.0:
+        for j in range(2):
+            if abs(setpoint[j]) < w.dead_zone:
+                setpoint[j] = 0.0
+    setpoint[1] += w.cross_coupling * setpoint[0]
+
+
+@numba.njit(cache=True)
+def _write(measured, command, volts, contact, row):
+    """A row (12,) of the log."""
+    row[:6], row[6:10], row[10] = measured, command, volts
+    for j in range(4):
+        if contact[j] > 0.0:
+            row[11] = 1.0
+
+
+@numba.njit(cache=True)
+def _write_truth(s, pose, c, row):
+    """A row (16,) of `Recording.truth`."""
+    row[:6], row[6:9], row[9:12] = s[:6], pose[3:6], s[dynamics.RATES : dynamics.RATES + 3]
+    for j in range(4):
+        row[12 + j] = c.thrust_per_speed * s[dynamics.ROTORS + j] ** 2
 
 
 def initial_state(position, yaw: float, c: Constants, w: World) -> np.ndarray:
