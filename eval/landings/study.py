@@ -7,7 +7,7 @@ import functools
 import hashlib
 import json
 import math
-import tomllib
+import os
 from importlib import resources
 from pathlib import Path
 
@@ -16,7 +16,8 @@ import numpy as np
 
 from inclined_landing.eval.landings.landing import feet_height
 from inclined_landing.eval.landings.parameters import UNITS, Parameter, catalogue
-from inclined_landing.models.errors import UserError
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 
 SAMPLINGS = ("factorial", "latin-hypercube")
@@ -24,6 +25,11 @@ DISTRIBUTIONS = ("uniform", "log-uniform", "normal")
 MOST_LANDINGS = 5_000_000
 _KEYS = {"title", "question", "sampling", "samples", "seed", "maps", "start", "simulation", "parameters"}
 _DURATION = (0.2, 20.0)  # s
+_SHORTEST_STEP = 1e-5  # s
+_TITLE, _QUESTION = 200, 5000  # characters
+_NARROWEST, _WIDEST = 1e-6, 1e3  # a normal distribution's deviation over its range
+_HUGE = 1e300  # for whole numbers that no float holds
+_DECADES = 12  # of a logarithmic range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,14 +121,9 @@ def read_study(name: str | Path) -> Study:
     Raises UserError, one sentence naming the file and the entry, for whatever is wrong.
     """
     path = shipped().get(str(name), Path(name))
-    try:
-        data = tomllib.loads(path.read_text("utf-8"))
-    except FileNotFoundError as error:
-        raise UserError(f"study {path} does not exist (shipped ones: {', '.join(shipped())})") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"study {path} cannot be read: {error}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"study {path} is not TOML: {error}") from error
+    if not os.path.lexists(path):
+        raise UserError(f"study {shown(path, 200)} does not exist (shipped ones: {', '.join(shipped())})")
+    data = storage.read_toml(path, "study")
     try:
         return _parse(data)
     except UserError as error:
@@ -133,7 +134,7 @@ def _parse(data: dict) -> Study:
     _only(data, _KEYS, "the file")
     sampling = data.get("sampling")
     if sampling not in SAMPLINGS:
-        raise UserError(f"sampling must be {_either(SAMPLINGS)}, not {sampling!r}")
+        raise UserError(f"sampling must be {_either(SAMPLINGS)}, not {shown(repr(sampling))}")
     hypercube = sampling == "latin-hypercube"
     samples = _whole(data, "samples", 0)
     if hypercube and not 1 <= samples <= MOST_LANDINGS:
@@ -147,8 +148,11 @@ def _parse(data: dict) -> Study:
     if not _DURATION[0] <= duration <= _DURATION[1]:
         raise UserError(f"duration must be from {_DURATION[0]:g} to {_DURATION[1]:g} s, not {duration:g}")
     period = load_vehicle().command_control_period
-    if not (timestep > 0 and abs(period / timestep - round(period / timestep)) < 1e-9):
-        raise UserError(f"timestep must divide the control period of {period:g} s, {timestep:g} does not")
+    if not _SHORTEST_STEP <= timestep <= period or abs(period / timestep - round(period / timestep)) > 1e-9:
+        raise UserError(
+            f"timestep must divide the control period of {period:g} s and be at least {_SHORTEST_STEP:g} s; "
+            f"{timestep:g} does not"
+        )
     policy = start.get("policy")
     if not isinstance(policy, str | None):
         raise UserError("policy in [start] must be a policy file or the name of a shipped policy")
@@ -159,8 +163,8 @@ def _parse(data: dict) -> Study:
     if ("restitution" in entries) != ("contact_time" in entries):
         raise UserError("restitution and contact_time belong together; give both or none")
     study = Study(
-        title=_text(data, "title"),
-        question=_text(data, "question"),
+        title=shown(_text(data, "title", _TITLE), _TITLE),
+        question=_text(data, "question", _QUESTION),
         sampling=sampling,
         samples=samples,
         seed=_whole(data, "seed", 0),
@@ -181,7 +185,7 @@ def _parse(data: dict) -> Study:
 def _parameter(name: str, entry, hypercube: bool, policy: str | None) -> Levels | Range:
     known = known_parameters()
     if name not in known:
-        raise UserError(f"unknown parameter {name!r}; known are {', '.join(known)}")
+        raise UserError(f"unknown parameter {shown(repr(name), 40)}; known are {', '.join(known)}")
     parameter = known[name]
     if policy and parameter.at_touchdown:
         raise UserError(f"{name} cannot be set in a study that starts where a policy hands over")
@@ -192,7 +196,7 @@ def _parameter(name: str, entry, hypercube: bool, policy: str | None) -> Levels 
     units = UNITS[parameter.kind]
     unit = entry.get("unit")
     if not isinstance(unit, str) or unit not in units:
-        raise UserError(f"parameter {name} needs a unit, {_either(tuple(units))}, not {unit!r}")
+        raise UserError(f"parameter {name} needs a unit, {_either(tuple(units))}, not {shown(repr(unit))}")
     factor = units[unit]
     forms = {"value", "values", "from", "mean"} & set(entry)
     if len(forms - {"mean"}) != 1 and forms != {"mean"}:
@@ -224,13 +228,18 @@ def _range(parameter: Parameter, entry: dict, unit: str, factor: float, hypercub
     high = _check(parameter, entry["to"], unit, factor) if "to" in entry else parameter.high
     if low >= high:
         raise UserError(f"parameter {name}: the range from {low / factor:g} to {high / factor:g} is empty")
-    if distribution == "log-uniform" and low <= 0:
-        raise UserError(f"parameter {name}: a log-uniform range must start above 0")
+    if distribution == "log-uniform" and low < high / 10**_DECADES:
+        raise UserError(
+            f"parameter {name}: a log-uniform range must start above 0, {_DECADES} decades at most"
+        )
     mean = deviation = 0.0
     if normal:
         mean, deviation = (factor * _finite(entry, key, name) for key in ("mean", "deviation"))
-        if deviation <= 0 or not low <= mean <= high:
-            raise UserError(f"parameter {name}: the mean must be in the range and the deviation positive")
+        if not _NARROWEST <= deviation / (high - low) <= _WIDEST or not low <= mean <= high:
+            raise UserError(
+                f"parameter {name}: the mean must be in the range, and the deviation {_NARROWEST:g} to "
+                f"{_WIDEST:g} times as wide"
+            )
     if hypercube:
         if "count" in entry:
             raise UserError(f"parameter {name}: count belongs to a factorial")
@@ -238,15 +247,15 @@ def _range(parameter: Parameter, entry: dict, unit: str, factor: float, hypercub
     count = entry.get("count")
     if normal:
         raise UserError(f"parameter {name}: a normal distribution belongs to a Latin hypercube")
-    if type(count) is not int or count < 2:
-        raise UserError(f"parameter {name}: the range of a factorial needs a count of at least 2")
+    if type(count) is not int or not 2 <= count <= MOST_LANDINGS:
+        raise UserError(f"parameter {name}: the range of a factorial needs a count, 2 to {MOST_LANDINGS}")
     space = np.geomspace if distribution == "log-uniform" else np.linspace
     return Levels(name, tuple(float(x) for x in space(low, high, count)), unit)
 
 
 def _check(parameter: Parameter, value, unit: str, factor: float) -> float:
-    if type(value) not in (int, float) or not math.isfinite(value):
-        raise UserError(f"parameter {parameter.name}: {value!r} is not a number")
+    if not _is_number(value):
+        raise UserError(f"parameter {parameter.name}: {shown(repr(value))} is not a number")
     low, high = parameter.low, parameter.high
     if not low - 1e-12 <= factor * value <= high + 1e-12:
         raise UserError(
@@ -264,7 +273,10 @@ def _maps(given, varied: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
             raise UserError("each of the maps must be a pair of two parameters")
         for name in pair:
             if name not in varied:
-                raise UserError(f"the map of {pair[0]} and {pair[1]} needs {name} to vary")
+                x, y, name = (shown(item, 40) for item in (*pair, name))
+                raise UserError(f"the map of {x} and {y} needs {name} to vary")
+        if given.count(pair) > 1:
+            raise UserError(f"the map of {pair[0]} and {pair[1]} stands twice among the maps")
     return tuple((pair[0], pair[1]) for pair in given)
 
 
@@ -273,34 +285,40 @@ def _only(table, known: set[str], where: str) -> None:
         raise UserError(f"{where} must be a table")
     unknown = sorted(set(table) - known)
     if unknown:
-        raise UserError(f"unknown entry {unknown[0]!r} in {where}; known are {', '.join(sorted(known))}")
+        raise UserError(
+            f"unknown entry {shown(repr(unknown[0]), 40)} in {where}; known are {', '.join(sorted(known))}"
+        )
+
+
+def _is_number(value) -> bool:
+    return type(value) in (int, float) and abs(value) < math.inf  # whole numbers of any length too
 
 
 def _number(table: dict, key: str, default: float) -> float:
     value = table.get(key, default)
-    if type(value) not in (int, float) or not math.isfinite(value):
-        raise UserError(f"{key} must be a number, not {value!r}")
-    return float(value)
+    if not _is_number(value):
+        raise UserError(f"{key} must be a number, not {shown(repr(value))}")
+    return float(min(max(value, -_HUGE), _HUGE))
 
 
 def _finite(entry: dict, key: str, name: str) -> float:
-    value = entry[key]
-    if type(value) not in (int, float) or not math.isfinite(value):
-        raise UserError(f"parameter {name}: {key} is not a number")
-    return float(value)
+    try:
+        return _number(entry, key, math.nan)
+    except UserError as error:
+        raise UserError(f"parameter {name}: {error}") from error
 
 
 def _whole(table: dict, key: str, default: int) -> int:
     value = table.get(key, default)
-    if type(value) is not int or value < 0:
-        raise UserError(f"{key} must be a whole number from 0, not {value!r}")
+    if type(value) is not int or not 0 <= value < 2**63:
+        raise UserError(f"{key} must be a whole number from 0, below 2^63, not {shown(repr(value))}")
     return value
 
 
-def _text(table: dict, key: str) -> str:
+def _text(table: dict, key: str, longest: int) -> str:
     value = table.get(key, "")
-    if not isinstance(value, str):
-        raise UserError(f"{key} must be text")
+    if not isinstance(value, str) or len(value) > longest:
+        raise UserError(f"{key} must be text of at most {longest} characters")
     return value.strip()
 
 
