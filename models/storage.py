@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import stat
 import tempfile
 import tomllib
@@ -100,6 +101,18 @@ def atomic(path: str | Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
+
+
+def is_part(path: Path) -> bool:
+    """Is this a temporary file or folder of `atomic` or of a staged run, perhaps left by a killed process?"""
+    return re.fullmatch(r"\..*\.\d+\.part(\..*)?", path.name, re.DOTALL) is not None
+
+
+def remove_parts(folder: Path) -> None:
+    """Remove what killed processes left in a folder that only this one writes, and in its folders."""
+    for path in folder.rglob(".*.part*"):
+        if is_part(path) and path.is_file():
+            path.unlink(missing_ok=True)
 
 
 def check_file(path: str | Path) -> None:

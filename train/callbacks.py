@@ -81,20 +81,20 @@ class CriticFirst(BaseCallback):
 
 
 class Every(BaseCallback):
-    """Calls `action(iteration)` before a rollout, every `interval` iterations; 0: never.
+    """Calls `action(iteration)` before a rollout, every `interval` iterations from `first` on; 0: never.
 
     At that moment the previous iteration's update is done, so that the policy, the vehicles and the
     random states belong together. `action` returns False to stop the training.
     """
 
-    def __init__(self, interval: int, action: Callable[[int], bool | None], per_iteration: int):
+    def __init__(self, interval: int, action: Callable[[int], bool | None], per_iteration: int, first: int):
         super().__init__()
-        self.interval, self.action, self.per_iteration = interval, action, per_iteration
+        self.interval, self.action, self.per_iteration, self.first = interval, action, per_iteration, first
         self.stop = False
 
     def _on_rollout_start(self) -> None:
         iteration = self.num_timesteps // self.per_iteration
-        if self.interval and iteration and iteration % self.interval == 0:
+        if self.interval and iteration >= self.first and iteration % self.interval == 0:
             self.stop = self.action(iteration) is False
 
     def _on_step(self) -> bool:

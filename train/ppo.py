@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
+import psutil
 import torch
 from stable_baselines3 import PPO
 
@@ -11,13 +14,29 @@ from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import Task, make_task
 from inclined_landing.envs.tasks.base import resolve_pwm_centre
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import Snapshot, make_plant
+from inclined_landing.train.checkpoint import check_array, check_names, check_number
 from inclined_landing.train.config import TrainConfig
 
 # Saved policies must not drag training code along: the schedule is set anew by the callback.
 _NOT_SAVED = ("lr_schedule",)
+_MOST = 2**53  # of anything counted
+_SAMPLE, _VEHICLE = 100, 20_000  # bytes, measured: rollout buffer with its copies; engine and records
 _EVALUATION_SEED = 1_000_003  # apart from every training seed's stream
+
+
+def check_memory(config: TrainConfig) -> None:
+    """Raise UserError when vehicles and rollout would not fit into the memory that is free."""
+    samples = config.environments * config.rollout
+    needed = _SAMPLE * samples + _VEHICLE * config.environments
+    free = psutil.virtual_memory().available
+    if needed > free:
+        raise UserError(
+            f"--environments {config.environments} and --rollout {config.rollout} need about "
+            f"{needed / 1e9:.0f} GB of memory, and {free / 1e9:.0f} GB are free; choose fewer"
+        )
 
 
 def training_environment(config: TrainConfig) -> BatchVecEnv:
@@ -53,7 +72,7 @@ def build_model(config: TrainConfig, env: BatchVecEnv) -> PPO:
         "MlpPolicy",
         env,
         n_steps=config.rollout,
-        batch_size=min(config.batch_size, config.environments * config.rollout),
+        batch_size=config.batch_size,
         n_epochs=config.epochs,
         learning_rate=config.learning_rate,
         gamma=config.gamma,
@@ -87,34 +106,112 @@ def save_model(model: PPO, path) -> None:
     model.save(path, exclude=_NOT_SAVED)
 
 
-def training_state(model: PPO, env: BatchVecEnv) -> dict:
-    """What the policy file lacks for an exact continuation: random states, vehicles, episodes."""
+def training_state(model: PPO, env: BatchVecEnv) -> tuple[dict, dict[str, np.ndarray]]:
+    """What an exact continuation needs: numbers (JSON types) and arrays."""
     batch = env.env
-    return {
-        "torch_rng": torch.get_rng_state(),
-        "numpy_rng": np.random.get_state(),  # noqa: NPY002 (SB3 shuffles with it)
+    _, key, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002 (SB3 shuffles with it)
+    numbers = {
+        "steps": int(model.num_timesteps),
+        "updates": int(model._n_updates),
         "start_rng": batch.rng.bit_generator.state,
-        "plant": batch.plant.save().arrays,
-        "episodes": batch.episode_state(),
+        "numpy_rng": [int(position), int(has_gauss), float(gauss)],
+        "ended": [[e["r"], e["l"]] for e in model.ep_info_buffer],
+        "successes": [bool(success) for success in model.ep_success_buffer],
+    }
+    arrays = _arrays(model, env) | {
+        "numpy_rng": key,
         "last_obs": model._last_obs,
         "last_episode_starts": model._last_episode_starts,
-        "num_timesteps": model.num_timesteps,
-        "updates": model._n_updates,
     }
+    for k, moments in model.policy.optimizer.state_dict()["state"].items():
+        arrays |= {f"optimizer.{k}.{name}": moment.numpy() for name, moment in moments.items()}
+    return numbers, arrays
 
 
-def restore_model(path, state: dict, env: BatchVecEnv) -> PPO:
-    """The PPO of a checkpoint, ready to `learn(..., reset_num_timesteps=False)` bit for bit."""
-    set_torch_up()
-    model = PPO.load(path, env=env, device="cpu")
+def _arrays(model: PPO, env: BatchVecEnv) -> dict[str, np.ndarray]:
+    """The arrays that a new model has as well."""
     batch = env.env
-    batch.plant.restore(Snapshot(state["plant"]))
-    batch.restore_episodes(state["episodes"])
-    batch.rng.bit_generator.state = state["start_rng"]
-    model._last_obs = state["last_obs"]
-    model._last_episode_starts = state["last_episode_starts"]
-    model.num_timesteps = state["num_timesteps"]
-    model._n_updates = state["updates"]
-    np.random.set_state(state["numpy_rng"])  # noqa: NPY002
-    torch.set_rng_state(state["torch_rng"])
-    return model
+    parts = {"policy": {name: tensor.numpy() for name, tensor in model.policy.state_dict().items()}}
+    parts |= {"plant": batch.plant.save().arrays, "episodes": batch.episode_state()}
+    arrays = {f"{part}.{name}": array for part in parts for name, array in parts[part].items()}
+    return arrays | {"torch_rng": torch.get_rng_state().numpy()}
+
+
+def restore(model: PPO, env: BatchVecEnv, numbers: dict, arrays: dict[str, np.ndarray]) -> None:
+    """Carry a new model on to a `training_state`, for `learn(..., reset_num_timesteps=False)`.
+
+    Raises UserError for whatever is not of the names, shapes, types and ranges that this model and this
+    environment would have written.
+    """
+    batch = env.env
+    moments = _check_arrays(model, env, arrays)
+    _check_numbers(numbers)
+
+    def part(name):
+        return {k.removeprefix(f"{name}."): a for k, a in arrays.items() if k.startswith(f"{name}.")}
+
+    model.policy.load_state_dict({name: torch.as_tensor(a) for name, a in part("policy").items()})
+    optimizer = model.policy.optimizer
+    optimizer.load_state_dict(optimizer.state_dict() | {"state": moments})
+    batch.plant.restore(Snapshot(part("plant")))
+    batch.restore_episodes(part("episodes"))
+    model._last_obs = arrays["last_obs"]
+    model._last_episode_starts = arrays["last_episode_starts"]
+    model.num_timesteps, model._n_updates = numbers["steps"], numbers["updates"]
+    size = model._stats_window_size
+    model.ep_info_buffer = deque(({"r": r, "l": l} for r, l in numbers["ended"]), maxlen=size)  # noqa: E741
+    model.ep_success_buffer = deque(numbers["successes"], maxlen=size)
+    try:
+        batch.rng.bit_generator.state = numbers["start_rng"]
+        torch.set_rng_state(torch.as_tensor(arrays["torch_rng"]))
+    except (RuntimeError, ValueError, TypeError, KeyError, OverflowError) as error:
+        raise UserError("a random generator's state is none") from error
+    np.random.set_state(("MT19937", arrays["numpy_rng"], *numbers["numpy_rng"]))  # noqa: NPY002
+
+
+def _check_arrays(model: PPO, env: BatchVecEnv, arrays: dict) -> dict[int, dict[str, torch.Tensor]]:
+    """Check every array of a checkpoint; returns the optimizer's moments by parameter."""
+    n, observations = env.num_envs, env.observation_space.shape[0]
+    like = _arrays(model, env) | {
+        "numpy_rng": np.zeros(624, np.uint32),
+        "last_obs": np.zeros((n, observations), np.float32),
+        "last_episode_starts": np.zeros(n, bool),
+    }
+    moments: dict[int, dict[str, torch.Tensor]] = {}
+    for k, parameter in enumerate(model.policy.optimizer.param_groups[0]["params"]):
+        if f"optimizer.{k}.step" in arrays:  # the optimizer knows what has had a gradient
+            weights = np.zeros(parameter.shape, np.float32)
+            own = {"step": np.zeros((), np.float32), "exp_avg": weights, "exp_avg_sq": weights}
+            like |= {f"optimizer.{k}.{name}": array for name, array in own.items()}
+            moments[k] = {name: arrays.get(f"optimizer.{k}.{name}") for name in own}
+    check_names(arrays, like, "it")
+    for name, array in arrays.items():
+        check_array(array, like[name], name)
+        if name.endswith((".step", ".exp_avg_sq")) and (array < 0).any():
+            raise UserError(f"{name} is negative")
+    return {k: {name: torch.as_tensor(a) for name, a in own.items()} for k, own in moments.items()}
+
+
+def _check_numbers(numbers: dict) -> None:
+    check_number(numbers["steps"], "steps", 0, _MOST)
+    check_number(numbers["updates"], "updates", 0, _MOST)
+    for name in ("numpy_rng", "ended", "successes"):
+        if not isinstance(numbers[name], list):
+            raise UserError(f"{name} is not a list")
+    if len(numbers["numpy_rng"]) != 3:
+        raise UserError("numpy_rng has not three numbers")
+    position, has_gauss, gauss = numbers["numpy_rng"]
+    check_number(position, "numpy_rng", 0, 624)
+    check_number(has_gauss, "numpy_rng", 0, 1)
+    check_number(gauss, "numpy_rng", -1e3, 1e3, whole=False)
+    for pair in numbers["ended"]:
+        if not isinstance(pair, list) or len(pair) != 2:
+            raise UserError("ended is not a list of reward and length")
+        check_number(pair[0], "an episode's reward", -1e300, 1e300, whole=False)
+        check_number(pair[1], "an episode's length", 1, _MOST)
+    if not all(isinstance(success, bool) for success in numbers["successes"]):
+        raise UserError("successes is not a list of true and false")
+    state = numbers["start_rng"]
+    inner = state.get("state") if isinstance(state, dict) else None
+    if not isinstance(inner, dict) or not isinstance(inner.get("inc"), int) or inner["inc"] % 2 == 0:
+        raise UserError("start_rng is no state of a PCG64 generator")

@@ -33,7 +33,6 @@ def report(folder: Path, metrics: dict) -> None:
     final = folder / "final.zip"
     task = load(final).task
     show = _TABLES.get(task.table, _success)(folder, metrics, load)
-    storage.write_json(folder / "metrics.json", metrics)
     save_figure(learning_curves([folder]), folder / "learning_curves.png")
     stages = make_curriculum(config["curriculum"], task.name, config["gamma"]).stages()
     if stages:
@@ -42,6 +41,7 @@ def report(folder: Path, metrics: dict) -> None:
     starts = [",".join(f"{number:g}" for number in start) for start in task.film_starts]
     pictures.video(str(final), folder / f"{task.name}.mp4", starts, gif=True, vehicle=vehicle)
     pictures.picture(str(final), folder / "picture.png", vehicle=vehicle)
+    storage.write_json(folder / "metrics.json", metrics)  # last: it says that the report is whole
     show()
     Console().print(f"everything about this run is in {folder}")
 

@@ -14,18 +14,21 @@ metrics.json     what the run reached
 from __future__ import annotations
 
 import dataclasses
-import io
+import itertools
 import json
 import math
+import os
 import shlex
+import shutil
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import torch
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import configure
+from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
+from torch.utils.tensorboard import SummaryWriter
 
 from inclined_landing.envs.flights import record_flight, record_flights
 from inclined_landing.envs.policy import Policy, load_policy, stamp
@@ -35,85 +38,102 @@ from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
-from inclined_landing.train import ppo, warm_start
+from inclined_landing.train import checkpoint, ppo, warm_start
 from inclined_landing.train.callbacks import Clock, CriticFirst, CurriculumCallback, Every, ProgressCallback
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.curriculum import make_curriculum
 
+RECORD = "run.json"
 CHECKPOINT = "checkpoint.pt"
 VEHICLE = "vehicle.toml"
 EVALUATION_STARTS = 64
 TARGET = 0.99  # success that "time to 99 %" means
+_FREE = ("out", "max_seconds", "report", "threads", "vehicle")  # options that may differ from a checkpoint's
+_BEFORE = {RECORD, VEHICLE, "tensorboard"}  # all that a run folder holds before its first checkpoint
 
 
 class Run:
-    """The state of one training run; `execute` carries it to its end."""
+    """The state of one training run; `execute` carries it to its end.
+
+    Making one reads and checks everything, and changes nothing on disk. `metrics` is what a run that is
+    finished reached, otherwise None.
+    """
 
     def __init__(self, config: TrainConfig):
         config = config.resolved()
+        self.folder = config.out
+        self.resumed = config.resume
         if config.resume:
-            config = self._stored(config)
+            config, self.record = stored(config)
         else:
-            runs.check_new_run(config.out)
+            _check_new(config.out)
+            self.record = _record(config)
         self.config = config
-        teacher = None
-        if config.start_from:
+        ppo.check_memory(config)
+        saved = self._read_checkpoint() if self.resumed else None
+        self.teacher = None
+        if config.start_from and saved is None:
             vehicle = load_vehicle(config.vehicle) if config.vehicle is not None else None
             wanted = task_class(config.task).training.start_from
-            teacher = load_policy(config.start_from, wanted, vehicle=vehicle)
+            self.teacher = load_policy(config.start_from, wanted, vehicle=vehicle)
         self.env = ppo.training_environment(config)
         self.curriculum = make_curriculum(config.curriculum, config.task, config.gamma)
-        if not config.resume:
-            self.model = ppo.build_model(config, self.env)
-            if teacher is not None:
-                warm_start.take_over(self.model, teacher)
-        self.folder = runs.new_run(config.out, resumable=CHECKPOINT if config.resume else None)
-        self._stopped = False
+        self.model = ppo.build_model(config, self.env)
+        if self.teacher is not None:
+            warm_start.take_over(self.model, self.teacher)
         self.history: list[dict] = []
         self.evaluations: list[dict] = []
-        spent = None
-        if config.resume:
-            saved = torch.load(self.folder / CHECKPOINT, weights_only=False)
-            self.curriculum.restore(saved["curriculum"])
-            self.history, self.evaluations = saved["history"], saved["evaluations"]
-            spent = saved["spent"]
-            self.model = ppo.restore_model(io.BytesIO(saved["policy"]), saved["training"], self.env)
-        else:
-            if teacher is not None:
-                warm_start.teach(self.model, self.env.env, teacher, config.seed)
-            if config.vehicle is not None:
-                storage.write_text(self.folder / VEHICLE, config.vehicle.read_text("utf-8"))
-            storage.write_json(self.folder / "run.json", self._record())
-        self.clock = Clock(spent)
+        self.best: bytes | None = None  # the policy file of the best evaluation
+        self.clock = Clock()
+        self._per_iteration = config.environments * config.rollout
+        self._begun = -1  # the iteration of the checkpoint that was resumed
+        self._stopped = False
+        if saved is not None:
+            self._restore(saved)
         self._judge = _Judge(config, self.env.env.task.vehicle)
-
-    @staticmethod
-    def _stored(config: TrainConfig) -> TrainConfig:
-        """The configuration of the run to resume; only the wall-time limit is taken anew."""
-        if not (config.out / CHECKPOINT).is_file():
-            raise UserError(f"nothing to resume: {config.out} holds no {CHECKPOINT}")
-        stored = json.loads((config.out / "run.json").read_text("utf-8"))["config"]
-        stored |= {"out": config.out, "resume": True, "max_seconds": config.max_seconds}
-        if stored.get("vehicle") is not None:
-            stored["vehicle"] = config.out / VEHICLE
-        return TrainConfig(**stored)
-
-    def _record(self) -> dict:
-        return {
-            "config": self.config.as_json(),
-            "command": shlex.join(["landing-train", *sys.argv[1:]]),
-            "versions": runs.versions(),
-        }
+        self.metrics = self._finished() if self._begun >= 0 else None
 
     def execute(self) -> dict:
         """Train to the end (or the wall-time limit) and return the metrics."""
-        config, model = self.config, self.model
-        per_iteration = config.environments * config.rollout
-        progress = ProgressCallback(config.steps, self.curriculum)
-        self.progress = progress
+        runs.new_run(self.folder, resumable=RECORD if self.resumed else None)
+        with runs.held(self.folder):
+            storage.remove_parts(self.folder)
+            if self.metrics is not None:
+                return self.metrics
+            if self._begun >= 0:
+                self._return_to_checkpoint()
+            else:
+                self._begin()
+            self._learn()
+            return self._end()
 
-        def every(interval, action):
-            return Every(interval, action, per_iteration)
+    def _begin(self) -> None:
+        """From the beginning, perhaps of a run that was stopped before its first checkpoint."""
+        if not self.resumed:
+            storage.write_json(self.folder / RECORD, self.record)
+        copy = self.folder / VEHICLE
+        if self.config.vehicle not in (None, copy):
+            storage.write_text(copy, self.config.vehicle.read_text("utf-8"))
+        shutil.rmtree(self.folder / "tensorboard", ignore_errors=True)
+        if self.teacher is not None:
+            warm_start.teach(self.model, self.env.env, self.teacher, self.config.seed)
+
+    def _return_to_checkpoint(self) -> None:
+        """Bring the folder back to what it held at the checkpoint."""
+        self._write_histories()
+        if self.best is not None:
+            storage.write_bytes(self.folder / "best.zip", self.best)
+        for video in (self.folder / "videos").glob("iteration_*.mp4"):
+            number = video.stem.removeprefix("iteration_")
+            if number.isdecimal() and int(number) > self._begun:
+                video.unlink()
+
+    def _learn(self) -> None:
+        config, model = self.config, self.model
+        self.progress = progress = ProgressCallback(config.steps, self.curriculum)
+
+        def every(interval, action, first=1):
+            return Every(interval, action, self._per_iteration, max(first, self._begun + 1))
 
         callbacks = [
             CurriculumCallback(self.curriculum, config.steps, config.learning_rate),
@@ -121,36 +141,73 @@ class Run:
             progress,
             every(config.evaluate_every, self.evaluate),
             every(config.video_every, self.film),
-            every(config.checkpoint_every, self.checkpoint),
+            every(config.checkpoint_every, self.checkpoint, first=0),
         ]
         if config.start_from:
             callbacks.append(CriticFirst(warm_start.CRITIC_FIRST))
         if config.max_seconds is not None:
             callbacks.append(every(1, self._in_time))
-        model.set_logger(configure(str(self.folder / "tensorboard"), ["tensorboard"]))
+        resumed = self._begun >= 0
+        curves = TensorBoardOutputFormat(str(self.folder / "tensorboard"))
+        if resumed:  # hides what the curves show after the checkpoint
+            curves.writer = SummaryWriter(curves.writer.log_dir, purge_step=model.num_timesteps + 1)
+        model.set_logger(Logger(str(self.folder), [curves]))
         remaining = config.steps - model.num_timesteps
         self.clock.switch("training")
         try:
             if remaining > 0:
-                model.learn(remaining, callbacks, reset_num_timesteps=not config.resume)
+                model.learn(remaining, callbacks, reset_num_timesteps=not resumed)
         finally:
             progress.close()
             model.logger.close()
-        self.clock.switch("evaluation")
-        finished = model.num_timesteps >= config.steps
-        if config.evaluate_every:
-            self.evaluate(math.ceil(model.num_timesteps / per_iteration))
-        if not self._stopped:  # then the checkpoint lies at the beginning of the dropped rollout
-            self.checkpoint(0)
-        self.save_policy(self.folder / "final.zip")
-        self.clock.switch("training")
-        return self._metrics(finished)
 
-    def save_policy(self, path: Path) -> None:
-        """Write the present policy with its stamp."""
-        with storage.atomic(path) as part:
-            ppo.save_model(self.model, part)
-            stamp(part, self.stamp())
+    def _end(self) -> dict:
+        """The last evaluation, checkpoint, policy and metrics."""
+        self.check_weights()
+        self.clock.switch("evaluation")
+        steps = self.model.num_timesteps
+        judged = self.evaluations and self.evaluations[-1]["steps"] == steps
+        if self.config.evaluate_every and not judged:
+            self.evaluate(math.ceil(steps / self._per_iteration))
+        if not self._stopped:  # then the checkpoint lies at the beginning of the dropped rollout
+            self.checkpoint(math.ceil(steps / self._per_iteration))
+        storage.write_bytes(self.folder / "final.zip", self.policy_file())
+        self.clock.switch("training")
+        metrics = self._metrics(steps >= self.config.steps)
+        storage.write_json(self.folder / "metrics.json", metrics)
+        return metrics
+
+    def _finished(self) -> dict | None:
+        """metrics.json of a run that has come to its end."""
+        if not (self.folder / "final.zip").is_file() or self.model.num_timesteps < self.config.steps:
+            return None
+        try:
+            metrics = storage.read_json(self.folder / "metrics.json", "file")
+        except UserError:
+            return None
+        if not isinstance(metrics, dict) or metrics.get("finished") is not True:
+            return None
+        return metrics | {"config": self._as_recorded()}
+
+    def _as_recorded(self) -> dict:
+        """The configuration as run.json has it; only the wall-time limit may be another."""
+        return self.record["config"] | {"max_seconds": self.config.max_seconds}
+
+    def check_weights(self) -> None:
+        """Raise UserError when the network has become infinite."""
+        if not all(bool(tensor.isfinite().all()) for tensor in self.model.policy.parameters()):
+            raise UserError(
+                f"training diverged at step {self.model.num_timesteps}: the network is no longer finite; "
+                "lower --learning-rate, --reward-scale or --log-std-init"
+            )
+
+    def policy_file(self) -> bytes:
+        """The present policy with its stamp, as a file."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "policy.zip"
+            ppo.save_model(self.model, path)
+            stamp(path, self.stamp())
+            return path.read_bytes()
 
     def stamp(self) -> dict:
         """What a policy file says of itself."""
@@ -162,17 +219,14 @@ class Run:
             "curriculum": self.curriculum.name,
             "seed": config.seed,
             "steps": int(self.model.num_timesteps),
-            **self._vehicle_stamp(),
-            **{k: v for k, v in self._record().items() if k != "config"},
+            **({"vehicle": self._vehicle()} if self.config.vehicle is not None else {}),
+            **{k: v for k, v in self.record.items() if k != "config"},
         }
 
-    def _vehicle_stamp(self) -> dict:
-        """Where the vehicle is not the shipped one: its name and what differs."""
-        if self.config.vehicle is None:
-            return {}
+    def _vehicle(self) -> dict:
+        """In what the vehicle is not the shipped one, JSON types only."""
         shipped, own = (dataclasses.asdict(v) for v in (load_vehicle(), self.env.env.task.vehicle))
-        changed = {field: value for field, value in own.items() if value != shipped[field]}
-        return {"vehicle": changed}
+        return json.loads(storage.to_json({k: value for k, value in own.items() if value != shipped[k]}))
 
     def evaluate(self, iteration: int) -> None:
         """Fly the deterministic policy in the plain plant from the run's own evaluation starts."""
@@ -184,7 +238,8 @@ class Run:
             **result,
         }
         if not self.evaluations or result["score"] >= max(e["score"] for e in self.evaluations):
-            self.save_policy(self.folder / "best.zip")
+            self.best = self.policy_file()
+            storage.write_bytes(self.folder / "best.zip", self.best)
         self.evaluations.append(row)
         for name, value in result.items():
             self.model.logger.record(f"evaluation/{name}", value)
@@ -213,29 +268,109 @@ class Run:
         return False
 
     def checkpoint(self, iteration: int) -> None:
-        """Everything that a continuation needs, in one file that appears whole."""
-        buffer = io.BytesIO()
-        ppo.save_model(self.model, buffer)
-        saved = {
-            "policy": buffer.getvalue(),
-            "training": ppo.training_state(self.model, self.env),
+        """Everything that a continuation needs, in one file that appears whole; then the curves."""
+        numbers, arrays = ppo.training_state(self.model, self.env)
+        state = numbers | {
+            "config": self._as_recorded(),
+            "vehicle": self._vehicle(),
             "curriculum": self.curriculum.state(),
             "history": self.history,
             "evaluations": self.evaluations,
             "spent": dict(self.clock.spent),
         }
-        with storage.atomic(self.folder / CHECKPOINT) as part:
-            torch.save(saved, part)
+        checkpoint.write(self.folder / CHECKPOINT, checkpoint.Checkpoint(state, arrays, self.best))
+        self._write_histories()
+
+    def _write_histories(self) -> None:
         for name, rows in (("learning", self.history), ("evaluations", self.evaluations)):
-            storage.write_text(self.folder / f"{name}.csv", pd.DataFrame(rows).to_csv(index=False))
+            path = self.folder / f"{name}.csv"
+            if rows:
+                storage.write_text(path, pd.DataFrame(rows).to_csv(index=False))
+            else:
+                path.unlink(missing_ok=True)
+
+    def _read_checkpoint(self) -> checkpoint.Checkpoint | None:
+        """The checkpoint of the run to resume; None if it was stopped before the first."""
+        path = self.folder / CHECKPOINT
+        if os.path.lexists(path):
+            return checkpoint.read(path)
+        others = {p.name for p in self.folder.iterdir() if not storage.is_part(p)} - _BEFORE
+        if others:
+            raise UserError(
+                f"nothing to resume: {self.folder} lacks its {CHECKPOINT}, though it holds {min(others)}; "
+                "begin a new run with another --out"
+            )
+        return None
+
+    def _restore(self, saved: checkpoint.Checkpoint) -> None:
+        """Carry the new model, vehicles and curriculum on to a checkpoint; UserError if it is wrong."""
+        state = dict(saved.state)
+        own = self.record["config"]
+        try:
+            checkpoint.check_names(state, _STATE, "it")
+            checkpoint.check_names(state["config"], own, "its configuration")
+            for name in own:
+                if name not in _FREE and state["config"][name] != own[name]:
+                    raise UserError(f"belongs to another configuration: {name} differs from {RECORD}")
+            if state["vehicle"] != self._vehicle():
+                raise UserError(f"belongs to another vehicle than {VEHICLE}")
+            ppo.restore(self.model, self.env, state, saved.arrays)
+            steps = state["steps"]
+            self._restore_histories(state, steps)
+            self._restore_curriculum(state["curriculum"])
+            checkpoint.check_names(state["spent"], self.clock.spent, "spent")
+            for name, seconds in state["spent"].items():
+                checkpoint.check_number(seconds, f"spent on {name}", 0, 1e12, whole=False)
+            if (saved.best is None) != (not self.evaluations):
+                raise UserError("best.zip and evaluations do not belong together")
+            if saved.best is not None:
+                _check_policy(saved.best, self.config.task)
+        except UserError as error:
+            raise checkpoint.refused(self.folder / CHECKPOINT, f"cannot be continued: {error}") from error
+        self.best = saved.best
+        self.clock = Clock(state["spent"])
+        self._begun = steps // self._per_iteration
+
+    def _restore_histories(self, state: dict, steps: int) -> None:
+        """One row for each iteration until now, and one for each evaluation."""
+        columns = {"steps", "training_seconds", "episode_reward", "episode_length", *self.curriculum.log()}
+        for name in ("history", "evaluations"):
+            if not isinstance(state[name], list):
+                raise UserError(f"{name} is not a list")
+            for row in state[name]:
+                if name == "evaluations" and isinstance(row, dict):
+                    columns = {"steps", "training_seconds", "score", *state[name][0]}
+                checkpoint.check_names(row, columns, f"a row of {name}")
+                for column, value in row.items():
+                    if value != value and column in ("episode_reward", "episode_length"):
+                        continue  # no episode had ended
+                    checkpoint.check_number(value, column, -1e300, 1e300, whole=column == "steps")
+        self.history, self.evaluations = state["history"], state["evaluations"]
+        made = [(k + 1) * self._per_iteration for k in range(len(self.history))]
+        if [row["steps"] for row in self.history] != made or steps != len(made) * self._per_iteration:
+            raise UserError("history has not one row for each iteration")
+        looked = [0, *(row["steps"] for row in self.evaluations)]
+        if any(b <= a for a, b in itertools.pairwise(looked)) or looked[-1] > steps:
+            raise UserError("evaluations are not in order")
+
+    def _restore_curriculum(self, state) -> None:
+        like = self.curriculum.state()
+        checkpoint.check_names(state, like, "curriculum")
+        for name, value in state.items():
+            if isinstance(like[name], list):
+                if not isinstance(value, list) or not all(isinstance(x, bool) for x in value):
+                    raise UserError(f"curriculum's {name} is not a list of true and false")
+            elif not (value is None and like[name] is None):
+                whole = not isinstance(like[name], float)
+                checkpoint.check_number(value, f"curriculum's {name}", 0, 2**53 if whole else 1, whole)
+        self.curriculum.restore(state)
 
     def _policy(self) -> Policy:
-        path = self.folder / ".current.zip"
-        ppo.save_model(self.model, path)
-        try:
+        """The present policy, as it will be read from its file."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "current.zip"
+            ppo.save_model(self.model, path)
             return load_policy(path, self._judge.task)
-        finally:
-            path.unlink()
 
     def _metrics(self, finished: bool) -> dict:
         reached = [e for e in self.evaluations if e["score"] >= TARGET]
@@ -251,7 +386,7 @@ class Run:
                 "first_at_99_percent": reached[0] if reached else None,
             },
             "seed": self.config.seed,
-            "config": self.config.as_json(),
+            "config": self._as_recorded(),
             "versions": runs.versions(),
         }
 
@@ -281,6 +416,9 @@ class _History(BaseCallback):
         super().__init__()
         self.run = run
 
+    def _on_rollout_start(self) -> None:
+        self.run.check_weights()
+
     def _on_step(self) -> bool:
         return True
 
@@ -302,6 +440,71 @@ class _History(BaseCallback):
 def train(config: TrainConfig) -> tuple[Path, dict]:
     """Run a configuration to its end; returns the run folder and the metrics."""
     run = Run(config)
-    metrics = run.execute()
-    storage.write_json(run.folder / "metrics.json", metrics)
-    return run.folder, metrics
+    return run.folder, run.execute()
+
+
+_STATE = (
+    *("steps", "updates", "start_rng", "numpy_rng", "ended", "successes"),
+    *("config", "vehicle", "curriculum", "history", "evaluations", "spent"),
+)
+
+
+def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
+    """Configuration and run.json of the run to resume in `config.out`; the wall-time limit is taken anew."""
+    path = config.out / RECORD
+    if os.path.exists(config.out) and not config.out.is_dir():
+        raise UserError(f"nothing to resume: {config.out} is a file, not a run folder")
+    if not os.path.lexists(path):
+        raise UserError(f"nothing to resume: {config.out} holds no {RECORD}")
+    storage.check_folder(config.out)
+    record = storage.read_json(path, "run record", storage.LARGEST)
+    try:
+        checkpoint.check_names(record, ("config", "command", "versions"), "it")
+        names = {field.name for field in dataclasses.fields(TrainConfig)}
+        checkpoint.check_names(record["config"], names, "its configuration")
+        if not isinstance(record["command"], str) or not isinstance(record["versions"], dict):
+            raise UserError("command is not text, or versions no table")
+        for package, now in runs.packages().items():
+            then = record["versions"].get(package)
+            if then != now:
+                raise UserError(f"it was begun with {package} {then}, and {now} would go on otherwise")
+        given = TrainConfig(**record["config"])
+        if given.resolved().as_json() != record["config"]:
+            raise UserError("its configuration is not as it was written")
+    except UserError as error:
+        why = f"run record {path} cannot be continued: {error}; begin a new run with another --out"
+        raise UserError(why) from error
+    given = dataclasses.replace(given, out=config.out, max_seconds=config.max_seconds, resume=False)
+    if given.vehicle is not None:  # its copy, unless the run was stopped before it was made
+        copy = config.out / VEHICLE
+        given.vehicle = copy if copy.is_file() else Path(given.vehicle)
+    return given, record
+
+
+def _check_new(folder: Path) -> None:
+    """Raise UserError if `folder` could not become a new run folder."""
+    if os.path.isfile(folder / RECORD) and not os.path.isfile(folder / "metrics.json"):
+        raise UserError(
+            f"the run folder {folder} exists and is not empty; choose another name, or go on with its run: "
+            f"landing-train --resume --out {shlex.quote(str(folder))}"
+        )
+    runs.check_new_run(folder)
+
+
+def _record(config: TrainConfig) -> dict:
+    """What run.json says of a new run."""
+    return {
+        "config": config.as_json(),
+        "command": shlex.join(["landing-train", *sys.argv[1:]]),
+        "versions": runs.versions(),
+    }
+
+
+def _check_policy(content: bytes, task: str) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "best.zip"
+        path.write_bytes(content)
+        try:
+            load_policy(path, task)
+        except UserError as error:
+            raise UserError("best.zip in it is no policy for the task") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import importlib.metadata
 import os
 import platform
@@ -35,6 +36,7 @@ def new_run(path: str | Path | None, name: str = "run", *, resumable: str | None
     check_new_run(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
+        storage.remove_parts(path)
     except OSError as error:
         raise UserError(f"cannot create the run folder {path}: {storage.reason(error)}") from error
     return path
@@ -47,11 +49,28 @@ def check_new_run(path: str | Path) -> None:
     try:
         if path.exists() and not path.is_dir():
             raise UserError(f"the run folder {path} exists and is not a folder; choose another name")
-        if path.is_dir() and any(path.iterdir()):
+        if path.is_dir() and not all(storage.is_part(p) for p in path.iterdir()):
             raise UserError(f"the run folder {path} exists and is not empty; choose another name")
     except OSError as error:
         raise UserError(f"the run folder {path} cannot be used: {storage.reason(error)}") from error
     storage.check_folder(path)
+
+
+@contextlib.contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """The run folder for this process alone; raises UserError when another one works in it."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(handle)
+        raise UserError(f"another process works in the run folder {folder}; wait for its end") from error
+    except OSError:  # a file system without locks
+        pass
+    try:
+        yield
+    finally:
+        os.close(handle)
 
 
 @contextlib.contextmanager
@@ -77,16 +96,22 @@ def staged_run(path: str | Path) -> Iterator[Path]:
 
 def versions() -> dict[str, str | int | None]:
     """Versions, source revision and machine, for the record of a run; imports nothing heavy."""
-    result: dict[str, str | int | None] = {"python": platform.python_version()}
+    result: dict[str, str | int | None] = {"python": platform.python_version(), **packages()}
+    result["git revision"] = git_revision()
+    result["system"] = platform.platform()
+    result["cpu"] = cpu_name()
+    result["cores"] = len(os.sched_getaffinity(0))
+    return result
+
+
+def packages() -> dict[str, str | None]:
+    """Versions of the packages that a result depends on; None where one is not installed."""
+    result: dict[str, str | None] = {}
     for package in _PACKAGES:
         try:
             result[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
             result[package] = None
-    result["git revision"] = git_revision()
-    result["system"] = platform.platform()
-    result["cpu"] = cpu_name()
-    result["cores"] = len(os.sched_getaffinity(0))
     return result
 
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import pathlib
-import tempfile
 from collections.abc import Iterator
 
 import numpy as np
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering import Ghost, Pose, make_renderer, qpos_of_state
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 FPS = 50.0  # one frame for every control step
@@ -128,17 +127,12 @@ def write_video(path, frames, fps: float = FPS) -> pathlib.Path:
 
     mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    os.close(handle)
     quality = {"qp": 20} if codec == "h264" else {}
-    try:
-        with mediapy.VideoWriter(name, first.shape[:2], fps=fps, codec=codec, **quality) as writer:
-            writer.add_image(first)
-            for frame in frames:
-                writer.add_image(frame)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        pathlib.Path(name).unlink(missing_ok=True)
-        raise
+    with (
+        storage.atomic(path) as part,
+        mediapy.VideoWriter(part, first.shape[:2], fps=fps, codec=codec, **quality) as writer,
+    ):
+        writer.add_image(first)
+        for frame in frames:
+            writer.add_image(frame)
     return path

@@ -3,10 +3,12 @@
 import dataclasses
 import io
 import json
+import math
 import signal
 import subprocess
 import sys
 import time
+import typing
 import zipfile
 
 import numpy as np
@@ -18,8 +20,8 @@ from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import TASKS
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
-from inclined_landing.train import cli, run
-from inclined_landing.train.config import TrainConfig
+from inclined_landing.train import cli, run, warm_start
+from inclined_landing.train.config import Range, TrainConfig
 from inclined_landing.train.run import CHECKPOINT, Run, train
 
 TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "steps": 512, "threads": 1,
@@ -97,6 +99,7 @@ class Killed(BaseException):
 
 KINDS = {
     "landing": {"task": "landing"},
+    "touchdown": {"task": "touchdown"},
     "landing analytic paper": {"task": "landing", "plant": "analytic", "curriculum": "paper"},
     "setpoint": {"task": "setpoint"},
 }
@@ -104,6 +107,8 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_killed_and_resumed_equals_uninterrupted(kind, tmp_path, monkeypatch):
+    monkeypatch.setattr(warm_start, "CRITIC_FIRST", 1024)
+    monkeypatch.setattr(warm_start, "_STEPS", 20)
     options = KINDS[kind] | {"steps": 128 * 24}  # 384 of each vehicle: every episode ends once at least
     whole, _ = train(config(tmp_path / "whole", **options))
     checkpoint = Run.checkpoint
@@ -242,33 +247,12 @@ WRONG = {
     "hover": "unknown task 'hover'; known are landing, setpoint, touchdown",
     "--plant gazebo": "unknown plant 'gazebo'; known are mujoco and analytic",
     "--integrator rk4": "unknown integrator 'rk4'; known are RK4, implicitfast, Euler",
-    "--steps 0": "--steps must be at least 1",
-    "--steps -5": "--steps must be at least 1",
-    "--environments 0": "--environments must be at least 1",
-    "--rollout -1": "--rollout must be at least 1",
-    "--batch-size 0": "--batch-size must be at least 1",
-    "--epochs 0": "--epochs must be at least 1",
-    "--checkpoint-every 0": "--checkpoint-every must be at least 1",
-    "--evaluate-every -1": "--evaluate-every must not be negative",
-    "--video-every -1": "--video-every must not be negative",
-    "--threads -1": "--threads must not be negative",
-    "--seed -1": "--seed must not be negative",
-    "--gamma 1.0": "--gamma must lie between 0 and 1",
-    "--gamma nan": "--gamma must be a finite number",
-    "--gae-lambda 1.5": "--gae-lambda from 0 to 1",
-    "--learning-rate 0": "--learning-rate and --max-seconds must be positive",
-    "--max-seconds -1": "--learning-rate and --max-seconds must be positive",
+    "--environments 1 --rollout 1 --batch-size 2": "must give more than one sample",
     "--environments 3 --rollout 11 --batch-size 32": "leaves a last minibatch of one sample",
     "--resume": "nothing to resume",
     "--curriculum steep": "unknown curriculum 'steep' for task landing",
     "setpoint --curriculum adaptive": "unknown curriculum 'adaptive' for task setpoint",
     "--pwm-centre static": "pwm_centre must be",
-    "--keep-out -0.1": "keep_out must not be negative",
-    "--learning-rate nan": "--learning-rate",
-    "--max-seconds nan": "--max-seconds",
-    "--reward-scale nan": "--reward-scale",
-    "--log-std-init nan": "--log-std-init",
-    "--entropy nan": "--entropy",
 }
 
 
@@ -290,6 +274,37 @@ def refuse(arguments, sentence, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("arguments", WRONG)
 def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, tmp_path, monkeypatch, capsys):
     refuse(arguments, WRONG[arguments], tmp_path, monkeypatch, capsys)
+
+
+RANGES = {
+    name: limits
+    for name, kind in typing.get_type_hints(TrainConfig, include_extras=True).items()
+    for limits in getattr(kind, "__metadata__", ())
+    if isinstance(limits, Range)
+}
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_numbers_outside_of_their_range_are_refused_by_name(name, tmp_path):
+    """What lies inside is taken, with the limits unless the range is open; NaN lies in none."""
+    limits = RANGES[name]
+    tiny = {"environments": 2, "rollout": 4, "batch_size": 8, "out": tmp_path / "a"}
+    for value in (limits.low, limits.high) if not limits.open else (limits.high / 2,):
+        TrainConfig(**tiny | {name: value}).resolved()
+    outside = [limits.low - 1, limits.high + 1, math.nan, math.inf, 10**400]
+    for value in outside + ([limits.low, limits.high] if limits.open else []):
+        with pytest.raises(UserError, match=f"--{name.replace('_', '-')} must"):
+            TrainConfig(**tiny | {name: value}).resolved()
+
+
+def test_every_number_has_a_range():
+    kinds = typing.get_type_hints(TrainConfig)
+    assert set(RANGES) == {n for n, k in kinds.items() if k in (int, float, int | None, float | None)}
+
+
+def test_what_does_not_fit_into_memory_is_refused(tmp_path):
+    with pytest.raises(UserError, match="GB of memory"):
+        Run(config(tmp_path / "a", environments=16_384, rollout=65_536))
 
 
 @pytest.mark.parametrize("arguments", [["--steps", "many"], ["--colour", "red"], ["landing", "setpoint"]])
