@@ -11,9 +11,28 @@ import numpy as np
 
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import Judgement, Moment, Start
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 _START = ("state", "inclination", "present", "goal_size")  # what is recorded of a start
+
+
+def numbers(value, what: str) -> np.ndarray:
+    """`value` as an array of floats; raises UserError, naming it as `what`, when it is none."""
+    try:
+        return np.asarray(value, float)
+    except (TypeError, ValueError, OverflowError):
+        raise UserError(f"{what} must be an array of numbers") from None
+
+
+def check_seed(seed) -> None:
+    """Raise UserError unless `seed` is a whole number from 0 on, or None."""
+    if seed is not None and not (is_whole(seed) and seed >= 0):
+        raise UserError(f"a seed must be a whole number from 0 on, not {shown(repr(seed), 40)}")
+
+
+def is_whole(value) -> bool:
+    """Is `value` a whole number (True and False are none)."""
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
 @dataclasses.dataclass
@@ -39,7 +58,7 @@ class BatchEnv:
 
     def __init__(self, task: Task, plant, seed: int | None = None):
         self.task, self.plant, self.n = task, plant, plant.n
-        self.rng = np.random.default_rng(seed)
+        self.seed(seed)
         n = self.n
         self.length = np.zeros(n, int)
         self.total = np.zeros(n)
@@ -58,6 +77,7 @@ class BatchEnv:
 
     def seed(self, seed: int | None) -> None:
         """Restart the random starts from `seed`."""
+        check_seed(seed)
         self.rng = np.random.default_rng(seed)
 
     def episode_state(self) -> dict[str, np.ndarray]:
@@ -85,7 +105,7 @@ class BatchEnv:
         """
         ids = np.arange(self.n) if ids is None else np.asarray(ids)
         if state is not None:
-            state = np.asarray(state, float)
+            state = numbers(state, "the start state")
             if state.shape != (len(ids), self.plant.state.shape[1]):
                 raise UserError(
                     f"reset of {len(ids)} vehicles needs states of shape "
@@ -112,7 +132,7 @@ class BatchEnv:
 
         Raises UserError when an action has the wrong shape or is not finite.
         """
-        actions = np.asarray(actions, float)
+        actions = numbers(actions, "the action")
         if actions.shape != (self.n, self._action_size):
             raise UserError(f"actions must have shape ({self.n}, {self._action_size}), not {actions.shape}")
         if not np.isfinite(actions).all():

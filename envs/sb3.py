@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.batch import BatchEnv, check_seed
 from inclined_landing.envs.spaces import action_space, observation_space
+from inclined_landing.models.errors import UserError, shown
 
 
 class BatchVecEnv(VecEnv):
@@ -22,6 +24,8 @@ class BatchVecEnv(VecEnv):
     """
 
     def __init__(self, env: BatchEnv, *, reward_scale: float = 1.0, info_terms: bool = False):
+        if not (isinstance(reward_scale, (int, float)) and 0 < reward_scale < math.inf):
+            raise UserError(f"reward_scale must be a positive number, not {shown(repr(reward_scale), 40)}")
         self.env = env
         self.reward_scale = reward_scale
         self.info_terms = info_terms
@@ -29,6 +33,11 @@ class BatchVecEnv(VecEnv):
         self._began = time.monotonic()
         self._actions = None
         super().__init__(env.n, observation_space(env.task), action_space(env.task))
+
+    def seed(self, seed: int | None = None):
+        """Seed of the next reset."""
+        check_seed(seed)
+        return super().seed(seed)
 
     def reset(self) -> np.ndarray:
         """Begin new episodes everywhere; honours `VecEnv.seed`."""

@@ -9,6 +9,8 @@ own renderer. "auto" takes OpenGL where it runs on hardware, rays otherwise.
 
 from __future__ import annotations
 
+import numpy as np
+
 from inclined_landing.envs.rendering.camera import View, look_at
 from inclined_landing.envs.rendering.contacts import contact_arrows, contact_forces
 from inclined_landing.envs.rendering.ghost import Ghost
@@ -25,12 +27,24 @@ __all__ = [
     "Ghost",
     "Pose",
     "View",
+    "check_look",
     "contact_arrows",
     "contact_forces",
     "look_at",
     "make_renderer",
     "qpos_of_state",
 ]
+
+
+def check_look(width: int, height: int, camera: str | View, backend: str) -> None:
+    """Raise UserError for a picture that no renderer draws."""
+    for size in (width, height):
+        if not isinstance(size, (int, np.integer)) or not 16 <= size <= 4096:
+            raise UserError(f"a picture has 16 to 4096 pixels a side, not {width!r} x {height!r}")
+    if not isinstance(camera, View) and camera not in CAMERAS:
+        raise UserError(f"unknown camera {camera!r}; known are {', '.join(CAMERAS)}")
+    if backend not in BACKENDS:
+        raise UserError(f"unknown rendering backend {backend!r}; known are {', '.join(BACKENDS)}")
 
 
 def make_renderer(
@@ -48,8 +62,7 @@ def make_renderer(
     (it is a few pixels wide otherwise; the caption says so) and 1 for cameras close to it.
     Raises UserError for an unknown backend or camera, and for "gl" where OpenGL is missing.
     """
-    if backend not in BACKENDS:
-        raise UserError(f"unknown rendering backend {backend!r}; known are {', '.join(BACKENDS)}")
+    check_look(width, height, camera, backend)
     if backend == "auto":
         from inclined_landing.envs.rendering.gl import probe
 

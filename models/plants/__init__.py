@@ -33,13 +33,11 @@ __all__ = [
     "make_plant",
 ]
 
-PLANTS = ("mujoco", "analytic")
+PLANTS = {"mujoco": MujocoPlant, "analytic": AnalyticPlant}
 
 
 def make_plant(kind: str, n: int, vehicle: Vehicle | None = None, **options):
     """A plant by name: "mujoco" or "analytic"."""
-    if kind == "mujoco":
-        return MujocoPlant(n, vehicle, **options)
-    if kind == "analytic":
-        return AnalyticPlant(n, vehicle, **options)
-    raise UserError(f"unknown plant {kind!r}; known are {' and '.join(PLANTS)}")
+    if kind not in PLANTS:
+        raise UserError(f"unknown plant {kind!r}; known are {' and '.join(PLANTS)}")
+    return PLANTS[kind](n, vehicle, **options)

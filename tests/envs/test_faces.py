@@ -12,7 +12,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from inclined_landing.envs.batch import BatchEnv
-from inclined_landing.envs.gym_env import InclinedLandingEnv, SetpointEnv
+from inclined_landing.envs.gym_env import InclinedLandingEnv, InclinedLandingVectorEnv, SetpointEnv
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import Moment, make_task
 from inclined_landing.envs.tasks.base import hover_states
@@ -95,10 +95,8 @@ def test_other_render_modes_are_refused():
 
 @pytest.mark.parametrize("option", ["camera", "render_backend"])
 def test_unknown_cameras_and_backends_are_refused(option):
-    env = InclinedLandingEnv(**(PICTURE | {option: "polaroid"}))
-    env.reset(seed=0)
     with pytest.raises(UserError, match=r"unknown .*polaroid"):
-        env.render()
+        InclinedLandingEnv(**(PICTURE | {option: "polaroid"}))
 
 
 def test_without_a_render_mode_there_is_no_picture():
@@ -134,12 +132,74 @@ def test_options_reach_task_plant_and_vehicle(tmp_path):
     )
     assert env.task.inclination == -0.2 and env.task.pwm_centre == V.hover_pwm
     assert env.batch.plant.keep_out == 0.02
-    with pytest.raises(UserError, match=r"none\.toml cannot be read"):
+    with pytest.raises(UserError, match=r"none\.toml does not exist"):
         InclinedLandingEnv(vehicle=tmp_path / "none.toml")
     with pytest.raises(UserError, match="unknown plant"):
         InclinedLandingEnv(plant="gazebo")
-    with pytest.raises(UserError, match="task setpoint"):
+    with pytest.raises(UserError, match="the task setpoint has no option 'inclination'; it has pwm_centre"):
         SetpointEnv(inclination=0.1)
+
+
+WRONG_OPTIONS = [
+    (InclinedLandingEnv, {"plant_options": {"wings": 2}}, "the mujoco plant has no option 'wings'"),
+    (
+        InclinedLandingEnv,
+        {"plant_options": {"timestep": "4 ms"}},
+        "timestep of the mujoco plant must be a number",
+    ),
+    (InclinedLandingEnv, {"plant_options": {"threads": -1}}, "threads of the mujoco plant must be from 0"),
+    (
+        InclinedLandingEnv,
+        {"plant_options": {"timestep": float("nan")}},
+        "timestep of the mujoco plant must be",
+    ),
+    (InclinedLandingEnv, {"plant_options": ["RK4"]}, "plant_options must be a dictionary"),
+    (InclinedLandingEnv, {"plant": ["mujoco"]}, "unknown plant"),
+    (InclinedLandingEnv, {"vehicle": 3}, "vehicle must be a Vehicle or the path of a file, not 3"),
+    (
+        InclinedLandingEnv,
+        {"inclination": "steep"},
+        "inclination of the task landing must be a number or None",
+    ),
+    (InclinedLandingEnv, {"pwm_centre": float("nan")}, "pwm_centre must be"),
+    (InclinedLandingEnv, {"colour": "red"}, "the task landing has no option 'colour'"),
+    (InclinedLandingEnv, PICTURE | {"width": 1e9}, "16 to 4096 pixels a side"),
+    (InclinedLandingVectorEnv, {"num_envs": 0}, "num_envs must be a whole number from 1 to 100000, not 0"),
+    (InclinedLandingVectorEnv, {"num_envs": 10**9}, "num_envs must be a whole number"),
+    (InclinedLandingVectorEnv, {"num_envs": 2.5}, "num_envs must be a whole number"),
+]
+
+
+@pytest.mark.parametrize("kind, options, sentence", WRONG_OPTIONS)
+def test_wrong_options_are_one_sentence(kind, options, sentence):
+    with pytest.raises(UserError, match=sentence):
+        kind(**options)
+
+
+def test_wrong_resets_and_actions_are_one_sentence(task):
+    single, vector = gym.make(IDS[task], plant="analytic").unwrapped, make_vec(task=task)
+    state = hovering((1, 0, 1.8))[0]
+    for env, given, sentence in (
+        (single, {"options": {"state": state[:12]}}, r"\(1, 13\), not \(1, 12\)"),
+        (single, {"options": {"state": "somewhere"}}, "start state must be an array of numbers"),
+        (single, {"options": {"start": state}}, "reset has no option 'start'; it has state"),
+        (single, {"options": [state]}, "options of reset must be a dictionary"),
+        (single, {"seed": -1}, "a seed must be a whole number from 0 on, not -1"),
+        (single, {"seed": 0.5}, "a seed must be a whole number"),
+        (vector, {"options": {"state": state}}, r"\(3, 13\), not \(13,\)"),
+        (vector, {"options": {"reset_mask": [True]}}, "reset_mask must be 3 times True or False"),
+        (vector, {"options": {"reset_mask": [0, 1, 2]}}, "reset_mask must be 3 times True or False"),
+    ):
+        with pytest.raises(UserError, match=sentence):
+            env.reset(**given)
+    single.reset(seed=2**70)
+    with pytest.raises(UserError, match="the action must be an array of numbers"):
+        single.step(["up", "down"])
+    for wrong in (0.0, float("nan"), float("inf"), "small"):
+        with pytest.raises(UserError, match="reward_scale must be a positive number"):
+            vec_env(task=task, reward_scale=wrong)
+    with pytest.raises(UserError, match="a seed must be"):
+        vec_env(task=task).seed(-1)
 
 
 def test_episode_ends_after_300_steps_by_truncation(task):
