@@ -103,3 +103,17 @@ def _average(commands, delays, period, start, length, out):
                 if share > 0.0:
                     total += share / length * commands[i, back, column]
             out[i, column] = total
+
+
+@numba.njit(cache=True, nogil=True)
+def averages(command, dt, delay):
+    """Mean of a held command (m,) over each of the m - 1 steps, `delay` seconds late; (m - 1,)."""
+    m = command.shape[0]
+    mean = np.empty(m - 1)
+    shift = delay / dt
+    whole = int(np.floor(shift))
+    part = shift - whole
+    for k in range(m - 1):
+        newer, older = max(0, k - whole), max(0, k - whole - 1)
+        mean[k] = (1.0 - part) * command[newer] + part * command[older]
+    return mean

@@ -126,6 +126,48 @@ def loop_rates(roll, pitch, u, v, p):
 
 
 @numba.njit(cache=True, inline="always")
+def rate_loop_acceleration(rate_wanted, rate, bandwidth, tau):
+    """Angular acceleration [rad/s2] of the loop whose poles are -1/tau and -bandwidth."""
+    return bandwidth * (rate_wanted - rate) - rate / tau
+
+
+@numba.njit(cache=True, nogil=True)
+def angle_steps(axis, command, twist, start, dt, vehicle):
+    """Angle (m + 1,) [rad] of the roll (axis 0) or pitch (1) loop from rest at `start`: the exact solution.
+
+    command (m,) [rad] and twist (m,) further angular accelerations [rad/s2], held for `dt` [s] each.
+    """
+    v = vehicle[0]
+    a, b = 1.0 / v.attitude.time_constant, v.attitude.bandwidth
+    gain, trim = v.attitude.gain, v.effects.attitude_trim[axis]
+    slow, apart = math.exp(-min(a, b) * dt), abs(b - a) * dt
+    # From (angle, rate) off rest to the next: drive = (exp(-a dt) - exp(-b dt))/(b - a).
+    drive = slow * dt * (-math.expm1(-apart) / apart if apart > 0.0 else 1.0)
+    stay = slow + min(a, b) * drive
+    out, rate = np.empty(len(command) + 1), 0.0
+    out[0] = start
+    for k in range(len(command)):
+        rest = gain * (command[k] + trim) + twist[k] / (a * b)
+        off = out[k] - rest
+        out[k + 1] = rest + stay * off + drive * rate
+        rate = (stay - (a + b) * drive) * rate - a * b * drive * off
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def yaw_steps(command, dt, vehicle):
+    """Yaw (m + 1,) [rad] from 0 at the first commanded rate (m,) [rad/s], held for `dt` [s] each: exact."""
+    bandwidth, drift = vehicle[0].attitude.yaw_bandwidth, vehicle[0].effects.yaw_drift
+    decay = math.exp(-bandwidth * dt)
+    out, rate = np.zeros(len(command) + 1), command[0] + drift
+    for k in range(len(command)):
+        wanted = command[k] + drift
+        out[k + 1] = out[k] + wanted * dt + (rate - wanted) * (1.0 - decay) / bandwidth
+        rate = wanted + (rate - wanted) * decay
+    return out
+
+
+@numba.njit(cache=True, inline="always")
 def lag_derivative(lag, pwm, v, p):
     """dOmega/dt [PWM] of the thrust lag; slower while it spins down, with that effect."""
     rate = (pwm - v.thrust.lag_rate * lag) / p[LAG_SCALE]
@@ -135,17 +177,47 @@ def lag_derivative(lag, pwm, v, p):
 
 
 @numba.njit(cache=True, inline="always")
+def lag_step(lag, pwm, dt, v):
+    """Lag [PWM s] after `dt` [s] under a held command, and its mean on the way: the exact solution."""
+    rate, steady = v.thrust.lag_rate, pwm / v.thrust.lag_rate
+    if v.effects.spin_down != 0.0 and pwm < v.thrust.lag_rate * lag:
+        rate /= 1.0 + v.effects.spin_down
+    decay = math.exp(-rate * dt)
+    mean = steady + (lag - steady) * (1.0 - decay) / (rate * dt)
+    return steady + (lag - steady) * decay, mean
+
+
+@numba.njit(cache=True, nogil=True)
+def lags(pwm, dt, vehicle):
+    """Lag [PWM s] (m + 1,) under commands (m,) held for `dt` [s] each, steady under the first of them."""
+    v, out = vehicle[0], np.empty(len(pwm) + 1)
+    out[0] = pwm[0] / v.thrust.lag_rate
+    for k in range(len(pwm)):
+        out[k + 1], _ = lag_step(out[k], pwm[k], dt, v)
+    return out
+
+
+@numba.njit(cache=True, inline="always")
+def fade(time, v):
+    """Thrust times this, at a flight time [s]."""
+    return 1.0 - v.effects.thrust_fade * time
+
+
+@numba.njit(cache=True, inline="always")
+def supply(voltage, lag, time, v):
+    """Thrust times this, under the battery's voltage [V]; NaN: that of the vehicle file under this load."""
+    if math.isnan(voltage):
+        load = v.thrust.lag_rate * lag
+        voltage = v.effects.voltage_open - v.effects.voltage_drop * load - v.effects.voltage_discharge * time
+    return 1.0 + v.effects.voltage_sensitivity * (voltage - v.effects.voltage_reference)
+
+
+@numba.njit(cache=True, inline="always")
 def powered_thrust(thrust, lag, time, voltage, v):
     """Thrust [N] with bias, fade, sag under load and battery voltage: what changes the rotor speed."""
     load = v.thrust.lag_rate * lag
-    if math.isnan(voltage):
-        voltage = v.effects.voltage_open - v.effects.voltage_drop * load - v.effects.voltage_discharge * time
-    return (
-        (thrust + v.effects.thrust_bias)
-        * (1.0 - v.effects.thrust_fade * time)
-        * (1.0 - v.effects.battery_sag * (load / v.effects.battery_reference - 1.0))
-        * (1.0 + v.effects.voltage_sensitivity * (voltage - v.effects.voltage_reference))
-    )
+    sag = 1.0 - v.effects.battery_sag * (load / v.effects.battery_reference - 1.0)
+    return (thrust + v.effects.thrust_bias) * fade(time, v) * sag * supply(voltage, lag, time, v)
 
 
 @numba.njit(cache=True)
@@ -243,8 +315,8 @@ def _derivative(y, u, ambient, v, p, rate_loop, r, f, dy):
         phid, thetad, psid = y[_RATES], y[_RATES + 1], y[_RATES + 2]
         tau = v.attitude.time_constant * p[TIME_CONSTANT_SCALE]
         dy[_PHI], dy[_THETA], dy[_PSI] = phid, thetad, psid
-        dy[_RATES] = v.attitude.bandwidth * (roll_wanted - phid) - phid / tau
-        dy[_RATES + 1] = v.attitude.bandwidth * (pitch_wanted - thetad) - thetad / tau
+        dy[_RATES] = rate_loop_acceleration(roll_wanted, phid, v.attitude.bandwidth, tau)
+        dy[_RATES + 1] = rate_loop_acceleration(pitch_wanted, thetad, v.attitude.bandwidth, tau)
         dy[_RATES + 2] = v.attitude.yaw_bandwidth * (yaw_wanted - psid)
         if f[3] != 0.0 or f[4] != 0.0:
             a, b, d = euler_rates(y[_PHI], y[_THETA], f[3] / v.body.inertia[0], f[4] / v.body.inertia[1], 0.0)

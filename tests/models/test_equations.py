@@ -1,5 +1,6 @@
 """The equations against exact solutions, invariants, and the order of their integrator."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -8,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inclined_landing.models import equations
-from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, WX, WY, YAW, Z, rotation
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, WX, WY, YAW, Z, body_rates, rotation
 from inclined_landing.models.equations import derivative
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.perturbation import neutral
@@ -69,8 +70,6 @@ def test_body_rates_of_the_kinematic_model_are_those_of_its_loops():
     command = np.array([V.hover_pwm, 0.2, -0.3, 1.0])
     end = fly(hovering(), command, 0.1, 5)[0]
     wanted = derivative(end, command, V)["euler_rates"]
-    from inclined_landing.models.attitude import body_rates
-
     np.testing.assert_allclose(end[WX : WX + 3], body_rates(end[ROLL], end[PITCH], *wanted), rtol=1e-12)
 
 
@@ -142,6 +141,46 @@ def test_the_rate_loop_step_is_the_two_exponentials():
     assert end[PITCH] == pytest.approx(exact, rel=1e-8)  # (B h)^4 / 120 = 3e-9
     rate = final * a * b * (math.exp(-a * t) - math.exp(-b * t)) / (b - a)
     assert end[WY] == pytest.approx(rate, rel=1e-7)
+
+
+def test_the_exact_steps_are_the_equations():
+    """Lag, angle and yaw under held commands, as the gap workflow steps them, against RK4."""
+    v = dataclasses.replace(
+        V, effects_spin_down=0.4, effects_attitude_trim=(0.02, -0.03), effects_yaw_drift=0.05
+    )
+    rng, dt, packed = np.random.default_rng(3), 0.02, equations.pack(v)
+    commands = rng.uniform([2e4, -0.4, 0, -2], [5e4, 0.4, 0, 2], (30, 4))
+    commands[:, 2] = 0.03  # against the trim: pitch stays 0, where roll and yaw are decoupled
+    state = hovering()
+    state[0, ROLL], state[0, LAG] = 0.1, commands[0, 0] / v.thrust_lag_rate
+    state[0, WX : WX + 3] = body_rates(0.1, 0.0, 0.0, 0.0, commands[0, 3] + 0.05)
+    flown = [state[0]]
+    for command in commands:
+        state = fly(state, command, dt, 40, rate_loop=True, vehicle=v)
+        flown.append(state[0])
+    flown = np.array(flown)
+    # RK4 with B h = 0.025 errs by 4e-10 of each change; 30 periods of changes up to 0.5 rad, 2 rad/s.
+    still = np.zeros(len(commands))
+    roll = equations.angle_steps(0, commands[:, 1], still, 0.1, dt, packed)
+    np.testing.assert_allclose(flown[:, ROLL], roll, atol=1e-8)
+    np.testing.assert_allclose(flown[:, YAW], equations.yaw_steps(commands[:, 3], dt, packed), atol=1e-8)
+    lag = equations.lags(commands[:, 0], dt, packed)
+    np.testing.assert_allclose(flown[:, LAG], lag, rtol=1e-8)
+
+
+def test_the_exact_angle_step_where_the_poles_meet():
+    """It is continuous in the bandwidth, with a torque too."""
+    tau, rng = V.attitude_time_constant, np.random.default_rng(4)
+    command, twist = rng.uniform(-0.4, 0.4, 50), rng.uniform(-1, 1, 50)
+    angles = [
+        equations.angle_steps(
+            1, command, twist, 0.1, 0.02, equations.pack(dataclasses.replace(V, attitude_bandwidth=b / tau))
+        )
+        for b in (1 - 1e-7, 1.0, 1 + 1e-7)
+    ]
+    np.testing.assert_allclose(angles[0], angles[1], atol=1e-6)
+    np.testing.assert_allclose(angles[2], angles[1], atol=1e-6)
+    assert np.ptp(angles[1]) > 0.05
 
 
 @pytest.mark.parametrize("rate_loop", [False, True])

@@ -10,14 +10,16 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
+import numba
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from inclined_landing.eval.gap.flights.windows import SMOOTHING, Measured, prepare
 from inclined_landing.eval.gap.result import PlantGap
-from inclined_landing.eval.gap.search.prediction import averages, level, predict
+from inclined_landing.eval.gap.search.prediction import level, predict
 from inclined_landing.models import equations
 from inclined_landing.models.attitude import LAG, PWM, ROLL, STATE_SIZE, VX, WX, body_rates, tilted
+from inclined_landing.models.delays import averages
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import neutral
@@ -103,18 +105,7 @@ def drive(flight: Measured, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     late = vehicle.effects_mocap_delay
     delays = [vehicle.effects_thrust_delay + late] + [vehicle.effects_attitude_delay + late] * 3
     commands = np.stack([averages(flight.command[:, k], flight.dt, d) for k, d in enumerate(delays)], axis=1)
-    return commands, _lag(commands[:, PWM], flight.dt, vehicle)
-
-
-def _lag(pwm: np.ndarray, dt: float, vehicle: Vehicle) -> np.ndarray:
-    lag = np.empty(len(pwm) + 1)
-    lag[0] = pwm[0] / vehicle.thrust_lag_rate
-    slow = 1.0 + vehicle.effects_spin_down
-    for k, u in enumerate(pwm):
-        steady = u / vehicle.thrust_lag_rate
-        rate = vehicle.thrust_lag_rate / (slow if steady < lag[k] else 1.0)
-        lag[k + 1] = steady + (lag[k] - steady) * math.exp(-rate * dt)
-    return lag
+    return commands, equations.lags(commands[:, PWM], flight.dt, equations.pack(vehicle))
 
 
 def simulate(
@@ -172,20 +163,8 @@ def _mujoco(starts, vehicle, state, commands, ambient) -> np.ndarray:
         effects_thrust_fade=0.0,
         effects_voltage_sensitivity=0.0,
     )
-    scale = 1.0 - vehicle.effects_thrust_fade * ambient[:, :, 0]
-    if vehicle.effects_voltage_sensitivity:
-        voltage = ambient[:, :, 1]
-        if np.isnan(voltage).any():
-            load = vehicle.thrust_lag_rate * starts.gather([drive(f, vehicle)[1] for f in starts.flights])
-            time = ambient[:, :, 0]
-            voltage = (
-                vehicle.effects_voltage_open
-                - vehicle.effects_voltage_drop * load
-                - vehicle.effects_voltage_discharge * time
-            )
-        scale = scale * (
-            1.0 + vehicle.effects_voltage_sensitivity * (voltage - vehicle.effects_voltage_reference)
-        )
+    lag = starts.gather([drive(f, vehicle)[1] for f in starts.flights])
+    scale = _scales(ambient, lag, equations.pack(vehicle))
     varies = bool((scale != 1.0).any())
     step = starts.dt / math.ceil(starts.dt / ENGINE_STEP - 1e-9)
     plant = MujocoPlant(n, plain, control_period=starts.dt, timestep=step)
@@ -203,6 +182,17 @@ def _mujoco(starts, vehicle, state, commands, ambient) -> np.ndarray:
         pose[:, k + 1] = plant.state[:, _POSE]
     pose[:, :, 2] -= lift
     return pose
+
+
+@numba.njit(cache=True)
+def _scales(ambient, lag, vehicle):
+    """What flight time and battery voltage multiply the thrust by, (n, rows)."""
+    v, out = vehicle[0], np.empty(lag.shape)
+    for i in range(out.shape[0]):
+        for k in range(out.shape[1]):
+            time, voltage = ambient[i, k, equations.TIME], ambient[i, k, equations.VOLTAGE]
+            out[i, k] = equations.fade(time, v) * equations.supply(voltage, lag[i, k], time, v)
+    return out
 
 
 _POSE = [0, 1, 2, 6, 7, 8]

@@ -28,9 +28,10 @@ from inclined_landing.eval.gap.search.fit import refit
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import rotation
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.equations import pack, rotor_speed_sum
+from inclined_landing.models.equations import lags, pack, rotor_speed_sum, total_thrust
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.perturbation import NEUTRAL
 
 # Effects that rescale a constant of the paper's equations.
 TUNED = tuple(
@@ -128,8 +129,7 @@ def _stlsq(columns: dict, residual: np.ndarray, threshold: float) -> dict:
 
 def _terms(log: FlightLog, vehicle: Vehicle) -> dict[str, tuple[np.ndarray, dict]]:
     """Channel -> (residual (n,), {(effect, parameter): term (n,)}) of the free flight of one log."""
-    v, c = vehicle, pack(vehicle)[0]
-    dt = 1.0 / log.rate
+    v, packed, dt = vehicle, pack(vehicle), 1.0 / log.rate
     window = 2 * round(_SMOOTH / dt) + 1
     rows = flying(log, vehicle)
     rows[: max(window, round(0.3 / dt))] = rows[-window:] = False
@@ -140,15 +140,15 @@ def _terms(log: FlightLog, vehicle: Vehicle) -> dict[str, tuple[np.ndarray, dict
     velocity, acceleration = smooth(log.position, 1), smooth(log.position, 2)
     attitude, rates = smooth(log.attitude), smooth(log.attitude, 1)
     pwm = log.command[:, 0]
-    keep = math.exp(-v.thrust_lag_rate * dt)
-    load = lfilter([0.0, 1.0 - keep], [1.0, -keep], pwm - pwm[0]) + pwm[0]
+    lag = lags(pwm, dt, packed)[:-1]
+    load = v.thrust_lag_rate * lag
     n = int(rows.sum())
     up, drag, still, wind_x, wind_y = (np.empty((n, 3)) for _ in range(5))
     force, plane, axial, near = (np.empty(n) for _ in range(4))
     for k, i in enumerate(np.flatnonzero(rows)):
         r = rotation(*attitude[i])
-        force[k] = v.thrust_state_gain * load[i] / v.thrust_lag_rate + v.thrust_direct_gain * pwm[i]
-        k_drag = r @ np.diag(v.drag_coefficients) @ r.T * rotor_speed_sum(force[k], c) / v.body_mass
+        force[k] = total_thrust(lag[i], pwm[i], packed[0], np.array(NEUTRAL))
+        k_drag = r @ np.diag(v.drag_coefficients) @ r.T * rotor_speed_sum(force[k], packed[0]) / v.body_mass
         body = r.T @ velocity[i]
         up[k], drag[k] = r[:, 2], k_drag @ velocity[i]
         wind_x[k], wind_y[k] = -k_drag[:, 0], -k_drag[:, 1]

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from inclined_landing.eval.gap.flights.windows import prepare
-from inclined_landing.eval.gap.search.prediction import averages
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.proof.gap_real.thrust import SMOOTHING, derivative, lagged
+from inclined_landing.models.delays import averages
 from inclined_landing.models.parameters import Vehicle
 
 STARTED = 2.5  # s, after the take-off
