@@ -8,7 +8,8 @@ from pathlib import Path
 from rich.console import Console
 
 from inclined_landing.envs.policy import Policy, load_policy
-from inclined_landing.eval.pictures import commands as pictures
+from inclined_landing.eval.base.options import Flown
+from inclined_landing.eval.pictures import figure, picture, video
 from inclined_landing.eval.pictures.figures import curriculum_figure, learning_curves, save_figure
 from inclined_landing.eval.policies import success, success_table, touchdown
 from inclined_landing.eval.policies.judges import judge_of
@@ -37,10 +38,11 @@ def report(folder: Path, metrics: dict) -> None:
     stages = make_curriculum(config["curriculum"], task.name, config["gamma"]).stages()
     if stages:
         save_figure(curriculum_figure(stages, task=task), folder / "curriculum.png")
-    pictures.figure(str(final), folder, vehicle=vehicle)
+    flown = Flown(vehicle=vehicle)
+    figure.command(str(final), folder, flown=flown)
     starts = [",".join(f"{number:g}" for number in start) for start in task.film_starts]
-    pictures.video(str(final), folder / f"{task.name}.mp4", starts, gif=True, vehicle=vehicle)
-    pictures.picture(str(final), folder / "picture.png", vehicle=vehicle)
+    video.command(str(final), folder / f"{task.name}.mp4", tuple(starts), gif=True, flown=flown)
+    picture.command(str(final), folder / "picture.png", flown=flown)
     storage.write_json(folder / "metrics.json", metrics)  # last: it says that the report is whole
     show()
     Console().print(f"everything about this run is in {folder}")

@@ -248,7 +248,7 @@ class Run:
 
     def film(self, iteration: int) -> None:
         """A video of one flight."""
-        from inclined_landing.eval.pictures.video import render_flight, write_video
+        from inclined_landing.eval.pictures.frames import render_flight, write_video
 
         self.clock.switch("video")
         policy = self._policy()

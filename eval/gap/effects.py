@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import tyro
 from rich.console import Console
 from rich.table import Table
 
@@ -9,10 +12,13 @@ from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
 
 
-def show(names: tuple[str, ...]) -> None:
-    """Print all effects in one table, or those in `names` with everything that is known of them.
+def command(
+    names: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME ...]")] = (), /
+) -> None:
+    """The physical effects that a model may lack: formula, size, what to do about them.
 
-    Raises UserError for an unknown name.
+    Args:
+        names: these in detail (default: all in one table).
     """
     for name in names:
         if name not in LIBRARY:

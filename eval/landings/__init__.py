@@ -2,5 +2,5 @@
 
 `parameters.py` says what may vary, `study.py` reads a study file, `design.py` spreads the landings,
 `landing.py` simulates and classifies them, `engines.py` runs chunks of them here or on Ray,
-`run.py` is the command, `sensitivity.py`, `maps.py` and `report.py` make something of the results.
+`command.py` runs a study, `sensitivity.py`, `maps.py` and `report.py` make something of the results.
 """

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from inclined_landing.eval.base.options import Flag, Flat, LogSource
 from inclined_landing.eval.logs.checks import check_fleet, check_log
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
@@ -13,16 +14,17 @@ from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
 
-def run(
-    files: Sequence[str],
-    *,
-    mapping: str | None = None,
-    units: Sequence[str] = (),
-    json: bool = False,
-) -> None:
-    """Print what was read from each file and every finding; UserError when a file is refused."""
-    given = parse_units(units)
-    reports = [_report(file, mapping, given) for file in files]
+def command(source: Flat[LogSource], json: Flag = False) -> None:
+    """What flight logs hold and whether they can be believed, in words.
+
+    The exit code is 2 where a log is refused.
+
+    Args:
+        json: print JSON, and nothing else, on standard output.
+    """
+    files = source.files
+    given = parse_units(source.unit)
+    reports = [_report(file, source.mapping, given) for file in files]
     logs = [log for log, _ in reports if log is not None]
     fleet = check_fleet(logs) if len(logs) > 1 else ()
     if json:

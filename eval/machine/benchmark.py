@@ -14,14 +14,17 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import tyro
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Flag, NewFolder
+from inclined_landing.eval.base.runs import check_new_run, new_run, versions
 from inclined_landing.eval.base.statistics import spread
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
@@ -37,28 +40,37 @@ _PLANTS = (
 _PICTURE = {"width": 640, "height": 480, "camera": "hero"}
 
 
-def run(
-    *,
-    policy: str | None = None,
-    finished: Sequence[Path] = (),
-    quick: bool = False,
+def command(
+    policy: Annotated[str | None, tyro.conf.arg(metavar="POLICY")] = None,
+    runs: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR [DIR ...]")] = (),
+    quick: Flag = False,
     training: bool = True,
     seed: int = 0,
-    json: bool = False,
-    out: Path | None = None,
+    json: Flag = False,
+    out: NewFolder = None,
 ) -> None:
-    """The command. Prints a table, or JSON alone."""
+    """What a step, an action, a picture and a training cost here (a few minutes).
+
+    Args:
+        policy: landing policy for the latency (default: an untrained one of the usual size).
+        runs: finished landing-train folders, for the time to 99 % success.
+        quick: fewer repeats, under a minute.
+        training: measure training speed against SB3's defaults on one plain environment.
+        seed: of actions and trainings.
+        json: print JSON, and nothing else, on standard output.
+        out: new folder for benchmark.json.
+    """
     if seed < 0:
         raise UserError(f"--seed must not be negative, it is {seed}")
     if out is not None:
-        runs.check_new_run(out)
-    to_99 = time_to_99(finished) if finished else None
+        check_new_run(out)
+    to_99 = time_to_99(runs) if runs else None
     loaded = load_policy(policy, "landing") if policy is not None else None
     report = {
         "command": "benchmark",
         "quick": quick,
         "seed": seed,
-        "versions": runs.versions(),
+        "versions": versions(),
         "load_before": os.getloadavg(),
     }
     from rich.console import Console
@@ -76,7 +88,7 @@ def run(
     report["time_to_99_percent"] = to_99
     report["load_after"] = os.getloadavg()
     if out is not None:
-        storage.write_json(runs.new_run(out) / "benchmark.json", report)
+        storage.write_json(new_run(out) / "benchmark.json", report)
     if json:
         print(storage.to_json(report))
     else:

@@ -11,6 +11,7 @@ import sys
 
 from inclined_landing.envs import policy
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Flag
 from inclined_landing.models import plugins, storage
 from inclined_landing.models.errors import UserError
 
@@ -37,8 +38,14 @@ def examine() -> list[Finding]:
     return [*findings, _video(), _policies()]
 
 
-def run(*, json: bool = False) -> int:
-    """The command; returns 0 when everything needed is there, otherwise 2."""
+def command(json: Flag = False) -> int:
+    """What is installed, what is missing, and what to do about it.
+
+    The exit code is 2 when something that is needed is missing.
+
+    Args:
+        json: print JSON, and nothing else, on standard output.
+    """
     findings = examine()
     healthy = all(finding.ok or not finding.needed for finding in findings)
     if json:

@@ -1,138 +1,120 @@
-"""Videos and stroboscopic pictures of recorded flights."""
+"""`landing-eval video`: flights, or their touchdowns with the contact forces, as .mp4 or .gif."""
 
 from __future__ import annotations
 
-import pathlib
-from collections.abc import Iterator
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
+from rich.console import Console
+from rich.progress import Progress
 
 from inclined_landing.envs.flights import Flight
-from inclined_landing.envs.rendering import Ghost, Pose, make_renderer, qpos_of_state
-from inclined_landing.models import storage
+from inclined_landing.eval.base.options import File, Flag, Flat, Flown, Look, PolicyFile, Starts
+from inclined_landing.eval.pictures.flown import fly, points, report
+from inclined_landing.eval.pictures.frames import FPS, render_flight, write_video
+from inclined_landing.eval.pictures.touch import STEP, Touchdown, watch
+from inclined_landing.eval.pictures.touch_video import render_touchdowns
 from inclined_landing.models.errors import UserError
 
-FPS = 50.0  # one frame for every control step
-_EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # along a strobe picture
+GIF_FPS = 25.0  # players slow down faster ones
+_REST = 0.6  # s that the last frame of a flight stays
 
 
-def scene_of(flight: Flight, k: int):
-    """What the renderers are given for sample k: the state, or a pose that says there is no platform."""
-    if flight.inclination is not None:
-        return flight.state[k]
-    return Pose(qpos_of_state(flight.state[k]), np.array([0.0, 0.0, -100.0]), np.array([1.0, 0, 0, 0]))
+def command(
+    policy: PolicyFile,
+    /,
+    out: File,
+    start: Starts = (),
+    look: Flat[Look] = Look(width=960, height=540),
+    gif: Flag = False,
+    slow: float = 1.0,
+    forces: Flag = False,
+    flown: Flat[Flown] = Flown(),
+) -> None:
+    """Video of flights, one after the other.
 
-
-def caption_of(flight: Flight, k: int) -> str:
-    """The line under frame k."""
-    s, pwm = flight.state[k], flight.commands[k, 0]
-    planar = np.abs(flight.state[:, 1]).max() < 0.01
-    across = "" if planar else f"y {s[1]:+5.2f}  "
-    return (
-        f"t {flight.t[k]:4.2f} s   x {s[0]:+5.2f}  {across}z {s[2]:4.2f} m   "
-        f"pitch {np.degrees(s[7]):+6.1f} deg   PWM {pwm:6.0f}"
-    )
-
-
-def render_flight(
-    flight: Flight,
-    *,
-    camera: str = "hero",
-    width: int = 640,
-    height: int = 480,
-    backend: str = "auto",
-    fps: float = FPS,
-    trail: bool = True,
-) -> Iterator[np.ndarray]:
-    """Frames (height, width, 3) uint8, `fps` of them for a second of flight."""
-    if not fps > 0:
-        raise UserError(f"fps must be positive, not {fps!r}")
-    times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
-    frames = np.minimum(np.searchsorted(flight.t, times - 1e-9), len(flight.t) - 1)
-    goal = flight.task.goal_state
-    ghosts = [] if goal is None else [Ghost(qpos_of_state(goal))]
-    close = camera in ("closeup", "onboard")
-    with make_renderer(width, height, camera, backend, vehicle=flight.task.vehicle) as renderer:
-        for k in frames:
-            yield renderer.render(
-                scene_of(flight, k),
-                inclination=flight.inclination,
-                trail=flight.state[: k + 1] if trail and not close else None,
-                ghosts=ghosts if not close else [],
-                caption=caption_of(flight, k),
-            )
-
-
-def strobe(
-    flight: Flight,
-    *,
-    camera: str = "hero",
-    width: int = 1280,
-    height: int = 720,
-    copies: int = 10,
-    spacing: float = 0.13,
-    backend: str = "auto",
-) -> np.ndarray:
-    """One picture of the whole flight: copies of the vehicle along its way, the last one solid.
-
-    Copies are at least `spacing` [m] apart, coloured from early (violet) to late (orange).
+    Args:
+        policy: policy file, or the name of a shipped policy (landing, setpoint, touchdown).
+        out: .mp4 or .gif file.
+        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
+            more flights.
+        gif: write a .gif beside the .mp4.
+        slow: 2 plays at half speed.
+        forces: film the touchdowns only, at the engine's steps, with the contact forces as arrows. A landing
+            policy's motors are cut in the goal box. Goes with --slow 16 and --camera touch, a fixed look at
+            the touchdown from nearby.
     """
-    chosen = _spread(flight.state, copies, spacing)
-    way = _way(flight.state)
-    share = way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(way))
-    colours = _EARLY + share[:, None] * (_LATE - _EARLY)
-    ghosts = [
-        Ghost(qpos_of_state(flight.state[k]), tuple(colours[k]), alpha=0.8, tint=0.7, shadow=True)
-        for k in chosen
-    ]
-    with make_renderer(width, height, camera, backend, vehicle=flight.task.vehicle) as renderer:
-        return renderer.render(
-            scene_of(flight, -1),
-            inclination=flight.inclination,
-            trail=flight.state,
-            trail_colour=colours,
-            ghosts=ghosts,
-        )
+    if out.suffix.lower() not in (".mp4", ".gif"):
+        raise UserError(f"a video is an .mp4 or .gif file, not {out.name!r}")
+    if not (math.isfinite(slow) and 0.1 <= slow <= 20.0):
+        raise UserError(f"--slow must be from 0.1 to 20, not {slow:g}")
+    if look.width % 2 or look.height % 2:
+        raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
+    loaded = flown.load(policy)
+    if forces and not loaded.task.has_platform:
+        raise UserError(f"--forces is for tasks with a platform: a {loaded.task.name} flight touches nothing")
+    if forces and flown.plant != "mujoco":
+        raise UserError("--forces needs the MuJoCo plant: in the analytic one nothing is felt")
+    if look.camera == "touch" and not forces:
+        raise UserError("--camera touch looks at a touchdown: it needs --forces")
+    if look.camera == "touch" and look.backend == "gl":
+        raise UserError("--camera touch is drawn with rays: leave --backend gl out")
+    flights = fly(loaded, points(start, loaded.task), flown.plant)
+    shown = dataclasses.asdict(look)
+    touchdowns = [watch(flight) for flight in flights] if forces else []
+    for path in [out] + ([out.with_suffix(".gif")] if gif and out.suffix.lower() != ".gif" else []):
+        if forces:
+            _write(path, *film_touchdowns(touchdowns, slow, vehicle=loaded.task.vehicle, **shown))
+        else:
+            most = GIF_FPS if path.suffix.lower() == ".gif" else FPS
+            _write(path, *film(flights, min(FPS, most * slow), slow, **shown))  # there are no more states
+        print(path)
+    for k, flight in enumerate(flights):
+        report(flight, f"flight {k + 1}")
 
 
-def _way(state: np.ndarray) -> np.ndarray:
-    """Length (T,) of the path flown until each of states (T, 13) [m]."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1))])
+def film(
+    flights: Sequence[Flight], sampled: float, slow: float, **look
+) -> tuple[Iterator[np.ndarray], int, float]:
+    """Frames of flights after each other, how many they are, and how many are shown in a second.
 
-
-def _spread(state: np.ndarray, copies: int, spacing: float) -> list[int]:
-    """Samples that are evenly spread along the path, without the last."""
-    way = _way(state)
-    count = int(np.clip(way[-1] / spacing, 1, copies))
-    marks = np.linspace(0.0, way[-1], count + 1)[:-1]
-    return [int(np.searchsorted(way, mark)) for mark in marks]
-
-
-def write_video(path, frames, fps: float = FPS) -> pathlib.Path:
-    """Write frames (h, w, 3) uint8 to an .mp4 or .gif file; returns its path.
-
-    The file appears under its name when it is complete. Raises UserError for another suffix and for
-    no frames.
+    sampled: frames for a second of flight. The last frame of each flight stays for a moment.
     """
-    path = pathlib.Path(path)
-    codec = {".mp4": "h264", ".gif": "gif"}.get(path.suffix.lower())
-    if codec is None:
-        raise UserError(f"a video is an .mp4 or .gif file, not {path.name!r}")
-    frames = iter(frames)
-    first = next(frames, None)
-    if first is None:
-        raise UserError(f"no frames for {path.name}")
-    import imageio_ffmpeg
-    import mediapy
+    rest = round(_REST * sampled / slow)
 
-    mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
-    path.parent.mkdir(parents=True, exist_ok=True)
-    quality = {"qp": 20} if codec == "h264" else {}
-    with (
-        storage.atomic(path) as part,
-        mediapy.VideoWriter(part, first.shape[:2], fps=fps, codec=codec, **quality) as writer,
-    ):
-        writer.add_image(first)
-        for frame in frames:
-            writer.add_image(frame)
-    return path
+    def frames():
+        for flight in flights:
+            for frame in render_flight(flight, fps=sampled, **look):
+                yield frame
+            yield from itertools.repeat(frame, rest)
+
+    total = sum(round(flight.duration * sampled) + 1 + rest for flight in flights)
+    return frames(), total, sampled / slow
+
+
+def film_touchdowns(
+    touchdowns: Sequence[Touchdown], slow: float, **look
+) -> tuple[Iterator[np.ndarray], int, float]:
+    """The same of touchdowns, whose frames are engine steps."""
+    every = math.ceil(1.0 / (STEP * FPS * slow) - 1e-9)  # engine steps from frame to frame
+    rate = 1.0 / (every * STEP * slow)
+    rest = round(_REST * rate)
+
+    def frames():
+        for frame, last in render_touchdowns(touchdowns, every=every, **look):
+            yield from itertools.repeat(frame, 1 + rest if last else 1)
+
+    return frames(), sum(len(range(0, len(x.t), every)) + rest for x in touchdowns), rate
+
+
+def _write(path: Path, frames: Iterator[np.ndarray], total: int, rate: float) -> None:
+    """Write the video, with a progress bar on stderr."""
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        try:
+            write_video(path, progress.track(frames, total=total, description=path.name), fps=rate)
+        except OSError as error:
+            raise UserError(f"cannot write {path}: {(error.strerror or str(error)).lower()}") from error

@@ -17,20 +17,26 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import math
 from collections.abc import Iterable, Sequence
-from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import tyro
 
 from inclined_landing.envs.flights import record_flights
-from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.envs.policy import Policy
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Flag, Flat, Flown, NewFolder, PolicyFile
 from inclined_landing.eval.policies.judges import judge_of
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants import PLANTS, make_plant
+from inclined_landing.models.plants import make_plant
+
+Scales = Annotated[
+    tuple[tuple[float, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X [X ...]")
+]
 
 
 def evaluate(
@@ -45,43 +51,45 @@ def evaluate(
     return report
 
 
-def run(
-    policy: str,
-    *,
-    task: str | None = None,
-    plant: str = "mujoco",
-    thrust_scale: Sequence[float] = (1.0,),
-    inclination: float | None = None,
-    vehicle: Path | None = None,
-    effects: bool = False,
+def command(
+    policy: PolicyFile,
+    /,
+    flown: Flat[Flown] = Flown(),
+    thrust_scale: Scales = (),
+    effects: Flag = False,
     seed: int = 0,
-    json: bool = False,
-    out: Path | None = None,
+    json: Flag = False,
+    out: NewFolder = None,
 ) -> None:
-    """The command; inclination in degrees. Prints a table, or JSON alone."""
-    if plant not in PLANTS:
-        raise UserError(f"unknown plant {plant!r}; known are {' and '.join(PLANTS)}")
-    for scale in thrust_scale:
+    """Success table of a policy: how often, how fast, how hard it reaches its goal.
+
+    Args:
+        policy: policy file, or the name of a shipped policy (landing, setpoint, touchdown).
+        thrust_scale: total thrust times this, one row for each value (default: 1).
+        effects: one row for every physical effect of the library at a plausible size, which the policy
+            knows nothing of; from the frozen grid only (four minutes).
+        seed: of the random starts.
+        json: print JSON, and nothing else, on standard output.
+        out: new folder for success.json and (without effects) flights.csv.
+    """
+    scales = tuple(itertools.chain(*thrust_scale)) or (1.0,)
+    for scale in scales:
         if not (math.isfinite(scale) and 0 < scale <= 3):
             raise UserError(f"--thrust-scale must be above 0 and at most 3, not {scale:g}")
-    if effects and tuple(thrust_scale) != (1.0,):
+    if effects and scales != (1.0,):
         raise UserError("give either --effects or --thrust-scale: an effect of the library scales the thrust")
     if seed < 0:
         raise UserError(f"--seed must not be negative, it is {seed}")
     if out is not None:
         runs.check_new_run(out)
-    flown = load_vehicle(vehicle) if vehicle is not None else None
-    angle = None if inclination is None else math.radians(inclination)
-    if angle is not None:
-        (flown or load_vehicle()).check_inclination(angle)
-    loaded = load_policy(policy, task, vehicle=flown, inclination=angle)
+    loaded = flown.load(policy)
     if effects:
         from inclined_landing.eval.policies import success_effects
 
-        report, flights = success_effects.evaluate(loaded, plant=plant, seed=seed, progress=True), None
+        report, flights = success_effects.evaluate(loaded, plant=flown.plant, seed=seed, progress=True), None
     else:
-        report, flights = _evaluate(loaded, plant, thrust_scale, seed, progress=True)
-    report["vehicle"] = str(vehicle) if vehicle is not None else "crazyflie.toml"
+        report, flights = _evaluate(loaded, flown.plant, scales, seed, progress=True)
+    report["vehicle"] = str(flown.vehicle) if flown.vehicle is not None else "crazyflie.toml"
     if out is not None:
         folder = runs.new_run(out)
         if flights is not None:

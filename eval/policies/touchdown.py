@@ -19,9 +19,10 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
-from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import tyro
 from rich import box
 from rich.console import Console
 from rich.progress import track
@@ -33,6 +34,7 @@ from inclined_landing.envs.tasks import Moment
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, InclinedTouchdown
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Flag, NewFolder, PolicyFile, PolicyName
 from inclined_landing.eval.base.statistics import proportion, spread
 from inclined_landing.eval.policies.motors_cut import normal_of, split_velocity
 from inclined_landing.models import contact, storage
@@ -183,16 +185,25 @@ def overall(report: dict, mode: str) -> dict | None:
     return report["all"][mode]["at_rest"] if report["all"] else None
 
 
-def run(
-    policy: str,
-    baseline: str,
-    *,
-    friction: Sequence[float],
-    restitution: Sequence[float],
-    json: bool,
-    out: Path | None,
+def command(
+    policy: PolicyFile,
+    /,
+    baseline: PolicyName = "landing",
+    friction: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MU [MU ...]")] = FRICTIONS,
+    restitution: Annotated[tuple[float, ...], tyro.conf.arg(metavar="E [E ...]")] = RESTITUTIONS,
+    json: Flag = False,
+    out: NewFolder = None,
 ) -> None:
-    """The command. Prints a table, or JSON alone."""
+    """Touchdown policy beside a landing policy whose motors are cut (minutes).
+
+    Args:
+        policy: touchdown policy file, or the shipped one (touchdown).
+        baseline: landing policy file, or the shipped one (landing).
+        friction: between feet and slope.
+        restitution: of the feet on the slope, 0 to 0.6.
+        json: print JSON, and nothing else, on standard output.
+        out: new folder for touchdown.json.
+    """
     if not (friction and restitution):
         raise UserError("give at least one --friction and one --restitution")
     contact.check_friction(friction)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Folder
 from inclined_landing.eval.proof.gap_blind.causes import Drawn
 from inclined_landing.eval.proof.gap_blind.generate import fly_all, write_csv
 
@@ -18,8 +17,13 @@ HIDDEN = Drawn(
 SETS = {"fit": 10, "heldout": 10}  # every kind of ordinary flight once in each
 
 
-def run(out: Path, seed: int = 0) -> None:
-    """Write fit/*.csv and heldout/*.csv into the new folder `out`; UserError when impossible."""
+def command(out: Folder, seed: int = 0) -> None:
+    """Twenty flights with hidden effects, of an independent simulator, to try gap.
+
+    Args:
+        out: new folder for fit/*.csv and heldout/*.csv.
+        seed: of paths and noise.
+    """
     with runs.staged_run(out) as folder:
         for k, (name, count) in enumerate(SETS.items()):
             (folder / name).mkdir()

@@ -40,14 +40,41 @@ def landing_policy(tmp_path_factory):
 def test_help_is_fast_and_light():
     code = (
         "import sys; from inclined_landing.eval import cli\n"
-        "try: cli.main(['--help'])\nexcept SystemExit: pass\n"
-        "assert not {'torch', 'mujoco', 'numba', 'scipy'} & set(sys.modules), 'heavy'"
+        "cli.main(['--help'])\n"
+        "assert not {'torch', 'mujoco', 'numba', 'scipy', 'tyro', 'numpy'} & set(sys.modules), 'heavy'"
     )
     began = time.monotonic()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert all(name in done.stdout for name in cli.COMMANDS)
     assert time.monotonic() - began < 3.0  # 0.15 s on a quiet machine
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_a_command_and_its_module_are_called_alike(name):
+    command = cli.find(name)
+    module = command.__module__.removesuffix(".command")
+    assert command.__name__ == "command" and module.endswith("." + name.replace("-", "_"))
+    assert command.__doc__.splitlines()[0] == cli.COMMANDS[name][1]
+
+
+@pytest.mark.parametrize(("words", "sentence"), [
+    ([], "no command; landing-eval --help lists them"),
+    (["succes", "x"], "unknown command 'succes', perhaps success; landing-eval --help lists them"),
+    (["success"], "Missing from landing-eval success: POLICY policy file"),
+    (["success", "x", "--seed", "one"], "Error parsing --seed: invalid literal for int() with base"),
+    (["success", "x", "--seed"], "Missing value for argument '--seed'"),
+    (["success", "x", "--sed", "3"], "Unrecognized options: --sed, 3; Perhaps you meant: --seed INT"),
+    (["success", "x", "--\nsed", "\udcff" * 200], "Unrecognized options: --"),
+    (["logs"], "name at least one log"),
+    (["contact"], "Missing from landing-eval landings: STUDY.toml"),
+])  # fmt: skip
+def test_words_that_do_not_fit_are_one_sentence(words, sentence, capsys):
+    assert cli.main(words) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1 and len(printed.err) < 2100
+    assert printed.err.startswith(f"landing-eval: {sentence}")
+    assert printed.err.endswith(("lists them\n", "says what is right\n", "one log\n"))
 
 
 def test_success_prints_json_alone(landing_policy, capsys, tmp_path):
@@ -124,9 +151,9 @@ def test_interruption_and_missing_plugins_end_cleanly(monkeypatch, capsys):
     def broken():
         raise ImportError("the native plugins of inclined_landing are not built")
 
-    monkeypatch.setattr(cli, "COMMANDS", {"wait": interrupted, "load": broken})
-    assert cli.main(["wait"]) == 130
-    assert cli.main(["load"]) == 2
+    monkeypatch.setattr(cli, "find", {"video": interrupted, "doctor": broken}.get)
+    assert cli.main(["video"]) == 130
+    assert cli.main(["doctor"]) == 2
     assert capsys.readouterr().err.splitlines() == [
         "landing-eval: interrupted",
         "landing-eval: the native plugins of inclined_landing are not built",

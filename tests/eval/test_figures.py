@@ -20,9 +20,10 @@ from inclined_landing.envs.rendering.stamp import StampMaker
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import Conditions
 from inclined_landing.eval import cli
+from inclined_landing.eval.base.options import Flown
 from inclined_landing.eval.base.style import STAMP_DPI
 from inclined_landing.eval.machine.plain_env import PlainLandingEnv
-from inclined_landing.eval.pictures import commands as pictures
+from inclined_landing.eval.pictures import flown, video
 from inclined_landing.eval.pictures.figures import (
     curriculum_figure,
     learning_curves,
@@ -31,7 +32,7 @@ from inclined_landing.eval.pictures.figures import (
 )
 from inclined_landing.eval.pictures.figures.curves import band
 from inclined_landing.eval.pictures.figures.scene import platform_outline
-from inclined_landing.eval.pictures.video import render_flight
+from inclined_landing.eval.pictures.frames import render_flight
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
@@ -397,11 +398,11 @@ def test_video_command_flies_all_starts(hover_policy, tmp_path):
 
 
 def test_slow_video_has_every_sample_once(hover_policy):
-    loaded = pictures.load(hover_policy)
-    flights = pictures.fly(loaded, [(1.5, 1.8)], "analytic", steps=10)
+    flights = flown.fly(Flown().load(hover_policy), [(1.5, 1.8)], "analytic", steps=10)
     look = {"camera": "side", "width": 64, "height": 48, "backend": "ray"}
-    frames = list(pictures.film(flights, 50.0, 25.0, **look))
-    assert len(frames) == 11 + 15 == pictures._frame_count(flights, 50.0, 25.0)
+    frames, total, rate = video.film(flights, 50.0, 2.0, **look)
+    frames = list(frames)
+    assert len(frames) == 11 + 15 == total and rate == 25.0
     assert (frames[10] == frames[-1]).all()
 
 

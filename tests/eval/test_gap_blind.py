@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.logs import read_log
-from inclined_landing.eval.proof.gap_blind import causes, generate, run, score, strata
+from inclined_landing.eval.proof.gap_blind import causes, generate, score, strata
+from inclined_landing.eval.proof.gap_blind import command as run
 from inclined_landing.eval.proof.gap_blind.page import markdown, page
 from inclined_landing.models import effects
 from inclined_landing.models.errors import UserError
@@ -231,7 +232,8 @@ def test_labels_are_sealed_and_a_run_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "_case", fake)
     monkeypatch.setattr(run, "ProcessPoolExecutor", Now)
     out = tmp_path / "set"
-    first = run.run("dev", 3, out, cases=12)
+    run.command(out, "dev", 3, cases=12)
+    first = json.loads((out / "results.json").read_text())
     assert len(flown) == 12
     assert (
         first["methods"]["workflow"]["table"][0]["missed"]
@@ -240,14 +242,15 @@ def test_labels_are_sealed_and_a_run_goes_on(tmp_path, monkeypatch):
     assert not any("wind" in path.read_text() for path in (out / "reports").rglob("*.json"))
     assert set(json.loads((out / "set.json").read_text())) >= {"set", "seed", "labels sha256"}
     (out / "reports" / "workflow" / "case_004.json").unlink()
-    assert run.run("dev", 3, out, cases=12) == first and flown[12:] == ["case_004"]
+    run.command(out, "dev", 3, cases=12)
+    assert json.loads((out / "results.json").read_text()) == first and flown[12:] == ["case_004"]
     with pytest.raises(UserError, match="another blind set"):
-        run.run("fresh", 3, out, cases=12)
+        run.command(out, "fresh", 3, cases=12)
 
 
-@pytest.mark.parametrize("wrong", [{"which": "test"}, {"methods": ("guess",)}, {"cases": 3}])
+@pytest.mark.parametrize("wrong", [{"set": "test"}, {"method": ("guess",)}, {"cases": 3}])
 def test_wrong_options_are_sentences(tmp_path, wrong):
-    arguments = {"which": "dev", "seed": 0, "out": tmp_path / "x"} | wrong
+    arguments = {"set": "dev", "seed": 0, "out": tmp_path / "x"} | wrong
     with pytest.raises(UserError):
-        run.run(**arguments)
+        run.command(**arguments)
     assert not (tmp_path / "x").exists()

@@ -8,7 +8,7 @@ import pytest
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.proof.gap_real import attitude, halves, pads, thrust
-from inclined_landing.eval.proof.gap_real.run import MOTORS, flights
+from inclined_landing.eval.proof.gap_real.command import MOTORS, flights
 from inclined_landing.models.parameters import load_vehicle
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"

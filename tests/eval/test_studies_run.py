@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from inclined_landing.eval import cli
-from inclined_landing.eval.landings import design, engines, landing, run
+from inclined_landing.eval.landings import command, design, engines, landing
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
@@ -47,7 +47,7 @@ def reference(tmp_path_factory):
     """The undisturbed run in chunks of ten: its folder."""
     folder = tmp_path_factory.mktemp("reference")
     (folder / "small.toml").write_text(STUDY, "utf-8")
-    run.run(folder / "small.toml", folder / "run", chunk=10)
+    command.command(folder / "small.toml", folder / "run", chunk=10)
     return folder / "run"
 
 
@@ -74,9 +74,9 @@ def test_a_run_leaves_results_summary_figures_and_page(reference):
 
 
 def test_neither_chunks_nor_threads_change_a_bit(study, tmp_path, reference):
-    run.run(study, tmp_path / "other", chunk=24)
+    command.command(study, tmp_path / "other", chunk=24)
     assert bits(tmp_path / "other") == bits(reference)
-    read = run.read_study(study)
+    read = command.read_study(study)
     assert design.run_chunk(read, 1, 5, threads=1).equals(design.run_chunk(read, 1, 5, threads=2))
 
 
@@ -90,7 +90,7 @@ def test_an_interrupted_study_goes_on(study, tmp_path, reference, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(engines, "local", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            run.run(study, tmp_path / "run", chunk=10)
+            command.command(study, tmp_path / "run", chunk=10)
     part = tmp_path / "run" / "parts" / "00000.parquet"
     assert [p.name for p in part.parent.iterdir()] == [part.name]
     written = part.stat().st_mtime_ns
@@ -99,8 +99,10 @@ def test_an_interrupted_study_goes_on(study, tmp_path, reference, monkeypatch):
     monkeypatch.setattr(
         engines, "local", lambda s, chunks, size: flown.extend(chunks) or real(s, chunks, size)
     )
-    monkeypatch.setattr(run, "_merge", lambda out, n, merge=run._merge: check(part, written) or merge(out, n))
-    run.run(study, tmp_path / "run", resume=True)
+    monkeypatch.setattr(
+        command, "_merge", lambda out, n, merge=command._merge: check(part, written) or merge(out, n)
+    )
+    command.command(study, tmp_path / "run", resume=True)
     assert flown == [1, 2]
     assert bits(tmp_path / "run") == bits(reference)
     assert not (tmp_path / "run" / "parts").exists()
@@ -114,12 +116,12 @@ def check(part, written):
 
 def test_kill_9_and_resume(study, tmp_path, reference):
     code = (
-        "import sys; from inclined_landing.eval.landings import run, engines; import time\n"
+        "import sys; from inclined_landing.eval.landings import command, engines; import pathlib, time\n"
         "real = engines.local\n"
         "def slow(*a):\n"
         "    for item in real(*a): yield item; time.sleep(1)\n"
         "engines.local = slow\n"
-        "run.run(sys.argv[1], sys.argv[2], chunk=10)"
+        "command.command(sys.argv[1], pathlib.Path(sys.argv[2]), chunk=10)"
     )
     out = tmp_path / "run"
     process = subprocess.Popen([sys.executable, "-c", code, str(study), str(out)], stderr=subprocess.DEVNULL)
@@ -139,7 +141,7 @@ def test_kill_9_and_resume(study, tmp_path, reference):
 def test_ray_gives_the_same_bits(study, tmp_path, reference):
     if not hasattr(pytest.importorskip("ray", reason="Ray is not installed (extra `ray`)"), "init"):
         pytest.skip("a folder named ray is no Ray (extra `ray`)")
-    run.run(study, tmp_path / "run", engine="ray", chunk=10)
+    command.command(study, tmp_path / "run", engine="ray", chunk=10)
     assert bits(tmp_path / "run") == bits(reference)
 
 
@@ -251,9 +253,9 @@ def test_a_full_disk_on_the_way_keeps_what_is_finished(study, tmp_path, referenc
         with pytest.raises(
             UserError, match="no space left on device; what is finished is kept, go on with --r"
         ):
-            run.run(study, tmp_path / "out", chunk=10)
+            command.command(study, tmp_path / "out", chunk=10)
     assert sorted(p.name for p in (tmp_path / "out").rglob("*")) == ["00000.parquet", "parts", "study.json"]
-    run.run(study, tmp_path / "out", resume=True)
+    command.command(study, tmp_path / "out", resume=True)
     assert bits(tmp_path / "out") == bits(reference)
 
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.policy import load_policy
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.pictures import commands as pictures
-from inclined_landing.eval.pictures.commands import fly, load
+from inclined_landing.eval.pictures import video
+from inclined_landing.eval.pictures.flown import fly
 from inclined_landing.eval.pictures.touch import LEAD, STEP, watch
 from inclined_landing.eval.pictures.touch_video import caption_of, render_touchdowns
 from inclined_landing.models.errors import UserError
@@ -19,7 +20,7 @@ WEIGHT = V.body_mass * V.environment_gravity
 
 
 def flown(name) -> Flight:
-    policy = load(name)
+    policy = load_policy(name)
     return fly(policy, policy.task.film_starts[:1], "mujoco")[0]
 
 
@@ -94,7 +95,7 @@ def test_the_command_films_every_engine_step(tmp_path, monkeypatch):
     def write(path, frames, fps):
         seen.update(frames=sum(1 for _ in frames), fps=fps)
 
-    monkeypatch.setattr(pictures, "write_video", write)
+    monkeypatch.setattr(video, "write_video", write)
     options = ["--forces", "--slow", "16", "--camera", "touch", "--width", "160", "--height", "90"]
     assert main(["video", "touchdown", *options, "--out", str(tmp_path / "x.mp4")]) == 0
     assert seen["fps"] == pytest.approx(1 / (STEP * 16))

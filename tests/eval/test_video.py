@@ -6,7 +6,7 @@ import pytest
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.eval.pictures.video import caption_of, render_flight, strobe, write_video
+from inclined_landing.eval.pictures.frames import caption_of, render_flight, strobe, write_video
 from inclined_landing.models.errors import UserError
 
 

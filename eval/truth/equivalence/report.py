@@ -1,23 +1,16 @@
-"""`landing-eval equivalence`: every measurement, one page, one JSON file and the figures."""
+"""Every measurement of the equivalence, as sections, figures, one JSON record and one page."""
 
 from __future__ import annotations
 
 import base64
 import dataclasses
-import io
-import math
-import time
 from importlib import resources
 from pathlib import Path
 
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs import starts as landing_starts
-from inclined_landing.envs.policy import Policy, load_policy
-from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.style import PNG_DPI, styled
+from inclined_landing.envs.policy import Policy
 from inclined_landing.eval.truth.equivalence import (
     bandwidth,
     closed_loop,
@@ -31,14 +24,12 @@ from inclined_landing.eval.truth.equivalence import (
     twin,
 )
 from inclined_landing.eval.truth.equivalence.claims import Claim, Section, number
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
 
 TITLE = "Is the MuJoCo vehicle the paper's model?"
 SEQUENCES, STATES = 16, 1000  # of each family and dimension; random states of a forward pass
 QUICK_SEQUENCES, QUICK_STATES = 4, 200
 QUICK_STARTS = 4  # every fourth of the frozen grid
-_TICKS = 30  # of the progress bar
+TICKS = 30  # of the progress bar
 _FULL_2D, _FULL_3D, _RECORDED_2D = "full steps, 2-D", "full steps, 3-D", "recorded, 2-D"
 
 
@@ -172,52 +163,3 @@ def as_page(sections: list[Section], images: dict[str, bytes], record: dict) -> 
         wall=f"{record['seconds']:.0f}",
         versions=record["versions"],
     )
-
-
-def png(figure: Figure) -> bytes:
-    """The figure as a PNG file."""
-    file = io.BytesIO()
-    with styled():
-        figure.savefig(file, format="png", dpi=PNG_DPI)
-    return file.getvalue()
-
-
-def run(policy: str, out: Path, *, seed: int = 0, quick: bool = False) -> int:
-    """The command: writes report.html, report.json and the figures into `out`; 1 when a claim fails."""
-    if seed < 0:
-        raise UserError(f"--seed must not be negative, it is {seed}")
-    runs.check_new_run(out)
-    loaded = load_policy(policy, "landing")
-    began = time.monotonic()
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description:18}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=_TICKS)
-        sections, drawn = measure(
-            loaded, seed=seed, quick=quick, tick=lambda text: bar.update(task, advance=1, description=text)
-        )
-        images = {name: png(figure) for name, figure in drawn.items()}
-    record = as_record(
-        sections,
-        policy=str(loaded.path),
-        seed=int(seed),
-        quick=quick,
-        seconds=round(time.monotonic() - began, 1),
-        versions=runs.versions(),
-    )
-    page = as_page(sections, images, record)
-    folder = runs.new_run(out)
-    for name, data in images.items():
-        storage.write_bytes(folder / name, data)
-    storage.write_json(folder / "report.json", record)
-    storage.write_text(folder / "report.html", page)
-    failed = [c for s in sections for c in s.claims if not c.passed]
-    for c in failed:
-        print(f"fails: {c.name}: {_measured(c)}, tolerance {c.tolerance}")
-    print(f"{record['claims'] - len(failed)} of {record['claims']} claims hold, {record['seconds']:.0f} s")
-    print(folder / "report.html")
-    return 1 if failed else 0
-
-
-def _measured(claim: Claim) -> str:
-    return f"{number(claim.measured)} {claim.unit}" if math.isfinite(claim.measured) else "not a number"

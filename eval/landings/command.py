@@ -1,4 +1,4 @@
-"""`landing-eval contact`: a study from its file to a folder with results, figures and a page.
+"""`landing-eval landings`: a study from its file to a folder with results, figures and a page.
 
 While it runs, the folder holds `study.json` (the study resolved, written first) and `parts/`, one
 Parquet file for each finished chunk, each whole or not there. In the end the parts become
@@ -15,13 +15,16 @@ import math
 import shutil
 import time
 from pathlib import Path
+from typing import Annotated
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Flag, Folder
 from inclined_landing.eval.landings import design, engines
 from inclined_landing.eval.landings.study import Study, known_parameters, read_study
 from inclined_landing.models import storage
@@ -30,19 +33,27 @@ from inclined_landing.models.errors import UserError
 RECORD, RESULTS, PARTS = "study.json", "results.parquet", "parts"
 
 
-def run(
-    study: str | Path,
-    out: Path,
-    *,
-    engine: str = "local",
-    address: str | None = None,
-    resume: bool = False,
-    chunk: int = design.CHUNK,
-) -> dict:
-    """The command; returns the summary that it writes and prints."""
+def command(
+    study: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY.toml")],
+    /,
+    out: Folder,
+    engine: Annotated[str, tyro.conf.arg(metavar="{local,ray}")] = "local",
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
+    resume: Flag = False,
+    chunk: tyro.conf.Suppress[int] = design.CHUNK,
+) -> None:
+    """Landing study: thousands of touchdowns over friction, speeds ..., each classified.
+
+    Args:
+        study: study file, or the name of a shipped study (paper_landing, steep_landing).
+        out: new folder for results (Parquet), summary (JSON), figures (PNG) and page (HTML).
+        engine: run in this process, or on a Ray cluster.
+        address: of a running Ray cluster; without it, Ray is started on this machine.
+        resume: go on with the study that was interrupted in this folder.
+        chunk: landings that are simulated and written together.
+    """
     engines.check(engine, address)
     wanted = read_study(study)
-    out = Path(out)
     if resume and out.exists():
         wanted, chunk = _resumed(wanted, out)
     else:
@@ -63,7 +74,6 @@ def run(
         raise UserError(f"cannot write {out}: {str(error.strerror or error).lower()}") from error
     shutil.rmtree(out / PARTS, ignore_errors=True)
     report.show(summary, out)
-    return summary
 
 
 def with_starts(study: Study) -> Study:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
+import tyro
 from rich.console import Console
 
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Folder, VehicleFile
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap.flights.reading import read_flights
 from inclined_landing.eval.proof.gap_real import attitude, figures, halves, pads, tables, thrust
@@ -41,12 +43,21 @@ GIVEN = {
 }
 
 
-def run(data: Path, out: Path, *, only: Sequence[str] = (), vehicle: Path | None = None) -> None:
-    """Study the flights under `data` and write the new folder `out`: real.json, tables.md, PNG figures.
+def command(
+    data: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")],
+    /,
+    out: Folder,
+    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PART [PART ...]")] = (),
+    vehicle: VehicleFile = None,
+) -> None:
+    """Measured flights of others: what is named, how much of the gap closes (minutes).
 
-    only: names of parts: the fleets, `utias_given`, `attitude`, `thrust`, `crazypad`, `arp_sysid`; all
-    without it.
-    Raises UserError when `data` lacks a part or `out` exists.
+    Args:
+        data: folder of the tidy data sets utias_fmpc, nanobench, crazypad and arp_sysid.
+        out: new folder for tables.md, real.json and figures.
+        only: some of utias_day1, utias_all, utias_given, nanobench, nanobench_motors, attitude, thrust,
+            crazypad, arp_sysid.
+        vehicle: vehicle file (TOML), where the model differs from the shipped one.
     """
     parts = [*FLEETS, "utias_given", "attitude", "thrust", "crazypad", "arp_sysid"]
     for name in only:

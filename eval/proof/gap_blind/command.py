@@ -11,11 +11,14 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
+from typing import Annotated
 
+import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Flag, Folder
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
@@ -29,40 +32,44 @@ _SET, _LABELS, _RESULTS = "set.json", "sealed/labels.json", "results.json"
 _COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
 
 
-def run(
-    which: str,
-    seed: int,
-    out: Path,
-    *,
+def command(
+    out: Folder,
+    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh}")] = "dev",
+    seed: int = 0,
     cases: int | None = None,
-    methods: Sequence[str] = ("workflow",),
-    keep: bool = False,
+    method: Annotated[tuple[str, ...], tyro.conf.arg(metavar="{workflow,tuning,sparse}")] = ("workflow",),
+    keep: Flag = False,
     processes: int = 2,
-) -> dict:
-    """Draw, fly, diagnose and score a blind set into `out`; returns the contents of results.json.
+) -> None:
+    """Hidden causes in flights of an independent simulator: what gap names (minutes).
 
-    which: dev or fresh; cases: at most so many (None: the full set); methods: of METHODS; keep: the flights
-    stay in `out` (some 3 MB a case). An interrupted run goes on where it stopped: every case has its report.
-    Raises UserError for unknown names or a folder that holds another set.
+    Args:
+        out: folder for results.json, table.md and report.html; an interrupted run goes on in it.
+        set: development (thresholds are chosen on it) or fresh (scored once); they share no seed.
+        seed: of the set.
+        cases: at most so many, every stratum keeping its share (default: all).
+        method: one or more of: the gap workflow, parameter tuning only, sparse regression (needs pysindy).
+        keep: keep the flights, some 3 MB a case.
+        processes: cases diagnosed at a time.
     """
-    if which not in SETS:
-        raise UserError(f"unknown set {which!r}; known are {', '.join(SETS)}")
+    methods = method
+    if set not in SETS:
+        raise UserError(f"unknown set {set!r}; known are {', '.join(SETS)}")
     for method in methods:
         if method not in METHODS:
             raise UserError(f"unknown method {method!r}; known are {', '.join(METHODS)}")
     if cases is not None and cases < len(strata.STRATA):
         raise UserError(f"a set needs at least {len(strata.STRATA)} cases, one for each stratum, not {cases}")
-    drawn = strata.cases((SETS[which], seed), cases)
+    drawn = strata.cases((SETS[set], seed), cases)
     labels = {case.name: case.label() for case in drawn}
     out = runs.new_run(out, "gap-blind", resumable=_SET)
-    _open_set(out, {"set": which, "seed": seed, "cases": len(drawn)}, labels)
+    _open_set(out, {"set": set, "seed": seed, "cases": len(drawn)}, labels)
     _diagnose_all(drawn, methods, out, keep, processes)
     results = _score(out, labels, methods)
     storage.write_json(out / _RESULTS, results)
     storage.write_text(out / "table.md", markdown(results))
     storage.write_text(out / "report.html", page(results))
     Console().print(markdown(results), markup=False, highlight=False, soft_wrap=True)
-    return results
 
 
 def _open_set(out: Path, description: dict, labels: dict) -> None:

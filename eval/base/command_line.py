@@ -1,0 +1,69 @@
+"""What `landing-eval` and `landing-train` share: words become arguments, whatever is wrong one sentence.
+
+Imports nothing heavy: the rooms and tyro are imported when a command is run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import io
+import itertools
+import re
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from inclined_landing.models.errors import UserError
+
+
+def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -> Any:
+    """What `target` makes of the words of a command line (default: those of this process).
+
+    target: a dataclass, or a function from `bound`; its signature and docstring are options and help.
+    Raises UserError for words that do not fit; --help is printed and raises SystemExit(0).
+    """
+    import tyro
+
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.cli(target, prog=prog, args=arguments)
+    except SystemExit as end:
+        if end.code:
+            raise UserError(_sentence(said.getvalue(), prog)) from end
+        raise
+
+
+def bound(command: Callable) -> Callable:
+    """`command` with the same signature and docstring, which returns the call instead of making it."""
+
+    @functools.wraps(command)
+    def later(*arguments, **options):
+        return functools.partial(command, *arguments, **options)
+
+    return later
+
+
+def exit_code(prog: str, work: Callable[[], int | None], *, interrupted: str = "interrupted") -> int:
+    """Do the work of a command line. Returns what it returns, or says in one sentence why it cannot go on:
+    2 for wrong input and for what is not installed, 130 for an interruption."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # file names that are no UTF-8
+    try:
+        return work() or 0
+    except (UserError, ImportError) as error:
+        sentence, code = str(error), 2
+    except KeyboardInterrupt:
+        sentence, code = interrupted, 130
+    print(f"{prog}: {sentence}", file=sys.stderr)
+    return code
+
+
+def _sentence(box: str, prog: str) -> str:
+    """What is in tyro's box as one sentence: without colours, title, frame and closing line."""
+    rows = [row.strip(" │") for row in re.sub("\x1b\\[[0-9;]*m", "", box).splitlines()[1:]]
+    ruled = itertools.groupby(rows, lambda row: not row.strip("─-╭╮╰╯"))
+    parts = [" ".join(" ".join(part).split()).rstrip(".") for rule, part in ruled if not rule]
+    wrong = [part.removeprefix("Argument helptext: ") for part in parts if not part.startswith("For full")]
+    return "; ".join([*wrong, f"{prog} --help says what is right"])

@@ -1,0 +1,120 @@
+"""Options that commands share: the types of single ones, and the groups that go together.
+
+A group is a dataclass that a command takes as one argument, `flown: Flat[Flown] = Flown()`; on the command
+line its fields are options like any other.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import tyro
+
+from inclined_landing.models.errors import UserError
+
+if TYPE_CHECKING:
+    from inclined_landing.envs.policy import Policy
+
+T = TypeVar("T")
+Flat = Annotated[T, tyro.conf.arg(name="")]
+Flag = tyro.conf.FlagCreatePairsOff[bool]
+PolicyFile = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
+PolicyName = Annotated[str, tyro.conf.arg(metavar="POLICY")]
+PlantName = Annotated[str, tyro.conf.arg(metavar="{mujoco,analytic}")]
+TaskName = Annotated[str | None, tyro.conf.arg(metavar="{landing,setpoint,touchdown}")]
+Degrees = Annotated[float | None, tyro.conf.arg(metavar="DEG")]
+Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
+File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
+VehicleFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+NewFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
+Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X,Z")]
+LogFiles = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+
+
+@dataclasses.dataclass(frozen=True)
+class Flown:
+    """What a policy is flown in.
+
+    Args:
+        task: the task the policy must be for; needed for a plain Stable-Baselines3 file.
+        plant: the physics to fly in.
+        inclination: of the platform in degrees, where it differs from the training's.
+        vehicle: vehicle file (TOML), where it differs from the shipped one.
+    """
+
+    task: TaskName = None
+    plant: PlantName = "mujoco"
+    inclination: Degrees = None
+    vehicle: VehicleFile = None
+
+    def load(self, policy: str) -> Policy:
+        """The policy for this vehicle and platform. Raises UserError when any of it is unknown or wrong."""
+        from inclined_landing.envs.policy import load_policy
+        from inclined_landing.models.parameters import load_vehicle
+        from inclined_landing.models.plants import PLANTS
+
+        if self.plant not in PLANTS:
+            raise UserError(f"unknown plant {self.plant!r}; known are {' and '.join(PLANTS)}")
+        vehicle = load_vehicle(self.vehicle) if self.vehicle is not None else None
+        angle = None if self.inclination is None else math.radians(self.inclination)
+        if angle is not None:
+            (vehicle or load_vehicle()).check_inclination(angle)
+        return load_policy(policy, self.task, vehicle=vehicle, inclination=angle)
+
+
+@dataclasses.dataclass(frozen=True)
+class Look:
+    """What a picture looks like.
+
+    Args:
+        camera: where to look from.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        backend: OpenGL, ray casting, or OpenGL only where it runs on hardware.
+    """
+
+    camera: Annotated[str, tyro.conf.arg(metavar="{side,hero,pad,track,chase,closeup,onboard}")] = "hero"
+    width: int = 1280
+    height: int = 720
+    backend: Annotated[str, tyro.conf.arg(metavar="{auto,ray,gl}")] = "auto"
+
+
+@dataclasses.dataclass(frozen=True)
+class LogSource:
+    """Which logs, and what their column names do not tell.
+
+    Args:
+        files: CSV (.csv, .csv.gz), Crazyflie micro-SD binary or ROS bag; several files of one flight as A+B.
+        mapping: shipped mapping or mapping file (TOML), where the column names do not tell.
+        unit: of a column that states none, roll=deg for example; repeat the option for more.
+    """
+
+    files: LogFiles
+    mapping: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+    unit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=UNIT")] = ()
+
+    def __post_init__(self):
+        if not self.files:
+            raise UserError("name at least one log")
+
+
+@dataclasses.dataclass(frozen=True)
+class FlightSource(LogSource):
+    """Flights for a model, and the model.
+
+    Args:
+        files: flights to fit: CSV (.csv, .csv.gz), Crazyflie micro-SD binary or ROS bag; several files of
+            one flight as A+B.
+        mapping: shipped mapping or mapping file (TOML), where the column names do not tell.
+        unit: of a column that states none, roll=deg for example; repeat the option for more.
+        heldout: flights only judged on; without them each flight is judged with the others fitted.
+        vehicle: vehicle file (TOML), where the model differs from the shipped one.
+        platform: the slab of the vehicle file stood in the arena (known from logs with contacts).
+    """
+
+    heldout: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = ()
+    vehicle: VehicleFile = None
+    platform: Flag = False

@@ -1,0 +1,51 @@
+"""`landing-eval identify`: logs in; a vehicle file, its report and a few sentences out."""
+
+from __future__ import annotations
+
+import time
+
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Flat, FlightSource, Folder
+from inclined_landing.eval.gap.answer.identify import identify
+from inclined_landing.eval.gap.flights.reading import read_flights
+from inclined_landing.eval.gap.report import identified, model
+from inclined_landing.eval.gap.report.run import progress, write_run
+from inclined_landing.models import storage
+from inclined_landing.models.parameters import load_vehicle
+
+
+def command(source: Flat[FlightSource], out: Folder) -> None:
+    """Thrust, lags, delays, attitude loops and drag from flights: a vehicle file.
+
+    Takes seconds.
+
+    Args:
+        out: new folder for vehicle.toml, report.html and report.json.
+    """
+    runs.check_new_run(out)
+    nominal = load_vehicle(source.vehicle)
+    began = time.monotonic()
+    with progress(len(source.files) + len(source.heldout) + 2) as tick:
+        logs, kept, notes = read_flights(
+            source.files, source.heldout, mapping=source.mapping, units=source.unit, tick=tick
+        )
+        tick("fit")
+        found = identify(logs, nominal, heldout=kept, platform=source.platform)
+        tick("page")
+        versions = runs.versions()
+        html = identified.page(
+            found,
+            heldout=[log.name for log in kept],
+            seconds=time.monotonic() - began,
+            versions=versions,
+            notes=notes,
+        )
+    try:
+        with runs.staged_run(out) as folder:
+            storage.write_text(folder / "report.html", html)
+            storage.write_json(folder / "report.json", found.to_json())
+            identified.write(found, folder, base=source.vehicle)
+            write_run(folder, "identify", began, versions, source)
+    finally:
+        identified.show(found, notes)
+    print(out / model.VEHICLE)

@@ -1,0 +1,30 @@
+"""`landing-eval figure`: flights of a policy on paper."""
+
+from __future__ import annotations
+
+from inclined_landing.eval.base.options import Flat, Flown, Folder, PolicyFile, Starts
+from inclined_landing.eval.pictures.figures import save_figure, trajectory_figure
+from inclined_landing.eval.pictures.flown import fly, points, report
+
+
+def command(policy: PolicyFile, /, out: Folder, start: Starts = (), flown: Flat[Flown] = Flown()) -> None:
+    """Stroboscopic trajectory with PWM and pitch over time, as PNG and PDF.
+
+    Args:
+        policy: policy file, or the name of a shipped policy (landing, setpoint, touchdown).
+        out: folder for the files.
+        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
+            more figures. Default: the task's cases, for landing the paper's two, 1.5,1.8 and 0,2.
+    """
+    loaded = flown.load(policy)
+    task = loaded.task
+    cases = task.figure_starts
+    if start:
+        names = ["trajectory"] if len(start) == 1 else [f"trajectory_{k + 1}" for k in range(len(start))]
+        cases = dict(zip(names, points(start, task)))
+    flights = fly(loaded, list(cases.values()), flown.plant, task.judged_steps)
+    for name, flight in zip(cases, flights):
+        drawn = trajectory_figure(flight)
+        for suffix in (".png", ".pdf"):
+            print(save_figure(drawn, out / f"{name}{suffix}"))
+        report(flight, name)

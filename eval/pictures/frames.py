@@ -1,0 +1,138 @@
+"""Videos and stroboscopic pictures of recorded flights."""
+
+from __future__ import annotations
+
+import pathlib
+from collections.abc import Iterator
+
+import numpy as np
+
+from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.rendering import Ghost, Pose, make_renderer, qpos_of_state
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError
+
+FPS = 50.0  # one frame for every control step
+_EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # along a strobe picture
+
+
+def scene_of(flight: Flight, k: int):
+    """What the renderers are given for sample k: the state, or a pose that says there is no platform."""
+    if flight.inclination is not None:
+        return flight.state[k]
+    return Pose(qpos_of_state(flight.state[k]), np.array([0.0, 0.0, -100.0]), np.array([1.0, 0, 0, 0]))
+
+
+def caption_of(flight: Flight, k: int) -> str:
+    """The line under frame k."""
+    s, pwm = flight.state[k], flight.commands[k, 0]
+    planar = np.abs(flight.state[:, 1]).max() < 0.01
+    across = "" if planar else f"y {s[1]:+5.2f}  "
+    return (
+        f"t {flight.t[k]:4.2f} s   x {s[0]:+5.2f}  {across}z {s[2]:4.2f} m   "
+        f"pitch {np.degrees(s[7]):+6.1f} deg   PWM {pwm:6.0f}"
+    )
+
+
+def render_flight(
+    flight: Flight,
+    *,
+    camera: str = "hero",
+    width: int = 640,
+    height: int = 480,
+    backend: str = "auto",
+    fps: float = FPS,
+    trail: bool = True,
+) -> Iterator[np.ndarray]:
+    """Frames (height, width, 3) uint8, `fps` of them for a second of flight."""
+    if not fps > 0:
+        raise UserError(f"fps must be positive, not {fps!r}")
+    times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
+    frames = np.minimum(np.searchsorted(flight.t, times - 1e-9), len(flight.t) - 1)
+    goal = flight.task.goal_state
+    ghosts = [] if goal is None else [Ghost(qpos_of_state(goal))]
+    close = camera in ("closeup", "onboard")
+    with make_renderer(width, height, camera, backend, vehicle=flight.task.vehicle) as renderer:
+        for k in frames:
+            yield renderer.render(
+                scene_of(flight, k),
+                inclination=flight.inclination,
+                trail=flight.state[: k + 1] if trail and not close else None,
+                ghosts=ghosts if not close else [],
+                caption=caption_of(flight, k),
+            )
+
+
+def strobe(
+    flight: Flight,
+    *,
+    camera: str = "hero",
+    width: int = 1280,
+    height: int = 720,
+    copies: int = 10,
+    spacing: float = 0.13,
+    backend: str = "auto",
+) -> np.ndarray:
+    """One picture of the whole flight: copies of the vehicle along its way, the last one solid.
+
+    Copies are at least `spacing` [m] apart, coloured from early (violet) to late (orange).
+    """
+    chosen = _spread(flight.state, copies, spacing)
+    way = _way(flight.state)
+    share = way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(way))
+    colours = _EARLY + share[:, None] * (_LATE - _EARLY)
+    ghosts = [
+        Ghost(qpos_of_state(flight.state[k]), tuple(colours[k]), alpha=0.8, tint=0.7, shadow=True)
+        for k in chosen
+    ]
+    with make_renderer(width, height, camera, backend, vehicle=flight.task.vehicle) as renderer:
+        return renderer.render(
+            scene_of(flight, -1),
+            inclination=flight.inclination,
+            trail=flight.state,
+            trail_colour=colours,
+            ghosts=ghosts,
+        )
+
+
+def _way(state: np.ndarray) -> np.ndarray:
+    """Length (T,) of the path flown until each of states (T, 13) [m]."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1))])
+
+
+def _spread(state: np.ndarray, copies: int, spacing: float) -> list[int]:
+    """Samples that are evenly spread along the path, without the last."""
+    way = _way(state)
+    count = int(np.clip(way[-1] / spacing, 1, copies))
+    marks = np.linspace(0.0, way[-1], count + 1)[:-1]
+    return [int(np.searchsorted(way, mark)) for mark in marks]
+
+
+def write_video(path, frames, fps: float = FPS) -> pathlib.Path:
+    """Write frames (h, w, 3) uint8 to an .mp4 or .gif file; returns its path.
+
+    The file appears under its name when it is complete. Raises UserError for another suffix and for
+    no frames.
+    """
+    path = pathlib.Path(path)
+    codec = {".mp4": "h264", ".gif": "gif"}.get(path.suffix.lower())
+    if codec is None:
+        raise UserError(f"a video is an .mp4 or .gif file, not {path.name!r}")
+    frames = iter(frames)
+    first = next(frames, None)
+    if first is None:
+        raise UserError(f"no frames for {path.name}")
+    import imageio_ffmpeg
+    import mediapy
+
+    mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    quality = {"qp": 20} if codec == "h264" else {}
+    with (
+        storage.atomic(path) as part,
+        mediapy.VideoWriter(part, first.shape[:2], fps=fps, codec=codec, **quality) as writer,
+    ):
+        writer.add_image(first)
+        for frame in frames:
+            writer.add_image(frame)
+    return path

@@ -1,0 +1,43 @@
+"""`landing-eval picture`: a whole flight at a glance."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Annotated
+
+import tyro
+from PIL import Image
+
+from inclined_landing.eval.base.options import File, Flat, Flown, Look, PolicyFile
+from inclined_landing.eval.base.style import make_folder
+from inclined_landing.eval.pictures.flown import fly, points, report
+from inclined_landing.eval.pictures.frames import strobe
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError
+
+
+def command(
+    policy: PolicyFile,
+    /,
+    out: File,
+    start: Annotated[str | None, tyro.conf.arg(metavar="X,Z")] = None,
+    look: Flat[Look] = Look(),
+    flown: Flat[Flown] = Flown(),
+) -> None:
+    """One picture of a whole flight: copies of the vehicle along its way.
+
+    Args:
+        policy: policy file, or the name of a shipped policy (landing, setpoint, touchdown).
+        out: .png file.
+        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z.
+    """
+    if out.suffix.lower() != ".png":
+        raise UserError(f"a picture is a .png file, not {out.name!r}")
+    loaded = flown.load(policy)
+    flight = fly(loaded, points([start] if start else [], loaded.task), flown.plant)[0]
+    drawn = strobe(flight, **dataclasses.asdict(look))
+    make_folder(out.parent)
+    with storage.atomic(out) as part:
+        Image.fromarray(drawn).save(part)
+    report(flight, out.name)
+    print(out)

@@ -1,0 +1,68 @@
+"""`landing-eval contact-truth`: all measurements as a page, a JSON file and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Folder, NewFolder
+from inclined_landing.eval.truth.contact_truth import touchdowns
+from inclined_landing.eval.truth.contact_truth.checks import Finding
+from inclined_landing.eval.truth.contact_truth.laws import FINDINGS, setting
+from inclined_landing.eval.truth.contact_truth.report import write
+
+
+def command(
+    out: Folder,
+    flights: NewFolder = None,
+    friction: float | None = None,
+    restitution: float | None = None,
+    contact_time: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
+) -> None:
+    """Can contact be believed? Rest, slip, drops, energy ... as page and figures.
+
+    Args:
+        out: new folder for contact.html, contact.json and the figures.
+        flights: folder of measured NanoBench flights (nb_*.csv.gz): their touchdowns are simulated and the
+            contact setting is fitted.
+        friction: of a setting of your own, measured besides the default.
+        restitution: of your own setting, 0 to 0.6; together with the contact time.
+        contact_time: of your own setting in seconds, 0.012 to 0.02.
+    """
+    runs.check_new_run(out)
+    if flights is not None:
+        touchdowns.read_flights(flights)
+    chosen = (friction, restitution, contact_time)
+    own = [] if chosen == (None, None, None) else [setting(*chosen)]
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True) as progress:
+        bar = progress.add_task("", total=len(FINDINGS) + (flights is not None))
+        findings = own + measure(flights, lambda name: progress.update(bar, description=name, advance=1))
+    out = runs.new_run(out)
+    write(findings, out)
+    table = Table("check", "measured", "asked for", "unit", "")
+    for finding in findings:
+        for check in finding.checks:
+            verdict = "met" if check.met else "[bold]not met[/bold]"
+            table.add_row(check.name, f"{check.measured:.3g}", check.asked, check.unit, verdict)
+    Console().print(table)
+    print(out / "contact.html")
+
+
+def measure(flights: Path | None = None, tick: Callable[[str], None] = lambda name: None) -> list[Finding]:
+    """Every finding; `tick` is called with the name of each before it is measured."""
+    findings = []
+    for name, measurement in FINDINGS.items():
+        tick(name)
+        findings.append(measurement())
+    if flights is not None:
+        tick("touchdowns")
+        findings.append(touchdowns.finding(flights))
+    return findings

@@ -1,0 +1,77 @@
+"""`landing-eval equivalence`: every measurement, one page, one JSON file and the figures."""
+
+from __future__ import annotations
+
+import io
+import math
+import time
+
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from inclined_landing.envs.policy import load_policy
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Flag, Folder, PolicyName
+from inclined_landing.eval.base.style import PNG_DPI, styled
+from inclined_landing.eval.truth.equivalence import report
+from inclined_landing.eval.truth.equivalence.claims import Claim, number
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError
+
+
+def command(out: Folder, policy: PolicyName = "landing", seed: int = 0, quick: Flag = False) -> int:
+    """Is the MuJoCo vehicle the paper's model? One page of claims with tolerances.
+
+    The exit code is 1 when a claim fails.
+
+    Args:
+        out: new folder for report.html, report.json and the figures.
+        policy: landing policy for recorded commands and closed loops: a file, or a shipped one.
+        seed: of commands and states.
+        quick: fewer commands, states and starts.
+    """
+    if seed < 0:
+        raise UserError(f"--seed must not be negative, it is {seed}")
+    runs.check_new_run(out)
+    loaded = load_policy(policy, "landing")
+    began = time.monotonic()
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description:18}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=report.TICKS)
+        sections, drawn = report.measure(
+            loaded, seed=seed, quick=quick, tick=lambda text: bar.update(task, advance=1, description=text)
+        )
+        images = {name: _png(figure) for name, figure in drawn.items()}
+    record = report.as_record(
+        sections,
+        policy=str(loaded.path),
+        seed=int(seed),
+        quick=quick,
+        seconds=round(time.monotonic() - began, 1),
+        versions=runs.versions(),
+    )
+    page = report.as_page(sections, images, record)
+    folder = runs.new_run(out)
+    for name, data in images.items():
+        storage.write_bytes(folder / name, data)
+    storage.write_json(folder / "report.json", record)
+    storage.write_text(folder / "report.html", page)
+    failed = [c for s in sections for c in s.claims if not c.passed]
+    for c in failed:
+        print(f"fails: {c.name}: {_measured(c)}, tolerance {c.tolerance}")
+    print(f"{record['claims'] - len(failed)} of {record['claims']} claims hold, {record['seconds']:.0f} s")
+    print(folder / "report.html")
+    return 1 if failed else 0
+
+
+def _measured(claim: Claim) -> str:
+    return f"{number(claim.measured)} {claim.unit}" if math.isfinite(claim.measured) else "not a number"
+
+
+def _png(figure: Figure) -> bytes:
+    file = io.BytesIO()
+    with styled():
+        figure.savefig(file, format="png", dpi=PNG_DPI)
+    return file.getvalue()
