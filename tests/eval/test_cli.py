@@ -109,7 +109,7 @@ BAD = [
     (["success", "{policy}", "--inclination", "nan"], "outside the supported range"),
     (["success", "{policy}", "--thrust-scale", "0"], "--thrust-scale must be above 0"),
     (["success", "{policy}", "--thrust-scale", "nan"], "--thrust-scale must be above 0"),
-    (["success", "{policy}", "--vehicle", "none.toml"], "vehicle file none.toml cannot be read"),
+    (["success", "{policy}", "--vehicle", "none.toml"], "vehicle file none.toml does not exist"),
     (["success", "{policy}", "--out", "{full}"], "exists and is not empty"),
     (["success", "{policy}", "--seed", "-1"], "--seed must not be negative"),
     (["benchmark", "--runs", "{full}"], "is not a finished training run"),
