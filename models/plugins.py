@@ -6,8 +6,11 @@ before compiling a model if entry points may be off. This module imports nothing
 
 import ctypes
 import dataclasses
+import functools
 import json
 import sys
+import tomllib
+from importlib import resources
 from pathlib import Path
 
 NAMES = ("inclined_landing.rotors", "inclined_landing.attitude")
@@ -25,6 +28,16 @@ class PluginStatus:
     library: Path | None  # the shared library, None when it was not built
     built_for: str | None  # MuJoCo version of the build
     defaults: dict  # plugin -> attribute -> default at build time
+
+
+@functools.cache
+def fields() -> dict[str, dict[str, str]]:
+    """Plugin -> attribute -> the field of :class:`Vehicle` that fills it (`plugin/attributes.toml`)."""
+    text = resources.files(__package__).joinpath("plugin/attributes.toml").read_text("utf-8")
+    return {
+        plugin: {name: line["entry"].replace(".", "_") for name, line in lines.items() if "entry" in line}
+        for plugin, lines in tomllib.loads(text).items()
+    }
 
 
 def load() -> None:

@@ -76,44 +76,10 @@ def _fill_vehicle(spec: mujoco.MjSpec, v: Vehicle, torque_limit: bool) -> None:
     body.mass = v.body_mass
     body.ipos = [0, 0, 0]
     body.inertia = v.body_inertia
-    numbers = {
-        "rotors": {
-            "lag_rate": v.thrust_lag_rate,
-            "state_gain": v.thrust_state_gain,
-            "direct_gain": v.thrust_direct_gain,
-            "drag": v.drag_coefficients,
-            "pwm_to_force": v.motor_pwm_to_force,
-            "pwm_to_speed": v.motor_pwm_to_speed,
-            "motors": v.motor_count,
-            "arm": v.rotor_arm,
-            "disc_height": v.rotor_height,
-            "disc_radius": v.rotor_radius,
-            "bias": v.effects_thrust_bias,
-            "fade": v.effects_thrust_fade,
-            "sag": v.effects_battery_sag,
-            "sag_reference": v.effects_battery_reference,
-            "voltage_sensitivity": v.effects_voltage_sensitivity,
-            "voltage_reference": v.effects_voltage_reference,
-            "voltage_open": v.effects_voltage_open,
-            "voltage_drop": v.effects_voltage_drop,
-            "voltage_discharge": v.effects_voltage_discharge,
-            "spin_down": v.effects_spin_down,
-            "body_drag": v.effects_body_drag,
-            "translational_lift": v.effects_translational_lift,
-            "axial_inflow": v.effects_axial_inflow,
-            "ground_effect": v.effects_ground_effect,
-        },
-        "attitude": {
-            "gain": v.attitude_gain,
-            "time_constant": v.attitude_time_constant,
-            "bandwidth": v.attitude_bandwidth,
-            "yaw_bandwidth": v.attitude_yaw_bandwidth,
-            "trim": v.effects_attitude_trim,
-            "yaw_drift": v.effects_yaw_drift,
-        },
-    }
     for plugin in spec.plugins:
-        plugin.config = {key: _text(value) for key, value in numbers[plugin.name].items()}
+        plugin.config = {
+            name: _text(getattr(v, field)) for name, field in plugins.fields()[plugin.name].items()
+        }
     x, y = v.effects_com_offset
     spec.site("thrust").pos = [-x, -y, 0]
     ranges = {

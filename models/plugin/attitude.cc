@@ -2,15 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
+#include <string>
 
+#include "attributes.h"
 #include "config.h"
 
 namespace inclined_landing {
 namespace {
 
 constexpr char kName[] = "inclined_landing.attitude";
-constexpr const char* kAttributes[] = {"gain",          "time_constant", "bandwidth",
-                                       "yaw_bandwidth", "trim",          "yaw_drift"};
 
 // Below this cosine of roll (within 3 deg of 90 deg) the Euler rates are no longer resolved.
 constexpr double kMinCosRoll = 0.05;
@@ -30,7 +31,7 @@ int AxisOf(const mjModel* m, int actuator) {
 }
 
 void Compute(const mjModel* m, mjData* d, int instance) {
-  const AttitudeConfig* config = CachedConfig<AttitudeConfig>(m, instance);
+  const AttitudeAttributes* config = CachedConfig<AttitudeAttributes>(m, instance, kName);
   if (!config) return;
   int actuators[3] = {-1, -1, -1};
   int any = -1;
@@ -145,9 +146,9 @@ bool CheckAxes(const mjModel* m, int instance, std::string* error) {
 }
 
 int Init(const mjModel* m, mjData* d, int instance) {
-  AttitudeConfig config;
+  AttitudeAttributes config;
   std::string error;
-  if (!config.Parse(m, instance, &error) || !CheckActuators(m, instance, kName, 0, &error) ||
+  if (!ReadAttributes(m, instance, kName, config.Table(), &error) || !CheckActuators(m, instance, kName, 0, &error) ||
       !CheckAxes(m, instance, &error)) {
     mju_warning("%s", error.c_str());
     return -1;
@@ -157,35 +158,12 @@ int Init(const mjModel* m, mjData* d, int instance) {
 
 }  // namespace
 
-bool AttitudeConfig::Parse(const mjModel* m, int instance, std::string* error) {
-  struct Attribute {
-    const char* name;
-    double* value;
-    const char* rule;
-  };
-  const Attribute attributes[] = {
-      {"gain", &gain, "greater than 0"},
-      {"time_constant", &time_constant, "greater than 0 (s)"},
-      {"bandwidth", &bandwidth, "greater than 0 (1/s)"},
-      {"yaw_bandwidth", &yaw_bandwidth, "greater than 0 (1/s)"},
-  };
-  for (const Attribute& attribute : attributes) {
-    if (!ReadNumbers(m, instance, kName, attribute.name, 1, attribute.value, error)) return false;
-    if (*attribute.value <= 0) {
-      *error = Refusal(kName, attribute.name, attribute.rule);
-      return false;
-    }
-  }
-  return ReadNumbers(m, instance, kName, "trim", 2, trim, error) &&
-         ReadNumbers(m, instance, kName, "yaw_drift", 1, &yaw_drift, error);
-}
-
 void RegisterAttitude() {
   mjpPlugin plugin;
   mjp_defaultPlugin(&plugin);
   plugin.name = kName;
-  plugin.nattribute = sizeof(kAttributes) / sizeof(kAttributes[0]);
-  plugin.attributes = kAttributes;
+  plugin.nattribute = std::size(AttitudeAttributes::kNames);
+  plugin.attributes = AttitudeAttributes::kNames;
   plugin.capabilityflags = mjPLUGIN_ACTUATOR;
   plugin.nstate = +[](const mjModel*, int) { return 0; };
   plugin.init = &Init;

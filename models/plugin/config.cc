@@ -1,30 +1,53 @@
 #include "config.h"
 
+#include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <locale>
 #include <sstream>
 
 namespace inclined_landing {
 
-bool ReadNumbers(const mjModel* m, int instance, const char* plugin, const char* attribute,
-                 int count, double* values, std::string* error) {
-  const char* text = mj_getPluginConfig(m, instance, attribute);
-  if (text == nullptr || text[0] == '\0') return true;
+namespace {
+
+// Reads finite numbers; false and a sentence in `error` if they are anything else.
+bool ReadNumbers(const char* text, const char* plugin, const Attribute& attribute, std::string* error) {
   std::istringstream stream(text);
   stream.imbue(std::locale::classic());
   std::vector<double> numbers;
   double number;
   while (stream >> number) numbers.push_back(number);
-  bool good = stream.eof() && static_cast<int>(numbers.size()) == count;
+  bool good = stream.eof() && static_cast<int>(numbers.size()) == attribute.count;
   for (double value : numbers) good = good && std::isfinite(value);
   if (!good) {
     std::ostringstream rule;
-    rule << count << (count == 1 ? " finite number" : " finite numbers") << ", it is '" << text
-         << "'";
-    *error = Refusal(plugin, attribute, rule.str().c_str());
+    rule << attribute.count << (attribute.count == 1 ? " finite number" : " finite numbers")
+         << ", it is '" << text << "'";
+    *error = Refusal(plugin, attribute.name, rule.str().c_str());
     return false;
   }
-  for (int i = 0; i < count; ++i) values[i] = numbers[i];
+  std::copy(numbers.begin(), numbers.end(), attribute.numbers);
+  if (attribute.good && !attribute.good(attribute.numbers)) {
+    *error = Refusal(plugin, attribute.name, attribute.rule);
+    return false;
+  }
+  return true;
+}
+
+}  // namespace
+
+bool ReadAttributes(const mjModel* m, int instance, const char* plugin,
+                    const std::vector<Attribute>& table, std::string* error) {
+  for (const Attribute& attribute : table) {
+    const char* text = mj_getPluginConfig(m, instance, attribute.name);
+    if (text == nullptr || text[0] == '\0') continue;
+    if (attribute.names) {
+      std::istringstream stream(text);
+      attribute.names->assign(std::istream_iterator<std::string>(stream), {});
+    } else if (!ReadNumbers(text, plugin, attribute, error)) {
+      return false;
+    }
+  }
   return true;
 }
 

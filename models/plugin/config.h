@@ -7,12 +7,14 @@
 #include <string>
 #include <vector>
 
+#include "attribute.h"
+
 namespace inclined_landing {
 
-// Reads `count` finite numbers of one attribute; an absent attribute leaves `values` as they are.
+// Reads and checks the attributes of a table; absent ones leave their values as they are.
 // On failure returns false and puts a sentence into `error`.
-bool ReadNumbers(const mjModel* m, int instance, const char* plugin, const char* attribute,
-                 int count, double* values, std::string* error);
+bool ReadAttributes(const mjModel* m, int instance, const char* plugin,
+                    const std::vector<Attribute>& table, std::string* error);
 
 // "<plugin>: attribute '<attribute>' must be <rule>".
 std::string Refusal(const char* plugin, const char* attribute, const char* rule);
@@ -33,11 +35,11 @@ inline Text ConfigText(const mjModel* m, int instance) {
 
 // The parsed configuration of an instance, or null if the text is not valid.
 //
-// `Config` needs a default constructor and `bool Parse(const mjModel*, int, std::string* error)`.
+// `Config` needs a default constructor and `std::vector<Attribute> Table()`.
 // Each thread keeps its own few most recent texts. The key is the text itself, never a pointer, so
 // a model that reuses another's memory, or two models in one batch, cannot read a stale value.
 template <typename Config>
-const Config* CachedConfig(const mjModel* m, int instance) {
+const Config* CachedConfig(const mjModel* m, int instance, const char* plugin) {
   struct Entry {
     std::vector<char> text;
     bool valid;
@@ -56,7 +58,7 @@ const Config* CachedConfig(const mjModel* m, int instance) {
   }
   Entry entry{{text.data, text.data + text.size}, false, Config{}};
   std::string error;
-  entry.valid = entry.config.Parse(m, instance, &error);
+  entry.valid = ReadAttributes(m, instance, plugin, entry.config.Table(), &error);
   if (entries.size() < kCapacity) {
     entries.reserve(kCapacity);
     entries.push_back(std::move(entry));

@@ -2,7 +2,7 @@
 
 #include <cmath>
 #include <iterator>
-#include <sstream>
+#include <string>
 
 #include "config.h"
 
@@ -10,14 +10,6 @@ namespace inclined_landing {
 namespace {
 
 constexpr char kName[] = "inclined_landing.rotors";
-constexpr const char* kAttributes[] = {
-    "lag_rate",           "state_gain",        "direct_gain",   "drag",
-    "pwm_to_force",       "pwm_to_speed",      "motors",        "arm",
-    "disc_height",        "disc_radius",       "surfaces",      "bias",
-    "fade",               "sag",               "sag_reference", "voltage_sensitivity",
-    "voltage_reference",  "voltage_open",      "voltage_drop",  "voltage_discharge",
-    "spin_down",          "body_drag",         "translational_lift",
-    "axial_inflow",       "ground_effect"};
 
 // Thrust [N] of one actuator from its activation and its command: what sets the rotors' speed.
 mjtNum ThrustOf(const mjModel* m, const mjData* d, const RotorsConfig& config, int actuator) {
@@ -99,7 +91,7 @@ mjtNum GroundEffect(const mjModel* m, const mjData* d, const RotorsConfig& confi
 }
 
 void ActDot(const mjModel* m, mjData* d, int instance) {
-  const RotorsConfig* config = CachedConfig<RotorsConfig>(m, instance);
+  const RotorsConfig* config = CachedConfig<RotorsConfig>(m, instance, kName);
   if (!config) return;
   for (int i = 0; i < m->nactuator; ++i) {
     if (m->actuator_plugin[i] != instance) continue;
@@ -178,7 +170,7 @@ bool CheckSurfaces(const mjModel* m, const RotorsConfig& config, std::string* er
 int Init(const mjModel* m, mjData* d, int instance) {
   RotorsConfig config;
   std::string error;
-  if (!config.Parse(m, instance, &error) || !CheckActuators(m, instance, kName, 1, &error) ||
+  if (!ReadAttributes(m, instance, kName, config.Table(), &error) || !CheckActuators(m, instance, kName, 1, &error) ||
       !CheckSurfaces(m, config, &error)) {
     mju_warning("%s", error.c_str());
     return -1;
@@ -187,56 +179,6 @@ int Init(const mjModel* m, mjData* d, int instance) {
 }
 
 }  // namespace
-
-bool RotorsConfig::Parse(const mjModel* m, int instance, std::string* error) {
-  const auto read = [&](const char* attribute, int count, double* values) {
-    return ReadNumbers(m, instance, kName, attribute, count, values, error);
-  };
-  if (!read("lag_rate", 1, &lag_rate) || !read("state_gain", 1, &state_gain) ||
-      !read("direct_gain", 1, &direct_gain) || !read("drag", 3, drag) ||
-      !read("pwm_to_force", 3, pwm_to_force) || !read("pwm_to_speed", 2, pwm_to_speed) ||
-      !read("motors", 1, &motors) || !read("arm", 1, &arm) ||
-      !read("disc_height", 1, &disc_height) || !read("disc_radius", 1, &disc_radius) ||
-      !read("bias", 1, &bias) || !read("fade", 1, &fade) || !read("sag", 1, &sag) ||
-      !read("sag_reference", 1, &sag_reference) ||
-      !read("voltage_sensitivity", 1, &voltage_sensitivity) ||
-      !read("voltage_reference", 1, &voltage_reference) ||
-      !read("voltage_open", 1, &voltage_open) || !read("voltage_drop", 1, &voltage_drop) ||
-      !read("voltage_discharge", 1, &voltage_discharge) || !read("spin_down", 1, &spin_down) ||
-      !read("body_drag", 1, &body_drag) || !read("translational_lift", 1, &translational_lift) ||
-      !read("axial_inflow", 1, &axial_inflow) || !read("ground_effect", 1, &ground_effect)) {
-    return false;
-  }
-  const char* names = mj_getPluginConfig(m, instance, "surfaces");
-  if (names != nullptr && names[0] != '\0') {
-    std::istringstream stream(names);
-    surfaces.assign(std::istream_iterator<std::string>(stream), {});
-  }
-  const auto refuse = [&](const char* attribute, const char* rule) {
-    *error = Refusal(kName, attribute, rule);
-    return false;
-  };
-  if (lag_rate <= 0) return refuse("lag_rate", "greater than 0 (1/s)");
-  if (state_gain < 0) return refuse("state_gain", "at least 0 (N/(PWM s))");
-  if (direct_gain < 0) return refuse("direct_gain", "at least 0 (N/PWM)");
-  if (drag[0] > 0 || drag[1] > 0 || drag[2] > 0) {
-    return refuse("drag", "three numbers at most 0 (kg/rad): drag opposes the motion");
-  }
-  if (pwm_to_force[0] < 0 || pwm_to_force[1] <= 0 || pwm_to_force[2] < 0) {
-    return refuse("pwm_to_force", "quadratic >= 0, linear > 0, constant >= 0 (N/PWM2, N/PWM, N)");
-  }
-  if (pwm_to_speed[0] < 0 || pwm_to_speed[1] < 0) {
-    return refuse("pwm_to_speed", "two numbers at least 0 (rad/s/PWM, rad/s)");
-  }
-  if (motors < 1 || motors != std::floor(motors)) {
-    return refuse("motors", "a whole number of at least 1");
-  }
-  if (disc_radius <= 0) return refuse("disc_radius", "greater than 0 (m)");
-  if (sag_reference == 0) return refuse("sag_reference", "other than 0 (PWM)");
-  if (spin_down <= -1) return refuse("spin_down", "greater than -1");
-  if (body_drag < 0) return refuse("body_drag", "at least 0 (kg/m)");
-  return true;
-}
 
 double RotorsConfig::SpeedSum(double thrust) const {
   const double force = thrust / motors;
@@ -254,15 +196,15 @@ void RegisterRotors() {
   mjpPlugin plugin;
   mjp_defaultPlugin(&plugin);
   plugin.name = kName;
-  plugin.nattribute = sizeof(kAttributes) / sizeof(kAttributes[0]);
-  plugin.attributes = kAttributes;
+  plugin.nattribute = std::size(RotorsConfig::kNames);
+  plugin.attributes = RotorsConfig::kNames;
   plugin.capabilityflags = mjPLUGIN_ACTUATOR | mjPLUGIN_PASSIVE;
   plugin.nstate = +[](const mjModel*, int) { return 0; };
   plugin.init = &Init;
   plugin.reset = +[](const mjModel*, mjtNum*, void*, int) {};
   plugin.actuator_act_dot = &ActDot;
   plugin.compute = +[](const mjModel* m, mjData* d, int instance, int capability) {
-    const RotorsConfig* config = CachedConfig<RotorsConfig>(m, instance);
+    const RotorsConfig* config = CachedConfig<RotorsConfig>(m, instance, kName);
     if (!config) return;
     if (capability == mjPLUGIN_ACTUATOR) ComputeThrust(m, d, *config, instance);
     if (capability == mjPLUGIN_PASSIVE) ComputePassive(m, d, *config, instance);

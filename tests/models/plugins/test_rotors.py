@@ -185,7 +185,7 @@ def test_hook_drag_change(build):
         ("drag", "-1 -1", "3 finite numbers"),
         ("drag", "-1 -1 1", "at most 0"),
         ("pwm_to_force", "1 2", "3 finite numbers"),
-        ("pwm_to_force", "1e-11 0 0", "linear > 0"),
+        ("pwm_to_force", "1e-11 0 0", "at least 0, greater than 0, at least 0"),
         ("pwm_to_speed", "1", "2 finite numbers"),
         ("pwm_to_speed", "-1 1", "at least 0"),
         ("motors", "2.5", "a whole number"),
