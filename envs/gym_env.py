@@ -20,6 +20,7 @@ import inspect
 import sys
 import typing
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -36,7 +37,7 @@ from inclined_landing.models.plants import PLANTS, make_plant
 
 _HISTORY = "\nVersion history: v0.\n"
 _RESET = ("state", "reset_mask")  # options of the vector environment's reset
-_METADATA = {"render_modes": ["rgb_array"], "render_fps": 50}
+_METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}
 
 
 MOST_VEHICLES = 100_000  # of one environment
@@ -67,7 +68,7 @@ def _batch(task: str, n: int, plant: str, plant_options, vehicle, options) -> Ba
     return BatchEnv(built, make_plant(plant, n, vehicle, **(plant_options or {})))
 
 
-def _check_options(given: dict, kind: type, what: str) -> None:
+def _check_options(given: dict, kind: Any, what: str) -> None:
     """Raise UserError for an option that the constructor of `kind` lacks, or that is of another type."""
     parameters = inspect.signature(kind).parameters.values()
     known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
@@ -142,7 +143,7 @@ class TaskEnv(gym.Env):
         self.render_mode = render_mode
         self._picture = {"width": width, "height": height, "camera": camera}
         self._backend = render_backend
-        self._renderer = None
+        self._renderer: Any = None
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """(observation, info) of a new episode, at random or from `options["state"]`."""

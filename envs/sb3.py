@@ -31,7 +31,7 @@ class BatchVecEnv(VecEnv):
         self.info_terms = info_terms
         self.render_mode = None
         self._began = time.monotonic()
-        self._actions = None
+        self._actions: np.ndarray | None = None
         super().__init__(env.n, observation_space(env.task), action_space(env.task))
 
     def seed(self, seed: int | None = None):

@@ -161,7 +161,7 @@ class InclinedLanding(Task):
         positions = np.zeros((k, 3))
         todo = np.arange(k)
         for _ in range(1000):
-            positions[np.ix_(todo, [0, 2])] = rng.uniform(low, high, (len(todo), 2))
+            positions[todo, ::2] = rng.uniform(low, high, (len(todo), 2))
             start = self._start(hover_states(positions[todo], v), present[todo])
             todo = todo[self.start_clearance(start) < START_CLEARANCE]
             if not len(todo):

@@ -38,6 +38,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -120,8 +121,8 @@ class InclinedTouchdown(InclinedLanding):
         self.options["observe_contact"] = self.observe_contact
         self.conditions = Conditions()
         if self.observe_contact:
-            self.observation_names = (*self.observation_names, "feet")
-            self.observation_scale = np.append(self.observation_scale, 1.0)
+            self.observation_names = (*InclinedLanding.observation_names, "feet")
+            self.observation_scale = np.append(InclinedLanding.observation_scale, 1.0)
         feet = self._shapes.parts == geometry.PARTS.index("feet")
         self._rest_height = float((self._shapes.radii - self._shapes.centres[:, 2])[feet].max())  # m
         self._weight = self.vehicle.body_mass * self.vehicle.environment_gravity
@@ -160,7 +161,7 @@ class InclinedTouchdown(InclinedLanding):
         if c.close > 0.0:
             close = (rng.random(k) < c.close) & start.present
             start.state[close] = self._close(rng, start.inclination[close])
-        contact = {}
+        contact: dict[str, Any] = {}
         if c.friction is not None:
             contact["friction"] = rng.uniform(*c.friction, k)
         if c.restitution is not None:
