@@ -40,21 +40,31 @@ _MANY = Range(1, 10**9)
 _INTERVAL = Range(0, 10**9)
 
 
+def _by_task(text: str, name: str):
+    """Help of an option that is the task's to fill in: a text, and what the tasks say."""
+    said = [(task.name, getattr(task.training, name)) for task in TASKS.values()]
+    defaults = ", ".join(f"{task} {value}" for task, value in said if value is not None)
+    return tyro.conf.arg(help=f"{text}.", help_behavior_hint=f"(default: {defaults})")
+
+
+_CURRICULA = "; ".join(f"{name}: {', '.join(task.curricula)}" for name, task in TASKS.items())
+
+
 @dataclasses.dataclass
 class TrainConfig:
     """Train a policy with Stable-Baselines3 PPO; everything lands in one run folder."""
 
-    task: tyro.conf.Positional[str] = "landing"
-    """landing, setpoint or touchdown."""
+    task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(help=f"{', '.join(TASKS)}.")] = "landing"
     out: Path | None = None
     """Run folder (default: runs/TASK-seed)."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Of the policy, the starts and the minibatches; periodic evaluation uses starts of its own."""
-    steps: Annotated[int | None, _MANY] = None
-    """Environment steps, fixed beforehand (default: 1 200 000 landing, 1 000 000 setpoint,
-    1 500 000 touchdown)."""
-    start_from: Annotated[str | None, tyro.conf.arg(name="from", metavar="POLICY")] = None
-    """touchdown: the landing policy to go on from, a file or a shipped one (default: landing)."""
+    steps: Annotated[int | None, _MANY, _by_task("Environment steps, fixed beforehand", "steps")] = None
+    start_from: Annotated[
+        str | None,
+        tyro.conf.arg(name="from", metavar="POLICY"),
+        _by_task("The policy to go on from, a file or a shipped one", "start_from"),
+    ] = None
     vehicle: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Vehicle file (TOML), where it differs from the shipped one; the run keeps a copy."""
     max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
@@ -66,18 +76,20 @@ class TrainConfig:
 
     plant: str = "mujoco"
     """mujoco or analytic."""
-    integrator: str | None = None
-    """Of the MuJoCo plant while training, 4 ms steps (default: implicitfast, touchdown RK4, in which
-    springy contact comes to rest); evaluation always uses RK4."""
-    keep_out: Annotated[float | None, Range(0, 1)] = None
-    """Sensor-only zone around the platform that counts as obstacle while training [m] (default: 0.04,
-    touchdown 0)."""
+    integrator: Annotated[
+        str | None, _by_task("Of the MuJoCo plant in training, 4 ms steps; evaluation uses RK4", "integrator")
+    ] = None
+    keep_out: Annotated[
+        float | None,
+        Range(0, 1),
+        _by_task("Sensor-only zone around the platform that is an obstacle in training, m", "keep_out"),
+    ] = None
     threads: Annotated[int, Range(0, 1024)] = 0
     """Physics threads (0: all cores)."""
 
-    curriculum: str | None = None
-    """landing: adaptive (default), paper or none; setpoint: effort (default) or none; touchdown:
-    touchdown."""
+    curriculum: Annotated[
+        str | None, _by_task(f"What eases the task at first; {_CURRICULA}", "curriculum")
+    ] = None
     pwm_centre: str = "hover"
     """PWM at action 0: hover (of the equations) or paper (42 000)."""
 
@@ -87,16 +99,22 @@ class TrainConfig:
     """Steps of each vehicle between updates."""
     batch_size: Annotated[int, Range(2, 10**9)] = 512
     """Samples in a minibatch, at most a whole rollout of all vehicles."""
-    epochs: Annotated[int | None, Range(1, 1000)] = None
-    """Passes over each rollout (default: 5, setpoint 8)."""
-    learning_rate: Annotated[float | None, Range(0, 1, open=True)] = None
-    """Initial; the curriculum says when it falls (default: 1e-3, touchdown 4e-4)."""
-    gamma: Annotated[float | None, Range(0, 1, open=True)] = None
-    """Discount (default: 0.99, setpoint 0.97); the paper's curriculum sets its own."""
+    epochs: Annotated[int | None, Range(1, 1000), _by_task("Passes over each rollout", "epochs")] = None
+    learning_rate: Annotated[
+        float | None,
+        Range(0, 1, open=True),
+        _by_task("Initial; the curriculum says when it falls", "learning_rate"),
+    ] = None
+    gamma: Annotated[
+        float | None,
+        Range(0, 1, open=True),
+        _by_task("Discount; the paper's curriculum sets its own", "gamma"),
+    ] = None
     gae_lambda: Annotated[float, Range(0, 1)] = 0.95
     """Of the advantage estimate."""
-    log_std_init: Annotated[float | None, Range(-10, 2)] = None
-    """Logarithm of the initial exploration noise (default: -0.4, touchdown -1.2)."""
+    log_std_init: Annotated[
+        float | None, Range(-10, 2), _by_task("Logarithm of the initial exploration noise", "log_std_init")
+    ] = None
     entropy: Annotated[float, Range(0, 1)] = 0.0
     """Entropy bonus."""
     reward_scale: Annotated[float, Range(0, 1000, open=True)] = 0.1
