@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+from matplotlib.figure import Figure
 from rich.console import Console
 
 from inclined_landing.eval.base import runs
@@ -15,21 +18,13 @@ from inclined_landing.eval.base.options import Folder, VehicleFile
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap.flights.reading import read_flights
 from inclined_landing.eval.proof.gap_real import attitude, figures, halves, pads, tables, thrust
-from inclined_landing.eval.proof.gap_real.halves import Study
+from inclined_landing.eval.proof.gap_real.halves import Fleet
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 MOTORS = Path(__file__).with_name("nanobench_motors.toml")
-# Flights of one day are one vehicle as it was: on the second day of utias_fmpc it hovers at 7 % less PWM and
-# the motion capture holds another pitch for level.
-FLEETS = {
-    "utias_day1": ("utias_fmpc", "utias_20250421_*.csv.gz", None),
-    "utias_all": ("utias_fmpc", "utias_*.csv.gz", None),
-    "nanobench": ("nanobench", "nb_*.csv.gz", None),
-    "nanobench_motors": ("nanobench", "nb_*.csv.gz", str(MOTORS)),
-}
-OTHER = {"attitude": "utias_fmpc", "utias_given": "utias_fmpc", "thrust": "nanobench"}
+_DAY1, _UTIAS, _NANOBENCH = "utias_20250421_*.csv.gz", "utias_*.csv.gz", "nb_*.csv.gz"
 # What single fits of the first day suggest (part `attitude`): start values of a fit without search.
 GIVEN = {
     "thrust_scale": {"scale": 0.8},
@@ -41,6 +36,10 @@ GIVEN = {
     "rotor_drag": {"scale": 1.5},
     "thrust_delay": {"delay": 0.04},
 }
+
+
+# What a part of the study gives: what real.json holds, a figure if any, tables in Markdown.
+Part = tuple[object, Figure | None, str]
 
 
 def command(
@@ -59,12 +58,11 @@ def command(
             crazypad, arp_sysid.
         vehicle: vehicle file (TOML), where the model differs from the shipped one.
     """
-    parts = [*FLEETS, "utias_given", "attitude", "thrust", "crazypad", "arp_sysid"]
     for name in only:
-        if name not in parts:
-            raise UserError(f"unknown part {name!r}; known are {', '.join(parts)}")
-    for name in only or parts:
-        folder = FLEETS[name][0] if name in FLEETS else OTHER.get(name, name)
+        if name not in PARTS:
+            raise UserError(f"unknown part {name!r}; known are {', '.join(PARTS)}")
+    chosen = {name: PARTS[name] for name in only or PARTS}
+    for folder, _ in chosen.values():
         if not (data / folder).is_dir():
             raise UserError(f"{data / folder} is missing; {data} should hold the four data sets")
     runs.check_new_run(out)
@@ -72,56 +70,79 @@ def command(
     console = Console(stderr=True)
     began = time.monotonic()
     results, pictures, text = {}, {}, []
-
-    def source(fleet: str):
-        folder, pattern, mapping = FLEETS[fleet]
-        return data / folder, pattern, mapping
-
-    for name in only or parts:
+    for name, (folder, study) in chosen.items():
         console.print(f"{time.monotonic() - began:5.0f} s  {name}")
-        if name in FLEETS:
-            study = Study.of(name, flights(*source(name)), nominal)
-            results[name] = _plain(study)
-            with styled():
-                pictures[name] = figures.study(study)
-            text.append(tables.study(study))
-        elif name == "utias_given":
-            logs = flights(*source("utias_day1"))
-            gap, rows = halves.judged(logs, nominal, GIVEN), halves.stability(logs, nominal, GIVEN)
-            results[name] = {"gap": dataclasses.asdict(gap), "stability": _stability(rows)}
-            text.append(tables.given(gap, rows))
-        elif name == "attitude":
-            logs = flights(data / "utias_fmpc", "utias_*.csv.gz")
-            found = [loop for log in logs for loop in attitude.loops(log, nominal)]
-            tilts = [attitude.tilt(log, nominal) for log in logs]
-            results[name] = {
-                "loops": [dataclasses.asdict(loop) for loop in found],
-                "tilts": [dataclasses.asdict(t) for t in tilts],
-            }
-            text.append(tables.loops(found, tilts, nominal))
-        elif name == "thrust":
-            law = thrust.law(flights(data / "nanobench", "nb_*.csv.gz", str(MOTORS)), nominal)
-            results[name] = dataclasses.asdict(law) | {"samples": len(law.samples), "near": _rows(law.near)}
-            with styled():
-                pictures[name] = figures.thrust(law)
-            text.append(tables.law(law))
-        elif name == "crazypad":
-            table, slopes = pads.compare(data / name, nominal)
-            results[name] = {"conditions": _rows(table), "per_volt": slopes}
-            with styled():
-                pictures[name] = figures.pads(table)
-            text.append(tables.pads(table, slopes))
-        else:
-            lags = [thrust.motor_lag(path) for path in sorted((data / name).glob("arp_*.csv.gz"))]
-            results[name] = [dataclasses.asdict(lag) for lag in lags]
-            text.append(tables.lags(lags, nominal))
+        with styled():
+            results[name], pictures[name], tables_of_it = study(data / folder, nominal)
+        text.append(tables_of_it)
     results["run"] = {"data": str(data), "seconds": time.monotonic() - began, "versions": runs.versions()}
     with runs.staged_run(out) as folder:
         storage.write_json(folder / "real.json", results)
         storage.write_text(folder / "tables.md", "\n".join(text))
         for name, picture in pictures.items():
-            save_figure(picture, folder / f"{name}.png")
+            if picture is not None:
+                save_figure(picture, folder / f"{name}.png")
     print("\n".join(text))
+
+
+def _fleet(name: str, pattern: str, mapping: str | None, folder: Path, nominal: Vehicle) -> Part:
+    fleet = Fleet.of(name, flights(folder, pattern, mapping), nominal)
+    plain = {
+        "all": fleet.diagnosis.to_json(),
+        "first_halves": fleet.first.to_json(),
+        "second_halves": fleet.second.to_json(),
+        "stability": _stability(fleet.stability),
+    }
+    return plain, figures.fleet(fleet), tables.fleet(fleet)
+
+
+def _given(folder: Path, nominal: Vehicle) -> Part:
+    logs = flights(folder, _DAY1)
+    gap, rows = halves.judged(logs, nominal, GIVEN), halves.stability(logs, nominal, GIVEN)
+    return {"gap": dataclasses.asdict(gap), "stability": _stability(rows)}, None, tables.given(gap, rows)
+
+
+def _attitude(folder: Path, nominal: Vehicle) -> Part:
+    logs = flights(folder, _UTIAS)
+    found = [loop for log in logs for loop in attitude.loops(log, nominal)]
+    tilts = [attitude.tilt(log, nominal) for log in logs]
+    plain = {"loops": list(map(dataclasses.asdict, found)), "tilts": list(map(dataclasses.asdict, tilts))}
+    return plain, None, tables.loops(found, tilts, nominal)
+
+
+def _thrust(folder: Path, nominal: Vehicle) -> Part:
+    law = thrust.law(flights(folder, _NANOBENCH, str(MOTORS)), nominal)
+    plain = dataclasses.asdict(law) | {"samples": len(law.samples), "near": law.near.to_dict("records")}
+    return plain, figures.thrust(law), tables.law(law)
+
+
+def _pads(folder: Path, nominal: Vehicle) -> Part:
+    table, slopes = pads.compare(folder, nominal)
+    plain = {"conditions": table.to_dict("records"), "per_volt": slopes}
+    return plain, figures.pads(table), tables.pads(table, slopes)
+
+
+def _lags(folder: Path, nominal: Vehicle) -> Part:
+    lags = [thrust.motor_lag(path) for path in sorted(folder.glob("arp_*.csv.gz"))]
+    return list(map(dataclasses.asdict, lags)), None, tables.lags(lags, nominal)
+
+
+# Part -> folder of its data set, and what is done with it. Flights of one day are one vehicle as it was: on
+# the second day of utias_fmpc it hovers at 7 % less PWM and the motion capture holds another pitch for level.
+PARTS: dict[str, tuple[str, Callable[[Path, Vehicle], Part]]] = {
+    "utias_day1": ("utias_fmpc", functools.partial(_fleet, "utias_day1", _DAY1, None)),
+    "utias_all": ("utias_fmpc", functools.partial(_fleet, "utias_all", _UTIAS, None)),
+    "nanobench": ("nanobench", functools.partial(_fleet, "nanobench", _NANOBENCH, None)),
+    "nanobench_motors": (
+        "nanobench",
+        functools.partial(_fleet, "nanobench_motors", _NANOBENCH, str(MOTORS)),
+    ),
+    "utias_given": ("utias_fmpc", _given),
+    "attitude": ("utias_fmpc", _attitude),
+    "thrust": ("nanobench", _thrust),
+    "crazypad": ("crazypad", _pads),
+    "arp_sysid": ("arp_sysid", _lags),
+}
 
 
 def flights(folder: Path, pattern: str, mapping: str | None = None):
@@ -132,18 +153,5 @@ def flights(folder: Path, pattern: str, mapping: str | None = None):
     return read_flights(files, mapping=mapping)[0]
 
 
-def _plain(study: Study) -> dict:
-    return {
-        "all": study.diagnosis.to_json(),
-        "first_halves": study.first.to_json(),
-        "second_halves": study.second.to_json(),
-        "stability": _stability(study.stability),
-    }
-
-
 def _stability(rows) -> list[dict]:
     return [dataclasses.asdict(row) | {"apart": row.apart, "change": row.change} for row in rows]
-
-
-def _rows(table) -> list[dict]:
-    return table.to_dict("records")

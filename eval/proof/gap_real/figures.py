@@ -7,14 +7,15 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE
-from inclined_landing.eval.proof.gap_real.halves import Stability, Study
+from inclined_landing.eval.proof.gap_real.halves import Fleet, Stability
 from inclined_landing.eval.proof.gap_real.pads import NORMAL
 from inclined_landing.eval.proof.gap_real.thrust import REFERENCE_PWM, REFERENCE_VOLTAGE, Law
+from inclined_landing.models.effects import LIBRARY
 
 STEPS = (PURPLE, BLUE, "#56b4e9", "#8a8f98", "#c9b458", MUTED, "#7a5c3e")
 
 
-def study(s: Study) -> Figure:
+def fleet(s: Fleet) -> Figure:
     """Error against horizon as effects are added, and every parameter of both halves."""
     figure = Figure(figsize=(9.6, 3.5), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
@@ -23,7 +24,7 @@ def study(s: Study) -> Figure:
     return figure
 
 
-def draw_horizon(axes, s: Study) -> None:
+def draw_horizon(axes, s: Fleet) -> None:
     curves = s.diagnosis.horizon
     last = len(curves) - 1
     for k, curve in enumerate(curves):
@@ -40,7 +41,7 @@ def draw_horizon(axes, s: Study) -> None:
 
 def draw_stability(axes, rows: list[Stability]) -> None:
     """Distances from neutral in units of the effect's largest, fitted to all flights (grey)."""
-    rows = [row for row in rows if row.parameter != "reference"]  # has no size of its own
+    rows = [row for row in rows if not LIBRARY[row.effect].parameter(row.parameter).is_reference]
     sizes: dict[str, float] = {}
     for row in rows:
         sizes[row.effect] = max(sizes.get(row.effect, 0.0), abs(row.all[0] - row.neutral))

@@ -90,7 +90,7 @@ def _fit(logs, vehicle: Vehicle, values) -> dict[tuple[str, str], tuple[float, f
 
 
 @dataclasses.dataclass(frozen=True)
-class Study:
+class Fleet:
     """A fleet diagnosed as a whole (each flight judged with the others fitted) and by halves."""
 
     title: str
@@ -100,11 +100,11 @@ class Study:
     stability: list[Stability]
 
     @staticmethod
-    def of(title: str, logs: Sequence[FlightLog], vehicle: Vehicle) -> Study:
+    def of(title: str, logs: Sequence[FlightLog], vehicle: Vehicle) -> Fleet:
         """Raises UserError when no flight can be used."""
         whole = diagnose(logs, vehicle, plants=("analytic", "mujoco"))
         a, b = halves(logs)
-        return Study(
+        return Fleet(
             title,
             whole,
             diagnose(a, vehicle, heldout=b, curves=False),

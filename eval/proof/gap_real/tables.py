@@ -8,12 +8,12 @@ import pandas as pd
 
 from inclined_landing.eval.gap.result import Diagnosis, PlantGap
 from inclined_landing.eval.proof.gap_real.attitude import Loop, Tilt
-from inclined_landing.eval.proof.gap_real.halves import Stability, Study
+from inclined_landing.eval.proof.gap_real.halves import Fleet, Stability
 from inclined_landing.eval.proof.gap_real.thrust import Lag, Law
 from inclined_landing.models.parameters import Vehicle
 
 
-def study(s: Study) -> str:
+def fleet(s: Fleet) -> str:
     """What was named, how much of the gap closed, and how stable it is."""
     d = s.diagnosis
     lines = [f"## {s.title}", "", f"{len(d.flights)} flights, verdict `{d.verdict}`.", ""]
