@@ -79,14 +79,14 @@ def diagnose(
     touched = _touched(flights, heldout, vehicle, corrected, library, notes)
     if touched.landed:
         clock("touchdown")
-    gap: dict[str, PlantGap] = {}
-    horizon, windows = (), ()
     starts = _starts(test, notes)
+    gap: dict[str, PlantGap] = {}
+    curves_drawn: dict = {"horizon": (), "windows": ()}
     if starts is not None and (curves or plants):
         floor = rollout.noise_floor(starts, corrected)
         if curves:
             horizon = _horizon(problem, starts, found, after, floor)
-            windows = _window_curves(starts, vehicle, corrected)
+            curves_drawn = {"horizon": horizon, "windows": _window_curves(starts, vehicle, corrected)}
         clock("show")
         for plant in plants:
             gap[plant] = rollout.plant_gap(starts, vehicle, corrected if judged else after, plant, floor)
@@ -107,8 +107,7 @@ def diagnose(
         manoeuvres=tuple(ties),
         where=where + touched.where,
         steps=(*found.steps, *touched.steps),
-        horizon=horizon,
-        windows=windows,
+        **curves_drawn,
         remainder=left,
         gap=gap,
         flights=tuple(f.name for f in fitted),

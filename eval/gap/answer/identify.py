@@ -17,7 +17,7 @@ from scipy import stats
 
 from inclined_landing.eval.gap.flights.windows import Measured, prepare_all
 from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.fit import Fit, left_out_vehicles, refit, spread_between
+from inclined_landing.eval.gap.search.fit import Fitted, left_out_vehicles, refit, spread_between
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
@@ -136,13 +136,13 @@ def identify(
     )
 
 
-def _fit(flights: list[Measured], base: Vehicle) -> tuple[Problem, Fit]:
+def _fit(flights: list[Measured], base: Vehicle) -> tuple[Problem, Fitted]:
     """All of EFFECTS together, from the best start."""
     problem = Problem(flights, base, LIBRARY)
     return problem, _best(problem, EFFECTS)
 
 
-def _best(problem: Problem, names: Sequence[str]) -> Fit:
+def _best(problem: Problem, names: Sequence[str]) -> Fitted:
     """The best fit from neutral and from the starts of pairs, from one to the other of which it is uphill."""
     values = {name: {} for name in names}
     fits = [refit(problem, values, np.ones(6), iterations=15)]
@@ -152,7 +152,7 @@ def _best(problem: Problem, names: Sequence[str]) -> Fit:
     return min(fits, key=lambda fit: fit.squares)
 
 
-def _without_unseen(problem: Problem, fit: Fit, notes: list[str]) -> Fit:
+def _without_unseen(problem: Problem, fit: Fitted, notes: list[str]) -> Fitted:
     """Leave out, one by one, effects that the flights do not excite enough to be told."""
     while fit.values:
         covariance = fit.weighted.covariance(fit.index)
@@ -195,7 +195,7 @@ def _compared(flights: list[Measured], before: Vehicle, after: Sequence[Vehicle]
     return {c: tuple(np.concatenate(x) for x in zip(*rows)) for c, rows in parts.items()}
 
 
-def _parameters(problem: Problem, fit: Fit, before: Vehicle) -> tuple[Identified, ...]:
+def _parameters(problem: Problem, fit: Fitted, before: Vehicle) -> tuple[Identified, ...]:
     covariance = fit.weighted.covariance(fit.index)
     change, error = fit.weighted.per_flight(fit.index)
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))

@@ -82,19 +82,13 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False, window:
     platform: the slab of the vehicle file stands there (for the ground effect); else the floor only.
     Raises UserError, naming the flight, when there is too little to use.
     """
-    missing = [n for n in log.missing if n != "cmd_yaw_rate" and n != "yaw"]
+    missing = [n for n in log.missing if n not in ("cmd_yaw_rate", "yaw")]
     if missing:
-        raise UserError(
-            f"{log.name}: {', '.join(missing)} not logged; the gap workflow needs pose and commands"
-        )
-    step = np.diff(log.t)
-    dt = float(np.median(step))
-    uneven = np.abs(step - dt).max() > 0.02 * dt
-    gap_ends = log.t[log.gap_starts + 1]
-    gaps = np.stack([log.t[log.gap_starts], gap_ends], axis=1)
-    if uneven or 1.0 / dt > 1.05 * RATE:
-        log = log.resampled(min(RATE, round(1.0 / dt, 3)))
-        dt = float(np.median(np.diff(log.t)))
+        lacking = ", ".join(missing)
+        raise UserError(f"{log.name}: {lacking} not logged; the gap workflow needs pose and commands")
+    gaps = np.stack([log.t[log.gap_starts], log.t[log.gap_starts + 1]], axis=1)
+    log = _evenly(log)
+    dt = float(np.median(np.diff(log.t)))
     m = len(log.t)
     t = log.t - log.t[0]
     half = max(2, round(SMOOTHING / dt))
@@ -117,8 +111,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False, window:
     ambient = np.zeros((m - 1, AMBIENT_SIZE))
     ambient[:, 0] = 0.5 * (t[1:] + t[:-1])
     ambient[:, 1] = np.nan if log.voltage is None else 0.5 * (log.voltage[1:] + log.voltage[:-1])
-    ambient[:, 2] = vehicle.platform_inclination
-    ambient[:, 3] = float(platform)
+    ambient[:, 2:] = vehicle.platform_inclination, float(platform)
     usable = flying(log, vehicle)
     usable[t < SETTLING] = False
     for start, stop in gaps:
@@ -129,6 +122,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False, window:
             f"{log.name}: no window of {window:g} s in free flight; nothing of it can be used "
             f"({100 * usable.mean():.0f} % of its rows are in flight)"
         )
+    sensed = _acceleration_noise(noise, attitude[usable], vehicle)
     flight = Measured(
         name=log.name,
         dt=dt,
@@ -148,13 +142,20 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False, window:
         starts=starts,
         rows=rows,
         regimes=np.zeros((len(starts), len(REGIMES)), bool),
-        whitening=Whitening.of(
-            rows, dt, noise, _acceleration_noise(noise, attitude[usable], vehicle), vehicle
-        ),
+        whitening=Whitening.of(rows, dt, noise, sensed, vehicle),
         usable=usable,
     )
     flight.regimes = _regimes(flight, vehicle, platform)
     return flight
+
+
+def _evenly(log: FlightLog) -> FlightLog:
+    """The log on an even grid of at most RATE."""
+    step = np.diff(log.t)
+    dt = float(np.median(step))
+    if np.abs(step - dt).max() > 0.02 * dt or 1.0 / dt > 1.05 * RATE:
+        return log.resampled(min(RATE, round(1.0 / dt, 3)))
+    return log
 
 
 def prepare_all(

@@ -188,8 +188,8 @@ def _untold(channel: str, least: float, flights: Sequence[Measured]) -> str:
 
 
 @dataclasses.dataclass
-class Linear:
-    """Gram matrices a (w, 6, P, P), b (w, 6, P), squared errors c (w, 6) of white window errors."""
+class _Grams:
+    """Gram matrices a (..., P, P), b (..., P), squares c (...) of errors and slopes along columns."""
 
     columns: tuple[Column, ...]
     a: np.ndarray
@@ -199,7 +199,11 @@ class Linear:
 
     def index(self, names: Sequence[str]) -> np.ndarray:
         """Positions of the columns of the effects `names`."""
-        return _index(self.columns, names)
+        return np.array([k for k, column in enumerate(self.columns) if column.effect in names], int)
+
+
+class Linear(_Grams):
+    """Of the white errors of every window and channel, (w, 6)."""
 
     def inflation(self) -> np.ndarray:
         """(6,) squared error per degree of freedom that the whole library leaves, at least 1."""
@@ -238,23 +242,13 @@ class Linear:
 
 
 @dataclasses.dataclass
-class Weighted:
-    """As `Linear` with the channels summed: a (w, P, P), b (w, P), c (w,)."""
-
-    columns: tuple[Column, ...]
-    a: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
-    problem: Problem
+class Weighted(_Grams):
+    """The same with the channels summed, (w,)."""
 
     def __post_init__(self):
         g = self.problem.group_of
         self.group_a = np.stack([self.a[g == k].sum(axis=0) for k in range(self.problem.groups)])
         self.group_b = np.stack([self.b[g == k].sum(axis=0) for k in range(self.problem.groups)])
-
-    def index(self, names: Sequence[str]) -> np.ndarray:
-        """Positions of the columns of the effects `names`."""
-        return _index(self.columns, names)
 
     def fit(self, index: np.ndarray) -> np.ndarray:
         """(k,) change of the columns `index` that fits all windows best."""
@@ -312,27 +306,25 @@ class Weighted:
         return clustered * np.outer(scale, scale)
 
 
-def _index(columns: Sequence[Column], names: Sequence[str]) -> np.ndarray:
-    return np.array([k for k, column in enumerate(columns) if column.effect in names], int)
-
-
 def solve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Solution of a x = b for a positive semidefinite matrix, columns without any effect left at zero."""
-    scale = np.sqrt(np.diag(a))
-    live = scale > 0.0
+    live, s, scaled = _scaled(a)
     x = np.zeros_like(b)
-    s = scale[live]
-    scaled = a[np.ix_(live, live)] / np.outer(s, s) + _RIDGE * np.eye(int(live.sum()))
     x[live] = np.linalg.solve(scaled, b[live] / s) / s
     return x
 
 
 def invert(a: np.ndarray) -> np.ndarray:
     """Inverse of a positive semidefinite matrix; infinite variance for columns without any effect."""
-    scale = np.sqrt(np.diag(a))
-    live = scale > 0.0
+    live, s, scaled = _scaled(a)
     result = np.diag(np.where(live, 0.0, np.inf))
-    s = scale[live]
-    scaled = a[np.ix_(live, live)] / np.outer(s, s) + _RIDGE * np.eye(int(live.sum()))
     result[np.ix_(live, live)] = np.linalg.inv(scaled) / np.outer(s, s)
     return result
+
+
+def _scaled(a: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which columns have an effect, their scales, and their matrix with a diagonal of 1 and a ridge."""
+    scale = np.sqrt(np.diag(a))
+    live = scale > 0.0
+    s = scale[live]
+    return live, s, a[np.ix_(live, live)] / np.outer(s, s) + _RIDGE * np.eye(int(live.sum()))

@@ -12,7 +12,7 @@ from inclined_landing.models.parameters import Vehicle
 
 
 @dataclasses.dataclass
-class Fit:
+class Fitted:
     """Effects fitted together, with the linearisation at the fit."""
 
     values: dict[str, dict[str, float]]
@@ -28,7 +28,7 @@ class Fit:
 
 def refit(
     problem: Problem, values: Values, inflation: np.ndarray, iterations: int = 8, tolerance: float = 0.05
-) -> Fit:
+) -> Fitted:
     """Levenberg-Marquardt fit, within bounds, of all parameters of the effects in `values`."""
     names = list(values)
     values = {name: dict(problem.library[name].neutral) | dict(v) for name, v in values.items()}
@@ -52,13 +52,13 @@ def refit(
     return fit
 
 
-def fit_at(problem: Problem, values, columns, inflation) -> Fit:
+def fit_at(problem: Problem, values, columns, inflation) -> Fitted:
     """The linearisation at `values`, nothing fitted."""
     weighted = problem.linearise(values, columns).weighted(inflation)
-    return Fit(values, weighted, np.arange(len(columns)), inflation)
+    return Fitted(values, weighted, np.arange(len(columns)), inflation)
 
 
-def _moved(problem: Problem, fit: Fit, damping: float) -> dict[str, dict[str, float]]:
+def _moved(problem: Problem, fit: Fitted, damping: float) -> dict[str, dict[str, float]]:
     """Values after a damped step; parameters that would leave their bounds stay there, the others refit."""
     a, b = fit.weighted.group_a.sum(axis=0), fit.weighted.group_b.sum(axis=0)
     at, bounds = at_and_bounds(problem, fit)
@@ -66,7 +66,7 @@ def _moved(problem: Problem, fit: Fit, damping: float) -> dict[str, dict[str, fl
     return _stepped(problem, fit, step)
 
 
-def at_and_bounds(problem: Problem, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+def at_and_bounds(problem: Problem, fit: Fitted) -> tuple[np.ndarray, np.ndarray]:
     """Fitted values (k,) and bounds (2, k) of all columns of a fit."""
     columns = fit.weighted.columns
     at = np.array([fit.values[c.effect][c.parameter] for c in columns])
@@ -87,7 +87,7 @@ def bounded_step(damped, a, b, at, bounds, free) -> np.ndarray:
     return step
 
 
-def _predicted(fit: Fit, trial: Values) -> float:
+def _predicted(fit: Fitted, trial: Values) -> float:
     step = np.array(
         [trial[c.effect][c.parameter] - fit.values[c.effect][c.parameter] for c in fit.weighted.columns]
     )
@@ -106,7 +106,7 @@ def spread_between(value: np.ndarray, error: np.ndarray) -> float:
     return math.sqrt(max(0.0, float(excess)))
 
 
-def left_out_vehicles(problem: Problem, fit: Fit) -> list[Vehicle]:
+def left_out_vehicles(problem: Problem, fit: Fitted) -> list[Vehicle]:
     """For every flight, the vehicle with the effects fitted to the other flights.
 
     One Newton step from the fit to all, shortened where it does not fit the other flights as foreseen:
@@ -137,7 +137,7 @@ def left_out_vehicles(problem: Problem, fit: Fit) -> list[Vehicle]:
     return vehicles
 
 
-def _stepped(problem: Problem, fit: Fit, step: np.ndarray) -> dict[str, dict[str, float]]:
+def _stepped(problem: Problem, fit: Fitted, step: np.ndarray) -> dict[str, dict[str, float]]:
     """Values of a fit after a step of its columns, within bounds."""
     values = {name: dict(v) for name, v in fit.values.items()}
     for column, change in zip(fit.weighted.columns, step):

@@ -15,7 +15,7 @@ import numpy as np
 
 from inclined_landing.eval.gap.result import Candidate, SearchStep
 from inclined_landing.eval.gap.search.evidence import Column, Linear, Problem, Values, Weighted, invert, solve
-from inclined_landing.eval.gap.search.fit import Fit, at_and_bounds, fit_at, refit, standard_errors
+from inclined_landing.eval.gap.search.fit import Fitted, at_and_bounds, fit_at, refit, standard_errors
 from inclined_landing.eval.gap.search.trial import (
     Objection,
     Reason,
@@ -36,7 +36,7 @@ CHANNEL_GROUPS = np.array([0, 0, 1, 2, 2, 3])
 class Search:
     """The outcome of `search`."""
 
-    fit: Fit
+    fit: Fitted
     inflation: np.ndarray  # (6,)
     steps: list[SearchStep] = dataclasses.field(default_factory=list)
     closable: float = 1.0  # squared error the whole library could close at first
@@ -93,7 +93,7 @@ class _Step:
     """What a step of the search starts from, and the candidates it tried."""
 
     def __init__(
-        self, problem: Problem, fit: Fit, useless: set[str], limits: Thresholds, first: _Step | None
+        self, problem: Problem, fit: Fitted, useless: set[str], limits: Thresholds, first: _Step | None
     ):
         self.problem, self.fit, self.limits, self.first = problem, fit, limits, first or self
         names = list(problem.library)
@@ -327,7 +327,7 @@ def _explained(a: np.ndarray, own: np.ndarray, size: np.ndarray, columns: np.nda
     return float(cross @ solve(a[np.ix_(columns, columns)], cross)) / total
 
 
-def _drop_useless(step: _Step, newest: Sequence[str]) -> tuple[Fit, tuple[str, ...]]:
+def _drop_useless(step: _Step, newest: Sequence[str]) -> tuple[Fitted, tuple[str, ...]]:
     """The fit of the newest effects without earlier ones that they made useless, and the names of those."""
     problem, limits, dropped = step.problem, step.limits, []
     fit = step.trials[newest[-1]].fit
@@ -349,7 +349,7 @@ def _drop_useless(step: _Step, newest: Sequence[str]) -> tuple[Fit, tuple[str, .
     return fit, tuple(dropped)
 
 
-def _reference_at_bound(problem: Problem, fit: Fit) -> bool:
+def _reference_at_bound(problem: Problem, fit: Fitted) -> bool:
     at, bounds = at_and_bounds(problem, fit)
     near = np.minimum(at - bounds[0], bounds[1] - at) < 1e-3 * (bounds[1] - bounds[0])
     return any(near[k] and problem.parameter(c).is_reference for k, c in enumerate(fit.weighted.columns))

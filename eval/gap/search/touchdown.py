@@ -20,7 +20,7 @@ from scipy.signal import savgol_coeffs
 from inclined_landing.eval.gap.flights.windows import measurement_noise
 from inclined_landing.eval.gap.result import Candidate, SearchStep
 from inclined_landing.eval.gap.search.evidence import Column, Linear, Suspects, Values, gram
-from inclined_landing.eval.gap.search.fit import Fit, refit, standard_errors
+from inclined_landing.eval.gap.search.fit import Fitted, refit, standard_errors
 from inclined_landing.eval.gap.search.naming import Search
 from inclined_landing.eval.gap.search.rollout import drive
 from inclined_landing.eval.gap.search.trial import (
@@ -367,7 +367,7 @@ def _coupled(problem: TouchdownProblem, name: str, found: Values) -> Objection |
 class _Scans:
     """Every effect scanned beside those found, and trials of the best few."""
 
-    def __init__(self, problem: TouchdownProblem, fit: Fit):
+    def __init__(self, problem: TouchdownProblem, fit: Fitted):
         self.problem = problem
         self.before = problem.cells(problem.corrected(fit.values))
         self.scans = {n: problem.scan(n, fit.values) for n in problem.library if n not in fit.values}

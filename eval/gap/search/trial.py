@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from inclined_landing.eval.gap.search.evidence import Problem, Values, solve
-from inclined_landing.eval.gap.search.fit import Fit, spread_between, standard_errors
+from inclined_landing.eval.gap.search.fit import Fitted, spread_between, standard_errors
 
 # Share of the evidence that a few windows can give at most, where it is less than the limit.
 ENOUGH = 0.8
@@ -71,14 +71,14 @@ class Objection:
 class Trial:
     """One candidate added to the effects found so far and refitted with them."""
 
-    fit: Fit
+    fit: Fitted
     gain: float
     evidence: float
     agreement: float
     values: dict[str, float]
 
 
-def trial_of(problem: Problem, fit: Fit, name: str, difference: np.ndarray) -> Trial:
+def trial_of(problem: Problem, fit: Fitted, name: str, difference: np.ndarray) -> Trial:
     """A trial from the decrease (w,) of the squared error of every window."""
     by_group = np.bincount(problem.group_of, difference, minlength=problem.groups)
     shows = _shown_in(problem, fit, name) > SHOWS
@@ -89,7 +89,7 @@ def trial_of(problem: Problem, fit: Fit, name: str, difference: np.ndarray) -> T
     )
 
 
-def _shown_in(problem: Problem, fit: Fit, name: str) -> np.ndarray:
+def _shown_in(problem: Problem, fit: Fitted, name: str) -> np.ndarray:
     """Squared error (g,) that an effect of the fitted size makes in every group, what others absorb apart."""
     own = fit.weighted.index([name])
     others = np.setdiff1d(fit.index, own)
@@ -172,7 +172,7 @@ def _bound(problem: Problem, trial: Trial, name: str, found: Values) -> Objectio
     return None
 
 
-def disagreement(problem: Problem, fit: Fit, name: str) -> float:
+def disagreement(problem: Problem, fit: Fitted, name: str) -> float:
     """Spread of an effect's first-order size between flights beyond their errors, as a share of its size."""
     if len(problem.flights) < 3:
         return 0.0

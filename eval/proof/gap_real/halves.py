@@ -14,7 +14,7 @@ from inclined_landing.eval.gap.flights.windows import prepare_all
 from inclined_landing.eval.gap.result import Diagnosis, PlantGap
 from inclined_landing.eval.gap.search import rollout
 from inclined_landing.eval.gap.search.evidence import Column, Problem
-from inclined_landing.eval.gap.search.fit import Fit, left_out_vehicles, refit
+from inclined_landing.eval.gap.search.fit import Fitted, left_out_vehicles, refit
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import Vehicle
@@ -73,7 +73,7 @@ def judged(logs: Sequence[FlightLog], vehicle: Vehicle, values) -> PlantGap:
     return rollout.plant_gap(starts, vehicle, left_out_vehicles(problem, fit), "analytic", floor)
 
 
-def _refit(problem: Problem, values) -> Fit:
+def _refit(problem: Problem, values) -> Fitted:
     columns = [Column(n, p.name) for n in values for p in LIBRARY[n].parameters]
     return refit(problem, values, problem.linearise(values, columns).inflation())
 
