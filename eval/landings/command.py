@@ -10,25 +10,25 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 import math
 import shutil
 import time
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from inclined_landing.eval.base import runs
+from inclined_landing.eval.base import runs, style
 from inclined_landing.eval.base.options import Flag, Folder
-from inclined_landing.eval.landings import design, engines
-from inclined_landing.eval.landings.study import Study, known_parameters, read_study
+from inclined_landing.eval.landings import design, engines, landing
+from inclined_landing.eval.landings.study import MOST_LANDINGS, Study, known_parameters, read_study
 from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 RECORD, RESULTS, PARTS = "study.json", "results.parquet", "parts"
 
@@ -54,16 +54,16 @@ def command(
     """
     engines.check(engine, address)
     wanted = read_study(study)
-    if resume and out.exists():
+    if resume and _begun(out):
         wanted, chunk = _resumed(wanted, out)
     else:
         runs.check_new_run(out)
         wanted = with_starts(wanted)
         _begin(wanted, out, chunk)
     count = math.ceil(design.total(wanted) / chunk)
-    table = _finished(out, design.total(wanted))
+    table = _read(out / RESULTS, range(design.total(wanted)))
     if table is None:
-        todo = [k for k in range(count) if not _whole(out, k, wanted, chunk)]
+        todo = [k for k in range(count) if _read(_part(out, k), _rows(k, wanted, chunk)) is None]
         _simulate(wanted, out, engine, address, chunk, todo)
         table = _merge(out, count)
     from inclined_landing.eval.landings import report
@@ -126,22 +126,35 @@ def _begin(study: Study, out: Path, chunk: int) -> None:
         raise UserError(f"cannot write {out}: {str(error.strerror or error).lower()}") from error
 
 
+def _begun(out: Path) -> bool:
+    """Whether there is something to go on with; what a kill left half-written is removed."""
+    if not out.is_dir():
+        return False
+    left = [*out.glob(".*.part.*"), *out.glob(f"{PARTS}/.*.part.*")]
+    if (out / RECORD).is_file() or set(left) == set(out.iterdir()):
+        for path in left:
+            path.unlink(missing_ok=True)
+    return any(out.iterdir())
+
+
 def _resumed(wanted: Study, out: Path) -> tuple[Study, int]:
     """The study to go on with, start states included, and its chunk size."""
+    if not (out / RECORD).is_file():
+        raise UserError(f"{out} holds no study that could be resumed ({RECORD} is missing)")
+    storage.check_file(out / RESULTS)
+    storage.check_folder(out / PARTS)
+    record = storage.read_json(out / RECORD, "record")
     try:
-        record = json.loads((out / RECORD).read_text("utf-8"))
-        begun, chunk = Study.from_dict(record["study"]), int(record["chunk"])
-    except FileNotFoundError as error:
-        raise UserError(f"{out} holds no study that could be resumed ({RECORD} is missing)") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{out / RECORD} cannot be read: {error}") from error
+        begun, chunk = Study.from_dict(record["study"]), record["chunk"]
+        if type(chunk) is not int or not 0 < chunk <= MOST_LANDINGS:
+            raise ValueError(f"its chunk is {chunk!r}")
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UserError(f"record {out / RECORD} is damaged: {shown(error)}") from error
     wanted = dataclasses.replace(wanted, starts=begun.starts)
     if wanted.fingerprint() != record.get("fingerprint"):
         raise UserError(
             f"{out} was begun with another study, vehicle or engine version; choose another folder"
         )
-    for left in (out / PARTS).glob(".*.part.parquet"):
-        left.unlink(missing_ok=True)
     return wanted, chunk
 
 
@@ -149,22 +162,19 @@ def _part(out: Path, chunk: int) -> Path:
     return out / PARTS / f"{chunk:05d}.parquet"
 
 
-def _whole(out: Path, chunk: int, study: Study, size: int) -> bool:
-    """Is the chunk's part there and complete?"""
-    rows = min(size, design.total(study) - chunk * size)
+def _read(path: Path, landings: range) -> pa.Table | None:
+    """The table in `path` if it is there, undamaged, and holds these landings."""
     try:
-        return pq.read_metadata(_part(out, chunk)).num_rows == rows
-    except (OSError, pa.ArrowInvalid):
-        return False
-
-
-def _finished(out: Path, landings: int) -> pa.Table | None:
-    """The merged results if they are there already."""
-    try:
-        table = pq.read_table(out / RESULTS)
-    except (OSError, pa.ArrowInvalid):
+        table = pq.read_table(path, page_checksum_verification=True)
+        numbers = table["landing"].to_numpy()
+    except (OSError, KeyError, pa.ArrowException):
         return None
-    return table if table.num_rows == landings else None
+    known = {"landing", "start", "outcome", *known_parameters(), *landing.RESULTS}
+    return table if set(table.column_names) == known and np.array_equal(numbers, landings) else None
+
+
+def _rows(chunk: int, study: Study, size: int) -> range:
+    return range(chunk * size, min((chunk + 1) * size, design.total(study)))
 
 
 def _simulate(study: Study, out: Path, engine: str, address, size: int, todo: list[int]) -> None:
@@ -174,7 +184,7 @@ def _simulate(study: Study, out: Path, engine: str, address, size: int, todo: li
         *(TextColumn("landing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()),
         TextColumn("{task.fields[rate]}"),
     )
-    (out / PARTS).mkdir(exist_ok=True)
+    style.make_folder(out / PARTS)
     with Progress(*columns, console=console, transient=True) as progress:
         missing = sum(min(size, n - k * size) for k in todo)
         task = progress.add_task("", total=n, completed=n - missing, rate="")
@@ -191,7 +201,7 @@ def _simulate(study: Study, out: Path, engine: str, address, size: int, todo: li
 
 def _write(table: pa.Table, path: Path) -> None:
     file = pa.BufferOutputStream()
-    pq.write_table(table, file, compression="zstd")
+    pq.write_table(table, file, compression="zstd", write_page_checksum=True)
     storage.write_bytes(path, file.getvalue().to_pybytes())
 
 

@@ -9,7 +9,8 @@ import pyarrow as pa
 
 from inclined_landing.eval.landings.design import run_chunk
 from inclined_landing.eval.landings.study import Study
-from inclined_landing.models.errors import UserError
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, shown
 
 ENGINES = ("local", "ray")
 _AHEAD = 2  # chunks in flight per core of the cluster
@@ -37,7 +38,7 @@ def on_ray(study: Study, chunks: Sequence[int], size: int, address: str | None) 
             ray.init(address=address, include_dashboard=False, log_to_driver=False, configure_logging=False)
         except (ConnectionError, ValueError, RuntimeError, OSError) as error:
             where = f"at {address}" if address else "on this machine"
-            raise UserError(f"Ray cannot be reached {where}: {str(error).splitlines()[0]}") from error
+            raise UserError(f"Ray cannot be reached {where}: {shown(error, 150)}") from error
     try:
         remote = ray.remote(num_cpus=1, max_retries=3)(run_chunk)
         shared, todo, flying = ray.put(study), list(chunks), {}
@@ -76,7 +77,7 @@ def _import_ray():
 def check(engine: str, address: str | None) -> None:
     """Raise UserError for an engine that is unknown or not installed, or an address without use."""
     if engine not in ENGINES:
-        raise UserError(f"unknown engine {engine!r}; known are {' and '.join(ENGINES)}")
+        raise UserError(f"unknown engine {shown(repr(engine))}; known are {' and '.join(ENGINES)}")
     if engine == "local" and address is not None:
         raise UserError("--address belongs to --engine ray")
     if engine == "ray":
@@ -88,13 +89,12 @@ def check(engine: str, address: str | None) -> None:
 def _knock(address: str) -> None:
     """Raise UserError unless something listens at the address: Ray itself would try for minutes."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise UserError(f"--address must be HOST:PORT, not {address!r}")
+    if not host or not (port.isascii() and port.isdigit() and len(port) <= 5) or not 0 < int(port) < 65536:
+        raise UserError(f"--address must be HOST:PORT, not {shown(repr(address))}")
     try:
         socket.create_connection((host, int(port)), timeout=_PATIENCE).close()
-    except OSError as error:
-        reason = str(error.strerror or error).lower()
-        raise UserError(f"no Ray cluster answers at {address}: {reason}") from error
+    except (OSError, ValueError) as error:  # ValueError: no name of a host
+        raise UserError(f"no Ray cluster answers at {shown(address)}: {storage.reason(error)}") from error
 
 
 def chunks_of(engine: str, study: Study, chunks: Sequence[int], size: int, address: str | None) -> Chunks:

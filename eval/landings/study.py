@@ -256,6 +256,7 @@ def _range(parameter: Parameter, entry: dict, unit: str, factor: float, hypercub
 def _check(parameter: Parameter, value, unit: str, factor: float) -> float:
     if not _is_number(value):
         raise UserError(f"parameter {parameter.name}: {shown(repr(value))} is not a number")
+    value = float(min(max(value, -_HUGE), _HUGE))
     low, high = parameter.low, parameter.high
     if not low - 1e-12 <= factor * value <= high + 1e-12:
         raise UserError(
