@@ -50,19 +50,19 @@ class Delays:
         if self.of_measurement:
             self.states[ids] = np.asarray(state)[..., None, :]
 
-    def push_commands(self, commands: np.ndarray) -> None:
-        """Note the commands (n, 4) of the control period that begins."""
+    def push_commands(self, commands: np.ndarray, ids=slice(None)) -> None:
+        """Note the commands (n, 4) of the control period that begins for the vehicles `ids`."""
         if self.of_commands:
-            self.commands[:, 1:] = self.commands[:, :-1]
-            self.commands[:, 0] = commands
+            self.commands[ids, 1:] = self.commands[ids, :-1]
+            self.commands[ids, 0] = commands[ids]
             self.commands[self.fresh] = commands[self.fresh, None]
-        self.fresh[:] = False
+        self.fresh[ids] = False
 
-    def push_state(self, state: np.ndarray) -> None:
-        """Note the state (n, 13) at the end of a control period."""
+    def push_state(self, state: np.ndarray, ids=slice(None)) -> None:
+        """Note the state (n, 13) at the end of a control period of the vehicles `ids`."""
         if self.of_measurement:
-            self.states[:, 1:] = self.states[:, :-1]
-            self.states[:, 0] = state
+            self.states[ids, 1:] = self.states[ids, :-1]
+            self.states[ids, 0] = state[ids]
 
     def acting(self, start: float, length: float) -> np.ndarray:
         """Delayed commands (n, 4), averaged over `length` [s] from `start` [s] after the last push."""

@@ -20,7 +20,8 @@ PART_BODIES = ("feet", "crazyflie", "rotors")
 SURFACES = ("slab", "base", "floor")
 PLATFORM_BODIES = ("platform", "base_left", "base_right", "base_core")
 PLATFORM_GEOMS = ("slab", "wall_left", "wall_right", "core")
-_GEOM_SURFACE = (0, 1, 1, 1)  # surface index of each platform geom
+CONTACT_GEOMS = (*PLATFORM_GEOMS, "floor")
+GEOM_SURFACE = (0, 1, 1, 1, 2)  # index into SURFACES of each of CONTACT_GEOMS
 _PARKED = -100.0  # height of an absent platform [m]
 _RIM_POINTS = 16
 
@@ -62,6 +63,21 @@ def shapes_of(model: mujoco.MjModel) -> Shapes:
         np.array([g.size for g in geoms]),
         float((np.linalg.norm(centres, axis=1) + radii).max()),
     )
+
+
+def reach_below(shapes: Shapes, up=(0.0, 0.0, 1.0), *, lowered=0.0, part: str | None = None) -> np.ndarray:
+    """How far the vehicle's shapes reach below its centre of mass [m], (...,).
+
+    up (..., 3): the direction that counts as up, in the vehicle's axes.
+    lowered (...): how much lower than the model's its feet stand [m].
+    part: one of PARTS alone.
+    """
+    of = slice(None) if part is None else shapes.parts == PARTS.index(part)
+    up = np.asarray(up, float)[..., None, :]
+    feet = shapes.parts[of] == PARTS.index("feet")
+    x, y, z = shapes.centres[of].T
+    z = z - np.where(feet, np.asarray(lowered, float)[..., None], 0.0)
+    return (shapes.radii[of] - (up[..., 0] * x + up[..., 1] * y + up[..., 2] * z)).max(axis=-1)
 
 
 def _outline(kind: int, size: np.ndarray) -> tuple[np.ndarray, float]:

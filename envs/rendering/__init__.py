@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from inclined_landing.envs.rendering.camera import View, look_at
-from inclined_landing.envs.rendering.contacts import contact_arrows, contact_forces
+from inclined_landing.envs.rendering.contacts import contact_arrows
 from inclined_landing.envs.rendering.ghost import Ghost
 from inclined_landing.envs.rendering.pose import Pose, qpos_of_state
 from inclined_landing.models.errors import UserError
@@ -29,7 +29,6 @@ __all__ = [
     "View",
     "check_look",
     "contact_arrows",
-    "contact_forces",
     "look_at",
     "make_renderer",
     "qpos_of_state",

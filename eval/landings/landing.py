@@ -21,22 +21,23 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
+from inclined_landing.models import surface
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, WY, X, Z
-from inclined_landing.models.geometry import shapes_of
+from inclined_landing.models.geometry import GEOM_SURFACE, reach_below, shapes_of
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.plants.recorder import REST_RATE, REST_SPEED, SLAB, Recorder, Touch
 from inclined_landing.models.scene import compile_scene
 
 OUTCOMES = ("rests", "slides off", "bounces off", "tips over", "misses", "diverges")
 RESTS, SLIDES, BOUNCES, TIPS, MISSES, DIVERGES = range(len(OUTCOMES))
-# At rest: velocity and rate averaged over SMOOTHING stay below these. At restitutions above 0.35 the
-# engine's contact spring chatters at some 30 Hz and 2 cm/s under a vehicle that goes nowhere.
-REST_SPEED = 0.02  # m/s
-REST_RATE = 0.2  # rad/s
+# At rest: velocity and rate averaged over SMOOTHING stay below the recorder's limits. At restitutions above
+# 0.35 the engine's contact spring chatters at some 30 Hz and 2 cm/s under a vehicle that goes nowhere.
 SMOOTHING = 0.02  # s
 TIPPED = math.cos(math.radians(60.0))
 MEMORY = 0.1  # s, time constant of the running share of time with the feet down
@@ -55,14 +56,47 @@ RESULTS = {
     "bounces": "flights of more than 2 mm after the touch",
     "largest_tilt": "rad, from the surface's normal, after the touch",
 }
-(TOUCH, TOUCH_NORMAL, TOUCH_ALONG, TOUCH_PITCH, SETTLED, DISTANCE, PEAK, IMPULSE, HOPS, TILT) = range(10)
-# Further running values of one landing.
-(SPOILT, LEFT, SHARE, LAST_MOVED, S0, Y0, AIR, FEET, OTHER, STILL, SPEED_N, SPEED_T, PITCH0, CLOCK) = range(
-    10, 24
-)
-MEAN = 24  # and the five after it: averaged velocity and rates
-BEFORE = 30  # step-averaged force of the step before
-_SIZE = 31
+
+
+class Given(NamedTuple):
+    """What n landings happen under."""
+
+    surface: np.ndarray  # (n,) rad, inclination of the platform
+    reach: np.ndarray  # (n,) m, of the feet below the centre of mass
+    mass: np.ndarray  # (n,) kg
+    sensors: np.ndarray  # (5, 3) addresses of the contact sensors
+    half_length: float  # m, of the slab
+    half_depth: float  # m
+    height: float  # m, of the slab's middle
+    foot: float  # m, half the distance of the feet
+    radius: float  # m, of a foot
+    gravity: float  # m/s2
+    state_gain: float  # of the thrust
+    direct_gain: float
+    dt: float  # s
+
+
+class Running(NamedTuple):
+    """Values of n landings that are folded forward, arrays (n,); see RESULTS for the first."""
+
+    touch: np.ndarray  # s; NaN until the slab is touched from above, before anything else
+    distance: np.ndarray  # m
+    peak: np.ndarray  # N
+    impulse: np.ndarray  # N s
+    hops: np.ndarray
+    tilt: np.ndarray  # rad
+    spoilt: np.ndarray  # bool: something else was touched first
+    left: np.ndarray  # s, over the edge; NaN until then
+    share: np.ndarray  # of the last MEMORY with the feet down
+    last_moved: np.ndarray  # s
+    s0: np.ndarray  # m, where it touched: downhill, sideways
+    y0: np.ndarray
+    air: np.ndarray  # bool: in a hop
+    feet: np.ndarray  # smoothed contact of the feet, of anything else
+    other: np.ndarray
+    still: np.ndarray  # bool
+    before: np.ndarray  # N, mean force of the step before
+    mean: np.ndarray  # (n, 6) smoothed speeds and rates
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,33 +107,22 @@ class Landings:
     values: np.ndarray  # (n, 10)
 
 
-def feet_height(vehicle: Vehicle) -> float:
-    """How far the model's feet reach below the centre of mass [m]."""
-    shapes = shapes_of(compile_scene(vehicle))
-    feet = shapes.parts == 0
-    return float(-(shapes.centres[feet, 2] - shapes.radii[feet]).min())
-
-
 def touchdown_states(p: dict[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
     """States (n, 13) just above the surface, from arrays (n,) of the study's parameters [SI].
 
     The lowest point is `start_height` above the surface; speeds are those of the centre of mass.
     """
-    surface = -p["inclination"]  # rises towards +x
-    n = len(surface)
+    slope, error = -p["inclination"], p["attitude_error"]  # the slope rises towards +x
     shapes = shapes_of(compile_scene(vehicle))
-    # Heights of all points over the surface, vehicle pitched by the error, centre of mass on the surface.
-    cos, sin = np.cos(p["attitude_error"])[:, None], np.sin(p["attitude_error"])[:, None]
-    lower = np.where(shapes.parts == 0, (p["foot_height"] - feet_height(vehicle))[:, None], 0.0)
-    lowest = (cos * (shapes.centres[:, 2] - lower) - sin * shapes.centres[:, 0] - shapes.radii).min(axis=1)
-    height = p["start_height"] - lowest
-    normal = np.stack([np.sin(surface), np.zeros(n), np.cos(surface)], axis=1)
-    downhill = -np.stack([np.cos(surface), np.zeros(n), -np.sin(surface)], axis=1)
-    state = np.zeros((n, 13))
+    lowered = p["foot_height"] - reach_below(shapes, part="feet")
+    up = np.stack([-np.sin(error), np.zeros_like(error), np.cos(error)], axis=1)
+    height = p["start_height"] + reach_below(shapes, up, lowered=lowered)
+    normal, downhill = surface.normal_of(slope), surface.downhill_of(slope)
+    state = np.zeros((len(slope), 13))
     state[:, X : Z + 1] = height[:, None] * normal + p["offset"][:, None] * downhill
     state[:, Z] += vehicle.platform_surface_height
     state[:, VX : VZ + 1] = -p["normal_speed"][:, None] * normal + p["tangential_speed"][:, None] * downhill
-    state[:, PITCH] = surface + p["attitude_error"]
+    state[:, PITCH] = slope + error
     state[:, WY] = p["pitch_rate"]
     state[:, LAG] = held_pwm(p, vehicle) / vehicle.thrust_lag_rate
     return state
@@ -128,195 +151,194 @@ def simulate(
     """
     v = vehicle or load_vehicle()
     n = len(states)
-    plant = MujocoPlant(n, v, timestep=timestep, threads=threads)
-    ids = np.arange(n)
-    surface = -p["inclination"]
-    plant.set_platform(ids, surface)
-    _configure(plant, p, v)
-    plant.reset(ids, states)
-    torque = plant.batch.expand("actuator_forcerange")
-    loops = [plant.model.actuator(name).id for name in ("roll", "pitch", "yaw_rate")]
-    commands, warning = plant.batch.bind("ctrl"), plant.batch.warning
+    plant = MujocoPlant(n, v, timestep=timestep, threads=threads, torque_needs_motors=True)
+    slope = -p["inclination"]
+    plant.set_platform(np.arange(n), slope)
+    _configure(plant, p)
+    recorder = Recorder(plant, states)
+    given, running = _given(plant, p), _begin(n)
     pwm = held_pwm(p, v)
-    hold = np.clip(surface / v.attitude_gain, -v.command_angle_limit, v.command_angle_limit)
-    running = _begin(states, surface)
-    feet = plant.shapes.parts == 0
-    sizes = np.array(
-        [
-            *(v.slab_half_length, 0.5 * v.platform_depth, v.platform_surface_height),
-            *(plant.shapes.centres[feet, 0].max(), plant.shapes.radii[feet][0]),
-            *(v.environment_gravity, v.thrust_state_gain, v.thrust_direct_gain),
-        ]
-    )
-    active = ids  # landings that are not decided yet
-    first = {name: plant.batch.bind(name).copy() for name in ("qpos", "qvel", "act")}
-    powered = np.ones(n, bool)
+    hold = np.clip(slope / v.attitude_gain, -v.command_angle_limit, v.command_angle_limit)
+    commands, powered = np.zeros((n, 4)), np.ones(n, bool)
+    active = np.arange(n)  # landings that are not decided yet
     for tick in range(round(duration / plant.control_period)):
         now = tick * plant.control_period
-        reference = 0.0 if from_start else running[:, TOUCH]
+        reference = 0.0 if from_start else running.touch
         with np.errstate(invalid="ignore"):
-            cut = powered & (now + 1e-9 >= reference + p["motor_cut_delay"])
-        powered &= ~cut
-        torque[np.ix_(cut, loops)] = 0.0
+            powered &= ~(now + 1e-9 >= reference + p["motor_cut_delay"])
         commands[:, 0] = np.where(powered, pwm, 0.0)
         commands[:, 2] = np.where(powered, hold, 0.0)
-        seen = plant.batch.rollout(plant.substeps, record=("sensordata", *first), ids=active)
-        _watch(
-            seen["sensordata"], seen["qpos"], seen["qvel"], seen["act"], first["qpos"], first["qvel"],
-            first["act"], active, surface, p["foot_height"], p["mass"], commands[:, 0], sizes, timestep,
-            running,
-        )  # fmt: skip
-        for name, values in first.items():
-            values[active] = seen[name][:, -1]
-        active = active[~_decided(running[active])]
+        _watch(recorder.advance(commands, active), active, commands[:, 0], given, running)
+        # Over the edge, or something else touched before the slab: nothing later counts.
+        active = active[~((running.left[active] >= 0.0) | running.spoilt[active])]
         if not len(active):
             break
-    diverged = warning[:, :, 1].any(axis=1) | ~np.isfinite(first["qpos"]).all(axis=1)
-    return _judge(running, diverged)
+    return _judge(running, recorder.touch, slope, plant.diverged)
 
 
-def _configure(plant: MujocoPlant, p: dict[str, np.ndarray], vehicle: Vehicle) -> None:
+def _configure(plant: MujocoPlant, p: dict[str, np.ndarray]) -> None:
     """Mass and contact of every vehicle.
 
     Fields are always expanded and derived constants always computed, so that a landing's bits do not
     depend on what the others of its batch vary.
     """
-    ids = np.arange(plant.n)
     plant.batch.expand("body_mass")[:, plant.model.body("crazyflie").id] = p["mass"]
     plant.batch.set_const()
     spring = {}
     if np.isfinite(p["restitution"]).all():
         spring = {"restitution": p["restitution"], "contact_time": p["contact_time"]}
-    plant.set_contact(ids, friction=p["friction"], foot_height=p["foot_height"], **spring)
+    plant.set_contact(np.arange(plant.n), friction=p["friction"], foot_height=p["foot_height"], **spring)
 
 
-def _begin(states: np.ndarray, surface: np.ndarray) -> np.ndarray:
-    running = np.zeros((len(states), _SIZE))
-    running[:, [TOUCH, TOUCH_NORMAL, TOUCH_ALONG, TOUCH_PITCH, LEFT, S0, Y0]] = np.nan
-    normal, along = _split(states, surface)
-    running[:, SPEED_N], running[:, SPEED_T] = normal, along
-    running[:, PITCH0] = states[:, PITCH] - surface
-    return running
+def _given(plant: MujocoPlant, p: dict[str, np.ndarray]) -> Given:
+    v, shapes = plant.vehicle, plant.shapes
+    feet = shapes.parts == 0
+    return Given(
+        *(-p["inclination"], p["foot_height"], p["mass"], plant.contact_sensors),
+        *(v.slab_half_length, 0.5 * v.platform_depth, v.platform_surface_height),
+        *(float(shapes.centres[feet, 0].max()), float(shapes.radii[feet][0])),
+        *(v.environment_gravity, v.thrust_state_gain, v.thrust_direct_gain, plant.model.opt.timestep),
+    )
 
 
-def _split(states: np.ndarray, surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Speeds into the surface and downhill (n,) [m/s]."""
-    sin, cos = np.sin(surface), np.cos(surface)
-    vx, vz = states[:, VX], states[:, VZ]
-    return -(sin * vx + cos * vz), -(cos * vx - sin * vz)
+def _begin(n: int) -> Running:
+    running = {name: np.zeros(n) for name in Running._fields}
+    running |= {name: np.zeros(n, bool) for name in ("spoilt", "air", "still")}
+    running |= {name: np.full(n, np.nan) for name in ("touch", "left", "s0", "y0")}
+    return Running(**(running | {"mean": np.zeros((n, 6))}))
 
 
 @numba.njit(cache=True)
-def _watch(
-    sensors, qpos, qvel, act, first_qpos, first_qvel, first_act, active, surface, reach, mass, pwm,
-    sizes, dt, running,
-):  # fmt: skip
-    """Fold one control step of the active landings, (k, substeps, ...), into their running values.
-
-    The sensors of a substep belong to the state at its beginning, which is the end of the one before.
-    reach: foot heights (n,) [m]; sizes: half the slab's length and depth, height of its middle, half the
-    distance of the feet, their radius [m]; gravity, and the thrust's two gains.
-    """
-    half_length, half_depth, height, foot, radius, gravity, state_gain, direct_gain = sizes
-    for i in range(sensors.shape[0]):
+def _watch(steps, active, pwm, given, running):
+    """Fold one control period of the active landings into their running values."""
+    for i in range(len(active)):
         own = active[i]
-        r = running[own]
-        sin, cos = math.sin(surface[own]), math.cos(surface[own])
-        for k in range(sensors.shape[1]):
-            q = first_qpos[own] if k == 0 else qpos[i, k - 1]
-            v = first_qvel[own] if k == 0 else qvel[i, k - 1]
-            row = sensors[i, k]
-            now = r[CLOCK]
-            r[CLOCK] += dt
-            if r[LEFT] >= 0.0:
-                continue
-            # Downhill, sideways and outward position over the slab; outward and downhill speed.
-            s = -(cos * q[0] - sin * (q[2] - height))
-            out = sin * q[0] + cos * (q[2] - height)
-            into = -(sin * v[0] + cos * v[2])
-            along = -(cos * v[0] - sin * v[2])
-            over = abs(s) <= half_length and abs(q[1]) <= half_depth and out > -0.01
-            feet, other, elsewhere = row[0] > 0.0, row[4] > 0.0 or row[8] > 0.0, False
-            for geom in range(3, 15):
-                elsewhere = elsewhere or row[4 * geom] > 0.0
-            touching = feet or other
-            fx, fz = row[1] + row[5] + row[9], row[3] + row[7] + row[11]
-            force = sin * fx + cos * fz
-            # The body's axes along the surface's normal; the last is the cosine of the tilt.
-            ahead = sin * (1.0 - 2.0 * (q[5] ** 2 + q[6] ** 2)) + cos * 2.0 * (q[4] * q[6] - q[3] * q[5])
-            left = sin * 2.0 * (q[4] * q[5] - q[3] * q[6]) + cos * 2.0 * (q[5] * q[6] + q[3] * q[4])
-            up = sin * 2.0 * (q[4] * q[6] + q[3] * q[5]) + cos * (1.0 - 2.0 * (q[4] ** 2 + q[5] ** 2))
-            lowest = out - foot * (abs(ahead) + abs(left)) - (reach[own] - radius) * up - radius
-            # What pushed outwards on average over the step: change of momentum, weight and thrust taken off.
-            w = qvel[i, k]
-            lag = 0.5 * ((first_act[own, 0] if k == 0 else act[i, k - 1, 0]) + act[i, k, 0])
-            gained = (sin * w[0] + cos * w[2] + into) / dt + gravity * cos
-            mean = mass[own] * gained - (state_gain * lag + direct_gain * pwm[own]) * up
-            before, r[BEFORE] = r[BEFORE], mean
-            if not r[TOUCH] >= 0.0:
-                if elsewhere or (touching and not over):
-                    r[SPOILT] = 1.0
-                if touching and r[SPOILT] == 0.0:
-                    r[TOUCH] = now
-                    r[TOUCH_NORMAL], r[TOUCH_ALONG], r[TOUCH_PITCH] = r[SPEED_N], r[SPEED_T], r[PITCH0]
-                    r[S0], r[Y0] = s, q[1]
-                    r[SHARE], r[LAST_MOVED] = 1.0, now
-                    r[MEAN:BEFORE] = v
-                    r[IMPULSE] = dt * before  # its later stages may have met the surface already
-                r[SPEED_N], r[SPEED_T] = into, along
-                # Planar attitude: enough before the touch, where roll and yaw are small.
-                r[PITCH0] = (
-                    math.atan2(2.0 * (q[3] * q[5] - q[4] * q[6]), 1.0 - 2.0 * (q[5] ** 2 + q[4] ** 2))
-                    - surface[i]
-                )
-            if not r[TOUCH] >= 0.0:
-                continue
+        sin, cos = math.sin(given.surface[own]), math.cos(given.surface[own])
+        for k in range(len(steps.time)):
+            if running.left[own] >= 0.0:
+                break
+            q, now = steps.qpos[i, k], steps.time[k]
+            s, out = _over_slab(q, sin, cos, given.height)
+            over = abs(s) <= given.half_length and abs(q[1]) <= given.half_depth and out > -0.01
+            feet, other, elsewhere, force = _contact(steps.sensors[i, k], given.sensors, sin, cos)
+            ahead, left, up = _axes(q, sin, cos)
+            mean = _mean_force(steps, i, k, own, sin, cos, up, pwm[own], given)
+            before, running.before[own] = running.before[own], mean
+            if not running.touch[own] >= 0.0:
+                if elsewhere or ((feet or other) and not over):
+                    running.spoilt[own] = True
+                if not (feet or other) or running.spoilt[own]:
+                    continue
+                running.touch[own] = running.last_moved[own] = now
+                running.s0[own], running.y0[own] = s, q[1]
+                running.share[own] = 1.0
+                running.mean[own] = steps.qvel[i, k]
+                running.impulse[own] = given.dt * before  # its later stages may have met the surface already
             if not over:
-                r[LEFT] = now
+                running.left[own] = now
                 continue
-            down = lowest < HOP
-            r[SHARE] += dt / MEMORY * ((1.0 if down else 0.0) - r[SHARE])
-            r[PEAK] = max(r[PEAK], force, mean)
-            if now - r[TOUCH] < IMPULSE_TIME - 1.5 * dt:
-                r[IMPULSE] += dt * mean
-            if touching:
-                r[AIR] = 0.0
-            elif not down and r[AIR] == 0.0:
-                r[AIR] = 1.0
-                r[HOPS] += 1.0
-            r[TILT] = max(r[TILT], math.acos(min(1.0, max(-1.0, up))))
-            for a in range(6):
-                r[MEAN + a] += dt / SMOOTHING * (v[a] - r[MEAN + a])
-            m = r[MEAN:BEFORE]
-            speed = math.sqrt(m[0] ** 2 + m[1] ** 2 + m[2] ** 2)
-            rate = math.sqrt(m[3] ** 2 + m[4] ** 2 + m[5] ** 2)
-            still = speed < REST_SPEED and rate < REST_RATE and r[SHARE] > 0.5
-            if not still:
-                r[LAST_MOVED] = now + dt
-            r[DISTANCE] = math.sqrt((s - r[S0]) ** 2 + (q[1] - r[Y0]) ** 2)
-            r[FEET] += dt / SMOOTHING * ((1.0 if feet else 0.0) - r[FEET])
-            r[OTHER] += dt / SMOOTHING * ((1.0 if other or elsewhere else 0.0) - r[OTHER])
-            r[STILL] = 1.0 if still else 0.0
+            lowest = out - given.foot * (abs(ahead) + abs(left))
+            lowest = lowest - (given.reach[own] - given.radius) * up - given.radius
+            _hop(running, own, lowest < HOP, feet or other, given.dt)
+            running.peak[own] = max(running.peak[own], force, mean)
+            if now - running.touch[own] < IMPULSE_TIME - 1.5 * given.dt:
+                running.impulse[own] += given.dt * mean
+            running.tilt[own] = max(running.tilt[own], math.acos(min(1.0, max(-1.0, up))))
+            running.distance[own] = math.sqrt((s - running.s0[own]) ** 2 + (q[1] - running.y0[own]) ** 2)
+            _settle(running, own, steps.qvel[i, k], feet, other or elsewhere, now, given.dt)
 
 
-def _decided(running: np.ndarray) -> np.ndarray:
-    """(n,) bool: over the edge, or something else touched before the slab. Nothing later counts."""
-    return (running[:, LEFT] >= 0.0) | (running[:, SPOILT] > 0.0)
+@numba.njit(cache=True)
+def _over_slab(q, sin, cos, height):
+    """Downhill and outward position over the slab [m]."""
+    return -(cos * q[0] - sin * (q[2] - height)), sin * q[0] + cos * (q[2] - height)
 
 
-def _judge(running: np.ndarray, diverged: np.ndarray) -> Landings:
-    r = running
-    touched, left = r[:, TOUCH] >= 0.0, r[:, LEFT] >= 0.0
-    on_feet = (r[:, FEET] > 0.5) & (r[:, OTHER] < 0.5)
-    rests = touched & ~left & (r[:, STILL] > 0) & on_feet
-    tipped = (np.cos(r[:, TILT]) < TIPPED) | (~left & (r[:, OTHER] > 0.5))
+@numba.njit(cache=True)
+def _contact(row, sensors, sin, cos):
+    """Do the feet, does another part touch the slab, does anything touch elsewhere; force out of the slab."""
+    feet, body, rotors = sensors[SLAB]
+    elsewhere = False
+    for geom in range(len(sensors)):
+        for part in range(3):
+            elsewhere = elsewhere or (GEOM_SURFACE[geom] > 0 and row[sensors[geom, part]] > 0.0)
+    fx = row[feet + 1] + row[body + 1] + row[rotors + 1]
+    fz = row[feet + 3] + row[body + 3] + row[rotors + 3]
+    return row[feet] > 0.0, row[body] > 0.0 or row[rotors] > 0.0, elsewhere, sin * fx + cos * fz
+
+
+@numba.njit(cache=True)
+def _axes(q, sin, cos):
+    """The body's axes along the surface's normal; the last is the cosine of the tilt."""
+    ahead = sin * (1.0 - 2.0 * (q[5] ** 2 + q[6] ** 2)) + cos * 2.0 * (q[4] * q[6] - q[3] * q[5])
+    left = sin * 2.0 * (q[4] * q[5] - q[3] * q[6]) + cos * 2.0 * (q[5] * q[6] + q[3] * q[4])
+    up = sin * 2.0 * (q[4] * q[6] + q[3] * q[5]) + cos * (1.0 - 2.0 * (q[4] ** 2 + q[5] ** 2))
+    return ahead, left, up
+
+
+@numba.njit(cache=True)
+def _mean_force(steps, i, k, own, sin, cos, up, pwm, given):
+    """What pushed outwards on average over the step: change of momentum, weight and thrust taken off [N]."""
+    v, w = steps.qvel[i, k], steps.qvel[i, k + 1]
+    lag = 0.5 * (steps.act[i, k, 0] + steps.act[i, k + 1, 0])
+    into = -(sin * v[0] + cos * v[2])
+    gained = (sin * w[0] + cos * w[2] + into) / given.dt + given.gravity * cos
+    return given.mass[own] * gained - (given.state_gain * lag + given.direct_gain * pwm) * up
+
+
+@numba.njit(cache=True)
+def _hop(running, own, down, touching, dt):
+    """Share of the time with the feet down, and flights between touches."""
+    running.share[own] += dt / MEMORY * ((1.0 if down else 0.0) - running.share[own])
+    if touching:
+        running.air[own] = False
+    elif not down and not running.air[own]:
+        running.air[own] = True
+        running.hops[own] += 1.0
+
+
+@numba.njit(cache=True)
+def _settle(running, own, speeds, feet, other, now, dt):
+    """Smoothed motion and contact; whether the vehicle is still, and since when."""
+    m = running.mean[own]
+    for a in range(6):
+        m[a] += dt / SMOOTHING * (speeds[a] - m[a])
+    speed = math.sqrt(m[0] ** 2 + m[1] ** 2 + m[2] ** 2)
+    rate = math.sqrt(m[3] ** 2 + m[4] ** 2 + m[5] ** 2)
+    running.still[own] = speed < REST_SPEED and rate < REST_RATE and running.share[own] > 0.5
+    if not running.still[own]:
+        running.last_moved[own] = now + dt
+    running.feet[own] += dt / SMOOTHING * ((1.0 if feet else 0.0) - running.feet[own])
+    running.other[own] += dt / SMOOTHING * ((1.0 if other else 0.0) - running.other[own])
+
+
+@numba.njit(cache=True)
+def _at_touch(touch, slope, out):
+    """Speeds into the surface and downhill [m/s], and attitude error [rad], of the first touch; out (n, 3).
+
+    Planar attitude: enough before the touch, where roll and yaw are small.
+    """
+    for i in range(len(slope)):
+        sin, cos = math.sin(slope[i]), math.cos(slope[i])
+        q, v = touch.qpos[i], touch.qvel[i]
+        out[i, 0], out[i, 1] = -(sin * v[0] + cos * v[2]), -(cos * v[0] - sin * v[2])
+        pitch = math.atan2(2.0 * (q[3] * q[5] - q[4] * q[6]), 1.0 - 2.0 * (q[5] ** 2 + q[4] ** 2))
+        out[i, 2] = pitch - slope[i]
+
+
+def _judge(r: Running, touch: Touch, slope: np.ndarray, diverged: np.ndarray) -> Landings:
+    touched, left = r.touch >= 0.0, r.left >= 0.0
+    on_feet = (r.feet > 0.5) & (r.other < 0.5)
+    rests = touched & ~left & r.still & on_feet
+    tipped = (np.cos(r.tilt) < TIPPED) | (~left & (r.other > 0.5))
     outcome = np.select(
-        [diverged, ~touched, rests, tipped, r[:, SHARE] > 0.5],
+        [diverged, ~touched, rests, tipped, r.share > 0.5],
         [DIVERGES, MISSES, RESTS, TIPS, SLIDES],
         BOUNCES,
     ).astype(np.int8)
-    values = r[:, : len(RESULTS)].copy()
-    values[:, SETTLED] = np.where(outcome == RESTS, r[:, LAST_MOVED] - r[:, TOUCH], np.nan)
-    values[~touched, DISTANCE:] = np.nan
-    values[diverged] = np.nan
+    first = np.empty((len(slope), 3))
+    _at_touch(touch, slope, first)
+    settled = np.where(outcome == RESTS, r.last_moved - r.touch, np.nan)
+    values = np.column_stack([r.touch, first, settled, r.distance, r.peak, r.impulse, r.hops, r.tilt])
+    values[~touched | diverged] = np.nan
     return Landings(outcome, values)

@@ -14,11 +14,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from inclined_landing.eval.landings.landing import feet_height
 from inclined_landing.eval.landings.parameters import UNITS, Parameter, catalogue
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.geometry import reach_below, shapes_of
 from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.scene import compile_scene
 
 SAMPLINGS = ("factorial", "latin-hypercube")
 DISTRIBUTIONS = ("uniform", "log-uniform", "normal")
@@ -106,7 +107,7 @@ class Study:
 def known_parameters() -> dict[str, Parameter]:
     """What may vary, for the shipped vehicle."""
     vehicle = load_vehicle()
-    return catalogue(vehicle, feet_height(vehicle))
+    return catalogue(vehicle, float(reach_below(shapes_of(compile_scene(vehicle)), part="feet")))
 
 
 def shipped() -> dict[str, Path]:

@@ -10,21 +10,18 @@ from __future__ import annotations
 
 import dataclasses
 
-import mujoco
 import numpy as np
 
 from inclined_landing.envs.flights import Flight
-from inclined_landing.envs.rendering import contact_forces
-from inclined_landing.eval.policies.motors_cut import normal_of
+from inclined_landing.models import surface
 from inclined_landing.models.attitude import VX, VZ
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.plants.recorder import REST_SPEED, STEP, present_forces
 
-STEP = 0.004  # s, of the engine
 AFTER_CUT = 1.0  # s that a landing is watched after its motors are cut
 LEAD = 0.1  # s before the first touch that belong to it
 STILL = 0.12  # s that it goes on once the vehicle is still
-_SLOW = 0.02  # m/s
 
 
 @dataclasses.dataclass
@@ -41,10 +38,8 @@ class Touchdown:
     @property
     def net(self) -> np.ndarray:
         """Net normal force and size of the net tangential force (T, 2) on the vehicle [N]."""
-        normal = normal_of(self.inclination)
         total = np.array([force.sum(axis=0) for force in self.forces])
-        away = total @ normal
-        return np.stack([away, np.linalg.norm(total - away[:, None] * normal, axis=1)], axis=1)
+        return np.stack(surface.split(total, self.inclination), axis=1)
 
     @property
     def strongest(self) -> float:
@@ -65,17 +60,13 @@ def watch(flight: Flight) -> Touchdown:
     commands = np.repeat(flight.commands[:-1], held, axis=0)
     if flight.task.cut_at_success:
         commands = np.concatenate([commands, np.zeros((round(AFTER_CUT / STEP), 4))])
-    plant = MujocoPlant(1, vehicle, control_period=STEP, timestep=STEP)
-    plant.torque_needs_motors = True
-    plant.set_platform(np.arange(1), np.array([flight.inclination]))
+    plant = MujocoPlant(1, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True)
+    plant.set_platform([0], flight.inclination)
     plant.reset([0], flight.state[:1])
-    model, data = plant.batch.get_model(0), None
     states, points, forces = [], [], []
     for command in commands:
         plant.step(command[None])
-        data = plant.batch.get_data(0, data)
-        mujoco.mj_forward(model, data)
-        seen = contact_forces(model, data)
+        seen = present_forces(plant, 0)
         states.append(plant.state[0].copy())
         points.append(seen[0])
         forces.append(seen[1])
@@ -83,7 +74,7 @@ def watch(flight: Flight) -> Touchdown:
     if not touching:
         x, z = flight.state[0, [0, 2]]
         raise UserError(f"nothing touches in the flight from x {x:g}, z {z:g} m: no contact force to draw")
-    moving = np.flatnonzero(np.linalg.norm(np.array(states)[:, VX : VZ + 1], axis=1) > _SLOW)
+    moving = np.flatnonzero(np.linalg.norm(np.array(states)[:, VX : VZ + 1], axis=1) > REST_SPEED)
     part = slice(max(touching[0] - round(LEAD / STEP), 0), moving[-1] + 1 + round(STILL / STEP))
     return Touchdown(
         STEP * np.arange(1, len(commands) + 1)[part],

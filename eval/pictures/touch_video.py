@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from inclined_landing.envs.rendering import View, look_at, make_renderer
 from inclined_landing.envs.rendering.overlay import FORCE, arrow_outline, arrow_width
 from inclined_landing.eval.pictures.touch import Touchdown
-from inclined_landing.eval.policies.motors_cut import normal_of
+from inclined_landing.models import surface
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 _LONGEST = 0.10  # m per unit of the vehicle's drawn scale: length of the strongest force's arrow
@@ -66,7 +66,7 @@ def _look(touchdown: Touchdown, width: int, height: int) -> View:
     """From the side and a little above, at where the vehicle first touches and where it ends."""
     first = next(k for k, force in enumerate(touchdown.forces) if len(force))
     middle = 0.5 * (touchdown.state[first, :3] + touchdown.state[-1, :3])
-    target = middle + _AIM * normal_of(touchdown.inclination)
+    target = middle + _AIM * surface.normal_of(touchdown.inclination)
     return look_at(middle + _FROM, target, width, height, fovy=33.0)
 
 

@@ -15,10 +15,11 @@ from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval.base.statistics import mean, proportion, spread
-from inclined_landing.eval.policies.motors_cut import cut_motors, split_velocity
+from inclined_landing.eval.policies.motors_cut import cut_motors
 from inclined_landing.models.attitude import PITCH, VX, VZ
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.surface import split
 
 RANDOM_STARTS = 200
 
@@ -135,7 +136,7 @@ def _entry(arrived: Sequence[Flight]) -> dict:
     """Velocities [m/s] and pitch error [rad] of the flights at the entry into the goal box."""
     state = np.array([f.state[-1] for f in arrived])
     velocity = state[:, VX : VZ + 1]
-    away, along = split_velocity(velocity, arrived[0].inclination)
+    away, along = split(velocity, arrived[0].inclination)
     return {
         "speed": spread(np.linalg.norm(velocity, axis=1)),
         "normal_speed": spread(-away),  # towards the surface

@@ -36,17 +36,16 @@ from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, Incl
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flag, NewFolder, PolicyFile, PolicyName
 from inclined_landing.eval.base.statistics import proportion, spread
-from inclined_landing.eval.policies.motors_cut import normal_of, split_velocity
 from inclined_landing.models import contact, storage
-from inclined_landing.models.attitude import PWM, VX, VZ
+from inclined_landing.models.attitude import PWM
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.plants import Contacts, MujocoPlant
+from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.plants.recorder import STEP, Recorder
 
 FRICTIONS = (0.55, 0.6, 0.8, 1.2)
 RESTITUTIONS = (0.0, 0.25, 0.5)
 SETTLING = 100  # control steps that the motor cut has after the goal box
 MODES = ("motor_cut", "touchdown")
-_TIMESTEP = 0.004  # s, of the engine and of the observation
 _FIELDS = ("at_rest", "normal_speed", "tangential_speed", "peak_normal_force", "time")
 
 
@@ -67,59 +66,32 @@ def land(policy: Policy, states: np.ndarray, friction: float, restitution: float
     judge, cutting = task, task.cut_at_success
     if cutting:
         judge = InclinedTouchdown(task.vehicle, inclination=task.inclination)
-    period = task.vehicle.command_control_period
-    normal = normal_of(task.inclination)
-
-    def prepared(states: np.ndarray) -> MujocoPlant:
-        k = len(states)
-        plant = MujocoPlant(k, task.vehicle, control_period=_TIMESTEP, timestep=_TIMESTEP)
-        everyone = np.arange(k)
-        judge.prepare(plant)
-        plant.set_platform(everyone, np.full(k, task.inclination))
-        plant.set_contact(everyone, friction=friction, restitution=restitution, contact_time=CONTACT_TIME)
-        plant.reset(everyone, states)
-        return plant
-
-    cut, touched, ended = (np.zeros(n, bool) for _ in range(3))
-    held, last, peak = np.zeros(n, int), np.full(n, task.max_steps), np.zeros(n)
-    into, along, time = (np.full(n, np.nan) for _ in range(3))
-    plant, ids, seen = prepared(states), np.arange(n), _nothing(n)
-    before = now = states[:, VX : VZ + 1].copy()
+    plant = MujocoPlant(n, task.vehicle, timestep=STEP)
+    judge.prepare(plant)
+    plant.set_platform(np.arange(n), task.inclination)
+    plant.set_contact(np.arange(n), friction=friction, restitution=restitution, contact_time=CONTACT_TIME)
+    recorder = Recorder(plant, states)
+    cut, ended = np.zeros(n, bool), np.zeros(n, bool)
+    held, last, time = np.zeros(n, int), np.full(n, task.max_steps), np.full(n, np.nan)
     for tick in range(1, task.max_steps + SETTLING + 1):
-        flying = ~ended[ids]
-        if 4 * flying.sum() < len(ids):  # go on with the few that are left
-            plant, ids, seen = prepared(plant.state[flying]), ids[flying], seen[flying]
-            before, now = before[flying], now[flying]
-        state = plant.state
-        commands = task.commands(policy.predict(task.observe(Moment(state, seen))).astype(float))
+        observation = task.observe(Moment(plant.state, plant.contacts))
+        commands = task.commands(policy.predict(observation).astype(float))
         if cutting:
-            entered = ~cut[ids] & task.in_goal(state, task.inclination, GOAL_SIZE)
-            last[ids[entered]] = tick - 1 + SETTLING
-            cut[ids] |= entered
-            commands[cut[ids], PWM] = 0.0
-        seen = _nothing(len(ids))
-        for _ in range(round(period / _TIMESTEP)):
-            before, now = now, plant.state[:, VX : VZ + 1].copy()  # see motors_cut
-            plant.step(commands)
-            seen.touch |= plant.contacts.touch
-            seen.near |= plant.contacts.near
-            push = np.where(ended[ids], 0.0, np.abs(plant.feet_force @ normal))
-            peak[ids] = np.maximum(peak[ids], push)
-            first = plant.contacts.touch[:, 0].any(axis=1) & ~touched[ids] & ~ended[ids]
-            away, sideways = split_velocity(before[first], task.inclination)
-            touched[ids[first]], into[ids[first]], along[ids[first]] = True, -away, sideways
-        holding = judge.holding(plant.state, commands[:, PWM] == 0.0, seen)
-        held[ids] = np.where(holding, held[ids] + 1, 0)
-        rests = (held[ids] >= HOLD_STEPS) & ~ended[ids]
-        time[ids[rests]] = tick * period
-        ended[ids] |= rests | (tick >= last[ids]) | seen.touch[:, 2].any(axis=1)
+            entered = ~cut & task.in_goal(plant.state, task.inclination, GOAL_SIZE)
+            last[entered] = tick - 1 + SETTLING
+            cut |= entered
+            commands[cut, PWM] = 0.0
+        recorder.step(commands, np.flatnonzero(~ended))
+        holding = judge.holding(plant.state, commands[:, PWM] == 0.0, plant.contacts)
+        held = np.where(holding, held + 1, 0)
+        rests = (held >= HOLD_STEPS) & ~ended
+        time[rests] = tick * plant.control_period
+        ended |= rests | (tick >= last) | plant.contacts.touch[:, 2].any(axis=1)
         if ended.all():
             break
-    return Landings(~np.isnan(time), into, along, np.where(touched, peak, np.nan), time)
-
-
-def _nothing(n: int) -> Contacts:
-    return Contacts(np.zeros((n, 3, 3), bool), np.zeros((n, 3, 3), bool), np.zeros((n, 3, 3)))
+    into, along = recorder.touch_speeds()
+    peak = np.where(recorder.touched, recorder.feet_force, np.nan)
+    return Landings(~np.isnan(time), into, along, peak, time)
 
 
 def evaluate(

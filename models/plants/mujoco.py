@@ -43,6 +43,7 @@ class MujocoPlant(Plant):
     integrator, timestep: of the engine; the control period must be a whole number of time steps.
     keep_out: sensor-only zone around the platform [m] in which contacts count as `near`.
     threads: 0 takes all cores.
+    torque_needs_motors: a vehicle under PWM 0 has no attitude torque, as motors make it.
     """
 
     kind = "mujoco"
@@ -59,6 +60,7 @@ class MujocoPlant(Plant):
         timestep: float = 0.004,
         threads: int = 0,
         torque_limit: bool = True,
+        torque_needs_motors: bool = False,
     ):
         super().__init__(n, vehicle, attitude, keep_out, control_period)
         if not (math.isfinite(timestep) and timestep > 0):
@@ -87,12 +89,14 @@ class MujocoPlant(Plant):
         self._warning = self.batch.warning
         self._history = bind("history") if self.model.nhistory else None
         self._held = _held_histories(self.model) if self.model.nhistory else None
-        self._sensors = np.zeros((n, self.substeps, self.model.nsensordata))
+        self._seen = {"sensordata": np.zeros((n, self.substeps, self.model.nsensordata))}
+        self.contact_sensors = contact_sensors(self.model)
+        self._everyone = np.arange(n)
         self._perturbed = self._contact_set = False
-        self.torque_needs_motors = False
+        self.torque_needs_motors = torque_needs_motors
         self._loops = np.array([self.model.actuator(name).id for name in ("roll", "pitch", "yaw_rate")])
-        v, feet = self.vehicle, self.shapes.parts == geometry.PARTS.index("feet")
-        self.foot_height = float((self.shapes.radii - self.shapes.centres[:, 2])[feet].max())
+        v = self.vehicle
+        self.foot_height = float(geometry.reach_below(self.shapes, part="feet"))
         self._contact_default = np.array([v.contact_friction, *v.contact_solref, self.foot_height])
         self._contact = np.tile(self._contact_default, (n, 1))
         self.set_platform(np.arange(n), self.inclination)
@@ -180,38 +184,63 @@ class MujocoPlant(Plant):
         Contacts are the maximum over the control step's substeps, each seen at its beginning.
         Raises FloatingPointError, naming the vehicles, when the engine diverges; reset them to go on.
         """
+        self.advance(commands)
+        self.check()
+
+    def check(self) -> None:
+        """Raise FloatingPointError, naming the vehicles, if the engine has diverged since their reset."""
+        if self._warning[:, _DIVERGED, 1].any() or not np.isfinite(self.state).all():
+            bad = np.flatnonzero(self.diverged)[:5]
+            raise FloatingPointError(f"the engine diverged for vehicles {bad.tolist()}")
+
+    @property
+    def diverged(self) -> np.ndarray:
+        """(n,) bool: has the engine diverged since the vehicle's reset."""
+        return self._warning[:, _DIVERGED, 1].any(axis=1) | ~np.isfinite(self.state).all(axis=1)
+
+    def advance(
+        self, commands: np.ndarray, ids: np.ndarray | None = None, record: tuple[str, ...] = ()
+    ) -> dict[str, np.ndarray]:
+        """`step` without its check, for the vehicles `ids` (k,) alone; the others stand still.
+
+        ids: sorted, unique; None takes all. Commands are (n, 4) in any case.
+        record: fields of the engine's data. Returns them after every engine step, (k, substeps, ...), and
+        "sensordata", which belongs to the step's beginning.
+        """
         commands = np.asarray(commands, float)
+        own = slice(None) if ids is None else ids
         self._ctrl[:] = commands
         fresh = np.flatnonzero(self.delays.fresh)
         if self._history is not None and len(fresh):
             empty, held = self._held
             self._history[fresh] = empty + commands[fresh] @ held
-        self.delays.push_commands(commands)
-        if self.torque_needs_motors:
-            self._allow_torque(commands[:, PWM] > 0.0)
+        self.delays.push_commands(commands, own)
+        self.allow_torque(commands)
         if self.attitude == "kinematic":
-            touched = self.contacts.touch.any(axis=(1, 2))
+            kept = np.ones(self.n, bool)
+            kept[own] = self.contacts.touch[own].any(axis=(1, 2))
             wanted = self._ctrl
             if self.delays.of_commands:
                 wanted = self.delays.acting(0.0, self.control_period / self.substeps)
-            _synchronise_rates(self._qpos, self._qvel, wanted, self._constants, self.perturbation, touched)
-        self.batch.rollout(self.substeps, record=("sensordata",), out={"sensordata": self._sensors})
-        c = self.contacts
-        _read_contacts(self._sensors, self.keep_out > 0.0, c.near, c.touch, c.force)
+            _synchronise_rates(self._qpos, self._qvel, wanted, self._constants, self.perturbation, kept)
+        if ids is None and not record:
+            seen = self._seen
+            self.batch.rollout(self.substeps, record=("sensordata",), out=seen)
+        else:
+            seen = self.batch.rollout(self.substeps, record=("sensordata", *record), ids=ids)
+        c, stepped = self.contacts, self._everyone if ids is None else ids
+        zone = self.keep_out > 0.0
+        _read_contacts(seen["sensordata"], stepped, self.contact_sensors, zone, c.near, c.touch, c.force)
         _read_state(self._qpos, self._qvel, self._act, self.state)
-        self.delays.push_state(self.state)
-        if self._warning[:, _DIVERGED, 1].any() or not np.isfinite(self.state).all():
-            bad = self._warning[:, _DIVERGED, 1].any(axis=1) | ~np.isfinite(self.state).all(axis=1)
-            raise FloatingPointError(f"the engine diverged for vehicles {np.flatnonzero(bad)[:5].tolist()}")
+        self.delays.push_state(self.state, own)
+        return seen
 
-    @property
-    def feet_force(self) -> np.ndarray:
-        """(n, 3) net force between slab and feet at the beginning of the last engine step [N]."""
-        return self._sensors[:, -1, 1:4]
-
-    def _allow_torque(self, running: np.ndarray) -> None:
-        """Attitude torques within the vehicle's limits where the motors are `running` (n,), else none."""
-        if running.all() and self.batch.expanded("actuator_forcerange") is None:
+    def allow_torque(self, commands: np.ndarray) -> None:
+        """Attitude torques as motors under commands (n, 4) can make them; every step sees to it itself."""
+        running = commands[:, PWM] > 0.0
+        if not self.torque_needs_motors or (
+            running.all() and self.batch.expanded("actuator_forcerange") is None
+        ):
             return
         limits = self.model.actuator_forcerange[self._loops]
         self.batch.expand("actuator_forcerange")[:, self._loops] = running[:, None, None] * limits
@@ -274,9 +303,9 @@ def _read_state(qpos, qvel, act, state):
 
 
 @numba.njit(cache=True)
-def _synchronise_rates(qpos, qvel, ctrl, vehicle, p, touched):
+def _synchronise_rates(qpos, qvel, ctrl, vehicle, p, kept):
     for i in range(qpos.shape[0]):
-        if touched[i]:
+        if kept[i]:
             continue
         roll, pitch, _ = euler_angles(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
         a, b, d = equations.loop_rates(roll, pitch, ctrl[i], vehicle[0], p[i])
@@ -284,33 +313,44 @@ def _synchronise_rates(qpos, qvel, ctrl, vehicle, p, touched):
 
 
 @numba.njit(cache=True)
-def _read_contacts(sensors, zone, near, touch, force):
-    """Fold the (n, substeps, 60) contact sensors into (n, 3, 3) arrays, maximum over substeps.
+def _read_contacts(sensors, ids, addresses, zone, near, touch, force):
+    """Fold contact sensors (k, substeps, s) into the rows `ids` of (n, 3, 3) arrays, maximum over substeps.
 
-    Sensors come in the order slab, three base geoms, floor, each feet, body, rotors, each found and
-    net force. The forces on one part by the base's geoms are added as vectors.
+    The forces on one part by the base's geoms are added as vectors.
     """
     net = np.empty(3)
-    for i in range(sensors.shape[0]):
-        near[i] = False
-        touch[i] = False
-        force[i] = 0.0
+    for i in range(len(ids)):
+        own = ids[i]
+        near[own] = False
+        touch[own] = False
+        force[own] = 0.0
         for s in range(sensors.shape[1]):
             row = sensors[i, s]
             for surface in range(3):
-                first = 0 if surface == 0 else (1 if surface == 1 else 4)
-                last = 1 if surface == 0 else (4 if surface == 1 else 5)
                 for part in range(3):
                     found = False
                     net[:] = 0.0
-                    for geom in range(first, last):
-                        k = 4 * (3 * geom + part)
-                        if row[k] > 0.0:
+                    for geom in range(len(geometry.GEOM_SURFACE)):
+                        k = addresses[geom, part]
+                        if geometry.GEOM_SURFACE[geom] == surface and row[k] > 0.0:
                             found = True
                             net += row[k + 1 : k + 4]
                     if found:
-                        near[i, surface, part] = True
+                        near[own, surface, part] = True
                         size = np.sqrt(net[0] ** 2 + net[1] ** 2 + net[2] ** 2)
-                        force[i, surface, part] = max(force[i, surface, part], size)
+                        force[own, surface, part] = max(force[own, surface, part], size)
                         if size > 0.0 or not zone:
-                            touch[i, surface, part] = True
+                            touch[own, surface, part] = True
+
+
+def contact_sensors(model: mujoco.MjModel) -> np.ndarray:
+    """Where `sensordata` holds what each part meets at each of geometry.CONTACT_GEOMS, (5, 3).
+
+    At the address: the number of contacts found; behind it the net force (3,) [N] of the geom on the part.
+    """
+    return np.array(
+        [
+            [int(model.sensor(f"{part}_{geom}").adr[0]) for part in geometry.PARTS]
+            for geom in geometry.CONTACT_GEOMS
+        ]
+    )

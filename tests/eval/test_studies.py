@@ -10,10 +10,11 @@ import pytest
 from inclined_landing.eval.landings import design, landing, maps, sensitivity
 from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS, simulate, touchdown_states
 from inclined_landing.eval.landings.study import Study, known_parameters, read_study, shipped
-from inclined_landing.eval.truth.contact_truth.impulse import next_impulses
 from inclined_landing.models.attitude import PITCH, X, Z
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.plants.recorder import impulses
+from inclined_landing.models.surface import normal_of
 
 V = load_vehicle()
 STUDY = """
@@ -111,16 +112,15 @@ def test_impulse_is_that_of_the_contact_forces():
     )
     states = touchdown_states(p, V)
     column = simulate(states, p).values[:, list(RESULTS).index("impulse")]
-    plant = MujocoPlant(4, control_period=0.004)
+    plant = MujocoPlant(4, control_period=0.004, torque_needs_motors=True)
     alpha = -p["inclination"]
     plant.set_platform(np.arange(4), alpha)
     plant.reset(np.arange(4), states)
     commands = np.zeros((4, 4))
     commands[:, 0], commands[:, 2] = landing.held_pwm(p, V), alpha / V.attitude_gain
-    normal = np.stack([np.sin(alpha), np.zeros(4), np.cos(alpha)], axis=1)
     given, touched = [], np.full(4, -1)
     for k in range(40):
-        given.append((next_impulses(plant, commands) * normal).sum(axis=1))
+        given.append((impulses(plant, commands) * normal_of(alpha)).sum(axis=1))
         plant.step(commands)
         touched[(touched < 0) & plant.contacts.touch[:, 0].any(axis=1)] = k
     given = np.array(given)
@@ -149,6 +149,28 @@ def test_heavier_vehicles_press_harder_and_delayed_cuts_settle_later():
     assert result["peak_force"][1] > 1.15 * result["peak_force"][0]
     assert result["peak_force"][0] == result["peak_force"][2]  # equal rows, equal bits
     assert result["settling_time"][3] > result["settling_time"][2] + 0.1
+
+
+def test_no_landing_depends_on_the_others():
+    """On slopes of their own, touched at different times, some after others were decided: the bits of each
+    landing are those that it has alone."""
+    p = columns(
+        5,
+        inclination=np.radians([5.0, 20.0, 35.0, 50.0, 28.0]),
+        offset=[0.40, 0.0, 0.38, -0.3, 0.1],
+        tangential_speed=[2.0, 0.0, 2.5, 0.0, 0.0],
+        start_height=[5e-4, 0.03, 5e-4, 0.05, 0.06],
+        attitude_error=[0.0, 0.1, 0.0, -0.1, 0.2],
+        thrust=0.4,
+    )
+    states = touchdown_states(p, V)
+    together = simulate(states, p, duration=0.5)
+    decided = together.values[[0, 2], list(RESULTS).index("touchdown_time")]
+    assert decided.max() < 0.01 < np.delete(together.values[:, 0], [0, 2]).min()
+    for k in range(5):
+        alone = simulate(states[[k]], {name: column[[k]] for name, column in p.items()}, duration=0.5)
+        assert alone.outcome[0] == together.outcome[k]
+        np.testing.assert_array_equal(alone.values[0], together.values[k])
 
 
 # ---- study files and designs

@@ -19,13 +19,8 @@ STEP = 0.004  # s
 
 def unpowered(n, **changes):
     """A plant that is stepped at the engine's step, without attitude torques."""
-    vehicle = dataclasses.replace(
-        V,
-        attitude_torque_limit=1e-12,
-        attitude_yaw_torque_limit=1e-12,
-        **changes,
-    )
-    return MujocoPlant(n, vehicle, control_period=STEP, timestep=STEP)
+    vehicle = dataclasses.replace(V, **changes)
+    return MujocoPlant(n, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True)
 
 
 def drop(restitution, contact_time, speed, phases=8):

@@ -35,8 +35,11 @@ from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, WX, X, Y, Z, body_rates
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.effects.contact import spring_of
+from inclined_landing.models.geometry import reach_below, shapes_of
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.plants.recorder import fly
+from inclined_landing.models.scene import compile_scene
 
 BEFORE = 0.1  # s before the touch at which the simulation starts
 LOOK_BACK = 0.14  # s of flight before that from which the start state is fitted
@@ -44,7 +47,6 @@ STEP = 0.00125  # s at most, of the engine: damping times 3 is unstable at twice
 AFTER = 0.45  # s after the touch that are compared: nothing moves any more
 EVERY = 0.01  # s between the compared samples
 FEWEST = 6  # landings
-FOOT_HEIGHT = 0.018  # m, of the feet's lowest points under the centre of mass
 # What the comparison cannot be better than, one idealised contact against another, in the motion that follows
 # the touch at once and in where it ends: along the slope, where feet slide, across it, along its normal [m];
 # roll, pitch, yaw [rad]. Each is correlated over time: the first over FLEETING, the second stays.
@@ -182,6 +184,7 @@ class TouchdownProblem(Suspects):
         self.flights = list(landings)
         self.vehicle = vehicle
         self.library = {name: effect for name, effect in library.items() if effect.contact}
+        self.reach = float(reach_below(shapes_of(compile_scene(vehicle)), part="feet"))
         n = len(self.flights)
         self.flight_of = self.group_of = np.arange(n)
         self.groups = n
@@ -220,7 +223,7 @@ class TouchdownProblem(Suspects):
         simulated = simulate(self.flights, vehicle)
         result = np.empty((len(self.flights), 6, self.samples))
         si, ci = math.sin(self.vehicle.platform_inclination), math.cos(self.vehicle.platform_inclination)
-        lower, leaning = (new - own for new, own in zip(sag(vehicle), sag(self.vehicle)))
+        lower, leaning = np.subtract(sag(vehicle, self.reach), sag(self.vehicle, self.reach))
         for k, landing in enumerate(self.flights):
             error = (landing.measured - simulated[k][landing.compared])[: self.samples]
             if landing.on_platform:
@@ -252,15 +255,17 @@ class TouchdownProblem(Suspects):
         return Linear(tuple(columns), *gram(error, slopes), self)
 
 
-def sag(vehicle: Vehicle) -> tuple[float, float]:
+def sag(vehicle: Vehicle, reach: float) -> tuple[float, float]:
     """How feet of the vehicle's contact stiffness give way at rest: distance [m], pitch on the slope [rad].
+
+    reach: of the feet below the centre of mass [m].
 
     MuJoCo's contact acts on accelerations and carries the weight without giving way; feet do give way, and
     more on the side where friction below the centre of mass tips the vehicle.
     """
     stiffness, g = spring_of(vehicle)[0], vehicle.environment_gravity
     along = g * math.sin(vehicle.platform_inclination)
-    return g / stiffness, along * FOOT_HEIGHT / (stiffness * vehicle.rotor_arm**2)
+    return g / stiffness, along * reach / (stiffness * vehicle.rotor_arm**2)
 
 
 def simulate(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
@@ -283,16 +288,12 @@ def simulate(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
         commands[k, len(part) :] = part[-1]
         state[k, LAG] = lag[x.first]
     step = dt / math.ceil(dt / STEP - 1e-9)
-    plant = MujocoPlant(n, plain, control_period=dt, timestep=step, integrator="implicitfast")
-    plant.torque_needs_motors = True
+    plant = MujocoPlant(
+        n, plain, control_period=dt, timestep=step, integrator="implicitfast", torque_needs_motors=True
+    )
     plant.set_platform(np.arange(n), vehicle.platform_inclination)
     plant.reset(np.arange(n), state)
-    pose = np.empty((n, rows + 1, 6))
-    columns = [X, Y, Z, ROLL, PITCH, PITCH + 1]
-    pose[:, 0] = state[:, columns]
-    for k in range(rows):
-        plant.step(commands[:, k])
-        pose[:, k + 1] = plant.state[:, columns]
+    pose = fly(plant, commands.swapaxes(0, 1))[..., [X, Y, Z, ROLL, PITCH, PITCH + 1]].swapaxes(0, 1)
     pose[..., 3:] = np.unwrap(pose[..., 3:], axis=1)
     return pose
 

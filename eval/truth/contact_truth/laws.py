@@ -9,7 +9,6 @@ import dataclasses
 
 import numpy as np
 
-from inclined_landing.eval.policies.motors_cut import normal_of
 from inclined_landing.eval.truth.contact_truth.checks import Check, Finding
 from inclined_landing.eval.truth.contact_truth.vehicles import (
     BODY,
@@ -18,9 +17,7 @@ from inclined_landing.eval.truth.contact_truth.vehicles import (
     PHASES,
     ROTORS,
     SLAB,
-    STEP,
     advance,
-    contact_forces,
     drop,
     energy,
     place,
@@ -28,9 +25,11 @@ from inclined_landing.eval.truth.contact_truth.vehicles import (
 )
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VZ, WX, WZ, YAW, X, Z
-from inclined_landing.models.geometry import PARTS
+from inclined_landing.models.geometry import PARTS, reach_below
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.plants.recorder import STEP, present_forces
+from inclined_landing.models.surface import normal_of, split
 
 GRIP = 1.6  # friction that holds the vehicle on every supported slope (tan 50 deg = 1.19)
 STUDY_TIME = 0.02  # s, contact time of the settings that are compared
@@ -48,7 +47,8 @@ def rest() -> Finding:
     place(plant, -alpha)
     plant.set_contact(np.arange(n), friction=GRIP)
     creep = _creep(plant)
-    forces = np.array([contact_forces(plant, k) for k in range(n)])
+    total = np.array([present_forces(plant, k)[1].sum(axis=0) for k in range(n)])
+    forces = np.stack(split(total, plant.inclination), axis=1)
     weight = plant.vehicle.body_mass * plant.vehicle.environment_gravity
     expected = weight * np.stack([np.cos(alpha), np.sin(alpha)], axis=1)
     error = np.abs(forces - expected).max() / weight
@@ -93,9 +93,8 @@ def rest() -> Finding:
 def _creep(plant: MujocoPlant) -> np.ndarray:
     """Speed [m/s] of every vehicle over 2 s, after 1 s to settle."""
     advance(plant, 1.0)
-    before = plant.state[:, :3].copy()
-    advance(plant, 2.0)
-    return np.linalg.norm(plant.state[:, :3] - before, axis=1) / 2.0
+    moved = advance(plant, 2.0)
+    return np.linalg.norm(moved[-1, :, :3] - moved[0, :, :3], axis=1) / 2.0
 
 
 def slip() -> Finding:
@@ -107,10 +106,10 @@ def slip() -> Finding:
     place(plant, -alpha)
     plant.set_contact(np.arange(plant.n), friction=np.repeat(frictions, len(around)))
     advance(plant, 0.2)
-    start, before = plant.state[:, :3].copy(), np.linalg.norm(plant.state[:, VX : VZ + 1], axis=1)
-    advance(plant, 0.5)
-    distance = np.linalg.norm(plant.state[:, :3] - start, axis=1).reshape(len(frictions), -1)
-    gained = (np.linalg.norm(plant.state[:, VX : VZ + 1], axis=1) - before).reshape(distance.shape) / 0.5
+    moved = advance(plant, 0.5)
+    distance = np.linalg.norm(moved[-1, :, :3] - moved[0, :, :3], axis=1).reshape(len(frictions), -1)
+    before, after = np.linalg.norm(moved[[0, -1], :, VX : VZ + 1], axis=2)
+    gained = (after - before).reshape(distance.shape) / 0.5
     slides = gained > 0.005  # m/s2; 0.03 degrees beyond the angle of friction
     onset = np.degrees(around)[slides.argmax(axis=1)]
     return Finding(
@@ -201,7 +200,7 @@ def impulse() -> Finding:
         " few steps misses the impulse by up to a sixth, one way or the other, depending on where in the "
         "step the feet meet the surface; on average it is right. A Runge-Kutta step evaluates the contact "
         "four times: with all four forces, weighted as the engine weights them, the impulse of every single"
-        " touch agrees with the change of momentum to rounding errors (`impulse.py` beside this file). The "
+        " touch agrees with the change of momentum to rounding errors (`models/plants/recorder.py`). The "
         "landing studies' impulse agrees with that one.",
         [
             Check(
@@ -388,14 +387,10 @@ def _tumble(n: int, speed: float, restitution: float | None) -> tuple[np.ndarray
     state[:, :3] = middle + normal * 0.075
     state[:, VX : VZ + 1] = -normal * speed
     plant.reset(ids, state)
-    energies, passed = [energy(plant.state, plant.vehicle)], np.zeros(n, bool)
-    nothing = np.zeros((n, 4))
-    for _ in range(round(0.6 / STEP)):
-        plant.step(nothing)
-        energies.append(energy(plant.state, plant.vehicle))
-        inside = np.hypot(plant.state[:, 0], plant.state[:, 1]) < 0.2
-        passed |= inside & ((plant.state[:, :3] - middle) @ normal < -plant.vehicle.platform_thickness)
-    return np.array(energies), passed
+    flown = advance(plant, 0.6)
+    inside = np.hypot(flown[..., 0], flown[..., 1]) < 0.2
+    passed = inside & ((flown[..., :3] - middle) @ normal < -plant.vehicle.platform_thickness)
+    return energy(flown, plant.vehicle), passed.any(axis=0)
 
 
 def parts() -> Finding:
@@ -410,7 +405,7 @@ def parts() -> Finding:
             height = vehicle.platform_surface_height if surface == SLAB else 0.0
             state = np.zeros((1, STATE_SIZE))
             state[0, X], state[0, PITCH] = (0.0 if surface == SLAB else 1.5), pitch
-            state[0, Z] = height + _reach(plant, pitch) + 0.002
+            state[0, Z] = height + reach_below(plant.shapes, (-np.sin(pitch), 0.0, np.cos(pitch))) + 0.002
             plant.reset([0], state)
             first = None
             for _ in range(400):
@@ -447,13 +442,6 @@ def parts() -> Finding:
         ],
         {"rows": rows},
     )
-
-
-def _reach(plant: MujocoPlant, pitch: float) -> float:
-    """How far the collision shapes reach below the centre of mass [m]."""
-    shapes = plant.shapes
-    height = -np.sin(pitch) * shapes.centres[:, 0] + np.cos(pitch) * shapes.centres[:, 2]
-    return float((shapes.radii - height).max())
 
 
 def torque() -> Finding:

@@ -20,8 +20,10 @@ from inclined_landing.eval.truth.contact_truth.checks import Check, Finding
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VY, VZ, WX, WY, WZ, YAW, Z
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.geometry import reach_below
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.plants.recorder import fly
 
 PERIOD = 0.01  # s, of the measurements
 BEFORE, AFTER = 0.06, 0.10  # s of the flight that is compared
@@ -175,17 +177,13 @@ class Simulation:
         self.plant = MujocoPlant(n, self.vehicle, control_period=PERIOD, timestep=_STEP)
         self.plant.set_platform(np.arange(n), self.vehicle.platform_inclination, False)
         # The measured point is low when the tilted vehicle's lowest foot touches: refer height to that.
-        c = self.plant.shapes.centres
-        feet = self.plant.shapes.parts == 0
-        s = touchdown.state
-        up = np.array(
-            [-np.cos(s[ROLL]) * np.sin(s[PITCH]), np.sin(s[ROLL]), np.cos(s[ROLL]) * np.cos(s[PITCH])]
-        )
-        self.reach = float((self.plant.shapes.radii - c @ up)[feet].max())
+        roll, pitch = touchdown.state[ROLL], touchdown.state[PITCH]
+        up = -np.cos(roll) * np.sin(pitch), np.sin(roll), np.cos(roll) * np.cos(pitch)
+        self.reach = float(reach_below(self.plant.shapes, up, part="feet"))
 
     def heights(self, rows: np.ndarray) -> np.ndarray:
         """Heights (n, k) [m] at the measured times, in the measurement's terms; rows (n, 4)."""
-        n, time = self.plant.n, self.touchdown.time
+        n, sent = self.plant.n, self.touchdown.commands
         ids = np.arange(n)
         self.plant.set_contact(
             ids, solref=contact.spring(rows[:, 0], rows[:, 1], self.vehicle.environment_gravity)
@@ -194,12 +192,8 @@ class Simulation:
         state[:, Z] += self.reach - rows[:, 2]
         state[:, VZ] += rows[:, 3]
         self.plant.reset(ids, state)
-        out = np.empty((n, len(time)))
-        out[:, 0] = state[:, Z]
-        for k in range(1, len(time)):
-            self.plant.step(np.tile(self.touchdown.commands[k - 1], (n, 1)))
-            out[:, k] = self.plant.state[:, Z]
-        return out - self.reach + rows[:, 2:3]
+        flown = fly(self.plant, np.repeat(sent[:-1, None], n, axis=1))
+        return flown[..., Z].T - self.reach + rows[:, 2:3]
 
 
 @dataclasses.dataclass(frozen=True)

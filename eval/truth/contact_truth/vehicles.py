@@ -4,37 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 
-import mujoco
 import numpy as np
 
-from inclined_landing.eval.policies.motors_cut import normal_of
-from inclined_landing.eval.truth.contact_truth.impulse import next_impulses
+from inclined_landing.models import surface
 from inclined_landing.models.attitude import LAG, STATE_SIZE, VX, VZ, WX, WZ, Z
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.plants.recorder import STEP, Recorder, fly, impulses
 
-STEP = 0.004  # s, the default step of the engine
 PHASES = 8  # drops of one kind, their touch spread evenly over one step
-_NO_TORQUE = 1e-12  # N m
 SLAB, BASE, FLOOR = 0, 1, 2
 FEET, BODY, ROTORS = 0, 1, 2
 
 
 def unpowered(n: int, step: float = STEP, **options) -> MujocoPlant:
     """A plant of n vehicles that is stepped at the engine's step, without attitude torques."""
-    vehicle = dataclasses.replace(
-        load_vehicle(),
-        attitude_torque_limit=_NO_TORQUE,
-        attitude_yaw_torque_limit=_NO_TORQUE,
-    )
-    return MujocoPlant(n, vehicle, control_period=step, timestep=step, **options)
+    return MujocoPlant(n, control_period=step, timestep=step, torque_needs_motors=True, **options)
 
 
-def advance(plant: MujocoPlant, duration: float) -> None:
-    """Motors off for `duration` [s]."""
-    nothing = np.zeros((plant.n, 4))
-    for _ in range(round(duration / plant.control_period)):
-        plant.step(nothing)
+def advance(plant: MujocoPlant, duration: float) -> np.ndarray:
+    """Motors off for `duration` [s]; returns the states (steps + 1, n, 13)."""
+    return fly(plant, np.zeros((round(duration / plant.control_period), plant.n, 4)))
 
 
 def place(plant: MujocoPlant, inclination, height: float = 0.0) -> None:
@@ -46,23 +36,10 @@ def place(plant: MujocoPlant, inclination, height: float = 0.0) -> None:
     inclination = np.broadcast_to(np.asarray(inclination, float), (plant.n,))
     plant.set_platform(ids, inclination)
     state = np.zeros((plant.n, STATE_SIZE))
-    state[:, :3] = normal_of(inclination) * (plant.foot_height + height)
+    state[:, :3] = surface.normal_of(inclination) * (plant.foot_height + height)
     state[:, Z] += plant.vehicle.platform_surface_height
     state[:, 7] = inclination
     plant.reset(ids, state)
-
-
-def contact_forces(plant: MujocoPlant, vehicle: int) -> tuple[float, float]:
-    """Sum of the normal forces and size of the summed tangential forces [N] in the present state."""
-    model, data = plant.batch.get_model(vehicle), plant.batch.get_data(vehicle)
-    mujoco.mj_forward(model, data)
-    normal, tangential, wrench = 0.0, np.zeros(3), np.zeros(6)
-    for k in range(data.ncon):
-        mujoco.mj_contactForce(model, data, k, wrench)
-        normal += wrench[0]
-        frame = data.contact[k].frame.reshape(3, 3)
-        tangential += wrench[1] * frame[1] + wrench[2] * frame[2]
-    return normal, float(np.linalg.norm(tangential))
 
 
 def energy(state: np.ndarray, vehicle: Vehicle) -> np.ndarray:
@@ -107,23 +84,18 @@ def drop(
     rest = state[:, Z].copy()
     state[:, Z] += speed * step * (1 + (np.arange(n) % PHASES + 0.5) / PHASES)
     state[:, VZ], state[:, LAG] = -speed, 0.0
-    plant.reset(np.arange(n), state)
+    recorder = Recorder(plant, state)
     v, nothing = plant.vehicle, np.zeros((n, 4))
     weight = v.body_mass * v.environment_gravity
-    touched, lifted = np.zeros(n, bool), np.zeros(n, bool)
-    down, up, pushed = np.zeros(n), np.zeros(n), np.zeros(n)
+    lifted, up, pushed = np.zeros(n, bool), np.zeros(n), np.zeros(n)
     depth, peak, sampled, momentum = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     impulse = np.full(n, 0.0 if stages else np.nan)
-    before = now = plant.state[:, VZ].copy()
     for _ in range(round(duration / step)):
-        before, now = now, plant.state[:, VZ].copy()
-        given = next_impulses(plant, nothing)[:, 2] if stages else np.nan
-        plant.step(nothing)
+        now = plant.state[:, VZ].copy()
+        given = impulses(plant, nothing)[:, 2] if stages else np.nan
+        recorder.step(nothing)
         touch, force = plant.contacts.touch[:, 0].any(axis=1), plant.contacts.force[:, 0].sum(axis=1)
-        first = touch & ~touched
-        down[first] = -before[first]
-        touched |= touch
-        leaves = touched & ~touch & ~lifted
+        leaves = recorder.touched & ~touch & ~lifted
         up[leaves] = now[leaves]
         lifted |= leaves
         pushed += step * ((force > 0) & ~lifted)
@@ -134,9 +106,6 @@ def drop(
         depth = np.maximum(depth, np.where(lifted, 0, rest - plant.state[:, Z]))
         peak = np.maximum(peak, force)
     up[~lifted], pushed[~lifted] = 0.0, np.nan
-    return Drops(
-        *(
-            array.reshape(k, PHASES)
-            for array in (up / down, pushed, depth, peak, sampled, impulse, momentum, lifted)
-        )
-    )
+    down, _ = recorder.touch_speeds()
+    columns = (up / down, pushed, depth, peak, sampled, impulse, momentum, lifted)
+    return Drops(*(column.reshape(k, PHASES) for column in columns))

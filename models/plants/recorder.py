@@ -1,0 +1,223 @@
+"""A landing, seen at every step of the engine: what all judgements of touching a surface are made of.
+
+A `Recorder` flies a `MujocoPlant` and keeps of every vehicle its first touch of the slab and the largest
+force on its feet; `Steps` holds what happened within the last control period, for what else a study asks
+of it. `contact_forces` and `impulses` ask the engine for the single contacts.
+
+The sensors of an engine step belong to the state at its beginning. A touch is seen there, but the stages
+of the step before may have met the surface already: the last state that is free of contact is one step
+older, and speeds and attitudes of a touch are taken from it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import mujoco
+import numba
+import numpy as np
+
+from inclined_landing.models import surface
+from inclined_landing.models.attitude import VX, VZ, WX, WZ
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.geometry import CONTACT_GEOMS, PARTS
+from inclined_landing.models.plants.mujoco import MujocoPlant
+
+STEP = 0.004  # s, of the engine where nothing else is asked for
+# Still: slower than these.
+REST_SPEED = 0.02  # m/s
+REST_RATE = 0.2  # rad/s
+SLAB = CONTACT_GEOMS.index("slab")  # row of `MujocoPlant.contact_sensors`
+FEET = PARTS.index("feet")
+# The classical fourth-order method as in the engine's mj_RungeKutta: every stage starts at the state of the
+# step, moved by this share of the step with the rates of the stage before.
+_MOVED = (0.5, 0.5, 1.0)
+_WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
+
+
+class Steps(NamedTuple):
+    """One control period of k vehicles in the engine's steps; numba takes it as it is.
+
+    Step s leads from row s of poses, speeds and lags to row s + 1; its sensors belong to row s.
+    """
+
+    time: np.ndarray  # (steps,) s since the start, of the steps' beginnings
+    sensors: np.ndarray  # (k, steps, ...), addressed by `MujocoPlant.contact_sensors`
+    qpos: np.ndarray  # (k, steps + 1, 7)
+    qvel: np.ndarray  # (k, steps + 1, 6)
+    act: np.ndarray  # (k, steps + 1, 1)
+
+
+class Touch(NamedTuple):
+    """First touch of the slab by any part of n vehicles; NaN without one."""
+
+    time: np.ndarray  # (n,) s, beginning of the engine step in which it is seen
+    qpos: np.ndarray  # (n, 7) last pose free of contact
+    qvel: np.ndarray  # (n, 6) last speeds free of contact
+
+
+class Recorder:
+    """Flies a plant and records the landings of its vehicles.
+
+    plant: with platforms and contact set; its motors should make the torque (`torque_needs_motors`).
+    states: (n, 13) starts.
+    """
+
+    def __init__(self, plant: MujocoPlant, states: np.ndarray):
+        n = plant.n
+        self.plant = plant
+        self.touch = Touch(np.full(n, np.nan), np.full((n, 7), np.nan), np.full((n, 6), np.nan))
+        self.feet_force = np.zeros(n)  # N, largest normal force on the feet, sampled at the engine's steps
+        plant.reset(np.arange(n), states)
+        self._engine = {name: plant.batch.bind(name) for name in ("qpos", "qvel", "act")}
+        self._older = self._engine["qpos"].copy(), self._engine["qvel"].copy()
+        self._time = 0.0
+
+    def step(self, commands: np.ndarray, ids: np.ndarray | None = None) -> Steps:
+        """One control period under commands (n, 4), of the vehicles `ids` alone; see `MujocoPlant.advance`.
+
+        Raises FloatingPointError, naming the vehicles, when the engine diverges.
+        """
+        steps = self.advance(commands, ids)
+        self.plant.check()
+        return steps
+
+    def advance(self, commands: np.ndarray, ids: np.ndarray | None = None) -> Steps:
+        """`step` without an error: `plant.diverged` tells."""
+        plant, own = self.plant, np.arange(self.plant.n) if ids is None else ids
+        begun = {name: field[own, None] for name, field in self._engine.items()}
+        seen = plant.advance(commands, ids, record=tuple(begun))
+        moved = (np.concatenate([begun[name], seen[name]], axis=1) for name in begun)
+        steps = Steps(self._clock(), seen["sensordata"], *moved)
+        slab = plant.contact_sensors[SLAB]
+        _record(steps, own, slab, plant.inclination, self.touch, *self._older, self.feet_force)
+        return steps
+
+    def _clock(self) -> np.ndarray:
+        times, step = np.empty(self.plant.substeps), self.plant.model.opt.timestep
+        for k in range(len(times)):
+            times[k] = self._time
+            self._time += step
+        return times
+
+    @property
+    def touched(self) -> np.ndarray:
+        """(n,) bool: has any part touched the slab."""
+        return ~np.isnan(self.touch.time)
+
+    def touch_speeds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Speeds (n,) [m/s] of the centre of mass into the surface, and along it, unsigned, at the touch."""
+        away, along = surface.split(self.touch.qvel[:, :3], self.plant.inclination)
+        return -away, along
+
+    def at_rest(self) -> np.ndarray:
+        """(n,) bool: still now, and in the last control period feet and nothing else on the slab alone."""
+        touch = self.plant.contacts.touch
+        on_feet = touch[:, 0, FEET] & (touch.sum(axis=(1, 2)) == 1)
+        return still(self.plant.state) & on_feet
+
+
+def still(state: np.ndarray) -> np.ndarray:
+    """(...,) bool for states (..., 13): slower than REST_SPEED and REST_RATE."""
+    speed = np.linalg.norm(state[..., VX : VZ + 1], axis=-1)
+    return (speed < REST_SPEED) & (np.linalg.norm(state[..., WX : WZ + 1], axis=-1) < REST_RATE)
+
+
+def fly(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
+    """States (steps + 1, n, 13): the present ones, and those after each of commands (steps, n, 4)."""
+    states = np.empty((len(commands) + 1, *plant.state.shape))
+    states[0] = plant.state
+    for row, command in zip(states[1:], commands):
+        plant.step(command)
+        row[:] = plant.state
+    return states
+
+
+@numba.njit(cache=True)
+def _record(steps, ids, slab, inclination, touch, older_qpos, older_qvel, feet_force):
+    """Fold a control period of the vehicles `ids` into the rows of their records."""
+    feet = slab[0]
+    for i in range(len(ids)):
+        own = ids[i]
+        sin, cos = math.sin(inclination[own]), math.cos(inclination[own])
+        for k in range(len(steps.time)):
+            row = steps.sensors[i, k]
+            push = abs(sin * row[feet + 1] + cos * row[feet + 3])
+            feet_force[own] = max(feet_force[own], push)
+            touching = row[slab[0]] > 0.0 or row[slab[1]] > 0.0 or row[slab[2]] > 0.0
+            if touching and math.isnan(touch.time[own]):
+                touch.time[own] = steps.time[k]
+                touch.qpos[own] = older_qpos[own]
+                touch.qvel[own] = older_qvel[own]
+            older_qpos[own] = steps.qpos[i, k]
+            older_qvel[own] = steps.qvel[i, k]
+
+
+def contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """Points (k, 3) [m] and forces (k, 3) [N] of the vehicle's contacts; `data` must hold a forward pass.
+
+    A force is what the world exerts on the vehicle. Contacts without force are left out.
+    """
+    points, forces = [], []
+    root = model.body("crazyflie").id
+    wrench = np.zeros(6)
+    for k in range(data.ncon):
+        contact = data.contact[k]
+        mujoco.mj_contactForce(model, data, k, wrench)
+        force = contact.frame.reshape(3, 3).T @ wrench[:3]  # on the second geom
+        if model.body_rootid[model.geom_bodyid[contact.geom1]] == root:
+            force = -force
+        if np.linalg.norm(force) > 1e-6:
+            points.append(contact.pos.copy())
+            forces.append(force)
+    return np.reshape(points, (-1, 3)), np.reshape(forces, (-1, 3))
+
+
+def present_forces(plant: MujocoPlant, vehicle: int) -> tuple[np.ndarray, np.ndarray]:
+    """`contact_forces` of one vehicle in its present state, which the sensors have not seen yet."""
+    model, data = plant.batch.get_model(vehicle), plant.batch.get_data(vehicle)
+    mujoco.mj_forward(model, data)
+    return contact_forces(model, data)
+
+
+def impulses(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
+    """Impulses (n, 3) [N s] of the contacts on every vehicle in the engine step under `commands` (n, 4).
+
+    A Runge-Kutta step evaluates the contact forces four times, at its beginning, twice in its middle and at
+    its end, and moves the vehicle by their average with the weights 1, 2, 2, 1. The force sensors see the
+    first of the four only, and a touch of a few steps that is summed from them is off by up to a fifth.
+    Here the stages are repeated and their contact forces are weighted as the engine weights them: the
+    impulse of the contacts, independent of the motion, which it explains to rounding errors.
+
+    Ask before the plant is stepped; it is not changed. Vehicles are computed one by one.
+    Raises UserError for another integrator than RK4.
+    """
+    given = np.empty((plant.n, 3))
+    plant.allow_torque(commands)
+    for k in range(plant.n):
+        data = plant.batch.get_data(k)
+        data.ctrl[:] = commands[k]
+        given[k] = _step_impulse(plant.batch.get_model(k), data)
+    return given
+
+
+def _step_impulse(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Impulse (3,) of the step from state, control and platform pose in `data`, left at its last stage."""
+    if model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4:
+        raise UserError("impulses of engine steps are known for the integrator RK4 only")
+    step = model.opt.timestep
+    start = data.qpos.copy(), data.qvel.copy(), data.act.copy(), data.time
+    impulse = np.zeros(3)
+    for stage, weight in enumerate(_WEIGHTS):
+        if stage:
+            moved = _MOVED[stage - 1] * step
+            speed, acceleration, rate = data.qvel.copy(), data.qacc.copy(), data.act_dot.copy()
+            data.qpos[:] = start[0]
+            mujoco.mj_integratePos(model, data.qpos, speed, moved)
+            data.qvel[:] = start[1] + moved * acceleration
+            data.act[:] = start[2] + moved * rate
+            data.time = start[3] + moved
+        mujoco.mj_forward(model, data)
+        impulse += weight * step * contact_forces(model, data)[1].sum(axis=0)
+    return impulse
