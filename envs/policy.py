@@ -9,7 +9,8 @@ that an action does not depend on how many others are computed with it.
 from __future__ import annotations
 
 import dataclasses
-import json
+import os
+import re
 import shutil
 import zipfile
 from importlib import resources
@@ -18,16 +19,21 @@ from pathlib import Path
 import numba
 import numpy as np
 
+from inclined_landing.envs import weights
 from inclined_landing.envs.tasks import TASKS, Task, make_task, task_class
 from inclined_landing.envs.tasks.base import resolve_pwm_centre
 from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 STAMP = "inclined_landing.json"
 SHIPPED = tuple(task.name for task in TASKS.values() if task.shipped)
 _ACTIVATIONS = ("Tanh", "ReLU")  # index is the code in the compiled loop
 _LIMIT = 10.0  # of `features.ScaledObservation`
+_WEIGHTS = "policy.pth"  # member with the network
+_LARGEST_TABLE = 10_000_000  # bytes of the header and of the stamp
+# Beyond, sums of products could overflow.
+_LARGEST_WEIGHT, _DEEPEST, _WIDEST = 1e6, 16, 8192
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,6 +49,29 @@ class Policy:
     weights: tuple[np.ndarray, ...]  # (inputs, outputs) of each layer
     biases: tuple[np.ndarray, ...]  # (outputs,)
     activation: str
+
+    def __post_init__(self):
+        """Raise UserError unless the arrays are those of one network with finite numbers."""
+        sizes = [len(self.centre) if self.centre.ndim else 0]
+        fits = self.centre.shape == self.scale.shape and self.centre.ndim == 1 and sizes[0] > 0
+        for weight, bias in zip(self.weights, self.biases):
+            fits &= weight.shape == (sizes[-1], bias.size) and bias.ndim == 1 and bias.size > 0
+            sizes.append(bias.size)
+        layers = len(self.weights)
+        if not fits or not 0 < layers == len(self.biases):
+            raise UserError(f"policy {self.path} has layers that do not fit together")
+        if layers > _DEEPEST or max(sizes) > _WIDEST:
+            raise UserError(
+                f"policy {self.path} has {layers} layers of up to {max(sizes)} numbers; at most {_DEEPEST} "
+                f"of {_WIDEST} are evaluated"
+            )
+        if not (np.isfinite(self.scale).all() and (self.scale > 0).all()):
+            raise UserError(f"policy {self.path} divides observations by a scale that is not positive")
+        for array in (self.centre, *self.weights, *self.biases):
+            if not (np.abs(array) <= _LARGEST_WEIGHT).all():  # NaN neither
+                raise UserError(f"policy {self.path} has weights that are NaN or beyond {_LARGEST_WEIGHT:g}")
+        if self.activation not in _ACTIVATIONS or not self.limit > 0:
+            raise UserError(f"policy {self.path} has an unknown activation or no limit for observations")
 
     @property
     def name(self) -> str:
@@ -119,9 +148,9 @@ def locate(name: str | Path) -> Path:
             raise UserError(f"no {name} policy is shipped with this installation ({path} is missing)")
         return path
     path = Path(name)
-    if path.is_dir():
+    if os.path.isdir(path):
         raise UserError(f"policy {path} is a folder; name the .zip file in it")
-    if not path.is_file():
+    if not os.path.exists(path):
         raise UserError(f"policy {path} does not exist (shipped ones: {', '.join(SHIPPED)})")
     return path
 
@@ -144,9 +173,9 @@ def load_policy(
     """
     path = locate(path)
     with _open(path) as archive:
-        metadata = _read_json(archive, STAMP, path) if STAMP in archive.namelist() else {}
-        data = _read_json(archive, "data", path)
-        tensors = _read_tensors(archive, path)
+        metadata = _read_stamp(archive, path)
+        data = _read_table(archive, "data", path)
+        network = _actor(_read_tensors(archive, path), data, path)
     wanted = task if task is None or isinstance(task, str) else task.name
     if wanted is not None and wanted not in TASKS:
         raise UserError(f"unknown task {wanted!r}; known are {' and '.join(TASKS)}")
@@ -159,106 +188,118 @@ def load_policy(
         )
     if task is None or isinstance(task, str):
         task = _build_task(trained or wanted, metadata, vehicle, inclination, path)
-    network = _actor(tensors, data, path)
+    policy = Policy(task=task, metadata=metadata, path=path, **network)
     expected = len(task.observation_names), len(task.action_names)
-    found = len(network["centre"]), len(network["biases"][-1])
+    found = len(policy.centre), len(policy.biases[-1])
     if found != expected:
         raise UserError(
             f"policy {path} takes {found[0]} observations and gives {found[1]} actions, but the "
             f"task {task.name} has {expected[0]} and {expected[1]}"
         )
-    return Policy(task=task, metadata=metadata, path=path, **network)
+    return policy
 
 
 def _build_task(name, metadata, vehicle, inclination, path) -> Task:
-    options = metadata.get("task_options", {})
-    if not isinstance(options, dict):
-        raise UserError(f"policy {path}: task_options in its {STAMP} is not a table")
-    options = dict(options)
+    options = dict(metadata.get("task_options", {}))
     if inclination is not None:
         if not task_class(name).has_platform:
             raise UserError(f"policy {path} is for the task {name}, which has no inclined platform")
         options["inclination"] = inclination
-    if vehicle is not None:
-        options["pwm_centre"] = resolve_pwm_centre(options.get("pwm_centre", "paper"), load_vehicle())
-    return make_task(name, vehicle, **options)
+    try:
+        if vehicle is not None:
+            options["pwm_centre"] = resolve_pwm_centre(options.get("pwm_centre", "paper"), load_vehicle())
+        return make_task(name, vehicle, **options)
+    except UserError as error:
+        raise UserError(f"policy {path}: {error}") from error
 
 
 def _open(path: Path) -> zipfile.ZipFile:
-    try:
-        archive = zipfile.ZipFile(path)
-    except FileNotFoundError as error:
-        raise UserError(f"policy {path} does not exist") from error
-    except OSError as error:
-        raise UserError(f"policy {path} cannot be read: {error.strerror}") from error
-    except zipfile.BadZipFile as error:
-        raise UserError(f"policy {path} is not a zip file as Stable-Baselines3 saves them") from error
-    missing = {"data", "policy.pth"} - set(archive.namelist())
+    archive = weights.open_zip(storage.read_bytes(path, "policy", weights.LARGEST), f"policy {path}")
+    missing = {"data", _WEIGHTS} - set(archive.namelist())
     if missing:
-        archive.close()
         raise UserError(
             f"policy {path} is not a Stable-Baselines3 policy: the zip lacks " + " and ".join(sorted(missing))
         )
     return archive
 
 
-def _read_json(archive: zipfile.ZipFile, name: str, path: Path) -> dict:
-    try:
-        value = json.loads(archive.read(name))
-    except (ValueError, zipfile.BadZipFile) as error:
-        raise UserError(f"policy {path}: {name} in it is damaged") from error
+def _read_table(archive: zipfile.ZipFile, name: str, path: Path) -> dict:
+    content = weights.read_member(archive, name, f"policy {path}", _LARGEST_TABLE)
+    value = storage.parse_json(content, f"policy {path}: {name} in it")
     if not isinstance(value, dict):
         raise UserError(f"policy {path}: {name} in it is not a table")
     return value
 
 
+def _read_stamp(archive: zipfile.ZipFile, path: Path) -> dict:
+    """The stamp; empty for a plain SB3 file. The values are those that the task and reports can take."""
+    if STAMP not in archive.namelist():
+        return {}
+    metadata = _read_table(archive, STAMP, path)
+    if not _shallow(metadata, 5):
+        raise UserError(f"policy {path}: {STAMP} in it is nested too deeply")
+    name, options = metadata.get("task"), metadata.get("task_options", {})
+    if name is not None and not (isinstance(name, str) and name in TASKS):
+        raise UserError(
+            f"policy {path}: {STAMP} in it names an unknown task, {shown(name, 40)}; "
+            f"known are {' and '.join(TASKS)}"
+        )
+    if not isinstance(options, dict):
+        raise UserError(f"policy {path}: task_options in its {STAMP} is not a table")
+    for option, value in options.items():
+        number = isinstance(value, (int, float)) and abs(value) < 1e9
+        if not (number or value is None or (isinstance(value, str) and len(value) < 100)):
+            raise UserError(
+                f"policy {path}: {shown(option, 40)} in its task_options must be a number or a short text, "
+                f"not {shown(value, 40)}"
+            )
+    return metadata
+
+
+def _shallow(value, levels: int) -> bool:
+    if isinstance(value, (dict, list)):
+        return levels > 0 and all(
+            _shallow(x, levels - 1) for x in (value.values() if isinstance(value, dict) else value)
+        )
+    return True
+
+
 def _read_tensors(archive: zipfile.ZipFile, path: Path) -> dict[str, np.ndarray]:
-    """The network's tensors by name; only tensors are unpickled."""
-    import pickle
-
-    import torch
-
-    try:
-        with archive.open("policy.pth") as file:
-            tensors = torch.load(file, map_location="cpu", weights_only=True)
-        arrays = {name: tensor.double().numpy() for name, tensor in tensors.items()}
-    except (
-        *(RuntimeError, ValueError, EOFError, KeyError, AttributeError, OSError),
-        *(pickle.UnpicklingError, zipfile.BadZipFile),
-    ) as error:
-        raise UserError(f"policy {path}: policy.pth in it is damaged") from error
-    if not all(np.isfinite(array).all() for array in arrays.values()):
+    """The network's tensors by name."""
+    content = weights.read_member(archive, _WEIGHTS, f"policy {path}")
+    tensors = weights.read_tensors(content, f"policy {path}: {_WEIGHTS} in it")
+    if not all(np.isfinite(array).all() for array in tensors.values()):
         raise UserError(f"policy {path} has weights that are NaN or infinite")
-    return arrays
+    return tensors
 
 
 def _actor(tensors: dict[str, np.ndarray], data: dict, path: Path) -> dict:
     """The fields of `Policy` that make up the network."""
     prefix = "mlp_extractor.policy_net."
-    hidden = sorted(
-        {int(name.removeprefix(prefix).split(".")[0]) for name in tensors if name.startswith(prefix)}
-    )
-    layers = [f"{prefix}{k}" for k in hidden] + ["action_net"]
+    numbers = {name.removeprefix(prefix).split(".")[0] for name in tensors if name.startswith(prefix)}
     extractor = {name.split(".", 1)[1] for name in tensors if name.startswith("features_extractor.")}
-    complete = all(f"{layer}.{part}" in tensors for layer in layers for part in ("weight", "bias"))
-    if not complete or "log_std" not in tensors or extractor - {"centre", "scale"}:
+    plain = all(re.fullmatch("[0-9]{1,3}", number) for number in numbers)
+    layers = [*(f"{prefix}{k}" for k in sorted(numbers, key=int)), "action_net"] if plain else []
+    complete = plain and all(f"{layer}.{part}" in tensors for layer in layers for part in ("weight", "bias"))
+    if not complete or "log_std" not in tensors or extractor not in (set(), {"centre", "scale"}):
         raise UserError(f"policy {path} is not a PPO policy with a plain network and continuous actions")
-    weights = tuple(np.ascontiguousarray(tensors[f"{layer}.weight"].T) for layer in layers)
-    biases = tuple(tensors[f"{layer}.bias"] for layer in layers)
-    inputs = weights[0].shape[0]
     options = data.get("policy_kwargs") or {}
-    activation = str(options.get("activation_fn", "Tanh")).rstrip("'>").rpartition(".")[2]
+    activation = options.get("activation_fn", "Tanh") if isinstance(options, dict) else None
+    if not isinstance(activation, str):
+        raise UserError(f"policy {path}: policy_kwargs in its data are not those of a PPO policy")
+    activation = activation.rstrip("'>").rpartition(".")[2]
     if activation not in _ACTIVATIONS or options.get("squash_output") in (True, "True"):
         raise UserError(
             f"policy {path} has a network this package cannot evaluate "
-            f"(activation {activation}; known are {' and '.join(_ACTIVATIONS)})"
+            f"(activation {shown(activation, 40)}; known are {' and '.join(_ACTIVATIONS)})"
         )
-    scaled = bool(extractor)
+    matrices = tuple(np.ascontiguousarray(tensors[f"{layer}.weight"].T) for layer in layers)
+    inputs, scaled = len(matrices[0]) if matrices[0].ndim else 0, bool(extractor)
     return {
         "centre": tensors["features_extractor.centre"] if scaled else np.zeros(inputs),
         "scale": tensors["features_extractor.scale"] if scaled else np.ones(inputs),
         "limit": _LIMIT if scaled else np.inf,
-        "weights": weights,
-        "biases": biases,
+        "weights": matrices,
+        "biases": tuple(tensors[f"{layer}.bias"] for layer in layers),
         "activation": activation,
     }

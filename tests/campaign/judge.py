@@ -195,6 +195,30 @@ def mutations(content: bytes, number: int, seed: int = 0) -> Iterator[tuple[str,
         )
 
 
+def places(name: str, take: Callable[[Path], object]) -> Iterator[Case]:
+    """Cases of what a path may lead to instead of a file called `name`."""
+
+    def there(title, make):
+        def made(folder):
+            make(folder / name)
+            return folder / name
+
+        return Case(title, made, take)
+
+    yield there("nothing there", lambda path: None)
+    yield there("a folder", lambda path: path.mkdir())
+    yield there("a pipe", os.mkfifo)
+    yield there("endless", lambda path: path.symlink_to("/dev/zero"))
+    yield there("a loop", lambda path: path.symlink_to(path))
+    yield there("a process's memory", lambda path: path.symlink_to("/proc/self/mem"))
+    yield there("gigabytes", lambda path: (write(path, ""), os.truncate(path, 2**34)))
+    yield there("empty", lambda path: write(path, ""))
+    yield Case("below a file", lambda folder: write(folder / "x", "") / name, take)
+    yield Case("NUL in the name", lambda folder: folder / "a\0b", take, named="a\\x00b")
+    yield Case("long name", lambda folder: folder / ("x" * 300), take, named="x" * 50)
+    yield Case("no UTF-8 in the name", lambda folder: folder / os.fsdecode(b"v\xff.x"), take, named="v\\xff")
+
+
 def toml(value) -> str:
     """A value spelt in TOML."""
     if isinstance(value, bool):

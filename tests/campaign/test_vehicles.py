@@ -2,7 +2,6 @@
 
 import copy
 import dataclasses
-import os
 import random
 import tomllib
 from importlib import resources
@@ -10,7 +9,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from campaign.judge import EVIL, Case, Wrong, judge, mutations, parametrised, toml, write
+from campaign.judge import EVIL, Case, Wrong, judge, mutations, parametrised, places, toml, write
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import check_vehicle, constants, load_vehicle
@@ -167,30 +166,6 @@ def texts():
         yield case(f"mutation {name}", content)
 
 
-def places():
-    """What a path may lead to instead of a file."""
-
-    def there(name, make):
-        def made(folder):
-            path = folder / "vehicle.toml"
-            make(path)
-            return path
-
-        return Case(name, made, load_vehicle, flies)
-
-    yield there("nothing there", lambda path: None)
-    yield there("a folder", lambda path: path.mkdir())
-    yield there("a pipe", os.mkfifo)
-    yield there("endless", lambda path: path.symlink_to("/dev/zero"))
-    yield there("a loop", lambda path: path.symlink_to(path))
-    yield there("a process's memory", lambda path: path.symlink_to("/proc/self/mem"))
-    yield there("gigabytes", lambda path: write(path, "") and os.truncate(path, 2**34))
-    yield Case("below a file", lambda folder: write(folder / "x", "") / "vehicle.toml", load_vehicle)
-    yield Case("NUL in the name", lambda folder: folder / "a\0b", load_vehicle, named="a\\x00b")
-    yield Case("long name", lambda folder: folder / ("x" * 300), load_vehicle, named="x" * 50)
-    yield Case("no UTF-8", lambda folder: folder / os.fsdecode(b"v\xff.toml"), load_vehicle, named="v\\xff")
-
-
 @parametrised(evil_fields(), sample=25)
 def test_evil_values(case, tmp_path):
     judge(case, tmp_path)
@@ -216,7 +191,7 @@ def test_texts(case, tmp_path):
     judge(case, tmp_path)
 
 
-@parametrised(places(), sample=20)
+@parametrised(places("vehicle.toml", load_vehicle), sample=20)
 def test_places(case, tmp_path):
     judge(case, tmp_path)
 

@@ -199,10 +199,10 @@ def unknown_option(path):
         (setpoint_policy, "was trained for the task setpoint, not for landing"),
         (nan_weights, "NaN or infinite"),
         (cut_short, "is not a "),
-        (damaged, "policy.pth in it is damaged"),
+        (damaged, "policy.pth in it is not a zip file"),
         (discrete_actions, "not a PPO policy"),
         (other_activation, "SiLU"),
-        (damaged_stamp, "inclined_landing.json in it is damaged"),
+        (damaged_stamp, "inclined_landing.json in it is not JSON"),
         (unknown_option, "colour"),
     ],
 )

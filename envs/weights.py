@@ -1,0 +1,273 @@
+"""Reader of the tensors in a policy file, without torch and without running anything from the file.
+
+Stable-Baselines3 keeps the network as a zip that torch writes: `data.pkl`, a pickle that says how tensors
+lie in storages, and one member for each storage. The pickle is not loaded: the few instructions that torch
+writes for a table of dense float tensors are carried out here, everything else is refused. Sizes are
+compared with what the zip says before anything is read, so that no file takes more memory than `LARGEST`.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import pickletools
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from inclined_landing.models.errors import UserError, shown
+
+LARGEST = 100_000_000  # bytes of a policy file, and of any member
+_PICKLE = 1_000_000  # bytes of data.pkl
+_MEMBERS = 4096  # of a file, those of zips inside it counted too
+_DIMENSIONS = 8
+_FLOATS = {"torch FloatStorage": "<f4", "torch DoubleStorage": "<f8"}
+_DAMAGED = (
+    *(zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, struct.error),
+    *(OSError, EOFError, ValueError, RuntimeError, KeyError, IndexError, OverflowError),
+)
+
+
+def open_zip(content: bytes, what: str) -> zipfile.ZipFile:
+    """The zip in `content`; UserError, beginning with `what`, for anything but plain members, once each."""
+    if content.count(b"PK\x01\x02") > _MEMBERS:
+        raise UserError(f"{what} has more than {_MEMBERS} members")
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(content))
+    except _DAMAGED as error:
+        raise UserError(f"{what} is not a zip file, or a damaged one") from error
+    members = archive.infolist()
+    names = [member.filename for member in members]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise UserError(f"{what}: {shown(twice, 60)} is in it twice")
+    if sum(member.compress_size for member in members) > len(content):
+        raise UserError(f"{what} is damaged: its members overlap")
+    return archive
+
+
+def read_member(archive: zipfile.ZipFile, name: str, what: str, largest: int = LARGEST) -> bytes:
+    """One member; UserError, beginning with `what`, if it is damaged, encrypted or larger than `largest`."""
+    member = archive.getinfo(name)
+    label = f"{what}: {shown(name, 60)} in it"
+    if member.flag_bits & 1:
+        raise UserError(f"{label} is encrypted")
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise UserError(f"{label} is compressed in a way that Stable-Baselines3 does not use")
+    if member.file_size > largest:
+        raise UserError(f"{label} has {member.file_size} bytes; at most {largest} are read")
+    try:
+        with archive.open(member) as file:
+            content = file.read(member.file_size + 1)
+    except _DAMAGED as error:
+        raise UserError(f"{label} is damaged") from error
+    if len(content) != member.file_size:
+        raise UserError(f"{label} is damaged")
+    return content
+
+
+def read_tensors(content: bytes, what: str) -> dict[str, np.ndarray]:
+    """The tensors by name, in float64, of what torch saved of a table of dense float tensors.
+
+    what: the file, as sentences begin. Raises UserError for anything else.
+    """
+    archive = open_zip(content, what)
+    pickles = [name for name in archive.namelist() if name.count("/") == 1 and name.endswith("/data.pkl")]
+    if len(pickles) != 1:
+        raise UserError(f"{what} is not a file that torch saved: it lacks data.pkl")
+    folder = pickles[0].removesuffix("data.pkl")
+    order = f"{folder}byteorder"
+    if order in archive.namelist() and read_member(archive, order, what, 100) != b"little":
+        raise UserError(f"{what} has numbers in another byte order than little-endian")
+    table = _Pickle(read_member(archive, pickles[0], what, _PICKLE), what).table
+    storages: dict[_Storage, np.ndarray] = {}
+    result = {}
+    for name, tensor in table.items():
+        label = f"{what}: its tensor {shown(name, 60)}"
+        if not isinstance(tensor, _Tensor):
+            raise UserError(f"{label} is not a tensor")
+        if tensor.storage not in storages:
+            storages[tensor.storage] = _read_storage(archive, folder, tensor.storage, what)
+        result[name] = _array(tensor, storages[tensor.storage], label)
+    return result
+
+
+class _Storage(NamedTuple):
+    """Where the numbers of a tensor lie."""
+
+    kind: str  # key of _FLOATS
+    key: str  # name of the member
+    count: int
+
+
+class _Tensor(NamedTuple):
+    """A tensor as the pickle says it, unchecked."""
+
+    storage: _Storage
+    offset: object
+    size: object
+    stride: object
+
+
+class _Pickle:
+    """The instructions of a pickle, carried out on plain values, tensors and storages only."""
+
+    def __init__(self, content: bytes, what: str):
+        self._what = what
+        self._stack: list = []
+        self._marks: list[list] = []
+        self._memo: dict = {}
+        self.table: dict[str, object] = {}
+        try:
+            for opcode, argument, _ in pickletools.genops(content):
+                if opcode.name == "STOP":
+                    break
+                act = _ACTIONS.get(opcode.name)
+                if act is None:
+                    raise UserError(f"{what} holds more than tensors: {opcode.name.lower()} in its pickle")
+                act(self, argument)
+            found = self._stack.pop()
+        except UserError:
+            raise
+        except (*_DAMAGED, TypeError, AttributeError) as error:
+            raise UserError(f"{what} is damaged: its pickle makes no sense") from error
+        if self._stack or self._marks or not isinstance(found, dict):
+            raise UserError(f"{what} is not a table of tensors")
+        self.table = found
+
+    def push(self, value) -> None:
+        self._stack.append(value)
+
+    def mark(self, _) -> None:
+        self._marks.append(self._stack)
+        self._stack = []
+
+    def to_mark(self) -> list:
+        found, self._stack = self._stack, self._marks.pop()
+        return found
+
+    def tuple(self, _) -> None:
+        found = self.to_mark()
+        self.push(tuple(found))
+
+    def last(self, count: int) -> list:
+        found = [self._stack.pop() for _ in range(count)]
+        return found[::-1]
+
+    def put(self, index) -> None:
+        self._memo[index] = self._stack[-1]
+
+    def get(self, index) -> None:
+        self.push(self._memo[index])
+
+    def name(self, argument: str) -> None:
+        if argument not in (*_FLOATS, "collections OrderedDict", "torch._utils _rebuild_tensor_v2"):
+            name = shown(argument.replace(" ", "."), 60)
+            raise UserError(f"{self._what} holds {name}, where only dense tensors of floats are read")
+        self.push(_Name(argument))
+
+    def storage(self, _) -> None:
+        word, kind, key, _place, count = self._stack.pop()
+        if word != "storage" or not isinstance(kind, _Name) or kind not in _FLOATS:
+            raise ValueError("no storage of floats")
+        if not isinstance(key, str) or type(count) is not int:
+            raise TypeError("storage of a wrong type")
+        self.push(_Storage(str(kind), key, count))
+
+    def call(self, _) -> None:
+        function, arguments = self.last(2)
+        if not isinstance(function, _Name) or not isinstance(arguments, tuple):
+            raise TypeError("not a call")
+        if function == "collections OrderedDict" and arguments == ():
+            self.push({})
+        elif function == "torch._utils _rebuild_tensor_v2":
+            storage, offset, size, stride = arguments[:4]
+            if not isinstance(storage, _Storage):
+                raise TypeError("a tensor without a storage")
+            self.push(_Tensor(storage, offset, size, stride))
+        else:
+            raise ValueError("a call with wrong arguments")
+
+    def set(self, items: list) -> None:
+        table = self._stack[-1]
+        if not isinstance(table, dict) or len(items) % 2:
+            raise TypeError("not a table")
+        for key, value in zip(items[::2], items[1::2]):
+            if not isinstance(key, str):
+                raise TypeError("a name that is no text")
+            table[key] = value
+
+    def build(self, _) -> None:
+        """Attributes of the table, torch's versions of its modules, are left out."""
+        if not isinstance(self._stack.pop(), dict):
+            raise TypeError("not attributes")
+
+
+class _Name(str):
+    """A class or function that the pickle names, known to be one of a few; never imported."""
+
+
+_ACTIONS: dict[str, Callable[[_Pickle, object], None]] = {
+    "PROTO": lambda pickle, argument: None,
+    "MARK": _Pickle.mark,
+    "NONE": lambda pickle, argument: pickle.push(None),
+    "NEWTRUE": lambda pickle, argument: pickle.push(True),
+    "NEWFALSE": lambda pickle, argument: pickle.push(False),
+    **dict.fromkeys(("BININT", "BININT1", "BININT2", "LONG1", "BINUNICODE"), _Pickle.push),
+    "EMPTY_DICT": lambda pickle, argument: pickle.push({}),
+    "EMPTY_TUPLE": lambda pickle, argument: pickle.push(()),
+    "TUPLE1": lambda pickle, argument: pickle.push(tuple(pickle.last(1))),
+    "TUPLE2": lambda pickle, argument: pickle.push(tuple(pickle.last(2))),
+    "TUPLE3": lambda pickle, argument: pickle.push(tuple(pickle.last(3))),
+    "TUPLE": _Pickle.tuple,
+    "BINPUT": _Pickle.put,
+    "LONG_BINPUT": _Pickle.put,
+    "BINGET": _Pickle.get,
+    "LONG_BINGET": _Pickle.get,
+    "GLOBAL": _Pickle.name,
+    "BINPERSID": _Pickle.storage,
+    "REDUCE": _Pickle.call,
+    "SETITEM": lambda pickle, argument: pickle.set(pickle.last(2)),
+    "SETITEMS": lambda pickle, argument: pickle.set(pickle.to_mark()),
+    "BUILD": _Pickle.build,
+}
+
+
+def _read_storage(archive: zipfile.ZipFile, folder: str, storage: _Storage, what: str) -> np.ndarray:
+    """The numbers (count,) of a storage."""
+    name, kind = f"{folder}data/{storage.key}", np.dtype(_FLOATS[storage.kind])
+    label = f"{what}: {shown(name, 60)} in it"
+    if name not in archive.namelist():
+        raise UserError(f"{label} is missing")
+    member = archive.getinfo(name)
+    if member.compress_type != zipfile.ZIP_STORED:
+        raise UserError(f"{label} is compressed; torch does not do that")
+    if member.file_size != storage.count * kind.itemsize:
+        raise UserError(f"{label} has {member.file_size} bytes for {storage.count} numbers")
+    return np.frombuffer(read_member(archive, name, what), kind)
+
+
+def _array(tensor: _Tensor, numbers: np.ndarray, label: str) -> np.ndarray:
+    """A tensor's numbers in its shape, float64, contiguous."""
+    size, stride, offset = tensor.size, tensor.stride, tensor.offset
+    whole = (
+        isinstance(size, tuple)
+        and isinstance(stride, tuple)
+        and len(size) == len(stride) <= _DIMENSIONS
+        and all(type(k) is int and k >= 0 for k in (*size, *stride, offset))
+    )
+    if not whole:
+        raise UserError(f"{label} has a shape that is none")
+    if 0 in size:
+        raise UserError(f"{label} is empty")
+    last = offset + sum((n - 1) * k for n, k in zip(size, stride))
+    if math.prod(size) > len(numbers) or last >= len(numbers):
+        raise UserError(f"{label} reaches beyond its numbers")
+    view = np.lib.stride_tricks.as_strided(
+        numbers[offset:], size, [numbers.itemsize * k for k in stride], writeable=False
+    )
+    return np.array(view, np.float64, order="C")

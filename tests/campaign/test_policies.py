@@ -1,0 +1,323 @@
+"""Policy files: refused in one sentence, or flown; nothing in them is run, and torch is not needed."""
+
+import io
+import json
+import pickle
+import random
+import struct
+import subprocess
+import sys
+import warnings
+import zipfile
+from importlib import resources
+
+import numpy as np
+import pytest
+import torch
+
+from campaign.judge import EVIL, Case, Wrong, judge, mutations, parametrised, places, write
+from inclined_landing.envs.flights import record_flights
+from inclined_landing.envs.policy import STAMP, load_policy
+from inclined_landing.envs.tasks.base import hover_states
+
+GOOD = (resources.files("inclined_landing.envs") / "shipped" / "landing.zip").read_bytes()
+with zipfile.ZipFile(io.BytesIO(GOOD)) as archive:
+    MEMBERS = {name: archive.read(name) for name in archive.namelist()}
+STAMPED, DATA = json.loads(MEMBERS[STAMP]), json.loads(MEMBERS["data"])
+WEIGHTS = "policy.pth"
+TENSORS = torch.load(io.BytesIO(MEMBERS[WEIGHTS]), weights_only=True)
+JSON_EVIL = {name: value for name, value in EVIL.items() if name != "date"}
+
+
+def flies(policy):
+    """Actions of any observation, and five steps from a hover, finite."""
+    rows = np.random.default_rng(0).normal(scale=10.0, size=(20, len(policy.centre)))
+    if not (np.abs(policy.predict(rows)) <= 1.0).all():  # NaN neither
+        raise Wrong("an action is no number from -1 to 1")
+    states = hover_states(np.array([[1.0, 0.0, 1.9]]), policy.task.vehicle)
+    flight = record_flights(policy, "mujoco", states, steps=5)[0]
+    if not np.isfinite(flight.state).all():
+        raise Wrong("the flight is not finite")
+
+
+def case(name, content, **options):
+    return Case(name, lambda folder: write(folder / "p.zip", content), load_policy, flies, **options)
+
+
+def zipped(members, kind=zipfile.ZIP_STORED) -> bytes:
+    """A zip of (name, content) pairs or a table of them; names may come twice."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", kind) as target, warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # names twice are meant
+        for name, content in members.items() if isinstance(members, dict) else members:
+            target.writestr(zipfile.ZipInfo(name), content, kind)
+    return out.getvalue()
+
+
+def with_member(name, content) -> bytes:
+    return zipped(MEMBERS | {name: content})
+
+
+def headers():
+    """Every entry of the stamp and of SB3's header, at any depth, times every evil value; or missing."""
+    rng = random.Random(4)
+    for member, table in ((STAMP, STAMPED), ("data", DATA)):
+        for path in keys(table):
+            chosen = JSON_EVIL if path[0] in ("task", "task_options", "policy_kwargs") else rng.sample(
+                sorted(JSON_EVIL), 2
+            )  # fmt: skip
+            for evil in chosen:
+                new = changed(table, path, JSON_EVIL[evil])
+                yield case(f"{member} {'.'.join(path)} {evil}", with_member(member, json.dumps(new)))
+            yield case(
+                f"{member} {'.'.join(path)} missing", with_member(member, json.dumps(without(table, path)))
+            )
+        for name, text in {
+            "is a list": "[1]",
+            "is a number": "1",
+            "is null": "null",
+            "is empty": "",
+            "is cut": json.dumps(table)[:-1],
+            "is nested": "[" * 100_000,
+            "holds nested tables": '{"task_options": ' + '{"a":' * 20_000 + "1" + "}" * 20_001,
+            "holds nested lists": json.dumps(table)[:-1] + ', "x": ' + "[" * 500 + "]" * 500 + "}",
+            "holds many digits": '{"task": ' + "9" * 5000 + "}",
+            "is UTF-16": json.dumps(table).encode("utf-16"),
+            "is Latin 1": b'{"task": "\xe9"}',
+            "is huge": json.dumps(table | {"x": "y" * 20_000_000}),
+        }.items():
+            yield case(f"{member} {name}", with_member(member, text))
+
+
+def keys(table, path=()):
+    for key, value in table.items():
+        yield (*path, key)
+        if isinstance(value, dict) and len(path) < 1:
+            yield from keys(value, (*path, key))
+
+
+def changed(table, path, value):
+    return table | {path[0]: changed(table[path[0]], path[1:], value) if len(path) > 1 else value}
+
+
+def without(table, path):
+    if len(path) == 1:
+        return {key: value for key, value in table.items() if key != path[0]}
+    return table | {path[0]: without(table[path[0]], path[1:])}
+
+
+# What a tensor of the network may be replaced with.
+SHAPES = {
+    "one more axis": lambda t: t[None],
+    "one axis less": lambda t: t.flatten()[0] if t.ndim == 1 else t.flatten(),
+    "one row more": lambda t: torch.cat([t, t[:1]]) if t.ndim else t.repeat(2),
+    "one row less": lambda t: t[:-1].clone() if t.ndim else t[None][:0],
+    "transposed": lambda t: t.T,
+    "empty": lambda t: torch.zeros(0),
+    "many axes": lambda t: t.reshape((1,) * 20 + tuple(t.shape)),
+    "expanded": lambda t: t.flatten()[:1].expand(1_000_000_000),
+    "a view": lambda t: torch.cat([t.flatten(), t.flatten()])[t.numel() :].reshape(t.shape),
+    "strided": lambda t: torch.stack([t, t], -1)[..., 0],
+    "double": lambda t: t.double(),
+    "half": lambda t: t.half(),
+    "bfloat16": lambda t: t.bfloat16(),
+    "complex": lambda t: t.to(torch.complex64),
+    "integer": lambda t: t.long(),
+    "bool": lambda t: t.bool(),
+    "sparse": lambda t: t.to_sparse(),
+    "quantised": lambda t: torch.quantize_per_tensor(t, 0.1, 0, torch.qint8),
+    "meta": lambda t: t.to("meta"),
+    "parameter": torch.nn.Parameter,
+    "negative": lambda t: -t,
+    "conjugate": lambda t: t.to(torch.complex64).conj(),
+    "zero": torch.zeros_like,
+    "NaN": lambda t: torch.full_like(t, torch.nan),
+    "infinite": lambda t: torch.full_like(t, torch.inf),
+    "1e30": lambda t: torch.full_like(t, 1e30),
+    "1e300": lambda t: torch.full_like(t.double(), 1e300),
+    "tiny": lambda t: torch.full_like(t, 1e-38),
+    "a number": lambda t: 1.0,
+    "a text": lambda t: "x",
+    "a list": lambda t: t.tolist(),
+    "none": lambda t: None,
+    "a table": lambda t: {"a": t},
+    "an array": lambda t: t.numpy(),
+}
+
+
+def saved(tensors) -> bytes:
+    out = io.BytesIO()
+    torch.save(tensors, out)
+    return out.getvalue()
+
+
+def tensors():
+    """Every tensor times every shape, type and value; missing, renamed; and other things than a table."""
+    for name, tensor in TENSORS.items():
+        for evil, change in SHAPES.items():
+            yield lazy(f"{name} {evil}", lambda n=name, t=tensor, c=change: TENSORS | {n: c(t)})
+        rest = {n: t for n, t in TENSORS.items() if n != name}
+        yield lazy(f"{name} missing", lambda rest=rest: rest)
+        yield lazy(f"{name} renamed", lambda rest=rest, n=name, t=tensor: rest | {n.replace(".", ".x."): t})
+    hidden = "mlp_extractor.policy_net."
+    for k in ("-1", "x", "٣", "9" * 400, "00", ""):
+        yield lazy(f"layer {k[:3]!r}", lambda k=k: TENSORS | {f"{hidden}{k}.weight": torch.eye(64)})
+    many = {
+        f"{hidden}{2 * k}.{part}": value
+        for k in range(100)
+        for part, value in (("weight", torch.eye(64)), ("bias", torch.zeros(64)))
+    }
+    yield lazy("a hundred layers", lambda: TENSORS | {n: t for n, t in many.items() if n not in TENSORS})
+    yield lazy("a list", lambda: list(TENSORS.values()))
+    yield lazy("a tensor", lambda: TENSORS["log_std"])
+    yield lazy("a module", lambda: torch.nn.Linear(5, 2))
+    yield lazy("empty", dict)
+    yield lazy("numbers as names", lambda: dict(enumerate(TENSORS.values())))
+
+
+def lazy(name, make):
+    def made(folder):
+        try:
+            content = saved(make())
+        except (RuntimeError, NotImplementedError, TypeError, ValueError) as error:
+            pytest.skip(f"torch has no such tensor: {error}")
+        return write(folder / "p.zip", with_member(WEIGHTS, content))
+
+    return Case(f"tensor {name}", made, load_policy, flies)
+
+
+class Runs:
+    """A pickle that runs a command where it is loaded."""
+
+    def __reduce__(self):
+        return exec, ("raise SystemExit('run')",)
+
+
+def inner(name: str, content: bytes) -> bytes:
+    """The weights with one of the members that torch wrote replaced."""
+    with zipfile.ZipFile(io.BytesIO(MEMBERS[WEIGHTS])) as source:
+        members = {n: source.read(n) for n in source.namelist()}
+    assert name in members
+    return with_member(WEIGHTS, zipped(members | {name: content}))
+
+
+def pickles():
+    """Instructions that torch never writes, and those that it writes in any order."""
+    with zipfile.ZipFile(io.BytesIO(MEMBERS[WEIGHTS])) as source:
+        good = source.read("archive/data.pkl")
+    written = {
+        "runs code": pickle.dumps(Runs(), 2),
+        "runs code inside": pickle.dumps({"a": Runs()}, 2),
+        "protocol 0": pickle.dumps({"a": [1]}, 0),
+        "protocol 5": pickle.dumps({"a": [1]}, 5),
+        "a table": pickle.dumps({"a": 1}, 2),
+        "memo at 2^31": b"\x80\x02}r\xff\xff\xff\x7f.",
+        "a text of gigabytes": b"\x80\x02X\xff\xff\xff\x7fabc.",
+        "a number of megabytes": b"\x80\x02\x8b\xff\xff\xff\x7f1.",
+        "digits": b"I" + b"9" * 900_000 + b"\n.",
+        "nested": b"\x80\x02" + b")" + b"\x85" * 900_000 + b".",
+        "doubling": b"\x80\x02)q\x00" + b"h\x00h\x00\x86q\x00" * 100 + b".",
+        "marks": b"\x80\x02" + b"(" * 900_000 + b".",
+        "too long": b"\x80\x02" + b"N0" * 2_000_000 + b".",
+        "its own element": b"\x80\x02}q\x00X\x01\x00\x00\x00ah\x00s.",
+        "empty": b"",
+        "stop": b".",
+        "extension": b"\x80\x02\x82\x01.",
+        "persistent text": b"Pabc\n.",
+    }
+    for name, content in written.items():
+        yield case(f"pickle {name}", inner("archive/data.pkl", content))
+    for name, content in mutations(good, 150, seed=5):
+        yield case(f"pickle {name}", inner("archive/data.pkl", content))
+    rng = random.Random(6)
+    codes = [bytes([code]) for code in b"()}]Nt\x85\x86\x87RQsub0." + b"\x88\x89"]
+    for k in range(60):
+        cut = rng.randrange(2, len(good))
+        noise = b"".join(rng.choice(codes) for _ in range(rng.randrange(1, 30)))
+        yield case(
+            f"pickle with other instructions {k}", inner("archive/data.pkl", good[:cut] + noise + good[cut:])
+        )
+    for other in (b"big", b"", b"x" * 1000):
+        yield case(f"byte order {other[:3]}", inner("archive/byteorder", other))
+    for k in range(3, 15):
+        name = f"archive/data/{k}"
+        yield case(f"storage {k} empty", inner(name, b""))
+        yield case(f"storage {k} short", inner(name, bytes(6)))
+        yield case(f"storage {k} long", inner(name, bytes(1_000_000)))
+
+
+def zips():
+    """The zip itself: its members, their headers and its bytes."""
+    pairs = list(MEMBERS.items())
+    for name, content in pairs:
+        yield case(f"zip without {name}", zipped([p for p in pairs if p[0] != name]))
+        yield case(f"zip with {name} twice", zipped([*pairs, (name, content)]))
+        yield case(f"zip with an empty {name}", with_member(name, b""))
+        yield case(f"zip with half of {name}", with_member(name, content[: len(content) // 2]))
+        yield case(f"zip with noise as {name}", with_member(name, random.Random(7).randbytes(5000)))
+        for title, offset, value in {
+            ("encrypted", 8, b"\x01\x00"),
+            ("compressed in another way", 10, b"\x63\x00"),
+            ("of gigabytes", 24, struct.pack("<I", 2**32 - 2)),
+            ("packed in gigabytes", 20, struct.pack("<I", 2**32 - 2)),
+            ("of no size", 24, bytes(4)),
+            ("with another sum", 16, bytes(4)),
+            ("somewhere else", 42, struct.pack("<I", 40)),
+        }:
+            yield case(f"zip with {name} {title}", in_directory(GOOD, name, offset, value))
+    for name, kind in {"deflated": 8, "bzip2": 12, "lzma": 14}.items():
+        yield case(f"zip {name}", zipped(MEMBERS, kind))
+    bomb = zipped(MEMBERS | {WEIGHTS: bytes(300_000_000)}, zipfile.ZIP_DEFLATED)
+    yield case("zip bomb", bomb)
+    small = in_directory(bomb, WEIGHTS, 24, struct.pack("<I", 1000))
+    yield case("zip bomb that says it is small", small)
+    yield case("zip with many members", zipped([*pairs, *((f"x{k}", b"") for k in range(20_000))]))
+    yield case("zip behind something", b"#!/bin/sh\n" * 100 + GOOD)
+    yield case("zip before something", GOOD + b"x" * 1000)
+    yield case("zip in a zip", zipped({"p.zip": GOOD}))
+    yield case("no zip", b"PK" * 1000)
+    yield case("a pickle", pickle.dumps(Runs()))
+    for name, content in mutations(GOOD, 150, seed=8):
+        yield case(f"zip {name}", content)
+    for name, content in mutations(MEMBERS[WEIGHTS], 150, seed=9):
+        yield case(f"weights {name}", with_member(WEIGHTS, content))
+
+
+def in_directory(content: bytes, name: str, offset: int, value: bytes) -> bytes:
+    """A zip with `value` written into the entry of `name` in its central directory."""
+    begin = content.rindex(b"PK\x01\x02", 0, content.rindex(name.encode()))
+    return content[: begin + offset] + value + content[begin + offset + len(value) :]
+
+
+@parametrised(headers(), sample=25)
+def test_headers(case, tmp_path):
+    judge(case, tmp_path)
+
+
+@parametrised(tensors(), sample=40)
+def test_tensors(case, tmp_path):
+    judge(case, tmp_path)
+
+
+@parametrised(pickles(), sample=30)
+def test_pickles(case, tmp_path):
+    judge(case, tmp_path)
+
+
+@parametrised(zips(), sample=30)
+def test_zips(case, tmp_path):
+    judge(case, tmp_path)
+
+
+@parametrised(places("p.zip", load_policy), sample=20)
+def test_places(case, tmp_path):
+    judge(case, tmp_path)
+
+
+def test_policies_are_read_without_torch():
+    code = (
+        "import sys; sys.modules['torch'] = None\n"
+        "from inclined_landing.envs.policy import load_policy\n"
+        "for name in ('landing', 'setpoint', 'touchdown'): load_policy(name)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
