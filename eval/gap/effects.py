@@ -31,12 +31,8 @@ def command(
         console.print(_sheet(LIBRARY[name]))
 
 
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else unit
-
-
 def _numbers(effect: Effect) -> str:
-    return "\n".join(f"{p.name} {p.plausible:g} {_unit(p.unit)}" for p in effect.parameters)
+    return "\n".join(f"{p.name} {p.plausible:g} {'' if p.unit == '1' else p.unit}" for p in effect.parameters)
 
 
 def _overview() -> Table:
@@ -51,17 +47,26 @@ def _overview() -> Table:
 def _sheet(effect: Effect) -> Table:
     table = Table(title=effect.name, title_justify="left", show_header=False, box=None)
     parameters = "\n".join(
-        f"{p.name} [{p.unit}]: neutral {p.neutral:g}, plausible {p.plausible:g}, from {p.bounds[0]:g} to "
+        f"{p.name} ({p.unit}): neutral {p.neutral:g}, plausible {p.plausible:g}, from {p.bounds[0]:g} to "
         f"{p.bounds[1]:g}, negligible within {p.negligible:g}"
         for p in effect.parameters
     )
-    table.add_row("what", effect.description)
-    table.add_row("formula", effect.formula)
-    table.add_row("source", effect.source)
-    table.add_row("parameters", parameters)
-    table.add_row("shows in", ", ".join(effect.regimes))
-    table.add_row("confused with", ", ".join(effect.confused_with))
-    table.add_row("remedy", effect.remedy)
-    if effect.requires:
-        table.add_row("needs in the log", ", ".join(effect.requires))
+    sheet = {
+        "what": effect.description,
+        "formula": effect.formula,
+        "source": effect.source,
+        "parameters": parameters,
+        "shows in": ", ".join(effect.regimes),
+        "confused with": ", ".join(effect.confused_with),
+        "told otherwise": effect.told_by,
+        "entails": ", ".join(effect.entails),
+        "unites": ", ".join(effect.unites),
+        "undone by": effect.pairs_with.name if effect.pairs_with else "",
+        "identify fits": ", ".join(p.constant.name for p in effect.parameters if p.constant),
+        "remedy": effect.remedy,
+        "needs in the log": ", ".join(effect.requires),
+    }
+    for title, text in sheet.items():
+        if text:
+            table.add_row(title, text)
     return table

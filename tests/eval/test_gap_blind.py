@@ -15,7 +15,8 @@ from inclined_landing.models.errors import UserError
 
 
 def test_every_cause_is_in_the_library_or_declared_unknown():
-    assert set(causes.FREE_FLIGHT) | set(causes.TOUCHDOWN) == set(effects.LIBRARY)
+    # An effect without a cause here is in the library, but its naming is not proved.
+    assert set(causes.FREE_FLIGHT) | set(causes.TOUCHDOWN) <= set(effects.LIBRARY)
     assert not set(causes.UNKNOWN) & set(effects.LIBRARY)
     rng = np.random.default_rng(0)
     for name in causes.FREE_FLIGHT | causes.TOUCHDOWN:
