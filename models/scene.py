@@ -1,13 +1,15 @@
-"""The MuJoCo scene: shapes from `mjcf/`, numbers from `crazyflie.toml`.
+"""The MuJoCo scene: shapes from `mjcf/`, numbers from the vehicle file.
 
-The XML files hold no physical constant. `build_spec` fills them in through MjSpec; the result compiles
-in plain MuJoCo wherever this package is installed (its plugins load with `import mujoco`).
+The XML files are the shipped vehicle. `build_spec` makes them any other through MjSpec: every number that
+a vehicle file has is set, and everything that stands at a motor is moved there. The result compiles in
+plain MuJoCo wherever this package is installed (its plugins load with `import mujoco`).
 """
 
 from __future__ import annotations
 
 import functools
 import math
+import re
 from importlib import resources
 
 import mujoco
@@ -24,6 +26,7 @@ INTEGRATORS = {
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,
 }
 _VISUAL_GROUPS = (1, 2)
+_AT_A_MOTOR = re.compile(r"(?P<kind>[a-z]+)_(?P<x>front|rear)_(?P<y>left|right)(_\d)?")
 _WALL_HALF_HEIGHT = 0.8  # m; reaches below the floor at every inclination
 _WALL_HALF_THICKNESS = 0.01  # m
 
@@ -59,6 +62,7 @@ def build_spec(
     spec.option.gravity = [0, 0, -v.environment_gravity]
     spec.option.wind = [*v.effects_wind, 0]
     _fill_vehicle(spec, v, torque_limit)
+    _place_rotors(spec, v)
     _fill_delays(spec, v)
     _fill_platform(spec, v, keep_out)
     for geom in list(spec.geoms):
@@ -92,14 +96,53 @@ def _fill_vehicle(spec: mujoco.MjSpec, v: Vehicle, torque_limit: bool) -> None:
         actuator = spec.actuator(name)
         actuator.ctrllimited = True
         actuator.ctrlrange = limits
-        if torque_limit and name != "thrust":
+        if name != "thrust":
             limit = v.attitude_yaw_torque_limit if name == "yaw_rate" else v.attitude_torque_limit
-            actuator.forcelimited = True
-            actuator.forcerange = (-limit, limit)
+            actuator.forcelimited = torque_limit
+            actuator.forcerange = (-limit, limit) if torque_limit else (0.0, 0.0)
     for key in spec.keys:
         if key.name == "hover":
             key.act = [v.hover_lag]
             key.ctrl = [v.hover_pwm, 0, 0, 0]
+
+
+def _place_rotors(spec: mujoco.MjSpec, v: Vehicle) -> None:
+    """Move what stands at a motor to where the vehicle file has it, from where it is drawn.
+
+    Everything there follows the arm, what turns and the motor also the height; blades and discs are as
+    large as the rotors, the board's arms as long as the vehicle's.
+    """
+    reference = spec.geom("rotor_front_left")
+    arm, _, height = reference.pos
+    grown, wider = v.rotor_radius / reference.size[0], v.rotor_arm / arm
+    foot = spec.geom("foot_front_left")
+    if v.rotor_height - reference.size[1] <= foot.pos[2] - foot.size[0]:
+        raise UserError(
+            f"the rotors are below the feet: rotor.height of {v.rotor_height:g} m must be more than "
+            f"{foot.pos[2] - foot.size[0] + reference.size[1]:g} m"
+        )
+    for element in [*spec.sites, *spec.geoms]:
+        at = _AT_A_MOTOR.fullmatch(element.name)
+        if element.name.startswith("arm_"):
+            element.size[0] *= wider
+        if not at:
+            continue
+        side = np.array([1.0 if at["x"] == "front" else -1.0, 1.0 if at["y"] == "left" else -1.0, 0.0])
+        shift = side * (v.rotor_arm - arm)
+        if at["kind"] == "led":  # on the board's arms
+            element.pos[:2] *= wider
+            continue
+        if at["kind"] in ("rotor", "motor", "hub", "blade", "disc"):
+            shift[2] = v.rotor_height - height
+        if at["kind"] == "leg":
+            element.fromto += np.tile(shift, 2)
+            continue
+        if at["kind"] == "blade":
+            shift += (element.pos - side * arm - [0, 0, height]) * (grown - 1.0)
+            element.size[:2] *= grown
+        element.pos += shift
+        if at["kind"] == "disc" or (at["kind"] == "rotor" and isinstance(element, mujoco.MjsGeom)):
+            element.size[0] = v.rotor_radius
 
 
 def _fill_delays(spec: mujoco.MjSpec, v: Vehicle) -> None:
