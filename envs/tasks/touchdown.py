@@ -123,8 +123,7 @@ class InclinedTouchdown(InclinedLanding):
         if self.observe_contact:
             self.observation_names = (*InclinedLanding.observation_names, "feet")
             self.observation_scale = np.append(InclinedLanding.observation_scale, 1.0)
-        feet = self._shapes.parts == geometry.PARTS.index("feet")
-        self._rest_height = float((self._shapes.radii - self._shapes.centres[:, 2])[feet].max())  # m
+        self._rest_height = float(geometry.reach_below(self._shapes, part="feet"))  # m
         self._weight = self.vehicle.body_mass * self.vehicle.environment_gravity
 
     @property

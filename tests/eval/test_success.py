@@ -13,7 +13,7 @@ from inclined_landing.envs.tasks import Moment, make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval.base import statistics
 from inclined_landing.eval.policies import judges, motors_cut, success, success_effects, success_table
-from inclined_landing.models import storage, surface
+from inclined_landing.models import storage
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -150,13 +150,6 @@ def test_record_flights_refuses_a_plant_of_another_size(landing):
 
 
 # ---- motors cut
-
-
-def test_velocities_split_along_the_slope():
-    velocity = np.array([[0.0, 0.0, -1.0], [math.cos(ALPHA), 0.3, -math.sin(ALPHA)]])
-    away, along = surface.split(velocity, ALPHA)
-    assert away == pytest.approx([-math.cos(ALPHA), 0.0])
-    assert along == pytest.approx([abs(math.sin(ALPHA)), math.hypot(1, 0.3)])
 
 
 def test_cut_motors_fall_and_stay(landing):

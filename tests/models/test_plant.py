@@ -13,6 +13,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import PART_BODIES, PARTS, PLATFORM_BODIES, PLATFORM_GEOMS, SURFACES
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import AnalyticPlant, MujocoPlant, make_plant
+from inclined_landing.models.plants.mujoco import contact_sensors
 
 V = load_vehicle()
 FEET, BODY, ROTORS = range(3)
@@ -477,10 +478,14 @@ def test_divergence_is_an_error_that_names_the_vehicle():
     plant.step(np.zeros((3, 4)))
 
 
-def test_surfaces_and_parts_are_those_of_the_contact_sensors():
-    """15 sensors, surface by surface, feet, body, rotors: `plants` reads them by position."""
-    names = [MODEL.sensor(k).name for k in range(MODEL.nsensor)]
-    geoms = [*PLATFORM_GEOMS, "floor"]
-    assert names[: 3 * len(geoms)] == [f"{part}_{geom}" for geom in geoms for part in PARTS]
-    assert [MODEL.sensor(k).dim[0] for k in range(len(names))] == [4] * 15
-    assert SURFACES == ("slab", "base", "floor")
+def test_contact_sensors_measure_what_their_names_say():
+    """Found by name; each is between the geom and the part's body of its name, and there are no others."""
+    addresses = contact_sensors(MODEL)
+    contacts = MODEL.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT
+    assert sorted(addresses.ravel()) == sorted(MODEL.sensor_adr[contacts])
+    for k in np.flatnonzero(contacts):
+        (geom,), (part,) = np.nonzero(addresses == MODEL.sensor_adr[k])
+        assert MODEL.sensor_dim[k] == 4
+        assert MODEL.sensor_objid[k] == MODEL.geom(geometry.CONTACT_GEOMS[geom]).id
+        assert MODEL.sensor_refid[k] == MODEL.body(PART_BODIES[part]).id
+    assert [SURFACES[k] for k in geometry.GEOM_SURFACE] == ["slab", "base", "base", "base", "floor"]

@@ -1,0 +1,108 @@
+"""Landings seen at the engine's steps, and the frame of the surface they end on."""
+
+import math
+
+import numpy as np
+import pytest
+
+from inclined_landing.models import surface
+from inclined_landing.models.attitude import PITCH, STATE_SIZE, VX, VZ, Z
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.plants.recorder import STEP, Recorder, fly, impulses, present_forces
+
+V = load_vehicle()
+ALPHA = V.platform_inclination
+WEIGHT = V.body_mass * V.environment_gravity
+
+
+def over_slab(*heights, inclination=ALPHA, speed=0.0) -> np.ndarray:
+    """States (n, 13), motors stopped, feet at `heights` [m] over the slab and parallel to it."""
+    plant, state = MujocoPlant(1), np.zeros((len(heights), STATE_SIZE))
+    normal = surface.normal_of(inclination)
+    state[:, :3] = normal * (plant.foot_height + np.array(heights)[:, None])
+    state[:, Z] += V.platform_surface_height
+    state[:, VX : VZ + 1] = -speed * normal
+    state[:, PITCH] = inclination
+    return state
+
+
+def test_velocities_split_along_the_slope():
+    velocity = np.array([[0.0, 0.0, -1.0], [math.cos(ALPHA), 0.3, -math.sin(ALPHA)]])
+    away, along = surface.split(velocity, ALPHA)
+    assert away == pytest.approx([-math.cos(ALPHA), 0.0])
+    assert along == pytest.approx([abs(math.sin(ALPHA)), math.hypot(1, 0.3)])
+    assert surface.downhill_of(-0.3) == pytest.approx([-math.cos(0.3), 0.0, -math.sin(0.3)])
+
+
+@pytest.mark.parametrize("subset", [False, True])
+def test_a_landing_is_the_same_at_any_control_period_and_in_any_company(subset):
+    """Every engine step is seen within a control period; vehicles that are left out stand still."""
+    heights, slopes = (0.03, 0.001, 0.08, 0.05), np.radians([-10.0, -20.0, 0.0, 30.0])
+    states = np.concatenate([over_slab(h, inclination=a, speed=0.4) for h, a in zip(heights, slopes)])
+    seen = []
+    for period in (STEP, None):
+        plant = MujocoPlant(4, control_period=period, timestep=STEP, torque_needs_motors=True)
+        plant.set_platform(np.arange(4), slopes)
+        recorder = Recorder(plant, states)
+        ids = np.array([0, 3]) if subset and period is None else None
+        for _ in range(round(0.2 / plant.control_period)):
+            recorder.step(np.zeros((4, 4)), ids)
+        seen.append([*recorder.touch, recorder.feet_force, plant.state])
+        if ids is not None:
+            np.testing.assert_array_equal(plant.state[[1, 2]], states[[1, 2]])
+            assert recorder.touched.tolist() == [True, False, False, True]
+    compared = [0, 3] if subset else slice(None)
+    for fine, coarse in zip(*seen):
+        np.testing.assert_array_equal(fine[compared], coarse[compared])
+    assert np.diff(seen[0][0][[1, 0, 3, 2]]).min() > 0  # the higher, the later
+
+
+def test_speeds_of_a_touch_are_those_of_the_fall():
+    """No thrust, no drag worth mentioning: v^2 = v0^2 + 2 g cos(alpha) h along the normal, taken up to two
+    steps early, and the weight's share along the slope for the time that takes."""
+    plant = MujocoPlant(1, control_period=STEP, torque_needs_motors=True)
+    recorder = Recorder(plant, over_slab(0.05, speed=0.3))
+    for _ in range(60):
+        recorder.step(np.zeros((1, 4)))
+    into, along = recorder.touch_speeds()
+    pull = V.environment_gravity * math.cos(ALPHA)
+    speed = math.sqrt(0.3**2 + 2 * pull * 0.05)
+    assert speed - 2 * STEP * pull - 1e-3 < into[0] < speed
+    assert along[0] == pytest.approx((into[0] - 0.3) * abs(math.tan(ALPHA)), rel=0.01)
+    assert recorder.feet_force[0] > 2 * WEIGHT
+
+
+def test_at_rest_on_the_feet_and_not_otherwise():
+    """Set down on the slope, lying on the back on it, standing on the floor, still in the air."""
+    plant = MujocoPlant(4, torque_needs_motors=True)
+    states = np.tile(over_slab(0.0), (4, 1))
+    states[1, :3] += surface.normal_of(ALPHA) * 0.002
+    states[1, PITCH] += math.pi
+    states[2, [0, Z, PITCH]] = 1.5, plant.foot_height, 0.0
+    states[3, Z] += 60.0
+    recorder = Recorder(plant, states)
+    for _ in range(100):
+        recorder.step(np.zeros((4, 4)))
+    assert recorder.at_rest().tolist() == [True, False, False, False]
+    away, along = surface.split(present_forces(plant, 0)[1].sum(axis=0), ALPHA)
+    # Creep below 0.2 mm/s leaves the balance of forces to 1 %.
+    assert [away, along] == pytest.approx([WEIGHT * math.cos(ALPHA), -WEIGHT * math.sin(ALPHA)], rel=0.01)
+
+
+def test_impulses_are_the_change_of_momentum():
+    """Of a level drop, step by step; rounding of the four stages' sum is far below 1e-9 of the weight's."""
+    plant = MujocoPlant(1, control_period=STEP, torque_needs_motors=True)
+    plant.set_platform([0], 0.0)
+    plant.reset([0], over_slab(0.01, inclination=0.0, speed=1.0))
+    given, flown = [], [plant.state.copy()]
+    for _ in range(20):
+        given.append(impulses(plant, np.zeros((1, 4)))[0, 2])
+        flown.append(fly(plant, np.zeros((1, 1, 4)))[1])
+    gained = V.body_mass * np.diff(np.array(flown)[:, 0, VZ]) + WEIGHT * STEP
+    assert max(given) > 10 * WEIGHT * STEP
+    assert given == pytest.approx(gained, abs=1e-9 * WEIGHT * STEP)
+    single_step = MujocoPlant(1, integrator="implicitfast")
+    with pytest.raises(UserError, match="for the integrator RK4 only"):
+        impulses(single_step, np.zeros((1, 4)))
