@@ -112,9 +112,10 @@ def test_everything_at_a_motor_stands_where_the_vehicle_file_has_it(arm, share, 
     shapes = geometry.shapes_of(model)  # what the analytic plant and the start filters see
     feet = shapes.centres[shapes.parts == geometry.PARTS.index("feet")]
     close(np.abs(feet[:, :2]), np.full((4, 2), arm))
-    rims = shapes.centres[shapes.parts == geometry.PARTS.index("rotors")]
-    assert np.abs(rims[:, :2]).max() == pytest.approx(arm + radius, abs=0.0015)  # half as thick
-    close(rims[:, 2], height)
+    rotors = shapes.parts == geometry.PARTS.index("rotors")
+    rims = np.abs(shapes.centres[rotors]) + shapes.radii[rotors, None]
+    close(rims[:, :2].max(), arm + radius)
+    close(shapes.centres[rotors, 2], height)
 
 
 def test_rotors_below_the_feet_are_refused():
