@@ -44,5 +44,5 @@ $(INSTALLED): $(SOURCES)
 	  echo "error: no C++ compiler was found for the native plugins; install one (on Debian and" \
 	       "Ubuntu: apt install g++) or name it in CXX." >&2; exit 2
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install $(PIP_ARGS) -c constraints.txt -e '.[test]'
+	$(BIN)/pip install $(PIP_ARGS) -c constraints.txt -e '.[all,test]'
 	@touch $@

@@ -4,9 +4,13 @@ A policy file then takes the task's raw observation and carries no separate stat
 """
 
 import numpy as np
-import torch
 from gymnasium.spaces import Box
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+from inclined_landing.models.errors import optional
+
+with optional():
+    import torch
+    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 
 class ScaledObservation(BaseFeaturesExtractor):

@@ -7,11 +7,13 @@ import time
 
 import gymnasium as gym
 import numpy as np
-from stable_baselines3.common.vec_env import VecEnv
 
 from inclined_landing.envs.batch import BatchEnv, check_seed
 from inclined_landing.envs.spaces import action_space, observation_space
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.errors import UserError, optional, shown
+
+with optional():
+    from stable_baselines3.common.vec_env import VecEnv
 
 
 class BatchVecEnv(VecEnv):

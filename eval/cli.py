@@ -47,7 +47,11 @@ OLD_NAMES = {"contact": "landings"}
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    return exit_code("landing-eval", lambda: _run(words))
+    try:
+        return exit_code("landing-eval", lambda: _run(words))
+    except KeyboardInterrupt:
+        print("landing-eval: interrupted", file=sys.stderr)
+        return 130
 
 
 def find(name: str) -> Callable:

@@ -1,5 +1,16 @@
-"""The one exception that means "the input was wrong": its text is a sentence for the user."""
+"""Sentences for the user: the one exception that means "the input was wrong", and what is not installed."""
 
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+# Packages by the extra that installs them; all others come with `eval`.
+_EXTRAS = {
+    "train": ("stable_baselines3", "torch", "tensorboard", "psutil"),
+    "ray": ("ray",),
+    "baselines": ("pysindy",),
+}
 LONGEST = 2000  # characters of a sentence; beyond, its middle is left out
 
 
@@ -12,6 +23,24 @@ class UserError(ValueError):
 
     def __init__(self, sentence: str):
         super().__init__(shown(sentence, LONGEST))
+
+
+@contextlib.contextmanager
+def optional() -> Iterator[None]:
+    """Around the import of packages that an extra installs: without them, ImportError in one sentence."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise ImportError(not_installed(error), name=error.name) from error
+
+
+def not_installed(error: ModuleNotFoundError, extra: str = "eval") -> str:
+    """The sentence for a package that is not there, with the remedy; extra: what else installs it."""
+    package = (error.name or "").partition(".")[0]
+    if package in ("", "inclined_landing"):
+        return str(error)
+    extra = next((name for name, packages in _EXTRAS.items() if package in packages), extra)
+    return f"{package} is not installed; pip install 'inclined-landing[{extra}]'"
 
 
 def shown(name: object, longest: int = 80) -> str:

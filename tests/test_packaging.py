@@ -3,6 +3,7 @@
 import dataclasses
 import importlib.metadata
 import json
+import re
 import subprocess
 import sys
 from importlib import resources
@@ -21,6 +22,59 @@ def python(code: str) -> str:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def without_extras(code: str) -> str:
+    """Output of `code` where nothing is found that an extra installs."""
+    wanted = {re.match("[A-Za-z0-9_.-]+", r).group() for r in importlib.metadata.requires("inclined-landing")
+              if "extra ==" in r} - {"inclined-landing"}  # fmt: skip
+    found = importlib.metadata.packages_distributions()
+    names = [name for name, owners in found.items() if {o.replace("_", "-").lower() for o in owners} & wanted]
+    assert {"torch", "stable_baselines3", "tyro", "rich", "scipy", "matplotlib", "PIL"} <= set(names)
+    return python(
+        "import sys\n"
+        "class Hidden:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name.partition('.')[0] in {names!r}:\n"
+        "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
+        f"sys.meta_path.insert(0, Hidden())\n{code}"
+    )
+
+
+def test_the_base_flies_with_four_packages():
+    needed = {re.match("[a-z]+", r).group() for r in importlib.metadata.requires("inclined-landing")
+              if "extra ==" not in r}  # fmt: skip
+    assert needed == {"mujoco", "numpy", "numba", "gymnasium"}
+    code = (
+        "import gymnasium, inclined_landing.models.effects, inclined_landing.models.scene\n"
+        "env = gymnasium.make('inclined_landing.envs:InclinedLanding-v0', disable_env_checker=True)\n"
+        "env.reset(seed=0)\n"
+        "for _ in range(3): env.step(env.action_space.sample())\n"
+        "from inclined_landing.envs.rendering import make_renderer\n"
+        "print(make_renderer(64, 48, backend='ray').render(None).shape)"
+    )
+    assert without_extras(code) == "(48, 64, 3)\n"
+
+
+def test_what_an_extra_installs_is_named_with_the_remedy():
+    code = (
+        "import contextlib\n"
+        "from inclined_landing.eval import cli\n"
+        "from inclined_landing.train.cli import main as train\n"
+        "with contextlib.redirect_stderr(sys.stdout):\n"
+        "    print(cli.main(['success', 'landing']), cli.main(['doctor']), train(['landing']))\n"
+        "try: import inclined_landing.envs.sb3\n"
+        "except ImportError as error: print(error)\n"
+        "assert cli.main(['--help']) == 0"
+    )
+    missing, extra = "is not installed; pip install 'inclined-landing", "[eval]'"
+    assert without_extras(code).splitlines()[:5] == [
+        f"landing-eval: tyro {missing}{extra}",
+        f"landing-eval: tyro {missing}{extra}",
+        f"landing-train: tyro {missing}[train]'",
+        "2 2 2",
+        f"stable_baselines3 {missing}[train]'",
+    ]
 
 
 def test_import_mujoco_registers_the_plugins():

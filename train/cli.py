@@ -25,14 +25,12 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _train(arguments: list[str] | None) -> int:
-    import tyro
+    from inclined_landing.eval.base.command_line import exit_code, parse
 
-    from inclined_landing.models import storage
-    from inclined_landing.models.errors import UserError
-    from inclined_landing.train.config import TrainConfig
+    def work() -> None:
+        from inclined_landing.train.config import TrainConfig
 
-    config = tyro.cli(TrainConfig, prog="landing-train", args=arguments)
-    try:
+        config = parse(TrainConfig, "landing-train", arguments)
         from inclined_landing.train.report import report
         from inclined_landing.train.run import Run
 
@@ -42,13 +40,8 @@ def _train(arguments: list[str] | None) -> int:
         metrics = run.execute()
         if config.report and run.config.report and "success" not in metrics:
             report(run.folder, metrics)
-    except (UserError, ImportError) as error:
-        print(f"landing-train: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"landing-train: {storage.reason(error)}: {error.filename}", file=sys.stderr)
-        return 2
-    return 0
+
+    return exit_code("landing-train", work, "train")
 
 
 @contextlib.contextmanager

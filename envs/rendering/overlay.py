@@ -8,6 +8,7 @@ import functools
 import numpy as np
 
 from inclined_landing.envs.rendering.camera import View
+from inclined_landing.models.errors import optional
 
 _BIAS = 0.004  # m; a line this much behind a surface still shows
 _FINE = 4  # arrows are drawn this much larger and averaged
@@ -104,7 +105,8 @@ def arrow_outline(start, end, width: float) -> np.ndarray:
 
 def draw_arrow(canvas: Canvas, view: View, start, vector, *, colour) -> None:
     """A flat arrow from `start` (3,) along `vector` (3,) [m]; nothing hides it, a light rim sets it off."""
-    from PIL import Image, ImageDraw
+    with optional():
+        from PIL import Image, ImageDraw
 
     start = np.asarray(start, float)
     ends, depth = view.project(np.stack([start, start + np.asarray(vector, float)]))
@@ -135,8 +137,9 @@ def draw_arrow(canvas: Canvas, view: View, start, vector, *, colour) -> None:
 
 @functools.lru_cache(maxsize=8)
 def _font(size: int):
-    from matplotlib import font_manager
-    from PIL import ImageFont
+    with optional():
+        from matplotlib import font_manager
+        from PIL import ImageFont
 
     path = font_manager.findfont(font_manager.FontProperties(family="DejaVu Sans Mono"))
     return ImageFont.truetype(path, size)
@@ -145,7 +148,8 @@ def _font(size: int):
 @functools.lru_cache(maxsize=64)
 def _text_mask(text: str, size: int, width: int, height: int, right: bool) -> np.ndarray:
     """Coverage (height, width) in 0..1 of one line of text."""
-    from PIL import Image, ImageDraw
+    with optional():
+        from PIL import Image, ImageDraw
 
     image = Image.new("L", (width, height))
     x = width - 10 if right else 10

@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, not_installed
 
 
 def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -> Any:
@@ -45,19 +45,23 @@ def bound(command: Callable) -> Callable:
     return later
 
 
-def exit_code(prog: str, work: Callable[[], int | None], *, interrupted: str = "interrupted") -> int:
+def exit_code(prog: str, work: Callable[[], int | None], extra: str = "eval") -> int:
     """Do the work of a command line. Returns what it returns, or says in one sentence why it cannot go on:
-    2 for wrong input and for what is not installed, 130 for an interruption."""
+    2 for wrong input and for what `extra` would install."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names that are no UTF-8
     try:
         return work() or 0
+    except ModuleNotFoundError as error:
+        sentence = not_installed(error, extra)
     except (UserError, ImportError) as error:
-        sentence, code = str(error), 2
-    except KeyboardInterrupt:
-        sentence, code = interrupted, 130
+        sentence = str(error)
+    except OSError as error:
+        from inclined_landing.models import storage
+
+        sentence = f"{storage.reason(error)}: {error.filename}"
     print(f"{prog}: {sentence}", file=sys.stderr)
-    return code
+    return 2
 
 
 def _sentence(box: str, prog: str) -> str:

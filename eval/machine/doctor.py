@@ -17,6 +17,7 @@ from inclined_landing.models.errors import UserError
 
 _OLDEST_PYTHON = (3, 11)
 _COMPILERS = ("c++", "g++", "clang++")
+EXTRAS = ("eval", "train", "ray", "baselines")
 
 
 @dataclasses.dataclass
@@ -35,7 +36,8 @@ def examine() -> list[Finding]:
     findings = [_python(), _packages(), _engine(), _plugins(), _compiler()]
     if all(finding.ok for finding in findings[:4]):
         findings += [_simulation(), _rendering(), _opengl()]
-    return [*findings, _video(), _policies()]
+    extras = [_extra(name) for name in EXTRAS] if findings[1].ok else []
+    return [*findings, *extras, _video(), _policies()]
 
 
 def command(json: Flag = False) -> int:
@@ -72,25 +74,42 @@ def _python() -> Finding:
 
 def _packages() -> Finding:
     """Are the distribution's own requirements installed?"""
+    remedy = "run `make` in the repository, or pip install inclined-landing"
     try:
-        requirements = importlib.metadata.requires("inclined-landing") or []
+        missing = _missing("")
     except importlib.metadata.PackageNotFoundError:
-        return Finding("packages", False, "inclined-landing is not installed", "run `make` in the repository")
+        return Finding("packages", False, "inclined-landing is not installed", remedy)
+    if missing:
+        return Finding("packages", False, f"missing: {', '.join(missing)}", remedy)
+    installed = runs.versions()
+    shown = ("gymnasium", "numpy", "numba", "stable-baselines3", "torch", "inclined-landing")
+    there = [f"{name} {installed[name]}" for name in shown if installed[name] is not None]
+    return Finding("packages", True, ", ".join(there))
+
+
+def _extra(name: str) -> Finding:
+    """Are the packages of an extra installed?"""
+    missing = _missing(name)
+    detail = f"missing: {', '.join(missing)}" if missing else "complete"
+    return Finding(
+        f"extra {name}", not missing, detail, f"pip install 'inclined-landing[{name}]'", needed=False
+    )
+
+
+def _missing(extra: str) -> list[str]:
+    """Packages that an extra ("": the base) asks for and that are not installed."""
     missing = []
-    for requirement in requirements:
-        if "extra ==" in requirement:
+    for requirement in importlib.metadata.requires("inclined-landing") or []:
+        name, _, condition = requirement.partition(";")
+        wanted = re.search(r"extra == ['\"](\w+)", condition)
+        if (wanted.group(1) if wanted else "") != extra:
             continue
-        name = re.match(r"[A-Za-z0-9._-]+", requirement).group()
+        name = re.match(r"[A-Za-z0-9._-]+", name).group()
         try:
             importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             missing.append(name)
-    if missing:
-        names = ", ".join(missing)
-        return Finding("packages", False, f"missing: {names}", "run `make` in the repository")
-    installed = runs.versions()
-    shown = ("gymnasium", "stable-baselines3", "torch", "numpy", "numba", "inclined-landing")
-    return Finding("packages", True, ", ".join(f"{name} {installed[name]}" for name in shown))
+    return missing
 
 
 def _engine() -> Finding:
