@@ -77,7 +77,7 @@ def test_vehicles_attach_to_another_scene_and_fly_there():
 @given(arm=st.floats(0.006, 1.0), share=st.floats(0.1, 1.0), height=st.floats(-0.01, 0.4))
 @settings(max_examples=15, deadline=None)
 def test_everything_at_a_motor_stands_where_the_vehicle_file_has_it(arm, share, height):
-    radius = share * arm
+    radius = max(0.002, share * arm)  # the least that a vehicle file may have
     vehicle = dataclasses.replace(V, rotor_arm=arm, rotor_radius=radius, rotor_height=height)
     spec = build_spec(vehicle)
     rotors = next(p.config for p in spec.plugins if p.name == "rotors")
