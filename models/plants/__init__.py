@@ -12,6 +12,7 @@ unless another is given), and shows
 
 The MuJoCo plant also has `set_contact(ids, ...)`: friction, restitution and contact time, foot height;
 and `torque_needs_motors`: with it, a vehicle under PWM 0 has no attitude torque, as motors make it.
+What happens at touching is seen by `recorder.Recorder`, at every step of the engine.
 """
 
 from __future__ import annotations

@@ -254,6 +254,31 @@ def rebound(touchdown: Touchdown, restitution: float, contact_time: float) -> fl
     return float(curve[1])
 
 
+def _row(f: Fit, predicted_up: float) -> dict:
+    """What the page shows of one touchdown and its fit."""
+    d = f.touchdown
+    return {
+        "flight": d.flight,
+        "down": d.down,
+        "up": d.up,
+        "tilt_deg": float(np.degrees(d.tilt)),
+        "slide": d.slide,
+        "thrust": d.thrust,
+        "shock": d.shock,
+        "restitution_measured": d.restitution,
+        "restitution": f.restitution,
+        "restitution_error": f.errors[0],
+        "contact_time": f.contact_time,
+        "contact_time_error": f.errors[1],
+        "rms": f.rms,
+        "at_bound": f.at_bound,
+        "predicted_up": predicted_up,
+        "time": d.time,
+        "measured": d.height,
+        "simulated": f.heights,
+    }
+
+
 def finding(folder: str | Path, tick=lambda name: None) -> Finding:
     """Touchdowns of the flights in `folder`, fitted and predicted from one another."""
     found = find_touchdowns(read_flights(folder))
@@ -269,29 +294,8 @@ def finding(folder: str | Path, tick=lambda name: None) -> Finding:
     rows = []
     for k, f in enumerate(fits):
         others = np.arange(len(fits)) != k
-        d = f.touchdown
-        rows.append(
-            {
-                "flight": d.flight,
-                "down": d.down,
-                "up": d.up,
-                "tilt_deg": float(np.degrees(d.tilt)),
-                "slide": d.slide,
-                "thrust": d.thrust,
-                "shock": d.shock,
-                "restitution_measured": d.restitution,
-                "restitution": f.restitution,
-                "restitution_error": f.errors[0],
-                "contact_time": f.contact_time,
-                "contact_time_error": f.errors[1],
-                "rms": f.rms,
-                "at_bound": f.at_bound,
-                "predicted_up": rebound(d, float(np.median(e[others])), float(np.median(time[others]))),
-                "time": d.time,
-                "measured": d.height,
-                "simulated": f.heights,
-            }
-        )
+        predicted = rebound(f.touchdown, float(np.median(e[others])), float(np.median(time[others])))
+        rows.append(_row(f, predicted))
     missed = np.array([row["predicted_up"] - row["up"] for row in rows])
     return Finding(
         "touchdowns",
