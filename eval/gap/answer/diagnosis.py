@@ -10,6 +10,7 @@ import numpy as np
 from scipy import stats
 
 from inclined_landing.eval.gap.answer import manoeuvres
+from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE, Landing, landings_of
 from inclined_landing.eval.gap.flights.windows import REGIMES, prepare_all
 from inclined_landing.eval.gap.result import (
     Diagnosis,
@@ -21,7 +22,7 @@ from inclined_landing.eval.gap.result import (
     WhereRow,
     WindowCurves,
 )
-from inclined_landing.eval.gap.search import remainder, rollout, touchdown
+from inclined_landing.eval.gap.search import contact, remainder, rollout, touchdown
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
 from inclined_landing.eval.gap.search.fit import left_out_vehicles, refit, spread_between
 from inclined_landing.eval.gap.search.naming import Search, search
@@ -122,7 +123,7 @@ class _Touched:
     """What the landings say; `landed` is empty where they are too few."""
 
     vehicle: Vehicle  # corrected for contact too
-    landed: list[touchdown.Landing] = dataclasses.field(default_factory=list)  # those judged on
+    landed: list[Landing] = dataclasses.field(default_factory=list)  # those judged on
     effects: tuple[NamedEffect, ...] = ()
     steps: Sequence[SearchStep] = ()
     where: tuple[WhereRow, ...] = ()
@@ -131,19 +132,19 @@ class _Touched:
 
 def _touched(flights, heldout, vehicle: Vehicle, corrected: Vehicle, library, notes: list[str]) -> _Touched:
     """Name contact effects from the landings of the flights."""
-    landed = touchdown.landings_of(flights, corrected)
-    if len(landed) < touchdown.FEWEST or not any(e.contact for e in library.values()):
+    landed = landings_of(flights, corrected)
+    if len(landed) < contact.FEWEST or not any(e.contact for e in library.values()):
         if landed:
             few = f"{len(landed)} touchdown{'s' * (len(landed) > 1)} only"
-            notes.append(f"{few}: contact effects need {touchdown.FEWEST}")
+            notes.append(f"{few}: contact effects need {contact.FEWEST}")
         return _Touched(corrected)
-    contact, named = touchdown.name_contact(landed, corrected, library)
-    after = contact.corrected(named.fit.values)
+    problem, named = contact.name_contact(landed, corrected, library)
+    after = problem.corrected(named.fit.values)
     if named.unexplained:
         notes.append("the motion after the touch differs from the simulated one in a way no effect explains")
-    test = touchdown.landings_of(heldout, corrected) or landed
+    test = landings_of(heldout, corrected) or landed
     where = _where_touching(test, vehicle, after)
-    return _Touched(after, test, _named(contact, named), named.steps, where, named.unexplained)
+    return _Touched(after, test, _named(problem, named), named.steps, where, named.unexplained)
 
 
 class _Clock:
@@ -275,7 +276,7 @@ def _landing_gap(landed, before: Vehicle, after: Vehicle) -> PlantGap:
     end = [float(np.sqrt((touchdown.position_errors(landed, v)[:, -1] ** 2).mean())) for v in (before, after)]
     floor = float(np.sqrt(np.mean([(x.deviation[-1, :3] ** 2).sum() for x in landed])))
     nan = float("nan")
-    return PlantGap(*end, floor, nan, nan, len(landed), touchdown.BEFORE + touchdown.AFTER)
+    return PlantGap(*end, floor, nan, nan, len(landed), BEFORE + AFTER)
 
 
 def _starts(problem: Problem, notes: list[str]) -> rollout.Starts | None:

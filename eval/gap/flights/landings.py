@@ -1,0 +1,125 @@
+"""Touchdowns cut out of flights: start state before the touch, and the motion after it that is compared."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import savgol_coeffs
+
+from inclined_landing.eval.gap.flights.windows import measurement_noise
+from inclined_landing.eval.logs import FlightLog
+from inclined_landing.models.attitude import ROLL, STATE_SIZE, VX, WX, body_rates
+from inclined_landing.models.parameters import Vehicle
+
+BEFORE = 0.1  # s before the touch at which the simulation starts
+LOOK_BACK = 0.14  # s of flight before that from which the start state is fitted
+AFTER = 0.45  # s after the touch that are compared: nothing moves any more
+EVERY = 0.01  # s between the compared samples
+# What the comparison cannot be better than, one idealised contact against another, in the motion that follows
+# the touch at once and in where it ends: along the slope, where feet slide, across it, along its normal [m];
+# roll, pitch, yaw [rad]. Each is correlated over time: the first over FLEETING, the second stays.
+FLEETING = 0.05  # s
+MISMATCH = (0.0010, 0.0005, 0.0003, 0.010, 0.016, 0.006)
+OFFSET = (0.0030, 0.0008, 0.0004, 0.008, 0.005, 0.012)
+
+
+@dataclasses.dataclass
+class Landing:
+    """One touchdown: what is needed to simulate and compare it."""
+
+    name: str
+    dt: float
+    start: np.ndarray  # (13,) state without lag
+    first: int  # row of the log at the start
+    touch: int  # row of the log at the touch
+    rows: int  # steps to simulate
+    measured: np.ndarray  # (k, 6) pose at the compared rows
+    compared: np.ndarray  # (k,) steps after the start
+    deviation: np.ndarray  # (k, 6) standard deviation of measured minus simulated
+    whiten: np.ndarray  # (6, k, k) what makes their errors independent, each of unit variance
+    command: np.ndarray  # (m, 4) of the whole log
+    on_platform: bool
+
+
+def landings_of(logs: Sequence[FlightLog], vehicle: Vehicle) -> list[Landing]:
+    """The touchdowns of flights with a contact channel: the first touch after at least 0.3 s of flight."""
+    found = []
+    for log in logs:
+        if log.contact is None or not log.contact.any():
+            continue
+        dt = float(np.median(np.diff(log.t)))
+        back, rest = round((BEFORE + LOOK_BACK) / dt), round(AFTER / dt)
+        touching = log.contact.astype(int)
+        for touch in np.flatnonzero(np.diff(touching) == 1) + 1:
+            if touch < back + 2 or log.contact[max(0, touch - max(back, round(0.3 / dt))) : touch].any():
+                continue
+            if touch + rest >= len(log.t):
+                continue
+            found.append(_landing(log, int(touch), dt, vehicle))
+    return found
+
+
+def _landing(log: FlightLog, touch: int, dt: float, vehicle: Vehicle) -> Landing:
+    first = touch - round(BEFORE / dt)
+    back = round(LOOK_BACK / dt)
+    pose = np.hstack([log.position, np.unwrap(log.attitude, axis=0)])
+    noise = measurement_noise(pose)
+    # A parabola through the samples up to the start, and half as many after it, all before the touch.
+    ahead = min(back // 2, touch - first - 2)
+    length = back + ahead + 1
+    length -= 1 - length % 2
+    window = pose[first + ahead - length + 1 : first + ahead + 1]
+    place = length - 1 - ahead
+    weights = [savgol_coeffs(length, 2, deriv=d, delta=dt, pos=place, use="dot") for d in (0, 1)]
+    value, rate = (w @ window for w in weights)
+    gain = [np.linalg.norm(w) for w in weights]
+    start = np.zeros(STATE_SIZE)
+    start[:3], start[VX : VX + 3] = value[:3], rate[:3]
+    start[ROLL : ROLL + 3] = value[3:]
+    start[WX : WX + 3] = body_rates(value[3], value[4], *rate[3:])
+    step = max(1, round(EVERY / dt))
+    rows = touch - first + round(AFTER / dt)
+    compared = np.arange(touch - first - step, rows + 1, step)
+    covariance = _covariance(compared * dt - BEFORE, noise, gain)
+    half = vehicle.slab_half_length * math.cos(vehicle.platform_inclination) + 0.05
+    over = abs(value[0]) < half and abs(value[1]) < 0.5 * vehicle.platform_depth + 0.05
+    return Landing(
+        log.name,
+        dt,
+        start,
+        first,
+        touch,
+        rows,
+        pose[first + compared],
+        compared,
+        np.sqrt(np.einsum("cii->ic", covariance)),
+        np.linalg.inv(np.linalg.cholesky(covariance)),
+        np.where(np.isnan(log.command), 0.0, log.command),
+        bool(over and value[2] > 0.5 * vehicle.platform_surface_height),
+    )
+
+
+def _covariance(t: np.ndarray, noise: np.ndarray, gain: Sequence[float]) -> np.ndarray:
+    """Covariance (6, k, k) of measured minus simulated pose at t (k,) [s] after the touch.
+
+    noise (6,) of the measurement; gain: what start pose and rates make of it. Errors of the start grow while
+    things move; the surface ends them along its normal, in roll and in pitch.
+    """
+    moving = np.clip(t, -BEFORE, 0.15) + BEFORE
+    held = np.exp(-np.maximum(t, 0.0) / FLEETING)
+    touched = np.clip(t / FLEETING, 0.0, 1.0)
+    settled = 1.0 - np.exp(-np.maximum(t, 0.0) / FLEETING)
+    fleeting = touched * np.exp(-np.maximum(t - 0.1, 0.0) / FLEETING)
+    near = np.exp(-np.abs(t[:, None] - t) / FLEETING)
+    result = np.empty((6, len(t), len(t)))
+    for c in range(6):
+        start = gain[0] ** 2 + gain[1] ** 2 * np.outer(moving, moving)
+        if c in (2, 3, 4):
+            start = start * np.outer(held, held)
+        result[c] = noise[c] ** 2 * (np.eye(len(t)) + start)
+        result[c] += MISMATCH[c] ** 2 * near * np.outer(fleeting, fleeting)
+        result[c] += OFFSET[c] ** 2 * np.outer(settled, settled)
+    return result
