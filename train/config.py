@@ -13,27 +13,13 @@ import tyro
 
 from inclined_landing.envs.tasks import TASKS, task_class
 from inclined_landing.envs.tasks.base import Training
+from inclined_landing.eval.base.options import Range, Seed, check_ranges
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.plants import PLANTS
 from inclined_landing.models.scene import INTEGRATORS
 
 # A field of `envs.tasks.base.Training` that is left at None becomes what the task says there.
 _OF_THE_TASK = tuple(field.name for field in dataclasses.fields(Training))
-
-
-@dataclasses.dataclass(frozen=True)
-class Range:
-    """Which numbers an option takes: from `low` to `high`, without the two where it is `open`."""
-
-    low: float
-    high: float
-    open: bool = False
-
-    def __contains__(self, value: float) -> bool:
-        return self.low < value < self.high if self.open else self.low <= value <= self.high
-
-    def __str__(self) -> str:
-        return f"{'between' if self.open else 'from'} {self.low} {'and' if self.open else 'to'} {self.high}"
 
 
 _MANY = Range(1, 10**9)
@@ -57,7 +43,7 @@ class TrainConfig:
     task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(help=f"{', '.join(TASKS)}.")] = "landing"
     out: Path | None = None
     """Run folder (default: runs/TASK-seed)."""
-    seed: Annotated[int, Range(0, 2**32 - 1)] = 0
+    seed: Seed = 0
     """Of the policy, the starts and the minibatches; periodic evaluation uses starts of its own."""
     steps: Annotated[int | None, _MANY, _by_task("Environment steps, fixed beforehand", "steps")] = None
     start_from: Annotated[
@@ -144,7 +130,7 @@ class TrainConfig:
         out = Path(self.out or f"runs/{self.task}-{self.seed}")
         vehicle = None if self.vehicle is None else Path(self.vehicle)
         config = dataclasses.replace(self, out=out, vehicle=vehicle, **filled)
-        config._check_ranges()
+        check_ranges(config)
         samples = config.environments * config.rollout
         if samples == 1:
             raise UserError("--environments and --rollout must give more than one sample")
@@ -160,13 +146,6 @@ class TrainConfig:
             if (isinstance(value, bool) and bool not in kinds) or not isinstance(value, _kinds(kinds)):
                 words = " or ".join(_KINDS[kind][1] for kind in kinds if kind in _KINDS)
                 raise UserError(f"{_option(name)} must be {words}, not {shown(repr(value), 40)}")
-
-    def _check_ranges(self) -> None:
-        for name, kind in typing.get_type_hints(TrainConfig, include_extras=True).items():
-            value = getattr(self, name)
-            for limits in getattr(kind, "__metadata__", ()):
-                if isinstance(limits, Range) and value is not None and value not in limits:
-                    raise UserError(f"{_option(name)} must lie {limits}, not {shown(value, 40)}")
 
     def as_json(self) -> dict:
         """The configuration with JSON types only."""

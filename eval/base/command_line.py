@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import inspect
 import io
 import itertools
 import re
 import sys
+import typing
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from inclined_landing.models.errors import UserError, not_installed
+from inclined_landing.models.errors import UserError, not_installed, shown
 
 
 def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -> Any:
@@ -25,6 +27,10 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
     """
     import tyro
 
+    for word in sys.argv[1:] if arguments is None else arguments:
+        number = word.rpartition("=")[2]
+        if number.isdigit() and not number.isascii():
+            raise UserError(f"{shown(word)}: numbers are written with the digits 0 to 9")
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
@@ -36,10 +42,17 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
 
 
 def bound(command: Callable) -> Callable:
-    """`command` with the same signature and docstring, which returns the call instead of making it."""
+    """`command` with the same signature and docstring, which returns the call instead of making it.
+
+    Numbers beyond the `Range` of their option are refused here, before any work.
+    """
 
     @functools.wraps(command)
     def later(*arguments, **options):
+        from inclined_landing.eval.base.options import check_ranges
+
+        given = inspect.signature(command).bind(*arguments, **options).arguments
+        check_ranges(given, typing.get_type_hints(command, include_extras=True))
         return functools.partial(command, *arguments, **options)
 
     return later
@@ -57,9 +70,7 @@ def exit_code(prog: str, work: Callable[[], int | None], extra: str = "eval") ->
     except (UserError, ImportError) as error:
         sentence = str(error)
     except OSError as error:
-        from inclined_landing.models import storage
-
-        sentence = f"{storage.reason(error)}: {error.filename}"
+        sentence = f"{(error.strerror or str(error)).lower()}: {shown(error.filename)}"
     print(f"{prog}: {sentence}", file=sys.stderr)
     return 2
 
@@ -70,4 +81,4 @@ def _sentence(box: str, prog: str) -> str:
     ruled = itertools.groupby(rows, lambda row: not row.strip("─-╭╮╰╯"))
     parts = [" ".join(" ".join(part).split()).rstrip(".") for rule, part in ruled if not rule]
     wrong = [part.removeprefix("Argument helptext: ") for part in parts if not part.startswith("For full")]
-    return "; ".join([*wrong, f"{prog} --help says what is right"])
+    return "; ".join([shown("; ".join(wrong), 200), f"{prog} --help says what is right"])

@@ -8,18 +8,37 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import tyro
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 if TYPE_CHECKING:
     from inclined_landing.envs.policy import Policy
 
+
+@dataclasses.dataclass(frozen=True)
+class Range:
+    """Which numbers an option takes: from `low` to `high`, without the two where it is `open`."""
+
+    low: float
+    high: float
+    open: bool = False
+
+    def __contains__(self, value: float) -> bool:
+        return self.low < value < self.high if self.open else self.low <= value <= self.high
+
+    def __str__(self) -> str:
+        return f"{'between' if self.open else 'from'} {self.low} {'and' if self.open else 'to'} {self.high}"
+
+
 T = TypeVar("T")
 Flat = Annotated[T, tyro.conf.arg(name="")]
+Seed = Annotated[int, Range(0, 2**32 - 1)]
+Pixels = Annotated[int, Range(16, 4096)]
 Flag = tyro.conf.FlagCreatePairsOff[bool]
 PolicyFile = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
 PolicyName = Annotated[str, tyro.conf.arg(metavar="POLICY")]
@@ -77,8 +96,8 @@ class Look:
     """
 
     camera: Annotated[str, tyro.conf.arg(metavar="{side,hero,pad,track,chase,closeup,onboard}")] = "hero"
-    width: int = 1280
-    height: int = 720
+    width: Pixels = 1280
+    height: Pixels = 720
     backend: Annotated[str, tyro.conf.arg(metavar="{auto,ray,gl}")] = "auto"
 
 
@@ -118,3 +137,20 @@ class FlightSource(LogSource):
     heldout: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = ()
     vehicle: VehicleFile = None
     platform: Flag = False
+
+
+def check_ranges(group: object, hints: Mapping[str, Any] | None = None) -> None:
+    """Raise UserError unless every number lies in the `Range` with which its option is annotated.
+
+    group: options by name, or a dataclass of them; groups within are checked too. hints: the annotations,
+    where `group` does not have its own.
+    """
+    values = group if isinstance(group, Mapping) else vars(group)
+    hints = get_type_hints(type(group), include_extras=True) if hints is None else hints
+    for name, value in values.items():
+        if dataclasses.is_dataclass(value):
+            check_ranges(value)
+        for limits in getattr(hints.get(name), "__metadata__", ()):
+            if isinstance(limits, Range) and value is not None and value not in limits:
+                option = "from" if name == "start_from" else name.replace("_", "-")
+                raise UserError(f"--{option} must lie {limits}, not {shown(value, 40)}")

@@ -23,7 +23,7 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.eval.base.options import Flag, NewFolder
+from inclined_landing.eval.base.options import Flag, NewFolder, Seed
 from inclined_landing.eval.base.runs import check_new_run, new_run, versions
 from inclined_landing.eval.base.statistics import spread
 from inclined_landing.models import storage
@@ -45,7 +45,7 @@ def command(
     runs: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR [DIR ...]")] = (),
     quick: Flag = False,
     training: bool = True,
-    seed: int = 0,
+    seed: Seed = 0,
     json: Flag = False,
     out: NewFolder = None,
 ) -> None:
@@ -60,8 +60,6 @@ def command(
         json: print JSON, and nothing else, on standard output.
         out: new folder for benchmark.json.
     """
-    if seed < 0:
-        raise UserError(f"--seed must not be negative, it is {seed}")
     if out is not None:
         check_new_run(out)
     to_99 = time_to_99(runs) if runs else None

@@ -7,13 +7,14 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
 from inclined_landing.envs.flights import Flight
-from inclined_landing.eval.base.options import File, Flag, Flat, Flown, Look, PolicyFile, Starts
+from inclined_landing.eval.base.options import File, Flag, Flat, Flown, Look, PolicyFile, Range, Starts
 from inclined_landing.eval.pictures.flown import fly, points, report
 from inclined_landing.eval.pictures.frames import FPS, render_flight, write_video
 from inclined_landing.eval.pictures.touch import STEP, Touchdown, watch
@@ -31,7 +32,7 @@ def command(
     start: Starts = (),
     look: Flat[Look] = Look(width=960, height=540),
     gif: Flag = False,
-    slow: float = 1.0,
+    slow: Annotated[float, Range(0.1, 20)] = 1.0,
     forces: Flag = False,
     flown: Flat[Flown] = Flown(),
 ) -> None:
@@ -50,8 +51,6 @@ def command(
     """
     if out.suffix.lower() not in (".mp4", ".gif"):
         raise UserError(f"a video is an .mp4 or .gif file, not {out.name!r}")
-    if not (math.isfinite(slow) and 0.1 <= slow <= 20.0):
-        raise UserError(f"--slow must be from 0.1 to 20, not {slow:g}")
     if look.width % 2 or look.height % 2:
         raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
     loaded = flown.load(policy)

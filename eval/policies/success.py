@@ -28,7 +28,7 @@ import tyro
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.options import Flag, Flat, Flown, NewFolder, PolicyFile
+from inclined_landing.eval.base.options import Flag, Flat, Flown, NewFolder, PolicyFile, Seed
 from inclined_landing.eval.policies.judges import judge_of
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
@@ -57,7 +57,7 @@ def command(
     flown: Flat[Flown] = Flown(),
     thrust_scale: Scales = (),
     effects: Flag = False,
-    seed: int = 0,
+    seed: Seed = 0,
     json: Flag = False,
     out: NewFolder = None,
 ) -> None:
@@ -78,8 +78,6 @@ def command(
             raise UserError(f"--thrust-scale must be above 0 and at most 3, not {scale:g}")
     if effects and scales != (1.0,):
         raise UserError("give either --effects or --thrust-scale: an effect of the library scales the thrust")
-    if seed < 0:
-        raise UserError(f"--seed must not be negative, it is {seed}")
     if out is not None:
         runs.check_new_run(out)
     loaded = flown.load(policy)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.options import Folder
+from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.eval.proof.gap_blind.causes import Drawn
 from inclined_landing.eval.proof.gap_blind.generate import fly_all, write_csv
 
@@ -17,7 +17,7 @@ HIDDEN = Drawn(
 SETS = {"fit": 10, "heldout": 10}  # every kind of ordinary flight once in each
 
 
-def command(out: Folder, seed: int = 0) -> None:
+def command(out: Folder, seed: Seed = 0) -> None:
     """Twenty flights with hidden effects, of an independent simulator, to try gap.
 
     Args:

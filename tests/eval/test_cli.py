@@ -111,7 +111,7 @@ BAD = [
     (["success", "{policy}", "--thrust-scale", "nan"], "--thrust-scale must be above 0"),
     (["success", "{policy}", "--vehicle", "none.toml"], "vehicle file none.toml does not exist"),
     (["success", "{policy}", "--out", "{full}"], "exists and is not empty"),
-    (["success", "{policy}", "--seed", "-1"], "--seed must not be negative"),
+    (["success", "{policy}", "--seed", "-1"], "--seed must lie from 0 to 4294967295, not -1"),
     (["benchmark", "--runs", "{full}"], "is not a finished training run"),
     (["benchmark", "--out", "{full}"], "exists and is not empty"),
     (["benchmark", "--policy", "none.zip"], "none.zip does not exist"),

@@ -244,7 +244,7 @@ def test_failing_claims_give_exit_code_1(tmp_path, capsys, monkeypatch, quick_ru
 
 
 @pytest.mark.parametrize("arguments, sentence", [
-    (["--seed", "-1"], "--seed must not be negative"),
+    (["--seed", "-1"], "--seed must lie from 0"),
     (["--policy", "nowhere.zip"], "policy nowhere.zip does not exist"),
     (["--policy", "setpoint"], "was trained for the task setpoint, not for landing"),
 ])  # fmt: skip

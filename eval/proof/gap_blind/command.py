@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.options import Flag, Folder
+from inclined_landing.eval.base.options import Flag, Folder, Range, Seed
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
@@ -35,11 +35,11 @@ _COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
 def command(
     out: Folder,
     set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh}")] = "dev",
-    seed: int = 0,
-    cases: int | None = None,
+    seed: Seed = 0,
+    cases: Annotated[int | None, Range(len(strata.STRATA), 10**6)] = None,
     method: Annotated[tuple[str, ...], tyro.conf.arg(metavar="{workflow,tuning,sparse}")] = ("workflow",),
     keep: Flag = False,
-    processes: int = 2,
+    processes: Annotated[int, Range(1, 256)] = 2,
 ) -> None:
     """Hidden causes in flights of an independent simulator: what gap names (minutes).
 
@@ -58,8 +58,6 @@ def command(
     for method in methods:
         if method not in METHODS:
             raise UserError(f"unknown method {method!r}; known are {', '.join(METHODS)}")
-    if cases is not None and cases < len(strata.STRATA):
-        raise UserError(f"a set needs at least {len(strata.STRATA)} cases, one for each stratum, not {cases}")
     drawn = strata.cases((SETS[set], seed), cases)
     labels = {case.name: case.label() for case in drawn}
     out = runs.new_run(out, "gap-blind", resumable=_SET)
