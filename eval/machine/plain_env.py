@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 
 from inclined_landing.envs.tasks import landing
+from inclined_landing.models.geometry import PLATFORM_GEOMS
 from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants.mujoco import contact_sensors
 from inclined_landing.models.scene import compile_scene
-
-_PLATFORM_SENSORS = 12  # contact sensors of slab and base, found and force each; the floor's follow
 
 
 class PlainLandingEnv(gym.Env):
@@ -25,6 +25,7 @@ class PlainLandingEnv(gym.Env):
         self.task = landing.InclinedLanding(v)  # for its start filter only
         self.model = compile_scene(v)
         self.data = mujoco.MjData(self.model)
+        self.found = contact_sensors(self.model)[: len(PLATFORM_GEOMS)].ravel()  # contacts with slab and base
         self.substeps = round(v.command_control_period / self.model.opt.timestep)
         self.pwm_centre = v.command_pwm_centre if pwm_centre is None else pwm_centre
         self.observation_space = gym.spaces.Box(-np.inf, np.inf, (5,), np.float32)
@@ -54,7 +55,7 @@ class PlainLandingEnv(gym.Env):
         touching = False
         for _ in range(self.substeps):
             mujoco.mj_step(self.model, data)
-            touching |= bool((data.sensordata[: 4 * _PLATFORM_SENSORS : 4] > 0).any())
+            touching |= bool((data.sensordata[self.found] > 0).any())
         self.steps += 1
         observation = self._observation()
         reached = bool((np.abs(observation - self.goal) < self.tolerance).all())
