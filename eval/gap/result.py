@@ -185,44 +185,31 @@ class Diagnosis:
         return vehicle
 
     def to_json(self) -> dict:
-        """The contents of report.json: plain dicts, lists, strings and numbers."""
+        """The contents of report.json: plain dicts, sequences, strings and numbers."""
+        effects = [
+            {
+                **_some(e, "name", "gain", "remedy", "note"),
+                "class": e.members,
+                "parameters": {
+                    name: _some(p, "value", "unit", "ci95", "per_flight") for name, p in e.parameters.items()
+                },
+                "follows_from": e.follows_from or None,
+            }
+            for e in self.effects
+        ]
+        depends_on = [_some(d, "channel", "on", "share") for d in self.remainder.depends_on]
         return {
-            "verdict": self.verdict,
-            "effects": [
-                {
-                    "name": e.name,
-                    "class": list(e.members),
-                    "parameters": {
-                        name: {
-                            "value": p.value,
-                            "unit": p.unit,
-                            "ci95": list(p.ci95),
-                            "per_flight": list(p.per_flight),
-                        }
-                        for name, p in e.parameters.items()
-                    },
-                    "gain": e.gain,
-                    "remedy": e.remedy,
-                    "follows_from": e.follows_from or None,
-                    "note": e.note,
-                }
-                for e in self.effects
-            ],
-            "separating_manoeuvre": self.separating_manoeuvre,
+            **_some(self, "verdict", "separating_manoeuvre", "flights", "heldout", "notes"),
+            "effects": effects,
             "where": [dataclasses.asdict(row) for row in self.where],
             "gap": {plant: dataclasses.asdict(gap) for plant, gap in self.gap.items()},
-            "remainder": {
-                "unexplained": self.remainder.unexplained,
-                "size": self.remainder.size,
-                "floor": self.remainder.floor,
-                "depends_on": [
-                    {"channel": d.channel, "on": d.on, "share": d.share} for d in self.remainder.depends_on
-                ],
-                "text": self.remainder.text,
-            },
+            "remainder": _some(self.remainder, "unexplained", "size", "floor", "text")
+            | {"depends_on": depends_on},
             "seconds": float(sum(self.seconds.values())),
             "stages": self.seconds,
-            "flights": list(self.flights),
-            "heldout": list(self.heldout),
-            "notes": list(self.notes),
         }
+
+
+def _some(one, *names: str) -> dict:
+    """Some fields of a dataclass."""
+    return {name: getattr(one, name) for name in names}

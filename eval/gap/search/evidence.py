@@ -209,10 +209,8 @@ class Linear(_Grams):
         """(6,) squared error per degree of freedom that the whole library leaves, at least 1."""
         weight = self.problem.weight
         a, b = np.einsum("wc,wcpq->pq", weight, self.a), np.einsum("wc,wcp->p", weight, self.b)
-        d = solve(a, b)
-        left = self.c - 2.0 * self.b @ d + np.einsum("wcpq,p,q->wc", self.a, d, d, optimize=True)
         freedom = np.maximum(1.0, (weight * self.problem.rows[:, None]).sum(axis=0))
-        return np.maximum(1.0, (weight * left).sum(axis=0) / freedom)
+        return np.maximum(1.0, self.by_channel(np.ones(6), solve(a, b)) / freedom)
 
     def by_channel(self, inflation: np.ndarray, change: np.ndarray | None = None) -> np.ndarray:
         """Squared error (6,) of every channel, after a change (P,) of all columns."""

@@ -72,7 +72,7 @@ def draw_stability(axes, rows: list[Stability]) -> None:
 
 def _name(row: Stability) -> str:
     name = row.effect.replace("_", " ")
-    if row.parameter not in ("scale", "delay", "coefficient", "strength", "force"):
+    if len(LIBRARY[row.effect].parameters) > 1:
         name += f" {row.parameter}"
     unit = "" if row.unit == "1" else f" {row.unit}"
     return f"{name} {row.all[0]:.3g}{unit}"
