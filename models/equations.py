@@ -14,6 +14,8 @@ out while all are neutral. Delays are not equations: the plant shifts the comman
 import dataclasses
 import functools
 import math
+from collections.abc import Callable
+from operator import attrgetter
 
 import numba
 import numpy as np
@@ -60,33 +62,31 @@ _NO_TERMS = frozenset(
 
 
 @functools.cache
-def _layout() -> tuple[dict[str, list[str]], np.dtype]:
-    """The entries of each table of the vehicle file, and the type of `pack`'s array."""
-    tables: dict[str, list[str]] = {}
+def _layout() -> tuple[Callable, Callable, np.dtype]:
+    """What reads all values of a vehicle, what reads the terms of effects, the type of `pack`'s array."""
     shipped = load_vehicle()
+    tables: dict[str, list[tuple]] = {}
     for field in dataclasses.fields(Vehicle):
         table, _, entry = field.name.partition("_")
-        tables.setdefault(table, []).append(entry)
-
-    def column(table, entry):
-        return entry, float, np.shape(getattr(shipped, f"{table}_{entry}"))
-
-    groups = [(table, [column(table, entry) for entry in entries]) for table, entries in tables.items()]
-    return tables, np.dtype([*groups, ("slab_half_length", float), ("any_effect", np.bool_)])
+        tables.setdefault(table, []).append((entry, float, np.shape(getattr(shipped, field.name))))
+    names = [f"{table}_{entry}" for table in tables for entry, *_ in tables[table]]
+    terms = [f"effects_{entry}" for entry, *_ in tables["effects"] if entry not in _NO_TERMS]
+    layout = np.dtype([*tables.items(), ("slab_half_length", float), ("any_effect", float)])
+    return attrgetter(*names, "slab_half_length"), attrgetter(*terms), layout
 
 
 def pack(vehicle: Vehicle) -> np.ndarray:
     """The vehicle as the kernels take it: (1,), a record `v` in which entry `b` of table `a` is `v.a.b`.
 
-    `v.any_effect` tells whether any term beyond the paper's equations is not neutral. The names are part
-    of the array's type, and so of a compiled kernel's signature.
+    `v.any_effect` is 1 where any term beyond the paper's equations is not neutral, else 0. The names are
+    part of the array's type, and so of a compiled kernel's signature.
     """
-    tables, layout = _layout()
-    values = {t: tuple(getattr(vehicle, f"{t}_{e}") for e in entries) for t, entries in tables.items()}
-    effects = zip(tables["effects"], values["effects"])
-    terms = [x for entry, x in effects if entry not in _NO_TERMS]
-    any_effect = any(any(x) if isinstance(x, tuple) else x for x in terms)
-    return np.array([(*values.values(), vehicle.slab_half_length, any_effect)], layout)
+    values, terms, layout = _layout()
+    numbers: list[float] = []
+    for value in values(vehicle):
+        numbers += value if isinstance(value, tuple) else (value,)
+    numbers.append(any(any(x) if isinstance(x, tuple) else x for x in terms(vehicle)))
+    return np.array(numbers, float).view(layout)
 
 
 @numba.njit(cache=True, inline="always")
@@ -267,7 +267,7 @@ def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
     thrust = total_thrust(lag, pwm, v, p)
     ax, ay, az = velocity[0], velocity[1], velocity[2]
     out[3] = out[4] = 0.0
-    if v.any_effect:
+    if v.any_effect != 0.0:
         thrust = powered_thrust(thrust, lag, ambient[TIME], ambient[VOLTAGE], v)
         ax -= v.effects.wind[0]
         ay -= v.effects.wind[1]
@@ -277,7 +277,7 @@ def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
     bz = r[0, 2] * ax + r[1, 2] * ay + r[2, 2] * az
     k = v.drag.coefficients
     out[0], out[1], out[2] = k[0] * speed * bx, k[1] * speed * by, k[2] * speed * bz
-    if v.any_effect:
+    if v.any_effect != 0.0:
         lift = 1.0 + v.effects.translational_lift * (bx * bx + by * by)
         thrust *= lift * max(0.0, 1.0 - v.effects.axial_inflow * bz)
         if v.effects.ground_effect != 0.0:
