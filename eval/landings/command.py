@@ -24,11 +24,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from inclined_landing.eval.base import runs, style
-from inclined_landing.eval.base.options import Flag, Folder
+from inclined_landing.eval.base.options import Flag, Folder, VehicleFile
 from inclined_landing.eval.landings import design, engines, landing
 from inclined_landing.eval.landings.study import MOST_LANDINGS, Study, known_parameters, read_study
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.parameters import load_vehicle
 
 RECORD, RESULTS, PARTS = "study.json", "results.parquet", "parts"
 
@@ -37,6 +38,7 @@ def command(
     study: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY.toml")],
     /,
     out: Folder,
+    vehicle: VehicleFile = None,
     engine: Annotated[str, tyro.conf.arg(metavar="{local,ray}")] = "local",
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     resume: Flag = False,
@@ -47,13 +49,14 @@ def command(
     Args:
         study: study file, or the name of a shipped study (paper_landing, steep_landing).
         out: new folder for results (Parquet), summary (JSON), figures (PNG) and page (HTML).
+        vehicle: vehicle file (TOML), where it differs from the shipped one.
         engine: run in this process, or on a Ray cluster.
         address: of a running Ray cluster; without it, Ray is started on this machine.
         resume: go on with the study that was interrupted in this folder.
         chunk: landings that are simulated and written together.
     """
     engines.check(engine, address)
-    wanted = read_study(study)
+    wanted = read_study(study, load_vehicle(vehicle))
     if resume and _begun(out):
         wanted, chunk = _resumed(wanted, out)
     else:
@@ -87,8 +90,8 @@ def with_starts(study: Study) -> Study:
     from inclined_landing.envs.flights import record_flights
     from inclined_landing.envs.policy import load_policy
 
-    policy = load_policy(study.policy, "landing")
-    inclination = known_parameters()["inclination"].default
+    policy = load_policy(study.policy, "landing", vehicle=study.vehicle)
+    inclination = known_parameters(study.vehicle)["inclination"].default
     if not math.isclose(policy.task.inclination, -inclination, rel_tol=1e-9):
         raise UserError(
             f"policy {study.policy} was trained for {math.degrees(policy.task.inclination):.1f} deg; "

@@ -12,7 +12,6 @@ from scipy import stats
 from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS, Landings, simulate, touchdown_states
 from inclined_landing.eval.landings.study import Levels, Range, Study, known_parameters
 from inclined_landing.models.attitude import STATE_SIZE
-from inclined_landing.models.parameters import load_vehicle
 
 CHUNK = 500  # landings
 
@@ -34,7 +33,7 @@ def design(study: Study) -> tuple[dict[str, np.ndarray], np.ndarray]:
     draws the start states too.
     """
     n = total(study)
-    values = {name: np.full(n, p.default) for name, p in known_parameters().items()}
+    values = {name: np.full(n, p.default) for name, p in known_parameters(study.vehicle).items()}
     starts = max(1, len(study.starts))
     if study.sampling == "factorial":
         axes = [np.array(p.values) for p in study.parameters]
@@ -70,7 +69,7 @@ def run_chunk(study: Study, chunk: int, size: int = CHUNK, threads: int = 0) -> 
     values, start = design(study)
     rows = slice(chunk * size, min((chunk + 1) * size, total(study)))
     p = {name: column[rows].copy() for name, column in values.items()}
-    vehicle = load_vehicle()
+    vehicle = study.vehicle
     if study.starts:
         states = np.array(study.starts)[start[rows]]
         states = states.reshape(-1, STATE_SIZE)
@@ -85,7 +84,7 @@ def run_chunk(study: Study, chunk: int, size: int = CHUNK, threads: int = 0) -> 
 
 def _table(study: Study, rows: slice, p, start, landings: Landings) -> pa.Table:
     """Columns: landing, start, every parameter [SI], outcome, RESULTS [SI]; units are in the metadata."""
-    known = known_parameters()
+    known = known_parameters(study.vehicle)
     columns = {"landing": pa.array(np.arange(rows.start, rows.stop), pa.int64())}
     fields = [pa.field("landing", pa.int64(), metadata={"meaning": "number in the study"})]
     columns["start"] = pa.array(start, pa.int32())

@@ -40,7 +40,7 @@ def write(study: Study, table: pa.Table, out: Path) -> dict:
     """Write everything that is made from the results; returns the summary."""
     columns = {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
     outcome = np.array([OUTCOMES.index(name) for name in columns["outcome"]])
-    known = known_parameters()
+    known = known_parameters(study.vehicle)
     varied = {name: columns[name] for name in study.varied}
     fixed = {name: float(columns[name][0]) for name in known if name not in varied}
     if study.starts:  # these are part of the start states
@@ -50,7 +50,7 @@ def write(study: Study, table: pa.Table, out: Path) -> dict:
     rests = outcome == OUTCOMES.index("rests")
     summary = {
         "command": "contact",
-        "study": {key: value for key, value in study.to_dict().items() if key != "starts"},
+        "study": {key: value for key, value in study.to_dict().items() if key not in ("starts", "vehicle")},
         "start_states": len(study.starts),
         "landings": len(outcome),
         "outcomes": {name: proportion((outcome == k).sum(), len(outcome)) for k, name in enumerate(OUTCOMES)},
@@ -172,7 +172,7 @@ def discussion(summary: dict) -> list[str]:
 
 def page(study: Study, summary: dict, figures: list[dict], fixed: dict[str, float]) -> str:
     """The HTML page, everything inside."""
-    known = known_parameters()
+    known = known_parameters(study.vehicle)
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
         resources.files(__package__).joinpath("report.html.j2").read_text("utf-8")
     )

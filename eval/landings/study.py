@@ -18,7 +18,7 @@ from inclined_landing.eval.landings.parameters import UNITS, Parameter, catalogu
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.geometry import reach_below, shapes_of
-from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.scene import compile_scene
 
 SAMPLINGS = ("factorial", "latin-hypercube")
@@ -70,6 +70,7 @@ class Study:
     timestep: float  # s
     parameters: tuple[Levels | Range, ...]  # those that the file names, in its order
     starts: tuple[tuple[float, ...], ...] = ()  # states (13,) of the entries, once they are flown
+    vehicle: Vehicle = dataclasses.field(default_factory=load_vehicle)
 
     def to_dict(self) -> dict:
         """Plain data; `from_dict` gives the study back, bit for bit."""
@@ -85,6 +86,9 @@ class Study:
             Levels(**entry | {"values": tuple(entry["values"])}) if "values" in entry else Range(**entry)
             for entry in data["parameters"]
         )
+        if "vehicle" in data:
+            given = data["vehicle"].items()
+            data["vehicle"] = Vehicle(**{k: tuple(v) if isinstance(v, list) else v for k, v in given})
         return Study(**data)
 
     def fingerprint(self) -> str:
@@ -92,7 +96,6 @@ class Study:
         data = self.to_dict()
         for words in ("title", "question", "maps"):
             del data[words]
-        data["vehicle"] = dataclasses.asdict(load_vehicle())
         data["mujoco"] = mujoco.mj_versionString()
         data["numpy"] = np.__version__
         return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
@@ -104,9 +107,9 @@ class Study:
 
 
 @functools.cache
-def known_parameters() -> dict[str, Parameter]:
-    """What may vary, for the shipped vehicle."""
-    vehicle = load_vehicle()
+def known_parameters(vehicle: Vehicle | None = None) -> dict[str, Parameter]:
+    """What may vary, and the defaults of a vehicle (the shipped one)."""
+    vehicle = vehicle or load_vehicle()
     return catalogue(vehicle, float(reach_below(shapes_of(compile_scene(vehicle)), part="feet")))
 
 
@@ -116,8 +119,8 @@ def shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
-def read_study(name: str | Path) -> Study:
-    """Read a study file, or a shipped study by name.
+def read_study(name: str | Path, vehicle: Vehicle | None = None) -> Study:
+    """Read a study file, or a shipped study by name, for a vehicle (default: the shipped one).
 
     Raises UserError, one sentence naming the file and the entry, for whatever is wrong.
     """
@@ -126,12 +129,12 @@ def read_study(name: str | Path) -> Study:
         raise UserError(f"study {shown(path, 200)} does not exist (shipped ones: {', '.join(shipped())})")
     data = storage.read_toml(path, "study")
     try:
-        return _parse(data)
+        return _parse(data, vehicle or load_vehicle())
     except UserError as error:
         raise UserError(f"study {path}: {error}") from error
 
 
-def _parse(data: dict) -> Study:
+def _parse(data: dict, vehicle: Vehicle) -> Study:
     _only(data, _KEYS, "the file")
     sampling = data.get("sampling")
     if sampling not in SAMPLINGS:
@@ -148,7 +151,7 @@ def _parse(data: dict) -> Study:
     duration, timestep = _number(simulation, "duration", 2.0), _number(simulation, "timestep", 0.004)
     if not _DURATION[0] <= duration <= _DURATION[1]:
         raise UserError(f"duration must be from {_DURATION[0]:g} to {_DURATION[1]:g} s, not {duration:g}")
-    period = load_vehicle().command_control_period
+    period = vehicle.command_control_period
     if not _SHORTEST_STEP <= timestep <= period or abs(period / timestep - round(period / timestep)) > 1e-9:
         raise UserError(
             f"timestep must divide the control period of {period:g} s and be at least {_SHORTEST_STEP:g} s; "
@@ -160,7 +163,7 @@ def _parse(data: dict) -> Study:
     entries = data.get("parameters")
     if not isinstance(entries, dict) or not entries:
         raise UserError("there is no table [parameters]")
-    parameters = tuple(_parameter(name, entry, hypercube, policy) for name, entry in entries.items())
+    parameters = tuple(_parameter(vehicle, name, entry, hypercube, policy) for name, entry in entries.items())
     if ("restitution" in entries) != ("contact_time" in entries):
         raise UserError("restitution and contact_time belong together; give both or none")
     study = Study(
@@ -174,6 +177,7 @@ def _parse(data: dict) -> Study:
         duration=duration,
         timestep=timestep,
         parameters=parameters,
+        vehicle=vehicle,
     )
     if not study.varied and not policy:
         raise UserError("no parameter varies: give at least one a list or a range")
@@ -183,8 +187,8 @@ def _parse(data: dict) -> Study:
     return dataclasses.replace(study, maps=_maps(data.get("maps", []), study.varied))
 
 
-def _parameter(name: str, entry, hypercube: bool, policy: str | None) -> Levels | Range:
-    known = known_parameters()
+def _parameter(vehicle: Vehicle, name: str, entry, hypercube: bool, policy: str | None) -> Levels | Range:
+    known = known_parameters(vehicle)
     if name not in known:
         raise UserError(f"unknown parameter {shown(repr(name), 40)}; known are {', '.join(known)}")
     parameter = known[name]

@@ -13,6 +13,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 from inclined_landing.eval.machine.plain_env import PlainLandingEnv
+from inclined_landing.models.parameters import load_vehicle
 
 
 class _Timer(BaseCallback):
@@ -30,8 +31,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, required=True)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--vehicle")
     arguments = parser.parse_args()
-    env = PlainLandingEnv()
+    env = PlainLandingEnv(vehicle=load_vehicle(arguments.vehicle))
     env.reset(seed=arguments.seed)
     model = PPO("MlpPolicy", env, seed=arguments.seed, device="cpu")
     timer = _Timer()

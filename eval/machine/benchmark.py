@@ -23,11 +23,12 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.eval.base.options import Flag, NewFolder, Seed
+from inclined_landing.eval.base.options import Flag, NewFolder, Seed, VehicleFile
 from inclined_landing.eval.base.runs import check_new_run, new_run, versions
 from inclined_landing.eval.base.statistics import spread
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import make_plant
 
 VEHICLES = 256
@@ -45,6 +46,7 @@ def command(
     runs: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR [DIR ...]")] = (),
     quick: Flag = False,
     training: bool = True,
+    vehicle: VehicleFile = None,
     seed: Seed = 0,
     json: Flag = False,
     out: NewFolder = None,
@@ -56,6 +58,7 @@ def command(
         runs: finished landing-train folders, for the time to 99 % success.
         quick: fewer repeats, under a minute.
         training: measure training speed against SB3's defaults on one plain environment.
+        vehicle: vehicle file (TOML), where it differs from the shipped one.
         seed: of actions and trainings.
         json: print JSON, and nothing else, on standard output.
         out: new folder for benchmark.json.
@@ -63,6 +66,7 @@ def command(
     if out is not None:
         check_new_run(out)
     to_99 = time_to_99(runs) if runs else None
+    flown = load_vehicle(vehicle)
     loaded = load_policy(policy, "landing") if policy is not None else None
     report = {
         "command": "benchmark",
@@ -74,15 +78,15 @@ def command(
     from rich.console import Console
 
     with Console(stderr=True).status("environments") as status:
-        report["environments"] = environments(5 if quick else 25, seed)
+        report["environments"] = environments(5 if quick else 25, seed, flown)
         status.update("policy")
         report["policy"] = policy_latency(loaded, 500 if quick else 5000, seed)
         status.update("video")
-        report["video"] = video(10 if quick else 60)
+        report["video"] = video(10 if quick else 60, flown)
         if training:
             status.update("training")
             repeats, steps, plain_steps = (1, 100_000, 4096) if quick else (3, 300_000, 16_384)
-            report["training"] = training_speed(repeats, steps, plain_steps, seed, status.update)
+            report["training"] = training_speed(repeats, steps, plain_steps, seed, status.update, vehicle)
     report["time_to_99_percent"] = to_99
     report["load_after"] = os.getloadavg()
     if out is not None:
@@ -95,20 +99,20 @@ def command(
         benchmark_table.show(report)
 
 
-def environments(repeats: int, seed: int) -> list[dict]:
+def environments(repeats: int, seed: int, vehicle: Vehicle | None = None) -> list[dict]:
     """Control steps per second of 256 vehicles: the training environment and the bare physics.
 
     The environment is `BatchVecEnv` (task, reward, resets, episode statistics) under random actions.
     Each of its blocks is replayed at once, from the same states with the same commands, by the bare
     plant: for MuJoCo `mujoco.batch.Batch.step` and nothing else.
     """
-    return [_environment(*plant, repeats, seed) for plant in _PLANTS]
+    return [_environment(*plant, repeats, seed, vehicle) for plant in _PLANTS]
 
 
-def _environment(label: str, kind: str, options: dict, repeats: int, seed: int) -> dict:
+def _environment(label: str, kind: str, options: dict, repeats: int, seed: int, vehicle) -> dict:
     rng = np.random.default_rng(seed)
-    task = make_task("landing", pwm_centre="hover")
-    plant, bare = (make_plant(kind, VEHICLES, **options) for _ in range(2))
+    task = make_task("landing", vehicle, pwm_centre="hover")
+    plant, bare = (make_plant(kind, VEHICLES, vehicle, **options) for _ in range(2))
     env = BatchEnv(task, plant, seed)
     face = BatchVecEnv(env)
     face.reset()
@@ -196,29 +200,28 @@ def _untrained(folder: Path) -> Path:
     return folder / "untrained.zip"
 
 
-def video(frames: int) -> list[dict]:
+def video(frames: int, vehicle: Vehicle | None = None) -> list[dict]:
     """Milliseconds per 640x480 frame of a moving vehicle and a fixed camera, per backend."""
     from inclined_landing.envs.rendering.gl import probe
 
     found = probe()
-    rows = [_frames("ray", frames)]
+    rows = [_frames("ray", frames, vehicle)]
     if found.kind:
-        rows.append(_frames("gl", frames) | {"hardware": found.hardware})
+        rows.append(_frames("gl", frames, vehicle) | {"hardware": found.hardware})
     else:
         rows.append({"backend": "gl", "skipped": f"{found.missing} is missing"})
     return rows
 
 
-def _frames(backend: str, frames: int) -> dict:
+def _frames(backend: str, frames: int, vehicle: Vehicle | None) -> dict:
     from inclined_landing.envs.rendering import make_renderer
     from inclined_landing.envs.tasks.base import hover_states
-    from inclined_landing.models.parameters import load_vehicle
 
     along = np.linspace(0.0, 1.0, frames + 2)
     positions = np.column_stack([1.5 - 1.5 * along, 0 * along, 1.8 - 0.5 * along])
-    states = hover_states(positions, load_vehicle())
+    states = hover_states(positions, vehicle or load_vehicle())
     try:
-        renderer = make_renderer(**_PICTURE, backend=backend)
+        renderer = make_renderer(**_PICTURE, backend=backend, vehicle=vehicle)
     except UserError as error:
         return {"backend": backend, "skipped": str(error)}
     wall, cpu = [], []
@@ -233,7 +236,12 @@ def _frames(backend: str, frames: int) -> dict:
 
 
 def training_speed(
-    repeats: int, steps: int, plain_steps: int, seed: int, notice: Callable[[str], None]
+    repeats: int,
+    steps: int,
+    plain_steps: int,
+    seed: int,
+    notice: Callable[[str], None],
+    vehicle: Path | None = None,
 ) -> dict:
     """Training steps per second, in turns: this package's configuration and the plain baseline.
 
@@ -243,9 +251,9 @@ def training_speed(
     ours, plain = [], []
     for k in range(repeats):
         notice(f"training, landing-train, {k + 1} of {repeats}")
-        ours.append(_landing_train(steps, seed + k))
+        ours.append(_landing_train(steps, seed + k, vehicle))
         notice(f"training, plain baseline, {k + 1} of {repeats}")
-        plain.append(_plain(plain_steps, seed + k))
+        plain.append(_plain(plain_steps, seed + k, vehicle))
     return {
         "steps": steps,
         "plain_steps": plain_steps,
@@ -256,21 +264,26 @@ def training_speed(
     }
 
 
-def _landing_train(steps: int, seed: int) -> float:
+def _landing_train(steps: int, seed: int, vehicle: Path | None) -> float:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
         _python(
             *("inclined_landing.train", "landing", "--steps", str(steps), "--seed", str(seed)),
             *("--out", str(out), "--no-report", "--evaluate-every", "0", "--video-every", "0"),
+            *_vehicle_option(vehicle),
         )
         metrics = json_format.loads((out / "metrics.json").read_text("utf-8"))
     return float(metrics["steps_per_second"])
 
 
-def _plain(steps: int, seed: int) -> float:
+def _plain(steps: int, seed: int, vehicle: Path | None) -> float:
     module = "inclined_landing.eval.machine.baseline"
-    text = _python(module, "--steps", str(steps), "--seed", str(seed))
+    text = _python(module, "--steps", str(steps), "--seed", str(seed), *_vehicle_option(vehicle))
     return float(json_format.loads(text.splitlines()[-1])["steps_per_second"])
+
+
+def _vehicle_option(vehicle: Path | None) -> tuple[str, ...]:
+    return ("--vehicle", str(vehicle)) if vehicle is not None else ()
 
 
 def _python(module: str, *arguments: str) -> str:

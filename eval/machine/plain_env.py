@@ -12,7 +12,7 @@ import numpy as np
 
 from inclined_landing.envs.tasks import landing
 from inclined_landing.models.geometry import PLATFORM_GEOMS
-from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants.mujoco import contact_sensors
 from inclined_landing.models.scene import compile_scene
 
@@ -20,8 +20,8 @@ from inclined_landing.models.scene import compile_scene
 class PlainLandingEnv(gym.Env):
     """`InclinedLanding` for one vehicle in the MuJoCo plant, RK4 at 4 ms."""
 
-    def __init__(self, pwm_centre: float | None = None):
-        self.vehicle = v = load_vehicle()
+    def __init__(self, pwm_centre: float | None = None, vehicle: Vehicle | None = None):
+        self.vehicle = v = vehicle or load_vehicle()
         self.task = landing.InclinedLanding(v)  # for its start filter only
         self.model = compile_scene(v)
         self.data = mujoco.MjData(self.model)

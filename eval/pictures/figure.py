@@ -11,7 +11,7 @@ def command(policy: PolicyFile, /, out: Folder, start: Starts = (), flown: Flat[
     """Stroboscopic trajectory with PWM and pitch over time, as PNG and PDF.
 
     Args:
-        policy: policy file, or the name of a shipped policy (landing, setpoint, touchdown).
+        policy: policy file, or the name of a shipped policy, such as landing.
         out: folder for the files.
         start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
             more figures. Default: the task's cases, for landing the paper's two, 1.5,1.8 and 0,2.

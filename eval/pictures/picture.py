@@ -27,7 +27,7 @@ def command(
     """One picture of a whole flight: copies of the vehicle along its way.
 
     Args:
-        policy: policy file, or the name of a shipped policy (landing, setpoint, touchdown).
+        policy: policy file, or the name of a shipped policy, such as landing.
         out: .png file.
         start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z.
     """

@@ -39,7 +39,7 @@ def command(
     """Video of flights, one after the other.
 
     Args:
-        policy: policy file, or the name of a shipped policy (landing, setpoint, touchdown).
+        policy: policy file, or the name of a shipped policy, such as landing.
         out: .mp4 or .gif file.
         start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
             more flights.

@@ -1,7 +1,7 @@
 """`landing-eval success`: how often, how fast and how hard a policy reaches its goal.
 
 Landing: the deterministic policy flies from the paper's three starts, from ten scattered starts
-around each, and from the frozen grid (`landing_starts.py`). *Success* is reaching the goal box
+around each, and from the frozen grid (`envs/starts.py`). *Success* is reaching the goal box
 (0.10, 0.10, 1.5, 1.5, 0.025) within 300 control steps; *strict* success also means that no part
 touched the platform before. The goal box is not yet a landing, so the velocity at its entry is
 reported too, and what happens when the motors are cut there (`motors_cut.py`).
@@ -64,7 +64,7 @@ def command(
     """Success table of a policy: how often, how fast, how hard it reaches its goal.
 
     Args:
-        policy: policy file, or the name of a shipped policy (landing, setpoint, touchdown).
+        policy: policy file, or the name of a shipped policy, such as landing.
         thrust_scale: total thrust times this, one row for each value (default: 1).
         effects: one row for every physical effect of the library at a plausible size, which the policy
             knows nothing of; from the frozen grid only (four minutes).

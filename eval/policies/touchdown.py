@@ -34,11 +34,12 @@ from inclined_landing.envs.tasks import Moment
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, InclinedTouchdown
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.options import Flag, NewFolder, PolicyFile, PolicyName
+from inclined_landing.eval.base.options import Flag, NewFolder, PolicyFile, PolicyName, VehicleFile
 from inclined_landing.eval.base.statistics import proportion, spread
 from inclined_landing.models import contact, storage
 from inclined_landing.models.attitude import PWM
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP, Recorder
 
@@ -161,6 +162,7 @@ def command(
     policy: PolicyFile,
     /,
     baseline: PolicyName = "landing",
+    vehicle: VehicleFile = None,
     friction: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MU [MU ...]")] = FRICTIONS,
     restitution: Annotated[tuple[float, ...], tyro.conf.arg(metavar="E [E ...]")] = RESTITUTIONS,
     json: Flag = False,
@@ -171,6 +173,7 @@ def command(
     Args:
         policy: touchdown policy file, or the shipped one (touchdown).
         baseline: landing policy file, or the shipped one (landing).
+        vehicle: vehicle file (TOML), where it differs from the shipped one.
         friction: between feet and slope.
         restitution: of the feet on the slope, 0 to 0.6.
         json: print JSON, and nothing else, on standard output.
@@ -182,12 +185,14 @@ def command(
     contact.check_restitution(restitution)
     if out is not None:
         runs.check_new_run(out)
+    flown = load_vehicle(vehicle) if vehicle is not None else None
     report = evaluate(
-        load_policy(policy, "touchdown"),
-        load_policy(baseline, "landing"),
+        load_policy(policy, "touchdown", vehicle=flown),
+        load_policy(baseline, "landing", vehicle=flown),
         frictions=friction,
         restitutions=restitution,
     )
+    report["vehicle"] = str(vehicle) if vehicle is not None else "crazyflie.toml"
     if out is not None:
         storage.write_json(runs.new_run(out) / "touchdown.json", report)
     if json:

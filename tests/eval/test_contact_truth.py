@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.truth.contact_truth import laws, report, touchdowns
+from inclined_landing.eval.truth.contact_truth import command, laws, touchdowns
 from inclined_landing.eval.truth.contact_truth.checks import Check
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
 
 FLIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data" / "nanobench"
 measured_flights = pytest.mark.skipif(
@@ -28,14 +29,14 @@ LIMITS = {
 @pytest.mark.parametrize("name", [name for name in laws.FINDINGS if name != "tumbling"])
 def test_contact_obeys_mechanics(name):
     """The tolerances stand beside each measurement in laws.py."""
-    finding = laws.FINDINGS[name]()
+    finding = laws.FINDINGS[name](load_vehicle())
     assert finding.checks
     failed = [c.record() for c in finding.checks if not c.met and c.name not in LIMITS]
     assert not failed
 
 
 def test_random_drops_gain_no_energy_and_stay_above_the_slab():
-    finding = laws.tumbling(n=30)
+    finding = laws.tumbling(load_vehicle(), n=30)
     failed = [c.record() for c in finding.checks if not c.met and c.name not in LIMITS | {_RARE}]
     assert not failed
 
@@ -45,12 +46,17 @@ _RARE = "drops that gain over 1 %, restitution 0.6"  # a share of 30 is too coar
 
 def test_limits_are_still_limits():
     """When one of them is met some day, the page's text is out of date."""
-    checks = [c for name in ("rest", "impulse") for c in laws.FINDINGS[name]().checks if c.name in LIMITS]
+    checks = [
+        c
+        for name in ("rest", "impulse")
+        for c in laws.FINDINGS[name](load_vehicle()).checks
+        if c.name in LIMITS
+    ]
     assert len(checks) == 2 and not any(c.met for c in checks)
 
 
 def test_a_setting_of_the_user_is_measured():
-    finding = laws.setting(0.7, 0.2, 0.016)
+    finding = laws.setting(load_vehicle(), 0.7, 0.2, 0.016)
     assert {c.name: c.met for c in finding.checks} == {
         "creep on the default slope": True, "depth at 1 m/s": True, "restitution at 1 m/s": True,
     }  # fmt: skip
@@ -121,7 +127,7 @@ def test_a_made_up_bounce_is_found_and_fitted(tmp_path):
 
 
 def test_the_page_is_written(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(report, "FINDINGS", {k: laws.FINDINGS[k] for k in ("slip", "parts")})
+    monkeypatch.setattr(command, "FINDINGS", {k: laws.FINDINGS[k] for k in ("slip", "parts")})
     out = tmp_path / "page"
     assert main(["contact-truth", "--out", str(out), "--friction", "0.6"]) == 0
     assert sorted(p.name for p in out.iterdir()) == ["contact.html", "contact.json", "slip.png"]

@@ -12,16 +12,18 @@ from rich.progress import Progress
 from rich.table import Table
 
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.options import Folder, NewFolder
+from inclined_landing.eval.base.options import Folder, NewFolder, VehicleFile
 from inclined_landing.eval.truth.contact_truth import touchdowns
 from inclined_landing.eval.truth.contact_truth.checks import Finding
 from inclined_landing.eval.truth.contact_truth.laws import FINDINGS, setting
 from inclined_landing.eval.truth.contact_truth.report import write
+from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 
 def command(
     out: Folder,
     flights: NewFolder = None,
+    vehicle: VehicleFile = None,
     friction: float | None = None,
     restitution: float | None = None,
     contact_time: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
@@ -32,21 +34,25 @@ def command(
         out: new folder for contact.html, contact.json and the figures.
         flights: folder of measured NanoBench flights (nb_*.csv.gz): their touchdowns are simulated and the
             contact setting is fitted.
+        vehicle: vehicle file (TOML), where it differs from the shipped one.
         friction: of a setting of your own, measured besides the default.
         restitution: of your own setting, 0 to 0.6; together with the contact time.
         contact_time: of your own setting in seconds, 0.012 to 0.02.
     """
     runs.check_new_run(out)
+    dropped = load_vehicle(vehicle)
     if flights is not None:
         touchdowns.read_flights(flights)
     chosen = (friction, restitution, contact_time)
-    own = [] if chosen == (None, None, None) else [setting(*chosen)]
+    own = [] if chosen == (None, None, None) else [setting(dropped, *chosen)]
     console = Console(stderr=True)
     with Progress(console=console, transient=True) as progress:
         bar = progress.add_task("", total=len(FINDINGS) + (flights is not None))
-        findings = own + measure(flights, lambda name: progress.update(bar, description=name, advance=1))
+        findings = own + measure(
+            dropped, flights, lambda name: progress.update(bar, description=name, advance=1)
+        )
     out = runs.new_run(out)
-    write(findings, out)
+    write(findings, out, dropped)
     table = Table("check", "measured", "asked for", "unit", "")
     for finding in findings:
         for check in finding.checks:
@@ -56,13 +62,15 @@ def command(
     print(out / "contact.html")
 
 
-def measure(flights: Path | None = None, tick: Callable[[str], None] = lambda name: None) -> list[Finding]:
+def measure(
+    vehicle: Vehicle, flights: Path | None = None, tick: Callable[[str], None] = lambda name: None
+) -> list[Finding]:
     """Every finding; `tick` is called with the name of each before it is measured."""
     findings = []
     for name, measurement in FINDINGS.items():
         tick(name)
-        findings.append(measurement())
+        findings.append(measurement(vehicle))
     if flights is not None:
         tick("touchdowns")
-        findings.append(touchdowns.finding(flights))
+        findings.append(touchdowns.finding(flights, vehicle))
     return findings

@@ -26,7 +26,7 @@ from inclined_landing.eval.truth.contact_truth.vehicles import (
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VZ, WX, WZ, YAW, X, Z
 from inclined_landing.models.geometry import PARTS, reach_below
-from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP, present_forces
 from inclined_landing.models.surface import normal_of, split
@@ -38,12 +38,12 @@ CONTACT_TIMES = (0.012, 0.016, 0.02)
 STEPS = (0.004, 0.002, 0.001, 0.0005)
 
 
-def rest() -> Finding:
+def rest(vehicle: Vehicle) -> Finding:
     """Forces and creep at rest on slopes of 0 to 50 degrees."""
     degrees = np.arange(0.0, 51.0, 5.0)
     alpha = np.radians(degrees)
     n = len(alpha)
-    plant = unpowered(n)
+    plant = unpowered(vehicle, n)
     place(plant, -alpha)
     plant.set_contact(np.arange(n), friction=GRIP)
     creep = _creep(plant)
@@ -53,10 +53,10 @@ def rest() -> Finding:
     expected = weight * np.stack([np.cos(alpha), np.sin(alpha)], axis=1)
     error = np.abs(forces - expected).max() / weight
 
-    slope = unpowered(1)
+    slope = unpowered(vehicle, 1)
     place(slope, slope.vehicle.platform_inclination)
     default = float(_creep(slope)[0])
-    springy = unpowered(len(RESTITUTIONS))
+    springy = unpowered(vehicle, len(RESTITUTIONS))
     place(springy, springy.vehicle.platform_inclination)
     springy.set_contact(np.arange(springy.n), restitution=np.array(RESTITUTIONS), contact_time=STUDY_TIME)
     of_restitution = _creep(springy)
@@ -97,12 +97,12 @@ def _creep(plant: MujocoPlant) -> np.ndarray:
     return np.linalg.norm(moved[-1, :, :3] - moved[0, :, :3], axis=1) / 2.0
 
 
-def slip() -> Finding:
+def slip(vehicle: Vehicle) -> Finding:
     """Inclination at which a vehicle set down on the slope begins to slide."""
     frictions = np.array([0.2, 0.3, 0.5, 0.8, 1.0])
     around = np.radians(np.round(np.arange(-0.6, 1.01, 0.1), 1))
     alpha = (np.arctan(frictions)[:, None] + around).ravel()
-    plant = unpowered(len(alpha))
+    plant = unpowered(vehicle, len(alpha))
     place(plant, -alpha)
     plant.set_contact(np.arange(plant.n), friction=np.repeat(frictions, len(around)))
     advance(plant, 0.2)
@@ -136,14 +136,14 @@ def slip() -> Finding:
     )
 
 
-def restitution() -> Finding:
+def restitution(vehicle: Vehicle) -> Finding:
     """Restitution and contact time that drops show, against what was set."""
-    gravity = load_vehicle().environment_gravity
+    gravity = vehicle.environment_gravity
     pairs = np.array([(e, t) for t in CONTACT_TIMES for e in RESTITUTIONS])
     solrefs = contact.solref(pairs[:, 0], pairs[:, 1], gravity)
     shape = (len(CONTACT_TIMES), len(RESTITUTIONS))
     speeds = (0.5, 1.0, 1.5)
-    drops = {speed: drop(speed, solrefs) for speed in speeds}
+    drops = {speed: drop(vehicle, speed, solrefs) for speed in speeds}
     measured = {speed: d.restitution.mean(axis=1).reshape(shape) for speed, d in drops.items()}
     scatter = drops[1.0].restitution.std(axis=1).reshape(shape)
     pushed = drops[1.0].pushed.mean(axis=1).reshape(shape)
@@ -179,19 +179,19 @@ def restitution() -> Finding:
     )
 
 
-def impulse() -> Finding:
+def impulse(vehicle: Vehicle) -> Finding:
     """Impulse of the contact forces, and of their samples, against the change of momentum."""
-    gravity = load_vehicle().environment_gravity
+    gravity = vehicle.environment_gravity
     spring = contact.solref([0.0, 0.3, 0.6], STUDY_TIME, gravity)
     rows = []
     for step in STEPS:
         for name, solrefs in (("default", None), ("0.6", spring[2:])):
-            d = drop(1.0, solrefs, step)
+            d = drop(vehicle, 1.0, solrefs, step)
             error = (d.sampled / d.momentum - 1.0)[0]
             rows.append((step, name, float(error.mean()), float(np.abs(error).max()), float(d.peak.mean())))
     mean = [row for row in rows if row[0] == STEP]
     fine = [row for row in rows if row[0] == STEPS[-1]]
-    drops = [drop(speed, s, stages=True) for speed in (0.3, 1.0, 2.0) for s in (None, spring)]
+    drops = [drop(vehicle, speed, s, stages=True) for speed in (0.3, 1.0, 2.0) for s in (None, spring)]
     single = max(float(np.abs(d.impulse / d.momentum - 1.0).max()) for d in drops)
     return Finding(
         "impulse",
@@ -237,13 +237,13 @@ def impulse() -> Finding:
     )
 
 
-def penetration() -> Finding:
+def penetration(vehicle: Vehicle) -> Finding:
     """How deep the feet sink in, over speed and contact time."""
     speeds = np.array([0.25, 0.5, 1.0, 1.5, 2.0])
-    gravity = load_vehicle().environment_gravity
+    gravity = vehicle.environment_gravity
     solrefs = contact.solref(0.3, np.array(CONTACT_TIMES), gravity)
-    default = np.array([drop(speed).depth.max() for speed in speeds])
-    depth = np.array([drop(speed, solrefs).depth.max(axis=1) for speed in speeds])
+    default = np.array([drop(vehicle, speed).depth.max() for speed in speeds])
+    depth = np.array([drop(vehicle, speed, solrefs).depth.max(axis=1) for speed in speeds])
     at_one = int(np.flatnonzero(speeds == 1.0)[0])
     grows = float(np.diff(depth, axis=1).min())
     return Finding(
@@ -272,15 +272,15 @@ def penetration() -> Finding:
     )
 
 
-def convergence() -> Finding:
+def convergence(vehicle: Vehicle) -> Finding:
     """What halving the step changes: rebound, depth, and where a landing on the slope ends."""
-    gravity = load_vehicle().environment_gravity
+    gravity = vehicle.environment_gravity
     solrefs = contact.solref([0.3, 0.6], STUDY_TIME, gravity)
     steps = (*STEPS, 0.00025)
-    drops = [drop(1.0, solrefs, step) for step in steps]
+    drops = [drop(vehicle, 1.0, solrefs, step) for step in steps]
     rebound = np.array([d.restitution.mean(axis=1) for d in drops])
     spread = np.array([d.restitution.std(axis=1) for d in drops])
-    depth = np.array([drop(1.0, None, step).depth.mean() for step in steps])
+    depth = np.array([drop(vehicle, 1.0, None, step).depth.mean() for step in steps])
     error = np.abs(depth - depth[-1])[:-1]
     order = float(np.polyfit(np.log(steps[:-2]), np.log(error[:-1]), 1)[0])
     change = float(np.abs(rebound[0] - rebound[-1]).max())
@@ -307,7 +307,7 @@ def convergence() -> Finding:
     )
 
 
-def tumbling(n: int = 100) -> Finding:
+def tumbling(vehicle: Vehicle, n: int = 100) -> Finding:
     """Passive drops in random attitudes: energy, and what no surface lets through."""
     speeds = (0.5, 1.0, 2.0, 4.0)
     settings = (None, 0.3, 0.6)
@@ -317,8 +317,8 @@ def tumbling(n: int = 100) -> Finding:
     history = None
     for i, setting in enumerate(settings):
         for j, speed in enumerate(speeds):
-            energies, passed = _tumble(n, speed, setting)
-            scale = 0.5 * load_vehicle().body_mass * speed**2
+            energies, passed = _tumble(vehicle, n, speed, setting)
+            scale = 0.5 * vehicle.body_mass * speed**2
             gain = (energies.max(axis=0) - energies[0]) / scale
             growth[i, j], share[i, j] = gain.max(), (gain > 0.01).mean()
             through[i, j] = passed.sum()
@@ -372,9 +372,11 @@ def tumbling(n: int = 100) -> Finding:
     )
 
 
-def _tumble(n: int, speed: float, restitution: float | None) -> tuple[np.ndarray, np.ndarray]:
+def _tumble(
+    vehicle: Vehicle, n: int, speed: float, restitution: float | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Energies (steps + 1, n) [J] and which vehicles passed the slab (n,)."""
-    plant = unpowered(n)
+    plant = unpowered(vehicle, n)
     ids, rng = np.arange(n), np.random.default_rng(0)
     alpha = plant.vehicle.platform_inclination
     normal = normal_of(alpha)
@@ -393,14 +395,13 @@ def _tumble(n: int, speed: float, restitution: float | None) -> tuple[np.ndarray
     return energy(flown, plant.vehicle), passed.any(axis=0)
 
 
-def parts() -> Finding:
+def parts(vehicle: Vehicle) -> Finding:
     """Upright, nose down and upside down on slab and floor: which part the log names, and its force."""
-    vehicle = load_vehicle()
     weight = vehicle.body_mass * vehicle.environment_gravity
     rows, right, loads = [], 0, []
     for surface, name in ((SLAB, "slab"), (FLOOR, "floor")):
         for pitch, part in ((0.0, FEET), (np.pi / 2, ROTORS), (np.pi, BODY)):
-            plant = unpowered(1)
+            plant = unpowered(vehicle, 1)
             plant.set_platform([0], 0.0)
             height = vehicle.platform_surface_height if surface == SLAB else 0.0
             state = np.zeros((1, STATE_SIZE))
@@ -444,9 +445,8 @@ def parts() -> Finding:
     )
 
 
-def torque() -> Finding:
+def torque(vehicle: Vehicle) -> Finding:
     """Thrust at which a vehicle told to pitch lifts two feet off the floor, against statics."""
-    vehicle = load_vehicle()
     command = vehicle.command_angle_limit
     wanted = vehicle.attitude_gain * command / vehicle.attitude_time_constant  # rad/s
     loop = vehicle.body_inertia[1] * vehicle.attitude_bandwidth * wanted  # N m, while it stays level
@@ -494,16 +494,17 @@ def torque() -> Finding:
     )
 
 
-def setting(friction: float | None, restitution: float | None, contact_time: float | None) -> Finding:
+def setting(
+    vehicle: Vehicle, friction: float | None, restitution: float | None, contact_time: float | None
+) -> Finding:
     """Drops and creep with the user's own contact setting; None is the default.
 
     Raises UserError for a setting out of range, before anything is measured.
     """
     chosen = {"friction": friction, "restitution": restitution, "contact_time": contact_time}
-    plant = unpowered(1)
+    plant = unpowered(vehicle, 1)
     plant.set_contact([0], **chosen)  # refuses what is wrong
     place(plant, plant.vehicle.platform_inclination)
-    vehicle = plant.vehicle
     mu = vehicle.contact_friction if friction is None else friction
     checks = []
     if mu > np.tan(abs(vehicle.platform_inclination)):
@@ -512,7 +513,7 @@ def setting(friction: float | None, restitution: float | None, contact_time: flo
     springs = None
     if restitution is not None:
         springs = contact.solref([restitution], [contact_time], vehicle.environment_gravity)
-    drops = {speed: drop(speed, springs) for speed in (0.5, 1.0, 1.5)}
+    drops = {speed: drop(vehicle, speed, springs) for speed in (0.5, 1.0, 1.5)}
     middle = drops[contact.REFERENCE_SPEED]
     checks.append(
         Check("depth at 1 m/s", 1e3 * float(middle.depth.max()), "mm", 5.0, "deepest of the phases")

@@ -12,12 +12,12 @@ from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures.figures import contact as figures
 from inclined_landing.eval.truth.contact_truth.checks import Finding
 from inclined_landing.models import storage
-from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.parameters import Vehicle
 
 TITLE = "Contact: what can be believed"
 
 
-def write(findings: list[Finding], out: Path) -> None:
+def write(findings: list[Finding], out: Path, vehicle: Vehicle) -> None:
     """contact.html, contact.json and one PNG for each finding that has a figure."""
     drawn = [finding.key for finding in findings if finding.key in figures.DRAW]
     for finding in findings:
@@ -33,7 +33,6 @@ def write(findings: list[Finding], out: Path) -> None:
             "versions": versions,
         },
     )
-    vehicle = load_vehicle()
     template = (
         resources.files("inclined_landing.eval.truth.contact_truth")
         .joinpath("report.html.j2")

@@ -209,9 +209,9 @@ class Fit:
     at_bound: bool
 
 
-def fit(touchdown: Touchdown) -> Fit:
+def fit(touchdown: Touchdown, vehicle: Vehicle | None = None) -> Fit:
     """Fit restitution, contact time, floor height and falling speed to the measured heights."""
-    simulation = Simulation(touchdown, 5)
+    simulation = Simulation(touchdown, 5, vehicle)
     steps = np.array([0.2, 0.2, 0.2, 0.2])
 
     def runs(x):
@@ -245,9 +245,11 @@ def fit(touchdown: Touchdown) -> Fit:
     )
 
 
-def rebound(touchdown: Touchdown, restitution: float, contact_time: float) -> float:
+def rebound(
+    touchdown: Touchdown, restitution: float, contact_time: float, vehicle: Vehicle | None = None
+) -> float:
     """Rising speed [m/s] of the simulation, read off its heights as from the measurement."""
-    simulation = Simulation(touchdown, 1)
+    simulation = Simulation(touchdown, 1, vehicle)
     heights = simulation.heights(np.array([[restitution, contact_time, 0.0, 0.0]]))[0]
     late = touchdown.time > _CLEAR
     curve = np.polyfit(touchdown.time[late], heights[late], 2)
@@ -279,9 +281,9 @@ def _row(f: Fit, predicted_up: float) -> dict:
     }
 
 
-def finding(folder: str | Path, tick=lambda name: None) -> Finding:
+def finding(folder: str | Path, vehicle: Vehicle | None = None, tick=lambda name: None) -> Finding:
     """Touchdowns of the flights in `folder`, fitted and predicted from one another."""
-    found = find_touchdowns(read_flights(folder))
+    found = find_touchdowns(read_flights(folder), vehicle)
     if len(found) < 2:
         raise UserError(
             f"the flights in {folder} hold {len(found)} usable touchdowns; at least two are needed"
@@ -289,12 +291,13 @@ def finding(folder: str | Path, tick=lambda name: None) -> Finding:
     fits = []
     for touchdown in found:
         tick(touchdown.flight)
-        fits.append(fit(touchdown))
+        fits.append(fit(touchdown, vehicle))
     e, time = np.array([f.restitution for f in fits]), np.array([f.contact_time for f in fits])
     rows = []
     for k, f in enumerate(fits):
         others = np.arange(len(fits)) != k
-        predicted = rebound(f.touchdown, float(np.median(e[others])), float(np.median(time[others])))
+        usual = float(np.median(e[others])), float(np.median(time[others]))
+        predicted = rebound(f.touchdown, *usual, vehicle)
         rows.append(_row(f, predicted))
     missed = np.array([row["predicted_up"] - row["up"] for row in rows])
     return Finding(

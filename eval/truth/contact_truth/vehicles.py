@@ -17,9 +17,9 @@ SLAB, BASE, FLOOR = 0, 1, 2
 FEET, BODY, ROTORS = 0, 1, 2
 
 
-def unpowered(n: int, step: float = STEP, **options) -> MujocoPlant:
+def unpowered(vehicle: Vehicle, n: int, step: float = STEP, **options) -> MujocoPlant:
     """A plant of n vehicles that is stepped at the engine's step, without attitude torques."""
-    return MujocoPlant(n, control_period=step, timestep=step, torque_needs_motors=True, **options)
+    return MujocoPlant(n, vehicle, control_period=step, timestep=step, torque_needs_motors=True, **options)
 
 
 def advance(plant: MujocoPlant, duration: float) -> np.ndarray:
@@ -64,6 +64,7 @@ class Drops:
 
 
 def drop(
+    vehicle: Vehicle,
     speed: float,
     solrefs: np.ndarray | None = None,
     step: float = STEP,
@@ -76,7 +77,7 @@ def drop(
     """
     k = 1 if solrefs is None else len(solrefs)
     n = k * PHASES
-    plant = unpowered(n, step)
+    plant = unpowered(vehicle, n, step)
     place(plant, 0.0)
     if solrefs is not None:
         plant.set_contact(np.arange(n), solref=np.repeat(solrefs, PHASES, axis=0))

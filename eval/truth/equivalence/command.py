@@ -12,14 +12,21 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.options import Flag, Folder, PolicyName, Seed
+from inclined_landing.eval.base.options import Flag, Folder, PolicyName, Seed, VehicleFile
 from inclined_landing.eval.base.style import PNG_DPI, styled
 from inclined_landing.eval.truth.equivalence import report
 from inclined_landing.eval.truth.equivalence.claims import Claim, number
 from inclined_landing.models import storage
+from inclined_landing.models.parameters import load_vehicle
 
 
-def command(out: Folder, policy: PolicyName = "landing", seed: Seed = 0, quick: Flag = False) -> int:
+def command(
+    out: Folder,
+    policy: PolicyName = "landing",
+    vehicle: VehicleFile = None,
+    seed: Seed = 0,
+    quick: Flag = False,
+) -> int:
     """Is the MuJoCo vehicle the paper's model? One page of claims with tolerances.
 
     The exit code is 1 when a claim fails.
@@ -27,11 +34,12 @@ def command(out: Folder, policy: PolicyName = "landing", seed: Seed = 0, quick: 
     Args:
         out: new folder for report.html, report.json and the figures.
         policy: landing policy for recorded commands and closed loops: a file, or a shipped one.
+        vehicle: vehicle file (TOML), where it differs from the shipped one.
         seed: of commands and states.
         quick: fewer commands, states and starts.
     """
     runs.check_new_run(out)
-    loaded = load_policy(policy, "landing")
+    loaded = load_policy(policy, "landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
     began = time.monotonic()
     console = Console(stderr=True)
     columns = (TextColumn("{task.description:18}"), BarColumn(), TimeElapsedColumn())
@@ -44,6 +52,7 @@ def command(out: Folder, policy: PolicyName = "landing", seed: Seed = 0, quick: 
     record = report.as_record(
         sections,
         policy=str(loaded.path),
+        vehicle=str(vehicle) if vehicle is not None else "crazyflie.toml",
         seed=int(seed),
         quick=quick,
         seconds=round(time.monotonic() - began, 1),
