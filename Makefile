@@ -1,7 +1,7 @@
 # make            install into .venv (again after a change of the C++ or the dependencies)
 # make demo       train, evaluate and film a short landing run into runs/demo
-# make test       style, import contract and tests
-# make lint       style, formatting and import contract
+# make test       style, import contracts, types and tests
+# make lint       style, formatting, import contracts and types
 # make bench      simulation speed
 #
 # PYTHON=python3.12  the interpreter to build .venv with
@@ -11,6 +11,10 @@ PYTHON ?= python3
 PIP_ARGS ?=
 BIN := .venv/bin
 INSTALLED := .venv/.installed
+# The type checker does not see through the editable installation: it gets the folders as the package.
+TYPES = mkdir -p .venv/types/inclined_landing && touch .venv/types/inclined_landing/__init__.py \
+  && ln -sfn $(CURDIR)/models $(CURDIR)/envs .venv/types/inclined_landing \
+  && MYPYPATH=.venv/types $(BIN)/mypy --cache-dir .venv/mypy -p inclined_landing.models -p inclined_landing.envs
 SOURCES := pyproject.toml constraints.txt models/crazyflie.toml $(wildcard models/plugin/*)
 
 .PHONY: install demo test lint bench
@@ -23,12 +27,14 @@ demo: $(INSTALLED)
 test: $(INSTALLED)
 	$(BIN)/ruff check
 	$(BIN)/lint-imports --no-logo
+	$(TYPES)
 	$(BIN)/pytest -n 2 --dist loadfile
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/lint-imports --no-logo
+	$(TYPES)
 
 bench: $(INSTALLED)
 	$(BIN)/landing-eval benchmark

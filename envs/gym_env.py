@@ -141,7 +141,7 @@ class TaskEnv(gym.Env):
         self.observation_space = observation_space(self.task)
         self.action_space = action_space(self.task)
         self.render_mode = render_mode
-        self._picture = {"width": width, "height": height, "camera": camera}
+        self._picture: dict[str, Any] = {"width": width, "height": height, "camera": camera}
         self._backend = render_backend
         self._renderer: Any = None
 

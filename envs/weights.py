@@ -15,7 +15,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -101,16 +101,16 @@ class _Storage(NamedTuple):
 
     kind: str  # key of _FLOATS
     key: str  # name of the member
-    count: int
+    numbers: int
 
 
 class _Tensor(NamedTuple):
     """A tensor as the pickle says it, unchecked."""
 
     storage: _Storage
-    offset: object
-    size: object
-    stride: object
+    offset: Any
+    size: Any
+    stride: Any
 
 
 class _Pickle:
@@ -211,7 +211,7 @@ class _Name(str):
     """A class or function that the pickle names, known to be one of a few; never imported."""
 
 
-_ACTIONS: dict[str, Callable[[_Pickle, object], None]] = {
+_ACTIONS: dict[str, Callable[[_Pickle, Any], None]] = {
     "PROTO": lambda pickle, argument: None,
     "MARK": _Pickle.mark,
     "NONE": lambda pickle, argument: pickle.push(None),
@@ -246,8 +246,8 @@ def _read_storage(archive: zipfile.ZipFile, folder: str, storage: _Storage, what
     member = archive.getinfo(name)
     if member.compress_type != zipfile.ZIP_STORED:
         raise UserError(f"{label} is compressed; torch does not do that")
-    if member.file_size != storage.count * kind.itemsize:
-        raise UserError(f"{label} has {member.file_size} bytes for {storage.count} numbers")
+    if member.file_size != storage.numbers * kind.itemsize:
+        raise UserError(f"{label} has {member.file_size} bytes for {storage.numbers} numbers")
     return np.frombuffer(read_member(archive, name, what), kind)
 
 

@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from importlib import resources
 from numbers import Real
 from pathlib import Path
+from typing import Any
 
 from inclined_landing.models import plausible, storage
 from inclined_landing.models.errors import UserError, shown
@@ -269,7 +270,8 @@ def load_vehicle(path: str | Path | None = None) -> Vehicle:
     """
     if path is None:
         return _crazyflie()
-    vehicle = Vehicle(**{c.field: c.value for c in constants(path)})
+    values: dict[str, Any] = {c.field: c.value for c in constants(path)}
+    vehicle = Vehicle(**values)
     for sentence in itertools.chain(plausible.contradictions(vehicle), plausible.misplaced(vehicle)):
         raise UserError(f"vehicle file {path}: {sentence}")
     return vehicle
@@ -277,7 +279,8 @@ def load_vehicle(path: str | Path | None = None) -> Vehicle:
 
 @functools.lru_cache(maxsize=1)
 def _crazyflie() -> Vehicle:
-    return Vehicle(**{field: c.value for field, c in _shipped().items()})
+    values: dict[str, Any] = {field: c.value for field, c in _shipped().items()}
+    return Vehicle(**values)
 
 
 def check_vehicle(vehicle: Vehicle) -> None:

@@ -69,7 +69,7 @@ def load() -> None:
 def loaded() -> PluginStatus:
     """Which plugins are registered, from which library, built for which MuJoCo."""
     library, build = _find()
-    names = ()
+    names: tuple[str, ...] = ()
     if _handle is not None:
         _handle.mjp_getPlugin.restype = ctypes.c_void_p
         _handle.mjp_getPlugin.argtypes = (ctypes.c_char_p, ctypes.POINTER(ctypes.c_int))

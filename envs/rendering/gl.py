@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import dataclasses
 import functools
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -121,13 +122,13 @@ class GLRenderer(Stage):
         vehicle: Vehicle | None = None,
         width: int = 640,
         height: int = 480,
-        camera: str = "hero",
+        camera: str | View = "hero",
         scale: float | None = None,
     ):
         if isinstance(camera, View):
             raise UserError("only backend='ray' draws a free View; name a camera of the scene")
-        self._gl = self._mjr = None
-        self._gl = _context(width, height)
+        self._mjr = None
+        self._gl: Any = _context(width, height)
         super().__init__(vehicle, width, height, camera, scale)
 
     def _prepare(self, model: mujoco.MjModel) -> None:
@@ -202,7 +203,7 @@ class GLRenderer(Stage):
         pose = pose_of(scene, self.vehicle, inclination)
         self.stage(pose)
         self._place(self.data, pose.qpos)
-        return view_of(self.model, self.data, self.camera, self.width, self.height)
+        return view_of(self.model, self.data, cast(str, self.camera), self.width, self.height)
 
     def _place(self, data: mujoco.MjData, qpos: np.ndarray) -> None:
         data.qpos[:7] = qpos

@@ -112,8 +112,8 @@ def draw_arrow(canvas: Canvas, view: View, start, vector, *, colour) -> None:
     ends, depth = view.project(np.stack([start, start + np.asarray(vector, float)]))
     if depth.min() < 1e-3 or np.hypot(*(ends[1] - ends[0])) < 1.0:
         return
-    width = arrow_width(view.height)
-    corners = arrow_outline(*(ends - [canvas.column, canvas.row]), width)
+    width, corner = arrow_width(view.height), [canvas.column, canvas.row]
+    corners = arrow_outline(ends[0] - corner, ends[1] - corner, width)
     rim = max(1.0, 0.3 * width)
     rows, columns = canvas.depth.shape
     low = np.maximum(np.floor(corners.min(axis=0) - rim - 1).astype(int), 0)

@@ -47,6 +47,9 @@ class Stage:
     def _prepare(self, model: mujoco.MjModel) -> None:
         raise NotImplementedError
 
+    def close(self) -> None:
+        """Free what the renderer holds; by default nothing."""
+
     def __enter__(self):
         return self
 

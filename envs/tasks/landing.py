@@ -34,7 +34,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -94,17 +94,17 @@ class InclinedLanding(Task):
     """The task for vehicles of one kind and one platform inclination [rad]."""
 
     name = "landing"
-    observation_names = ("x", "z", "vx", "vz", "pitch")
+    observation_names: tuple[str, ...] = ("x", "z", "vx", "vz", "pitch")
     observation_scale = np.array([1.0, 1.0, 2.0, 2.0, 0.5])
     action_names = ("thrust", "pitch")
     has_platform = True
-    goal_size = GOAL_SIZE
+    goal_size: float | None = GOAL_SIZE
     cut_at_success = True
     shipped = True
     table = "landing"
     training = Training(steps=1_200_000, curriculum="adaptive")
-    curricula = ("adaptive", "paper", "none")
-    training_conditions = AIDED
+    curricula: tuple[str, ...] = ("adaptive", "paper", "none")
+    training_conditions: Any = AIDED
     score_curve = ScoreCurve(
         "strict_success",
         "strict success [%]",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from inclined_landing.models.parameters import Vehicle
 
@@ -122,7 +123,7 @@ def scaled(*fields: str, parameter: str = "scale"):
 
     def apply(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
         factor = values.get(parameter, 1.0)
-        changes = {}
+        changes: dict[str, Any] = {}
         for field in fields:
             old = getattr(vehicle, field)
             changes[field] = tuple(x * factor for x in old) if isinstance(old, tuple) else old * factor
@@ -138,7 +139,9 @@ def added(field: str, *parameters: str):
         old = getattr(vehicle, field)
         new = [values.get(name, 0.0) for name in parameters]
         if isinstance(old, tuple):
-            return dataclasses.replace(vehicle, **{field: tuple(a + b for a, b in zip(old, new))})
-        return dataclasses.replace(vehicle, **{field: old + new[0]})
+            changed: Any = tuple(a + b for a, b in zip(old, new))
+        else:
+            changed = old + new[0]
+        return dataclasses.replace(vehicle, **{field: changed})
 
     return apply

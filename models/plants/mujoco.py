@@ -211,7 +211,7 @@ class MujocoPlant(Plant):
         own = slice(None) if ids is None else ids
         self._ctrl[:] = commands
         fresh = np.flatnonzero(self.delays.fresh)
-        if self._history is not None and len(fresh):
+        if self._history is not None and self._held is not None and len(fresh):
             empty, held = self._held
             self._history[fresh] = empty + commands[fresh] @ held
         self.delays.push_commands(commands, own)
