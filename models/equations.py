@@ -327,15 +327,11 @@ def _derivative(y, u, ambient, v, p, rate_loop, r, f, dy):
         dy[_PHI], dy[_THETA], dy[_PSI] = roll_wanted, pitch_wanted, yaw_wanted
 
 
-@numba.njit(cache=True)
-def step(state, commands, vehicle, p, rate_loop, dt, substeps):
-    """Advance every vehicle in place by substeps * dt with RK4, at time 0 without platform.
-
-    Like `advance`; only effects that depend on time, voltage or surfaces see the difference.
-    """
-    ambient = np.zeros((state.shape[0], AMBIENT_SIZE))
+def free_air(n: int) -> np.ndarray:
+    """What n vehicles meet (n, 4) at time 0 with the vehicle file's battery and no platform."""
+    ambient = np.zeros((n, AMBIENT_SIZE))
     ambient[:, VOLTAGE] = np.nan
-    advance(state, commands, ambient, vehicle, p, rate_loop, dt, substeps)
+    return ambient
 
 
 @numba.njit(cache=True)
@@ -389,9 +385,8 @@ def derivative(state: np.ndarray, command: np.ndarray, vehicle: Vehicle, rate_lo
     y, dy = np.zeros(_SIZE), np.zeros(_SIZE)
     y[:9], y[_OMEGA] = state[:9], state[LAG]
     y[_RATES:] = euler_rates(state[ROLL], state[PITCH], state[WX], state[WY], state[WZ])
-    ambient = np.array([0.0, np.nan, 0.0, 0.0])
     v, p, command = pack(vehicle)[0], np.array(NEUTRAL), np.asarray(command, float)
-    _derivative(y, command, ambient, v, p, rate_loop, np.empty((3, 3)), np.zeros(5), dy)
+    _derivative(y, command, free_air(1)[0], v, p, rate_loop, np.empty((3, 3)), np.zeros(5), dy)
     result = {
         "acceleration": dy[VX : VZ + 1].copy(),
         "euler_rates": dy[_PHI : _PSI + 1].copy(),

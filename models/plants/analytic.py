@@ -36,8 +36,7 @@ class AnalyticPlant(Plant):
         self.shapes = geometry.shapes_of(compile_scene(self.vehicle))
         self._position, _ = geometry.platform_poses(self.inclination, self.present, self.vehicle)
         self._distance = np.empty((n, 3, 3))
-        self._ambient = np.zeros((n, equations.AMBIENT_SIZE))
-        self._ambient[:, equations.VOLTAGE] = np.nan
+        self._ambient = equations.free_air(n)
         self._ambient[:, equations.INCLINATION], self._ambient[:, equations.PRESENT] = self.inclination, True
         self.contacts.force[:] = np.nan
 

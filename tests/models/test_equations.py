@@ -29,9 +29,8 @@ def fly(state, commands, duration, steps, rate_loop=False, vehicle=V) -> np.ndar
     """Copy of `state` (n, 13) after `duration` [s] in `steps` RK4 steps."""
     state = np.array(state)
     commands = np.broadcast_to(np.asarray(commands, float), (len(state), 4)).copy()
-    equations.step(
-        state, commands, equations.pack(vehicle), neutral(len(state)), rate_loop, duration / steps, steps
-    )
+    around, p = equations.free_air(len(state)), neutral(len(state))
+    equations.advance(state, commands, around, equations.pack(vehicle), p, rate_loop, duration / steps, steps)
     return state
 
 
@@ -235,6 +234,7 @@ def test_vehicles_do_not_influence_each_other():
     states = rng.uniform(-1, 1, (7, 13))
     commands = rng.uniform([0, -0.5, -0.5, -3], [60_000, 0.5, 0.5, 3], (7, 4))
     together = states.copy()
-    equations.step(together, commands, equations.pack(V), neutral(7), True, 0.004, 5)
+    around, packed = equations.free_air(7), equations.pack(V)
+    equations.advance(together, commands, around, packed, neutral(7), True, 0.004, 5)
     for i in range(7):
         np.testing.assert_array_equal(fly(states[i : i + 1], commands[i], 0.02, 5, True)[0], together[i])
