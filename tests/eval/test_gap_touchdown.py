@@ -5,8 +5,8 @@ import pytest
 
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.flights.landings import landings_of
+from inclined_landing.eval.gap.search.after_touch import sag
 from inclined_landing.eval.gap.search.contact import FEWEST, LIMITS, name_contact
-from inclined_landing.eval.gap.search.touchdown import sag
 from inclined_landing.eval.proof.gap_blind.generate import landings, logs
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle

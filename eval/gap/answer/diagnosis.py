@@ -22,7 +22,7 @@ from inclined_landing.eval.gap.result import (
     WhereRow,
     WindowCurves,
 )
-from inclined_landing.eval.gap.search import contact, remainder, rollout, touchdown
+from inclined_landing.eval.gap.search import after_touch, contact, remainder, rollout
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
 from inclined_landing.eval.gap.search.fit import left_out_vehicles, refit, spread_between
 from inclined_landing.eval.gap.search.naming import Search, search
@@ -204,7 +204,7 @@ def _united(problem: Problem, found: Search, name: str) -> Search:
     )
 
 
-def _named(problem: Problem | touchdown.TouchdownProblem, found: Search) -> tuple[NamedEffect, ...]:
+def _named(problem: Problem | after_touch.TouchdownProblem, found: Search) -> tuple[NamedEffect, ...]:
     fit = found.fit
     covariance = fit.weighted.covariance(fit.index) if len(fit.index) else np.zeros((0, 0))
     change, error = fit.weighted.per_flight(fit.index)
@@ -266,14 +266,16 @@ def _where(problem: Problem, before, after) -> tuple[WhereRow, ...]:
 
 def _where_touching(landed, before: Vehicle, after: Vehicle) -> tuple[WhereRow, ...]:
     """Position error over the motion that follows the touch."""
-    rms = [float(np.sqrt((touchdown.position_errors(landed, v) ** 2).mean())) for v in (before, after)]
+    rms = [float(np.sqrt((after_touch.position_errors(landed, v) ** 2).mean())) for v in (before, after)]
     floor = float(np.sqrt(np.mean([(x.deviation[:, :3] ** 2).sum(axis=1).mean() for x in landed])))
     return (WhereRow("touchdown", "touchdown", *rms, floor, "m", len(landed)),)
 
 
 def _landing_gap(landed, before: Vehicle, after: Vehicle) -> PlantGap:
     """The gap of logs that hold nothing but landings: at the end of the motion after the touch."""
-    end = [float(np.sqrt((touchdown.position_errors(landed, v)[:, -1] ** 2).mean())) for v in (before, after)]
+    end = [
+        float(np.sqrt((after_touch.position_errors(landed, v)[:, -1] ** 2).mean())) for v in (before, after)
+    ]
     floor = float(np.sqrt(np.mean([(x.deviation[-1, :3] ** 2).sum() for x in landed])))
     nan = float("nan")
     return PlantGap(*end, floor, nan, nan, len(landed), BEFORE + AFTER)

@@ -9,18 +9,11 @@ import numpy as np
 
 from inclined_landing.eval.gap.flights.landings import Landing
 from inclined_landing.eval.gap.result import Candidate, SearchStep
+from inclined_landing.eval.gap.search.after_touch import TouchdownProblem
 from inclined_landing.eval.gap.search.evidence import Values
 from inclined_landing.eval.gap.search.fit import Fitted, refit, standard_errors
 from inclined_landing.eval.gap.search.naming import Search
-from inclined_landing.eval.gap.search.touchdown import TouchdownProblem
-from inclined_landing.eval.gap.search.trial import (
-    Objection,
-    Reason,
-    Thresholds,
-    Trial,
-    objection,
-    trial_of,
-)
+from inclined_landing.eval.gap.search.trial import Objection, Reason, Thresholds, Trial, objection, trial_of
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.parameters import Vehicle
 
