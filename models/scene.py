@@ -19,6 +19,7 @@ from inclined_landing.models import geometry, plugins
 from inclined_landing.models.attitude import quaternion
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.plausible import ENGINE_STEP
 
 INTEGRATORS = {
     "RK4": mujoco.mjtIntegrator.mjINT_RK4,
@@ -36,7 +37,7 @@ def build_spec(
     *,
     visuals: bool = True,
     keep_out: float = 0.0,
-    timestep: float = 0.004,
+    timestep: float = ENGINE_STEP,
     integrator: str = "RK4",
     torque_limit: bool = True,
 ) -> mujoco.MjSpec:
@@ -212,7 +213,7 @@ def compile_scene(
     vehicle: Vehicle,
     *,
     keep_out: float = 0.0,
-    timestep: float = 0.004,
+    timestep: float = ENGINE_STEP,
     integrator: str = "RK4",
     torque_limit: bool = True,
 ) -> mujoco.MjModel:

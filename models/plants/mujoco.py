@@ -27,6 +27,7 @@ from inclined_landing.models.attitude import (
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.base import Attitude, Plant, Snapshot
+from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.scene import compile_scene
 
 # The engine's warnings on which it silently resets a simulation.
@@ -57,7 +58,7 @@ class MujocoPlant(Plant):
         keep_out: float = 0.0,
         control_period: float | None = None,
         integrator: str = "RK4",
-        timestep: float = 0.004,
+        timestep: float = ENGINE_STEP,
         threads: int = 0,
         torque_limit: bool = True,
         torque_needs_motors: bool = False,

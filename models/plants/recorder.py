@@ -23,8 +23,9 @@ from inclined_landing.models.attitude import VX, VZ, WX, WZ
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import CONTACT_GEOMS, PARTS
 from inclined_landing.models.plants.mujoco import MujocoPlant
+from inclined_landing.models.plausible import ENGINE_STEP
 
-STEP = 0.004  # s, of the engine where nothing else is asked for
+STEP = ENGINE_STEP  # s, where nothing else is asked for
 # Still: slower than these.
 REST_SPEED = 0.02  # m/s
 REST_RATE = 0.2  # rad/s

@@ -1,5 +1,7 @@
 """Policy files: refused in one sentence, or flown; nothing in them is run, and torch is not needed."""
 
+import dataclasses
+import inspect
 import io
 import json
 import pickle
@@ -15,10 +17,11 @@ import numpy as np
 import pytest
 import torch
 
-from campaign.judge import EVIL, Case, Wrong, judge, mutations, parametrised, places, write
+from campaign.judge import EVIL, Case, Wrong, command, judge, mutations, parametrised, places, write
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import STAMP, load_policy
 from inclined_landing.envs.tasks.base import hover_states
+from inclined_landing.eval import cli
 
 GOOD = (resources.files("inclined_landing.envs") / "shipped" / "landing.zip").read_bytes()
 with zipfile.ZipFile(io.BytesIO(GOOD)) as archive:
@@ -287,6 +290,34 @@ def in_directory(content: bytes, name: str, offset: int, value: bytes) -> bytes:
     """A zip with `value` written into the entry of `name` in its central directory."""
     begin = content.rindex(b"PK\x01\x02", 0, content.rindex(name.encode()))
     return content[: begin + offset] + value + content[begin + offset + len(value) :]
+
+
+def commands():
+    """Every command that takes a policy: wrong ones, of every kind."""
+    names = ("zip without policy.pth", "zip bomb", "tensor action_net.bias complex", "pickle runs code")
+    wrong = [case for case in (*zips(), *tensors(), *pickles()) if case.name in names]
+    assert len(wrong) == len(names)
+    for name in cli.COMMANDS:
+        policy = inspect.signature(cli.find(name)).parameters.get("policy")
+        if policy is None:
+            continue
+        words = [name] if policy.kind is policy.POSITIONAL_ONLY else [name, "--policy"]
+        for bad in wrong:
+
+            def take(path, words=words):
+                out = path.parent / ("out.mp4" if "video" in words else "out.png")
+                return command(cli.main, [*words, str(path), "--out", str(out)])
+
+            yield dataclasses.replace(bad, name=f"{name} with {bad.name}", take=take, works=refused)
+
+
+def refused(_):
+    raise Wrong("a wrong policy was flown")
+
+
+@parametrised(commands(), sample=8)
+def test_commands(case, tmp_path):
+    judge(case, tmp_path)
 
 
 @parametrised(headers(), sample=25)

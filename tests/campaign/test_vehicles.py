@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import inspect
 import random
 import tomllib
 from importlib import resources
@@ -9,11 +10,13 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from campaign.judge import EVIL, Case, Wrong, judge, mutations, parametrised, places, toml, write
+from campaign.judge import EVIL, Case, Wrong, command, judge, mutations, parametrised, places, toml, write
 from inclined_landing.envs.tasks.base import hover_states
+from inclined_landing.eval import cli
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import check_vehicle, constants, load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
+from inclined_landing.train import cli as train
 
 TEXT = (resources.files("inclined_landing.models") / "crazyflie.toml").read_text("utf-8")
 TABLES = tomllib.loads(TEXT)
@@ -166,6 +169,35 @@ def texts():
         yield case(f"mutation {name}", content)
 
 
+def commands():
+    """Every command that takes a policy or flights, and a vehicle: wrong ones, of every kind."""
+    wrong = [
+        *(case for case in evil_fields() if case.name in ("body.mass nan", "arena.x text")),
+        *(case for case in edges() if case.name in ("body.mass 0 negative", "platform.width 0 times 1000")),
+        *(case for case in texts() if case.name in ("empty", "nested over lines", "UTF-16")),
+        *(case for case in places("vehicle.toml", load_vehicle) if case.name in ("a pipe", "a folder")),
+    ]
+    assert len(wrong) == 9
+    starts = {"train": (train.main, ["landing"])}
+    for name in cli.COMMANDS:
+        asked = str(inspect.signature(cli.find(name)).parameters)
+        if "Flown" in asked or "FlightSource" in asked:
+            starts[name] = (cli.main, [name, "landing" if "Flown" in asked else "flight.csv"])
+    assert len(starts) > 5
+    for name, (main, words) in starts.items():
+        for bad in wrong:
+
+            def take(path, main=main, words=words):
+                out = path.parent / ("out.mp4" if "video" in words else "out.png")
+                return command(main, [*words, "--out", str(out), "--vehicle", str(path)])
+
+            yield dataclasses.replace(bad, name=f"{name} with {bad.name}", take=take, works=refused)
+
+
+def refused(_):
+    raise Wrong("a wrong vehicle was flown")
+
+
 @parametrised(evil_fields(), sample=25)
 def test_evil_values(case, tmp_path):
     judge(case, tmp_path)
@@ -188,6 +220,11 @@ def test_structures(case, tmp_path):
 
 @parametrised(texts(), sample=20)
 def test_texts(case, tmp_path):
+    judge(case, tmp_path)
+
+
+@parametrised(commands(), sample=12)
+def test_commands(case, tmp_path):
     judge(case, tmp_path)
 
 
