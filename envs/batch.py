@@ -13,6 +13,7 @@ from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import Judgement, Moment, Start
 from inclined_landing.models.errors import UserError, shown
 
+FARTHEST = 1e4  # of any entry of a start state, SI units: no flight is there, and the engine diverges
 _START = ("state", "inclination", "present", "goal_size")  # what is recorded of a start
 
 
@@ -111,8 +112,8 @@ class BatchEnv:
                     f"reset of {len(ids)} vehicles needs states of shape "
                     f"({len(ids)}, {self.plant.state.shape[1]}), not {state.shape}"
                 )
-            if not np.isfinite(state).all():
-                raise UserError("a start state holds NaN or infinity")
+            if not (np.abs(state) <= FARTHEST).all():
+                raise UserError(f"a start state holds NaN or a number beyond {FARTHEST:g}")
         start = self.task.sample(self.rng, len(ids)) if state is None else self.task.start(state)
         for name in _START:
             getattr(self._start, name)[ids] = getattr(start, name)

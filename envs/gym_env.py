@@ -42,7 +42,10 @@ _METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}
 
 MOST_VEHICLES = 100_000  # of one environment
 # What numbers among the options of a plant may be.
-_PLANT_LIMITS = {"threads": (0, 1024), "substeps": (1, 1000), "timestep": (1e-5, 1.0), "keep_out": (0.0, 1.0)}
+_PLANT_LIMITS = {
+    **{"threads": (0, 1024), "substeps": (1, 1000), "keep_out": (0.0, 1.0)},
+    **{"timestep": (1e-5, 1.0), "control_period": (1e-5, 1.0)},
+}
 
 
 def _batch(task: str, n: int, plant: str, plant_options, vehicle, options) -> BatchEnv:
@@ -60,9 +63,11 @@ def _batch(task: str, n: int, plant: str, plant_options, vehicle, options) -> Ba
         raise UserError(f"plant_options must be a dictionary, not {shown(repr(plant_options), 40)}")
     _check_options(plant_options or {}, PLANTS[plant], f"the {plant} plant")
     for name, (low, high) in _PLANT_LIMITS.items():
-        value = (plant_options or {}).get(name, low)
-        if not low <= value <= high:
-            raise UserError(f"{name} of the {plant} plant must be from {low:g} to {high:g}, not {value!r}")
+        value = (plant_options or {}).get(name)
+        if value is not None and not low <= value <= high:
+            raise UserError(
+                f"{name} of the {plant} plant must be from {low:g} to {high:g}, not {shown(repr(value), 40)}"
+            )
     _check_options(options, task_class(task), f"the task {task}")
     built = make_task(task, vehicle, **options)
     return BatchEnv(built, make_plant(plant, n, vehicle, **(plant_options or {})))
@@ -86,7 +91,7 @@ def _fits(value, kind) -> bool:
     if typing.get_args(kind):
         return any(_fits(value, one) for one in typing.get_args(kind))
     if kind is float:
-        return is_whole(value) or isinstance(value, (float, np.floating))
+        return (is_whole(value) and abs(value) < 2**63) or isinstance(value, (float, np.floating))
     return is_whole(value) if kind is int else isinstance(value, kind)
 
 
@@ -131,7 +136,7 @@ class TaskEnv(gym.Env):
         **task_options,
     ):
         if render_mode not in (None, *_METADATA["render_modes"]):
-            raise UserError(f"render_mode must be 'rgb_array' or None, not {render_mode!r}")
+            raise UserError(f"render_mode must be 'rgb_array' or None, not {shown(repr(render_mode), 40)}")
         if render_mode is not None:
             from inclined_landing.envs.rendering import check_look
 

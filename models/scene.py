@@ -17,7 +17,7 @@ import numpy as np
 
 from inclined_landing.models import geometry, plugins
 from inclined_landing.models.attitude import quaternion
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plausible import ENGINE_STEP
 
@@ -51,7 +51,9 @@ def build_spec(
     v = vehicle or load_vehicle()
     plugins.load()
     if integrator not in INTEGRATORS:
-        raise UserError(f"unknown integrator {integrator!r}; known are {', '.join(INTEGRATORS)}")
+        raise UserError(
+            f"unknown integrator {shown(repr(integrator), 40)}; known are {', '.join(INTEGRATORS)}"
+        )
     if not (math.isfinite(timestep) and timestep > 0):
         raise UserError(f"timestep must be positive, not {timestep!r}")
     if not (math.isfinite(keep_out) and keep_out >= 0):

@@ -15,7 +15,7 @@ from inclined_landing.envs.rendering.camera import View, look_at
 from inclined_landing.envs.rendering.contacts import contact_arrows
 from inclined_landing.envs.rendering.ghost import Ghost
 from inclined_landing.envs.rendering.pose import Pose, qpos_of_state
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle
 
 BACKENDS = ("auto", "gl", "ray")
@@ -39,11 +39,15 @@ def check_look(width: int, height: int, camera: str | View, backend: str) -> Non
     """Raise UserError for a picture that no renderer draws."""
     for size in (width, height):
         if not isinstance(size, (int, np.integer)) or not 16 <= size <= 4096:
-            raise UserError(f"a picture has 16 to 4096 pixels a side, not {width!r} x {height!r}")
+            raise UserError(
+                f"a picture has 16 to 4096 pixels a side, not {shown(f'{width!r} x {height!r}', 40)}"
+            )
     if not isinstance(camera, View) and camera not in CAMERAS:
-        raise UserError(f"unknown camera {camera!r}; known are {', '.join(CAMERAS)}")
+        raise UserError(f"unknown camera {shown(repr(camera), 40)}; known are {', '.join(CAMERAS)}")
     if backend not in BACKENDS:
-        raise UserError(f"unknown rendering backend {backend!r}; known are {', '.join(BACKENDS)}")
+        raise UserError(
+            f"unknown rendering backend {shown(repr(backend), 40)}; known are {', '.join(BACKENDS)}"
+        )
 
 
 def make_renderer(

@@ -26,7 +26,7 @@ from inclined_landing.models.attitude import (
     STATE_SIZE,
     YAW_RATE_COMMAND,
 )
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import Contacts
 
@@ -273,7 +273,8 @@ def resolve_pwm_centre(centre, vehicle: Vehicle) -> float:
     low, high = vehicle.command_pwm_range
     if isinstance(centre, (int, float)) and low <= centre <= high:
         return float(centre)
-    raise UserError(f"pwm_centre must be 'paper', 'hover' or a PWM from {low:g} to {high:g}, not {centre!r}")
+    said = shown(repr(centre), 40)
+    raise UserError(f"pwm_centre must be 'paper', 'hover' or a PWM from {low:g} to {high:g}, not {said}")
 
 
 def hover_states(positions: np.ndarray, vehicle: Vehicle) -> np.ndarray:

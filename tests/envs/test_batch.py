@@ -62,7 +62,7 @@ def test_actions_are_clipped():
     (np.zeros(13), r"reset of 2 vehicles needs states of shape \(2, 13\), not \(13,\)"),
     (np.zeros((3, 13)), r"not \(3, 13\)"),
     (np.zeros((2, 12)), r"not \(2, 12\)"),
-    (np.full((2, 13), np.nan), "a start state holds NaN or infinity"),
+    (np.full((2, 13), np.nan), "a start state holds NaN or a number beyond 10000"),
 ])  # fmt: skip
 def test_wrong_start_states_are_refused(state, sentence):
     with pytest.raises(UserError, match=sentence):
