@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from inclined_landing.models import effects
 from inclined_landing.models.parameters import Vehicle
 
 Verdict = Literal["effects", "nothing", "unknown"]
@@ -176,17 +177,13 @@ class Diagnosis:
         """Fitted parameter values: effect -> parameter -> value."""
         return {e.name: e.values() for e in self.effects}
 
-    def apply(self, vehicle: Vehicle, library=None) -> Vehicle:
+    def apply(self, vehicle: Vehicle) -> Vehicle:
         """`vehicle` with the named effects added."""
-        if library is None:
-            from inclined_landing.models.effects import LIBRARY as library
-        for name, values in self.values().items():
-            vehicle = library[name].apply(vehicle, values)
-        return vehicle
+        return effects.apply(vehicle, self.values())
 
     def to_json(self) -> dict:
         """The contents of report.json: plain dicts, sequences, strings and numbers."""
-        effects = [
+        named = [
             {
                 **_some(e, "name", "gain", "remedy", "note"),
                 "class": e.members,
@@ -200,7 +197,7 @@ class Diagnosis:
         depends_on = [_some(d, "channel", "on", "share") for d in self.remainder.depends_on]
         return {
             **_some(self, "verdict", "separating_manoeuvre", "flights", "heldout", "notes"),
-            "effects": effects,
+            "effects": named,
             "where": [dataclasses.asdict(row) for row in self.where],
             "gap": {plant: dataclasses.asdict(gap) for plant, gap in self.gap.items()},
             "remainder": _some(self.remainder, "unexplained", "size", "floor", "text")

@@ -15,14 +15,14 @@ from inclined_landing.models.parameters import Vehicle, write_vehicle
 VEHICLE, MJCF = "vehicle.toml", "landing.xml"
 
 
-def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = None, library=LIBRARY) -> None:
+def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = None) -> None:
     """Write vehicle.toml and landing.xml of the corrected vehicle into `folder`.
 
     vehicle: the one diagnosed, as the vehicle file `base` (default: the shipped one) gives it.
     """
     from inclined_landing.models.scene import build_spec
 
-    sources, uncertainties = provenance(d, vehicle, library)
+    sources, uncertainties = provenance(d, vehicle)
     names = ", ".join(effect.name for effect in d.effects) or "no effect"
     write_vehicle(
         folder / VEHICLE,
@@ -38,13 +38,13 @@ def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = N
 
 
 def provenance(
-    d: Diagnosis, vehicle: Vehicle, library=LIBRARY
+    d: Diagnosis, vehicle: Vehicle
 ) -> tuple[dict[str, str], dict[str, float | tuple[float, ...] | str]]:
     """Source and half-width of the 95 % interval of every vehicle field that the effects change."""
     sources: dict[str, str] = {}
     squares: dict[str, np.ndarray] = {}
     for effect in d.effects:
-        for field, squared in _spread(effect, vehicle, library).items():
+        for field, squared in _spread(effect, vehicle).items():
             sources[field] = f"{sources[field]}; " if field in sources else "identified by landing-eval gap: "
             sources[field] += _source(effect)
             squares[field] = squares.get(field, 0.0) + squared
@@ -59,16 +59,15 @@ def _source(effect: NamedEffect) -> str:
     )
 
 
-def _spread(effect: NamedEffect, vehicle: Vehicle, library) -> dict[str, np.ndarray]:
+def _spread(effect: NamedEffect, vehicle: Vehicle) -> dict[str, np.ndarray]:
     """Squared half-width of every field that the effect changes, from the ends of its intervals."""
 
     def fields(values) -> dict[str, np.ndarray]:
-        changed = library[effect.name].apply(vehicle, values)
+        changed = LIBRARY[effect.name].apply(vehicle, values)
         return {f.name: np.asarray(getattr(changed, f.name)) for f in dataclasses.fields(Vehicle)}
 
-    middle = {name: p.value for name, p in effect.parameters.items()}
-    before = {f.name: np.asarray(getattr(vehicle, f.name)) for f in dataclasses.fields(Vehicle)}
-    at = fields(middle)
+    middle = effect.values()
+    before, at = fields({}), fields(middle)
     result = {name: np.zeros(at[name].shape) for name in at if np.any(at[name] != before[name])}
     for name, p in effect.parameters.items():
         if not np.all(np.isfinite(p.ci95)):

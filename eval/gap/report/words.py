@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from inclined_landing.eval.gap.result import Diagnosis, Estimate, NamedEffect, PlantGap
-from inclined_landing.models.effects import LIBRARY, Effect
+from inclined_landing.models.effects import LIBRARY
 
 # Factor and name of the unit a person reads, by the unit of the number.
 SHOWN = {
@@ -92,10 +92,10 @@ def _places(width: float) -> int:
     return min(6, max(0, 1 - math.floor(math.log10(abs(width))))) if width else 3
 
 
-def says(effect: NamedEffect, library: Mapping[str, Effect] = LIBRARY) -> str:
+def says(effect: NamedEffect) -> str:
     """What a named effect means with its values, as part of a sentence."""
     values = {name: quantity(p.value, p.unit) for name, p in effect.parameters.items()}
-    return library[effect.name].says.format(**values)
+    return LIBRARY[effect.name].says.format(**values)
 
 
 def tie(effect: NamedEffect) -> str | None:
