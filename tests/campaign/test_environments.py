@@ -17,6 +17,7 @@ from inclined_landing.models.plants import PLANTS, make_plant
 STATE = hover_states(np.array([[1.0, 0.0, 1.8]]), load_vehicle())[0]
 ARRAYS = {"object array": np.array([None]), "complex": 1j, "bytes": b"x", "none in a list": [None]}
 EVERY = EVIL | ARRAYS
+CALLED = {"width": "pixels", "height": "pixels", "render_backend": "backend", "plant_options": "plant"}
 SMALL = {"render_mode": "rgb_array", "width": 32, "height": 32, "render_backend": "ray"}
 
 
@@ -51,9 +52,7 @@ def options():
         if (option, evil) == ("vehicle", "long text"):
             continue  # a path, which is repeated as it is
         given = SMALL | {option: value}
-        words = {"width": "pixels", "height": "pixels", "render_backend": "backend"}
-        words = (words | {"plant_options": "plant"}).get(option, option)
-        yield case(f"face {option} {evil}", lambda g=given: face(**g), flies, words)
+        yield case(f"face {option} {evil}", lambda g=given: face(**g), flies, CALLED.get(option, option))
     for plant, kind in PLANTS.items():
         for option, (evil, value) in itertools.product(keywords(kind), EVERY.items()):
             given = {"plant": plant, "plant_options": {option: value}}

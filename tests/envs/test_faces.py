@@ -1,5 +1,6 @@
 """The faces of the environment: Gymnasium, its vector environment, and Stable-Baselines3."""
 
+import sys
 import warnings
 
 import gymnasium as gym
@@ -12,9 +13,15 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from inclined_landing.envs.batch import BatchEnv
-from inclined_landing.envs.gym_env import InclinedLandingEnv, InclinedLandingVectorEnv, SetpointEnv
+from inclined_landing.envs.gym_env import (
+    InclinedLandingEnv,
+    InclinedLandingVectorEnv,
+    SetpointEnv,
+    TaskEnv,
+    TaskVectorEnv,
+)
 from inclined_landing.envs.sb3 import BatchVecEnv
-from inclined_landing.envs.tasks import Moment, make_task
+from inclined_landing.envs.tasks import TASKS, Moment, make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -84,6 +91,15 @@ def test_the_platform_is_drawn_where_the_episode_has_one():
         env.close()
     for a, b in (("default", "steep"), ("default", "set-point")):
         assert (np.abs(pictures[a] - pictures[b]).max(axis=2) > 20).mean() > 0.02, (a, b)
+
+
+def test_every_task_has_its_environments_and_its_manual():
+    for task in TASKS.values():
+        spec = gym.spec(f"{task.__name__}-v0")
+        for point, kind in ((spec.entry_point, TaskEnv), (spec.vector_entry_point, TaskVectorEnv)):
+            face = gym.envs.registration.load_env_creator(point)
+            assert issubclass(face, kind) and face.task_name == task.name
+            assert face.__doc__.startswith(sys.modules[task.__module__].__doc__)
 
 
 def test_other_render_modes_are_refused():
