@@ -37,6 +37,7 @@ import numpy as np
 from inclined_landing.models.errors import UserError
 
 REFERENCE_SPEED = 1.0  # m/s, normal speed of the drop that the setting is about
+MOST_FRICTION = 10.0  # as the vehicle file's range says
 RESTITUTION = (0.0, 0.6)  # supported range; above, tilted touches with friction gain energy
 CONTACT_TIME = (0.012, 0.020)  # s; from three steps of 4 ms to what a slab of 20 mm can take at 1.5 m/s
 # Engine defaults of solimp: impedance of a contact deeper than 1 mm. With four feet down the effective
@@ -69,10 +70,12 @@ def check_contact_time(contact_time) -> np.ndarray:
 
 
 def check_friction(friction) -> np.ndarray:
-    """Return the friction coefficient as an array if it is finite and not negative, else UserError."""
+    """Return the friction coefficient as an array if it is from 0 to MOST_FRICTION, else UserError."""
     value = np.asarray(friction, float)
     if not (np.isfinite(value).all() and (value >= 0).all()):
         raise UserError(f"friction must not be negative, it is {_worst(value, 0.0, np.inf):g}")
+    if (value > MOST_FRICTION).any():
+        raise UserError(f"friction must be at most {MOST_FRICTION:g}, it is {value.max():g}")
     return value
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Iterator
 
 # Packages by the extra that installs them; all others come with `eval`.
@@ -12,6 +13,7 @@ _EXTRAS = {
     "baselines": ("pysindy",),
 }
 LONGEST = 2000  # characters of a sentence; beyond, its middle is left out
+LONG_WORD = r"[^\s/]{151,}"  # shortened in sentences; names of files are rarely that long
 
 
 class UserError(ValueError):
@@ -22,7 +24,8 @@ class UserError(ValueError):
     """
 
     def __init__(self, sentence: str):
-        super().__init__(shown(sentence, LONGEST))
+        words = re.sub(LONG_WORD, lambda word: shown(word[0]), sentence)
+        super().__init__(shown(words, LONGEST))
 
 
 @contextlib.contextmanager

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from rich.console import Console
-
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.eval.base.options import Flown
 from inclined_landing.eval.pictures import figure, picture, video
@@ -45,7 +43,7 @@ def report(folder: Path, metrics: dict) -> None:
     picture.command(str(final), folder / "picture.png", flown=flown)
     storage.write_json(folder / "metrics.json", metrics)  # last: it says that the report is whole
     show()
-    Console().print(f"everything about this run is in {folder}")
+    print(f"everything about this run is in {folder}")
 
 
 def _success(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 # Colours of Okabe and Ito, told apart with any colour vision.
 BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#b0528d"
@@ -42,6 +42,11 @@ STYLE = {
     "pdf.fonttype": 42,  # text stays text
     "image.composite_image": False,  # each vehicle its own picture, not one over the whole page
 }
+
+
+def literal(name: str) -> str:
+    """A name as matplotlib shows it: what lies between two dollars would be a formula."""
+    return shown(name).replace("$", r"\$")
 
 
 def styled():

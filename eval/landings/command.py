@@ -130,14 +130,8 @@ def _begin(study: Study, out: Path, chunk: int) -> None:
 
 
 def _begun(out: Path) -> bool:
-    """Whether there is something to go on with; what a kill left half-written is removed."""
-    if not out.is_dir():
-        return False
-    left = [*out.glob(".*.part.*"), *out.glob(f"{PARTS}/.*.part.*")]
-    if (out / RECORD).is_file() or set(left) == set(out.iterdir()):
-        for path in left:
-            path.unlink(missing_ok=True)
-    return any(out.iterdir())
+    """Whether there is something to go on with: more than a kill left half-written."""
+    return out.is_dir() and not all(map(storage.is_part, out.iterdir()))
 
 
 def _resumed(wanted: Study, out: Path) -> tuple[Study, int]:
@@ -153,6 +147,7 @@ def _resumed(wanted: Study, out: Path) -> tuple[Study, int]:
             raise ValueError(f"its chunk is {chunk!r}")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UserError(f"record {out / RECORD} is damaged: {shown(error)}") from error
+    storage.remove_parts(out)
     wanted = dataclasses.replace(wanted, starts=begun.starts)
     if wanted.fingerprint() != record.get("fingerprint"):
         raise UserError(

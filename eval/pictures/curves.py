@@ -9,6 +9,7 @@ import tyro
 
 from inclined_landing.eval.base.options import File
 from inclined_landing.eval.pictures.figures import learning_curves, save_figure
+from inclined_landing.models import storage
 
 
 def command(
@@ -22,4 +23,5 @@ def command(
         runs: run folders of landing-train.
         out: .png or .pdf file.
     """
+    storage.check_file(out)
     print(save_figure(learning_curves(runs), out))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from inclined_landing.eval.base.options import Flat, Flown, Folder, PolicyFile, Starts
 from inclined_landing.eval.pictures.figures import save_figure, trajectory_figure
 from inclined_landing.eval.pictures.flown import fly, points, report
+from inclined_landing.models import storage
 
 
 def command(policy: PolicyFile, /, out: Folder, start: Starts = (), flown: Flat[Flown] = Flown()) -> None:
@@ -16,6 +17,7 @@ def command(policy: PolicyFile, /, out: Folder, start: Starts = (), flown: Flat[
         start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
             more figures. Default: the task's cases, for landing the paper's two, 1.5,1.8 and 0,2.
     """
+    storage.check_folder(out)
     loaded = flown.load(policy)
     task = loaded.task
     cases = task.figure_starts

@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 from PIL import Image
 
+from inclined_landing.envs.rendering import check_look
 from inclined_landing.eval.base.options import File, Flat, Flown, Look, PolicyFile
 from inclined_landing.eval.base.style import make_folder
 from inclined_landing.eval.pictures.flown import fly, points, report
@@ -33,8 +34,10 @@ def command(
     """
     if out.suffix.lower() != ".png":
         raise UserError(f"a picture is a .png file, not {out.name!r}")
+    storage.check_file(out)
+    check_look(**dataclasses.asdict(look))
     loaded = flown.load(policy)
-    flight = fly(loaded, points([start] if start else [], loaded.task), flown.plant)[0]
+    flight = fly(loaded, points([] if start is None else [start], loaded.task), flown.plant)[0]
     drawn = strobe(flight, **dataclasses.asdict(look))
     make_folder(out.parent)
     with storage.atomic(out) as part:

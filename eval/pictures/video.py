@@ -14,11 +14,13 @@ from rich.console import Console
 from rich.progress import Progress
 
 from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.rendering import check_look
 from inclined_landing.eval.base.options import File, Flag, Flat, Flown, Look, PolicyFile, Range, Starts
 from inclined_landing.eval.pictures.flown import fly, points, report
 from inclined_landing.eval.pictures.frames import FPS, render_flight, write_video
 from inclined_landing.eval.pictures.touch import STEP, Touchdown, watch
 from inclined_landing.eval.pictures.touch_video import render_touchdowns
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 GIF_FPS = 25.0  # players slow down faster ones
@@ -53,6 +55,9 @@ def command(
         raise UserError(f"a video is an .mp4 or .gif file, not {out.name!r}")
     if look.width % 2 or look.height % 2:
         raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
+    storage.check_file(out)
+    if look.camera != "touch":
+        check_look(**dataclasses.asdict(look))
     loaded = flown.load(policy)
     if forces and not loaded.task.has_platform:
         raise UserError(f"--forces is for tasks with a platform: a {loaded.task.name} flight touches nothing")

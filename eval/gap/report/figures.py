@@ -15,7 +15,18 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, RULE, panel, styled
+from inclined_landing.eval.base.style import (
+    BLUE,
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    PURPLE,
+    RULE,
+    literal,
+    panel,
+    styled,
+)
 from inclined_landing.eval.gap.report.tracks import Track
 from inclined_landing.eval.gap.report.words import REGIMES, label, shown
 from inclined_landing.eval.gap.result import (
@@ -256,7 +267,7 @@ def track(one: Track) -> Figure:
 
 
 def _flown(one: Track) -> str:
-    return f"{one.flight}, {'left out of' if one.left_out else 'part of'} the fit"
+    return f"{literal(one.flight)}, {'left out of' if one.left_out else 'part of'} the fit"
 
 
 def draw_track(axis: Axes, one: Track, k: int) -> None:
@@ -293,7 +304,7 @@ def window_curves(windows: Sequence[WindowCurves]) -> Figure | None:
         low = panel(figure, j * width + 0.6, 0.5, width - 0.7, 1.3)
         _draw_window(high, w, (0, 1, 2), 100.0, "cm")
         _draw_window(low, w, (3, 4, 5), 180 / np.pi, "deg")
-        title = f"{REGIMES.get(w.regime, w.regime)}\n{w.flight}, {w.start:.1f} s"
+        title = f"{REGIMES.get(w.regime, w.regime)}\n{literal(w.flight)}, {w.start:.1f} s"
         high.set_title(title, fontsize=8, loc="left")
         low.set_xlabel("time in the window [s]", fontsize=8)
     figure.legend(*high.get_legend_handles_labels(), loc="upper left", ncols=3, bbox_to_anchor=(0.045, 1.0))

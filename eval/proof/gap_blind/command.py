@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-import json
+import importlib.util
 import multiprocessing
 import os
 import shutil
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Annotated
 
@@ -17,7 +18,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from inclined_landing.eval.base import runs
+from inclined_landing.eval.base import runs, style
 from inclined_landing.eval.base.options import Flag, Folder, Range, Seed
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
@@ -58,12 +59,16 @@ def command(
     for method in methods:
         if method not in METHODS:
             raise UserError(f"unknown method {method!r}; known are {', '.join(METHODS)}")
+    if "sparse" in methods and importlib.util.find_spec("pysindy") is None:
+        raise UserError("--method sparse needs pysindy; pip install 'inclined-landing[baselines]'")
     drawn = strata.cases((SETS[set], seed), cases)
     labels = {case.name: case.label() for case in drawn}
     out = runs.new_run(out, "gap-blind", resumable=_SET)
-    _open_set(out, {"set": set, "seed": seed, "cases": len(drawn)}, labels)
-    _diagnose_all(drawn, methods, out, keep, processes)
-    results = _score(out, labels, methods)
+    with runs.held(out):
+        storage.remove_parts(out)
+        _open_set(out, {"set": set, "seed": seed, "cases": len(drawn)}, labels)
+        _diagnose_all(drawn, labels, methods, out, keep, processes)
+        results = _score(out, labels, methods)
     storage.write_json(out / _RESULTS, results)
     storage.write_text(out / "table.md", markdown(results))
     storage.write_text(out / "report.html", page(results))
@@ -75,21 +80,23 @@ def _open_set(out: Path, description: dict, labels: dict) -> None:
     sealed = storage.to_json(labels) + "\n"
     description = description | {"labels sha256": hashlib.sha256(sealed.encode("utf-8")).hexdigest()}
     if (out / _SET).exists():
-        found = json.loads((out / _SET).read_text("utf-8"))
-        if {key: found.get(key) for key in description} != description:
-            raise UserError(f"{out} holds another blind set; choose another folder")
-        return
-    (out / "sealed").mkdir()
+        found = storage.read_json(out / _SET, "record")
+        if not isinstance(found, dict) or {key: found.get(key) for key in description} != description:
+            raise UserError(f"{out / _SET} is damaged or that of another blind set; choose another folder")
+    else:
+        storage.write_json(out / _SET, description | {"versions": runs.versions()})
+    for name in (_LABELS, _RESULTS, *(f"reports/{method}/case.json" for method in METHODS)):
+        storage.check_file(out / name)
+    style.make_folder((out / _LABELS).parent)
     storage.write_text(out / _LABELS, sealed)
-    storage.write_json(out / _SET, description | {"versions": runs.versions()})
 
 
-def _diagnose_all(drawn, methods, out: Path, keep: bool, processes: int) -> None:
+def _diagnose_all(drawn, labels: dict, methods, out: Path, keep: bool, processes: int) -> None:
     for method in methods:
-        (out / "reports" / method).mkdir(parents=True, exist_ok=True)
+        style.make_folder(out / "reports" / method)
     todo = []
     for case in drawn:
-        left = [m for m in methods if not _report(out, m, case.name).exists()]
+        left = [m for m in methods if not _scored(out, m, case.name, labels[case.name])]
         if left:
             todo.append((case, left))
     # A spawned process starts clean: threads of libraries do not survive a fork.
@@ -102,6 +109,8 @@ def _diagnose_all(drawn, methods, out: Path, keep: bool, processes: int) -> None
                 for job in as_completed(jobs):
                     job.result()
                     progress.advance(bar)
+            except BrokenProcessPool as error:
+                raise UserError(f"a process was killed ({error}); the same command goes on") from error
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
@@ -115,6 +124,17 @@ def _few_threads() -> None:
 
 def _report(out: Path, method: str, name: str) -> Path:
     return out / "reports" / method / f"{name}.json"
+
+
+def _scored(out: Path, method: str, name: str, label: dict) -> dict | None:
+    """The row of one case in the results; None where its report is not there, or damaged."""
+    try:
+        report = storage.read_json(_report(out, method, name), "report")
+        row = {"case": name} | score.score_case(label, report)
+        score.table([row])
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return None
+    return row
 
 
 def _case(case: strata.Case, methods: Sequence[str], out: Path, keep: bool) -> None:
@@ -163,12 +183,8 @@ def diagnosed(method: str, flights: Sequence, heldout: Sequence) -> dict:
 
 def _score(out: Path, labels: dict, methods: Sequence[str]) -> dict:
     """Open the labels and judge every report."""
-    description = json.loads((out / _SET).read_text("utf-8"))
-    results = description | {"methods": {}}
+    results = storage.read_json(out / _SET, "record") | {"methods": {}}
     for method in methods:
-        rows = []
-        for name, label in sorted(labels.items()):
-            report = json.loads(_report(out, method, name).read_text("utf-8"))
-            rows.append({"case": name} | score.score_case(label, report))
+        rows = [_scored(out, method, name, label) for name, label in sorted(labels.items())]
         results["methods"][method] = {"table": score.table(rows), "cases": rows}
     return results

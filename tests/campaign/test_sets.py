@@ -1,0 +1,72 @@
+"""Hidden-effect sets that go on in damaged folders."""
+
+import json
+from pathlib import Path
+
+from campaign.judge import EVIL, Case, judge, mutations, parametrised, write
+from inclined_landing.eval.proof.gap_blind import command as blind
+from inclined_landing.eval.proof.gap_blind import strata
+
+CASES = {case.name: case.label() for case in strata.cases((1, 0), len(strata.STRATA))}
+NAME, LABEL = next((name, label) for name, label in CASES.items() if label["causes"])
+SET = {"set": "dev", "seed": 0, "cases": len(CASES)}
+REPORT = {
+    "verdict": "effects",
+    "effects": [{"name": LABEL["causes"][0], "class": [], "parameters": {}}],
+    "gap": {},
+    "seconds": 1.0,
+}
+
+
+def resumed(folder: Path) -> None:
+    blind._open_set(folder, SET, CASES)
+    row = blind._scored(folder, "workflow", NAME, LABEL)
+    if row is None:  # is made again
+        write(blind._report(folder, "workflow", NAME), json.dumps(REPORT))
+        assert blind._scored(folder, "workflow", NAME, LABEL)["outcome"]
+
+
+def case(title: str, file: str, change) -> Case:
+    def make(folder: Path) -> Path:
+        out = folder / "out"
+        report = blind._report(out, "workflow", NAME)
+        report.parent.mkdir(parents=True)
+        blind._open_set(out, SET, CASES)
+        write(report, json.dumps(REPORT))
+        path = report if file == "report" else out / file
+        content = change(path.read_bytes())
+        path.unlink()
+        if content is not None:
+            write(path, content)
+        return out
+
+    return Case(title, make, resumed, named="out")
+
+
+def damages():
+    for file in ("set.json", "sealed/labels.json", "report"):
+        for what, content in {
+            "empty": b"",
+            "missing": None,
+            "noise": b"\xff" * 99,
+            "list": b"[1]",
+            "null": b"null",
+            "nested": b"[" * 100_000,
+            "table": b"{}",
+        }.items():
+            yield case(f"{file} {what}", file, lambda old, content=content: content)
+        for k in range(21):
+            yield case(f"{file} damage {k}", file, lambda old, k=k: list(mutations(old, k + 1))[k][1])
+    for name, value in EVIL.items():
+        for file, keys in (("report", REPORT), ("set.json", SET)):
+            for key in keys:
+
+                def change(old: bytes, key=key, value=value) -> bytes:
+                    return json.dumps(json.loads(old) | {key: value}, default=str).encode()
+
+                yield case(f"{file} {key} {name}", file, change)
+
+
+@parametrised(damages(), sample=15)
+def test_sets_go_on_or_say_why_not(case, tmp_path):
+    judge(case, tmp_path)
