@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 import math
-from importlib import resources
 from pathlib import Path
 
-import jinja2
 import numpy as np
 import pyarrow as pa
 from rich import box
@@ -15,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.page import embedded, render
 from inclined_landing.eval.base.statistics import proportion, spread
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.landings import maps, sensitivity
@@ -173,9 +171,6 @@ def discussion(summary: dict) -> list[str]:
 def page(study: Study, summary: dict, figures: list[dict], fixed: dict[str, float]) -> str:
     """The HTML page, everything inside."""
     known = known_parameters(study.vehicle)
-    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
-        resources.files(__package__).joinpath("report.html.j2").read_text("utf-8")
-    )
     rows = []
     for p in study.parameters:
         entry = known[p.name]
@@ -203,7 +198,11 @@ def page(study: Study, summary: dict, figures: list[dict], fixed: dict[str, floa
         odds = row["log_odds"]
         cells = [_index(row["first_order"][name]) for name in ("rests", *_SENSITIVE)]
         sensitivities.append((known[row["parameter"]].label, "-" if odds is None else f"{odds:+.2f}", *cells))
-    return template.render(
+    return render(
+        __package__,
+        "report.html.j2",
+        title=study.title or "Landing study",
+        versions=summary["versions"],
         study=study,
         summary=summary,
         colours=maps.COLOURS,
@@ -215,8 +214,7 @@ def page(study: Study, summary: dict, figures: list[dict], fixed: dict[str, floa
         figures=[
             {
                 "text": figure["text"],
-                "data": base64.b64encode(figure["file"].read_bytes()).decode("ascii"),
-                "name": figure["file"].stem,
+                "data": embedded(figure["file"].read_bytes()),
                 "width": round(_png_width(figure["file"]) * _CSS_PIXELS),
             }
             for figure in figures

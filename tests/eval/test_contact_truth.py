@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from inclined_landing.eval.base.claims import Claim
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.truth.contact_truth import command, laws, touchdowns
-from inclined_landing.eval.truth.contact_truth.checks import Check
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
@@ -30,14 +30,14 @@ LIMITS = {
 def test_contact_obeys_mechanics(name):
     """The tolerances stand beside each measurement in laws.py."""
     finding = laws.FINDINGS[name](load_vehicle())
-    assert finding.checks
-    failed = [c.record() for c in finding.checks if not c.met and c.name not in LIMITS]
+    assert finding.claims
+    failed = [c.record() for c in finding.claims if not c.passed and c.name not in LIMITS]
     assert not failed
 
 
 def test_random_drops_gain_no_energy_and_stay_above_the_slab():
     finding = laws.tumbling(load_vehicle(), n=30)
-    failed = [c.record() for c in finding.checks if not c.met and c.name not in LIMITS | {_RARE}]
+    failed = [c.record() for c in finding.claims if not c.passed and c.name not in LIMITS | {_RARE}]
     assert not failed
 
 
@@ -49,23 +49,23 @@ def test_limits_are_still_limits():
     checks = [
         c
         for name in ("rest", "impulse")
-        for c in laws.FINDINGS[name](load_vehicle()).checks
+        for c in laws.FINDINGS[name](load_vehicle()).claims
         if c.name in LIMITS
     ]
-    assert len(checks) == 2 and not any(c.met for c in checks)
+    assert len(checks) == 2 and not any(c.passed for c in checks)
 
 
 def test_a_setting_of_the_user_is_measured():
     finding = laws.setting(load_vehicle(), 0.7, 0.2, 0.016)
-    assert {c.name: c.met for c in finding.checks} == {
+    assert {c.name: c.passed for c in finding.claims} == {
         "creep on the default slope": True, "depth at 1 m/s": True, "restitution at 1 m/s": True,
     }  # fmt: skip
     assert np.all(np.diff(finding.data["restitution"]) > 0)
 
 
 def test_a_check_of_no_number_is_not_met():
-    assert not Check("x", float("nan"), "1", 1.0, "").met
-    assert Check("x", 0.5, "1", 1.0, "", 0.2).asked == "0.2 to 1"
+    assert not Claim("x", float("nan"), 1.0, "1", "").passed
+    assert Claim("x", 0.5, 1.0, "1", "", 0.2).tolerance == "0.2 to 1"
 
 
 # --- measured touchdowns -----------------------------------------------------------------------------
@@ -95,7 +95,7 @@ def test_a_measured_touchdown_is_reproduced(found):
 @pytest.mark.slow
 def test_touchdowns_are_reproduced_and_predicted():
     finding = touchdowns.finding(FLIGHTS)
-    assert not [c.record() for c in finding.checks if not c.met]
+    assert not [c.record() for c in finding.claims if not c.passed]
 
 
 def bouncing_flight(path: Path, restitution: float) -> None:

@@ -16,6 +16,7 @@ import pytest
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.eval import cli
+from inclined_landing.eval.base.claims import Claim, number
 from inclined_landing.eval.truth.equivalence import (
     bandwidth,
     closed_loop,
@@ -29,7 +30,6 @@ from inclined_landing.eval.truth.equivalence import (
     sequences,
     twin,
 )
-from inclined_landing.eval.truth.equivalence.claims import Claim, number
 from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW_RATE_COMMAND
 from inclined_landing.models.parameters import load_vehicle
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import resources
 
-import jinja2
 from matplotlib.figure import Figure
 
+from inclined_landing.eval.base import page as base_page
 from inclined_landing.eval.base.style import styled
 from inclined_landing.eval.gap.report import figures, words
 from inclined_landing.eval.gap.report.model import MJCF, VEHICLE
@@ -48,19 +47,12 @@ def page(
     )
 
 
-def render(sections: dict[str, list[dict]], *, seconds: float, **head) -> str:
+def render(sections: dict[str, list[dict]], *, headline: str, seconds: float, **head) -> str:
     """The template filled in: {heading: blocks} and what stands above and below them."""
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined)
-    template = resources.files("inclined_landing.eval.gap.report").joinpath("report.html.j2")
     empty = {"cards": [], "manoeuvre": "", "bars": [], "remainder": ""}
-    return environment.from_string(template.read_text("utf-8")).render(
-        empty
-        | head
-        | {
-            "sections": [{"title": title, "blocks": blocks} for title, blocks in sections.items() if blocks],
-            "seconds": f"{seconds:.1f}",
-        }
-    )
+    shown = [{"title": title, "blocks": blocks} for title, blocks in sections.items() if blocks]
+    content = empty | head | {"title": headline, "sections": shown, "seconds": f"{seconds:.1f}"}
+    return base_page.render(__package__, "report.html.j2", **content)
 
 
 # ---- the parts of a section

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from importlib import resources
+from inclined_landing.eval.base.page import render
 
 from .score import OUTCOMES
 
@@ -64,12 +64,15 @@ def _median(value: dict | None) -> str:
 
 def page(results: dict) -> str:
     """One self-contained HTML page: the tables, then every case with label and answer."""
-    import jinja2
-
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    text = resources.files(__package__).joinpath("page.html.j2").read_text("utf-8")
     methods = [
         {"title": _TITLES[name], "table": cells(result["table"]), "cases": result["cases"]}
         for name, result in results["methods"].items()
     ]
-    return environment.from_string(text).render(results=results, methods=methods)
+    return render(
+        __package__,
+        "report.html.j2",
+        title="Blind test of the gap workflow",
+        results=results,
+        methods=methods,
+        versions=results.get("versions", {}),
+    )

@@ -12,9 +12,9 @@ from rich.progress import Progress
 from rich.table import Table
 
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.base.options import Folder, NewFolder, VehicleFile
 from inclined_landing.eval.truth.contact_truth import touchdowns
-from inclined_landing.eval.truth.contact_truth.checks import Finding
 from inclined_landing.eval.truth.contact_truth.laws import FINDINGS, setting
 from inclined_landing.eval.truth.contact_truth.report import write
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -55,16 +55,16 @@ def command(
     write(findings, out, dropped)
     table = Table("check", "measured", "asked for", "unit", "")
     for finding in findings:
-        for check in finding.checks:
-            verdict = "met" if check.met else "[bold]not met[/bold]"
-            table.add_row(check.name, f"{check.measured:.3g}", check.asked, check.unit, verdict)
+        for claim in finding.claims:
+            verdict = "met" if claim.passed else "[bold]not met[/bold]"
+            table.add_row(claim.name, f"{claim.measured:.3g}", claim.tolerance, claim.unit, verdict)
     Console().print(table)
     print(out / "contact.html")
 
 
 def measure(
     vehicle: Vehicle, flights: Path | None = None, tick: Callable[[str], None] = lambda name: None
-) -> list[Finding]:
+) -> list[Section]:
     """Every finding; `tick` is called with the name of each before it is measured."""
     findings = []
     for name, measurement in FINDINGS.items():

@@ -1,4 +1,4 @@
-"""Measurements of contact against mechanics, each returned as a `Finding`.
+"""Measurements of contact against mechanics, each returned as a `Section`.
 
 Everything is unpowered and uses the default contact setting unless it says otherwise.
 """
@@ -9,7 +9,7 @@ import dataclasses
 
 import numpy as np
 
-from inclined_landing.eval.truth.contact_truth.checks import Check, Finding
+from inclined_landing.eval.base.claims import Claim, Section
 from inclined_landing.eval.truth.contact_truth.vehicles import (
     BODY,
     FEET,
@@ -38,7 +38,7 @@ CONTACT_TIMES = (0.012, 0.016, 0.02)
 STEPS = (0.004, 0.002, 0.001, 0.0005)
 
 
-def rest(vehicle: Vehicle) -> Finding:
+def rest(vehicle: Vehicle) -> Section:
     """Forces and creep at rest on slopes of 0 to 50 degrees."""
     degrees = np.arange(0.0, 51.0, 5.0)
     alpha = np.radians(degrees)
@@ -60,25 +60,25 @@ def rest(vehicle: Vehicle) -> Finding:
     place(springy, springy.vehicle.platform_inclination)
     springy.set_contact(np.arange(springy.n), restitution=np.array(RESTITUTIONS), contact_time=STUDY_TIME)
     of_restitution = _creep(springy)
-    return Finding(
+    return Section(
         "rest",
         "At rest on the slope",
         "The surface carries m g cos(alpha) and holds m g sin(alpha). The vehicle creeps a little, because "
         "friction in the engine is a very stiff damper, not a lock. Springy settings hold less firmly: from"
         " a restitution of 0.3 on the feet tremble and the vehicle wanders down by millimetres per second.",
         [
-            Check("forces at rest, 0 to 50 deg", 100 * error, "% of the weight", 1.0, f"friction {GRIP:g}"),
-            Check("creep on the default slope", 1e3 * default, "mm/s", 0.2, "default contact, over 2 s"),
-            Check("creep, 0 to 50 deg", 1e3 * creep.max(), "mm/s", 0.2, f"friction {GRIP:g}"),
-            Check(
+            Claim("forces at rest, 0 to 50 deg", 100 * error, 1.0, "% of the weight", f"friction {GRIP:g}"),
+            Claim("creep on the default slope", 1e3 * default, 0.2, "mm/s", "default contact, over 2 s"),
+            Claim("creep, 0 to 50 deg", 1e3 * creep.max(), 0.2, "mm/s", f"friction {GRIP:g}"),
+            Claim(
                 "creep at restitution 0.6",
                 1e3 * of_restitution[-1],
-                "mm/s",
                 0.2,
+                "mm/s",
                 f"contact time {1e3 * STUDY_TIME:g} ms; a limit of the springy setting",
             ),
         ],
-        {
+        data={
             "degrees": degrees,
             "normal": forces[:, 0],
             "tangential": forces[:, 1],
@@ -97,7 +97,7 @@ def _creep(plant: MujocoPlant) -> np.ndarray:
     return np.linalg.norm(moved[-1, :, :3] - moved[0, :, :3], axis=1) / 2.0
 
 
-def slip(vehicle: Vehicle) -> Finding:
+def slip(vehicle: Vehicle) -> Section:
     """Inclination at which a vehicle set down on the slope begins to slide."""
     frictions = np.array([0.2, 0.3, 0.5, 0.8, 1.0])
     around = np.radians(np.round(np.arange(-0.6, 1.01, 0.1), 1))
@@ -112,21 +112,21 @@ def slip(vehicle: Vehicle) -> Finding:
     gained = (after - before).reshape(distance.shape) / 0.5
     slides = gained > 0.005  # m/s2; 0.03 degrees beyond the angle of friction
     onset = np.degrees(around)[slides.argmax(axis=1)]
-    return Finding(
+    return Section(
         "slip",
         "Where sliding starts",
         "Each vehicle is set down level with its slope, 0.1 degrees apart around the angle of friction. "
         "Below it nothing accelerates, above it everything does.",
         [
-            Check(
+            Claim(
                 "onset of sliding against atan(friction)",
                 float(np.abs(onset).max()),
-                "deg",
                 0.5,
+                "deg",
                 "friction 0.2 to 1.0, resolution 0.1 deg",
             )
         ],
-        {
+        data={
             "friction": frictions,
             "around": np.degrees(around),
             "acceleration": gained,
@@ -136,7 +136,7 @@ def slip(vehicle: Vehicle) -> Finding:
     )
 
 
-def restitution(vehicle: Vehicle) -> Finding:
+def restitution(vehicle: Vehicle) -> Section:
     """Restitution and contact time that drops show, against what was set."""
     gravity = vehicle.environment_gravity
     pairs = np.array([(e, t) for t in CONTACT_TIMES for e in RESTITUTIONS])
@@ -150,25 +150,25 @@ def restitution(vehicle: Vehicle) -> Finding:
     wanted = np.array(RESTITUTIONS)
     off = np.abs(measured[1.0] - wanted)[:, 1:]
     late = np.abs(pushed - np.array(CONTACT_TIMES)[:, None])[:, 1:]
-    return Finding(
+    return Section(
         "restitution",
         "Restitution and contact time as set",
         "Restitution and contact time are settings of the user; they are turned into the engine's contact "
         f"spring. Drops on four feet, {PHASES} phases of the touch within one step; bars are their standard"
         " deviation. A slower drop rebounds less, because the weight works against it for the same time.",
         [
-            Check(
+            Claim(
                 "restitution as set, 16 and 20 ms",
                 float(off[1:].max()),
-                "1",
                 0.03,
+                "1",
                 "drops at 1 m/s, mean over phases",
             ),
-            Check("restitution as set, 12 ms", float(off[0].max()), "1", 0.05, "three steps of 4 ms"),
-            Check("scatter by the phase of the touch", float(scatter.max()), "1", 0.06, "standard deviation"),
-            Check("contact time as set", 1e3 * float(np.nanmax(late)), "ms", 1.0, "restitution 0.1 to 0.6"),
+            Claim("restitution as set, 12 ms", float(off[0].max()), 0.05, "1", "three steps of 4 ms"),
+            Claim("scatter by the phase of the touch", float(scatter.max()), 0.06, "1", "standard deviation"),
+            Claim("contact time as set", 1e3 * float(np.nanmax(late)), 1.0, "ms", "restitution 0.1 to 0.6"),
         ],
-        {
+        data={
             "set": RESTITUTIONS,
             "contact_time": CONTACT_TIMES,
             "scatter": scatter,
@@ -179,7 +179,7 @@ def restitution(vehicle: Vehicle) -> Finding:
     )
 
 
-def impulse(vehicle: Vehicle) -> Finding:
+def impulse(vehicle: Vehicle) -> Section:
     """Impulse of the contact forces, and of their samples, against the change of momentum."""
     gravity = vehicle.environment_gravity
     spring = contact.solref([0.0, 0.3, 0.6], STUDY_TIME, gravity)
@@ -193,7 +193,7 @@ def impulse(vehicle: Vehicle) -> Finding:
     fine = [row for row in rows if row[0] == STEPS[-1]]
     drops = [drop(vehicle, speed, s, stages=True) for speed in (0.3, 1.0, 2.0) for s in (None, spring)]
     single = max(float(np.abs(d.impulse / d.momentum - 1.0).max()) for d in drops)
-    return Finding(
+    return Section(
         "impulse",
         "Forces and momentum",
         "The force sensors speak for the beginning of each engine step, so that their sum over a touch of a"
@@ -203,41 +203,41 @@ def impulse(vehicle: Vehicle) -> Finding:
         " touch agrees with the change of momentum to rounding errors (`models/plants/recorder.py`). The "
         "landing studies' impulse agrees with that one.",
         [
-            Check(
+            Claim(
                 "impulse of one touch, 4 ms",
                 100 * single,
-                "%",
                 2.0,
+                "%",
                 "contact forces of all stages against m (change of speed + g time); worst of 96 drops at 0.3 "
                 "to 2 m/s, default and restitution 0 to 0.6",
             ),
-            Check(
+            Claim(
                 "sampled forces, mean over phases, 4 ms",
                 100 * max(abs(row[2]) for row in mean),
-                "%",
                 2.0,
+                "%",
                 "1 m/s, force sum against change of momentum",
             ),
-            Check(
+            Claim(
                 "sampled forces, single drop, 0.5 ms",
                 100 * max(row[3] for row in fine),
-                "%",
                 2.0,
+                "%",
                 "worst of the phases",
             ),
-            Check(
+            Claim(
                 "sampled forces, single drop, 4 ms",
                 100 * max(row[3] for row in mean),
-                "%",
                 2.0,
+                "%",
                 "worst of the phases; what the step's beginning alone says",
             ),
         ],
-        {"rows": [dict(zip(("step", "setting", "mean", "worst", "peak"), row)) for row in rows]},
+        data={"rows": [dict(zip(("step", "setting", "mean", "worst", "peak"), row)) for row in rows]},
     )
 
 
-def penetration(vehicle: Vehicle) -> Finding:
+def penetration(vehicle: Vehicle) -> Section:
     """How deep the feet sink in, over speed and contact time."""
     speeds = np.array([0.25, 0.5, 1.0, 1.5, 2.0])
     gravity = vehicle.environment_gravity
@@ -246,33 +246,33 @@ def penetration(vehicle: Vehicle) -> Finding:
     depth = np.array([drop(vehicle, speed, solrefs).depth.max(axis=1) for speed in speeds])
     at_one = int(np.flatnonzero(speeds == 1.0)[0])
     grows = float(np.diff(depth, axis=1).min())
-    return Finding(
+    return Section(
         "penetration",
         "Penetration",
         "The feet sink in by about speed times contact time over pi. At 10 mm, half the slab's thickness, "
         "the engine can no longer tell the upper side from the lower.",
         [
-            Check(
+            Claim(
                 "depth at 1 m/s, default setting",
                 1e3 * float(default[at_one]),
-                "mm",
                 5.0,
+                "mm",
                 "deepest of the phases",
             ),
-            Check(
+            Claim(
                 "depth grows with the contact time",
                 1e3 * grows,
-                "mm",
                 np.inf,
+                "mm",
                 "smallest difference between settings",
                 0.0,
             ),
         ],
-        {"speeds": speeds, "contact_time": CONTACT_TIMES, "default": default, "depth": depth},
+        data={"speeds": speeds, "contact_time": CONTACT_TIMES, "default": default, "depth": depth},
     )
 
 
-def convergence(vehicle: Vehicle) -> Finding:
+def convergence(vehicle: Vehicle) -> Section:
     """What halving the step changes: rebound, depth, and where a landing on the slope ends."""
     gravity = vehicle.environment_gravity
     solrefs = contact.solref([0.3, 0.6], STUDY_TIME, gravity)
@@ -285,29 +285,29 @@ def convergence(vehicle: Vehicle) -> Finding:
     order = float(np.polyfit(np.log(steps[:-2]), np.log(error[:-1]), 1)[0])
     change = float(np.abs(rebound[0] - rebound[-1]).max())
     halving = float((spread[1:] / spread[:-1])[:3].mean())
-    return Finding(
+    return Section(
         "convergence",
         "Halving the step",
         "A touch falls somewhere within a step, which makes contact first order in the step however the "
         "flight is integrated: the scatter between phases halves with the step, and the depth converges.",
         [
-            Check(
-                "order of the penetration's error", order, "1", np.inf, "default, 1 m/s, against 0.25 ms", 0.8
+            Claim(
+                "order of the penetration's error", order, np.inf, "1", "default, 1 m/s, against 0.25 ms", 0.8
             ),
-            Check(
+            Claim(
                 "scatter of rebounds when the step is halved",
                 halving,
-                "ratio",
                 0.65,
+                "ratio",
                 "restitution 0.3 and 0.6",
             ),
-            Check("rebound at 4 ms against 0.25 ms", change, "1", 0.02, "mean over phases"),
+            Claim("rebound at 4 ms against 0.25 ms", change, 0.02, "1", "mean over phases"),
         ],
-        {"steps": steps, "rebound": rebound, "scatter": spread, "depth": depth},
+        data={"steps": steps, "rebound": rebound, "scatter": spread, "depth": depth},
     )
 
 
-def tumbling(vehicle: Vehicle, n: int = 100) -> Finding:
+def tumbling(vehicle: Vehicle, n: int = 100) -> Section:
     """Passive drops in random attitudes: energy, and what no surface lets through."""
     speeds = (0.5, 1.0, 2.0, 4.0)
     settings = (None, 0.3, 0.6)
@@ -324,44 +324,44 @@ def tumbling(vehicle: Vehicle, n: int = 100) -> Finding:
             through[i, j] = passed.sum()
             if setting is None and speed == 1.0:
                 history = energies[::5, :40]
-    return Finding(
+    return Section(
         "tumbling",
         "Random drops: energy and tunnelling",
         f"{n} vehicles per speed in random attitudes and spins of 5 rad/s fall onto the default slope for "
         "0.6 s. Energy is that of motion and height; what the contact spring holds for a moment is not "
         "counted. Springy settings are within their supported range only up to 1.5 m/s.",
         [
-            Check(
+            Claim(
                 "energy gained, default",
                 100 * float(growth[0].max()),
-                "% of the impact's",
                 0.1,
+                "% of the impact's",
                 "0.5 to 4 m/s",
             ),
-            Check(
+            Claim(
                 "energy gained, restitution 0.3",
                 100 * float(growth[1, :2].max()),
-                "% of the impact's",
                 0.1,
+                "% of the impact's",
                 "0.5 and 1 m/s",
             ),
-            Check(
+            Claim(
                 "drops that gain over 1 %, restitution 0.6",
                 100 * float(share[2, :2].max()),
-                "%",
                 1.0,
+                "%",
                 "0.5 and 1 m/s",
             ),
-            Check("drops through the slab, default", int(through[0].sum()), "of all", 0, "0.5 to 4 m/s"),
-            Check(
+            Claim("drops through the slab, default", int(through[0].sum()), 0, "of all", "0.5 to 4 m/s"),
+            Claim(
                 "drops through the slab at 4 m/s, restitution 0.6",
                 int(through[2, -1]),
-                f"of {n}",
                 0,
+                f"of {n}",
                 "beyond the supported range",
             ),
         ],
-        {
+        data={
             "speeds": speeds,
             "settings": [s if s is not None else "default" for s in settings],
             "growth": growth,
@@ -395,7 +395,7 @@ def _tumble(
     return energy(flown, plant.vehicle), passed.any(axis=0)
 
 
-def parts(vehicle: Vehicle) -> Finding:
+def parts(vehicle: Vehicle) -> Section:
     """Upright, nose down and upside down on slab and floor: which part the log names, and its force."""
     weight = vehicle.body_mass * vehicle.environment_gravity
     rows, right, loads = [], 0, []
@@ -423,29 +423,29 @@ def parts(vehicle: Vehicle) -> Finding:
             rows.append(
                 {"surface": name, "pitch": float(np.degrees(pitch)), "first": first, "right": bool(ok)}
             )
-    return Finding(
+    return Section(
         "parts",
         "Which part touches what",
         "Vehicles are let go 2 mm above slab and floor: upright, nose down, upside down. The log names "
         "feet, rotors and body first, and only the surface below. Upside down the vehicle lies on body and "
         "rotor discs, which carry its weight.",
         [
-            Check(
-                "first part and surface named rightly", right, "of 6", 6, "slab and floor, three attitudes", 6
+            Claim(
+                "first part and surface named rightly", right, 6, "of 6", "slab and floor, three attitudes", 6
             ),
-            Check(
+            Claim(
                 "weight carried at rest",
                 100 * float(max(loads)),
-                "% off",
                 1.0,
+                "% off",
                 "upright on feet, upside down on body and rotors",
             ),
         ],
-        {"rows": rows},
+        data={"rows": rows},
     )
 
 
-def torque(vehicle: Vehicle) -> Finding:
+def torque(vehicle: Vehicle) -> Section:
     """Thrust at which a vehicle told to pitch lifts two feet off the floor, against statics."""
     command = vehicle.command_angle_limit
     wanted = vehicle.attitude_gain * command / vehicle.attitude_time_constant  # rad/s
@@ -477,7 +477,7 @@ def torque(vehicle: Vehicle) -> Finding:
             }
         )
     off = max(abs(row["lifts"] - row["predicted"]) for row in rows)
-    return Finding(
+    return Section(
         "torque",
         "Attitude loop on the ground",
         "A vehicle on the floor is told to pitch by 30 degrees. Two feet lift where loop torque and thrust "
@@ -485,18 +485,18 @@ def torque(vehicle: Vehicle) -> Finding:
         "equation, or is its limit where that is less. By default PWM 0 does not take the torques away; "
         "`landing-eval success` removes them where it cuts the motors.",
         [
-            Check(
-                "thrust at which two feet lift, against statics", off, "of the weight", 0.01, "steps of 0.005"
+            Claim(
+                "thrust at which two feet lift, against statics", off, 0.01, "of the weight", "steps of 0.005"
             ),
-            Check("largest torque over its limit", largest, "1", 1.0 + 1e-9, "every control step"),
+            Claim("largest torque over its limit", largest, 1.0 + 1e-9, "1", "every control step"),
         ],
-        {"share": shares, "rows": rows},
+        data={"share": shares, "rows": rows},
     )
 
 
 def setting(
     vehicle: Vehicle, friction: float | None, restitution: float | None, contact_time: float | None
-) -> Finding:
+) -> Section:
     """Drops and creep with the user's own contact setting; None is the default.
 
     Raises UserError for a setting out of range, before anything is measured.
@@ -509,27 +509,27 @@ def setting(
     checks = []
     if mu > np.tan(abs(vehicle.platform_inclination)):
         text = f"friction {mu:g} holds the default slope"
-        checks.append(Check("creep on the default slope", 1e3 * float(_creep(plant)[0]), "mm/s", 0.2, text))
+        checks.append(Claim("creep on the default slope", 1e3 * float(_creep(plant)[0]), 0.2, "mm/s", text))
     springs = None
     if restitution is not None:
         springs = contact.solref([restitution], [contact_time], vehicle.environment_gravity)
     drops = {speed: drop(vehicle, speed, springs) for speed in (0.5, 1.0, 1.5)}
     middle = drops[contact.REFERENCE_SPEED]
     checks.append(
-        Check("depth at 1 m/s", 1e3 * float(middle.depth.max()), "mm", 5.0, "deepest of the phases")
+        Claim("depth at 1 m/s", 1e3 * float(middle.depth.max()), 5.0, "mm", "deepest of the phases")
     )
     if restitution is not None:
         measured = float(middle.restitution.mean())
         low, high = restitution - 0.05, restitution + 0.05
-        checks.append(Check("restitution at 1 m/s", measured, "1", high, "mean over phases", low))
-    return Finding(
+        checks.append(Claim("restitution at 1 m/s", measured, high, "1", "mean over phases", low))
+    return Section(
         "setting",
         "The chosen setting",
         ", ".join(
             f"{name.replace('_', ' ')} {value:g}" for name, value in chosen.items() if value is not None
         ),
         checks,
-        {
+        data={
             "speeds": list(drops),
             "restitution": [d.restitution.mean() for d in drops.values()],
             "depth": [d.depth.max() for d in drops.values()],

@@ -16,7 +16,7 @@ import pandas as pd
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from inclined_landing.eval.truth.contact_truth.checks import Check, Finding
+from inclined_landing.eval.base.claims import Claim, Section, Table
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VY, VZ, WX, WY, WZ, YAW, Z
 from inclined_landing.models.errors import UserError
@@ -281,7 +281,7 @@ def _row(f: Fit, predicted_up: float) -> dict:
     }
 
 
-def finding(folder: str | Path, vehicle: Vehicle | None = None, tick=lambda name: None) -> Finding:
+def finding(folder: str | Path, vehicle: Vehicle | None = None, tick=lambda name: None) -> Section:
     """Touchdowns of the flights in `folder`, fitted and predicted from one another."""
     found = find_touchdowns(read_flights(folder), vehicle)
     if len(found) < 2:
@@ -300,7 +300,7 @@ def finding(folder: str | Path, vehicle: Vehicle | None = None, tick=lambda name
         predicted = rebound(f.touchdown, *usual, vehicle)
         rows.append(_row(f, predicted))
     missed = np.array([row["predicted_up"] - row["up"] for row in rows])
-    return Finding(
+    return Section(
         "touchdowns",
         "Measured touchdowns",
         f"{len(rows)} touchdowns of NanoBench flights with motors running near hover. What fits: the height"
@@ -309,36 +309,53 @@ def finding(folder: str | Path, vehicle: Vehicle | None = None, tick=lambda name
         " Hz the contact time is hardly resolved, and thrust is known relative to hover only. Friction and"
         " inclined surfaces are not in these data.",
         [
-            Check(
+            Claim(
                 "height of the simulated touchdowns, rms",
                 1e3 * max(row["rms"] for row in rows),
-                "mm",
                 1.0,
+                "mm",
                 "worst touchdown, 60 ms before to 100 ms after",
             ),
-            Check(
+            Claim(
                 "median restitution fitted",
                 float(np.median(e)),
-                "1",
                 0.65,
+                "1",
                 "in the range read off the data",
                 0.4,
             ),
-            Check(
+            Claim(
                 "median contact time fitted",
                 1e3 * float(np.median(time)),
-                "ms",
                 20.0,
+                "ms",
                 "samples every 10 ms",
                 4.0,
             ),
-            Check(
+            Claim(
                 "rebound predicted from the other touchdowns",
                 float(np.sqrt(np.mean(missed**2))),
-                "m/s rms",
                 0.1,
+                "m/s rms",
                 "with their median setting",
             ),
         ],
-        {"fits": rows},
+        tables=[_table(rows)],
+        data={"fits": rows},
     )
+
+
+def _table(rows: list[dict]) -> Table:
+    columns = (
+        ("down [m/s]", "down", 1.0),
+        ("up [m/s]", "up", 1.0),
+        ("tilt [deg]", "tilt_deg", 1.0),
+        ("thrust / weight", "thrust", 1.0),
+        ("restitution, data", "restitution_measured", 1.0),
+        ("restitution, fit", "restitution", 1.0),
+        ("contact time, fit [ms]", "contact_time", 1e3),
+        ("rms [mm]", "rms", 1e3),
+        ("up, predicted [m/s]", "predicted_up", 1.0),
+    )
+    cells = [(row["flight"], *(float(factor * row[key]) for _, key, factor in columns)) for row in rows]
+    return Table("Touchdowns", ("flight", *(head for head, _, _ in columns)), cells)

@@ -7,8 +7,8 @@ import itertools
 
 import numpy as np
 
+from inclined_landing.eval.base.claims import Claim, Section, Table, number
 from inclined_landing.eval.truth.equivalence import flying
-from inclined_landing.eval.truth.equivalence.claims import Claim, Section, Table, number
 from inclined_landing.eval.truth.equivalence.flying import angle_gap, engine, equations, position_gap
 from inclined_landing.eval.truth.equivalence.sequences import Sequences
 from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW_RATE_COMMAND

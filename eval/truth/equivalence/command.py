@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import io
 import math
 import time
 
-from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.claims import Claim, number
 from inclined_landing.eval.base.options import Flag, Folder, PolicyName, Seed, VehicleFile
-from inclined_landing.eval.base.style import PNG_DPI, styled
+from inclined_landing.eval.base.page import png
 from inclined_landing.eval.truth.equivalence import report
-from inclined_landing.eval.truth.equivalence.claims import Claim, number
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle
 
@@ -48,7 +46,7 @@ def command(
         sections, drawn = report.measure(
             loaded, seed=seed, quick=quick, tick=lambda text: bar.update(task, advance=1, description=text)
         )
-        images = {name: _png(figure) for name, figure in drawn.items()}
+        images = {name: png(figure) for name, figure in drawn.items()}
     record = report.as_record(
         sections,
         policy=str(loaded.path),
@@ -74,10 +72,3 @@ def command(
 
 def _measured(claim: Claim) -> str:
     return f"{number(claim.measured)} {claim.unit}" if math.isfinite(claim.measured) else "not a number"
-
-
-def _png(figure: Figure) -> bytes:
-    file = io.BytesIO()
-    with styled():
-        figure.savefig(file, format="png", dpi=PNG_DPI)
-    return file.getvalue()

@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
+from inclined_landing.eval.base.claims import Claim, Section, Table
 from inclined_landing.eval.truth.equivalence import flying
-from inclined_landing.eval.truth.equivalence.claims import Claim, Section, Table
 from inclined_landing.eval.truth.equivalence.flying import ATTITUDES, engine, equations
 from inclined_landing.models.parameters import Vehicle
 

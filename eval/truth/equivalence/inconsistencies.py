@@ -10,8 +10,8 @@ import dataclasses
 
 import numpy as np
 
+from inclined_landing.eval.base.claims import Claim, Section, Table, number
 from inclined_landing.eval.truth.equivalence import flying
-from inclined_landing.eval.truth.equivalence.claims import Claim, Section, Table, number
 from inclined_landing.eval.truth.equivalence.flying import HEIGHT
 from inclined_landing.eval.truth.equivalence.motor import quoted
 from inclined_landing.eval.truth.equivalence.sequences import Sequences

@@ -12,8 +12,8 @@ import math
 import mujoco
 import numpy as np
 
+from inclined_landing.eval.base.claims import Claim, Section, Table, number
 from inclined_landing.eval.truth.equivalence import flying
-from inclined_landing.eval.truth.equivalence.claims import Claim, Section, Table, number
 from inclined_landing.eval.truth.equivalence.flying import engine
 from inclined_landing.models.attitude import (
     LAG,

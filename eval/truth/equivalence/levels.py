@@ -7,8 +7,8 @@ import dataclasses
 import mujoco
 import numpy as np
 
+from inclined_landing.eval.base.claims import Claim, Section, Table, number
 from inclined_landing.eval.truth.equivalence import flying
-from inclined_landing.eval.truth.equivalence.claims import Claim, Section, Table, number
 from inclined_landing.eval.truth.equivalence.flying import (
     ATTITUDES,
     HEIGHT,

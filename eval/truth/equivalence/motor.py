@@ -14,7 +14,7 @@ from importlib import resources
 import mujoco
 import numpy as np
 
-from inclined_landing.eval.truth.equivalence.claims import Claim, Section, Table
+from inclined_landing.eval.base.claims import Claim, Section, Table
 from inclined_landing.eval.truth.equivalence.flying import engine
 from inclined_landing.models.parameters import Vehicle
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 import dataclasses
-from importlib import resources
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.policy import Policy
+from inclined_landing.eval.base.claims import Claim, Section
+from inclined_landing.eval.base.page import claims_page
 from inclined_landing.eval.truth.equivalence import (
     bandwidth,
     closed_loop,
@@ -23,7 +23,6 @@ from inclined_landing.eval.truth.equivalence import (
     sequences,
     twin,
 )
-from inclined_landing.eval.truth.equivalence.claims import Claim, Section, number
 
 TITLE = "Is the MuJoCo vehicle the paper's model?"
 SEQUENCES, STATES = 16, 1000  # of each family and dimension; random states of a forward pass
@@ -144,22 +143,14 @@ def as_record(sections: list[Section], **head) -> dict:
 
 def as_page(sections: list[Section], images: dict[str, bytes], record: dict) -> str:
     """The page, figures inside."""
-    import jinja2
-
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined)
-    environment.filters["number"] = number
-    text = resources.files(__package__).joinpath("report.html").read_text("utf-8")
-    claims = [c for s in sections for c in s.claims]
-    return environment.from_string(text).render(
-        title=TITLE,
-        sections=sections,
+    command = "landing-eval equivalence" + (" --quick" if record["quick"] else "")
+    policy, seconds = Path(record["policy"]).name, round(record["seconds"])
+    return claims_page(
+        TITLE,
+        "The MuJoCo vehicle, with its native plugins, against the equations of Kooi and Babuska (IROS 2021).",
+        sections,
+        images,
         headlines=headlines(sections),
-        failed=[c for c in claims if not c.passed],
-        total=len(claims),
-        images={name: base64.b64encode(data).decode("ascii") for name, data in images.items()},
-        command="landing-eval equivalence" + (" --quick" if record["quick"] else ""),
-        seed=record["seed"],
-        policy=Path(record["policy"]).name,
-        wall=f"{record['seconds']:.0f}",
+        run=f"{command} · seed {record['seed']} · policy {policy} · {seconds} s",
         versions=record["versions"],
     )

@@ -13,8 +13,8 @@ import mujoco
 import mujoco.batch
 import numpy as np
 
+from inclined_landing.eval.base.claims import Claim, Section
 from inclined_landing.eval.truth.equivalence import flying
-from inclined_landing.eval.truth.equivalence.claims import Claim, Section
 from inclined_landing.eval.truth.equivalence.isolated import NO_DRAG
 from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, X, Z
 from inclined_landing.models.parameters import Vehicle

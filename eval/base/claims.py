@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import numbers
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,19 +53,32 @@ class Table:
     heads: tuple[str, ...]
     rows: list[tuple]
 
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """Headings of the columns that hold numbers."""
+        first = self.rows[0] if self.rows else ()
+        return tuple(head for head, cell in zip(self.heads, first) if isinstance(cell, numbers.Number))
+
 
 @dataclasses.dataclass
 class Section:
-    """One section of the report; `figures` maps file names to captions, `data` goes to the JSON."""
+    """One section of a page; `figures` maps file names to captions, `data` goes to the JSON.
+
+    text: paragraphs, or the only one.
+    """
 
     key: str
     title: str
-    text: list[str]
+    text: list[str] | str
     claims: list[Claim]
     tables: list[Table] = dataclasses.field(default_factory=list)
     figures: dict[str, str] = dataclasses.field(default_factory=dict)
     remarks: list[str] = dataclasses.field(default_factory=list)
     data: dict = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self):
+        if isinstance(self.text, str):
+            self.text = [self.text]
 
     @property
     def passed(self) -> bool:

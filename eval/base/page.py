@@ -1,0 +1,76 @@
+"""One self-contained HTML page: the templates of all rooms extend `page.html.j2` and share its parts."""
+
+from __future__ import annotations
+
+import base64
+import io
+from importlib import resources
+
+import jinja2
+from matplotlib.figure import Figure
+
+from inclined_landing.eval.base.claims import Claim, Section, number
+from inclined_landing.eval.base.style import PNG_DPI, styled
+
+VERDICTS = {True: ("holds", "hold"), False: ("fails", "fail")}  # of one claim and of several
+
+
+def render(package: str, template: str, **content) -> str:
+    """A room's template filled in; what it extends or imports may also be one of this room."""
+
+    def source(name: str) -> str | None:
+        for room in (package, __package__):
+            file = resources.files(room).joinpath(name)
+            if file.is_file():
+                return file.read_text("utf-8")
+        return None
+
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(source),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters["number"] = number
+    environment.globals["parts"] = environment.get_template("parts.html.j2").module
+    return environment.get_template(template).render(content)
+
+
+def claims_page(
+    title: str,
+    lead: str,
+    sections: list[Section],
+    images: dict[str, bytes],
+    *,
+    verdicts: dict[bool, tuple[str, str]] = VERDICTS,
+    headlines: list[Claim] | None = None,
+    run: str,
+    versions: dict,
+) -> str:
+    """A page of claims. images: PNG files by the names in a section's `figures`; run: how it was made."""
+    return render(
+        __package__,
+        "claims.html.j2",
+        title=title,
+        lead=lead,
+        sections=sections,
+        images={name: embedded(data) for name, data in images.items()},
+        verdicts=verdicts,
+        headlines=headlines or [],
+        run=run,
+        versions=versions,
+    )
+
+
+def embedded(image: bytes) -> str:
+    """A PNG file as the address of a picture."""
+    return "data:image/png;base64," + base64.b64encode(image).decode("ascii")
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a PNG file."""
+    file = io.BytesIO()
+    with styled():
+        figure.savefig(file, format="png", dpi=PNG_DPI)
+    return file.getvalue()
