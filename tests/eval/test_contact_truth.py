@@ -63,7 +63,7 @@ def test_a_setting_of_the_user_is_measured():
     assert np.all(np.diff(finding.data["restitution"]) > 0)
 
 
-def test_a_check_of_no_number_is_not_met():
+def test_a_claim_of_no_number_does_not_hold():
     assert not Claim("x", float("nan"), 1.0, "1", "").passed
     assert Claim("x", 0.5, 1.0, "1", "", 0.2).tolerance == "0.2 to 1"
 
@@ -135,7 +135,7 @@ def test_the_page_is_written(tmp_path, monkeypatch, capsys):
     assert set(saved["findings"]) == {"setting", "slip", "parts"}
     assert saved["findings"]["slip"]["checks"][0]["met"] is True
     page = (out / "contact.html").read_text()
-    assert "Where sliding starts" in page and 'src="slip.png"' in page
+    assert "Where sliding starts" in page and 'src="data:image/png' in page
     assert "contact.html" in capsys.readouterr().out
 
 
