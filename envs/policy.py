@@ -283,6 +283,20 @@ def _actor(tensors: dict[str, np.ndarray], data: dict, path: Path) -> dict:
     complete = plain and all(f"{layer}.{part}" in tensors for layer in layers for part in ("weight", "bias"))
     if not complete or "log_std" not in tensors or extractor not in (set(), {"centre", "scale"}):
         raise UserError(f"policy {path} is not a PPO policy with a plain network and continuous actions")
+    matrices = tuple(np.ascontiguousarray(tensors[f"{layer}.weight"].T) for layer in layers)
+    inputs, scaled = len(matrices[0]) if matrices[0].ndim else 0, bool(extractor)
+    return {
+        "centre": tensors["features_extractor.centre"] if scaled else np.zeros(inputs),
+        "scale": tensors["features_extractor.scale"] if scaled else np.ones(inputs),
+        "limit": _LIMIT if scaled else np.inf,
+        "weights": matrices,
+        "biases": tuple(tensors[f"{layer}.bias"] for layer in layers),
+        "activation": _activation(data, path),
+    }
+
+
+def _activation(data: dict, path: Path) -> str:
+    """The activation that SB3's header names, one of those that `Policy` evaluates."""
     options = data.get("policy_kwargs") or {}
     activation = options.get("activation_fn", "Tanh") if isinstance(options, dict) else None
     if not isinstance(activation, str):
@@ -293,13 +307,4 @@ def _actor(tensors: dict[str, np.ndarray], data: dict, path: Path) -> dict:
             f"policy {path} has a network this package cannot evaluate "
             f"(activation {shown(activation, 40)}; known are {' and '.join(_ACTIVATIONS)})"
         )
-    matrices = tuple(np.ascontiguousarray(tensors[f"{layer}.weight"].T) for layer in layers)
-    inputs, scaled = len(matrices[0]) if matrices[0].ndim else 0, bool(extractor)
-    return {
-        "centre": tensors["features_extractor.centre"] if scaled else np.zeros(inputs),
-        "scale": tensors["features_extractor.scale"] if scaled else np.ones(inputs),
-        "limit": _LIMIT if scaled else np.inf,
-        "weights": matrices,
-        "biases": tuple(tensors[f"{layer}.bias"] for layer in layers),
-        "activation": activation,
-    }
+    return activation

@@ -24,6 +24,7 @@ _GYRATION = (0.05, 5.0)  # radius of gyration over the distance of a motor from 
 _HOVER = 5.0  # times the largest command; fits of weak motors go beyond one
 _BIAS = 10.0  # times the weight
 _FACTOR = 100.0  # of the thrust by battery, voltage and wind together
+_REFERENCE = 1e-6  # PWM, least distance from 0: the load is divided by it
 _SOLREF = (1e-4, 0.01)  # s, 1: least time constant and damping ratio
 _STIFFNESS = 1.0  # 1/s2, least
 
@@ -104,8 +105,8 @@ def _thrust(v: Vehicle) -> Iterator[str]:
             f"effects.thrust_bias of {v.effects_thrust_bias:g} N is more than {_BIAS:g} times the weight, "
             f"{weight:.3g} N"
         )
-    if v.effects_battery_reference == 0.0:
-        yield "effects.battery_reference must not be 0 PWM"
+    if abs(v.effects_battery_reference) < _REFERENCE:
+        yield f"effects.battery_reference must not be 0 PWM, nor within {_REFERENCE:g} PWM of it"
         return
     sag = 1.0 - v.effects_battery_sag * (v.hover_pwm / v.effects_battery_reference - 1.0)
     voltage = v.effects_voltage_open - v.effects_voltage_drop * v.hover_pwm
@@ -116,7 +117,7 @@ def _thrust(v: Vehicle) -> Iterator[str]:
         "effects.voltage_sensitivity": charge,
         "effects.translational_lift with effects.wind": lift,
     }.items():
-        if abs(factor) > _FACTOR:
+        if not abs(factor) <= _FACTOR:
             yield f"{name} makes the thrust in hover {factor:.3g} times as large"
 
 
