@@ -7,14 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.page import embedded, render
 from inclined_landing.eval.base.statistics import proportion, spread
 from inclined_landing.eval.base.style import save_figure
+from inclined_landing.eval.base.tables import new_table, printer
 from inclined_landing.eval.landings import maps, sensitivity
 from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS
 from inclined_landing.eval.landings.study import Levels, Study, known_parameters
@@ -237,31 +235,26 @@ def _index(value: dict) -> str:
 def show(summary: dict, out: Path | None = None) -> None:
     """Print the outcomes and the sensitivities."""
     known = known_parameters()
-    console = Console(markup=False, highlight=False)
-    if not console.is_terminal:
-        console.width = 120
+    console = printer()
     title = summary["study"]["title"] or "landing study"
-    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold")
-    for column, side in (("outcome", "left"), ("landings", "right"), ("share [%]", "right")):
-        table.add_column(column, justify=side)
+    outcomes = new_table(title, "outcome", "landings", "share [%]")
     for name, share in summary["outcomes"].items():
         if share["count"]:
             low, high = (100 * x for x in share["interval"])
-            table.add_row(name, str(share["count"]), f"{100 * share['share']:.1f} [{low:.1f}, {high:.1f}]")
-    console.print(table)
+            outcomes.add_row(name, str(share["count"]), f"{100 * share['share']:.1f} [{low:.1f}, {high:.1f}]")
+    console.print(outcomes)
     if summary["sensitivities"]:
-        table = Table(title="Sensitivities", box=box.SIMPLE_HEAD, title_justify="left", title_style="bold")
-        for column in ("parameter", "log odds of resting per s.d.", "alone, of resting", "of peak force"):
-            table.add_column(column, justify="left" if column == "parameter" else "right")
+        columns = ("parameter", "log odds of resting per s.d.", "alone, of resting", "of peak force")
+        rows = new_table("Sensitivities", *columns)
         for row in summary["sensitivities"]:
             odds, first = row["log_odds"], row["first_order"]
-            table.add_row(
+            rows.add_row(
                 known[row["parameter"]].label,
                 "-" if odds is None else f"{odds:+.2f}",
                 _index(first["rests"]),
                 _index(first["peak_force"]),
             )
-        console.print(table)
+        console.print(rows)
     for sentence in summary["discussion"][1:]:
         console.print(sentence)
     if out is not None:

@@ -2,38 +2,27 @@
 
 from __future__ import annotations
 
-from rich import box
-from rich.console import Console
 from rich.table import Table
 
-_PIPED_WIDTH = 120  # columns
+from inclined_landing.eval.base.tables import new_table, printer
 
 
 def show(report: dict) -> None:
     """Print the report of `benchmark.run`."""
-    console = Console(markup=False, highlight=False)
-    if not console.is_terminal:
-        console.width = _PIPED_WIDTH
+    console = printer()
     versions = report["versions"]
     console.print(
         f"{versions['cpu']}, {versions['cores']} cores, load {report['load_before'][0]:.1f} before; "
         f"Python {versions['python']}, MuJoCo {versions['mujoco']}, torch {versions['torch']}; "
         f"seed {report['seed']}. Median (smallest to largest)."
     )
-    for table in (_environments(report), _single(report)):
-        console.print(table)
-
-
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold")
-    for k, column in enumerate(columns):
-        table.add_column(column, justify="left" if k == 0 else "right")
-    return table
+    console.print(_environments(report))
+    console.print(_single(report))
 
 
 def _environments(report: dict) -> Table:
     rows = report["environments"]
-    table = _table(
+    table = new_table(
         f"Control steps per second, {rows[0]['vehicles']} vehicles",
         *("plant", "environment", "bare stepping", "task, reward, resets [%]", "in contact [%]"),
     )
@@ -49,7 +38,7 @@ def _environments(report: dict) -> Table:
 
 
 def _single(report: dict) -> Table:
-    table = _table("Policy, pictures, training", "", "")
+    table = new_table("Policy, pictures, training", "", "")
     latency = report["policy"]
     table.add_row("one action, this package [us]", _spread(latency["predict_us"], 1, 1))
     table.add_row("one action, SB3 predict [us]", _spread(latency["sb3_predict_us"], 1, 1))

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import math
 
-from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from inclined_landing.envs.tasks import TASKS
+from inclined_landing.eval.base.tables import new_table, printer
 
 _GROUPS = {
     "paper_starts": "paper's three",
     "scattered_starts": "paper's +-0.1 m",
     "grid": "frozen grid",
 }
-_PIPED_WIDTH = 120  # columns
 
 
 def show(report: dict) -> None:
     """Print the report of `success.evaluate`."""
-    console = Console(markup=False, highlight=False)
-    if not console.is_terminal:
-        console.width = _PIPED_WIDTH
+    console = printer()
     plant = {"mujoco": "MuJoCo", "analytic": "analytic"}[report["plant"]]
     title = f"{report['policy']}: {report['task']}, {plant} plant, seed {report['seed']}"
     if "inclination" in report["task_options"]:
@@ -33,15 +29,12 @@ def show(report: dict) -> None:
 
 def show_effects(report: dict) -> None:
     """Print the report of `success_effects.evaluate`."""
-    console = Console(markup=False, highlight=False)
-    if not console.is_terminal:
-        console.width = _PIPED_WIDTH
+    console = printer()
     kind = TASKS[report["task"]].table
     plant = {"mujoco": "MuJoCo", "analytic": "analytic"}[report["plant"]]
     title = f"{report['policy']}: {report['task']} with one effect each, {plant} plant, seed {report['seed']}"
     columns, numbers = _EFFECTS[kind]
-    table = _table(title, "effect", "size", *columns)
-    table.columns[1].justify = "left"
+    table = new_table(title, "effect", "size", *columns, left=2)
     for row in report["effects"]:
         table.add_row(row["effect"], _size(row["parameters"]), *numbers(row))
         if row["effect"] == "none":
@@ -66,15 +59,10 @@ def _size(parameters: dict) -> str:
     return ", ".join(texts) + (f" {common}" if common not in (None, "1") else "")
 
 
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold")
-    for k, column in enumerate(columns):
-        table.add_column(column, justify="left" if k == 0 else "right")
-    return table
-
-
 def _landing(report: dict, title: str) -> tuple[Table, Table]:
-    table = _table(title, "starts", "thrust", "flights", "success [%]", "strict [%]", "touched", "time [s]")
+    table = new_table(
+        title, "starts", "thrust", "flights", "success [%]", "strict [%]", "touched", "time [s]"
+    )
     for condition in report["conditions"]:
         scale = f"x {condition['thrust_scale']:g}"
         for name, label in _GROUPS.items():
@@ -103,7 +91,7 @@ def _landing(report: dict, title: str) -> tuple[Table, Table]:
 
 def _entry(report: dict) -> Table:
     scales = [condition["thrust_scale"] for condition in report["conditions"]]
-    table = _table(
+    table = new_table(
         "At goal-box entry, and after cutting the motors there (frozen grid)",
         "",
         *(f"thrust x {scale:g}" for scale in scales),
@@ -128,7 +116,7 @@ def _entry(report: dict) -> Table:
 
 
 def _error(report: dict, title: str) -> tuple[Table]:
-    table = _table(
+    table = new_table(
         title, "thrust", "flights", "error after 3 s [cm]", "95 % interval", "p95 [cm]", "< 5 cm [%]"
     )
     for condition in report["conditions"]:
@@ -146,7 +134,7 @@ def _error(report: dict, title: str) -> tuple[Table]:
 
 
 def _flights(report: dict, title: str) -> tuple[Table]:
-    table = _table(title, "thrust", "flights", "success [%]", "reward", "duration [s]")
+    table = new_table(title, "thrust", "flights", "success [%]", "reward", "duration [s]")
     for condition in report["conditions"]:
         count = str(condition["success"]["of"])
         table.add_row(f"x {condition['thrust_scale']:g}", count, *_of_flights(condition))

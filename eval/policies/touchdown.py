@@ -23,10 +23,8 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from rich import box
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.policy import Policy, load_policy
@@ -36,6 +34,7 @@ from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, Incl
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flag, NewFolder, PolicyFile, PolicyName, VehicleFile
 from inclined_landing.eval.base.statistics import proportion, spread
+from inclined_landing.eval.base.tables import new_table, printer
 from inclined_landing.models import contact, storage
 from inclined_landing.models.attitude import PWM
 from inclined_landing.models.errors import UserError
@@ -203,15 +202,11 @@ def command(
 
 def show(report: dict) -> None:
     """Print the report of `evaluate`."""
-    console = Console(markup=False, highlight=False)
-    if not console.is_terminal:
-        console.width = 120
+    console = printer()
     angle = math.degrees(report["inclination"])
     title = f"At rest on a slope of {abs(angle):.1f} deg, {report['starts']} starts each"
-    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold")
     names = ("", "motors", "at rest [%]", "into it [m/s]", "along it [m/s]", "peak [N]", "time [s]")
-    for k, name in enumerate(names):
-        table.add_column(name, justify="left" if k < 2 else "right")
+    shown = new_table(title, *names, left=2)
     rows = [(f"mu {row['friction']:g}", row) for row in report["friction"]]
     rows += [(f"restitution {row['restitution']:g}", row) for row in report["restitution"]]
     if report["all"]:
@@ -220,14 +215,14 @@ def show(report: dict) -> None:
         for mode, who in zip(MODES, ("cut in the goal box", "touchdown policy")):
             cells = [_share(row[mode]["at_rest"])]
             cells += [_median(row[mode][name]) for name in _FIELDS[1:]]
-            table.add_row(label if mode == MODES[0] else "", who, *cells)
-        table.add_section()
+            shown.add_row(label if mode == MODES[0] else "", who, *cells)
+        shown.add_section()
     weight = report["weight"]
-    table.caption = (
+    shown.caption = (
         f"95 % Wilson intervals; speeds at the first touch, peak normal force on the feet (the weight is "
         f"{weight:.2f} N) and time: medians"
     )
-    console.print(table)
+    console.print(shown)
     for mu in report["cannot_hold"]:
         console.print(f"mu {mu:g} cannot hold this slope (tan {abs(angle):.1f} deg is more): not counted")
 

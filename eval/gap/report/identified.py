@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from inclined_landing.eval.base.style import INK, panel, styled
+from inclined_landing.eval.base.tables import new_table, printer
 from inclined_landing.eval.gap.answer.identify import PAPER, Identification, Identified
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE
@@ -118,18 +117,14 @@ def fit_figure(found: Identification) -> Figure:
 
 def show(found: Identification, notes: Sequence[str] = (), console: Console | None = None) -> None:
     """Print headline, constants and notes."""
-    console = console or Console(markup=False, highlight=False)
-    if not console.is_terminal:
-        console.width = 120
+    console = printer(console)
     console.print(headline(found), style="bold")
     for text in sentences(found):
         console.print(text)
-    table = Table(box=box.SIMPLE_HEAD)
-    for head in _HEADS:
-        table.add_column(head, justify="left" if head == _HEADS[0] else "right")
+    constants = new_table(None, *_HEADS)
     for row in rows(found):
-        table.add_row(*row)
-    console.print(table)
+        constants.add_row(*row)
+    console.print(constants)
     for note in dict.fromkeys((*found.notes, *notes)):
         console.print(f"Note: {words.plain(note)}", style="dim")
 

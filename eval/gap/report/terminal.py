@@ -2,35 +2,30 @@
 
 from __future__ import annotations
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
+from inclined_landing.eval.base.tables import new_table, printer
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.result import Diagnosis
 
 
 def show(d: Diagnosis, notes: tuple[str, ...] = (), console: Console | None = None) -> None:
     """Print verdict, effects, ties, remedies, gap and limits."""
-    console = console or Console(markup=False, highlight=False)
-    if not console.is_terminal:
-        console.width = 120
+    console = printer(console)
     console.print(words.headline(d), style="bold")
     for text in words.sentences(d):
         console.print(text)
     if d.effects:
-        table = Table(box=box.SIMPLE_HEAD)
-        for head in ("effect", "parameter", "value", "95 % interval", "closes"):
-            table.add_column(head, justify="left" if head in ("effect", "parameter") else "right")
+        rows = new_table(None, "effect", "parameter", "value", "95 % interval", "closes", left=2)
         for effect in d.effects:
             for k, (name, p) in enumerate(effect.parameters.items()):
-                table.add_row(
+                rows.add_row(
                     words.label(effect.name) if k == 0 else "",
                     name,
                     words.rounded(p.value, p.ci95, p.unit),
                     words.interval(p),
                     words.share(effect.gain) if k == 0 else "",
                 )
-        console.print(table)
+        console.print(rows)
     for note in dict.fromkeys((*d.notes, *notes)):
         console.print(f"Note: {words.plain(note)}", style="dim")

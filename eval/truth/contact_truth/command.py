@@ -9,11 +9,12 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
+from rich.text import Text
 
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.base.options import Folder, NewFolder, VehicleFile
+from inclined_landing.eval.base.tables import new_table, printer
 from inclined_landing.eval.truth.contact_truth import touchdowns
 from inclined_landing.eval.truth.contact_truth.laws import FINDINGS, setting
 from inclined_landing.eval.truth.contact_truth.report import write
@@ -53,12 +54,12 @@ def command(
         )
     out = runs.new_run(out)
     write(findings, out, dropped)
-    table = Table("check", "measured", "asked for", "unit", "")
+    table = new_table(None, "claim", "measured", "tolerance", "unit", "")
     for finding in findings:
         for claim in finding.claims:
-            verdict = "met" if claim.passed else "[bold]not met[/bold]"
+            verdict = "met" if claim.passed else Text("not met", "bold")
             table.add_row(claim.name, f"{claim.measured:.3g}", claim.tolerance, claim.unit, verdict)
-    Console().print(table)
+    printer().print(table)
     print(out / "contact.html")
 
 
