@@ -6,6 +6,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from inclined_landing.eval import cli
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.proof.gap_blind import causes, generate, score, strata
 from inclined_landing.eval.proof.gap_blind import command as run
@@ -249,9 +250,16 @@ def test_labels_are_sealed_and_a_run_goes_on(tmp_path, monkeypatch):
         run.command(out, "fresh", 3, cases=12)
 
 
-@pytest.mark.parametrize("wrong", [{"set": "test"}, {"method": ("guess",)}, {"cases": 3}])
-def test_wrong_options_are_sentences(tmp_path, wrong):
-    arguments = {"set": "dev", "seed": 0, "out": tmp_path / "x"} | wrong
-    with pytest.raises(UserError):
-        run.command(**arguments)
+@pytest.mark.parametrize(
+    "wrong, sentence",
+    [
+        (("--set", "test"), "unknown set 'test'"),
+        (("--method", "guess"), "unknown method 'guess'"),
+        (("--cases", "3"), "cases"),
+    ],
+)
+def test_wrong_options_are_sentences(tmp_path, capsys, wrong, sentence):
+    assert cli.main(["gap-blind", "--out", str(tmp_path / "x"), *wrong]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error and error.count("\n") == 1
     assert not (tmp_path / "x").exists()
