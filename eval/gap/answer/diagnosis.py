@@ -81,13 +81,12 @@ def diagnose(
     if touched.landed:
         clock("touchdown")
     starts = _starts(test, notes)
-    gap: dict[str, PlantGap] = {}
-    curves_drawn: dict = {"horizon": (), "windows": ()}
+    gap, drawn = {}, {"horizon": (), "windows": ()}
     if starts is not None and (curves or plants):
         floor = rollout.noise_floor(starts, corrected)
         if curves:
             horizon = _horizon(problem, starts, found, after, floor)
-            curves_drawn = {"horizon": horizon, "windows": _window_curves(starts, vehicle, corrected)}
+            drawn = {"horizon": horizon, "windows": _window_curves(starts, vehicle, corrected)}
         clock("show")
         for plant in plants:
             gap[plant] = rollout.plant_gap(starts, vehicle, corrected if judged else after, plant, floor)
@@ -108,7 +107,7 @@ def diagnose(
         manoeuvres=tuple(ties),
         where=where + touched.where,
         steps=(*found.steps, *touched.steps),
-        **curves_drawn,
+        **drawn,
         remainder=left,
         gap=gap,
         flights=tuple(f.name for f in fitted),
