@@ -1,7 +1,6 @@
 """`landing-train`: reproducible, resumable, and one sentence with exit code 2 for whatever is wrong."""
 
 import dataclasses
-import io
 import json
 import math
 import signal
@@ -9,12 +8,11 @@ import subprocess
 import sys
 import time
 import typing
-import zipfile
 
 import numpy as np
 import pandas as pd
 import pytest
-import torch
+from campaign.training import assert_same_policy, weights
 
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import TASKS
@@ -30,24 +28,6 @@ TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "steps"
 
 def config(out, **options) -> TrainConfig:
     return TrainConfig(out=out, **(TINY | options))
-
-
-def weights(path) -> dict[str, np.ndarray]:
-    """Network and optimizer of a policy file, everything that training goes on from."""
-    with zipfile.ZipFile(path) as archive:
-        policy = torch.load(io.BytesIO(archive.read("policy.pth")), weights_only=True)
-        optimizer = torch.load(io.BytesIO(archive.read("policy.optimizer.pth")), weights_only=True)
-    result = {name: tensor.numpy() for name, tensor in policy.items()}
-    for k, moments in optimizer["state"].items():
-        result |= {f"optimizer {k} {name}": tensor.numpy() for name, tensor in moments.items()}
-    return result
-
-
-def assert_same_policy(a, b):
-    a, b = weights(a), weights(b)
-    assert set(a) == set(b)
-    for name in a:
-        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
 
 
 @pytest.fixture(scope="module")
