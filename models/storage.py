@@ -91,13 +91,21 @@ def atomic(path: str | Path) -> Iterator[Path]:
     On any error the temporary file is removed and `path` stays as it was. OSErrors (a full disk, a
     folder that cannot be written) become UserErrors.
     """
+    with scratch(path) as part:
+        try:
+            yield part
+            os.replace(part, path)
+        except OSError as error:
+            raise UserError(f"cannot write {path}: {reason(error)}") from error
+
+
+@contextlib.contextmanager
+def scratch(path: str | Path) -> Iterator[Path]:
+    """A temporary path beside `path`, with the same suffix; what is written there is removed at the end."""
     path = Path(path)
     part = path.with_name(f".{path.stem[:40]}.{os.getpid()}.part{path.suffix}")
     try:
         yield part
-        os.replace(part, path)
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {reason(error)}") from error
     finally:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)

@@ -3,50 +3,50 @@
 from __future__ import annotations
 
 import contextlib
-import shlex
 import signal
 import sys
 import threading
 from collections.abc import Iterator
 
+from inclined_landing.eval.base import command_line
+from inclined_landing.models.errors import shown
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code: 2 for wrong input, 130 and 143 after Ctrl-C and SIGTERM."""
     caught: list[int] = []
-    try:
+
+    def work() -> None:
         with _signals(caught):
-            return _train(arguments)
-    except BaseException as error:
-        if not caught and not isinstance(error, KeyboardInterrupt):
-            raise
-        # Whatever the interruption became on its way through other libraries.
-        print("landing-train: interrupted; the same command with --resume goes on", file=sys.stderr)
+            _train(arguments)
+
+    try:
+        return command_line.exit_code("landing-train", work, "train")
+    except KeyboardInterrupt:
+        go_on = "interrupted; --resume with the same --out goes on from the last checkpoint"
+        print(f"landing-train: {go_on}", file=sys.stderr)
         return 128 + (caught or [signal.SIGINT])[0]
 
 
-def _train(arguments: list[str] | None) -> int:
-    from inclined_landing.eval.base.command_line import exit_code, parse
+def _train(arguments: list[str] | None) -> None:
+    from inclined_landing.train.config import TrainConfig
 
-    def work() -> None:
-        from inclined_landing.train.config import TrainConfig
+    config = command_line.parse(TrainConfig, "landing-train", arguments)
+    from inclined_landing.train.report import report
+    from inclined_landing.train.run import Run
 
-        config = parse(TrainConfig, "landing-train", arguments)
-        from inclined_landing.train.report import report
-        from inclined_landing.train.run import Run
-
-        run = Run(config)
-        if run.metrics is not None:
-            print(f"the run in {shlex.quote(str(run.folder))} is finished")
-        metrics = run.execute()
-        if config.report and run.config.report and "success" not in metrics:
-            report(run.folder, metrics)
-
-    return exit_code("landing-train", work, "train")
+    run = Run(config)
+    due = config.report and run.config.report and not (run.metrics and "success" in run.metrics)
+    if run.metrics is not None:
+        print(f"the run in {shown(run.folder)} is finished{'; its report is missing' if due else ''}")
+    metrics = run.execute()
+    if due:
+        report(run.folder, metrics)
 
 
 @contextlib.contextmanager
 def _signals(caught: list[int]) -> Iterator[None]:
-    """SIGTERM and Ctrl-C both raise KeyboardInterrupt, and are noted in `caught`."""
+    """SIGTERM ends the work as Ctrl-C does, by KeyboardInterrupt; the signal is noted in `caught`."""
 
     def stop(number, frame):
         caught.append(number)
@@ -59,6 +59,10 @@ def _signals(caught: list[int]) -> Iterator[None]:
                 before[number] = signal.signal(number, stop)
     try:
         yield
+    except BaseException as error:
+        if caught:  # whatever the interruption became on its way through other libraries
+            raise KeyboardInterrupt from error
+        raise
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

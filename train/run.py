@@ -203,8 +203,7 @@ class Run:
 
     def policy_file(self) -> bytes:
         """The present policy with its stamp, as a file."""
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "policy.zip"
+        with storage.scratch(self.folder / "policy.zip") as path:
             ppo.save_model(self.model, path)
             stamp(path, self.stamp())
             return path.read_bytes()
@@ -367,8 +366,7 @@ class Run:
 
     def _policy(self) -> Policy:
         """The present policy, as it will be read from its file."""
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "current.zip"
+        with storage.scratch(self.folder / "current.zip") as path:
             ppo.save_model(self.model, path)
             return load_policy(path, self._judge.task)
 
