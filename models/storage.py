@@ -28,20 +28,21 @@ def read_bytes(path: str | Path, what: str, largest: int = LARGEST) -> bytes:
     what: how sentences call it, as in "vehicle file". Raises UserError for a file that is missing,
     unreadable or too large, and for pipes and devices, which have no end.
     """
+    name = shown(path, 240)
     try:
         kind = os.stat(path)
         if not stat.S_ISREG(kind.st_mode):
-            raise UserError(f"{what} {path} is {_kind(kind.st_mode)}, not a file")
+            raise UserError(f"{what} {name} is {_kind(kind.st_mode)}, not a file")
         if kind.st_size > largest:
-            raise UserError(f"{what} {path} has {kind.st_size} bytes; at most {largest} are read")
+            raise UserError(f"{what} {name} has {kind.st_size} bytes; at most {largest} are read")
         with open(path, "rb") as file:
             return file.read(largest)
     except FileNotFoundError as error:
-        raise UserError(f"{what} {path} does not exist") from error
+        raise UserError(f"{what} {name} does not exist") from error
     except (OSError, ValueError) as error:
         if isinstance(error, UserError):
             raise
-        raise UserError(f"{what} {path} cannot be read: {reason(error)}") from error
+        raise UserError(f"{what} {name} cannot be read: {reason(error)}") from error
 
 
 def read_text(path: str | Path, what: str, largest: int = LARGEST) -> str:

@@ -13,7 +13,7 @@ import zipfile
 import numpy as np
 import torch
 
-from inclined_landing.eval.pictures import video
+from inclined_landing.eval.pictures import frames
 from inclined_landing.train import cli, run, warm_start
 
 
@@ -28,7 +28,7 @@ def train(arguments: list[str], log: str, dies_at: int | None = None) -> None:
     sys.stdout = sys.stderr = os.fdopen(handle, "w", buffering=1)
     run.EVALUATION_STARTS = 2
     warm_start._ROUNDS, warm_start._STEPS, warm_start.CRITIC_FIRST = 2, 20, 1000
-    video.render_flight = functools.partial(video.render_flight, width=64, height=48, fps=5.0)
+    frames.render_flight = functools.partial(frames.render_flight, width=64, height=48, fps=1.0)
     if dies_at is not None:
         _die_before_renaming(dies_at)
     sys.exit(cli.main(arguments))

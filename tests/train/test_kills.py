@@ -28,7 +28,7 @@ TIMES = 20  # of each signal
 def processes():
     """Makes processes that have everything imported, so that a case takes seconds."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["campaign.training", "inclined_landing.train.report"])
+    context.set_forkserver_preload(["inclined_landing.train.report", "torch._dynamo"])
     return context
 
 
