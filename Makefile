@@ -3,6 +3,7 @@
 # make test       style, import contracts, types and tests
 # make lint       style, formatting, import contracts and types
 # make bench      simulation speed
+# make diagram    docs/architecture.svg, drawn from the imports
 #
 # PYTHON=python3.12  the interpreter to build .venv with
 # PIP_ARGS=...       extra arguments for pip (constraints.txt says how to choose a torch build)
@@ -17,7 +18,7 @@ TYPES = mkdir -p .venv/types/inclined_landing && touch .venv/types/inclined_land
   && MYPYPATH=.venv/types $(BIN)/mypy --cache-dir .venv/mypy -p inclined_landing.models -p inclined_landing.envs
 SOURCES := pyproject.toml constraints.txt models/crazyflie.toml $(wildcard models/plugin/*)
 
-.PHONY: install demo test lint bench
+.PHONY: install demo test lint bench diagram
 install: $(INSTALLED)
 
 demo: $(INSTALLED)
@@ -38,6 +39,9 @@ lint: $(INSTALLED)
 
 bench: $(INSTALLED)
 	$(BIN)/landing-eval benchmark
+
+diagram: $(INSTALLED)
+	$(BIN)/python docs/diagram.py
 
 $(INSTALLED): $(SOURCES)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \

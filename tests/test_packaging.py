@@ -2,11 +2,13 @@
 
 import dataclasses
 import importlib.metadata
+import importlib.util
 import json
 import re
 import subprocess
 import sys
 from importlib import resources
+from pathlib import Path
 
 import pytest
 
@@ -145,3 +147,11 @@ def test_version_is_the_distributions():
     import inclined_landing
 
     assert inclined_landing.__version__ == importlib.metadata.version("inclined-landing")
+
+
+def test_the_diagram_shows_the_imports_as_they_are():
+    path = Path(__file__).parents[1] / "docs" / "diagram.py"
+    spec = importlib.util.spec_from_file_location("diagram", path)
+    diagram = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(diagram)
+    assert diagram.FILE.read_text("utf-8").endswith(diagram.comment()), "run `make diagram`"
