@@ -160,10 +160,15 @@ def _part(out: Path, chunk: int) -> Path:
     return out / PARTS / f"{chunk:05d}.parquet"
 
 
+def _table(path: Path) -> pa.Table:
+    with path.open("rb") as file:  # pyarrow takes no file name that is not UTF-8
+        return pq.read_table(file, page_checksum_verification=True)
+
+
 def _read(path: Path, landings: range) -> pa.Table | None:
     """The table in `path` if it is there, undamaged, and holds these landings."""
     try:
-        table = pq.read_table(path, page_checksum_verification=True)
+        table = _table(path)
         numbers = table["landing"].to_numpy()
     except (OSError, KeyError, pa.ArrowException):
         return None
@@ -204,6 +209,6 @@ def _write(table: pa.Table, path: Path) -> None:
 
 
 def _merge(out: Path, count: int) -> pa.Table:
-    table = pa.concat_tables([pq.read_table(_part(out, k)) for k in range(count)]).combine_chunks()
+    table = pa.concat_tables([_table(_part(out, k)) for k in range(count)]).combine_chunks()
     _write(table, out / RESULTS)
     return table

@@ -9,7 +9,7 @@ from pathlib import Path
 from inclined_landing.eval.logs import FlightLog, read_log
 from inclined_landing.eval.logs.checks import check_fleet
 from inclined_landing.eval.logs.command import parse_units
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 
 def read_flights(
@@ -48,7 +48,7 @@ def _names(files: Sequence[str]) -> list[str]:
     """File names without suffix; with their folder where two are alike."""
 
     def stem(file: str) -> str:
-        return Path(file).name.removesuffix(".gz").removesuffix(".csv")
+        return shown(Path(file).name).removesuffix(".gz").removesuffix(".csv")
 
     alike = Counter(map(stem, files))
-    return [stem(f) if alike[stem(f)] == 1 else f"{Path(f).parent.name}/{stem(f)}" for f in files]
+    return [stem(f) if alike[stem(f)] == 1 else f"{shown(Path(f).parent.name)}/{stem(f)}" for f in files]

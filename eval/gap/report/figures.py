@@ -347,7 +347,7 @@ def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> Figure 
         axis.errorbar(value, y, xerr=error, fmt="o", color=INK, markersize=3.2, linewidth=1.0)
         _mark_neutral(axis, factor * p.neutral, unit)
         axis.set_ylim(len(y) - 0.4, -0.6)
-        axis.set_yticks(y, flights[: len(y)] if j == 0 else [], fontsize=7.5)
+        axis.set_yticks(y, [literal(f) for f in flights[: len(y)]] if j == 0 else [], fontsize=7.5)
         axis.tick_params(axis="y", length=0)
         axis.tick_params(axis="x", labelsize=7.5)
         axis.grid(axis="y")
