@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -38,54 +38,22 @@ def assemble(
             _check_angle(path, key, channels[key])
 
     t = channels["x"].t
-    keep = np.ones(len(t), bool)
-    table = {}
-    for key in (*_POSITION, *(QUATERNION if quaternion else _EULER)):
-        table[key] = np.full(len(t), np.nan)
-        if key in channels:
-            table[key], near = _interpolated(channels[key], t, angle=key in ("roll", "yaw"))
-            keep &= near
-    commands = {}
-    for key in (*COMMANDS, "contact"):
-        if key in channels:
-            commands[key], begun = _held(channels[key], t)
-            keep &= begun
+    pose, near = _measured(channels, t, quaternion)
+    sent, begun = _sent(channels, t)
+    keep = near & begun
     if keep.sum() < 2:
         raise UserError(f"{path}: pose and commands are never logged at the same time")
-    if not keep.all():
-        inside = np.flatnonzero(keep)
-        middle = int((~keep[inside[0] : inside[-1] + 1]).sum())
-        if middle:
-            notes.append(f"{middle} rows inside the flight lack part of the pose and were dropped")
-        if len(t) - (inside[-1] - inside[0] + 1):
-            notes.append(f"{len(t) - (inside[-1] - inside[0] + 1)} rows at the ends lack pose or commands")
-    clocks = [channels[key] for key in (*_POSITION, *COMMANDS) if key in channels]
-    if any(len(c.t) != len(t) or not np.array_equal(c.t, t) for c in clocks):
-        notes.append(
-            "channels have clocks of their own: measurements interpolated, commands held, onto that of x"
-        )
-
-    velocity = voltage = None
-    if all(key in channels for key in _VELOCITY):
-        parts = [_interpolated(channels[key], t[keep]) for key in _VELOCITY]
-        if all(near.all() for _, near in parts):
-            velocity = np.stack([value for value, _ in parts], axis=1)
-        else:
-            notes.append("velocity is not logged throughout and is not used")
-    if "vbat" in channels:
-        voltage, near = _interpolated(channels["vbat"], t[keep], longest=1.5)
-        if not near.all():
-            voltage = None
-            notes.append("battery voltage is not logged throughout and is not used")
+    notes += _words_on_rows(channels, t, keep)
+    velocity, voltage = _velocity(channels, t[keep], notes), _voltage(channels, t[keep], notes)
     if "cmd_yaw" in channels and "cmd_yaw_rate" not in channels:
         notes.append("yaw is commanded as an angle; no yaw rate command was logged and none is made up")
 
-    table = {key: value[keep] for key, value in table.items()}
-    command = np.stack([commands.get(key, np.full(len(t), np.nan))[keep] for key in COMMANDS], axis=1)
+    pose = {key: value[keep] for key, value in pose.items()}
+    command = np.stack([sent.get(key, np.full(len(t), np.nan))[keep] for key in COMMANDS], axis=1)
     if quaternion:
-        attitude = _from_quaternion(path, np.stack([table[key] for key in QUATERNION], axis=1))
+        attitude = _from_quaternion(path, np.stack([pose[key] for key in QUATERNION], axis=1))
     else:
-        attitude = np.stack([table[key] for key in _EULER], axis=1)
+        attitude = np.stack([pose[key] for key in _EULER], axis=1)
     if euler == "ZYX":
         if not quaternion:
             attitude = _zyx_to_zxy(attitude, "attitude", notes)
@@ -94,14 +62,72 @@ def assemble(
     return FlightLog(
         name=name,
         t=t[keep] - t[keep][0],
-        position=np.stack([table[key] for key in _POSITION], axis=1),
+        position=np.stack([pose[key] for key in _POSITION], axis=1),
         attitude=attitude,
         command=command,
         velocity=velocity,
         voltage=voltage,
-        contact=commands["contact"][keep] > 0.5 if "contact" in commands else None,
+        contact=sent["contact"][keep] > 0.5 if "contact" in sent else None,
         notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def _measured(
+    channels: Mapping[str, Channel], t: np.ndarray, quaternion: bool
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Pose at t by column (m,), NaN where it was not logged, and the rows whose neighbours are near."""
+    pose, keep = {}, np.ones(len(t), bool)
+    for key in (*_POSITION, *(QUATERNION if quaternion else _EULER)):
+        pose[key] = np.full(len(t), np.nan)
+        if key in channels:
+            pose[key], near = _interpolated(channels[key], t, angle=key in ("roll", "yaw"))
+            keep &= near
+    return pose, keep
+
+
+def _sent(channels: Mapping[str, Channel], t: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Commands and contact at t by column (m,), and the rows from which on all of them are there."""
+    sent, keep = {}, np.ones(len(t), bool)
+    for key in (*COMMANDS, "contact"):
+        if key in channels:
+            sent[key], begun = _held(channels[key], t)
+            keep &= begun
+    return sent, keep
+
+
+def _words_on_rows(channels: Mapping[str, Channel], t: np.ndarray, keep: np.ndarray) -> Iterator[str]:
+    """Which rows were dropped, and whether anything was moved to the clock of x."""
+    inside = np.flatnonzero(keep)
+    whole = inside[-1] - inside[0] + 1
+    if whole > len(inside):
+        yield f"{whole - len(inside)} rows inside the flight lack part of the pose and were dropped"
+    if len(t) > whole:
+        yield f"{len(t) - whole} rows at the ends lack pose or commands"
+    clocks = [channels[key] for key in (*_POSITION, *COMMANDS) if key in channels]
+    if any(len(c.t) != len(t) or not np.array_equal(c.t, t) for c in clocks):
+        yield "channels have clocks of their own: measurements interpolated, commands held, onto that of x"
+
+
+def _velocity(channels: Mapping[str, Channel], t: np.ndarray, notes: list[str]) -> np.ndarray | None:
+    """(m, 3) where it is logged throughout."""
+    if not all(key in channels for key in _VELOCITY):
+        return None
+    parts = [_interpolated(channels[key], t) for key in _VELOCITY]
+    if all(near.all() for _, near in parts):
+        return np.stack([value for value, _ in parts], axis=1)
+    notes.append("velocity is not logged throughout and is not used")
+    return None
+
+
+def _voltage(channels: Mapping[str, Channel], t: np.ndarray, notes: list[str]) -> np.ndarray | None:
+    """(m,) where it is logged throughout."""
+    if "vbat" not in channels:
+        return None
+    voltage, near = _interpolated(channels["vbat"], t, longest=1.5)
+    if near.all():
+        return voltage
+    notes.append("battery voltage is not logged throughout and is not used")
+    return None
 
 
 def _require(path: str, channels: Mapping[str, Channel], quaternion: bool) -> None:
