@@ -86,7 +86,7 @@ def plain(value):
         return [plain(item) for item in value]
     if not isinstance(value, dict):
         return value
-    without = ("seconds", "steps_per_second", "training_seconds", "out")
+    without = ("seconds", "steps_per_second", "training_seconds", "out", "git revision")
     return {name: plain(item) for name, item in value.items() if name not in without}
 
 
