@@ -35,7 +35,7 @@ from inclined_landing.envs.policy import Policy, load_policy, stamp
 from inclined_landing.envs.tasks import task_class
 from inclined_landing.eval.base import runs
 from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
 from inclined_landing.train import checkpoint, ppo, warm_start
@@ -48,7 +48,7 @@ CHECKPOINT = "checkpoint.pt"
 VEHICLE = "vehicle.toml"
 EVALUATION_STARTS = 64
 TARGET = 0.99  # success that "time to 99 %" means
-_FREE = ("out", "max_seconds", "report", "threads", "vehicle")  # options that may differ from a checkpoint's
+_FREE = ("out", "max_seconds", "report", "threads")  # options that may differ from a checkpoint's
 _BEFORE = {RECORD, VEHICLE, "tensorboard"}  # all that a run folder holds before its first checkpoint
 
 
@@ -71,8 +71,20 @@ class Run:
         self.config = config
         ppo.check_memory(config)
         saved = self._read_checkpoint() if self.resumed else None
+        try:
+            self._make(config, fresh=saved is None)
+        except UserError as error:
+            if not self.resumed:
+                raise
+            raise _refused(self.folder / RECORD, error) from error
+        if saved is not None:
+            self._restore(saved)
+        self.metrics = self._finished() if self._begun >= 0 else None
+
+    def _make(self, config: TrainConfig, fresh: bool) -> None:
+        """Vehicles, model, curriculum and judge as they are at the beginning."""
         self.teacher = None
-        if config.start_from and saved is None:
+        if config.start_from and fresh:
             vehicle = load_vehicle(config.vehicle) if config.vehicle is not None else None
             wanted = task_class(config.task).training.start_from
             self.teacher = load_policy(config.start_from, wanted, vehicle=vehicle)
@@ -88,10 +100,7 @@ class Run:
         self._per_iteration = config.environments * config.rollout
         self._begun = -1  # the iteration of the checkpoint that was resumed
         self._stopped = False
-        if saved is not None:
-            self._restore(saved)
         self._judge = _Judge(config, self.env.env.task.vehicle)
-        self.metrics = self._finished() if self._begun >= 0 else None
 
     def execute(self) -> dict:
         """Train to the end (or the wall-time limit) and return the metrics."""
@@ -470,13 +479,18 @@ def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
         if given.resolved().as_json() != record["config"]:
             raise UserError("its configuration is not as it was written")
     except UserError as error:
-        why = f"run record {path} cannot be continued: {error}; begin a new run with another --out"
-        raise UserError(why) from error
+        raise _refused(path, error) from error
     given = dataclasses.replace(given, out=config.out, max_seconds=config.max_seconds, resume=False)
     if given.vehicle is not None:  # its copy, unless the run was stopped before it was made
         copy = config.out / VEHICLE
         given.vehicle = copy if copy.is_file() else Path(given.vehicle)
     return given, record
+
+
+def _refused(path: Path, error: UserError) -> UserError:
+    """The sentence for a run.json that cannot be continued."""
+    why = shown(error, 120)
+    return UserError(f"run record {path} cannot be continued: {why}; begin a new run with another --out")
 
 
 def _check_new(folder: Path) -> None:
