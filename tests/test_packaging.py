@@ -52,6 +52,8 @@ def test_the_base_flies_with_four_packages():
         "env = gymnasium.make('inclined_landing.envs:InclinedLanding-v0', disable_env_checker=True)\n"
         "env.reset(seed=0)\n"
         "for _ in range(3): env.step(env.action_space.sample())\n"
+        "from inclined_landing.envs.policy import load_policy\n"
+        "load_policy('landing').predict(env.reset(seed=0)[0])\n"
         "from inclined_landing.envs.rendering import make_renderer\n"
         "print(make_renderer(64, 48, backend='ray').render(None).shape)"
     )
