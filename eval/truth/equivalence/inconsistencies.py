@@ -128,8 +128,7 @@ def section(v: Vehicle, sequences: Sequences) -> tuple[Section, dict]:
     """The section over planar flights `sequences`, and what its figure draws."""
     flight, static = quoted("hover", "flight_pwm"), quoted("hover", "static_pwm")
     factor, g = quoted("hover", "force_factor"), v.environment_gravity
-    climb = (static / v.hover_pwm - 1) * g
-    needed = v.hover_pwm / flight
+    climb, needed = (static / v.hover_pwm - 1) * g, v.hover_pwm / flight
     found = drag(v, sequences)
     weight = v.body_mass * g
     speed = rotor_speed_sum(weight, pack(v)[0])
