@@ -138,7 +138,6 @@ def section(v: Vehicle, sequences: Sequences) -> tuple[Section, dict]:
     defect, stretch = rotation_defects(v, printed=True)
     sound, _ = rotation_defects(v, printed=False)
     roll = v.command_angle_limit
-    aside = g * np.tan(roll)
     at = [round(t / v.command_control_period) - 1 for t in (2.0, 6.0)]
     n = number
     rows = [
@@ -168,8 +167,8 @@ def section(v: Vehicle, sequences: Sequences) -> tuple[Section, dict]:
          "with yaw"),
         ("Sign of the roll", "public code: positive roll accelerates +y, the printed (2,3) taken as it is",
          "positive roll accelerates −y, as the rotation has it",
-         f"at {np.degrees(roll):.0f} deg the sideways acceleration is {2 * aside:.1f} m/s² apart: a policy "
-         "of one sign flies away with the other"),
+         f"at {np.degrees(roll):.0f} deg the sideways acceleration is {2 * g * np.tan(roll):.1f} m/s² apart: "
+         "a policy of one sign flies away with the other"),
     ]  # fmt: skip
     claims = [
         Claim("hover PWM of the motor function", v.hover_pwm, 34_150, "PWM",
