@@ -374,7 +374,7 @@ def names_and_units():
                 f"name of nothing {k} {json}",
                 lambda folder, name=name: folder / name,
                 lambda path, json=json: command(cli.main, ["logs", *json, str(path)]),
-                named=shown(name[:30]),
+                named="" if "+" in name else shown(name[:30]),
             )
     for k, unit in enumerate(
         [*NAMES, "roll", "roll=", "=deg", "roll=deg", "roll=roll=deg", "x=deg", "q=1", "x=" * 5000]

@@ -132,7 +132,7 @@ def _scored(out: Path, method: str, name: str, label: dict) -> dict | None:
         report = storage.read_json(_report(out, method, name), "report")
         row = {"case": name} | score.score_case(label, report)
         score.table([row])
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError):
         return None
     return row
 
