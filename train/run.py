@@ -291,11 +291,7 @@ class Run:
 
     def _write_histories(self) -> None:
         for name, rows in (("learning", self.history), ("evaluations", self.evaluations)):
-            path = self.folder / f"{name}.csv"
-            if rows:
-                storage.write_text(path, pd.DataFrame(rows).to_csv(index=False))
-            else:
-                path.unlink(missing_ok=True)
+            storage.write_text(self.folder / f"{name}.csv", pd.DataFrame(rows).to_csv(index=False))
 
     def _read_checkpoint(self) -> checkpoint.Checkpoint | None:
         """The checkpoint of the run to resume; None if it was stopped before the first."""
