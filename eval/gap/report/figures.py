@@ -65,8 +65,10 @@ def svg(figure: Figure) -> str:
 # ---- where
 
 
-def where_map(rows: Sequence[WhereRow]) -> Figure:
+def where_map(rows: Sequence[WhereRow]) -> Figure | None:
     """Maps regime by channel: before, after, and what the noise alone gives."""
+    if not rows:
+        return None
     height = 0.34 * len(_axes_of(rows)[0])
     figure = Figure(figsize=(WIDTH, height + 0.95))
     left, gap = 1.65, 0.18

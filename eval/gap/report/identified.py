@@ -14,9 +14,9 @@ from inclined_landing.eval.base.style import INK, panel, styled
 from inclined_landing.eval.base.tables import new_table, printer
 from inclined_landing.eval.gap.answer.identify import PAPER, Identification, Identified
 from inclined_landing.eval.gap.report import words
-from inclined_landing.eval.gap.report.figures import AFTER, BEFORE
+from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, svg
 from inclined_landing.eval.gap.report.model import VEHICLE
-from inclined_landing.eval.gap.report.page import figure_block, render, table_block, text_block
+from inclined_landing.eval.gap.report.page import render
 from inclined_landing.models.parameters import write_vehicle
 
 _HEADS = ("constant", "model as it was", "identified", "95 % interval", "between flights", "the paper")
@@ -57,25 +57,19 @@ def page(
 ) -> str:
     """The HTML page; heldout: names of the flights kept for the fit in percent."""
     with styled():
-        fits = figure_block(fit_figure(found), "Dashed: what the paper reports for the attitude loops.")
+        picture = svg(fit_figure(found))
     return render(
-        {
-            "Fit on flights left out": fits,
-            "Constants": [
-                table_block(_HEADS, _HEADS[1:], rows(found)),
-                text_block(
-                    "Between flights: standard deviation beyond what the noise explains. "
-                    f"{VEHICLE} has these values for every command of this package."
-                ),
-                {"kind": "code", "text": f"landing-eval gap LOG ... --vehicle {VEHICLE} --out gap"},
-            ],
-        },
+        "identify.html.j2",
         command="identify",
-        headline=headline(found),
+        title=headline(found),
         lead=sentences(found),
+        figure=picture,
+        heads=_HEADS,
+        rows=rows(found),
+        vehicle=VEHICLE,
         flights=found.flights,
         heldout=heldout,
-        notes=[words.plain(note) for note in dict.fromkeys((*found.notes, *notes))],
+        notes=(*found.notes, *notes),
         seconds=seconds,
         versions=versions,
     )

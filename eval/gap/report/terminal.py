@@ -23,7 +23,7 @@ def show(d: Diagnosis, notes: tuple[str, ...] = (), console: Console | None = No
                     words.label(effect.name) if k == 0 else "",
                     name,
                     words.rounded(p.value, p.ci95, p.unit),
-                    words.interval(p),
+                    words.span(p.ci95, p.unit),
                     words.share(effect.gain) if k == 0 else "",
                 )
         console.print(rows)

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 
-from inclined_landing.eval.gap.result import Diagnosis, Estimate, NamedEffect, PlantGap
+from inclined_landing.eval.gap.result import Diagnosis, NamedEffect, PlantGap
 from inclined_landing.models.effects import LIBRARY
 
 # Factor and name of the unit a person reads, by the unit of the number.
@@ -64,13 +64,8 @@ def exact(value: float, unit: str) -> str:
     return f"{factor * value:.4g} {name}".rstrip()
 
 
-def interval(estimate: Estimate) -> str:
-    """The 95 % interval of an estimate, `0.876 to 0.884`."""
-    return span(estimate.ci95, estimate.unit)
-
-
 def span(ends: Sequence[float], unit: str) -> str:
-    """An interval with as many digits as its width can bear."""
+    """An interval with as many digits as its width can bear, `0.876 to 0.884`."""
     factor, name = shown(unit)
     low, high = (factor * x for x in ends)
     if not (math.isfinite(low) and math.isfinite(high)):
@@ -98,12 +93,20 @@ def says(effect: NamedEffect) -> str:
     return LIBRARY[effect.name].says.format(**values)
 
 
-def tie(effect: NamedEffect) -> str | None:
-    """What a named effect cannot be told from, as a sentence; None where nothing is like it."""
-    others = [label(name) for name in effect.members if name != effect.name]
-    if not others:
-        return None
-    return f"On these flights {label(effect.name)} cannot be told apart from {listed(others, 'or')}."
+def sentence(effect: NamedEffect) -> str:
+    """The same as a sentence of its own."""
+    text = says(effect)
+    return text[0].upper() + text[1:] + "."
+
+
+def tie(effect: NamedEffect) -> str:
+    """What a named effect cannot be told from, as a sentence; empty where nothing is like it."""
+    alike = _alike(effect)
+    return f"On these flights {label(effect.name)} cannot be told apart from {alike}." if alike else ""
+
+
+def _alike(effect: NamedEffect) -> str:
+    return listed([label(name) for name in effect.members if name != effect.name], "or")
 
 
 def headline(d: Diagnosis) -> str:
@@ -112,24 +115,20 @@ def headline(d: Diagnosis) -> str:
         return "Nothing is missing: the model explains these flights as well as their noise allows."
     if not d.effects:
         return "Something is missing that no effect of the library explains."
-    names = listed([_one_of(effect) for effect in d.effects])
+    names = listed([label(e.name) + (f" (or {_alike(e)})" if _alike(e) else "") for e in d.effects])
     if d.verdict == "unknown":
         return f"The model lacks {names}, and something that no effect of the library explains."
     return f"The model lacks {names}."
 
 
-def _one_of(effect: NamedEffect) -> str:
-    others = [label(name) for name in effect.members if name != effect.name]
-    return label(effect.name) + (f" (or {listed(others, 'or')})" if others else "")
-
-
 def gap(plant: str, g: PlantGap) -> str:
     """How the gap shrank in one plant, as a sentence."""
-    closed = f" ({share(g.closed)} of the gap closed)" if _worth_closing(g) else ""
+    worth_closing = math.isfinite(g.closed) and g.before > 1.2 * g.floor
+    closed = f" ({share(g.closed)} of the gap closed)" if worth_closing else ""
     change = f"goes from {centimetres(g.before)} to {centimetres(g.after)}{closed}"
     return (
         f"{g.horizon:g} s ahead, on flights left out of the fit, the position error in "
-        f"{PLANTS.get(plant, plant)} {change if g.after != g.before else f'is {centimetres(g.before)}'}; "
+        f"{PLANTS[plant]} {change if g.after != g.before else f'is {centimetres(g.before)}'}; "
         f"the measurement noise alone makes {centimetres(g.floor)}."
     )
 
@@ -155,9 +154,7 @@ def sentences(d: Diagnosis) -> list[str]:
     """The first lines of the report, after the headline."""
     said = []
     for effect in d.effects:
-        text = says(effect)
-        said.append(text[0].upper() + text[1:] + ".")
-        said += [s for s in (tie(effect), plain(effect.note)) if s]
+        said += [s for s in (sentence(effect), tie(effect), plain(effect.note)) if s]
     if d.separating_manoeuvre:
         said.append(f"To tell them apart: {manoeuvre(d)}")
     said += [f"What to do: {plain(effect.remedy)}" for effect in d.effects if effect.remedy]
@@ -173,7 +170,3 @@ def plain(text: str) -> str:
         text = text.replace(name, label(name))
     text = text.replace("m/s2", "m/s²")
     return text if not text or text.endswith((".", "!", "?")) else text + "."
-
-
-def _worth_closing(g: PlantGap) -> bool:
-    return math.isfinite(g.closed) and g.before > 1.2 * g.floor
