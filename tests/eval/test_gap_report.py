@@ -133,7 +133,10 @@ def test_the_page_stands_alone(verdict, track):
     text = page(d, track, versions={"mujoco": "4.0"}, notes=("a note on <all> logs",))
     assert words.headline(d) in text and "a note on &lt;all&gt; logs." in text
     assert not re.search(r"(src|href)=\"(?!data:)", text) and "nan" not in text.lower().split("base64")[0]
-    assert text.count("data:image/svg+xml") == (7 if d.effects else 6)
+    assert text.count("data:image/svg+xml") == (6 if d.effects else 5)
+    assert (
+        "Step 1: thrust scale added" in text and "cannot be told apart" in text and "not significant" in text
+    )
 
 
 def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():

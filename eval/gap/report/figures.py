@@ -35,7 +35,6 @@ from inclined_landing.eval.gap.result import (
     NamedEffect,
     PlantGap,
     Remainder,
-    SearchStep,
     WhereRow,
     WindowCurves,
 )
@@ -49,8 +48,6 @@ _HEAT = LinearSegmentedColormap.from_list(
     "heat", ["#f4f8fb", "#fde3c8", "#f9b071", "#e66f22", "#a63c06", "#5e1f04"]
 )
 _MAPS = {"before": "before", "after": "after", "floor": "noise alone"}
-_CANDIDATES = 7  # rows of one step of the ranking
-_TIED = "#8cc0e2"
 _STEPS = (PURPLE, BLUE, "#56b4e9", "#8a8f98", "#c9b458")  # between before and after
 
 
@@ -149,52 +146,6 @@ def _number(value: float) -> str:
         if abs(value) < limit:
             return f"{value:.{digits}f}"
     return f"{value:.0f}"
-
-
-# ---- name
-
-
-def ranking(steps: Sequence[SearchStep]) -> Figure | None:
-    """Candidates of every step of the search, best first, with ties and why the others fell."""
-    steps = [step for step in steps if step.candidates]
-    if not steps:
-        return None
-    rows = [min(_CANDIDATES, len(step.candidates)) for step in steps]
-    head, line = 0.42, 0.21
-    top = sum(rows) * line + len(steps) * head + 0.42
-    figure = Figure(figsize=(WIDTH, top))
-    for k, (step, n) in enumerate(zip(steps, rows)):
-        top -= head + n * line
-        axis = panel(figure, 1.75, top, 3.4, n * line)
-        _draw_step(axis, step, n, k + 1)
-        if k < len(steps) - 1:
-            axis.set_xticklabels([])
-    axis.set_xlabel("share of the closable error that it closes on flights left out [%]", fontsize=8)
-    return figure
-
-
-def _draw_step(axis: Axes, step: SearchStep, n: int, number: int) -> None:
-    candidates, beside = step.candidates[:n], axis.get_yaxis_transform()
-    for k, c in enumerate(candidates):
-        accepted, share = c.effect == step.accepted, max(0.0, 100 * c.share)
-        values = ", ".join(f"{label(name)} {value:.3g}" for name, value in c.values.items())
-        why = f"added, {values}" if accepted else "cannot be told apart" if c.tie else c.reason
-        style = {"color": BLUE, "fontweight": "bold"} if accepted else {"color": MUTED}
-        axis.barh(k, share, 0.66, color=BLUE if accepted else _TIED if c.tie else "#d5dae0")
-        axis.text(1.11, k, f"{share:.0f} %", transform=beside, va="center", ha="right", fontsize=7.5)
-        axis.text(1.15, k, why, transform=beside, va="center", fontsize=7.5, **style)
-    axis.set(xlim=(0, 100), ylim=(n - 0.4, -0.6))
-    axis.set_yticks(range(n), [label(c.effect) for c in candidates], fontsize=8)
-    axis.tick_params(axis="y", length=0)
-    axis.tick_params(axis="x", labelsize=7.5, length=0)
-    axis.grid(axis="x")
-    axis.spines[["left", "bottom"]].set_visible(False)
-    outcome = f"nothing {'more ' if number > 1 else ''}is worth adding"
-    if step.accepted:
-        outcome = f"{label(step.accepted)} added"
-    if step.dropped:
-        outcome += ", " + ", ".join(label(x) for x in step.dropped) + " no longer needed"
-    axis.set_title(f"Step {number}: {outcome}", loc="left", fontsize=9, x=-0.5)
 
 
 # ---- show
@@ -348,9 +299,7 @@ def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> Figure 
         axis.axvline(factor * p.value, color=BLUE, linewidth=1.4)
         axis.errorbar(value, y, xerr=error, fmt="o", color=INK, markersize=3.2, linewidth=1.0)
         _mark_neutral(axis, factor * p.neutral, unit)
-        axis.set_ylim(len(y) - 0.4, -0.6)
-        axis.set_yticks(y, [literal(f) for f in flights[: len(y)]] if j == 0 else [], fontsize=7.5)
-        axis.tick_params(axis="y", length=0)
+        name_rows(axis, [literal(f) if j == 0 else "" for f in flights[: len(y)]], 7.5)
         axis.tick_params(axis="x", labelsize=7.5)
         axis.grid(axis="y")
         what = label(effect.name) + (f": {label(name)}" if len(effect.parameters) > 1 else "")
@@ -374,6 +323,13 @@ def _mark_neutral(axis: Axes, neutral: float, unit: str) -> None:
     axis.set_xlim(low, high)
 
 
+def name_rows(axis: Axes, names: Sequence[str], size: float = 9.0) -> None:
+    """One row for each name, the first at the top."""
+    axis.set_ylim(len(names) - 0.4, -0.6)
+    axis.set_yticks(range(len(names)), names, fontsize=size)
+    axis.tick_params(axis="y", length=0)
+
+
 def remainder(left: Remainder) -> Figure | None:
     """What is left in every channel beside what counts as nothing, and what it depends on."""
     channels = [c for c in CHANNELS if c in left.size]
@@ -388,9 +344,8 @@ def remainder(left: Remainder) -> Figure | None:
         size = f"{factor * left.size[channel]:.2g} {unit}"
         axis.text(max(part, 1.0) + 0.06, k, size, va="center", fontsize=7.5)
     axis.axvline(1.0, color=INK, linewidth=1.0, linestyle=(0, (2, 2)))
-    axis.set_yticks(range(len(channels)), channels)
-    axis.tick_params(axis="y", length=0)
-    axis.set(ylim=(len(channels) - 0.4, -0.6), xlim=(0, 1.35 * max(1.0, *times)))
+    name_rows(axis, channels)
+    axis.set_xlim(0, 1.35 * max(1.0, *times))
     axis.set_xlabel("times what counts as nothing", fontsize=8)
     axis.set_title("Left beyond the noise", loc="left", fontsize=9)
     for k, d in enumerate(left.depends_on[:3]):

@@ -6,17 +6,13 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-from matplotlib.figure import Figure
-from rich.console import Console
-
-from inclined_landing.eval.base.style import INK, panel, styled
-from inclined_landing.eval.base.tables import new_table, printer
+from inclined_landing.eval.base.tables import new_table
 from inclined_landing.eval.gap.answer.identify import PAPER, Identification, Identified
 from inclined_landing.eval.gap.report import words
-from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, svg
+from inclined_landing.eval.gap.report.figures import AFTER, BEFORE
 from inclined_landing.eval.gap.report.model import VEHICLE
 from inclined_landing.eval.gap.report.page import render
+from inclined_landing.eval.gap.report.terminal import say
 from inclined_landing.models.parameters import write_vehicle
 
 _HEADS = ("constant", "model as it was", "identified", "95 % interval", "between flights", "the paper")
@@ -56,14 +52,15 @@ def page(
     notes: Sequence[str] = (),
 ) -> str:
     """The HTML page; heldout: names of the flights kept for the fit in percent."""
-    with styled():
-        picture = svg(fit_figure(found))
     return render(
         "identify.html.j2",
         command="identify",
         title=headline(found),
         lead=sentences(found),
-        figure=picture,
+        found=found,
+        percent=_percent,
+        paper=PAPER["fit"],
+        colours=(BEFORE, AFTER),
         heads=_HEADS,
         rows=rows(found),
         vehicle=VEHICLE,
@@ -90,37 +87,12 @@ def rows(found: Identification) -> list[tuple[str, ...]]:
     ]
 
 
-def fit_figure(found: Identification) -> Figure:
-    """Fit in percent, every channel, before and after."""
-    channels = list(found.fit)
-    figure = Figure(figsize=(10.4, 0.42 * len(channels) + 0.9))
-    axis = panel(figure, 0.75, 0.5, 8.6, 0.42 * len(channels))
-    for k, (what, colour) in enumerate((("before", BEFORE), ("after", AFTER))):
-        value = np.array([found.fit[c][what] for c in channels])
-        y = np.arange(len(channels)) + (k - 0.5) * 0.36
-        axis.barh(y, np.clip(value, 0, 100), 0.34, color=colour, label=what)
-        for at, x in zip(y, value):
-            axis.text(max(0.0, min(x, 100.0)) + 0.8, at, _percent(x), va="center", fontsize=8)
-    axis.axvline(PAPER["fit"], color=INK, linewidth=1.0, linestyle=(0, (2, 2)))
-    axis.set(xlim=(0, 104), ylim=(len(channels) - 0.4, -0.6), xlabel="fit [%]")
-    axis.set_yticks(range(len(channels)), channels)
-    axis.tick_params(axis="y", length=0)
-    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
-    return figure
-
-
-def show(found: Identification, notes: Sequence[str] = (), console: Console | None = None) -> None:
+def show(found: Identification, notes: Sequence[str] = ()) -> None:
     """Print headline, constants and notes."""
-    console = printer(console)
-    console.print(headline(found), style="bold")
-    for text in sentences(found):
-        console.print(text)
     constants = new_table(None, *_HEADS)
     for row in rows(found):
         constants.add_row(*row)
-    console.print(constants)
-    for note in dict.fromkeys((*found.notes, *notes)):
-        console.print(f"Note: {words.plain(note)}", style="dim")
+    say(headline(found), sentences(found), constants, (*found.notes, *notes))
 
 
 def write(found: Identification, folder: Path, *, base: Path | None = None) -> None:

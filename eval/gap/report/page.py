@@ -21,7 +21,6 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
     with styled():
         drawn = {
             "where": figures.where_map(d.where),
-            "ranking": figures.ranking(d.steps),
             "estimates": figures.estimates(d.effects, d.flights),
             "horizon": figures.horizon(d.horizon, d.gap) if d.horizon else None,
             "track": figures.track(track) if track else None,

@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
-from rich.console import Console
+from collections.abc import Sequence
+
+from rich.table import Table
 
 from inclined_landing.eval.base.tables import new_table, printer
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.result import Diagnosis
 
 
-def show(d: Diagnosis, notes: tuple[str, ...] = (), console: Console | None = None) -> None:
+def show(d: Diagnosis, notes: Sequence[str] = ()) -> None:
     """Print verdict, effects, ties, remedies, gap and limits."""
-    console = printer(console)
-    console.print(words.headline(d), style="bold")
-    for text in words.sentences(d):
+    rows = new_table(None, "effect", "parameter", "value", "95 % interval", "closes", left=2)
+    for effect in d.effects:
+        ends = (words.label(effect.name), words.share(effect.gain))
+        for name, p in effect.parameters.items():
+            value = words.rounded(p.value, p.ci95, p.unit)
+            rows.add_row(ends[0], name, value, words.span(p.ci95, p.unit), ends[1])
+            ends = ("", "")
+    say(words.headline(d), words.sentences(d), rows, (*d.notes, *notes))
+
+
+def say(headline: str, sentences: Sequence[str], rows: Table, notes: Sequence[str]) -> None:
+    """Print an answer; notes are said once each."""
+    console = printer()
+    console.print(headline, style="bold")
+    for text in sentences:
         console.print(text)
-    if d.effects:
-        rows = new_table(None, "effect", "parameter", "value", "95 % interval", "closes", left=2)
-        for effect in d.effects:
-            for k, (name, p) in enumerate(effect.parameters.items()):
-                rows.add_row(
-                    words.label(effect.name) if k == 0 else "",
-                    name,
-                    words.rounded(p.value, p.ci95, p.unit),
-                    words.span(p.ci95, p.unit),
-                    words.share(effect.gain) if k == 0 else "",
-                )
+    if rows.row_count:
         console.print(rows)
-    for note in dict.fromkeys((*d.notes, *notes)):
+    for note in dict.fromkeys(notes):
         console.print(f"Note: {words.plain(note)}", style="dim")

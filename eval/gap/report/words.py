@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 
-from inclined_landing.eval.gap.result import Diagnosis, NamedEffect, PlantGap
+from inclined_landing.eval.gap.result import Candidate, Diagnosis, NamedEffect, PlantGap, SearchStep
 from inclined_landing.models.effects import LIBRARY
 
 # Factor and name of the unit a person reads, by the unit of the number.
@@ -136,6 +136,23 @@ def gap(plant: str, g: PlantGap) -> str:
 def centimetres(metres: float) -> str:
     """A length as `6.2 cm`."""
     return f"{100 * metres:.1f} cm" if abs(metres) < 0.1 else f"{100 * metres:.0f} cm"
+
+
+def outcome(step: SearchStep, number: int) -> str:
+    """What a step of the search came to."""
+    said = f"nothing {'more ' if number > 1 else ''}is worth adding"
+    if step.accepted:
+        said = f"{label(step.accepted)} added"
+    if step.dropped:
+        said += ", " + ", ".join(map(label, step.dropped)) + " no longer needed"
+    return said
+
+
+def fate(candidate: Candidate, step: SearchStep) -> str:
+    """What became of a candidate in a step of the search."""
+    if candidate.effect != step.accepted:
+        return "cannot be told apart" if candidate.tie else candidate.reason
+    return "added, " + ", ".join(f"{label(name)} {value:.3g}" for name, value in candidate.values.items())
 
 
 def share(part: float) -> str:
