@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
+import tomllib
+from importlib import resources
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,6 +86,35 @@ class Section:
     def passed(self) -> bool:
         """Do all claims hold?"""
         return all(claim.passed for claim in self.claims)
+
+
+class Words:
+    """What the sections and claims of a package say: `claims.toml` beside its code.
+
+    A table is a section with `title`, `text` and, where there are any, `remarks` and the caption of its
+    `figure` (a PNG file of its name); a table in it is a claim with `claim`, `unit`, `why` and one or both
+    of its bounds `low` and `high`. Names in braces are filled in.
+    """
+
+    def __init__(self, package: str):
+        self.tables = tomllib.loads(resources.files(package).joinpath("claims.toml").read_text("utf-8"))
+
+    def claim(self, section: str, key: str, measured: float, **filling) -> Claim:
+        """A claim with what was measured."""
+        entry = self.tables[section][key]
+        name, unit, why = (entry[word].format(**filling) for word in ("claim", "unit", "why"))
+        return Claim(name, measured, entry.get("high", math.inf), unit, why, entry.get("low", -math.inf))
+
+    def section(self, key: str, measured: dict[str, float] | list[Claim], filling=None, **rest) -> Section:
+        """A section; measured: values by claim, or the claims themselves; rest: its other fields."""
+        filling, entry = filling or {}, self.tables[key]
+        claims = measured
+        if isinstance(measured, dict):
+            claims = [self.claim(key, name, value, **filling) for name, value in measured.items()]
+        remarks = [text.format(**filling) for text in entry.get("remarks", [])]
+        figures = {f"{key}.png": entry["figure"]} if "figure" in entry else {}
+        said = {"remarks": remarks, "figures": figures} | rest
+        return Section(key, entry["title"], entry["text"].format(**filling), claims, **said)
 
 
 def number(value: float) -> str:

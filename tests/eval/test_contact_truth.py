@@ -28,7 +28,7 @@ LIMITS = {
 
 @pytest.mark.parametrize("name", [name for name in laws.FINDINGS if name != "tumbling"])
 def test_contact_obeys_mechanics(name):
-    """The tolerances stand beside each measurement in laws.py."""
+    """The tolerances stand in eval/truth/contact_truth/claims.toml."""
     finding = laws.FINDINGS[name](load_vehicle())
     assert finding.claims
     failed = [c.record() for c in finding.claims if not c.passed and c.name not in LIMITS]

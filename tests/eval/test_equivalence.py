@@ -1,6 +1,6 @@
 """The equivalence report: every claim holds, each with its derivation, and a wrong model is noticed.
 
-The tolerances stand with their derivations in the modules of `eval/equivalence`, where tests and report
+The tolerances stand with their derivations in `eval/truth/equivalence/claims.toml`, where tests and report
 share them.
 """
 

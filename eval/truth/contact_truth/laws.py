@@ -9,7 +9,7 @@ import dataclasses
 
 import numpy as np
 
-from inclined_landing.eval.base.claims import Claim, Section
+from inclined_landing.eval.base.claims import Claim, Section, Words
 from inclined_landing.eval.truth.contact_truth.vehicles import (
     BODY,
     FEET,
@@ -31,6 +31,7 @@ from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP, present_forces
 from inclined_landing.models.surface import normal_of, split
 
+WORDS = Words(__package__)  # with the tolerances
 GRIP = 1.6  # friction that holds the vehicle on every supported slope (tan 50 deg = 1.19)
 STUDY_TIME = 0.02  # s, contact time of the settings that are compared
 RESTITUTIONS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
@@ -60,24 +61,15 @@ def rest(vehicle: Vehicle) -> Section:
     place(springy, springy.vehicle.platform_inclination)
     springy.set_contact(np.arange(springy.n), restitution=np.array(RESTITUTIONS), contact_time=STUDY_TIME)
     of_restitution = _creep(springy)
-    return Section(
+    return WORDS.section(
         "rest",
-        "At rest on the slope",
-        "The surface carries m g cos(alpha) and holds m g sin(alpha). The vehicle creeps a little, because "
-        "friction in the engine is a very stiff damper, not a lock. Springy settings hold less firmly: from"
-        " a restitution of 0.3 on the feet tremble and the vehicle wanders down by millimetres per second.",
-        [
-            Claim("forces at rest, 0 to 50 deg", 100 * error, 1.0, "% of the weight", f"friction {GRIP:g}"),
-            Claim("creep on the default slope", 1e3 * default, 0.2, "mm/s", "default contact, over 2 s"),
-            Claim("creep, 0 to 50 deg", 1e3 * creep.max(), 0.2, "mm/s", f"friction {GRIP:g}"),
-            Claim(
-                "creep at restitution 0.6",
-                1e3 * of_restitution[-1],
-                0.2,
-                "mm/s",
-                f"contact time {1e3 * STUDY_TIME:g} ms; a limit of the springy setting",
-            ),
-        ],
+        {
+            "forces": 100 * error,
+            "default_creep": 1e3 * default,
+            "creep": 1e3 * creep.max(),
+            "springy_creep": 1e3 * of_restitution[-1],
+        },
+        {"study_time": 1e3 * STUDY_TIME, "grip": GRIP},
         data={
             "degrees": degrees,
             "normal": forces[:, 0],
@@ -112,20 +104,9 @@ def slip(vehicle: Vehicle) -> Section:
     gained = (after - before).reshape(distance.shape) / 0.5
     slides = gained > 0.005  # m/s2; 0.03 degrees beyond the angle of friction
     onset = np.degrees(around)[slides.argmax(axis=1)]
-    return Section(
+    return WORDS.section(
         "slip",
-        "Where sliding starts",
-        "Each vehicle is set down level with its slope, 0.1 degrees apart around the angle of friction. "
-        "Below it nothing accelerates, above it everything does.",
-        [
-            Claim(
-                "onset of sliding against atan(friction)",
-                float(np.abs(onset).max()),
-                0.5,
-                "deg",
-                "friction 0.2 to 1.0, resolution 0.1 deg",
-            )
-        ],
+        {"onset": float(np.abs(onset).max())},
         data={
             "friction": frictions,
             "around": np.degrees(around),
@@ -150,24 +131,15 @@ def restitution(vehicle: Vehicle) -> Section:
     wanted = np.array(RESTITUTIONS)
     off = np.abs(measured[1.0] - wanted)[:, 1:]
     late = np.abs(pushed - np.array(CONTACT_TIMES)[:, None])[:, 1:]
-    return Section(
+    return WORDS.section(
         "restitution",
-        "Restitution and contact time as set",
-        "Restitution and contact time are settings of the user; they are turned into the engine's contact "
-        f"spring. Drops on four feet, {PHASES} phases of the touch within one step; bars are their standard"
-        " deviation. A slower drop rebounds less, because the weight works against it for the same time.",
-        [
-            Claim(
-                "restitution as set, 16 and 20 ms",
-                float(off[1:].max()),
-                0.03,
-                "1",
-                "drops at 1 m/s, mean over phases",
-            ),
-            Claim("restitution as set, 12 ms", float(off[0].max()), 0.05, "1", "three steps of 4 ms"),
-            Claim("scatter by the phase of the touch", float(scatter.max()), 0.06, "1", "standard deviation"),
-            Claim("contact time as set", 1e3 * float(np.nanmax(late)), 1.0, "ms", "restitution 0.1 to 0.6"),
-        ],
+        {
+            "set": float(off[1:].max()),
+            "shortest": float(off[0].max()),
+            "scatter": float(scatter.max()),
+            "contact_time": 1e3 * float(np.nanmax(late)),
+        },
+        {"phases": PHASES},
         data={
             "set": RESTITUTIONS,
             "contact_time": CONTACT_TIMES,
@@ -193,46 +165,14 @@ def impulse(vehicle: Vehicle) -> Section:
     fine = [row for row in rows if row[0] == STEPS[-1]]
     drops = [drop(vehicle, speed, s, stages=True) for speed in (0.3, 1.0, 2.0) for s in (None, spring)]
     single = max(float(np.abs(d.impulse / d.momentum - 1.0).max()) for d in drops)
-    return Section(
+    return WORDS.section(
         "impulse",
-        "Forces and momentum",
-        "The force sensors speak for the beginning of each engine step, so that their sum over a touch of a"
-        " few steps misses the impulse by up to a sixth, one way or the other, depending on where in the "
-        "step the feet meet the surface; on average it is right. A Runge-Kutta step evaluates the contact "
-        "four times: with all four forces, weighted as the engine weights them, the impulse of every single"
-        " touch agrees with the change of momentum to rounding errors (`models/plants/recorder.py`). The "
-        "landing studies' impulse agrees with that one.",
-        [
-            Claim(
-                "impulse of one touch, 4 ms",
-                100 * single,
-                2.0,
-                "%",
-                "contact forces of all stages against m (change of speed + g time); worst of 96 drops at 0.3 "
-                "to 2 m/s, default and restitution 0 to 0.6",
-            ),
-            Claim(
-                "sampled forces, mean over phases, 4 ms",
-                100 * max(abs(row[2]) for row in mean),
-                2.0,
-                "%",
-                "1 m/s, force sum against change of momentum",
-            ),
-            Claim(
-                "sampled forces, single drop, 0.5 ms",
-                100 * max(row[3] for row in fine),
-                2.0,
-                "%",
-                "worst of the phases",
-            ),
-            Claim(
-                "sampled forces, single drop, 4 ms",
-                100 * max(row[3] for row in mean),
-                2.0,
-                "%",
-                "worst of the phases; what the step's beginning alone says",
-            ),
-        ],
+        {
+            "touch": 100 * single,
+            "sampled_mean": 100 * max(abs(row[2]) for row in mean),
+            "sampled_fine": 100 * max(row[3] for row in fine),
+            "sampled": 100 * max(row[3] for row in mean),
+        },
         data={"rows": [dict(zip(("step", "setting", "mean", "worst", "peak"), row)) for row in rows]},
     )
 
@@ -246,28 +186,9 @@ def penetration(vehicle: Vehicle) -> Section:
     depth = np.array([drop(vehicle, speed, solrefs).depth.max(axis=1) for speed in speeds])
     at_one = int(np.flatnonzero(speeds == 1.0)[0])
     grows = float(np.diff(depth, axis=1).min())
-    return Section(
+    return WORDS.section(
         "penetration",
-        "Penetration",
-        "The feet sink in by about speed times contact time over pi. At 10 mm, half the slab's thickness, "
-        "the engine can no longer tell the upper side from the lower.",
-        [
-            Claim(
-                "depth at 1 m/s, default setting",
-                1e3 * float(default[at_one]),
-                5.0,
-                "mm",
-                "deepest of the phases",
-            ),
-            Claim(
-                "depth grows with the contact time",
-                1e3 * grows,
-                np.inf,
-                "mm",
-                "smallest difference between settings",
-                0.0,
-            ),
-        ],
+        {"depth": 1e3 * float(default[at_one]), "growth": 1e3 * grows},
         data={"speeds": speeds, "contact_time": CONTACT_TIMES, "default": default, "depth": depth},
     )
 
@@ -285,24 +206,9 @@ def convergence(vehicle: Vehicle) -> Section:
     order = float(np.polyfit(np.log(steps[:-2]), np.log(error[:-1]), 1)[0])
     change = float(np.abs(rebound[0] - rebound[-1]).max())
     halving = float((spread[1:] / spread[:-1])[:3].mean())
-    return Section(
+    return WORDS.section(
         "convergence",
-        "Halving the step",
-        "A touch falls somewhere within a step, which makes contact first order in the step however the "
-        "flight is integrated: the scatter between phases halves with the step, and the depth converges.",
-        [
-            Claim(
-                "order of the penetration's error", order, np.inf, "1", "default, 1 m/s, against 0.25 ms", 0.8
-            ),
-            Claim(
-                "scatter of rebounds when the step is halved",
-                halving,
-                0.65,
-                "ratio",
-                "restitution 0.3 and 0.6",
-            ),
-            Claim("rebound at 4 ms against 0.25 ms", change, 0.02, "1", "mean over phases"),
-        ],
+        {"order": order, "scatter": halving, "rebound": change},
         data={"steps": steps, "rebound": rebound, "scatter": spread, "depth": depth},
     )
 
@@ -324,43 +230,16 @@ def tumbling(vehicle: Vehicle, n: int = 100) -> Section:
             through[i, j] = passed.sum()
             if setting is None and speed == 1.0:
                 history = energies[::5, :40]
-    return Section(
+    return WORDS.section(
         "tumbling",
-        "Random drops: energy and tunnelling",
-        f"{n} vehicles per speed in random attitudes and spins of 5 rad/s fall onto the default slope for "
-        "0.6 s. Energy is that of motion and height; what the contact spring holds for a moment is not "
-        "counted. Springy settings are within their supported range only up to 1.5 m/s.",
-        [
-            Claim(
-                "energy gained, default",
-                100 * float(growth[0].max()),
-                0.1,
-                "% of the impact's",
-                "0.5 to 4 m/s",
-            ),
-            Claim(
-                "energy gained, restitution 0.3",
-                100 * float(growth[1, :2].max()),
-                0.1,
-                "% of the impact's",
-                "0.5 and 1 m/s",
-            ),
-            Claim(
-                "drops that gain over 1 %, restitution 0.6",
-                100 * float(share[2, :2].max()),
-                1.0,
-                "%",
-                "0.5 and 1 m/s",
-            ),
-            Claim("drops through the slab, default", int(through[0].sum()), 0, "of all", "0.5 to 4 m/s"),
-            Claim(
-                "drops through the slab at 4 m/s, restitution 0.6",
-                int(through[2, -1]),
-                0,
-                f"of {n}",
-                "beyond the supported range",
-            ),
-        ],
+        {
+            "default": 100 * float(growth[0].max()),
+            "springy": 100 * float(growth[1, :2].max()),
+            "springiest": 100 * float(share[2, :2].max()),
+            "through": int(through[0].sum()),
+            "fast_through": int(through[2, -1]),
+        },
+        {"n": n},
         data={
             "speeds": speeds,
             "settings": [s if s is not None else "default" for s in settings],
@@ -423,26 +302,7 @@ def parts(vehicle: Vehicle) -> Section:
             rows.append(
                 {"surface": name, "pitch": float(np.degrees(pitch)), "first": first, "right": bool(ok)}
             )
-    return Section(
-        "parts",
-        "Which part touches what",
-        "Vehicles are let go 2 mm above slab and floor: upright, nose down, upside down. The log names "
-        "feet, rotors and body first, and only the surface below. Upside down the vehicle lies on body and "
-        "rotor discs, which carry its weight.",
-        [
-            Claim(
-                "first part and surface named rightly", right, 6, "of 6", "slab and floor, three attitudes", 6
-            ),
-            Claim(
-                "weight carried at rest",
-                100 * float(max(loads)),
-                1.0,
-                "% off",
-                "upright on feet, upside down on body and rotors",
-            ),
-        ],
-        data={"rows": rows},
-    )
+    return WORDS.section("parts", {"named": right, "weight": 100 * float(max(loads))}, data={"rows": rows})
 
 
 def torque(vehicle: Vehicle) -> Section:
@@ -477,21 +337,7 @@ def torque(vehicle: Vehicle) -> Section:
             }
         )
     off = max(abs(row["lifts"] - row["predicted"]) for row in rows)
-    return Section(
-        "torque",
-        "Attitude loop on the ground",
-        "A vehicle on the floor is told to pitch by 30 degrees. Two feet lift where loop torque and thrust "
-        "together exceed the weight's moment about the other two; the loop's torque follows from its "
-        "equation, or is its limit where that is less. By default PWM 0 does not take the torques away; "
-        "`landing-eval success` removes them where it cuts the motors.",
-        [
-            Claim(
-                "thrust at which two feet lift, against statics", off, 0.01, "of the weight", "steps of 0.005"
-            ),
-            Claim("largest torque over its limit", largest, 1.0 + 1e-9, "1", "every control step"),
-        ],
-        data={"share": shares, "rows": rows},
-    )
+    return WORDS.section("torque", {"lift": off, "limit": largest}, data={"share": shares, "rows": rows})
 
 
 def setting(

@@ -16,7 +16,7 @@ import pandas as pd
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from inclined_landing.eval.base.claims import Claim, Section, Table
+from inclined_landing.eval.base.claims import Section, Table, Words
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VY, VZ, WX, WY, WZ, YAW, Z
 from inclined_landing.models.errors import UserError
@@ -25,6 +25,7 @@ from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import fly
 
+WORDS = Words(__package__)
 PERIOD = 0.01  # s, of the measurements
 BEFORE, AFTER = 0.06, 0.10  # s of the flight that is compared
 _CLEAR = 0.02  # s around the touch that the straight lines leave out
@@ -300,46 +301,15 @@ def finding(folder: str | Path, vehicle: Vehicle | None = None, tick=lambda name
         predicted = rebound(f.touchdown, *usual, vehicle)
         rows.append(_row(f, predicted))
     missed = np.array([row["predicted_up"] - row["up"] for row in rows])
-    return Section(
+    return WORDS.section(
         "touchdowns",
-        "Measured touchdowns",
-        f"{len(rows)} touchdowns of NanoBench flights with motors running near hover. What fits: the height"
-        " through the bounce, to a fraction of a millimetre, with a restitution of its own for each. What "
-        "does not: one restitution for all; predicted from the others, rebounds are off by 0.1 m/s. At 100"
-        " Hz the contact time is hardly resolved, and thrust is known relative to hover only. Friction and"
-        " inclined surfaces are not in these data.",
-        [
-            Claim(
-                "height of the simulated touchdowns, rms",
-                1e3 * max(row["rms"] for row in rows),
-                1.0,
-                "mm",
-                "worst touchdown, 60 ms before to 100 ms after",
-            ),
-            Claim(
-                "median restitution fitted",
-                float(np.median(e)),
-                0.65,
-                "1",
-                "in the range read off the data",
-                0.4,
-            ),
-            Claim(
-                "median contact time fitted",
-                1e3 * float(np.median(time)),
-                20.0,
-                "ms",
-                "samples every 10 ms",
-                4.0,
-            ),
-            Claim(
-                "rebound predicted from the other touchdowns",
-                float(np.sqrt(np.mean(missed**2))),
-                0.1,
-                "m/s rms",
-                "with their median setting",
-            ),
-        ],
+        {
+            "height": 1e3 * max(row["rms"] for row in rows),
+            "restitution": float(np.median(e)),
+            "contact_time": 1e3 * float(np.median(time)),
+            "rebound": float(np.sqrt(np.mean(missed**2))),
+        },
+        {"count": len(rows)},
         tables=[_table(rows)],
         data={"fits": rows},
     )

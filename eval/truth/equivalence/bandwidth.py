@@ -9,7 +9,7 @@ import numpy as np
 
 from inclined_landing.eval.base.claims import Claim, Section, Table, number
 from inclined_landing.eval.truth.equivalence import flying
-from inclined_landing.eval.truth.equivalence.flying import angle_gap, engine, equations, position_gap
+from inclined_landing.eval.truth.equivalence.flying import WORDS, angle_gap, engine, equations, position_gap
 from inclined_landing.eval.truth.equivalence.sequences import Sequences
 from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW_RATE_COMMAND
 from inclined_landing.models.parameters import Vehicle
@@ -79,14 +79,8 @@ def late_commands(v: Vehicle, sequences: Sequences, bandwidth: float) -> tuple[f
     starts = flying.start_states(len(sequences.yaw), sequences.yaw, v)
     n = len(starts)
     flown = flying.fly(equations(n, "rate_loop", vehicle=vehicle), sequences.commands, starts)
-    return tuple(
-        float(
-            np.median(
-                position_gap(flown, flying.fly(equations(n, "kinematic", vehicle=v), u, starts)).max(axis=0)
-            )
-        )
-        for u in (sequences.commands, late)
-    )
+    paper = [flying.fly(equations(n, "kinematic", vehicle=v), u, starts) for u in (sequences.commands, late)]
+    return tuple(float(np.median(position_gap(flown, states).max(axis=0))) for states in paper)
 
 
 def claims(v: Vehicle, gaps: list[Gap]) -> list[Claim]:
@@ -105,15 +99,9 @@ def claims(v: Vehicle, gaps: list[Gap]) -> list[Claim]:
                 low=2 - margin,
             )
         )
-    for gap in gaps:
-        result.append(
-            Claim(
-                f"rate loop at B = {gap.bandwidth:g} "
-                "1/s against the extended equations, 6 s", gap.extended, 1e-4, "m",
-                "the tolerance of the flights at B h = 0.2, which the engine's step keeps here by halving",
-            )
-        )  # fmt: skip
-    return result
+    return result + [
+        WORDS.claim("bandwidth", "extended", gap.extended, bandwidth=gap.bandwidth) for gap in gaps
+    ]
 
 
 def section(v: Vehicle, sequences: Sequences, everyday: Sequences, tick) -> tuple[Section, list[Gap]]:
@@ -121,46 +109,22 @@ def section(v: Vehicle, sequences: Sequences, everyday: Sequences, tick) -> tupl
     gaps = measure(v, sequences, tick=tick)
     daily = measure(v, everyday, (v.attitude_bandwidth,), tick=tick)[0]
     plain, late = late_commands(v, sequences, v.attitude_bandwidth)
-    nominal = v.attitude_bandwidth
-    delay, share = 1e3 / nominal, v.attitude_bandwidth / v.attitude_yaw_bandwidth
+    filling = {
+        "share": v.attitude_bandwidth / v.attitude_yaw_bandwidth,
+        "count": len(sequences.yaw),
+        "delay": 1e3 / v.attitude_bandwidth,
+        "nominal": v.attitude_bandwidth,
+        "plain": number(plain),
+        "family": everyday.family,
+        "daily": number(float(np.median(daily.paper))),
+        "late": number(late),
+    }
     rows = [
         (f"{g.bandwidth:g}", g.rms, float(np.median(g.paper)), float(g.paper.max()), g.angle, g.extended)
         for g in gaps
     ]
-    part = Section(
-        "bandwidth",
-        "The rate loop against the paper's equations",
-        [
-            "The paper's attitude follows its command through one pole. A vehicle has a rate loop below "
-            f"that, here with a second pole at the bandwidth B (yaw: B/{share:g}): the paper's loop with "
-            f"its command low-passed at B. {len(sequences.yaw)} sequences of full steps in three "
-            "dimensions, 6 s.",
-        ],
-        claims(v, gaps),
-        [
-            Table(
-                "Distance between the engine's rate loop and the equations",
-                (
-                    "B [1/s]",
-                    "paper, rms [m]",
-                    "paper, median [m]",
-                    "paper, largest [m]",
-                    "paper, angle [deg]",
-                    "extended, largest [m]",
-                ),
-                rows,
-            )
-        ],
-        remarks=[
-            f"What this means: with the rate loop every attitude command acts about 1/B = {delay:.0f} ms "
-            f"later than in the paper's equations, one control step at the default B = {nominal:g} 1/s. "
-            f"Under full steps that adds up to {number(plain)} m in 6 s (median); for {everyday.family} "
-            f"commands in the plane, {number(float(np.median(daily.paper)))} m. Giving the paper's "
-            f'equations their commands this much later leaves {number(late)} m. Use attitude="kinematic" '
-            'to reproduce or check the paper\'s numbers, attitude="rate_loop" to train for a vehicle: it '
-            "answers as late as a vehicle does, and it is the only one that feels contact. A policy for "
-            "one is flown in the other below.",
-        ],
-        data={"median_gap_now_m": plain, "median_gap_late_commands_m": late},
-    )
-    return part, gaps
+    paper = (f"paper, {what}" for what in ("rms [m]", "median [m]", "largest [m]", "angle [deg]"))
+    heads = ("B [1/s]", *paper, "extended, largest [m]")
+    tables = [Table("Distance between the engine's rate loop and the equations", heads, rows)]
+    data = {"median_gap_now_m": plain, "median_gap_late_commands_m": late}
+    return WORDS.section("bandwidth", claims(v, gaps), filling, tables=tables, data=data), gaps

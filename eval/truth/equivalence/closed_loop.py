@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.eval.base.claims import Claim, Section, Table, number
 from inclined_landing.eval.base.statistics import proportion
 from inclined_landing.eval.truth.equivalence import flying
+from inclined_landing.eval.truth.equivalence.flying import WORDS
 from inclined_landing.models.attitude import PITCH, VX, VZ, X, Z
 from inclined_landing.models.plants import AnalyticPlant, MujocoPlant
 
@@ -110,29 +112,15 @@ def claims(flown: dict[str, list[Flight]], twins: list[Comparison]) -> list[Clai
     """Same model, same flights; and the policy is as successful in either."""
     result = []
     for c in twins:
-        name = f"{c.second} and {c.first}"
+        claim = functools.partial(WORDS.claim, "closed_loop", name=f"{c.second} and {c.first}")
         result += [
-            Claim(f"{name}: same outcome", c.same, 1.0, "of the starts",
-                  "the flights differ by 1e-4 m; only one that passes the goal box's edge or the platform "
-                  "this closely may end otherwise", low=0.98),
-            Claim(f"{name}: equal time to land", float(np.mean(c.steps == 0)), 1.0, "of the landings",
-                  "as above: one control step is 2 cm of flight at 1 m/s, 1e-4 m is 0.5 % of it", low=0.97),
-            Claim(f"{name}: final position", c.final, 1e-3, "m",
-                  "landings of equal length; the open-loop tolerance of 5e-4 m, twice for the policy's "
-                  "reaction"),
-            Claim(f"{name}: smallest p of the two-sample tests", min(c.p.values()), 1.0, "p",
-                  f"Kolmogorov-Smirnov on {len(QUANTITIES)} quantities: the same distribution at the 1 % "
-                  "level",
-                  low=ALPHA),
-        ]  # fmt: skip
+            claim("outcome", c.same),
+            claim("time", float(np.mean(c.steps == 0))),
+            claim("final", c.final),
+            claim("samples", min(c.p.values()), quantities=len(QUANTITIES)),
+        ]
     share = {name: np.mean([f.strict for f in flights]) for name, flights in flown.items()}
-    result.append(
-        Claim("success without touching, difference between vehicle and paper",
-              abs(share[VEHICLE] - share[PAPER]), 0.05, "of the starts",
-              "two shares near 95 % of 251 starts differ by less than 2.6 √(2 × 0.95 × 0.05 / 251) = 5 % "
-              "at the 1 % level")
-    )  # fmt: skip
-    return result
+    return [*result, WORDS.claim("closed_loop", "success", abs(share[VEHICLE] - share[PAPER]))]
 
 
 def section(policy: Policy, starts: np.ndarray, tick) -> tuple[Section, dict]:
@@ -150,12 +138,9 @@ def section(policy: Policy, starts: np.ndarray, tick) -> tuple[Section, dict]:
             (name, f"{len(landed)} of {len(flights)}", f"{share['count']} of {len(flights)}", *middle)
         )
     if None in twins or cross is None:
-        found = [
-            Claim("landings in both plants", min(sum(f.success for f in fs) for fs in flown.values()), np.inf,
-                  "landings", "fewer than ten landings cannot be compared", low=10)
-        ]  # fmt: skip
+        fewest = min(sum(f.success for f in fs) for fs in flown.values())
+        found, tables = [WORDS.claim("closed_loop", "few", fewest)], []
         remarks = ["Too few landings for a comparison."]
-        tables = []
     else:
         found = claims(flown, twins)
         remarks = [c.statement() for c in (*twins, cross)]
@@ -172,25 +157,12 @@ def section(policy: Policy, starts: np.ndarray, tick) -> tuple[Section, dict]:
         tables = [
             Table("Two-sample distance D (and p) of Kolmogorov and Smirnov", ("quantity", *heads), tests)
         ]
-    heads = [f"{q} [{u}]" for q, u in zip(QUANTITIES, UNITS)]
-    part = Section(
+    heads = ("plant", "success", "without touching", *(f"{q} [{u}]" for q, u in zip(QUANTITIES, UNITS)))
+    part = WORDS.section(
         "closed_loop",
-        "The policy in both plants",
-        [
-            f"The policy {policy.path.name} flown from {len(starts)} starts of the frozen grid in four "
-            "plants. Two pairs hold the same model and must give the same flights; the third comparison, "
-            "the paper's equations against the physical vehicle, is what a user crosses when training in "
-            "one and evaluating in the other."
-        ],
         found,
-        [
-            Table(
-                "Landings and medians at the goal box",
-                ("plant", "success", "without touching", *heads),
-                rows,
-            ),
-            *tables,
-        ],
+        {"policy": policy.path.name, "starts": len(starts)},
+        tables=[Table("Landings and medians at the goal box", heads, rows), *tables],
         remarks=remarks,
         data={
             "plants": summary,

@@ -8,7 +8,7 @@ import numpy as np
 
 from inclined_landing.eval.base.claims import Claim, Section, Table
 from inclined_landing.eval.truth.equivalence import flying
-from inclined_landing.eval.truth.equivalence.flying import ATTITUDES, engine, equations
+from inclined_landing.eval.truth.equivalence.flying import ATTITUDES, WORDS, engine, equations
 from inclined_landing.models.parameters import Vehicle
 
 STEPS_MS = (10.0, 5.0, 2.5, 1.25)
@@ -75,22 +75,7 @@ def section(vehicle: Vehicle, commands: np.ndarray, tick) -> tuple[Section, list
     found = measure(vehicle, commands, tick=tick)
     rows = [(c.attitude.replace("_", " "), c.integrator, *c.errors, c.measured[-1]) for c in found]
     heads = ("mode", "integrator", *(f"{h:g} ms [m]" for h in STEPS_MS), "order")
-    part = Section(
-        "convergence",
-        "Convergence with the step",
-        [
-            f"Largest position error after 1 s of full steps in three dimensions ({commands.shape[1]} "
-            "sequences), for every integrator that the scene offers, against the equations at 0.125 ms. "
-            "RK4 is of fourth order, implicitfast and Euler of first. The commands change at control "
-            "ticks, which are step ends of all of them."
-        ],
-        [c.claim() for c in found],
-        [Table("Position error", heads, rows)],
-    )
     default = next(c for c in found if c.integrator == "implicitfast" and c.attitude == "rate_loop")
-    at_5 = default.errors[STEPS_MS.index(5.0)]
-    part.remarks.append(
-        f"implicitfast at 5 ms is off by up to {100 * at_5:.1f} cm after 1 s of full steps. Training uses it "
-        "at 4 ms for its speed; evaluation always runs RK4."
-    )
-    return part, found
+    filling = {"count": commands.shape[1], "centimetres": 100 * default.errors[STEPS_MS.index(5.0)]}
+    tables = [Table("Position error", heads, rows)]
+    return WORDS.section("convergence", [c.claim() for c in found], filling, tables=tables), found

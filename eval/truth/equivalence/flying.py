@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from inclined_landing.eval.base.claims import Words
 from inclined_landing.models.attitude import LAG, ROLL, YAW, Z
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import AnalyticPlant, MujocoPlant
 
+WORDS = Words(__package__)  # of the report, with the tolerances
 HEIGHT = 500.0  # m; full thrust up or none at all moves 6 s x up to 60 m/s
 FINE = 20  # RK4 steps in a control period, 1 ms each: the equations solved to 1e-8 m
 ATTITUDES = ("kinematic", "rate_loop")

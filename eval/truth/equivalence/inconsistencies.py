@@ -10,9 +10,9 @@ import dataclasses
 
 import numpy as np
 
-from inclined_landing.eval.base.claims import Claim, Section, Table, number
+from inclined_landing.eval.base.claims import Section, Table, number
 from inclined_landing.eval.truth.equivalence import flying
-from inclined_landing.eval.truth.equivalence.flying import HEIGHT
+from inclined_landing.eval.truth.equivalence.flying import HEIGHT, WORDS
 from inclined_landing.eval.truth.equivalence.motor import quoted
 from inclined_landing.eval.truth.equivalence.sequences import Sequences
 from inclined_landing.models.attitude import LAG, PITCH, PITCH_COMMAND, PWM, VX, VZ, X, Z, rotation
@@ -128,7 +128,7 @@ def section(v: Vehicle, sequences: Sequences) -> tuple[Section, dict]:
     """The section over planar flights `sequences`, and what its figure draws."""
     flight, static = quoted("hover", "flight_pwm"), quoted("hover", "static_pwm")
     factor, g = quoted("hover", "force_factor"), v.environment_gravity
-    climb, needed = (static / v.hover_pwm - 1) * g, v.hover_pwm / flight
+    needed = v.hover_pwm / flight
     found = drag(v, sequences)
     weight = v.body_mass * g
     speed = rotor_speed_sum(weight, pack(v)[0])
@@ -138,67 +138,43 @@ def section(v: Vehicle, sequences: Sequences) -> tuple[Section, dict]:
     defect, stretch = rotation_defects(v, printed=True)
     sound, _ = rotation_defects(v, printed=False)
     roll = v.command_angle_limit
-    at = [round(t / v.command_control_period) - 1 for t in (2.0, 6.0)]
-    n = number
-    rows = [
-        ("Hover PWM",
-         f"{n(static)} in the paper; its static force map gives {n(v.static_hover_pwm)} for the same mass",
-         f"{n(v.hover_pwm)} from its motor function, which the equations use",
-         f"action 0 climbs at {climb:.2f} m/s²; the two maps differ by "
-         f"{100 * (v.static_hover_pwm / v.hover_pwm - 1):.0f} % of PWM in hover"),
-        ("Hover in the real flights",
-         f"{n(flight)} PWM; a factor {factor:g} on the force in the code, commented out",
-         f"the factor makes it {n(v.hover_pwm / factor)}",
-         f"the motor function would have to be scaled by {needed:.2f}; {factor:g} explains "
-         f"{100 * (1 - factor) / (1 - needed):.0f} % of the missing force"),
-        ("Drag in the public code",
-         "multiplied by sin(pitch) in x, cos(pitch) in z, no rotation into the body",
-         f"R K R' v, {found.paper:.2f} m/s² (rms) over {sequences.family} commands",
-         f"{found.error:.2f} m/s² (rms) off, {100 * found.share:.0f} % of the drag; under the same commands "
-         f"{n(found.apart[at[0]])} m apart after 2 s and {n(found.apart[at[1]])} m after 6 s (median)"),
-        ("A factor four in the public code",
-         "the inverse force map takes the constant of one motor for all four",
-         f"rotor speeds in hover {n(speed)} rad/s",
-         f"{100 * excess:+.1f} % in hover, {100 * excess_low:+.0f} % at {n(v.command_pwm_range[0])} PWM, "
-         "and the drag with it"),
-        ("Printed rotation matrix", "last term of (2,3) positive, and a misprint in (2,2)",
-         f"corrected: |R'R − 1| ≤ {n(sound)}",
-         f"|R'R − 1| up to {defect:.2f} from (2,3) alone; the thrust is up to {100 * stretch:.0f} % wrong "
-         "with yaw"),
-        ("Sign of the roll", "public code: positive roll accelerates +y, the printed (2,3) taken as it is",
-         "positive roll accelerates −y, as the rotation has it",
-         f"at {np.degrees(roll):.0f} deg the sideways acceleration is {2 * g * np.tan(roll):.1f} m/s² apart: "
-         "a policy of one sign flies away with the other"),
-    ]  # fmt: skip
-    claims = [
-        Claim("hover PWM of the motor function", v.hover_pwm, 34_150, "PWM",
-              "the design quotes 34 100: three digits", low=34_050),
-        Claim("hover PWM of the static map over the quoted one", v.static_hover_pwm / static, 1.01, "ratio",
-              "42 000 is quoted with two digits: within 1 %", low=0.99),
-        Claim("corrected rotation matrix, |R'R − 1|", sound, 1e-14, "1",
-              "rounding of three products, times ten"),
-        Claim("printed rotation matrix, |R'R − 1|", defect, np.inf, "1",
-              "orthonormality would be 1e-15; columns 2 and 3 have the product sin(2 roll) cos(pitch) at "
-              "yaw 0, 0.87",
-              low=0.5),
-        Claim("drag of the public code, error", found.share, np.inf, "of the drag",
-              "in level flight sin(pitch) is small and the horizontal drag is missing: the error is of its "
-              "size",
-              low=0.5),
-        Claim("factor four: rotor speed in hover", excess, 0.05, "relative",
-              "the wrong constant adds three times its 5.5e-4 N to 0.32 N of thrust, 0.5 %, at about half "
-              "of the speed's sensitivity", low=1e-3),
-    ]  # fmt: skip
-    part = Section(
-        "inconsistencies",
-        "Where the paper and its code disagree",
-        [
-            "The model follows the paper's equations. These are the places where the paper's numbers, its "
-            "printed formulas and its authors' public code differ, and by how much."
-        ],
-        claims,
-        [Table("Inconsistencies", ("what", "paper or code", "here", "consequence"), rows)],
-        data={"drag_rms": found.paper, "drag_error_rms": found.error, "hover_pwm": v.hover_pwm,
-              "static_hover_pwm": v.static_hover_pwm, "thrust_stretch": stretch},
-    )  # fmt: skip
-    return part, {"drag": found}
+    after = {t: found.apart[round(t / v.command_control_period) - 1] for t in (2.0, 6.0)}
+    filling = {
+        "static": number(static),
+        "static_hover": number(v.static_hover_pwm),
+        "hover": number(v.hover_pwm),
+        "climb": (static / v.hover_pwm - 1) * g,
+        "maps": 100 * (v.static_hover_pwm / v.hover_pwm - 1),
+        "flight": number(flight),
+        "factor": factor,
+        "factored": number(v.hover_pwm / factor),
+        "needed": needed,
+        "explained": 100 * (1 - factor) / (1 - needed),
+        "drag": found,
+        "family": sequences.family,
+        "share": 100 * found.share,
+        "after_2": number(after[2.0]),
+        "after_6": number(after[6.0]),
+        "speed": number(speed),
+        "excess": 100 * excess,
+        "excess_low": 100 * excess_low,
+        "low": number(v.command_pwm_range[0]),
+        "sound": number(sound),
+        "defect": defect,
+        "stretch": 100 * stretch,
+        "roll": np.degrees(roll),
+        "sideways": 2 * g * np.tan(roll),
+    }
+    measured = {
+        "hover": v.hover_pwm,
+        "static_hover": v.static_hover_pwm / static,
+        "corrected": sound,
+        "printed": defect,
+        "drag": found.share,
+        "factor_four": excess,
+    }
+    rows = [tuple(cell.format(**filling) for cell in row) for row in WORDS.tables["inconsistencies"]["rows"]]
+    data = {"drag_rms": found.paper, "drag_error_rms": found.error, "hover_pwm": v.hover_pwm}
+    data |= {"static_hover_pwm": v.static_hover_pwm, "thrust_stretch": stretch}
+    tables = [Table("Inconsistencies", ("what", "paper or code", "here", "consequence"), rows)]
+    return WORDS.section("inconsistencies", measured, tables=tables, data=data), {"drag": found}

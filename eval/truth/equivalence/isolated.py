@@ -12,9 +12,9 @@ import math
 import mujoco
 import numpy as np
 
-from inclined_landing.eval.base.claims import Claim, Section, Table, number
+from inclined_landing.eval.base.claims import Section, Table, number
 from inclined_landing.eval.truth.equivalence import flying
-from inclined_landing.eval.truth.equivalence.flying import engine
+from inclined_landing.eval.truth.equivalence.flying import WORDS, engine
 from inclined_landing.models.attitude import (
     LAG,
     PITCH,
@@ -147,80 +147,39 @@ def order_errors(v: Vehicle, count: int, seed: int) -> dict[str, float]:
 
 def section(v: Vehicle, count: int, seed: int) -> Section:
     """The section of the report."""
-    claims = [
-        Claim(f"drag along body {name}: speed", error, 1e-11, "m/s",
-              "exponential decay at 0.25 1/s: RK4 errs by (0.001)⁵/120 a step, so rounding: 3 m/s × 500 "
-              "steps × 1.1e-16 × some operations, times 10")
-        for name, error in drag_errors(v).items()
-    ]  # fmt: skip
+
+    def claim(key, measured, **filling):
+        return WORDS.claim("isolated", key, measured, **filling)
+
+    claims = [claim("drag", error, name=name) for name, error in drag_errors(v).items()]
     for integrator in ("RK4", "implicitfast", "Euler"):
         lag, height = lag_errors(v, integrator)
-        exact = integrator != "RK4"
-        claims.append(
-            Claim(f"thrust lag after a PWM step, {integrator}: Ω", lag, 1e-12 if exact else 5e-8, "relative",
-                  "the zero-order hold is exact: rounding of 500 steps, times 10" if exact else
-                  "RK4 at 4 ms errs by (a h)⁵/120 of the deviation a substep; largest at t = 1/a: (a "
-                  "h)⁴/120 / e = 4.5e-8")
-        )  # fmt: skip
-        if not exact:
-            claims.append(
-                Claim("thrust lag after a PWM step, RK4: height", height, 1e-7, "m",
-                      "7.6e-9 × 7 m/s² / a² at each substep while the lag lasts (16 of them), kept as "
-                      "speed for 2 s")
-            )  # fmt: skip
+        if integrator == "RK4":
+            claims += [claim("lag_rk4", lag), claim("lag_height", height)]
+        else:
+            claims.append(claim("lag", lag, integrator=integrator))
     rows = []
-    for attitude, limit, why in (
-        ("kinematic", 5e-8, "RK4 at 4 ms: (h/τ)⁵/120 of the deviation a substep; largest at t = τ: "
-                            "(h/τ)⁴/120 / e × 33 deg = 2.3e-8 deg, times 2"),
-        ("rate_loop", 5e-5, "the fast mode has the amplitude 33 deg / (B τ - 1) = 4.1 deg; largest at "
-                            "t = 1/B: (B h)⁴/120 / e × 4.1 deg = 2.0e-5 deg, times 2.5"),
-    ):  # fmt: skip
+    for attitude in flying.ATTITUDES:
         alone = {name: angle_errors(v, attitude, (name,)) for name in ("roll", "pitch", "yaw")}
         together = angle_errors(v, attitude, ("roll", "pitch", "yaw"))
         mode = attitude.replace("_", " ")
         for name in alone:
-            claims.append(Claim(f"{name} alone, {mode}", alone[name][name], limit, "deg", why))
+            claims.append(claim(f"alone_{attitude}", alone[name][name], name=name, mode=mode))
         others = max(alone[name][other] for name in alone for other in alone if other != name)
-        claims.append(
-            Claim(f"the other two angles meanwhile, {mode}", others, 1e-9, "deg",
-                  "one axis turned alone stays one axis: rounding")
-        )  # fmt: skip
-        coupled = {"kinematic": 2e-5, "rate_loop": 2e-3}[attitude]
-        claims.append(
-            Claim(f"roll, pitch and yaw at once, {mode}", max(together.values()), coupled, "deg",
-                  "the tolerance of the flights with the same motion, less the margin for 30 commands: the "
-                  "loops do not couple in Euler coordinates")
-        )  # fmt: skip
+        claims.append(claim("others", others, mode=mode))
+        claims.append(claim(f"together_{attitude}", max(together.values()), mode=mode))
         rows += [(mode, name, alone[name][name], together[name]) for name in alone]
     orders = order_errors(v, count, seed)
-    claims.append(
-        Claim("thrust direction of Rz(yaw) Rx(roll) Ry(pitch)", orders["ZXY"], 1e-9, "deg",
-              "rounding, some 1e-15 rad, times 1e4")
-    )  # fmt: skip
-    nearest = min((error, order) for order, error in orders.items() if order != "ZXY")
-    claims.append(
-        Claim(f"of the nearest other order ({nearest[1]})", nearest[0], math.inf, "deg",
-              "must be far away, or the test could not tell the orders apart", low=5.0)
-    )  # fmt: skip
-    return Section(
-        "isolated",
-        "Every term by itself",
-        [
-            "Drag, thrust lag and each Euler axis flown alone in the engine and compared with their closed "
-            "solutions, written from the paper's formulas without the code of the equations, so that an "
-            "error shared by both plants would show. The thrust direction tells the order of rotations "
-            "apart."
-        ],
-        claims,
-        [
-            Table(
-                "Attitude steps: largest error [deg]", ("mode", "angle", "alone", "all three at once"), rows
-            ),
-            Table(
-                "Thrust direction against each order of rotations",
-                ("order", "largest angle between [deg]"),
-                [(order, error) for order, error in orders.items()],
-            ),
-        ],
-        remarks=[f"Of the other five orders even the nearest misses the thrust by {number(nearest[0])} deg."],
-    )
+    claims.append(claim("order", orders["ZXY"]))
+    missed, order = min((error, order) for order, error in orders.items() if order != "ZXY")
+    claims.append(claim("nearest", missed, order=order))
+    heads = ("mode", "angle", "alone", "all three at once")
+    tables = [
+        Table("Attitude steps: largest error [deg]", heads, rows),
+        Table(
+            "Thrust direction against each order of rotations",
+            ("order", "largest angle between [deg]"),
+            list(orders.items()),
+        ),
+    ]
+    return WORDS.section("isolated", claims, {"missed": number(missed)}, tables=tables)

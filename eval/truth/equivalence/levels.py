@@ -12,6 +12,7 @@ from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import (
     ATTITUDES,
     HEIGHT,
+    WORDS,
     angle_gap,
     engine,
     equations,
@@ -23,16 +24,11 @@ from inclined_landing.models.equations import derivative
 from inclined_landing.models.parameters import Vehicle, constants
 
 PAPER_SUBSTEPS = 1  # RK4 at the control period, as the paper integrates
+FLIGHT_LIMITS = {
+    attitude: tuple(WORDS.tables["levels"][f"flight_{attitude}_{q}"]["high"] for q in ("position", "angle"))
+    for attitude in ATTITUDES
+}  # m, deg
 _PLAIN = {"kinematic": "kinematic", "rate_loop": "rate loop"}
-
-
-@dataclasses.dataclass(frozen=True)
-class Accelerations:
-    """Largest differences of one forward pass."""
-
-    linear: float  # m/s2
-    angular: float  # rad/s2, body axes
-    lag: float  # PWM, relative to the largest rate
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,19 +46,14 @@ class Gaps:
 
     def by_group(self) -> list[tuple[str, float, float]]:
         """(label, m, deg) largest of each group."""
-        return [
-            (
-                label,
-                float(self.position[:, self.group == k].max()),
-                float(self.angle[:, self.group == k].max()),
-            )
-            for k, label in enumerate(self.labels)
-        ]
+        parts = [(label, self.group == k) for k, label in enumerate(self.labels)]
+        return [(s, float(self.position[:, k].max()), float(self.angle[:, k].max())) for s, k in parts]
 
 
-def accelerations(vehicle: Vehicle, attitude: str, count: int, seed: int) -> Accelerations:
+def accelerations(vehicle: Vehicle, attitude: str, count: int, seed: int) -> dict[str, float]:
     """`count` random states: one mj_forward, plugins included, against one evaluation of the equations.
 
+    Largest differences: linear [m/s2], angular [rad/s2, body axes], lag [PWM, relative to the largest rate].
     Kinematic: the body rates are those of the first-order loops, and the body accelerations must be
     those of the loops' own motion, d2(angle)/dt2 = -d(angle)/dt / tau.
     """
@@ -93,7 +84,7 @@ def accelerations(vehicle: Vehicle, attitude: str, count: int, seed: int) -> Acc
         linear = max(linear, np.abs(data.qacc[:3] - wanted["acceleration"]).max())
         angular = max(angular, np.abs(data.qacc[3:] - turning).max())
         lag = max(lag, abs(data.act_dot[0] - wanted["lag_rate"]) / vehicle.command_pwm_range[1])
-    return Accelerations(float(linear), float(angular), float(lag))
+    return {"linear": float(linear), "angular": float(angular), "lag": float(lag)}
 
 
 def _random_state(rng) -> np.ndarray:
@@ -155,79 +146,27 @@ def rollouts(
 ) -> Gaps:
     """Flights of 6 s in the engine against `flown` (steps, n, 13), commands only."""
     commands, starts, group = stack(vehicle, sequences)
-    return _gaps(
-        sequences,
-        group,
-        flying.fly(engine(len(group), attitude, vehicle, **options), commands, starts),
-        flown,
-    )
+    landed = flying.fly(engine(len(group), attitude, vehicle, **options), commands, starts)
+    return _gaps(sequences, group, landed, flown)
 
 
 def _gaps(sequences, group, a, b) -> Gaps:
     return Gaps([s.label for s in sequences], group, position_gap(a, b), angle_gap(a, b))
 
 
-def acceleration_claims(attitude: str, found: Accelerations, count: int) -> list[Claim]:
+def acceleration_claims(attitude: str, found: dict[str, float], count: int) -> list[Claim]:
     """Level 1."""
     where = f"{_PLAIN[attitude]}, {count} random states"
-    return [
-        Claim(f"linear acceleration, {where}", found.linear, 1e-11, "m/s²",
-              "rounding: up to 100 m/s², some hundred operations of 1.1e-16 each, times 10"),
-        Claim(f"angular acceleration, {where}", found.angular, 1e-9, "rad/s²",
-              "rounding: up to 2000 rad/s², divided by cos(roll) ≥ 0.36 and by the inertia, times 10"),
-        Claim(f"rate of the thrust lag, {where}", found.lag, 1e-14, "of full PWM",
-              "rounding: one product and one difference"),
-    ]  # fmt: skip
-
-
-STEP_LIMITS = {"kinematic": (2e-8, 1e-5), "rate_loop": (2e-8, 1e-4)}  # m, deg
-FLIGHT_LIMITS = {"kinematic": (2e-5, 2e-4), "rate_loop": (1e-4, 2e-3)}  # m, deg
-PAPER_STEP_LIMIT = 5e-4  # m
-_STEP_WHY = {
-    "kinematic": (
-        "lag at h = 4 ms: (a h)⁵/120 = 8e-9 of a speed change of 1 m/s, kept for the rest of 20 ms, five "
-        "times: 1e-9 m; a margin of twenty for the turning thrust",
-        "turning at ω ≤ 8.5 rad/s: (ω h)⁵ = 4.5e-8 rad, five times: 1.3e-5 deg before the constant of RK4, "
-        "which is below one",
-    ),
-    "rate_loop": (
-        "1.7e-6 rad (the angle's tolerance) of a thrust of 20 m/s² for 20 ms: 20 × 1.7e-6 × 0.02²/2 = 7e-9 "
-        "m, times 3",
-        "RK4 at h = 4 ms: (B h)⁵/120 = 2.7e-6 of the angle that a rate change of 6.3 rad/s makes in 1/B, "
-        "7.2 deg, is 2e-5 deg; five decaying substeps 7e-5 deg",
-    ),
-}
-_FLIGHT_WHY = {
-    "kinematic": (
-        "30 command changes with a speed error of 1e-8 m/s each, kept for up to 6 s: 2e-6 m; times ten for "
-        "the tilt errors, which grow with t²",
-        "the step's 1e-5 deg after each of 30 command changes, fading with τ; without fading for yaw",
-    ),
-    "rate_loop": (
-        "1e-4 deg = 1.7e-6 rad after each command change, fading with τ = 0.18 s: 20 m/s² × 1.7e-6 × 0.18 "
-        "s = 6e-6 m/s; √30 of them for 3 s on average: 1e-4 m",
-        "the step's 1e-4 deg after a command change, of which at most a few have not faded; yaw keeps √30 "
-        "of them and its axis error",
-    ),
-}
+    return [WORDS.claim("levels", key, value, where=where) for key, value in found.items()]
 
 
 def gap_claims(attitude: str, step: Gaps, flight: Gaps) -> list[Claim]:
     """Levels 2 and 3, every family."""
-    metres, degrees = STEP_LIMITS[attitude]
-    p, a = step.largest()
-    name = f"one control step, {_PLAIN[attitude]}"
-    claims = [
-        Claim(f"{name}: position", p, metres, "m", _STEP_WHY[attitude][0]),
-        Claim(f"{name}: angle", a, degrees, "deg", _STEP_WHY[attitude][1]),
-    ]
-    metres, degrees = FLIGHT_LIMITS[attitude]
-    for label, p, a in flight.by_group():
-        name = f"6 s {_PLAIN[attitude]}, {label}"
-        claims += [
-            Claim(f"{name}: position", p, metres, "m", _FLIGHT_WHY[attitude][0]),
-            Claim(f"{name}: angle", a, degrees, "deg", _FLIGHT_WHY[attitude][1]),
-        ]
+    claims = []
+    for level, label, *gaps in [("step", "", *step.largest()), *(("flight", *g) for g in flight.by_group())]:
+        for quantity, gap in zip(("position", "angle"), gaps):
+            key = f"{level}_{attitude}_{quantity}"
+            claims.append(WORDS.claim("levels", key, gap, mode=_PLAIN[attitude], label=label))
     return claims
 
 
@@ -252,12 +191,8 @@ def section(
         ]
         if attitude == "kinematic":
             coarse = reference(vehicle, attitude, sequences, PAPER_SUBSTEPS)
-            claims.append(
-                Claim("6 s kinematic, against RK4 at the paper's 0.02 s: position",
-                      rollouts(vehicle, attitude, sequences, coarse).largest()[0], PAPER_STEP_LIMIT, "m",
-                      "the error of RK4 at 0.02 s itself: (a h)⁵/120 = 2.4e-5 of the lag at each step of "
-                      "the PWM")
-            )  # fmt: skip
+            largest, _ = rollouts(vehicle, attitude, sequences, coarse).largest()
+            claims.append(WORDS.claim("levels", "paper_step", largest))
             commands, starts, _ = stack(vehicle, sequences)
             uncertain = next(c.uncertainty for c in constants() if (c.section, c.name) == ("body", "mass"))
             heavier = flying.fly(
@@ -268,26 +203,16 @@ def section(
             tick()
     worst = max(c.measured for c in claims if c.unit == "m" and "rate loop" in c.name)
     speed = float(np.linalg.norm(flown[..., VX : VZ + 1], axis=-1).max())
-    n = len(stack(vehicle, sequences)[2])
-    text = [
-        f"{n} command sequences of 6 s ({', '.join(dict.fromkeys(s.family for s in sequences))}; half in "
-        f"the plane, half in three dimensions with yaw), flown {HEIGHT:.0f} m above everything, up to "
-        f"{speed:.0f} m/s. Kinematic mode is compared with the paper's equations, the rate loop with the "
-        "equations extended by the same bandwidth; both solved with RK4 at 1 ms, the engine runs its "
-        "default, RK4 at 4 ms. Torque limits are off, as the equations have none.",
-    ]
-    remarks = [
-        f"For scale: the uncertainty of the mass alone ({number(1e3 * uncertain)} g) moves these flights "
-        f"by {scale:.2g} m at their end, {number(scale / worst)} times the largest difference between "
-        "engine and equations."
-    ]
-    return (
-        Section(
-            "levels", "Three levels", text, claims,
-            [Table("Largest differences by family",
-                   ("mode", "commands", "6 s: position [m]", "one step: position [m]", "6 s: angle [deg]"),
-                   table)],
-            remarks=remarks, data={"mass_uncertainty_moves_m": scale, "largest_speed": speed},
-        ),
-        drawn,
-    )  # fmt: skip
+    heads = ("mode", "commands", "6 s: position [m]", "one step: position [m]", "6 s: angle [deg]")
+    filling = {
+        "count": sum(len(s.yaw) for s in sequences),
+        "families": ", ".join(dict.fromkeys(s.family for s in sequences)),
+        "height": HEIGHT,
+        "speed": speed,
+        "grams": number(1e3 * uncertain),
+        "metres": scale,
+        "times": number(scale / worst),
+    }
+    tables = [Table("Largest differences by family", heads, table)]
+    data = {"mass_uncertainty_moves_m": scale, "largest_speed": speed}
+    return WORDS.section("levels", claims, filling, tables=tables, data=data), drawn

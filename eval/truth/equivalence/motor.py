@@ -14,8 +14,8 @@ from importlib import resources
 import mujoco
 import numpy as np
 
-from inclined_landing.eval.base.claims import Claim, Section, Table
-from inclined_landing.eval.truth.equivalence.flying import engine
+from inclined_landing.eval.base.claims import Section, Table
+from inclined_landing.eval.truth.equivalence.flying import WORDS, engine
 from inclined_landing.models.parameters import Vehicle
 
 SAMPLES = 500  # one second
@@ -83,34 +83,15 @@ def section(v: Vehicle, seed: int) -> tuple[Section, dict]:
         name: np.abs(continuous(unrounded, pwm, name) - wanted).max() / full for name in ("RK4", "Euler")
     }
     rounded = continuous(v, pwm, "RK4")
-    fields = ("thrust_lag_rate", "thrust_state_gain", "thrust_direct_gain")
-    rows = [
-        (
-            name,
-            f"{getattr(unrounded, name):.7g}",
-            f"{getattr(v, name):.7g}",
-            getattr(v, name) / getattr(unrounded, name) - 1,
-        )
-        for name in fields
-    ]
-    claims = [
-        Claim("discrete function against the engine's exact hold (Euler, 2 ms)", errors["Euler"], 1e-13,
-              "of full thrust", "the same recursion: rounding of 500 samples, which fades with the pole"),
-        Claim("discrete function against RK4 at 2 ms", errors["RK4"], 1e-8, "of full thrust",
-              "(a h)⁵/120 = 2.3e-10 a step, fading with the pole: divided by 1 - pole, 33 steps"),
-        Claim("the model's rounded coefficients", np.abs(rounded - wanted).max() / full, 1e-3,
-              "of full thrust",
-              "they have four and five digits: sum of the three relative differences in the table"),
-    ]  # fmt: skip
-    part = Section(
-        "motor",
-        "The motor function",
-        [
-            "The paper gives one motor as a discrete function at 500 Hz. Between samples with held "
-            "commands it is exactly a continuous lag; the vehicle file has that lag with four or five "
-            "digits."
-        ],
-        claims,
-        [Table("Coefficients", ("coefficient", "exact", "vehicle file", "relative difference"), rows)],
-    )
+    rows = []
+    for name in ("thrust_lag_rate", "thrust_state_gain", "thrust_direct_gain"):
+        own, file = getattr(unrounded, name), getattr(v, name)
+        rows.append((name, f"{own:.7g}", f"{file:.7g}", file / own - 1))
+    measured = {
+        "exact": errors["Euler"],
+        "rk4": errors["RK4"],
+        "rounded": np.abs(rounded - wanted).max() / full,
+    }
+    heads = ("coefficient", "exact", "vehicle file", "relative difference")
+    part = WORDS.section("motor", measured, tables=[Table("Coefficients", heads, rows)])
     return part, {"pwm": pwm, "discrete": wanted, "engine": rounded}

@@ -29,7 +29,6 @@ SEQUENCES, STATES = 16, 1000  # of each family and dimension; random states of a
 QUICK_SEQUENCES, QUICK_STATES = 4, 200
 QUICK_STARTS = 4  # every fourth of the frozen grid
 TICKS = 30  # of the progress bar
-_FULL_2D, _FULL_3D, _RECORDED_2D = "full steps, 2-D", "full steps, 3-D", "recorded, 2-D"
 
 
 def measure(
@@ -39,7 +38,6 @@ def measure(
     v = policy.task.vehicle
     n, states = (QUICK_SEQUENCES, QUICK_STATES) if quick else (SEQUENCES, STATES)
     starts = landing_starts.clear(policy.task, landing_starts.grid())[:: QUICK_STARTS if quick else 1]
-    drawn: dict[str, Figure] = {}
 
     def within(text):
         return lambda: tick(text)
@@ -47,49 +45,31 @@ def measure(
     tick("command sequences")
     flights = sequences.all_sequences(v, n, seed, policy)
     by_label = {s.label: s for s in flights}
+    full, recorded = by_label["full steps, 3-D"], by_label["recorded, 2-D"]
     tick("three levels")
     level, gaps = levels.section(v, flights, states, seed, within("three levels"))
-    drawn["levels.png"] = figures.levels(v, gaps)
-    level.figures["levels.png"] = (
-        "Left and centre: largest position difference between engine and equations over the flights of "
-        "each family. Right: the differences that one control step makes, from every state of the flights."
-    )
     tick("single terms")
     alone = isolated.section(v, states // 2, seed)
     tick("native twin")
-    native = twin.section(v, by_label[_FULL_2D].commands)
+    native = twin.section(v, by_label["full steps, 2-D"].commands)
     tick("motor function")
     motors, thrust = motor.section(v, seed)
-    drawn["motor.png"] = figures.motor_figure(thrust)
-    motors.figures["motor.png"] = (
-        "The paper's discrete function and the engine's thrust under random commands."
-    )
     tick("convergence")
-    order, errors = convergence.section(v, by_label[_FULL_3D].commands, within("convergence"))
-    drawn["convergence.png"] = figures.convergence_figure(errors)
-    order.figures["convergence.png"] = "Position error after 1 s against the step."
+    order, errors = convergence.section(v, full.commands, within("convergence"))
     tick("bandwidth")
-    loop, found = bandwidth.section(v, by_label[_FULL_3D], by_label[_RECORDED_2D], within("bandwidth"))
-    drawn["bandwidth.png"] = figures.bandwidth_figure(v, found)
-    loop.figures["bandwidth.png"] = (
-        "Left: the rate loop leaves the paper's equations in proportion to 1/B and meets the extended ones. "
-        "Right: it answers a step one 1/B late."
-    )
+    loop, found = bandwidth.section(v, full, recorded, within("bandwidth"))
     tick("closed loop")
     closed, flown = closed_loop.section(policy, starts, within("closed loop"))
-    drawn["closed_loop.png"] = figures.closed_loop_figure(flown)
-    closed.figures["closed_loop.png"] = (
-        "Landings of the same policy from the same starts. The dotted and dashed curves, which hold the "
-        "same models in the other plant, lie on the coloured ones."
-    )
     tick("inconsistencies")
-    odd, shown = inconsistencies.section(v, by_label[_RECORDED_2D])
-    drawn["inconsistencies.png"] = figures.inconsistencies_figure(v, shown)
-    odd.figures["inconsistencies.png"] = (
-        "Left: the two thrust maps of the paper and the PWM at which each carries the weight. Right: "
-        "distance between the public code's planar motion and the paper's equations under the same "
-        "commands."
-    )
+    odd, shown = inconsistencies.section(v, recorded)
+    drawn = {
+        "levels.png": figures.levels(v, gaps),
+        "motor.png": figures.motor_figure(thrust),
+        "convergence.png": figures.convergence_figure(errors),
+        "bandwidth.png": figures.bandwidth_figure(v, found),
+        "closed_loop.png": figures.closed_loop_figure(flown),
+        "inconsistencies.png": figures.inconsistencies_figure(v, shown),
+    }
     return [level, alone, native, motors, order, loop, closed, odd], drawn
 
 
