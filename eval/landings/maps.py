@@ -61,10 +61,8 @@ def make_map(x: Parameter, y: Parameter, xs: np.ndarray, ys: np.ndarray, outcome
     xs, ys = xs / x.factor, ys / y.factor
     bins = int(np.clip(math.sqrt(len(xs) / _PER_CELL), *_CELLS))
     (x_edges, x_level), (y_edges, y_level) = _edges(xs, bins), _edges(ys, bins)
-    i = np.clip(np.searchsorted(x_edges, xs, side="right") - 1, 0, len(x_edges) - 2)
-    j = np.clip(np.searchsorted(y_edges, ys, side="right") - 1, 0, len(y_edges) - 2)
     counts = np.zeros((len(y_edges) - 1, len(x_edges) - 1, len(OUTCOMES)), int)
-    np.add.at(counts, (j, i, outcome), 1)
+    np.add.at(counts, (_cells(ys, y_edges), _cells(xs, x_edges), outcome), 1)
     return Map(x, y, x_edges, y_edges, counts, x_level and y_level)
 
 
@@ -80,18 +78,22 @@ def _edges(values: np.ndarray, bins: int) -> tuple[np.ndarray, bool]:
     return np.concatenate([[first], middle, [last]]), True
 
 
+def _cells(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """The cell that each value is in."""
+    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+
+
 def quasi_static(one: Map, fixed: dict[str, float]) -> tuple[np.ndarray, np.ndarray] | None:
     """The line tan(inclination) = friction in the map's units; None where it says nothing.
 
     fixed: values [SI] of the parameters that do not vary.
     """
     names = one.x.name, one.y.name
-    (x0, x1), (y0, y1) = one.x_edges[[0, -1]], one.y_edges[[0, -1]]
     if set(names) == {"inclination", "friction"}:
-        swap = names[0] == "friction"
-        span = np.linspace(*((y0, y1) if swap else (x0, x1)), 200)
-        mu = np.tan(np.radians(span))
-        return (mu, span) if swap else (span, mu)
+        slope = 0 if names[0] == "inclination" else 1
+        span = np.linspace(*(one.x_edges, one.y_edges)[slope][[0, -1]], 200)
+        line = span, np.tan(np.radians(span))
+        return line if slope == 0 else line[::-1]
     for axis, name in enumerate(names):
         if name == "friction" and "inclination" in fixed:
             value = math.tan(fixed["inclination"])
@@ -100,7 +102,7 @@ def quasi_static(one: Map, fixed: dict[str, float]) -> tuple[np.ndarray, np.ndar
         else:
             continue
         line = np.array([value, value])
-        return (line, np.array([y0, y1])) if axis == 0 else (np.array([x0, x1]), line)
+        return (line, one.y_edges[[0, -1]]) if axis == 0 else (one.x_edges[[0, -1]], line)
     return None
 
 
@@ -129,16 +131,11 @@ def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
     with styled():
         figure = Figure(figsize=(8.6, 4.15), layout="constrained")
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
-        seen = one.counts.sum(axis=(0, 1)) > 0
         total = one.counts.sum(axis=2)
-        best = one.counts.argmax(axis=2)
-        picture = np.ones((*best.shape, 3))
-        for k, name in enumerate(OUTCOMES):
-            # The paler, the smaller the majority.
-            with np.errstate(invalid="ignore", divide="ignore"):
-                share = np.nan_to_num(one.counts[:, :, k] / total)
-            weight = (0.25 + 0.75 * np.clip((share - 0.3) / 0.7, 0, 1))[best == k][:, None]
-            picture[best == k] = 1.0 - weight * (1.0 - np.array(to_rgb(COLOURS[name])))
+        colours = np.array([to_rgb(COLOURS[name]) for name in OUTCOMES])
+        share = one.counts.max(axis=2) / np.maximum(total, 1)
+        weight = 0.25 + 0.75 * np.clip((share - 0.3) / 0.7, 0, 1)  # the paler, the smaller the majority
+        picture = 1.0 - weight[:, :, None] * (1.0 - colours[one.counts.argmax(axis=2)])
         picture[total == 0] = 1.0
         left.pcolormesh(one.x_edges, one.y_edges, picture, rasterized=True)
         mesh = right.pcolormesh(
@@ -146,7 +143,7 @@ def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
         )
         bar = figure.colorbar(mesh, ax=right, label="landings that rest [%]", pad=0.02)
         bar.outline.set_visible(False)
-        handles = [Patch(color=COLOURS[name], label=name) for k, name in enumerate(OUTCOMES) if seen[k]]
+        handles = _patches(one.counts.any(axis=(0, 1)))
         handles += _lines(left, one, fixed, (0.5,))
         _lines(right, one, fixed, (0.1, 0.5, 0.9) if one.levels else (0.5,))
         left.set_ylabel(one.y.title())
@@ -154,16 +151,15 @@ def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
         lines = "; lines at 10, 50, 90 %" if one.levels else ""
         right.set_title(f"share at rest on the feet{lines}", loc="left")
         for axes in (left, right):
-            axes.set_xlabel(one.x.title())
-            axes.set(xlim=one.x_edges[[0, -1]], ylim=one.y_edges[[0, -1]])
-        figure.legend(
-            handles=handles,
-            loc="outside lower center",
-            ncols=len(handles),
-            columnspacing=1.3,
-            handlelength=1.6,
-        )
+            axes.set(xlabel=one.x.title(), xlim=one.x_edges[[0, -1]], ylim=one.y_edges[[0, -1]])
+        spacing = {"columnspacing": 1.3, "handlelength": 1.6}
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), **spacing)
     return figure
+
+
+def _patches(seen: np.ndarray) -> list:
+    """Legend handles of the outcomes that are seen (bool, of each)."""
+    return [Patch(color=COLOURS[name], label=name) for name, there in zip(OUTCOMES, seen) if there]
 
 
 def _lines(axes: Axes, one: Map, fixed: dict[str, float], shares: tuple[float, ...]) -> list:
@@ -177,9 +173,8 @@ def _lines(axes: Axes, one: Map, fixed: dict[str, float], shares: tuple[float, .
         handles += axes.plot([], [], color=INK, lw=2.0, label="half of them rest")
     predicted = quasi_static(one, fixed)
     if predicted:
-        handles += axes.plot(
-            *predicted, color="black", lw=1.8, ls=(0, (4, 2)), label="tan(inclination) = friction"
-        )
+        look = {"color": "black", "lw": 1.8, "ls": (0, (4, 2))}
+        handles += axes.plot(*predicted, label="tan(inclination) = friction", **look)
     return handles
 
 
@@ -187,7 +182,8 @@ def profile_figure(parameters: list[tuple[Parameter, np.ndarray]], outcome: np.n
     """Shares of the outcomes over each varied parameter, stacked, everything else as it varies."""
     columns = min(3, len(parameters))
     rows = -(-len(parameters) // columns)
-    present = [k for k in range(len(OUTCOMES)) if (outcome == k).any()]
+    present = np.bincount(outcome, minlength=len(OUTCOMES)) > 0
+    colours = [colour for colour, there in zip(COLOURS.values(), present) if there]
     with styled():
         figure = Figure(figsize=(2.9 * columns + 0.2, 1.95 * rows + 0.55), layout="constrained")
         grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
@@ -196,15 +192,13 @@ def profile_figure(parameters: list[tuple[Parameter, np.ndarray]], outcome: np.n
         for axes, (parameter, values) in zip(grid.ravel(), parameters):
             values = values / parameter.factor
             edges, levels = _edges(values, _BINS_OF_PROFILE)
-            bins = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-            total = np.maximum(np.bincount(bins, minlength=len(edges) - 1), 1)
             middles = np.unique(values) if levels else 0.5 * (edges[1:] + edges[:-1])
-            stack = [100 * np.bincount(bins[outcome == k], minlength=len(edges) - 1) / total for k in present]
-            colours = [COLOURS[OUTCOMES[k]] for k in present]
-            axes.stackplot(middles, stack, colors=colours, lw=0, alpha=0.9)
+            counts = np.zeros((len(OUTCOMES), len(edges) - 1))
+            np.add.at(counts, (outcome, _cells(values, edges)), 1)
+            shares = 100 * counts / np.maximum(counts.sum(axis=0), 1)
+            axes.stackplot(middles, shares[present], colors=colours, lw=0, alpha=0.9)
             axes.set(xlim=(middles[0], middles[-1]), ylim=(0, 100), xlabel=parameter.title())
         for row in grid:
             row[0].set_ylabel("landings [%]")
-        handles = [Patch(color=COLOURS[OUTCOMES[k]], label=OUTCOMES[k]) for k in present]
-        figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+        figure.legend(handles=_patches(present), loc="outside upper center", ncols=present.sum())
     return figure
