@@ -7,7 +7,6 @@ import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy import stats
 
 from inclined_landing.eval.gap.answer import manoeuvres
 from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE, Landing, landings_of
@@ -24,12 +23,12 @@ from inclined_landing.eval.gap.result import (
 )
 from inclined_landing.eval.gap.search import after_touch, contact, remainder, rollout
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
-from inclined_landing.eval.gap.search.fit import left_out_vehicles, refit, spread_between
+from inclined_landing.eval.gap.search.fit import estimates, left_out_vehicles, refit, spread_between
 from inclined_landing.eval.gap.search.naming import Search, search
 from inclined_landing.eval.gap.search.prediction import CHANNELS
 from inclined_landing.eval.gap.search.trial import Thresholds
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models.effects import LIBRARY, Effect, Parameter
+from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
@@ -204,17 +203,23 @@ def _united(problem: Problem, found: Search, name: str) -> Search:
 
 
 def _named(problem: Problem | after_touch.TouchdownProblem, found: Search) -> tuple[NamedEffect, ...]:
-    fit = found.fit
-    covariance = fit.weighted.covariance(fit.index) if len(fit.index) else np.zeros((0, 0))
-    change, error = fit.weighted.per_flight(fit.index)
-    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
-    estimates: dict[str, dict[str, Estimate]] = {name: {} for name in fit.values}
-    for k, column in enumerate(fit.weighted.columns):
-        half = quantile * float(np.sqrt(max(0.0, covariance[k, k])))
-        p, value = problem.parameter(column), fit.values[column.effect][column.parameter]
-        estimates[column.effect][p.name] = _estimate(p, value, half, change[:, k], error[:, k])
+    named: dict[str, dict[str, Estimate]] = {name: {} for name in found.fit.values}
+    for effect, p, value, half, change, error in estimates(problem, found.fit):
+        lo, hi = p.bounds
+        own = np.where(error < 10 * max(abs(value - p.neutral), p.negligible), value + change, np.nan)
+        named[effect][p.name] = Estimate(
+            value=value,
+            unit=p.unit,
+            ci95=(float(max(lo, value - half)), float(min(hi, value + half))),
+            neutral=p.neutral,
+            bounds=p.bounds,
+            at_bound=bool(min(value - lo, hi - value) <= 1e-6 * (hi - lo)),
+            per_flight=tuple(map(float, own)),
+            per_flight_error=tuple(map(float, error)),
+            spread=spread_between(change, error),
+        )
     effects = []
-    for name, parameters in estimates.items():
+    for name, parameters in named.items():
         cause, effect = found.follows.get(name, ""), problem.library[name]
         effects.append(
             NamedEffect(
@@ -229,23 +234,6 @@ def _named(problem: Problem | after_touch.TouchdownProblem, found: Search) -> tu
             )
         )
     return tuple(sorted(effects, key=lambda e: -e.gain))
-
-
-def _estimate(p: Parameter, value: float, half: float, change: np.ndarray, error: np.ndarray) -> Estimate:
-    """half: of the interval; change (f,) and error (f,): what every flight alone would have it."""
-    lo, hi = p.bounds
-    own = np.where(error < 10 * max(abs(value - p.neutral), p.negligible), value + change, np.nan)
-    return Estimate(
-        value=value,
-        unit=p.unit,
-        ci95=(float(max(lo, value - half)), float(min(hi, value + half))),
-        neutral=p.neutral,
-        bounds=p.bounds,
-        at_bound=bool(min(value - lo, hi - value) <= 1e-6 * (hi - lo)),
-        per_flight=tuple(map(float, own)),
-        per_flight_error=tuple(map(float, error)),
-        spread=spread_between(change, error),
-    )
 
 
 def _where(problem: Problem, before, after) -> tuple[WhereRow, ...]:
@@ -283,14 +271,10 @@ def _landing_gap(landed, before: Vehicle, after: Vehicle) -> PlantGap:
 def _starts(problem: Problem, notes: list[str]) -> rollout.Starts | None:
     """Windows for the gap; flights at the most usual rate."""
     try:
-        starts = rollout.Starts.of(problem.flights)
+        return rollout.Starts.of(problem.flights)
     except UserError as error:
         notes.append(f"the gap after one second was not measured: {error}")
         return None
-    if not len(starts):
-        notes.append("the gap after one second was not measured: no stretch of free flight is long enough")
-        return None
-    return starts
 
 
 def _horizon(problem, starts, found: Search, after, floor) -> tuple[HorizonCurve, ...]:

@@ -13,11 +13,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
 
 from inclined_landing.eval.gap.flights.windows import Measured, prepare_all
 from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.fit import Fitted, left_out_vehicles, refit, spread_between
+from inclined_landing.eval.gap.search.fit import Fitted, estimates, left_out_vehicles, refit, spread_between
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
@@ -196,14 +195,9 @@ def _compared(flights: list[Measured], before: Vehicle, after: Sequence[Vehicle]
 
 
 def _parameters(problem: Problem, fit: Fitted, before: Vehicle) -> tuple[Identified, ...]:
-    covariance = fit.weighted.covariance(fit.index)
-    change, error = fit.weighted.per_flight(fit.index)
-    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     result = []
-    for k, column in enumerate(fit.weighted.columns):
-        p = problem.parameter(column)
-        c, value = p.constant, fit.values[column.effect][p.name]
-        half = quantile * math.sqrt(covariance[k, k])
+    for _, p, value, half, change, error in estimates(problem, fit):
+        c = p.constant
         ends = sorted(c.number(before, float(np.clip(value + s * half, *p.bounds))) for s in (-1, 1))
         per_unit = abs(c.number(before, 2.0) - c.number(before, 1.0))
         result.append(
@@ -214,8 +208,8 @@ def _parameters(problem: Problem, fit: Fitted, before: Vehicle) -> tuple[Identif
                 before=c.number(before, p.neutral),
                 value=c.number(before, value),
                 ci95=(ends[0], ends[1]),
-                per_flight=tuple(c.number(before, float(x)) for x in value + change[:, k]),
-                spread=spread_between(change[:, k], error[:, k]) * per_unit,
+                per_flight=tuple(c.number(before, float(x)) for x in value + change),
+                spread=spread_between(change, error) * per_unit,
                 note="at its bound" if min(value - p.bounds[0], p.bounds[1] - value) < 1e-6 else "",
             )
         )

@@ -10,6 +10,7 @@ import numpy as np
 from inclined_landing.eval.gap.flights.windows import NEAR, prepare
 from inclined_landing.eval.gap.search import rollout
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
 EVERY = 1.0  # s between two predictions
@@ -47,8 +48,9 @@ def of(
     Raises UserError when the flight cannot be used at all.
     """
     flight = prepare(log, before, platform=platform)
-    starts = rollout.Starts.of([flight], every=EVERY)
-    if not len(starts):
+    try:
+        starts = rollout.Starts.of([flight], every=EVERY)
+    except UserError:
         return None
     poses = [rollout.simulate(starts, vehicle)[..., :3] for vehicle in (before, after)]
     shown = slice(starts.first[0], starts.first[-1] + starts.rows + 1)

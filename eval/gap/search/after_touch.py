@@ -10,7 +10,6 @@ differ, counts most.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
@@ -18,7 +17,7 @@ import numpy as np
 
 from inclined_landing.eval.gap.flights.landings import BEFORE, FLEETING, Landing
 from inclined_landing.eval.gap.search.evidence import Column, Linear, Suspects, Values, gram
-from inclined_landing.eval.gap.search.rollout import drive
+from inclined_landing.eval.gap.search.rollout import drive, undelayed
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, X, Y, Z
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.effects.contact import spring_of
@@ -105,24 +104,17 @@ def simulate(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
     dt = landings[0].dt
     rows = max(x.rows for x in landings)
     n = len(landings)
-    plain = dataclasses.replace(
-        vehicle,
-        effects_thrust_delay=0.0,
-        effects_attitude_delay=0.0,
-        effects_mocap_delay=0.0,
-    )
     state = np.stack([x.start for x in landings])
     commands = np.zeros((n, rows, 4))
     for k, x in enumerate(landings):
-        driven, lag = drive(_Driven(x.command, dt), vehicle)
+        driven, lag = drive(x.command, dt, vehicle)
         part = driven[x.first : x.first + rows]
         commands[k, : len(part)] = part
         commands[k, len(part) :] = part[-1]
         state[k, LAG] = lag[x.first]
     step = dt / math.ceil(dt / STEP - 1e-9)
-    plant = MujocoPlant(
-        n, plain, control_period=dt, timestep=step, integrator="implicitfast", torque_needs_motors=True
-    )
+    options = {"integrator": "implicitfast", "torque_needs_motors": True}
+    plant = MujocoPlant(n, undelayed(vehicle), control_period=dt, timestep=step, **options)
     plant.set_platform(np.arange(n), vehicle.platform_inclination)
     plant.reset(np.arange(n), state)
     pose = fly(plant, commands.swapaxes(0, 1))[..., [X, Y, Z, ROLL, PITCH, PITCH + 1]].swapaxes(0, 1)
@@ -136,11 +128,3 @@ def position_errors(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray
     samples = min(len(x.compared) for x in landings)
     apart = [(x.measured - s[x.compared])[:samples, :3] for x, s in zip(landings, simulated)]
     return np.linalg.norm(apart, axis=2)
-
-
-@dataclasses.dataclass
-class _Driven:
-    """What `rollout.drive` reads of a flight."""
-
-    command: np.ndarray
-    dt: float

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 
 import numpy as np
+from scipy import stats
 
 from inclined_landing.eval.gap.search.evidence import Column, Problem, Values, Weighted, solve
 from inclined_landing.models.parameters import Vehicle
@@ -104,6 +106,21 @@ def spread_between(value: np.ndarray, error: np.ndarray) -> float:
     q = (w * (value[good] - mean) ** 2).sum()
     excess = (q - (good.sum() - 1)) / (w.sum() - (w**2).sum() / w.sum())
     return math.sqrt(max(0.0, float(excess)))
+
+
+def estimates(problem: Problem, fit: Fitted) -> Iterator[tuple]:
+    """(effect, parameter, value, half, change, error) of every fitted parameter.
+
+    half: of its 95 % interval, clustered by group; change (f,): what every flight alone would make of the
+    value, with its standard error (f,).
+    """
+    covariance = fit.weighted.covariance(fit.index)
+    change, error = fit.weighted.per_flight(fit.index)
+    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
+    for k, column in enumerate(fit.weighted.columns):
+        half = quantile * math.sqrt(max(0.0, covariance[k, k]))
+        value = fit.values[column.effect][column.parameter]
+        yield column.effect, problem.parameter(column), value, half, change[:, k], error[:, k]
 
 
 def left_out_vehicles(problem: Problem, fit: Fitted) -> list[Vehicle]:

@@ -36,29 +36,15 @@ def predict(flight, vehicle: Vehicle) -> np.ndarray:
     dt, packed = flight.dt, pack(vehicle)
     pwm = averages(flight.command[:, PWM], dt, vehicle.effects_thrust_delay + late)
     angles = [averages(flight.command[:, k], dt, vehicle.effects_attitude_delay + late) for k in (1, 2, 3)]
-    middle_attitude, middle_rotation, start = (
-        flight.middle_attitude,
-        flight.middle_rotation,
-        flight.attitude[0],
-    )
+    attitude, rotation, start = flight.middle_attitude, flight.middle_rotation, flight.attitude[0]
     tilt = vehicle.effects_mocap_tilt
     if any(tilt):
-        middle_attitude, start = level(middle_attitude, tilt), level(flight.attitude[:1], tilt)[0]
-        middle_rotation = rotations(middle_attitude)
+        attitude, start = level(attitude, tilt), level(flight.attitude[:1], tilt)[0]
+        rotation = rotations(attitude)
     out = np.empty((flight.samples, 6))
     twist = np.zeros((flight.samples - 1, 3))
-    _translate(
-        flight.middle_position,
-        flight.middle_velocity,
-        middle_rotation,
-        middle_attitude,
-        pwm,
-        flight.ambient,
-        packed,
-        dt,
-        out,
-        twist,
-    )
+    middle = (flight.middle_position, flight.middle_velocity, rotation, attitude)
+    _translate(*middle, pwm, flight.ambient, packed, dt, out, twist)
     for k in (0, 1):
         out[:, ROLL_CHANNEL + k] = angle_steps(k, angles[k], twist[:, k], start[k], dt, packed)
     if any(tilt):  # with the measured heading: that of the loops is only compared up to its start

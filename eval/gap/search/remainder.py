@@ -49,9 +49,8 @@ def floors_with(problem: Problem, values: Values) -> dict[str, float]:
     return {c: float(np.sqrt(s)) for c, s in squares.items()}
 
 
-def assess(problem: Problem, white: list[np.ndarray], floors: dict[str, float] | None = None) -> Remainder:
+def assess(problem: Problem, white: list[np.ndarray], floors: dict[str, float]) -> Remainder:
     """Judge the errors `white`, one (w, 6, q) for each flight, of a corrected vehicle."""
-    floors = floors or FLOORS
     value, variance = sizes(problem, white)
     logged = problem.logged > 0.0
     size = {}
@@ -100,10 +99,7 @@ def quantities(problem: Problem) -> dict[str, np.ndarray]:
 
 
 def _dependences(problem: Problem, value, variance, large) -> list[Dependence]:
-    found = []
-    if not large:
-        return found
-    features = quantities(problem)
+    found, features = [], quantities(problem) if large else {}
     for channel in large:
         k = CHANNELS.index(channel)
         w = problem.logged[:, k] > 0.0

@@ -45,7 +45,7 @@ class Starts:
     def of(flights: Sequence[Measured], horizon: float = HORIZON, every: float = 1.0) -> Starts:
         """A window every `every` seconds wherever all of it is usable.
 
-        Raises UserError when the flights have different rates, or no stretch is long enough.
+        Raises UserError when the flights have different rates, and where no stretch is long enough.
         """
         dt = flights[0].dt
         if any(abs(f.dt - dt) > 0.02 * dt for f in flights):
@@ -59,6 +59,9 @@ class Starts:
                 if blocked[a + rows + 1] == blocked[a - margin]:
                     flight_of.append(k)
                     first.append(a)
+        if not first:
+            names = ", ".join(f.name for f in flights)
+            raise UserError(f"no stretch of {horizon:g} s in free flight in {names}")
         return Starts(list(flights), np.array(flight_of, int), np.array(first, int), rows, dt)
 
     def __len__(self) -> int:
@@ -100,12 +103,19 @@ def start_noise(flight: Measured) -> np.ndarray:
     return np.concatenate([factor[0] * p, factor[1] * p, factor[2] * a, factor[3] * a])
 
 
-def drive(flight: Measured, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
-    """Delayed commands (m - 1, 4), a mean over each step, and the thrust lag (m,) they lead to."""
+def drive(command: np.ndarray, dt: float, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
+    """Commands (m, 4) as delayed means (m - 1, 4) over each step, and the thrust lag (m,) they lead to."""
     late = vehicle.effects_mocap_delay
     delays = [vehicle.effects_thrust_delay + late] + [vehicle.effects_attitude_delay + late] * 3
-    commands = np.stack([averages(flight.command[:, k], flight.dt, d) for k, d in enumerate(delays)], axis=1)
-    return commands, equations.lags(commands[:, PWM], flight.dt, equations.pack(vehicle))
+    commands = np.stack([averages(command[:, k], dt, d) for k, d in enumerate(delays)], axis=1)
+    return commands, equations.lags(commands[:, PWM], dt, equations.pack(vehicle))
+
+
+def undelayed(vehicle: Vehicle) -> Vehicle:
+    """The vehicle for commands that `drive` has delayed."""
+    return dataclasses.replace(
+        vehicle, effects_thrust_delay=0.0, effects_attitude_delay=0.0, effects_mocap_delay=0.0
+    )
 
 
 def simulate(
@@ -115,20 +125,23 @@ def simulate(
 
     disturbance: (n, 12) added to position, velocity, attitude and body rates of the start states.
     """
-    driven = [drive(f, vehicle) for f in starts.flights]
+    driven = [drive(f.command, f.dt, vehicle) for f in starts.flights]
     commands = starts.gather([c for c, _ in driven])
     state = starts.gather([smoothed_states(f) for f in starts.flights], 1)[:, 0]
     tilt = vehicle.effects_mocap_tilt
     if any(tilt):
         state[:, ROLL : ROLL + 3] = level(state[:, ROLL : ROLL + 3].copy(), tilt)
-    state[:, LAG] = starts.gather([lag for _, lag in driven], 1)[:, 0]
+    lag = starts.gather([lag for _, lag in driven])
+    state[:, LAG] = lag[:, 0]
     if disturbance is not None:
         state[:, :LAG] += disturbance
     ambient = starts.gather([f.ambient for f in starts.flights])
     if plant not in PLANTS:
         raise UserError(f"unknown plant {plant!r}; known are {' and '.join(PLANTS)}")
-    run = _analytic if plant == "analytic" else _mujoco
-    pose = run(starts, vehicle, state, commands, ambient)
+    if plant == "analytic":
+        pose = _analytic(starts, vehicle, state, commands, ambient)
+    else:
+        pose = _mujoco(starts, vehicle, state, commands, ambient, lag)
     if any(tilt):
         for window in pose:
             tilted(window[:, 3:].copy(), *tilt, window[:, 3:])
@@ -152,18 +165,10 @@ def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
     return pose
 
 
-def _mujoco(starts, vehicle, state, commands, ambient) -> np.ndarray:
+def _mujoco(starts, vehicle, state, commands, ambient, lag) -> np.ndarray:
     """As `_analytic`; what depends on flight time and measured voltage enters as a scale of the thrust."""
     n = len(starts)
-    plain = dataclasses.replace(
-        vehicle,
-        effects_thrust_delay=0.0,
-        effects_attitude_delay=0.0,
-        effects_mocap_delay=0.0,
-        effects_thrust_fade=0.0,
-        effects_voltage_sensitivity=0.0,
-    )
-    lag = starts.gather([drive(f, vehicle)[1] for f in starts.flights])
+    plain = dataclasses.replace(undelayed(vehicle), effects_thrust_fade=0.0, effects_voltage_sensitivity=0.0)
     scale = _scales(ambient, lag, equations.pack(vehicle))
     varies = bool((scale != 1.0).any())
     step = starts.dt / math.ceil(starts.dt / ENGINE_STEP - 1e-9)
@@ -240,15 +245,13 @@ def plant_gap(
     starts: Starts, before: Vehicle, after: Vehicle | Sequence[Vehicle], plant: str, floor: np.ndarray
 ) -> PlantGap:
     """Gap at the end of the horizon; `after`: one vehicle, or one for each flight of `starts`."""
-    measured = starts.measured()
-    first = position_error(simulate(starts, before, plant), measured)
-    second, translation = errors_by_flight(starts, after, plant)
+    first, second = (errors_by_flight(starts, vehicle, plant) for vehicle in (before, after))
     return PlantGap(
-        before=float(first[-1]),
-        after=float(second[-1]),
+        before=float(first[0][-1]),
+        after=float(second[0][-1]),
         floor=float(floor[-1]),
-        translation_before=float(translation_error(starts, before)[-1]),
-        translation_after=float(translation[-1]),
+        translation_before=float(first[1][-1]),
+        translation_after=float(second[1][-1]),
         windows=len(starts),
         horizon=starts.rows * starts.dt,
     )
@@ -290,16 +293,12 @@ def measure_gap(
     """
     prepared = [f if isinstance(f, Measured) else prepare(f, vehicle, platform=platform) for f in flights]
     starts = Starts.of(prepared, horizon)
-    if not len(starts):
-        raise UserError(
-            f"no stretch of {horizon:g} s in free flight in {', '.join(f.name for f in prepared)}"
-        )
-    error = position_error(simulate(starts, vehicle, plant), starts.measured())
+    error, translation = errors_by_flight(starts, vehicle, plant)
     floor = noise_floor(starts, vehicle)
     return {
         "error": float(error[-1]),
         "floor": float(floor[-1]),
-        "translation": float(translation_error(starts, vehicle)[-1]),
+        "translation": float(translation[-1]),
         "windows": len(starts),
         "horizon": starts.rows * starts.dt,
         "curve": {"t": np.arange(1, starts.rows + 1) * starts.dt, "error": error, "floor": floor},
