@@ -23,3 +23,21 @@ def new_table(title: str | None, *columns: str, left: int = 1) -> Table:
     for k, column in enumerate(columns):
         result.add_column(column, justify="left" if k < left else "right")
     return result
+
+
+def share_cell(proportion: dict) -> str:
+    """A share with its interval [%], as `statistics.proportion` gives it."""
+    if proportion["share"] is None:
+        return "-"
+    low, high = proportion["interval"]
+    return f"{100 * proportion['share']:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
+
+
+def spread_cell(
+    spread: dict, digits: int = 2, factor: float = 1.0, ends: tuple[str, str] = ("p5", "p95")
+) -> str:
+    """A median with the ends of its range, as `statistics.spread` gives them."""
+    if spread["median"] is None:
+        return "-"
+    middle, low, high = (f"{factor * spread[key]:,.{digits}f}" for key in ("median", *ends))
+    return f"{middle} ({low} to {high})"

@@ -9,10 +9,12 @@ import numpy as np
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering import Ghost, Pose, make_renderer, qpos_of_state
+from inclined_landing.eval.pictures.way import progress, spread_copies
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 FPS = 50.0  # one frame for every control step
+_SPACING = 0.13  # m; copies in a strobe picture are at least this apart
 _EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # along a strobe picture
 
 
@@ -42,23 +44,20 @@ def render_flight(
     height: int = 480,
     backend: str = "auto",
     fps: float = FPS,
-    trail: bool = True,
 ) -> Iterator[np.ndarray]:
     """Frames (height, width, 3) uint8, `fps` of them for a second of flight."""
-    if not fps > 0:
-        raise UserError(f"fps must be positive, not {fps!r}")
     times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
     frames = np.minimum(np.searchsorted(flight.t, times - 1e-9), len(flight.t) - 1)
     goal = flight.task.goal_state
-    ghosts = [] if goal is None else [Ghost(qpos_of_state(goal))]
     close = camera in ("closeup", "onboard")
+    ghosts = [] if goal is None or close else [Ghost(qpos_of_state(goal))]
     with make_renderer(width, height, camera, backend, vehicle=flight.task.vehicle) as renderer:
         for k in frames:
             yield renderer.render(
                 scene_of(flight, k),
                 inclination=flight.inclination,
-                trail=flight.state[: k + 1] if trail and not close else None,
-                ghosts=ghosts if not close else [],
+                trail=None if close else flight.state[: k + 1],
+                ghosts=ghosts,
                 caption=caption_of(flight, k),
             )
 
@@ -70,17 +69,14 @@ def strobe(
     width: int = 1280,
     height: int = 720,
     copies: int = 10,
-    spacing: float = 0.13,
     backend: str = "auto",
 ) -> np.ndarray:
     """One picture of the whole flight: copies of the vehicle along its way, the last one solid.
 
-    Copies are at least `spacing` [m] apart, coloured from early (violet) to late (orange).
+    At most `copies` before the last, coloured from early (violet) to late (orange).
     """
-    chosen = _spread(flight.state, copies, spacing)
-    way = _way(flight.state)
-    share = way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(way))
-    colours = _EARLY + share[:, None] * (_LATE - _EARLY)
+    chosen = spread_copies(flight.state, copies + 1, _SPACING)[:-1]
+    colours = _EARLY + progress(flight.state)[:, None] * (_LATE - _EARLY)
     ghosts = [
         Ghost(qpos_of_state(flight.state[k]), tuple(colours[k]), alpha=0.8, tint=0.7, shadow=True)
         for k in chosen
@@ -93,19 +89,6 @@ def strobe(
             trail_colour=colours,
             ghosts=ghosts,
         )
-
-
-def _way(state: np.ndarray) -> np.ndarray:
-    """Length (T,) of the path flown until each of states (T, 13) [m]."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1))])
-
-
-def _spread(state: np.ndarray, copies: int, spacing: float) -> list[int]:
-    """Samples that are evenly spread along the path, without the last."""
-    way = _way(state)
-    count = int(np.clip(way[-1] / spacing, 1, copies))
-    marks = np.linspace(0.0, way[-1], count + 1)[:-1]
-    return [int(np.searchsorted(way, mark)) for mark in marks]
 
 
 def write_video(path, frames, fps: float = FPS) -> pathlib.Path:

@@ -9,6 +9,7 @@ goal box before anything touches: there its motors are cut and the vehicle falls
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from inclined_landing.envs.flights import Flight
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import VX, VZ
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import REST_SPEED, STEP, present_forces
 
@@ -32,14 +34,20 @@ class Touchdown:
     state: np.ndarray  # (T, 13), columns of `models.attitude`
     commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s, that led to the state
     inclination: float  # rad, of the platform
-    points: list[np.ndarray]  # T arrays (k, 3) m, contacts that carry force
-    forces: list[np.ndarray]  # T arrays (k, 3) N, on the vehicle
+    vehicle: Vehicle
+    points: Sequence[np.ndarray]  # T arrays (k, 3) m, contacts that carry force
+    forces: Sequence[np.ndarray]  # T arrays (k, 3) N, on the vehicle
 
     @property
     def net(self) -> np.ndarray:
         """Net normal force and size of the net tangential force (T, 2) on the vehicle [N]."""
         total = np.array([force.sum(axis=0) for force in self.forces])
         return np.stack(surface.split(total, self.inclination), axis=1)
+
+    @property
+    def weight(self) -> float:
+        """Of the vehicle [N]."""
+        return self.vehicle.body_mass * self.vehicle.environment_gravity
 
     @property
     def strongest(self) -> float:
@@ -63,13 +71,11 @@ def watch(flight: Flight) -> Touchdown:
     plant = MujocoPlant(1, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True)
     plant.set_platform([0], flight.inclination)
     plant.reset([0], flight.state[:1])
-    states, points, forces = [], [], []
+    seen = []
     for command in commands:
         plant.step(command[None])
-        seen = present_forces(plant, 0)
-        states.append(plant.state[0].copy())
-        points.append(seen[0])
-        forces.append(seen[1])
+        seen.append((plant.state[0].copy(), *present_forces(plant, 0)))
+    states, points, forces = zip(*seen)
     touching = [k for k, force in enumerate(forces) if len(force)]
     if not touching:
         x, z = flight.state[0, [0, 2]]
@@ -81,6 +87,7 @@ def watch(flight: Flight) -> Touchdown:
         np.array(states)[part],
         commands[part],
         flight.inclination,
+        vehicle,
         points[part],
         forces[part],
     )

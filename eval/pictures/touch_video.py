@@ -13,7 +13,6 @@ from inclined_landing.envs.rendering import View, look_at, make_renderer
 from inclined_landing.envs.rendering.overlay import FORCE, arrow_outline, arrow_width
 from inclined_landing.eval.pictures.touch import Touchdown
 from inclined_landing.models import surface
-from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 _LONGEST = 0.10  # m per unit of the vehicle's drawn scale: length of the strongest force's arrow
 _FROM = np.array([-0.10, -0.42, 0.13])  # m, where the "touch" camera stands beside the vehicle
@@ -31,32 +30,25 @@ def render_touchdowns(
     width: int = 640,
     height: int = 480,
     backend: str = "auto",
-    vehicle: Vehicle | None = None,
 ) -> Iterator[tuple[np.ndarray, bool]]:
     """Frames (height, width, 3) uint8 of touchdowns one after the other, one for `every` engine steps.
 
     camera: one of the scene's, or "touch": fixed, close to the touchdown (rays only). With each frame: is it
     the last of its touchdown. All share one scale of forces.
     """
-    vehicle = vehicle or load_vehicle()
     strongest = max(touchdown.strongest for touchdown in touchdowns)
     for touchdown in touchdowns:
-        near = camera == "touch"
-        look = _look(touchdown, width, height) if near else camera
-        scale = 1.0 if near else None
-        with make_renderer(width, height, look, backend, vehicle=vehicle, scale=scale) as renderer:
+        look, scale = (_look(touchdown, width, height), 1.0) if camera == "touch" else (camera, None)
+        with make_renderer(width, height, look, backend, vehicle=touchdown.vehicle, scale=scale) as renderer:
             metres_per_newton = _LONGEST * renderer.scale / strongest
-            gauge = Gauge(touchdown, renderer, vehicle, metres_per_newton)
+            gauge = Gauge(touchdown, renderer, metres_per_newton)
             frames = range(0, len(touchdown.t), every)
             for k in frames:
                 frame = renderer.render(
                     touchdown.state[k],
                     inclination=touchdown.inclination,
-                    forces=[
-                        (point, metres_per_newton * force)
-                        for point, force in zip(touchdown.points[k], touchdown.forces[k])
-                    ],
-                    caption=caption_of(touchdown, k, vehicle),
+                    forces=list(zip(touchdown.points[k], metres_per_newton * touchdown.forces[k])),
+                    caption=caption_of(touchdown, k),
                 )
                 gauge.draw(frame, k)
                 yield frame, k == frames[-1]
@@ -70,10 +62,10 @@ def _look(touchdown: Touchdown, width: int, height: int) -> View:
     return look_at(middle + _FROM, target, width, height, fovy=33.0)
 
 
-def caption_of(touchdown: Touchdown, k: int, vehicle: Vehicle) -> str:
+def caption_of(touchdown: Touchdown, k: int) -> str:
     """The line under the frame of step k."""
     normal, tangential = touchdown.net[k]
-    weights = normal / (vehicle.body_mass * vehicle.environment_gravity)
+    weights = normal / touchdown.weight
     return (
         f"t {touchdown.t[k]:5.3f} s   normal force {normal:4.2f} N = {weights:3.1f} weights   "
         f"friction {tangential:4.2f} N   PWM {touchdown.commands[k, 0]:6.0f}"
@@ -83,7 +75,7 @@ def caption_of(touchdown: Touchdown, k: int, vehicle: Vehicle) -> str:
 class Gauge:
     """A panel in the upper left corner: net normal force until now, what it is at rest, the arrows' scale."""
 
-    def __init__(self, touchdown: Touchdown, renderer, vehicle: Vehicle, metres_per_newton: float):
+    def __init__(self, touchdown: Touchdown, renderer, metres_per_newton: float):
         self._t, self._force = touchdown.t, touchdown.net[:, 0]
         unit = _FINE * min(renderer.width / 960, renderer.height / 540)
         self._unit = unit
@@ -94,9 +86,7 @@ class Gauge:
         depth = view.project(touchdown.state[-1:, :3])[1]
         self._pixels_per_newton = metres_per_newton / float(view.pixel_size(depth)[0])
         self._shaft = arrow_width(renderer.height)
-        self._back = self._draw_back(
-            vehicle.body_mass * vehicle.environment_gravity * math.cos(touchdown.inclination)
-        )
+        self._back = self._draw_back(touchdown.weight * math.cos(touchdown.inclination))
 
     def _point(self, t: float, force: float) -> tuple[float, float]:
         """Where time [s] and force [N] are in the panel."""

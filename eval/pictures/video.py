@@ -72,7 +72,7 @@ def command(
     touchdowns = [watch(flight) for flight in flights] if forces else []
     for path in [out] + ([out.with_suffix(".gif")] if gif and out.suffix.lower() != ".gif" else []):
         if forces:
-            _write(path, *film_touchdowns(touchdowns, slow, vehicle=loaded.task.vehicle, **shown))
+            _write(path, *film_touchdowns(touchdowns, slow, **shown))
         else:
             most = GIF_FPS if path.suffix.lower() == ".gif" else FPS
             _write(path, *film(flights, min(FPS, most * slow), slow, **shown))  # there are no more states

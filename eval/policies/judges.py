@@ -11,9 +11,11 @@ import numpy as np
 
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
+from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.statistics import mean, proportion, spread
 from inclined_landing.eval.policies.motors_cut import cut_motors
 from inclined_landing.models.attitude import PITCH, VX, VZ
@@ -130,6 +132,20 @@ def judge_of(task: Task) -> Flights:
     if task.table not in JUDGES:
         raise UserError(f"the task {task.name} has a table of its own: landing-eval {task.table} judges it")
     return JUDGES[task.table]
+
+
+def report_of(command: str, policy: Policy, plant: str, seed: int) -> dict:
+    """What every report says of the policy and how it was flown."""
+    return {
+        "command": command,
+        "policy": str(policy.path),
+        "trained": policy.metadata,
+        "task": policy.task.name,
+        "task_options": policy.task.options,
+        "plant": plant,
+        "seed": int(seed),
+        "versions": runs.versions(),
+    }
 
 
 def _entry(arrived: Sequence[Flight]) -> dict:

@@ -19,17 +19,19 @@ import csv
 import io
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
 import tyro
+from rich.console import Console
+from rich.progress import track
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flag, Flat, Flown, NewFolder, PolicyFile, Seed
-from inclined_landing.eval.policies.judges import judge_of
+from inclined_landing.eval.policies.judges import judge_of, report_of
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import make_plant
@@ -47,8 +49,7 @@ def evaluate(
     plant: "mujoco" or "analytic", always the plain one (no keep-out zone, RK4 at 4 ms).
     seed: of the random starts.
     """
-    report, _ = _evaluate(policy, plant, thrust_scales, seed)
-    return report
+    return _evaluate(policy, plant, thrust_scales, seed)[0]
 
 
 def command(
@@ -84,9 +85,9 @@ def command(
     if effects:
         from inclined_landing.eval.policies import success_effects
 
-        report, flights = success_effects.evaluate(loaded, plant=flown.plant, seed=seed, progress=True), None
+        report, flights = success_effects.evaluate(loaded, plant=flown.plant, seed=seed), None
     else:
-        report, flights = _evaluate(loaded, flown.plant, scales, seed, progress=True)
+        report, flights = _evaluate(loaded, flown.plant, scales, seed)
     report["vehicle"] = str(flown.vehicle) if flown.vehicle is not None else "crazyflie.toml"
     if out is not None:
         folder = runs.new_run(out)
@@ -98,21 +99,16 @@ def command(
     else:
         from inclined_landing.eval.policies import success_table
 
-        (success_table.show_effects if effects else success_table.show)(report)
+        success_table.show(report)
 
 
-def _evaluate(policy: Policy, plant: str, thrust_scales: Iterable[float], seed: int, progress=False):
+def _evaluate(policy: Policy, plant: str, thrust_scales: Sequence[float], seed: int):
     task, judge = policy.task, judge_of(policy.task)
-    if progress:
-        from rich.console import Console
-        from rich.progress import track
-
-        thrust_scales = track(list(thrust_scales), "flying", console=Console(stderr=True), transient=True)
     groups = judge.groups(task, seed)
     names = np.repeat(list(groups), [len(states) for states in groups.values()])
     starts = np.concatenate(list(groups.values()))
     conditions, rows = [], []
-    for scale in thrust_scales:
+    for scale in track(thrust_scales, "flying", console=Console(stderr=True), transient=True):
         fleet = make_plant(plant, len(starts), task.vehicle)
         if scale != 1.0:
             fleet.perturb(thrust_scale=scale)
@@ -123,19 +119,7 @@ def _evaluate(policy: Policy, plant: str, thrust_scales: Iterable[float], seed: 
         flown = {name: [f for f, group in zip(flights, names) if group == name] for name in groups}
         conditions.append({"thrust_scale": float(scale), **judge.condition(task, flown, scale)})
         rows += [(scale, name, flight) for name, flight in zip(names, flights)]
-    report = {
-        "command": "success",
-        "policy": str(policy.path),
-        "trained": policy.metadata,
-        "task": task.name,
-        "task_options": task.options,
-        "plant": plant,
-        "seed": int(seed),
-        "paper": judge.paper,
-        "conditions": conditions,
-        "versions": runs.versions(),
-    }
-    return report, rows
+    return report_of("success", policy, plant, seed) | {"paper": judge.paper, "conditions": conditions}, rows
 
 
 def _flights_csv(flights) -> str:

@@ -8,11 +8,12 @@ frozen grid, and where they arrive their motors are cut; set-point policies fly 
 from __future__ import annotations
 
 import numpy as np
+from rich.console import Console
+from rich.progress import track
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy
-from inclined_landing.eval.base import runs
-from inclined_landing.eval.policies.judges import Flights, judge_of
+from inclined_landing.eval.policies.judges import Flights, judge_of, report_of
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -20,21 +21,16 @@ from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import make_plant
 
 
-def evaluate(policy: Policy, *, plant: str = "mujoco", seed: int = 0, progress: bool = False) -> dict:
+def evaluate(policy: Policy, *, plant: str = "mujoco", seed: int = 0) -> dict:
     """The report, as plain numbers; one entry of `effects` per effect, the first without any.
 
     plant: "mujoco" or "analytic". seed: of the random starts of a set-point policy.
     """
     cases = [(None, {}), *((effect, effect.plausible) for effect in LIBRARY.values())]
-    if progress:
-        from rich.console import Console
-        from rich.progress import track
-
-        cases = track(cases, "flying", console=Console(stderr=True), transient=True)
     judge = judge_of(policy.task)
     starts = judge.groups(policy.task, seed)[judge.frozen]
     rows = []
-    for effect, values in cases:
+    for effect, values in track(cases, "flying", console=Console(stderr=True), transient=True):
         name = "none" if effect is None else effect.name
         vehicle = policy.task.vehicle if effect is None else effect.apply(policy.task.vehicle, values)
         units = {} if effect is None else {p.name: p.unit for p in effect.parameters}
@@ -44,17 +40,7 @@ def evaluate(policy: Policy, *, plant: str = "mujoco", seed: int = 0, progress: 
             raise UserError(f"effect {name}: {error}") from error
         parameters = {key: {"value": value, "unit": units[key]} for key, value in values.items()}
         rows.append({"effect": name, "parameters": parameters, **outcome})
-    return {
-        "command": "success --effects",
-        "policy": str(policy.path),
-        "trained": policy.metadata,
-        "task": policy.task.name,
-        "task_options": policy.task.options,
-        "plant": plant,
-        "seed": int(seed),
-        "effects": rows,
-        "versions": runs.versions(),
-    }
+    return report_of("success --effects", policy, plant, seed) | {"effects": rows}
 
 
 def _outcome(judge: Flights, policy: Policy, plant: str, vehicle: Vehicle, starts: np.ndarray) -> dict:

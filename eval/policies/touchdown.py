@@ -15,13 +15,13 @@ mu <= tan(inclination), nobody can come to rest: such conditions are named, not 
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
+import pandas as pd
 import tyro
 from rich.console import Console
 from rich.progress import track
@@ -34,7 +34,7 @@ from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, Incl
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flag, NewFolder, PolicyFile, PolicyName, VehicleFile
 from inclined_landing.eval.base.statistics import proportion, spread
-from inclined_landing.eval.base.tables import new_table, printer
+from inclined_landing.eval.base.tables import new_table, printer, share_cell
 from inclined_landing.models import contact, storage
 from inclined_landing.models.attitude import PWM
 from inclined_landing.models.errors import UserError
@@ -49,19 +49,12 @@ MODES = ("motor_cut", "touchdown")
 _FIELDS = ("at_rest", "normal_speed", "tangential_speed", "peak_normal_force", "time")
 
 
-@dataclasses.dataclass
-class Landings:
-    """One entry per flight; NaN where there was none."""
+def land(policy: Policy, states: np.ndarray, friction: float, restitution: float) -> pd.DataFrame:
+    """Fly from `states` (n, 13); a landing policy gets its motors cut in the goal box.
 
-    at_rest: np.ndarray  # (n,) bool
-    normal_speed: np.ndarray  # (n,) m/s into the surface at the first touch
-    tangential_speed: np.ndarray  # (n,) m/s along it, unsigned
-    peak_normal_force: np.ndarray  # (n,) N on the feet
-    time: np.ndarray  # (n,) s until 0.3 s were held
-
-
-def land(policy: Policy, states: np.ndarray, friction: float, restitution: float) -> Landings:
-    """Fly from `states` (n, 13); a landing policy gets its motors cut in the goal box."""
+    One row per flight: `at_rest`; at the first touch `normal_speed` into the surface and `tangential_speed`
+    along it [m/s]; `peak_normal_force` on the feet [N]; `time` [s] until 0.3 s were held. NaN where none was.
+    """
     task, n = policy.task, len(states)
     judge, cutting = task, task.cut_at_success
     if cutting:
@@ -91,7 +84,7 @@ def land(policy: Policy, states: np.ndarray, friction: float, restitution: float
             break
     into, along = recorder.touch_speeds()
     peak = np.where(recorder.touched, recorder.feet_force, np.nan)
-    return Landings(~np.isnan(time), into, along, peak, time)
+    return pd.DataFrame(dict(zip(_FIELDS, (~np.isnan(time), into, along, peak, time))))
 
 
 def evaluate(
@@ -112,19 +105,21 @@ def evaluate(
     starts = landing_starts.clear(task, landing_starts.grid())
     states = landing_starts.at_rest(task, starts)
     slip = math.tan(abs(task.inclination))
-    pairs = [(mu, e) for mu, e in itertools.product(frictions, restitutions) if mu > slip]
-    flown: dict = {mode: {} for mode in MODES}
+    held = sorted({mu for mu in frictions if mu > slip})
+    pairs = list(itertools.product(held, sorted(set(restitutions))))
+    flown = []
     work = list(itertools.product(zip(MODES, (baseline, policy)), pairs))
     for (mode, pilot), (mu, e) in track(work, "landing", console=Console(stderr=True), transient=True):
-        flown[mode][mu, e] = land(pilot, states, mu, e)
+        flown.append(land(pilot, states, mu, e).assign(mode=mode, friction=mu, restitution=e))
+    flights = pd.concat(flown) if flown else None
 
-    def summary(mode, wanted):
-        return summarise([flights for (mu, e), flights in flown[mode].items() if wanted(mu, e)])
+    def both(part: pd.DataFrame) -> dict:
+        return {mode: _summary(part[part["mode"] == mode]) for mode in MODES}
 
-    def both(wanted):
-        return {mode: summary(mode, wanted) for mode in MODES}
+    def by(*names: str) -> list[dict]:
+        parts = flights.groupby(list(names)) if flown else ()
+        return [dict(zip(names, map(float, values))) | both(part) for values, part in parts]
 
-    held = sorted({mu for mu, _ in pairs})
     return {
         "command": "touchdown",
         "policy": str(policy.path),
@@ -134,22 +129,18 @@ def evaluate(
         "starts": len(states),
         "weight": task.vehicle.body_mass * task.vehicle.environment_gravity,
         "cannot_hold": sorted({float(mu) for mu in frictions if mu <= slip}),
-        "all": both(lambda mu, e: True) if pairs else None,
-        "friction": [{"friction": mu, **both(lambda m, e, mu=mu: m == mu)} for mu in held],
-        "restitution": [{"restitution": e, **both(lambda m, r, e=e: r == e)} for e in restitutions if pairs],
-        "conditions": [
-            {"friction": mu, "restitution": e, **both(lambda m, r, mu=mu, e=e: (m, r) == (mu, e))}
-            for mu, e in pairs
-        ],
+        "all": both(flights) if flown else None,
+        "friction": by("friction"),
+        "restitution": by("restitution"),
+        "conditions": by("friction", "restitution"),
         "versions": runs.versions(),
     }
 
 
-def summarise(parts: Sequence[Landings]) -> dict:
-    """Share at rest and spreads over some sets of landings."""
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS}
-    rest = joined.pop("at_rest")
-    return {"at_rest": proportion(rest.sum(), len(rest))} | {k: spread(v) for k, v in joined.items()}
+def _summary(flights: pd.DataFrame) -> dict:
+    """Share at rest and spreads."""
+    rest = proportion(flights["at_rest"].sum(), len(flights))
+    return {"at_rest": rest} | {name: spread(flights[name]) for name in _FIELDS[1:]}
 
 
 def overall(report: dict, mode: str) -> dict | None:
@@ -213,23 +204,17 @@ def show(report: dict) -> None:
         rows.append(("all", report["all"]))
     for label, row in rows:
         for mode, who in zip(MODES, ("cut in the goal box", "touchdown policy")):
-            cells = [_share(row[mode]["at_rest"])]
+            cells = [share_cell(row[mode]["at_rest"])]
             cells += [_median(row[mode][name]) for name in _FIELDS[1:]]
             shown.add_row(label if mode == MODES[0] else "", who, *cells)
         shown.add_section()
-    weight = report["weight"]
     shown.caption = (
-        f"95 % Wilson intervals; speeds at the first touch, peak normal force on the feet (the weight is "
-        f"{weight:.2f} N) and time: medians"
+        "95 % Wilson intervals; speeds at the first touch, peak normal force on the feet (the weight is "
+        f"{report['weight']:.2f} N) and time: medians"
     )
     console.print(shown)
     for mu in report["cannot_hold"]:
         console.print(f"mu {mu:g} cannot hold this slope (tan {abs(angle):.1f} deg is more): not counted")
-
-
-def _share(value: dict) -> str:
-    low, high = value["interval"]
-    return f"{100 * value['share']:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
 
 
 def _median(value: dict) -> str:

@@ -247,7 +247,7 @@ def test_effects_report_of_a_policy_that_hovers(landing, few, capsys):
     assert slow["touched"]["count"] == tilted["touched"]["count"] == 0
     assert none["at_rest_on_feet"]["count"] == 0
     storage.to_json(report)
-    success_table.show_effects(report)
+    success_table.show(report)
     assert "scale 0.88" in capsys.readouterr().out
 
 
@@ -269,7 +269,7 @@ def test_effects_report_of_a_setpoint_policy(few, capsys):
     report = success_effects.evaluate(Constant(task, 0.0, 0.0, 0.0), plant="analytic")
     none, weak, _, _ = report["effects"]
     assert weak["error"]["mean"] > none["error"]["mean"] + 1.0
-    success_table.show_effects(report)
+    success_table.show(report)
     assert "thrust_scale" in capsys.readouterr().out
 
 

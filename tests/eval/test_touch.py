@@ -86,7 +86,7 @@ def test_arrows_and_gauge_are_drawn(touchdown):
     free = max(red(frame) for (frame, _), k in zip(frames, forces) if k == 0)  # one of its lights is red
     assert free < 3 and red(frames[-1][0]) > 8
     k = int(touchdown.net[:, 0].argmax())
-    assert caption_of(touchdown, k, V).startswith(f"t {touchdown.t[k]:5.3f} s   normal force")
+    assert caption_of(touchdown, k).startswith(f"t {touchdown.t[k]:5.3f} s   normal force")
 
 
 def test_the_command_films_every_engine_step(tmp_path, monkeypatch):

@@ -20,16 +20,6 @@ from inclined_landing.models.errors import UserError
 
 
 @dataclasses.dataclass(frozen=True)
-class Run:
-    """What a run folder says: task, the rows of learning.csv and of evaluations.csv."""
-
-    folder: Path
-    task: str
-    learning: pd.DataFrame
-    evaluations: pd.DataFrame
-
-
-@dataclasses.dataclass(frozen=True)
 class _Curve:
     table: str  # "learning" or "evaluations"
     colour: str
@@ -46,16 +36,19 @@ def _curves(task: type[Task]) -> tuple[_Curve, ...]:
     return _Curve("evaluations", BLUE, task.score_curve), _LEVEL, _LENGTH, _REWARD
 
 
-def read_run(folder: str | Path) -> Run:
-    """Read a run folder; raises UserError, naming the file, if it is not one."""
+def read_run(folder: str | Path) -> tuple[str, dict[str, pd.DataFrame]]:
+    """The task of a run folder, and its tables `learning` and `evaluations`.
+
+    Raises UserError, naming the file, if it is not one.
+    """
     folder = Path(folder)
     if not folder.is_dir():
         raise UserError(f"the run folder {folder} does not exist")
     try:
         task = json.loads((folder / "run.json").read_text("utf-8"))["config"]["task"]
-        learning = pd.read_csv(folder / "learning.csv")
+        tables = {"learning": pd.read_csv(folder / "learning.csv")}
         file = folder / "evaluations.csv"
-        evaluations = pd.read_csv(file) if file.stat().st_size > 1 else pd.DataFrame({"steps": []})
+        tables["evaluations"] = pd.read_csv(file) if file.stat().st_size > 1 else pd.DataFrame({"steps": []})
     except FileNotFoundError as error:
         raise UserError(f"the run folder {folder} holds no {Path(error.filename).name}") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -64,12 +57,11 @@ def read_run(folder: str | Path) -> Run:
         curves = _curves(task_class(task))
     except UserError as error:
         raise UserError(f"{folder / 'run.json'}: {error}") from None
-    for name, table in (("learning", learning), ("evaluations", evaluations)):
-        needed = ["steps", *(c.shown.column for c in curves if c.table == name and len(table))]
-        missing = [column for column in needed if column not in table]
-        if missing:
-            raise UserError(f"{folder / name}.csv lacks the column {missing[0]}")
-    return Run(folder, task, learning, evaluations)
+    for name, table in tables.items():
+        for column in ("steps", *(c.shown.column for c in curves if c.table == name and len(table))):
+            if column not in table:
+                raise UserError(f"{folder / name}.csv lacks the column {column}")
+    return task, tables
 
 
 def learning_curves(runs: Sequence[str | Path]) -> Figure:
@@ -82,15 +74,15 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
     """
     if not runs:
         raise UserError("learning curves need at least one run folder")
-    read = [read_run(folder) for folder in runs]
-    tasks = sorted({run.task for run in read})
+    named, read = zip(*map(read_run, runs))
+    tasks = sorted(set(named))
     if len(tasks) > 1:
         raise UserError(f"the runs are of different tasks ({' and '.join(tasks)}); choose runs of one")
     curves = [
         curve
         for curve in _curves(task_class(tasks[0]))
         if curve not in (_LEVEL, _LENGTH)
-        or any(run.learning[curve.shown.column].nunique() > 1 for run in read)
+        or any(run["learning"][curve.shown.column].nunique() > 1 for run in read)
     ]
     with styled():
         columns = 2 if len(curves) == 4 else len(curves)  # two to four
@@ -98,10 +90,10 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
         figure = Figure(figsize=(3.4 * columns, 0.45 + 2.05 * rows), layout="constrained")
         grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
         for axes, curve in zip(grid.ravel(), curves):
-            _draw(axes, curve, [getattr(run, curve.table) for run in read])
+            _draw(axes, curve, [run[curve.table] for run in read])
         for axes in grid[-1]:
             axes.set_xlabel("environment steps [10⁶]")
-        final = max(run.learning["steps"].max() for run in read) / 1e6
+        final = max(run["learning"]["steps"].max() for run in read) / 1e6
         grid[0, 0].set_xlim(0, 1.01 * final)
         if len(read) > 1:
             handles = [

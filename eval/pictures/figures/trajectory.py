@@ -12,6 +12,7 @@ from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering.stamp import StampMaker
 from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, panel, styled, time_colours
 from inclined_landing.eval.pictures.figures.scene import TARGET, draw_air, draw_platform, draw_vehicle
+from inclined_landing.eval.pictures.way import progress, spread_copies
 from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, ROLL, ROLL_COMMAND, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
@@ -33,15 +34,15 @@ def trajectory_figure(flight: Flight, *, copies: int | None = None) -> Figure:
     """
     if len(flight.t) < 2 or not np.isfinite(flight.state).all():
         raise UserError("a trajectory figure needs a flight of at least two samples with finite states")
-    vehicle = flight.task.vehicle
-    chosen = spread_copies(flight.state, copies or (11 if flight.inclination is not None else 8))
+    vehicle, landing = flight.task.vehicle, flight.inclination is not None
+    chosen = spread_copies(flight.state, copies or (11 if landing else 8), _SPACING, _TURN)
     gap, foot = 0.33, 0.50
     middle = foot + _PITCH + gap
     scene = middle + _PWM + 0.74
     with styled():
         figure = Figure(figsize=(_WIDTH, scene + _SCENE + 0.14))
         width = _WIDTH - _LEFT - _RIGHT
-        if flight.inclination is not None:
+        if landing:
             axes = panel(figure, _LEFT, scene, width, _SCENE)
             _draw_scene(axes, flight, chosen, StampMaker(vehicle), width / _SCENE)
         else:
@@ -56,22 +57,6 @@ def trajectory_figure(flight: Flight, *, copies: int | None = None) -> Figure:
         pwm = panel(figure, _LEFT, middle, width, _PWM, sharex=pitch)
         _draw_commands(pwm, pitch, flight, chosen, vehicle)
     return figure
-
-
-def progress(state: np.ndarray) -> np.ndarray:
-    """Share (T,) of the way that states (T, 13) have covered, turns counted; by index if at rest."""
-    step = np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1)
-    turn = np.abs(np.diff(state[:, [ROLL, PITCH]], axis=0)).sum(axis=1)
-    way = np.concatenate([[0.0], np.cumsum(step + _TURN * turn)])
-    return way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(state))
-
-
-def spread_copies(state: np.ndarray, copies: int) -> np.ndarray:
-    """At most `copies` samples of states (T, 13), first and last included, evenly spread on the way."""
-    length = np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1).sum()
-    count = int(np.clip(length / _SPACING, 1, max(copies - 1, 1)))
-    samples = np.searchsorted(progress(state), np.linspace(0.0, 1.0, count + 1) - 1e-9)
-    return np.unique(np.minimum(samples, len(state) - 1))
 
 
 def _draw_scene(axes, flight: Flight, chosen, maker: StampMaker, ratio: float) -> None:
@@ -89,7 +74,7 @@ def _draw_scene(axes, flight: Flight, chosen, maker: StampMaker, ratio: float) -
     _place_label(axes)
     if landing:
         draw_platform(axes, flight.inclination, maker.vehicle)
-    colours = time_colours(progress(state))
+    colours = time_colours(progress(state, _TURN))
     way = np.stack([state[:-1][:, plane], state[1:][:, plane]], axis=1)
     axes.add_collection(
         LineCollection(way, colors=colours[:-1], lw=1.6, capstyle="round", zorder=3, gid="way"), autolim=False
@@ -140,23 +125,21 @@ def _draw_commands(pwm, pitch, flight: Flight, chosen, vehicle: Vehicle) -> None
     pwm.axhline(1e-3 * vehicle.hover_pwm, color=MUTED, lw=1.0, ls=":", label="hover")
     pwm.set(ylabel="PWM [10³]", ylim=(5, 65), yticks=[10, 30, 50])
     pwm.tick_params(labelbottom=False)
-    degrees = np.degrees(flight.state[:, PITCH])
-    command = np.degrees(flight.commands[:, PITCH_COMMAND])
-    pitch.plot(t, degrees, color=ORANGE, label="pitch")
-    pitch.set_ylabel("pitch [deg]")
-    pitch.plot(t, command, color=ORANGE, lw=1.2, ls=(0, (4, 1.5)), label="pitch command", **held)
+    shown = [("pitch", PITCH, PITCH_COMMAND, ORANGE)]
     if flight.inclination is None:
-        roll, command = np.degrees(flight.state[:, ROLL]), np.degrees(flight.commands[:, ROLL_COMMAND])
-        pitch.plot(t, roll, color=PURPLE, label="roll")
-        pitch.plot(t, command, color=PURPLE, lw=1.2, ls=(0, (4, 1.5)), label="roll command", **held)
-        pitch.set_ylabel("attitude [deg]")
-        degrees = np.concatenate([degrees, roll])
-    else:
+        shown.append(("roll", ROLL, ROLL_COMMAND, PURPLE))
+    for name, angle, command, colour in shown:
+        degrees, wanted = np.degrees(flight.state[:, angle]), np.degrees(flight.commands[:, command])
+        pitch.plot(t, degrees, color=colour, label=name)
+        pitch.plot(t, wanted, color=colour, lw=1.2, ls=(0, (4, 1.5)), label=f"{name} command", **held)
+    if flight.inclination is not None:
         pitch.axhline(np.degrees(flight.inclination), color=MUTED, lw=1.2, ls=":", label="inclination")
-    reach = max(36.0, 1.08 * np.abs(degrees).max())
+    pitch.set_ylabel("pitch [deg]" if len(shown) == 1 else "attitude [deg]")
+    turned = np.degrees(flight.state[:, [angle for _, angle, *_ in shown]])
+    reach = max(36.0, 1.08 * np.abs(turned).max())
     pitch.set(xlabel="time [s]", ylim=(-reach - 16, reach), yticks=[-30, 0, 30])
     pitch.set_xlim(-0.012 * end, 1.012 * end)
-    colours = time_colours(progress(flight.state)[chosen])
+    colours = time_colours(progress(flight.state, _TURN)[chosen])
     for axes in (pwm, pitch):
         axes.grid(True, axis="y")
         axes.vlines(t[chosen], *axes.get_ylim(), color=colours, lw=0.6, alpha=0.35, zorder=1)
@@ -169,14 +152,5 @@ def _draw_commands(pwm, pitch, flight: Flight, chosen, vehicle: Vehicle) -> None
     marks = pitch.vlines(t[chosen], 0.0, 0.12, color=colours, lw=3.2, transform=foot, zorder=3)
     marks.set_gid("copies")
     above = pwm.transAxes + ScaledTranslation(0, 0.045, pwm.figure.dpi_scale_trans)
-    colour = GREEN if flight.strict else ORANGE
-    pwm.text(
-        1.0,
-        1.0,
-        flight.task.flight_words(flight),
-        ha="right",
-        va="bottom",
-        transform=above,
-        size=8.5,
-        color=colour,
-    )
+    words, colour = flight.task.flight_words(flight), GREEN if flight.strict else ORANGE
+    pwm.text(1.0, 1.0, words, ha="right", va="bottom", transform=above, size=8.5, color=colour)
