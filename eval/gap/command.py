@@ -8,14 +8,9 @@ from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flat, FlightSource, Folder
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.flights.reading import read_flights
-from inclined_landing.eval.gap.report import figures, model, terminal, tracks
+from inclined_landing.eval.gap.report import figures, model, run, terminal, tracks, words
 from inclined_landing.eval.gap.report.page import page
-from inclined_landing.eval.gap.report.run import progress, write_run
-from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle
-
-PLANTS = ("analytic", "mujoco")
 
 
 def command(source: Flat[FlightSource], out: Folder) -> None:
@@ -29,12 +24,11 @@ def command(source: Flat[FlightSource], out: Folder) -> None:
     runs.check_new_run(out)
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
-    with progress(len(source.files) + len(source.heldout) + 3) as tick:
-        logs, kept, notes = read_flights(
-            source.files, source.heldout, mapping=source.mapping, units=source.unit, tick=tick
-        )
+    with run.flown(source, parts=3) as (logs, kept, notes, tick):
         tick("diagnosis")
-        d = diagnose(logs, nominal, heldout=kept, platform=source.platform or None, plants=PLANTS)
+        d = diagnose(
+            logs, nominal, heldout=kept, platform=source.platform or None, plants=tuple(words.PLANTS)
+        )
         tick("figures")
         flown = tracks.most_telling(kept or logs)
         with_slab = source.platform or any(log.contact is not None and log.contact.any() for log in logs)
@@ -46,11 +40,9 @@ def command(source: Flat[FlightSource], out: Folder) -> None:
         tick("files")
     try:  # a full disk costs the files, not the answer
         with runs.staged_run(out) as folder:
-            storage.write_text(folder / "report.html", html)
-            storage.write_json(folder / "report.json", d.to_json())
             save_figure(picture, folder / "gap.png")
             model.write(d, nominal, folder, base=source.vehicle)
-            write_run(folder, "gap", began, versions, source)
+            run.write(folder, "gap", html, d.to_json(), source, began, versions)
     finally:
         terminal.show(d, notes)
     print(out / "report.html")

@@ -7,10 +7,7 @@ import time
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flat, FlightSource, Folder
 from inclined_landing.eval.gap.answer.identify import identify
-from inclined_landing.eval.gap.flights.reading import read_flights
-from inclined_landing.eval.gap.report import identified, model
-from inclined_landing.eval.gap.report.run import progress, write_run
-from inclined_landing.models import storage
+from inclined_landing.eval.gap.report import identified, model, run
 from inclined_landing.models.parameters import load_vehicle
 
 
@@ -25,10 +22,7 @@ def command(source: Flat[FlightSource], out: Folder) -> None:
     runs.check_new_run(out)
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
-    with progress(len(source.files) + len(source.heldout) + 2) as tick:
-        logs, kept, notes = read_flights(
-            source.files, source.heldout, mapping=source.mapping, units=source.unit, tick=tick
-        )
+    with run.flown(source, parts=2) as (logs, kept, notes, tick):
         tick("fit")
         found = identify(logs, nominal, heldout=kept, platform=source.platform)
         tick("page")
@@ -42,10 +36,8 @@ def command(source: Flat[FlightSource], out: Folder) -> None:
         )
     try:
         with runs.staged_run(out) as folder:
-            storage.write_text(folder / "report.html", html)
-            storage.write_json(folder / "report.json", found.to_json())
             identified.write(found, folder, base=source.vehicle)
-            write_run(folder, "identify", began, versions, source)
+            run.write(folder, "identify", html, found.to_json(), source, began, versions)
     finally:
         identified.show(found, notes)
     print(out / model.VEHICLE)

@@ -98,7 +98,7 @@ def track():
     times = (t[:21], t[20:])
     flown = np.outer(t, [0.0, 0.1, 1.0])
     there = (flown[:21], flown[20:])
-    return Track("d", True, 1.0, 1.0, t, flown, times, tuple(p + p**2 for p in there), there)
+    return Track("d", True, 1.0, t, flown, times, tuple(p + p**2 for p in there), there)
 
 
 def test_every_effect_is_said_in_words_with_its_numbers():

@@ -108,11 +108,12 @@ def identify(
     forms = {"transfer function": vehicle, "static map": static_map(vehicle)}
     if vehicle.effects_battery_sag or vehicle.effects_thrust_bias:
         del forms["static map"]
-    fits = {name: _fit(fitted, base) for name, base in forms.items()}
-    scores = {name: float(fit.weighted.left_out(fit.index).sum()) for name, (_, fit) in fits.items()}
+    problems = {name: Problem(fitted, base, LIBRARY) for name, base in forms.items()}
+    fits = {name: _best(problem, EFFECTS) for name, problem in problems.items()}
+    scores = {name: float(fit.weighted.left_out(fit.index).sum()) for name, fit in fits.items()}
     chosen = min(scores, key=scores.get)
-    problem, fit = fits[chosen]
-    fit = _without_unseen(problem, fit, notes)
+    problem = problems[chosen]
+    fit = _without_unseen(problem, fits[chosen], notes)
     result = problem.corrected(fit.values)
     own = left_out_vehicles(problem, fit)
     test = judged or fitted
@@ -133,12 +134,6 @@ def identify(
         flights=tuple(f.name for f in fitted),
         notes=tuple(notes),
     )
-
-
-def _fit(flights: list[Measured], base: Vehicle) -> tuple[Problem, Fitted]:
-    """All of EFFECTS together, from the best start."""
-    problem = Problem(flights, base, LIBRARY)
-    return problem, _best(problem, EFFECTS)
 
 
 def _best(problem: Problem, names: Sequence[str]) -> Fitted:

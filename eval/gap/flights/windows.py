@@ -22,7 +22,6 @@ from inclined_landing.models.parameters import Vehicle
 
 WINDOW = 0.6  # s
 RATE = 100.0  # rows per second, at most, that the windows are made of
-SHORTEST = 3 * WINDOW  # s of usable flight
 SMOOTHING = 0.1  # s to either side of a sample, for velocities
 SETTLING = 0.25  # s at a log's start, for the thrust lag that nobody knows there
 NEAR = 0.15  # m above a surface that counts as near
@@ -76,7 +75,7 @@ class Measured:
         return values[self.starts[:, None] + np.arange(self.rows)]
 
 
-def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False, window: float = WINDOW) -> Measured:
+def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Measured:
     """A `Measured` flight from a log: the whitening's attitude modes are those of `vehicle`.
 
     platform: the slab of the vehicle file stands there (for the ground effect); else the floor only.
@@ -92,9 +91,9 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False, window:
     m = len(log.t)
     t = log.t - log.t[0]
     half = max(2, round(SMOOTHING / dt))
-    rows = max(8, round(window / dt))
+    rows = max(8, round(WINDOW / dt))
     if m < max(2 * half + 3, 2 * rows):
-        raise UserError(f"{log.name}: {log.duration:.2f} s of flight; at least {2 * window:g} s are needed")
+        raise UserError(f"{log.name}: {log.duration:.2f} s of flight; at least {2 * WINDOW:g} s are needed")
     yaw_known = "yaw" not in log.missing
     attitude = log.attitude.copy()
     if not yaw_known:
@@ -119,7 +118,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False, window:
     starts = _window_starts(usable, rows)
     if not len(starts):
         raise UserError(
-            f"{log.name}: no window of {window:g} s in free flight; nothing of it can be used "
+            f"{log.name}: no window of {WINDOW:g} s in free flight; nothing of it can be used "
             f"({100 * usable.mean():.0f} % of its rows are in flight)"
         )
     sensed = _acceleration_noise(noise, attitude[usable], vehicle)

@@ -8,7 +8,7 @@ from inclined_landing.eval.base import page as base_page
 from inclined_landing.eval.base.style import styled
 from inclined_landing.eval.gap.report import figures, words
 from inclined_landing.eval.gap.report.model import MJCF, VEHICLE
-from inclined_landing.eval.gap.report.tracks import Track
+from inclined_landing.eval.gap.report.tracks import EVERY, Track
 from inclined_landing.eval.gap.result import Diagnosis
 from inclined_landing.models.effects import LIBRARY
 
@@ -44,7 +44,7 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
         rows=rows,
         figures={name: figure and figures.svg(figure) for name, figure in drawn.items()},
         colours=(figures.BEFORE, figures.AFTER),
-        track=track,
+        every=EVERY,
         vehicle=VEHICLE,
         mjcf=MJCF,
         flights=d.flights,

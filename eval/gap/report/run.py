@@ -1,35 +1,45 @@
-"""The progress of a run of `gap` or `identify`, and its record."""
+"""A run of `gap` or `identify`: its flights with a bar of its progress, and its record."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.eval.base.options import FlightSource
+from inclined_landing.eval.gap.flights.reading import read_flights
 from inclined_landing.models import storage
 
 _COLUMNS = (TextColumn("{task.description:22}"), BarColumn(), TimeElapsedColumn())
 
 
 @contextlib.contextmanager
-def progress(total: int) -> Iterator[Callable[[str], None]]:
-    """A bar of `total` parts; calling what it gives names the next one."""
+def flown(source: FlightSource, parts: int) -> Iterator[tuple]:
+    """Flights to fit, flights left out, sentences on them, and what names the next of some further parts.
+
+    A bar shows how far the reading, and then the work on these parts, has come.
+    """
     console = Console(stderr=True)
     with Progress(*_COLUMNS, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=total)
-        yield lambda what: bar.update(task, description=what, advance=1)
+        task = bar.add_task("", total=len(source.files) + len(source.heldout) + parts)
+
+        def tick(what: str) -> None:
+            bar.update(task, description=what, advance=1)
+
+        options = {"mapping": source.mapping, "units": source.unit, "tick": tick}
+        yield *read_flights(source.files, source.heldout, **options), tick
 
 
-def write_run(folder: Path, command: str, began: float, versions: dict, source: FlightSource) -> None:
-    """run.json: the command, its options, what it took and the versions."""
-    given = dataclasses.asdict(source)
-    seconds = round(time.monotonic() - began, 1)
-    storage.write_json(
-        folder / "run.json", {"command": command, **given, "seconds": seconds, "versions": versions}
-    )
+def write(
+    folder: Path, command: str, page: str, answer: dict, source: FlightSource, began: float, versions: dict
+) -> None:
+    """report.html and report.json; run.json: the command, its options, what it took, the versions."""
+    storage.write_text(folder / "report.html", page)
+    storage.write_json(folder / "report.json", answer)
+    taken = {"seconds": round(time.monotonic() - began, 1), "versions": versions}
+    storage.write_json(folder / "run.json", {"command": command, **dataclasses.asdict(source), **taken})

@@ -23,7 +23,6 @@ class Track:
     flight: str
     left_out: bool  # of the fit
     seconds: float  # how far each prediction goes
-    every: float  # s between two of them
     t: np.ndarray  # (m,) s
     position: np.ndarray  # (m, 3) m, measured
     times: tuple[np.ndarray, ...]  # of every prediction, (k,) s
@@ -58,7 +57,6 @@ def of(
         flight=log.name,
         left_out=left_out,
         seconds=round(starts.rows * starts.dt, 3),
-        every=EVERY,
         t=flight.t[shown],
         position=flight.position[shown],
         times=tuple(flight.t[a : a + starts.rows + 1] for a in starts.first),

@@ -50,11 +50,11 @@ def shown(unit: str) -> tuple[float, str]:
     return SHOWN.get(unit, (1.0, unit))
 
 
-def quantity(value: float, unit: str, *, digits: int = 3) -> str:
+def quantity(value: float, unit: str) -> str:
     """A number with the unit a person reads: 0.012 s is 12 ms."""
     factor, name = shown(unit)
     value *= factor
-    text = f"{value:.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
+    text = f"{value:.0f}" if abs(value) >= 1000 else f"{value:#.3g}".rstrip(".")
     return f"{text} {name}".rstrip()
 
 

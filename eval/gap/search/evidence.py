@@ -255,12 +255,12 @@ class Weighted(_Grams):
         a, b = self.group_a.sum(axis=0), self.group_b.sum(axis=0)
         return solve(a[np.ix_(index, index)], b[index])
 
-    def left(self, index: np.ndarray, change: np.ndarray) -> np.ndarray:
-        """Squared error (w,) of every window after a change of the columns `index`."""
+    def left(self, index: np.ndarray, change: np.ndarray, w: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Squared error of the windows `w` after a change of the columns `index`."""
         if not len(index):
-            return self.c
-        a = self.a[:, index[:, None], index[None, :]]
-        return self.c - 2.0 * self.b[:, index] @ change + np.einsum("wpq,p,q->w", a, change, change)
+            return self.c[w]
+        a = self.a[w][:, index[:, None], index[None, :]]
+        return self.c[w] - 2.0 * self.b[w][:, index] @ change + np.einsum("wpq,p,q->w", a, change, change)
 
     def left_out(self, index: np.ndarray) -> np.ndarray:
         """Squared error (w,) of every window, columns `index` fitted to the other groups."""
@@ -272,8 +272,7 @@ class Weighted(_Grams):
         for group in range(self.problem.groups):
             d = solve((total_a - self.group_a[group])[grid], (total_b - self.group_b[group])[index])
             w = self.problem.group_of == group
-            a = self.a[w][:, index[:, None], index[None, :]]
-            result[w] = self.c[w] - 2.0 * self.b[w][:, index] @ d + np.einsum("wpq,p,q->w", a, d, d)
+            result[w] = self.left(index, d, w)
         return result
 
     def per_flight(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

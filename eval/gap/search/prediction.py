@@ -21,7 +21,7 @@ from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import NEUTRAL
 
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")
-X_CHANNEL, Z_CHANNEL, ROLL_CHANNEL, YAW_CHANNEL = 0, 2, 3, 5
+ROLL_CHANNEL, YAW_CHANNEL = 3, 5
 _NEUTRAL = np.array(NEUTRAL)
 
 
