@@ -10,7 +10,7 @@ import platform
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from inclined_landing.models import storage
@@ -54,6 +54,28 @@ def check_new_run(path: str | Path) -> None:
     except OSError as error:
         raise UserError(f"the run folder {path} cannot be used: {storage.reason(error)}") from error
     storage.check_folder(path)
+
+
+def hand_over(
+    report: dict,
+    show: Callable[[dict], None],
+    json: bool,
+    out: Path | None,
+    files: Mapping[str, str] | None = None,
+) -> None:
+    """Write the report of a command, and texts by name, into the new folder `out`, where one is wanted.
+
+    Print it as JSON, or as `show` does.
+    """
+    if out is not None:
+        folder = new_run(out)
+        for name, text in (files or {}).items():
+            storage.write_text(folder / name, text)
+        storage.write_json(folder / f"{report['command'].split()[0]}.json", report)
+    if json:
+        print(storage.to_json(report))
+    else:
+        show(report)
 
 
 @contextlib.contextmanager

@@ -44,7 +44,8 @@ def assemble(
     if keep.sum() < 2:
         raise UserError(f"{path}: pose and commands are never logged at the same time")
     notes += _words_on_rows(channels, t, keep)
-    velocity, voltage = _velocity(channels, t[keep], notes), _voltage(channels, t[keep], notes)
+    velocity = _throughout(channels, _VELOCITY, t[keep], "velocity", notes)
+    voltage = _throughout(channels, ("vbat",), t[keep], "battery voltage", notes, longest=1.5)
     if "cmd_yaw" in channels and "cmd_yaw_rate" not in channels:
         notes.append("yaw is commanded as an angle; no yaw rate command was logged and none is made up")
 
@@ -66,7 +67,7 @@ def assemble(
         attitude=attitude,
         command=command,
         velocity=velocity,
-        voltage=voltage,
+        voltage=None if voltage is None else voltage[:, 0],
         contact=sent["contact"][keep] > 0.5 if "contact" in sent else None,
         notes=tuple(dict.fromkeys(notes)),
     )
@@ -108,25 +109,21 @@ def _words_on_rows(channels: Mapping[str, Channel], t: np.ndarray, keep: np.ndar
         yield "channels have clocks of their own: measurements interpolated, commands held, onto that of x"
 
 
-def _velocity(channels: Mapping[str, Channel], t: np.ndarray, notes: list[str]) -> np.ndarray | None:
-    """(m, 3) where it is logged throughout."""
-    if not all(key in channels for key in _VELOCITY):
+def _throughout(
+    channels: Mapping[str, Channel],
+    keys: tuple[str, ...],
+    t: np.ndarray,
+    what: str,
+    notes: list[str],
+    **options,
+) -> np.ndarray | None:
+    """(m, k) at t where all of `keys` are logged throughout; what is not is noted."""
+    if not all(key in channels for key in keys):
         return None
-    parts = [_interpolated(channels[key], t) for key in _VELOCITY]
+    parts = [_interpolated(channels[key], t, **options) for key in keys]
     if all(near.all() for _, near in parts):
         return np.stack([value for value, _ in parts], axis=1)
-    notes.append("velocity is not logged throughout and is not used")
-    return None
-
-
-def _voltage(channels: Mapping[str, Channel], t: np.ndarray, notes: list[str]) -> np.ndarray | None:
-    """(m,) where it is logged throughout."""
-    if "vbat" not in channels:
-        return None
-    voltage, near = _interpolated(channels["vbat"], t, longest=1.5)
-    if near.all():
-        return voltage
-    notes.append("battery voltage is not logged throughout and is not used")
+    notes.append(f"{what} is not logged throughout and is not used")
     return None
 
 

@@ -22,26 +22,24 @@ def command(source: Flat[LogSource], json: Flag = False) -> None:
     Args:
         json: print JSON, and nothing else, on standard output.
     """
-    files = source.files
     given = parse_units(source.unit)
-    reports = [_report(file, source.mapping, given) for file in files]
-    logs = [log for log, _ in reports if log is not None]
-    fleet = check_fleet(logs) if len(logs) > 1 else ()
+    reports = [_report(file, source.mapping, given) for file in source.files]
+    fleet = check_fleet([log for log, _ in reports if log is not None])
+    flights = [_plain(file, *report) for file, report in zip(source.files, reports)]
     if json:
-        flights = [_plain(file, log, findings) for file, (log, findings) in zip(files, reports)]
         print(storage.to_json({"flights": flights, "together": [_finding(f) for f in fleet]}))
     else:
-        for file, (log, findings) in zip(files, reports):
-            print(_words(file, log, findings))
+        for file, flight, (_, findings) in zip(source.files, flights, reports):
+            print(_words(file, flight, findings))
         if fleet:
             print("together\n" + "\n".join(_sentence(finding) for finding in fleet))
     refused = [
         findings[0].text if log is None else f"{shown(file, 250)}: {findings[0].text}"
-        for file, (log, findings) in zip(files, reports)
+        for file, (log, findings) in zip(source.files, reports)
         if findings and findings[0].decision == "refuse"
     ]
     if refused:
-        raise UserError(f"{len(refused)} of {len(files)} logs refused: {'; '.join(refused)}")
+        raise UserError(f"{len(refused)} of {len(reports)} logs refused: {'; '.join(refused)}")
     if fleet and fleet[0].decision == "refuse":
         raise UserError(fleet[0].text)
 
@@ -69,11 +67,11 @@ def _report(
     return log, tuple(sorted(findings, key=lambda finding: finding.decision != "refuse"))
 
 
-def _words(file: str, log: FlightLog | None, findings: Sequence[Finding]) -> str:
+def _words(file: str, flight: Mapping, findings: Sequence[Finding]) -> str:
     lines = [shown(file, 250)]
-    if log is not None:
-        lines.append(f"  {len(log)} rows, {log.duration:.1f} s, {log.rate:.0f} rows per second")
-        lines.append(f"  logged: {', '.join(_logged(log))}")
+    if "rows" in flight:
+        rows = f"{flight['rows']} rows, {flight['seconds']:.1f} s, {flight['rate']:.0f} rows per second"
+        lines += [f"  {rows}", f"  logged: {', '.join(flight['logged'])}"]
     return "\n".join(lines + [_sentence(finding) for finding in findings])
 
 

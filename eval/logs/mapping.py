@@ -39,7 +39,6 @@ class Source:
 class ColumnMap:
     """A mapping file, read."""
 
-    name: str
     description: str
     columns: Mapping[str, tuple[Source, ...]]  # canonical name -> sources, the first present is taken
     detect: tuple[str, ...] = ()
@@ -62,7 +61,7 @@ def shipped() -> Mapping[str, ColumnMap]:
     """The mappings that come with this package, by name."""
     folder = resources.files("inclined_landing.eval.logs") / "mappings"
     files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
-    return {f.name[:-5]: _parse(f.name[:-5], f.name, tomllib.loads(f.read_text("utf-8")), ()) for f in files}
+    return {f.name[:-5]: _parse(f.name, tomllib.loads(f.read_text("utf-8")), ()) for f in files}
 
 
 def load(name: str | Path) -> ColumnMap:
@@ -86,7 +85,7 @@ def _load(path: Path, heirs: tuple[Path, ...]) -> ColumnMap:
         raise UserError(f"{whose}no mapping {shown(path)}: neither a file nor one of {', '.join(shipped())}")
     if len(heirs) > DEEPEST:
         raise UserError(f"{heirs[0]}: inherit goes through more than {DEEPEST} files")
-    return _parse(path.stem, str(path), storage.read_toml(path, "mapping"), (*heirs, path.resolve()))
+    return _parse(str(path), storage.read_toml(path, "mapping"), (*heirs, path.resolve()))
 
 
 def detect(names: Sequence[str], where: str) -> ColumnMap:
@@ -211,7 +210,7 @@ def _check_clock(where: str, t: np.ndarray, column: str) -> None:
         )
 
 
-def _parse(name: str, where: str, data: dict, heirs: tuple[Path, ...]) -> ColumnMap:
+def _parse(where: str, data: dict, heirs: tuple[Path, ...]) -> ColumnMap:
     _only(where, data, _FILE_KEYS)
     for key in ("description", "inherit", "refuse"):
         if not isinstance(data.get(key, ""), str):
@@ -235,7 +234,6 @@ def _parse(name: str, where: str, data: dict, heirs: tuple[Path, ...]) -> Column
     if not columns and "refuse" not in data:
         raise UserError(f"{where}: no [columns]")
     return ColumnMap(
-        name=name,
         description=data.get("description", ""),
         columns=columns,
         detect=_texts(where, "detect", data.get("detect", [])),

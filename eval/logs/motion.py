@@ -33,25 +33,19 @@ LEAD = 0.015  # s by which a response may seem to lead its cause before the cloc
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """Smoothed motion of one flight in the air, on a grid of RATE; complex: x + iy.
+    """Smoothed motion of one flight in the air, on a grid of RATE; complex: x + iy."""
 
-    height: z (m). tilt: pitch - i roll, NaN where one is not logged. pointed: where the thrust pointed, in
-    the frame of the heading. asked: commanded tilt. force: specific force (m/s2). lift: its vertical part
-    less g. pushed: horizontal acceleration (m/s2). moved, climbed: the derivatives of position. drift,
-    climb: the logged velocity.
-    """
-
-    height: np.ndarray
-    tilt: np.ndarray
-    pointed: np.ndarray
-    asked: np.ndarray
+    height: np.ndarray  # z (m)
+    tilt: np.ndarray  # pitch - i roll, NaN where one is not logged
+    pointed: np.ndarray  # where the thrust pointed, in the frame of the heading
+    asked: np.ndarray  # commanded tilt
     pwm: np.ndarray
-    force: np.ndarray
-    lift: np.ndarray
-    pushed: np.ndarray
-    moved: np.ndarray
+    force: np.ndarray  # specific force (m/s2)
+    lift: np.ndarray  # its vertical part less g
+    pushed: np.ndarray  # horizontal acceleration (m/s2)
+    moved: np.ndarray  # derivatives of position, horizontal and vertical
     climbed: np.ndarray
-    drift: np.ndarray | None
+    drift: np.ndarray | None  # logged velocity, the same
     climb: np.ndarray | None
 
 
@@ -158,8 +152,7 @@ def _tilt_against_acceleration(parts: list[Motion]) -> Iterator[Finding]:
             "roll, pitch", "too little tilt to tell whether roll and pitch have the right signs and unit"
         )
         return
-    what = "the horizontal acceleration"
-    yield from _convention(pair, "roll and pitch", what)
+    yield from _convention(pair, "roll and pitch", "the horizontal acceleration")
 
 
 def _tilt_against_command(parts: list[Motion]) -> Iterator[Finding]:
@@ -257,7 +250,7 @@ def _convention(pair: _Pair, what: str, against: str) -> Iterator[Finding]:
     elif abs(turn) > TURNED_TOO_FAR:
         yield refuse(
             what,
-            f"{what} are turned by {np.degrees(turn):.0f} deg against {against}: {_turn_words(what, turn)}",
+            f"{what} are turned by {np.degrees(turn):.0f} deg against {against}: {_turn_words(turn)}",
         )
     elif not 1 / 20 < pair.ratio < 20:
         unit = "degrees" if pair.ratio < 1 else f"{against} in degrees"
@@ -280,7 +273,7 @@ def _mirror_words(what: str, turn: float) -> str:
     return f"{prefix}{x} and {prefix}{y} are swapped"
 
 
-def _turn_words(what: str, turn: float) -> str:
+def _turn_words(turn: float) -> str:
     if abs(turn) > 3 * np.pi / 4:
         return "both signs are wrong, or the frames are turned about z"
     return "the columns are swapped and one sign is wrong, or the frames are turned about z"

@@ -19,6 +19,11 @@ HARDEST = 40.0  # m/s2
 FASTEST = 15.0  # m/s
 FARTHEST = 200.0  # m
 MOTORS_OFF = 10_000.0  # PWM
+TURNED_BY = (  # command, the largest in SI units, and what is said of a larger one
+    ("cmd_roll", np.pi / 2, "rad: degrees"),
+    ("cmd_pitch", np.pi / 2, "rad: degrees"),
+    ("cmd_yaw_rate", 15.0, "rad/s: degrees per second"),
+)
 
 
 def check(log: FlightLog) -> Iterator[Finding]:
@@ -28,8 +33,7 @@ def check(log: FlightLog) -> Iterator[Finding]:
     yield from _position(log)
     yield from _attitude(log)
     yield from _thrust(log)
-    yield from _angle_commands(log)
-    yield from _yaw_rate(log)
+    yield from _turn_commands(log)
     yield from _voltage(log)
 
 
@@ -172,25 +176,14 @@ def _thrust(log: FlightLog) -> Iterator[Finding]:
             )
 
 
-def _angle_commands(log: FlightLog) -> Iterator[Finding]:
-    for name, column in zip(("cmd_roll", "cmd_pitch"), log.command[:, 1:3].T):
+def _turn_commands(log: FlightLog) -> Iterator[Finding]:
+    for (name, most, words), column in zip(TURNED_BY, log.command[:, 1:].T):
         if np.isnan(column).all():
             continue
-        if np.ptp(column) < 1e-6:
+        if np.ptp(column) < 1e-6 and name != "cmd_yaw_rate":
             yield limit(name, f"column {name} is always {column[0]:.3g}: its loop cannot be judged")
-        elif np.abs(column).max() > np.pi / 2:
-            yield refuse(
-                name, f"column {name} reaches {np.abs(column).max():.3g} rad: degrees? State its unit"
-            )
-
-
-def _yaw_rate(log: FlightLog) -> Iterator[Finding]:
-    rate = log.command[:, 3]
-    if not np.isnan(rate).all() and np.abs(rate).max() > 15.0:
-        yield refuse(
-            "cmd_yaw_rate",
-            f"column cmd_yaw_rate reaches {np.abs(rate).max():.3g} rad/s: degrees per second? State its unit",
-        )
+        elif np.abs(column).max() > most:
+            yield refuse(name, f"column {name} reaches {np.abs(column).max():.3g} {words}? State its unit")
 
 
 def _voltage(log: FlightLog) -> Iterator[Finding]:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import timeit
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
@@ -24,9 +25,9 @@ from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.base.options import Flag, NewFolder, Seed, VehicleFile
-from inclined_landing.eval.base.runs import check_new_run, new_run, versions
+from inclined_landing.eval.base.runs import check_new_run, hand_over, versions
 from inclined_landing.eval.base.statistics import spread
-from inclined_landing.models import storage
+from inclined_landing.eval.machine import benchmark_table
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import make_plant
@@ -89,14 +90,7 @@ def command(
             report["training"] = training_speed(repeats, steps, plain_steps, seed, status.update, vehicle)
     report["time_to_99_percent"] = to_99
     report["load_after"] = os.getloadavg()
-    if out is not None:
-        storage.write_json(new_run(out) / "benchmark.json", report)
-    if json:
-        print(storage.to_json(report))
-    else:
-        from inclined_landing.eval.machine import benchmark_table
-
-        benchmark_table.show(report)
+    hand_over(report, benchmark_table.show, json, out)
 
 
 def environments(repeats: int, seed: int, vehicle: Vehicle | None = None) -> list[dict]:
@@ -181,7 +175,7 @@ def policy_latency(policy: Policy | None, repeats: int, seed: int) -> dict:
         model.predict(row, deterministic=True)
         own[k], stock[k] = between - began, time.perf_counter() - between
     batch = np.random.default_rng(seed).normal(size=(VEHICLES, len(policy.centre)))
-    many = [_seconds(lambda: policy.predict(batch)) for _ in range(min(repeats, 200))]
+    many = timeit.repeat(lambda: policy.predict(batch), number=1, repeat=min(repeats, 200))
     return {
         "policy": policy.name,
         "predict_us": spread(1e6 * own),
@@ -249,11 +243,12 @@ def training_speed(
     update, without start-up, evaluation and reports.
     """
     ours, plain = [], []
+    options = ("--vehicle", str(vehicle)) if vehicle is not None else ()
     for k in range(repeats):
         notice(f"training, landing-train, {k + 1} of {repeats}")
-        ours.append(_landing_train(steps, seed + k, vehicle))
+        ours.append(_landing_train("--steps", str(steps), "--seed", str(seed + k), *options))
         notice(f"training, plain baseline, {k + 1} of {repeats}")
-        plain.append(_plain(plain_steps, seed + k, vehicle))
+        plain.append(_plain("--steps", str(plain_steps), "--seed", str(seed + k), *options))
     return {
         "steps": steps,
         "plain_steps": plain_steps,
@@ -264,26 +259,18 @@ def training_speed(
     }
 
 
-def _landing_train(steps: int, seed: int, vehicle: Path | None) -> float:
+def _landing_train(*options: str) -> float:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
-        _python(
-            *("inclined_landing.train", "landing", "--steps", str(steps), "--seed", str(seed)),
-            *("--out", str(out), "--no-report", "--evaluate-every", "0", "--video-every", "0"),
-            *_vehicle_option(vehicle),
-        )
+        quiet = ("--out", str(out), "--no-report", "--evaluate-every", "0", "--video-every", "0")
+        _python("inclined_landing.train", "landing", *options, *quiet)
         metrics = json_format.loads((out / "metrics.json").read_text("utf-8"))
     return float(metrics["steps_per_second"])
 
 
-def _plain(steps: int, seed: int, vehicle: Path | None) -> float:
-    module = "inclined_landing.eval.machine.baseline"
-    text = _python(module, "--steps", str(steps), "--seed", str(seed), *_vehicle_option(vehicle))
+def _plain(*options: str) -> float:
+    text = _python("inclined_landing.eval.machine.baseline", *options)
     return float(json_format.loads(text.splitlines()[-1])["steps_per_second"])
-
-
-def _vehicle_option(vehicle: Path | None) -> tuple[str, ...]:
-    return ("--vehicle", str(vehicle)) if vehicle is not None else ()
 
 
 def _python(module: str, *arguments: str) -> str:
@@ -320,9 +307,3 @@ def time_to_99(folders: Sequence[Path]) -> dict:
         "steps": spread([row["steps"] for row in reached]),
         "seconds": spread([row["seconds"] for row in reached]),
     }
-
-
-def _seconds(call: Callable[[], object]) -> float:
-    began = time.perf_counter()
-    call()
-    return time.perf_counter() - began

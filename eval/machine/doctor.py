@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import sys
+from collections.abc import Callable
 
 from inclined_landing.envs import policy
 from inclined_landing.eval.base import runs
@@ -33,11 +34,33 @@ class Finding:
 
 def examine() -> list[Finding]:
     """Run every check."""
-    findings = [_python(), _packages(), _engine(), _plugins(), _compiler()]
+    engine, more = "run `make` in the repository", "run `make test` for more"
+    if os.environ.get("MUJOCO_GL"):
+        engine = f"unset MUJOCO_GL (it is {os.environ['MUJOCO_GL']!r}) or install that library"
+    rebuild = "run `make` in the repository, or reinstall the package in this environment"
+    findings = [
+        _python(),
+        _packages(),
+        _tried("MuJoCo", _engine, engine),
+        _tried("native plugins", _plugins, rebuild),
+        _compiler(),
+    ]
     if all(finding.ok for finding in findings[:4]):
-        findings += [_simulation(), _rendering(), _opengl()]
+        findings += [
+            _tried("simulation", _simulation, more),
+            _tried("rendering", _rendering, more),
+            _opengl(),
+        ]
     extras = [_extra(name) for name in EXTRAS] if findings[1].ok else []
-    return [*findings, *extras, _video(), _policies()]
+    return [*findings, *extras, _tried("video encoder", _video, "pip install imageio-ffmpeg"), _policies()]
+
+
+def _tried(name: str, check: Callable[[], tuple[bool, str]], remedy: str) -> Finding:
+    """What a check says, whether all is well and details; an error of any kind says that it is not."""
+    try:
+        return Finding(name, *check(), remedy)
+    except Exception as error:  # missing GL, say, shows as various errors
+        return Finding(name, False, (str(error) or type(error).__name__).splitlines()[0], remedy)
 
 
 def command(json: Flag = False) -> int:
@@ -81,9 +104,7 @@ def _packages() -> Finding:
         return Finding("packages", False, "inclined-landing is not installed", remedy)
     if missing:
         return Finding("packages", False, f"missing: {', '.join(missing)}", remedy)
-    installed = runs.versions()
-    shown = ("gymnasium", "numpy", "numba", "stable-baselines3", "torch", "inclined-landing")
-    there = [f"{name} {installed[name]}" for name in shown if installed[name] is not None]
+    there = [f"{name} {version}" for name, version in runs.packages().items() if version is not None]
     return Finding("packages", True, ", ".join(there))
 
 
@@ -112,28 +133,18 @@ def _missing(extra: str) -> list[str]:
     return missing
 
 
-def _engine() -> Finding:
-    try:
-        import mujoco
-    except Exception as error:  # with MUJOCO_GL set, missing GL shows as various errors
-        remedy = "run `make` in the repository"
-        if os.environ.get("MUJOCO_GL"):
-            remedy = f"unset MUJOCO_GL (it is {os.environ['MUJOCO_GL']!r}) or install that library"
-        return Finding("MuJoCo", False, _first_line(error), remedy)
-    return Finding("MuJoCo", True, mujoco.mj_versionString())
+def _engine() -> tuple[bool, str]:
+    import mujoco
+
+    return True, mujoco.mj_versionString()
 
 
-def _plugins() -> Finding:
-    remedy = "run `make` in the repository, or reinstall the package in this environment"
-    try:
-        plugins.load()
-    except (ImportError, OSError) as error:
-        return Finding("native plugins", False, _first_line(error), remedy)
+def _plugins() -> tuple[bool, str]:
+    plugins.load()
     status = plugins.loaded()
     names = ", ".join(name.removeprefix("inclined_landing.") for name in status.names)
     complete = set(status.names) == set(plugins.NAMES)
-    detail = f"{names} for MuJoCo {status.built_for}, {status.library}"
-    return Finding("native plugins", complete, detail, remedy)
+    return complete, f"{names} for MuJoCo {status.built_for}, {status.library}"
 
 
 def _compiler() -> Finding:
@@ -148,42 +159,32 @@ def _compiler() -> Finding:
     )
 
 
-def _simulation() -> Finding:
+def _simulation() -> tuple[bool, str]:
     """Does a hovering vehicle stay where it is for a second?"""
     import numpy as np
 
-    try:
-        from inclined_landing.envs.tasks.base import hover_states
-        from inclined_landing.models.plants import MujocoPlant
+    from inclined_landing.envs.tasks.base import hover_states
+    from inclined_landing.models.plants import MujocoPlant
 
-        plant = MujocoPlant(1, threads=1)
-        start = hover_states(np.array([[0.0, 0.0, 2.0]]), plant.vehicle)
-        plant.reset(np.arange(1), start)
-        for _ in range(round(1.0 / plant.control_period)):
-            plant.step(np.array([[plant.vehicle.hover_pwm, 0.0, 0.0, 0.0]]))
-        drift = float(np.linalg.norm(plant.state[0, :3] - start[0, :3]))
-    except (ImportError, UserError, RuntimeError, FloatingPointError) as error:
-        return Finding("simulation", False, _first_line(error), "run `make test` for more")
-    return Finding(
-        "simulation", drift < 1e-6, f"hovering 1 s drifts {drift:.1e} m", "run `make test` for more"
-    )
+    plant = MujocoPlant(1, threads=1)
+    start = hover_states(np.array([[0.0, 0.0, 2.0]]), plant.vehicle)
+    plant.reset(np.arange(1), start)
+    for _ in range(round(1.0 / plant.control_period)):
+        plant.step(np.array([[plant.vehicle.hover_pwm, 0.0, 0.0, 0.0]]))
+    drift = float(np.linalg.norm(plant.state[0, :3] - start[0, :3]))
+    return drift < 1e-6, f"hovering 1 s drifts {drift:.1e} m"
 
 
-def _rendering() -> Finding:
+def _rendering() -> tuple[bool, str]:
     """Rays need nothing but MuJoCo."""
-    try:
-        from inclined_landing.envs.rendering import make_renderer
-        from inclined_landing.envs.rendering.gl import probe
+    from inclined_landing.envs.rendering import make_renderer
+    from inclined_landing.envs.rendering.gl import probe
 
-        hardware = probe().hardware
-        if not hardware:
-            renderer = make_renderer(64, 48, backend="ray")
-            renderer.render(None)
-            renderer.close()
-    except Exception as error:
-        return Finding("rendering", False, _first_line(error), "run `make test` for more")
-    backend = "OpenGL on hardware" if hardware else "ray casting on the processor"
-    return Finding("rendering", True, f"backend auto: {backend}")
+    if probe().hardware:
+        return True, "backend auto: OpenGL on hardware"
+    with make_renderer(64, 48, backend="ray") as renderer:
+        renderer.render(None)
+    return True, "backend auto: ray casting on the processor"
 
 
 def _opengl() -> Finding:
@@ -200,13 +201,10 @@ def _opengl() -> Finding:
     )
 
 
-def _video() -> Finding:
-    try:
-        import imageio_ffmpeg
+def _video() -> tuple[bool, str]:
+    import imageio_ffmpeg
 
-        return Finding("video encoder", True, imageio_ffmpeg.get_ffmpeg_exe())
-    except (ImportError, RuntimeError) as error:
-        return Finding("video encoder", False, _first_line(error), "pip install imageio-ffmpeg")
+    return True, imageio_ffmpeg.get_ffmpeg_exe()
 
 
 def _policies() -> Finding:
@@ -221,10 +219,6 @@ def _policies() -> Finding:
     if missing:
         detail += f" (missing: {', '.join(missing)})"
     return Finding("shipped policies", not missing, detail, "train one with landing-train", needed=False)
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error) or type(error).__name__).splitlines()[0]
 
 
 def _show(findings: list[Finding]) -> None:

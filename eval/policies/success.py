@@ -15,14 +15,13 @@ With ``--effects`` the frozen grid (or the random starts) alone, once for every 
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 import math
 from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
+import pandas as pd
 import tyro
 from rich.console import Console
 from rich.progress import track
@@ -31,8 +30,8 @@ from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flag, Flat, Flown, NewFolder, PolicyFile, Seed
+from inclined_landing.eval.policies import success_table
 from inclined_landing.eval.policies.judges import judge_of, report_of
-from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import make_plant
 
@@ -89,17 +88,8 @@ def command(
     else:
         report, flights = _evaluate(loaded, flown.plant, scales, seed)
     report["vehicle"] = str(flown.vehicle) if flown.vehicle is not None else "crazyflie.toml"
-    if out is not None:
-        folder = runs.new_run(out)
-        if flights is not None:
-            storage.write_text(folder / "flights.csv", _flights_csv(flights))
-        storage.write_json(folder / "success.json", report)
-    if json:
-        print(storage.to_json(report))
-    else:
-        from inclined_landing.eval.policies import success_table
-
-        success_table.show(report)
+    files = None if flights is None else {"flights.csv": _flights_csv(flights)}
+    runs.hand_over(report, success_table.show, json, out, files)
 
 
 def _evaluate(policy: Policy, plant: str, thrust_scales: Sequence[float], seed: int):
@@ -124,10 +114,9 @@ def _evaluate(policy: Policy, plant: str, thrust_scales: Sequence[float], seed: 
 
 def _flights_csv(flights) -> str:
     """One row per flight; times in s, positions in m."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow("thrust_scale starts x y z success touched time end_x end_y end_z".split())
-    for scale, group, f in flights:
-        row = [*f.state[0, :3], int(f.success), int(f.touched), f.duration, *f.state[-1, :3]]
-        table.writerow([f"{scale:g}", group, *(f"{value:.6g}" for value in row)])
-    return text.getvalue()
+    columns = "thrust_scale starts x y z success touched time end_x end_y end_z".split()
+    rows = [
+        (scale, group, *f.state[0, :3], int(f.success), int(f.touched), f.duration, *f.state[-1, :3])
+        for scale, group, f in flights
+    ]
+    return pd.DataFrame(rows, columns=columns).to_csv(index=False, float_format="%.6g")

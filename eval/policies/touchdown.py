@@ -35,7 +35,7 @@ from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flag, NewFolder, PolicyFile, PolicyName, VehicleFile
 from inclined_landing.eval.base.statistics import proportion, spread
 from inclined_landing.eval.base.tables import new_table, printer, share_cell
-from inclined_landing.models import contact, storage
+from inclined_landing.models import contact
 from inclined_landing.models.attitude import PWM
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -183,12 +183,7 @@ def command(
         restitutions=restitution,
     )
     report["vehicle"] = str(vehicle) if vehicle is not None else "crazyflie.toml"
-    if out is not None:
-        storage.write_json(runs.new_run(out) / "touchdown.json", report)
-    if json:
-        print(storage.to_json(report))
-    else:
-        show(report)
+    runs.hand_over(report, show, json, out)
 
 
 def show(report: dict) -> None:
