@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,27 +12,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from inclined_landing.envs.tasks import Task, task_class
+from inclined_landing.envs.tasks import task_class
 from inclined_landing.envs.tasks.base import ScoreCurve
 from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, styled
 from inclined_landing.models.errors import UserError
 
-
-@dataclasses.dataclass(frozen=True)
-class _Curve:
-    table: str  # "learning" or "evaluations"
-    colour: str
-    shown: ScoreCurve
-
-
-_LEVEL = _Curve("learning", PURPLE, ScoreCurve("level", "curriculum level", 1.0, (-0.03, 1.08)))
-_LENGTH = _Curve("learning", GREEN, ScoreCurve("episode_length", "episode length [steps]", 1.0, None))
-_REWARD = _Curve("learning", ORANGE, ScoreCurve("episode_reward", "episode reward", 1.0, None))
-
-
-def _curves(task: type[Task]) -> tuple[_Curve, ...]:
-    """What is shown of a task, its score first."""
-    return _Curve("evaluations", BLUE, task.score_curve), _LEVEL, _LENGTH, _REWARD
+_LEVEL = ScoreCurve("level", "curriculum level", 1.0, (-0.03, 1.08))
+_LENGTH = ScoreCurve("episode_length", "episode length [steps]", 1.0, None)
+_REWARD = ScoreCurve("episode_reward", "episode reward", 1.0, None)
+# By table of a run: what is shown of it, and in which colour; of the evaluations the score of the task.
+_LEARNING = {_LEVEL: PURPLE, _LENGTH: GREEN, _REWARD: ORANGE}
 
 
 def read_run(folder: str | Path) -> tuple[str, dict[str, pd.DataFrame]]:
@@ -54,11 +42,11 @@ def read_run(folder: str | Path) -> tuple[str, dict[str, pd.DataFrame]]:
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(f"the run folder {folder} cannot be read: {error}") from error
     try:
-        curves = _curves(task_class(task))
+        shown = {"learning": _LEARNING, "evaluations": (task_class(task).score_curve,)}
     except UserError as error:
         raise UserError(f"{folder / 'run.json'}: {error}") from None
     for name, table in tables.items():
-        for column in ("steps", *(c.shown.column for c in curves if c.table == name and len(table))):
+        for column in ("steps", *(curve.column for curve in shown[name] if len(table))):
             if column not in table:
                 raise UserError(f"{folder / name}.csv lacks the column {column}")
     return task, tables
@@ -78,19 +66,17 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
     tasks = sorted(set(named))
     if len(tasks) > 1:
         raise UserError(f"the runs are of different tasks ({' and '.join(tasks)}); choose runs of one")
-    curves = [
-        curve
-        for curve in _curves(task_class(tasks[0]))
-        if curve not in (_LEVEL, _LENGTH)
-        or any(run["learning"][curve.shown.column].nunique() > 1 for run in read)
-    ]
+    curves = [("evaluations", task_class(tasks[0]).score_curve, BLUE)]
+    for curve, colour in _LEARNING.items():
+        if curve is _REWARD or any(run["learning"][curve.column].nunique() > 1 for run in read):
+            curves.append(("learning", curve, colour))
     with styled():
         columns = 2 if len(curves) == 4 else len(curves)  # two to four
         rows = len(curves) // columns
         figure = Figure(figsize=(3.4 * columns, 0.45 + 2.05 * rows), layout="constrained")
         grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
-        for axes, curve in zip(grid.ravel(), curves):
-            _draw(axes, curve, [run[curve.table] for run in read])
+        for axes, (table, curve, colour) in zip(grid.ravel(), curves):
+            _draw(axes, curve, colour, [run[table] for run in read])
         for axes in grid[-1]:
             axes.set_xlabel("environment steps [10⁶]")
         final = max(run["learning"]["steps"].max() for run in read) / 1e6
@@ -105,8 +91,7 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
     return figure
 
 
-def _draw(axes: Axes, curve: _Curve, tables: list[pd.DataFrame]) -> None:
-    shown = curve.shown
+def _draw(axes: Axes, shown: ScoreCurve, colour: str, tables: list[pd.DataFrame]) -> None:
     axes.grid(True)
     axes.set_ylabel(shown.label)
     lines = []
@@ -119,11 +104,11 @@ def _draw(axes: Axes, curve: _Curve, tables: list[pd.DataFrame]) -> None:
     for x, y in lines:
         style = {"lw": 0.7, "alpha": 0.6} if several else {"lw": 2.0}
         style |= {"marker": "o", "ms": 3.5} if not several and len(x) < 16 else {}
-        axes.plot(x, y, color=curve.colour, gid="run", **style)
+        axes.plot(x, y, color=colour, gid="run", **style)
     if several:
         x, middle, low, high = band(lines)
-        axes.fill_between(x, low, high, color=curve.colour, alpha=0.2, lw=0, gid="band")
-        axes.plot(x, middle, color=curve.colour, lw=2.2, gid="median")
+        axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0, gid="band")
+        axes.plot(x, middle, color=colour, lw=2.2, gid="median")
     if not lines:
         axes.text(0.5, 0.5, "no evaluations yet", transform=axes.transAxes, ha="center", color=MUTED)
     if shown.reference:
