@@ -41,9 +41,8 @@ def design(study: Study) -> tuple[dict[str, np.ndarray], np.ndarray]:
         for p, column in zip(study.parameters, grid):
             values[p.name] = column.ravel()
         return values, grid[-1].ravel().astype(np.int64)
-    drawn = stats.qmc.LatinHypercube(len(study.parameters) + 1, rng=np.random.default_rng(study.seed)).random(
-        n
-    )
+    sampler = stats.qmc.LatinHypercube(len(study.parameters) + 1, rng=np.random.default_rng(study.seed))
+    drawn = sampler.random(n)
     for p, u in zip(study.parameters, drawn.T):
         values[p.name] = _quantile(p, u)
     return values, np.minimum((drawn[:, -1] * starts).astype(np.int64), starts - 1)
@@ -69,33 +68,33 @@ def run_chunk(study: Study, chunk: int, size: int = CHUNK, threads: int = 0) -> 
     values, start = design(study)
     rows = slice(chunk * size, min((chunk + 1) * size, total(study)))
     p = {name: column[rows].copy() for name, column in values.items()}
-    vehicle = study.vehicle
     if study.starts:
-        states = np.array(study.starts)[start[rows]]
-        states = states.reshape(-1, STATE_SIZE)
+        states = np.array(study.starts)[start[rows]].reshape(-1, STATE_SIZE)
     else:
-        states = touchdown_states(p, vehicle)
+        states = touchdown_states(p, study.vehicle)
     landings = simulate(
         states, p, from_start=bool(study.starts), duration=study.duration, timestep=study.timestep,
-        vehicle=vehicle, threads=threads,
+        vehicle=study.vehicle, threads=threads,
     )  # fmt: skip
     return _table(study, rows, p, start[rows], landings)
 
 
 def _table(study: Study, rows: slice, p, start, landings: Landings) -> pa.Table:
     """Columns: landing, start, every parameter [SI], outcome, RESULTS [SI]; units are in the metadata."""
-    known = known_parameters(study.vehicle)
-    columns = {"landing": pa.array(np.arange(rows.start, rows.stop), pa.int64())}
-    fields = [pa.field("landing", pa.int64(), metadata={"meaning": "number in the study"})]
-    columns["start"] = pa.array(start, pa.int32())
-    fields.append(pa.field("start", pa.int32(), metadata={"meaning": "index of the start state"}))
-    for name, column in p.items():
-        columns[name] = pa.array(column, pa.float64(), from_pandas=True)
-        meta = {"unit": known[name].kind, "meaning": known[name].label}
-        fields.append(pa.field(name, pa.float64(), metadata=meta))
-    columns["outcome"] = pa.array([OUTCOMES[k] for k in landings.outcome], pa.string())
-    fields.append(pa.field("outcome", pa.string(), metadata={"meaning": ", ".join(OUTCOMES)}))
-    for k, (name, meaning) in enumerate(RESULTS.items()):
-        columns[name] = pa.array(landings.values[:, k], pa.float64(), from_pandas=True)
-        fields.append(pa.field(name, pa.float64(), metadata={"meaning": meaning}))
-    return pa.table(columns, schema=pa.schema(fields))
+    columns = [
+        (
+            "landing",
+            pa.array(np.arange(rows.start, rows.stop), pa.int64()),
+            {"meaning": "number in the study"},
+        ),
+        ("start", pa.array(start, pa.int32()), {"meaning": "index of the start state"}),
+    ]
+    for name, entry in known_parameters(study.vehicle).items():
+        metadata = {"unit": entry.kind, "meaning": entry.label}
+        columns.append((name, pa.array(p[name], pa.float64(), from_pandas=True), metadata))
+    outcome = pa.array([OUTCOMES[k] for k in landings.outcome], pa.string())
+    columns.append(("outcome", outcome, {"meaning": ", ".join(OUTCOMES)}))
+    for (name, meaning), column in zip(RESULTS.items(), landings.values.T):
+        columns.append((name, pa.array(column, pa.float64(), from_pandas=True), {"meaning": meaning}))
+    fields = [pa.field(name, column.type, metadata=meta) for name, column, meta in columns]
+    return pa.table([column for _, column, _ in columns], schema=pa.schema(fields))

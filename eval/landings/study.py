@@ -239,7 +239,8 @@ def _range(parameter: Parameter, entry: dict, unit: str, factor: float, hypercub
         )
     mean = deviation = 0.0
     if normal:
-        mean, deviation = (factor * _finite(entry, key, name) for key in ("mean", "deviation"))
+        where = f"parameter {name}: "
+        mean, deviation = (factor * _number(entry, key, math.nan, where) for key in ("mean", "deviation"))
         if not _NARROWEST <= deviation / (high - low) <= _WIDEST or not low <= mean <= high:
             raise UserError(
                 f"parameter {name}: the mean must be in the range, and the deviation {_NARROWEST:g} to "
@@ -300,18 +301,11 @@ def _is_number(value) -> bool:
     return type(value) in (int, float) and abs(value) < math.inf  # whole numbers of any length too
 
 
-def _number(table: dict, key: str, default: float) -> float:
+def _number(table: dict, key: str, default: float, where: str = "") -> float:
     value = table.get(key, default)
     if not _is_number(value):
-        raise UserError(f"{key} must be a number, not {shown(repr(value))}")
+        raise UserError(f"{where}{key} must be a number, not {shown(repr(value))}")
     return float(min(max(value, -_HUGE), _HUGE))
-
-
-def _finite(entry: dict, key: str, name: str) -> float:
-    try:
-        return _number(entry, key, math.nan)
-    except UserError as error:
-        raise UserError(f"parameter {name}: {error}") from error
 
 
 def _whole(table: dict, key: str, default: int) -> int:

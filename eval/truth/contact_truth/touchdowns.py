@@ -116,7 +116,7 @@ def _first_touchdown(name: str, table: pd.DataFrame, vehicle: Vehicle) -> Touchd
         moment, level = t[k] + touch, np.polyval(before, touch)
         window = np.flatnonzero((t >= moment - BEFORE) & (t <= moment + AFTER))
         first = window[0]
-        state = _state(table, first, vehicle)
+        state = _state(table, first)
         state[Z] = np.polyval(before, t[first] - t[k]) - level
         state[VZ] = -down
         pwm = ratio[window] * vehicle.hover_pwm
@@ -155,7 +155,7 @@ def _crossing(line: np.ndarray, parabola: np.ndarray) -> float | None:
     return float(real[np.abs(real).argmin()]) if len(real) else None
 
 
-def _state(table: pd.DataFrame, k: int, vehicle: Vehicle) -> np.ndarray:
+def _state(table: pd.DataFrame, k: int) -> np.ndarray:
     """State (13,) measured at row k; rates from the attitude over 40 ms."""
     rows = slice(k - 2, k + 3)
     quaternions = table[["qx", "qy", "qz", "qw"]].to_numpy()[rows]
@@ -259,25 +259,16 @@ def rebound(
 
 def _row(f: Fit, predicted_up: float) -> dict:
     """What the page shows of one touchdown and its fit."""
-    d = f.touchdown
-    return {
-        "flight": d.flight,
-        "down": d.down,
-        "up": d.up,
-        "tilt_deg": float(np.degrees(d.tilt)),
-        "slide": d.slide,
-        "thrust": d.thrust,
-        "shock": d.shock,
-        "restitution_measured": d.restitution,
-        "restitution": f.restitution,
+    measured = ("flight", "down", "up", "slide", "thrust", "shock", "time")
+    fitted = ("restitution", "contact_time", "rms", "at_bound")
+    return {name: getattr(f.touchdown, name) for name in measured} | {
+        **{name: getattr(f, name) for name in fitted},
+        "tilt_deg": float(np.degrees(f.touchdown.tilt)),
+        "restitution_measured": f.touchdown.restitution,
         "restitution_error": f.errors[0],
-        "contact_time": f.contact_time,
         "contact_time_error": f.errors[1],
-        "rms": f.rms,
-        "at_bound": f.at_bound,
         "predicted_up": predicted_up,
-        "time": d.time,
-        "measured": d.height,
+        "measured": f.touchdown.height,
         "simulated": f.heights,
     }
 
@@ -296,10 +287,8 @@ def finding(folder: str | Path, vehicle: Vehicle | None = None, tick=lambda name
     e, time = np.array([f.restitution for f in fits]), np.array([f.contact_time for f in fits])
     rows = []
     for k, f in enumerate(fits):
-        others = np.arange(len(fits)) != k
-        usual = float(np.median(e[others])), float(np.median(time[others]))
-        predicted = rebound(f.touchdown, *usual, vehicle)
-        rows.append(_row(f, predicted))
+        usual = float(np.median(np.delete(e, k))), float(np.median(np.delete(time, k)))
+        rows.append(_row(f, rebound(f.touchdown, *usual, vehicle)))
     missed = np.array([row["predicted_up"] - row["up"] for row in rows])
     return WORDS.section(
         "touchdowns",

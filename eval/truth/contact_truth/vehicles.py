@@ -60,7 +60,6 @@ class Drops:
     sampled: np.ndarray  # N s, sum of the sampled forces up to the rebound or `duration`
     impulse: np.ndarray  # N s, of the contact forces in the engine's stages; NaN where not asked for
     momentum: np.ndarray  # N s, what the forces must have given in that time
-    lifted: np.ndarray  # bool: left the surface
 
 
 def drop(
@@ -108,5 +107,5 @@ def drop(
         peak = np.maximum(peak, force)
     up[~lifted], pushed[~lifted] = 0.0, np.nan
     down, _ = recorder.touch_speeds()
-    columns = (up / down, pushed, depth, peak, sampled, impulse, momentum, lifted)
+    columns = (up / down, pushed, depth, peak, sampled, impulse, momentum)
     return Drops(*(column.reshape(k, PHASES) for column in columns))

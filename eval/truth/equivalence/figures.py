@@ -27,6 +27,10 @@ def _figure(columns: int, height: float = 3.1) -> tuple[Figure, list[Axes]]:
     return figure, list(axes)
 
 
+def _name(axis: Axes, title: str, x: str, y: str = "", **limits) -> None:
+    axis.set(title=title, xlabel=x, ylabel=y, **limits)
+
+
 def levels(vehicle: Vehicle, drawn: dict[str, tuple[Gaps, Gaps]]) -> Figure:
     """Growth of the position difference over 6 s, and the differences of single steps."""
     with styled():
@@ -36,53 +40,38 @@ def levels(vehicle: Vehicle, drawn: dict[str, tuple[Gaps, Gaps]]) -> Figure:
             for k, label in enumerate(flight.labels):
                 family, dimension = label.rsplit(", ", 1)
                 largest = flight.position[:, flight.group == k].max(axis=1)
-                style = {"color": _COLOURS[family], "ls": "--" if dimension == "2-D" else "-", "lw": 1.4}
-                axis.semilogy(
-                    t, np.maximum(largest, 1e-13), label=family if dimension == "3-D" else None, **style
-                )
+                style = {"ls": "-", "label": family} if dimension == "3-D" else {"ls": "--"}
+                axis.semilogy(t, np.maximum(largest, 1e-13), color=_COLOURS[family], lw=1.4, **style)
             limit = FLIGHT_LIMITS[attitude][0]
             axis.axhline(limit, color=INK, lw=1, ls=":")
             axis.annotate("tolerance", (6, limit), ha="right", va="bottom", fontsize=8)
-            axis.set(title=_MODES[attitude], xlabel="time [s]", xlim=(0, 6), ylim=(1e-11, 1e-3))
+            _name(axis, _MODES[attitude], "time [s]", xlim=(0, 6), ylim=(1e-11, 1e-3))
         axes[0].set_ylabel("largest position difference [m]")
         axes[1].legend(loc="lower right", title="3-D  (2-D dashed)", title_fontsize=8)
         edges = np.logspace(-15, -7, 49)
         for (attitude, (step, _)), colour in zip(drawn.items(), (BLUE, ORANGE)):
             sizes = np.clip(step.position.ravel(), 1.1e-15, None)
-            share = np.full(sizes.size, 100 / sizes.size)
-            axes[2].hist(
-                sizes, edges, weights=share, color=colour, alpha=0.65, label=attitude.replace("_", " ")
-            )
-        axes[2].set(
-            xscale="log",
-            title="One control step",
-            xlabel="position difference [m]",
-            ylabel="share of states [%]",
-        )
+            look = {"color": colour, "alpha": 0.65, "label": attitude.replace("_", " ")}
+            axes[2].hist(sizes, edges, weights=np.full(sizes.size, 100 / sizes.size), **look)
+        _name(axes[2], "One control step", "position difference [m]", "share of states [%]", xscale="log")
         axes[2].legend(loc="upper left")
     return figure
 
 
 def convergence_figure(found: list[convergence.Convergence]) -> Figure:
     """Error over step for every integrator and both modes."""
-    looks = {
-        "RK4": (BLUE, "o"),
-        "implicitfast": (ORANGE, "s"),
-        "Euler": (GREEN, "^"),
-        "equations, RK4": (MUTED, "x"),
-    }
+    looks = {"RK4": (BLUE, "o", "-"), "implicitfast": (ORANGE, "s", "-"), "Euler": (GREEN, "^", "--")}
+    looks["equations, RK4"] = MUTED, "x", "-"
     steps = np.array(convergence.STEPS_MS)
     with styled():
         figure, axes = _figure(2, 3.4)
         for axis, attitude in zip(axes, flying.ATTITUDES):
             for c in (c for c in found if c.attitude == attitude):
-                colour, marker = looks[c.integrator]
-                axis.loglog(steps, c.errors, color=colour, marker=marker, ms=5, lw=1.4,
-                            ls="--" if c.integrator == "Euler" else "-",
-                            label=f"{c.integrator}: order {c.measured[-1]:.2f}")  # fmt: skip
+                look = dict(zip(("color", "marker", "ls"), looks[c.integrator]), ms=5, lw=1.4)
+                axis.loglog(steps, c.errors, label=f"{c.integrator}: order {c.measured[-1]:.2f}", **look)
             axis.set_xticks(steps, [f"{h:g}" for h in steps])
             axis.minorticks_off()
-            axis.set(title=attitude.replace("_", " ").capitalize(), xlabel="step [ms]", ylim=(3e-11, 0.3))
+            _name(axis, attitude.replace("_", " ").capitalize(), "step [ms]", ylim=(3e-11, 0.3))
             axis.legend(loc="center left", bbox_to_anchor=(0, 0.64))
         axes[0].set_ylabel("position error after 1 s [m]")
     return figure
@@ -98,15 +87,14 @@ def bandwidth_figure(v: Vehicle, gaps: list[bandwidth.Gap]) -> Figure:
         rms = np.array([g.rms for g in gaps])
         left.loglog(b, rms, "-o", color=BLUE, ms=5, label="paper's equations, rms (dots: each flight)")
         left.loglog(b, rms[-1] * b[-1] / b, "--", color=MUTED, lw=1, label="proportional to 1/B")
-        left.loglog(
-            b, [g.extended for g in gaps], "-s", color=ORANGE, ms=5, label="equations extended with B"
-        )
+        extended = [g.extended for g in gaps]
+        left.loglog(b, extended, "-s", color=ORANGE, ms=5, label="equations extended with B")
         left.axvline(v.attitude_bandwidth, color=INK, lw=1, ls=":")
         left.annotate(" default", (v.attitude_bandwidth, 2e-3), fontsize=8)
         left.set_xticks(b, [f"{x:g}" for x in b])
         left.minorticks_off()
-        left.set(title="Distance over 6 s of full steps, 3-D", xlabel="bandwidth B [1/s]",
-                 ylabel="distance [m]", ylim=(1e-7, 3e2))  # fmt: skip
+        title = "Distance over 6 s of full steps, 3-D"
+        _name(left, title, "bandwidth B [1/s]", "distance [m]", ylim=(1e-7, 3e2))
         left.legend(loc="upper right")
         commands = np.zeros((40, 1, 4))
         commands[..., PWM] = v.hover_pwm
@@ -122,22 +110,9 @@ def bandwidth_figure(v: Vehicle, gaps: list[bandwidth.Gap]) -> Figure:
             right.plot(t, pitch(plant), color=colour, lw=1.4, label=f"MuJoCo, B = {value:g} 1/s")
         paper = pitch(flying.equations(1, "kinematic", vehicle=v))
         right.plot(t, paper, color=INK, lw=1.4, label="paper's equations")
-        late = t + 1 / v.attitude_bandwidth
-        right.plot(
-            late,
-            paper,
-            color=INK,
-            lw=1.1,
-            ls=":",
-            label=f"the same, {1e3 / v.attitude_bandwidth:.0f} ms later",
-        )
-        right.set(
-            title="A full pitch step",
-            xlabel="time [s]",
-            ylabel="pitch [deg]",
-            xlim=(-0.02, 0.5),
-            ylim=(-1, 36),
-        )
+        delay = 1 / v.attitude_bandwidth
+        right.plot(t + delay, paper, color=INK, lw=1.1, ls=":", label=f"the same, {1e3 * delay:.0f} ms later")
+        _name(right, "A full pitch step", "time [s]", "pitch [deg]", xlim=(-0.02, 0.5), ylim=(-1, 36))
         right.legend(loc="lower right")
     return figure
 
@@ -149,14 +124,11 @@ def motor_figure(drawn: dict) -> Figure:
         t = np.arange(len(drawn["pwm"])) / quoted("motor_function", "rate")
         left.plot(t, drawn["discrete"], color=ORANGE, lw=3, alpha=0.6, label="paper's discrete function")
         left.plot(t, drawn["engine"], color=BLUE, lw=1, label="engine")
-        left.set(title="Thrust under random commands", xlabel="time [s]", ylabel="thrust [N]", xlim=(0, 1))
+        _name(left, "Thrust under random commands", "time [s]", "thrust [N]", xlim=(0, 1))
         left.legend(loc="lower right")
         right.plot(t, 1e3 * (drawn["engine"] - drawn["discrete"]), color=BLUE, lw=1)
-        right.set(
-            title="Difference: rounding of the coefficients",
-            xlabel="time [s]",
-            ylabel="engine – paper [mN]",
-            xlim=(0, 1),
+        _name(
+            right, "Difference: rounding of the coefficients", "time [s]", "engine – paper [mN]", xlim=(0, 1)
         )
     return figure
 
@@ -177,17 +149,16 @@ def closed_loop_figure(flown: dict) -> Figure:
                 continue
             q = closed_loop.quantities(landed)
             share = 100 * np.arange(1, len(q) + 1) / len(q)
+            look = {"color": colour, "ls": line, "lw": width, "where": "post", "label": name}
             for axis, column in ((axes[0], 0), (axes[3], 5)):
-                axis.step(
-                    np.sort(q[:, column]), share, color=colour, ls=line, lw=width, where="post", label=name
-                )
+                axis.step(np.sort(q[:, column]), share, **look)
             if name in (closed_loop.PAPER, closed_loop.VEHICLE):
                 axes[1].plot(q[:, 1], q[:, 2], ".", color=colour, ms=4, alpha=0.5)
                 axes[2].plot(q[:, 3], q[:, 4], ".", color=colour, ms=4, alpha=0.5)
-        axes[0].set(title="Time to land", xlabel="time [s]", ylabel="share of landings [%]", ylim=(0, 100))
-        axes[1].set(title="Final position", xlabel="x [m]", ylabel="z [m]")
-        axes[2].set(title="Final velocity", xlabel="vx [m/s]", ylabel="vz [m/s]")
-        axes[3].set(title="Final pitch", xlabel="pitch [deg]", ylabel="share of landings [%]", ylim=(0, 100))
+        _name(axes[0], "Time to land", "time [s]", "share of landings [%]", ylim=(0, 100))
+        _name(axes[1], "Final position", "x [m]", "z [m]")
+        _name(axes[2], "Final velocity", "vx [m/s]", "vz [m/s]")
+        _name(axes[3], "Final pitch", "pitch [deg]", "share of landings [%]", ylim=(0, 100))
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
@@ -203,35 +174,22 @@ def inconsistencies_figure(v: Vehicle, drawn: dict) -> Figure:
         weight = v.body_mass * v.environment_gravity
         left.axhline(weight, color=INK, lw=1, ls=":")
         left.annotate("weight", (1, weight), va="bottom", fontsize=8)
-        for x, colour, side in ((v.hover_pwm, BLUE, "right"), (v.static_hover_pwm, ORANGE, "left")):
-            shift = (-5, 5) if side == "right" else (2, -12)
+        beside = {"textcoords": "offset points", "fontsize": 8}
+        for x, colour, side, shift in (
+            (v.hover_pwm, BLUE, "right", (-5, 5)),
+            (v.static_hover_pwm, ORANGE, "left", (2, -12)),
+        ):
             left.plot([x / 1e3], [weight], "o", color=colour, ms=5)
-            left.annotate(
-                f"{x:.0f}",
-                (x / 1e3, weight),
-                shift,
-                textcoords="offset points",
-                ha=side,
-                fontsize=8,
-                color=colour,
-            )
+            left.annotate(f"{x:.0f}", (x / 1e3, weight), shift, ha=side, color=colour, **beside)
         flight = quoted("hover", "flight_pwm")
         left.plot([flight / 1e3], [weight], "D", color=INK, ms=4)
-        left.annotate(
-            "real flights", (flight / 1e3, weight), (4, -12), textcoords="offset points", fontsize=8
-        )
-        left.set(
-            title="Where it hovers",
-            xlabel="PWM / 1000",
-            ylabel="total thrust [N]",
-            xlim=(0, 60),
-            ylim=(0, None),
-        )
+        left.annotate("real flights", (flight / 1e3, weight), (4, -12), **beside)
+        _name(left, "Where it hovers", "PWM / 1000", "total thrust [N]", xlim=(0, 60), ylim=(0, None))
         left.legend(loc="upper left")
         apart = drawn["drag"].apart
         t = v.command_control_period * np.arange(1, len(apart) + 1)
         right.fill_between(t, 0, apart, color=RULE)
         right.plot(t, apart, color=BLUE)
-        right.set(title="Public code against the paper, same commands", xlabel="time [s]",
-                  ylabel="median distance [m]", xlim=(0, t[-1]), ylim=(0, None))  # fmt: skip
+        title = "Public code against the paper, same commands"
+        _name(right, title, "time [s]", "median distance [m]", xlim=(0, t[-1]), ylim=(0, None))
     return figure

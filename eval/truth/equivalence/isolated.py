@@ -35,7 +35,7 @@ STEPS = 100  # control steps, 2 s
 SPEED = 3.0  # m/s at the start of the drag tests
 NO_DRAG = (0.0, 0.0, 0.0)
 ORDERS = ("ZXY", "ZYX", "XYZ", "XZY", "YXZ", "YZX")
-_AXES = {"roll": (ROLL_COMMAND, ROLL), "pitch": (PITCH_COMMAND, PITCH)}
+_COLUMNS = {"roll": ROLL, "pitch": PITCH, "yaw": YAW}
 
 
 def _hover(v: Vehicle, n: int = 1) -> np.ndarray:
@@ -100,21 +100,19 @@ def angle_errors(v: Vehicle, attitude: str, commanded: tuple[str, ...]) -> dict[
     rise = 1 - np.exp(-a * t)
     if attitude == "rate_loop":
         rise = 1 - (b * np.exp(-a * t) - a * np.exp(-b * t)) / (b - a)
-    expected = {name: np.zeros(STEPS) for name in ("roll", "pitch", "yaw")}
-    for name, size in (("roll", -0.8), ("pitch", 1.0)):
+    expected = dict.fromkeys(_COLUMNS, np.zeros(STEPS))
+    for name, column, size in (("roll", ROLL_COMMAND, -0.8), ("pitch", PITCH_COMMAND, 1.0)):
         if name in commanded:
-            commands[..., _AXES[name][0]] = size * v.command_angle_limit
+            commands[..., column] = size * v.command_angle_limit
             expected[name] = v.attitude_gain * size * v.command_angle_limit * rise
     if "yaw" in commanded:
         rate, b = 0.5 * v.command_yaw_rate_limit, v.attitude_yaw_bandwidth
         commands[..., YAW_RATE_COMMAND] = rate
         expected["yaw"] = rate * (t + (np.expm1(-b * t) / b if attitude == "rate_loop" else 0.0))
     flown = flying.fly(engine(1, attitude, v), commands)[:, 0]
-    columns = {"roll": ROLL, "pitch": PITCH, "yaw": YAW}
-    gaps = {name: flown[:, columns[name]] - expected[name] for name in columns}
-    return {
-        name: float(np.degrees(np.abs(np.arctan2(np.sin(g), np.cos(g))).max())) for name, g in gaps.items()
-    }
+    gaps = {name: flown[:, column] - expected[name] for name, column in _COLUMNS.items()}
+    turns = {name: np.arctan2(np.sin(gap), np.cos(gap)) for name, gap in gaps.items()}
+    return {name: float(np.degrees(np.abs(turn).max())) for name, turn in turns.items()}
 
 
 def order_errors(v: Vehicle, count: int, seed: int) -> dict[str, float]:
@@ -160,8 +158,8 @@ def section(v: Vehicle, count: int, seed: int) -> Section:
             claims.append(claim("lag", lag, integrator=integrator))
     rows = []
     for attitude in flying.ATTITUDES:
-        alone = {name: angle_errors(v, attitude, (name,)) for name in ("roll", "pitch", "yaw")}
-        together = angle_errors(v, attitude, ("roll", "pitch", "yaw"))
+        alone = {name: angle_errors(v, attitude, (name,)) for name in _COLUMNS}
+        together = angle_errors(v, attitude, tuple(_COLUMNS))
         mode = attitude.replace("_", " ")
         for name in alone:
             claims.append(claim(f"alone_{attitude}", alone[name][name], name=name, mode=mode))

@@ -125,12 +125,10 @@ def stack(vehicle: Vehicle, sequences: list[Sequences]):
     return commands, flying.start_states(len(yaw), yaw, vehicle), group
 
 
-def one_step(
-    vehicle: Vehicle, attitude: str, sequences: list[Sequences], flown: np.ndarray, **options
-) -> Gaps:
+def one_step(vehicle: Vehicle, attitude: str, sequences: list[Sequences], flown: np.ndarray) -> Gaps:
     """One control step of the engine from every state of the flights `flown` (steps, n, 13)."""
     commands, starts, group = stack(vehicle, sequences)
-    plant = engine(len(group), attitude, vehicle, **options)
+    plant = engine(len(group), attitude, vehicle)
     everyone = np.arange(plant.n)
     plant.set_platform(everyone, vehicle.platform_inclination, False)
     landed = np.empty_like(flown)
@@ -141,12 +139,10 @@ def one_step(
     return _gaps(sequences, group, landed, flown)
 
 
-def rollouts(
-    vehicle: Vehicle, attitude: str, sequences: list[Sequences], flown: np.ndarray, **options
-) -> Gaps:
+def rollouts(vehicle: Vehicle, attitude: str, sequences: list[Sequences], flown: np.ndarray) -> Gaps:
     """Flights of 6 s in the engine against `flown` (steps, n, 13), commands only."""
     commands, starts, group = stack(vehicle, sequences)
-    landed = flying.fly(engine(len(group), attitude, vehicle, **options), commands, starts)
+    landed = flying.fly(engine(len(group), attitude, vehicle), commands, starts)
     return _gaps(sequences, group, landed, flown)
 
 
