@@ -17,7 +17,7 @@ from inclined_landing.eval.truth.equivalence.flying import WORDS
 from inclined_landing.models.attitude import PITCH, VX, VZ, X, Z
 from inclined_landing.models.plants import AnalyticPlant, MujocoPlant
 
-ALPHA = 0.01  # of each two-sample test
+ALPHA = WORDS.tables["closed_loop"]["samples"]["low"]  # of each two-sample test
 QUANTITIES = ("time", "x", "z", "vx", "vz", "pitch")
 UNITS = ("s", "m", "m", "m/s", "m/s", "deg")
 _COLUMNS = [X, Z, VX, VZ, PITCH]

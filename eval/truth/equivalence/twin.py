@@ -13,17 +13,14 @@ import mujoco
 import mujoco.batch
 import numpy as np
 
-from inclined_landing.eval.base.claims import Claim, Section
+from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.truth.equivalence import flying
+from inclined_landing.eval.truth.equivalence.flying import WORDS
 from inclined_landing.eval.truth.equivalence.isolated import NO_DRAG
 from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, X, Z
 from inclined_landing.models.parameters import Vehicle
 
-LIMIT = 1e-10  # m and rad
-WHY = (
-    "both integrate the same equations with the same RK4, in other coordinates: rounding only, 1500 "
-    "substeps × 1.1e-16 × 500 m, gathered as a random walk, times 100"
-)
+LIMIT = WORDS.tables["twin"]["position"]["high"]  # m and rad
 
 
 def build(v: Vehicle, timestep: float = 0.004) -> mujoco.MjModel:
@@ -89,16 +86,4 @@ def errors(v: Vehicle, commands: np.ndarray) -> tuple[float, float]:
 def section(v: Vehicle, commands: np.ndarray) -> Section:
     """The section for planar commands (steps, n, 4)."""
     metres, radians = errors(v, commands)
-    return Section(
-        "twin",
-        "A twin without plugins",
-        [
-            "The planar vehicle built a second time from MuJoCo's own parts (slides and a hinge, site "
-            f"motors with a native filter, an affine servo) flies {commands.shape[1]} sequences of full "
-            "steps for 6 s beside the vehicle with its plugins, drag off in both."
-        ],
-        [
-            Claim("native twin, position", metres, LIMIT, "m", WHY),
-            Claim("native twin, pitch", radians, LIMIT, "rad", WHY),
-        ],
-    )
+    return WORDS.section("twin", {"position": metres, "pitch": radians}, {"count": commands.shape[1]})
