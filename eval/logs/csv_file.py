@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas
 
-from inclined_landing.eval.logs.limits import MOST_COLUMNS, read_table
+from inclined_landing.eval.logs.limits import LARGEST_VALUE, MOST_COLUMNS, check_file, read_table
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.errors import UserError, shown
+
+_FEWEST_ROWS = 100  # of a flight without mapping
 
 
 def read(path: Path) -> Record:
@@ -52,6 +55,24 @@ def read(path: Path) -> Record:
     except pandas.errors.EmptyDataError as error:
         raise UserError(f"{path}: a header and no rows") from error
     return Record(str(path), {name: _numbers(path, table[name], bool(units)) for name in header}, units=units)
+
+
+def read_columns(path: Path, names: Sequence[str]) -> pandas.DataFrame:
+    """The columns `names` of a table without mapping; UserError for one that is missing or not finite."""
+    if check_file(path):
+        raise UserError(f"{path}: a folder, not a file")
+    columns = read(path).columns
+    for name in names:
+        if name not in columns:
+            raise UserError(f"{path} lacks the column {name}")
+    rows = len(columns[names[0]])
+    if rows < _FEWEST_ROWS:
+        raise UserError(f"{path} has {rows} rows; at least {_FEWEST_ROWS} are needed")
+    for name in names:
+        wrong = ~(np.abs(columns[name]) <= LARGEST_VALUE)
+        if wrong.any():
+            raise UserError(f"{path}: column {name} is not a number of a flight in row {wrong.argmax() + 1}")
+    return pandas.DataFrame({name: columns[name] for name in names})
 
 
 def _header(path: Path, line: str, separator: str) -> list[str]:

@@ -28,6 +28,7 @@ from inclined_landing.eval.base.options import Flag, NewFolder, Seed, VehicleFil
 from inclined_landing.eval.base.runs import check_new_run, hand_over, versions
 from inclined_landing.eval.base.statistics import spread
 from inclined_landing.eval.machine import benchmark_table
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import make_plant
@@ -290,14 +291,14 @@ def time_to_99(folders: Sequence[Path]) -> dict:
     for folder in folders:
         path = folder / "metrics.json"
         try:
-            metrics = json_format.loads(path.read_text("utf-8"))
+            metrics = storage.read_json(path, "metrics")
             first = metrics["evaluations"]["first_at_99_percent"]
-            row = {"run": str(folder), "seed": metrics["seed"], "cpu": metrics["versions"]["cpu"]}
+            row = {"run": str(folder), "seed": int(metrics["seed"]), "cpu": str(metrics["versions"]["cpu"])}
             if first is not None:
-                row |= {"steps": first["steps"], "seconds": first["training_seconds"]}
-        except OSError as error:
-            raise UserError(f"{folder} is not a finished training run: no metrics.json") from error
-        except (ValueError, KeyError, TypeError) as error:
+                row |= {"steps": float(first["steps"]), "seconds": float(first["training_seconds"])}
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
+            if isinstance(error, UserError):
+                raise
             raise UserError(f"{path} is not the metrics of a training run") from error
         rows.append(row)
     reached = [row for row in rows if "steps" in row]

@@ -309,10 +309,10 @@ def test_learning_curves_name_what_is_wrong(tmp_path):
     with pytest.raises(UserError, match=r"learning\.csv lacks the column level"):
         learning_curves([good])
     (other / "run.json").write_text("{")
-    with pytest.raises(UserError, match="other cannot be read"):
+    with pytest.raises(UserError, match=r"run\.json is not JSON"):
         learning_curves([other])
     (other / "run.json").unlink()
-    with pytest.raises(UserError, match=r"holds no run\.json"):
+    with pytest.raises(UserError, match=r"run\.json does not exist"):
         learning_curves([other])
 
 

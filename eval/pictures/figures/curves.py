@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,7 +15,10 @@ from matplotlib.ticker import LogLocator, NullLocator
 from inclined_landing.envs.tasks import task_class
 from inclined_landing.envs.tasks.base import ScoreCurve
 from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, styled
-from inclined_landing.models.errors import UserError
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, shown
+
+_LARGEST = 1e12  # number in the tables of a run
 
 _LEVEL = ScoreCurve("level", "curriculum level", 1.0, (-0.03, 1.08))
 _LENGTH = ScoreCurve("episode_length", "episode length [steps]", 1.0, None)
@@ -32,24 +35,43 @@ def read_run(folder: str | Path) -> tuple[str, dict[str, pd.DataFrame]]:
     folder = Path(folder)
     if not folder.is_dir():
         raise UserError(f"the run folder {folder} does not exist")
+    record = storage.read_json(folder / "run.json", "run")
     try:
-        task = json.loads((folder / "run.json").read_text("utf-8"))["config"]["task"]
-        tables = {"learning": pd.read_csv(folder / "learning.csv")}
-        file = folder / "evaluations.csv"
-        tables["evaluations"] = pd.read_csv(file) if file.stat().st_size > 1 else pd.DataFrame({"steps": []})
-    except FileNotFoundError as error:
-        raise UserError(f"the run folder {folder} holds no {Path(error.filename).name}") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"the run folder {folder} cannot be read: {error}") from error
-    try:
-        shown = {"learning": _LEARNING, "evaluations": (task_class(task).score_curve,)}
-    except UserError as error:
-        raise UserError(f"{folder / 'run.json'}: {error}") from None
-    for name, table in tables.items():
-        for column in ("steps", *(curve.column for curve in shown[name] if len(table))):
-            if column not in table:
-                raise UserError(f"{folder / name}.csv lacks the column {column}")
+        task = record["config"]["task"]
+        drawn = {"learning": _LEARNING, "evaluations": (task_class(task).score_curve,)}
+    except (TypeError, KeyError, UserError) as error:
+        raise UserError(f"{folder / 'run.json'} does not say which task was trained") from error
+    tables = {
+        name: _table(folder / f"{name}.csv", ["steps", *(curve.column for curve in curves)])
+        for name, curves in drawn.items()
+    }
+    if tables["learning"].empty:
+        raise UserError(f"{folder / 'learning.csv'} holds no rows yet: the run has not learned anything")
     return task, tables
+
+
+def _table(path: Path, columns: list[str]) -> pd.DataFrame:
+    """The columns of a table of a run, NaN where there is no value; UserError for what is no number."""
+    text = storage.read_text(path, "table", storage.LARGEST_JSON)
+    try:
+        table = pd.read_csv(io.StringIO(text), index_col=False) if text.strip() else pd.DataFrame()
+    except ValueError as error:
+        raise UserError(f"{path} is not a table: {error}") from error
+    if table.empty:
+        return pd.DataFrame({column: [] for column in columns}, dtype=float)
+    numbers = {}
+    for column in columns:
+        if column not in table:
+            raise UserError(f"{path} lacks the column {column}")
+        values = pd.to_numeric(table[column], errors="coerce").astype(float)
+        missing = table[column].isna() & (column != "steps")
+        wrong = ~(values.abs() <= _LARGEST) & ~missing | (values < 0.0) & (column == "steps")
+        if wrong.any():
+            row = int(wrong.to_numpy().argmax())
+            value = shown(table[column].iloc[row], 40)
+            raise UserError(f"{path}: {column} is {value} in row {row + 1}, which no run writes")
+        numbers[column] = values
+    return pd.DataFrame(numbers)
 
 
 def learning_curves(runs: Sequence[str | Path]) -> Figure:

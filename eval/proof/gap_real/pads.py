@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
+from inclined_landing.eval.logs.csv_file import read_columns
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
@@ -21,13 +22,16 @@ NORMAL = "normal_flight"
 NAME = re.compile(r"pad_(E\d)_(.+)_log(\d+)")
 # Hover and slow cruise at the height flown.
 HEIGHT, CLIMB, ACCELERATION = (0.35, 0.75), 0.05, 1.0
+_COLUMNS = ("t", "z", "vz", "az", "vbat", "m1_cmd", "m2_cmd", "m3_cmd", "m4_cmd")
 QUANTITIES = {"total": "%", "M3": "%", "offset_x": "mm", "offset_y": "mm", "diagonal": "%"}
 
 
 def hover(path: Path, vehicle: Vehicle) -> dict:
     """Means over the hover of one log; offsets by the balance of moments with `vehicle.rotor_arm`."""
     name = NAME.match(path.name)
-    table = pd.read_csv(path)
+    if name is None:
+        raise UserError(f"{path} is not called pad_VEHICLE_CONDITION_logNUMBER")
+    table = read_columns(path, _COLUMNS)
     still = table.z.between(*HEIGHT) & (table.vz.abs() < CLIMB) & (table.az.abs() < ACCELERATION)
     m = table.loc[still, [f"m{i}_cmd" for i in (1, 2, 3, 4)]].mean().to_numpy()
     share = m / m.sum()
@@ -61,8 +65,11 @@ def compare(folder: Path, vehicle: Vehicle) -> tuple[pd.DataFrame, dict[str, flo
     case = logs.vehicle + " " + logs.condition
     cases = list(dict.fromkeys(case))
     x = np.hstack([(case.to_numpy()[:, None] == np.array(cases)).astype(float), logs[["voltage"]] - 3.5])
-    inverse = np.linalg.inv(x.T @ x)
     freedom = len(logs) - x.shape[1]
+    lacking = [v for v in logs.vehicle.unique() if f"{v} {NORMAL}" not in cases]
+    if freedom < 1 or lacking or not np.isfinite(logs[["voltage", *QUANTITIES]].to_numpy(float)).all():
+        raise UserError(f"{folder} needs hover of each vehicle's {NORMAL}, and conditions flown twice")
+    inverse = np.linalg.inv(x.T @ x)
     quantile = stats.t.ppf(1.0 - 0.025 / (len(cases) - logs.vehicle.nunique()), freedom)
     rows = {c: dict(zip(("vehicle", "condition"), c.split(" "))) for c in cases}
     slopes = {}

@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.logs.csv_file import read_columns
 from inclined_landing.models.parameters import Vehicle
 
 SMOOTHING = 0.1  # s to either side
@@ -131,9 +132,10 @@ class Lag:
 
 def motor_lag(path: Path) -> Lag:
     """Rates of a first-order lag between PWM and a quadratic thrust curve, fitted to `imu_az`."""
-    table = pd.read_csv(path)
+    motors = [f"m{i}_pwm" for i in (1, 2, 3, 4)]
+    table = read_columns(path, ("t", "imu_az", *motors))
     dt = float(np.median(np.diff(table.t)))
-    pwm = table[[f"m{i}_pwm" for i in (1, 2, 3, 4)]].to_numpy() / 65535.0
+    pwm = table[motors].to_numpy() / 65535.0
     measured = table.imu_az.to_numpy()
     settled = slice(int(0.3 / dt), None)
 

@@ -17,6 +17,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.base.claims import Section, Table, Words
+from inclined_landing.eval.logs.csv_file import read_columns
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VY, VZ, WX, WY, WZ, YAW, Z
 from inclined_landing.models.errors import UserError
@@ -73,14 +74,9 @@ def read_flights(folder: str | Path) -> dict[str, pd.DataFrame]:
         raise UserError(f"the folder {folder} holds no NanoBench flights (nb_*.csv.gz)")
     flights = {}
     for file in files:
-        try:
-            table = pd.read_csv(file)
-        except (OSError, ValueError, EOFError) as error:
-            raise UserError(f"{file} cannot be read: {error}") from error
-        missing = [column for column in _COLUMNS if column not in table]
-        if missing:
-            raise UserError(f"{file} lacks the column {missing[0]}")
-        flights[file.name.removesuffix(".csv.gz")] = table
+        flights[file.name.removesuffix(".csv.gz")] = table = read_columns(file, _COLUMNS)
+        if not (np.diff(table["t"]) > 0.0).all():
+            raise UserError(f"{file}: the time t does not increase everywhere")
     return flights
 
 
