@@ -162,7 +162,7 @@ def test_folders_that_hold_no_flights_are_refused(tmp_path):
     with pytest.raises(UserError, match="lacks the column y"):
         touchdowns.read_flights(tmp_path)
     (tmp_path / "nb_a.csv.gz").write_bytes(b"no gzip")
-    with pytest.raises(UserError, match=r"damaged|cannot be read"):
+    with pytest.raises(UserError, match="not a readable text table"):
         touchdowns.read_flights(tmp_path)
 
 
