@@ -258,7 +258,7 @@ def zips():
         yield case(f"zip with an empty {name}", with_member(name, b""))
         yield case(f"zip with half of {name}", with_member(name, content[: len(content) // 2]))
         yield case(f"zip with noise as {name}", with_member(name, random.Random(7).randbytes(5000)))
-        for title, offset, value in {
+        for title, offset, value in (
             ("encrypted", 8, b"\x01\x00"),
             ("compressed in another way", 10, b"\x63\x00"),
             ("of gigabytes", 24, struct.pack("<I", 2**32 - 2)),
@@ -266,7 +266,7 @@ def zips():
             ("of no size", 24, bytes(4)),
             ("with another sum", 16, bytes(4)),
             ("somewhere else", 42, struct.pack("<I", 40)),
-        }:
+        ):
             yield case(f"zip with {name} {title}", in_directory(GOOD, name, offset, value))
     for name, kind in {"deflated": 8, "bzip2": 12, "lzma": 14}.items():
         yield case(f"zip {name}", zipped(MEMBERS, kind))
