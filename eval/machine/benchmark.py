@@ -290,6 +290,8 @@ def time_to_99(folders: Sequence[Path]) -> dict:
     rows = []
     for folder in folders:
         path = folder / "metrics.json"
+        if not path.is_file():
+            raise UserError(f"{folder} is not a finished training run: no metrics.json")
         try:
             metrics = storage.read_json(path, "metrics")
             first = metrics["evaluations"]["first_at_99_percent"]
