@@ -25,22 +25,23 @@ COLOURS = {"train": "#fdf1e7", "eval": "#f1f6fc", "envs": "#e9f6f1", "models": "
 BOXES = {
     "train": (5.0, 7, 9.2, "PPO in batches, curricula, runs that resume"),
     "eval.cli": (3.9, 6, 7.1, "landing-eval: the table of commands"),
-    "eval.proof": (1.3, 5, 1.9, "does gap work?"),
-    "eval.gap": (1.3, 4, 1.9, "which effect is missing?"),
-    "eval.landings": (3.35, 4, 1.9, "what happens on touching?"),
-    "eval.machine": (5.2, 4, 1.5, "doctor, benchmark"),
-    "eval.truth": (6.9, 4, 1.6, "is the simulator right?"),
-    "eval.logs": (1.3, 3, 1.9, "what flights say"),
-    "eval.pictures": (7.1, 3, 2.0, "figures, videos"),
-    "eval.policies": (8.95, 3, 1.3, "tables of success"),
+    "eval.proof": (5.1, 5, 1.9, "does gap work?"),
+    "eval.gap": (5.1, 4, 1.9, "which effect is missing?"),
+    "eval.landings": (1.35, 4, 1.9, "what happens on touching?"),
+    "eval.machine": (3.25, 4, 1.5, "doctor, benchmark"),
+    "eval.truth": (6.98, 4, 1.64, "is the simulator right?"),
+    "eval.logs": (5.55, 3, 1.9, "what flights say"),
+    "eval.pictures": (7.5, 3, 1.7, "figures, videos"),
+    "eval.policies": (9.02, 3, 1.16, "tables of success"),
     "eval.base": (5.0, 2, 9.2, "options, runs, pages, claims, tables, statistics, style"),
     "envs": (5.0, 1, 9.2, "tasks, batch, Gymnasium and SB3 faces, policies, flights, rendering"),
     "models": (5.0, 0, 9.2, "vehicle file, equations, effects, MJCF scene, native plugins, plants"),
 }
 _PLACES = {  # x at the start and at the end of arrows that go beside other boxes
-    ("train", "eval.pictures"): (7.9, 7.9),
-    ("train", "eval.policies"): (8.9, 8.9),
-    ("eval.cli", "eval.policies"): (7.2, 8.5),
+    ("train", "eval.pictures"): (8.1, 8.1),
+    ("eval.truth", "eval.logs"): (6.33, 6.33),
+    ("train", "eval.policies"): (9.1, 9.1),
+    ("eval.cli", "eval.policies"): (7.3, 8.7),
 }
 _HIGH, _ROW = 0.62, 1.06
 
