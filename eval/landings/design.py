@@ -9,7 +9,8 @@ import numpy as np
 import pyarrow as pa
 from scipy import stats
 
-from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS, Landings, simulate, touchdown_states
+from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS, Landings, simulate
+from inclined_landing.eval.landings.parameters import touchdown_states
 from inclined_landing.eval.landings.study import Levels, Range, Study, known_parameters
 from inclined_landing.models.attitude import STATE_SIZE
 

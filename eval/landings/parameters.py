@@ -1,12 +1,21 @@
-"""What a landing study may vary: names, units, bounds, defaults. SI inside, the file's units outside."""
+"""What a landing study may vary, and how a landing begins under it. SI inside, the file's units outside.
+
+A new parameter is its entry in `catalogue` and what it does in `touchdown_states` or `configure`.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 
-from inclined_landing.models import contact
+import numpy as np
+
+from inclined_landing.models import contact, surface
+from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, WY, X, Z
+from inclined_landing.models.geometry import reach_below, shapes_of
 from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.scene import compile_scene
 
 # Units that a study file may use, as factors to SI.
 UNITS = {
@@ -74,3 +83,44 @@ def catalogue(vehicle: Vehicle, feet: float) -> dict[str, Parameter]:
         Parameter("start_height", "height of the lowest point at the start", "mm", 0.0, 1.0, 0.001, True),
     )  # fmt: skip
     return {entry.name: entry for entry in entries}
+
+
+def touchdown_states(p: dict[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
+    """States (n, 13) just above the surface, from arrays (n,) of the study's parameters [SI].
+
+    The lowest point is `start_height` above the surface; speeds are those of the centre of mass.
+    """
+    slope, error = -p["inclination"], p["attitude_error"]  # the slope rises towards +x
+    shapes = shapes_of(compile_scene(vehicle))
+    lowered = p["foot_height"] - reach_below(shapes, part="feet")
+    up = np.stack([-np.sin(error), np.zeros_like(error), np.cos(error)], axis=1)
+    height = p["start_height"] + reach_below(shapes, up, lowered=lowered)
+    normal, downhill = surface.normal_of(slope), surface.downhill_of(slope)
+    state = np.zeros((len(slope), 13))
+    state[:, X : Z + 1] = height[:, None] * normal + p["offset"][:, None] * downhill
+    state[:, Z] += vehicle.platform_surface_height
+    state[:, VX : VZ + 1] = -p["normal_speed"][:, None] * normal + p["tangential_speed"][:, None] * downhill
+    state[:, PITCH] = slope + error
+    state[:, WY] = p["pitch_rate"]
+    state[:, LAG] = held_pwm(p, vehicle) / vehicle.thrust_lag_rate
+    return state
+
+
+def held_pwm(p: dict[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
+    """PWM (n,) whose steady thrust is the given share of the weight."""
+    force = p["thrust"] * p["mass"] * vehicle.environment_gravity
+    return np.clip(force / vehicle.thrust_per_pwm, 0.0, vehicle.command_pwm_range[1])
+
+
+def configure(plant: MujocoPlant, p: dict[str, np.ndarray]) -> None:
+    """Mass and contact of every vehicle.
+
+    Fields are always expanded and derived constants always computed, so that a landing's bits do not
+    depend on what the others of its batch vary.
+    """
+    plant.batch.expand("body_mass")[:, plant.model.body("crazyflie").id] = p["mass"]
+    plant.batch.set_const()
+    spring = {}
+    if np.isfinite(p["restitution"]).all():
+        spring = {"restitution": p["restitution"], "contact_time": p["contact_time"]}
+    plant.set_contact(np.arange(plant.n), friction=p["friction"], foot_height=p["foot_height"], **spring)

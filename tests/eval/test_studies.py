@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.landings import design, landing, maps, sensitivity
-from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS, simulate, touchdown_states
+from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS, simulate
+from inclined_landing.eval.landings.parameters import held_pwm, touchdown_states
 from inclined_landing.eval.landings.study import Study, known_parameters, read_study, shipped
 from inclined_landing.models.attitude import PITCH, X, Z
 from inclined_landing.models.parameters import load_vehicle
@@ -117,7 +118,7 @@ def test_impulse_is_that_of_the_contact_forces():
     plant.set_platform(np.arange(4), alpha)
     plant.reset(np.arange(4), states)
     commands = np.zeros((4, 4))
-    commands[:, 0], commands[:, 2] = landing.held_pwm(p, V), alpha / V.attitude_gain
+    commands[:, 0], commands[:, 2] = held_pwm(p, V), alpha / V.attitude_gain
     given, touched = [], np.full(4, -1)
     for k in range(40):
         given.append((impulses(plant, commands) * normal_of(alpha)).sum(axis=1))
