@@ -10,6 +10,7 @@ else has a default: it can then be trained, evaluated, filmed and pictured.
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -106,7 +107,7 @@ class ScoreCurve:
     logarithmic: bool = False
 
 
-class Task:
+class Task(abc.ABC):
     """A task for vehicles of one kind. Everything but the first four and the two methods has a default.
 
     `options` is what `make_task(name, **options)` needs to build the task again; `conditions` is what a
@@ -131,9 +132,8 @@ class Task:
     score_curve = ScoreCurve()
     start_axes: tuple[str, ...] = ("x", "y", "z")  # what a start is given by
     film_starts: tuple[tuple[float, ...], ...] = ((1.5, 1.0, 0.6),)  # m; the first one is the usual one
-    figure_starts: ClassVar[dict[str, tuple[float, ...]]] = {
-        "trajectory": film_starts[0]
-    }  # by name of the file
+    # By name of the file.
+    figure_starts: ClassVar[dict[str, tuple[float, ...]]] = {"trajectory": film_starts[0]}
     conditions: Any = None
 
     def __init__(self, vehicle: Vehicle | None = None, *, pwm_centre: float | str = "paper"):
@@ -143,17 +143,17 @@ class Task:
 
     # --- what every task must say ----------------------------------------------------------------
 
+    @abc.abstractmethod
     def sample(self, rng: np.random.Generator, k: int) -> Start:
         """k random starts."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def judge(self, moment: Moment) -> Judgement:
         """Reward terms, success and end of the step that led to this moment."""
-        raise NotImplementedError
 
     # --- what an environment asks ----------------------------------------------------------------
 
-    def prepare(self, plant) -> None:
+    def prepare(self, plant) -> None:  # noqa: B027 (many have nothing to set up)
         """Set a plant up for this task; raises UserError for one that cannot serve it."""
 
     def start(self, state: np.ndarray) -> Start:
@@ -250,7 +250,7 @@ class Task:
         self.check_start(point)
         return point
 
-    def check_start(self, point: tuple[float, ...]) -> None:
+    def check_start(self, point: tuple[float, ...]) -> None:  # noqa: B027 (or to check)
         """Raise UserError where something stands at the start `point` [m]."""
 
     def start_words(self, state: np.ndarray) -> str:
