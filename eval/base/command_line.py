@@ -10,7 +10,9 @@ import functools
 import inspect
 import io
 import itertools
+import os
 import re
+import signal
 import sys
 import typing
 from collections.abc import Callable, Sequence
@@ -60,7 +62,7 @@ def bound(command: Callable) -> Callable:
 
 def exit_code(prog: str, work: Callable[[], int | None], extra: str = "eval") -> int:
     """Do the work of a command line. Returns what it returns, or says in one sentence why it cannot go on:
-    2 for wrong input and for what `extra` would install."""
+    2 for wrong input, for what `extra` would install, and where the engine or the memory gives out."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names that are no UTF-8
     try:
@@ -69,6 +71,13 @@ def exit_code(prog: str, work: Callable[[], int | None], extra: str = "eval") ->
         sentence = not_installed(error, extra)
     except (UserError, ImportError) as error:
         sentence = str(error)
+    except FloatingPointError as error:
+        sentence = f"{error}; no simulation can go on from there"
+    except MemoryError:
+        sentence = "there is not enough memory for this"
+    except BrokenPipeError:  # whoever read the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
     except OSError as error:
         sentence = f"{(error.strerror or str(error)).lower()}: {shown(error.filename)}"
     print(f"{prog}: {sentence}", file=sys.stderr)
