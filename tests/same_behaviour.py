@@ -46,7 +46,7 @@ COMMANDS = {
 }
 SKIPPED = {
     *("versions", "seconds", "command", "policy", "baseline", "trained", "path", "out", "config"),
-    *("landings_per_minute", "cores", "wall", "vehicle", "timings", "progress"),
+    *("landings_per_minute", "cores", "wall", "vehicle", "timings", "progress", "stages"),
 }  # fmt: skip
 
 
