@@ -101,7 +101,7 @@ class InclinedLanding(Task):
     goal_size: float | None = GOAL_SIZE
     cut_at_success = True
     shipped = True
-    table = "landing"
+    table = "goal_box"
     training = Training(steps=1_200_000, curriculum="adaptive")
     curricula: tuple[str, ...] = ("adaptive", "paper", "none")
     training_conditions: Any = AIDED

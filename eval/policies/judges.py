@@ -124,7 +124,7 @@ class Landings(Flights):
         return {"thrust_scale": scale, "strict": grid["strict"], "success": grid["success"], "entry": entry}
 
 
-JUDGES = {"flights": Flights(), "error": Errors(), "landing": Landings()}
+JUDGES = {"flights": Flights(), "error": Errors(), "goal_box": Landings()}
 
 
 def judge_of(task: Task) -> Flights:

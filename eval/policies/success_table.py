@@ -23,7 +23,7 @@ def _interval(error: dict) -> str:
 
 # By the `table` of a task: columns, and what they show of a summary, where it has that.
 _COLUMNS = {
-    "landing": (
+    "goal_box": (
         ("flights", "success", lambda share: str(share["of"])),
         ("success [%]", "success", share_cell),
         ("strict [%]", "strict", share_cell),
@@ -46,7 +46,7 @@ _COLUMNS = {
     ),
 }
 _CAPTIONS = {
-    "landing": "success: the goal box within 300 steps; strict: and no touch before; "
+    "goal_box": "success: the goal box within 300 steps; strict: and no touch before; "
     "95 % Wilson intervals; time to the goal: median (5 % to 95 %)",
     "error": None,
     "flights": "95 % Wilson interval; reward and duration: median (5 % to 95 %)",
@@ -61,7 +61,7 @@ def show(report: dict) -> None:
         labels = ("effect", "size")
         rows = [((row["effect"], _size(row["parameters"])), row) for row in report["effects"]]
         blocks = [rows[:1], rows[1:]]
-    elif kind == "landing":
+    elif "grid" in report["conditions"][0]:
         labels = ("starts", "thrust")
         blocks = [
             [((label, _thrust(condition)), condition[name]) for name, label in _GROUPS.items()]
@@ -85,7 +85,7 @@ def show(report: dict) -> None:
     if "at_rest_on_feet" in blocks[0][0][1]:
         table.caption += "; at rest on feet: 2 s after the motors were cut in the goal box"
     console.print(table)
-    if kind == "landing" and "conditions" in report:
+    if "entry" in report.get("conditions", [{}])[0]:
         console.print(_entry(report["conditions"]))
 
 

@@ -111,7 +111,7 @@ def test_a_flight_that_touches_first_is_not_strict(landing, plant):
     assert [f.success for f in flights] == [True, True]
     assert [f.touched for f in flights] == [False, True]
     assert [f.strict for f in flights] == [True, False]
-    summary = judges.JUDGES["landing"].summary(landing, flights)
+    summary = judges.JUDGES["goal_box"].summary(landing, flights)
     assert summary["success"]["count"] == 2
     assert summary["strict"]["count"] == 1
     assert summary["touched"]["count"] == 1
