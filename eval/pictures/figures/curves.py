@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -54,8 +55,10 @@ def _table(path: Path, columns: list[str]) -> pd.DataFrame:
     """The columns of a table of a run, NaN where there is no value; UserError for what is no number."""
     text = storage.read_text(path, "table", storage.LARGEST_JSON)
     try:
-        table = pd.read_csv(io.StringIO(text), index_col=False) if text.strip() else pd.DataFrame()
-    except ValueError as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
+            table = pd.read_csv(io.StringIO(text), index_col=False) if text.strip() else pd.DataFrame()
+    except (ValueError, pd.errors.ParserWarning) as error:
         raise UserError(f"{path} is not a table: {error}") from error
     if table.empty:
         return pd.DataFrame({column: [] for column in columns}, dtype=float)
