@@ -12,6 +12,13 @@ def _second_order(vehicle, values):
     return dataclasses.replace(vehicle, attitude_bandwidth=1.0 / (1.0 / vehicle.attitude_bandwidth + lag))
 
 
+def _level(vehicle, values):
+    tilt = [values.get(name, 0.0) for name in ("roll", "pitch")]
+    shown = (old + new for old, new in zip(vehicle.effects_mocap_tilt, tilt))
+    held = (old - new / vehicle.attitude_gain for old, new in zip(vehicle.effects_attitude_trim, tilt))
+    return dataclasses.replace(vehicle, effects_mocap_tilt=tuple(shown), effects_attitude_trim=tuple(held))
+
+
 def _angles(plausible: float, field: str, name: str) -> tuple[Parameter, ...]:
     """Roll and pitch added to a field of two angles."""
 
@@ -120,6 +127,27 @@ EFFECTS = (
         channels=("translation", "attitude"),
         apply=added("effects_mocap_tilt", "roll", "pitch"),
         says="the measured attitude is turned against the rotors by {roll} of roll and {pitch} of pitch",
+    ),
+    Effect(
+        name="level_calibration",
+        description="The attitude estimate that the onboard control and the log share is tilted: the sensors "
+        "were set to level on a vehicle that was not. What is logged follows the commands, as it should, but "
+        "the rotors point elsewhere.",
+        formula="measured R = R Rx(roll) Ry(pitch), command - (roll, pitch)/gain: to first order "
+        "the loops hold the measured angles",
+        source="accelerometer of the Crazyflie: levelled at start-up to about 1 deg",
+        parameters=(
+            Parameter("roll", "rad", 0.0, (-0.25, 0.25), 0.02, 0.002),
+            Parameter("pitch", "rad", 0.0, (-0.25, 0.25), -0.02, 0.002),
+        ),
+        regimes=("hover", "lateral", "climb"),
+        confused_with=("wind", "mocap_tilt", "attitude_trim"),
+        remedy="Calibrate the accelerometer on a level table. To tell it from wind, hover while the vehicle "
+        "yaws: a tilt turns with it, wind does not. The logged angles match the commands here, and not with "
+        "a tilt of the motion capture or a trim alone.",
+        channels=("translation", "attitude"),
+        apply=_level,
+        says="the attitude estimate that flies and logs is tilted by {roll} of roll and {pitch} of pitch",
     ),
     Effect(
         name="yaw_drift",

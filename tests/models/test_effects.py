@@ -14,13 +14,16 @@ import re
 import mujoco
 import numpy as np
 import pytest
+from scipy.signal import detrend
 
+from inclined_landing.eval.gap.flights.windows import prepare
+from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.truth.equivalence.flying import largest_gaps, start_states
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
 from inclined_landing.eval.truth.equivalence.sequences import full_steps
 from inclined_landing.models import effects, equations, geometry, perturbation
-from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, YAW, X, Z, quaternion
+from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, WX, YAW, X, Z, quaternion
 from inclined_landing.models.effects import CHANNELS, LIBRARY, REGIMES
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import constants, load_vehicle, write_vehicle
@@ -458,6 +461,40 @@ def test_a_slope_turns_the_vehicle_away_from_itself(kind):
             plant.step(np.array([[V.hover_pwm, 0, 0, 0]]))
         assert sign * plant.state[0, PITCH] > 1e-3 and abs(plant.state[0, ROLL]) < 1e-9
         assert plant.state[0, VZ] > 0.01
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_a_tilted_level_shows_in_the_true_attitude_only(kind):
+    """The loops hold the measured angles at gain times command; tilts and angles are small: 1 % of them."""
+    roll, pitch = 0.03, -0.02
+    plant = plant_of(kind, 1, changed("level_calibration", roll=roll, pitch=pitch))
+    measured = hold(plant, 150, V.hover_pwm, roll=0.04, pitch=-0.05)[-1, [ROLL, PITCH]]
+    wanted = V.attitude_gain * np.array([0.04, -0.05])
+    np.testing.assert_allclose(measured, wanted, atol=3e-4)
+    np.testing.assert_allclose(plant.state[0, [ROLL, PITCH]], wanted - [roll, pitch], atol=3e-4)
+
+
+@pytest.mark.parametrize("name", ["level_calibration", "mocap_tilt", "attitude_trim"])
+def test_the_prediction_along_a_flight_knows_tilted_attitudes(name):
+    """Positions up to the line that the start state is, angles once the start has died away."""
+    vehicle, rng = changed(name), np.random.default_rng(5)
+    commands = np.zeros((300, 1, 4))
+    commands[:, 0, PWM] = V.hover_pwm * np.repeat(rng.uniform(0.96, 1.04, 20), 15)
+    commands[:, 0, 1:3] = np.repeat(rng.uniform(-0.2, 0.2, (20, 2)), 15, axis=0)
+    commands[:, 0, 3] = 1.0  # the heading turns
+    flown = fly(plant_of("analytic", 1, vehicle), commands)[:, 0]
+    log = FlightLog(
+        "flown", np.arange(299) * 0.02, flown[:-1, X : Z + 1], flown[:-1, ROLL:WX], commands[1:, 0]
+    )
+    flight = prepare(log, V)
+
+    def error(v):
+        windows = flight.cut(flight.measured - predict(flight, v))[5:]  # (w, rows, 6)
+        return np.abs(detrend(windows[..., :3], axis=1)).max(), np.abs(windows[..., 3:5]).max()
+
+    (metres, radians), nominal = error(vehicle), error(V)
+    assert metres < 2e-4 and radians < 1e-5  # attitudes between rows, velocities smoothed over 0.1 s
+    assert nominal[0] > 5 * metres or nominal[1] > 5 * radians
 
 
 @pytest.mark.parametrize("kind", BOTH)
