@@ -19,6 +19,7 @@ class FittedConstant:
     number: Callable[[Vehicle, float], float]  # reported for a vehicle whose parameter is this value
     also: tuple[str, ...] = ()  # fields that scale with it
     offset: bool = False  # the parameter is added to the field, else the field is rescaled
+    parts: tuple[int, ...] = ()  # which numbers of the field it rescales; (): all
 
 
 @dataclasses.dataclass(frozen=True)

@@ -31,8 +31,9 @@ def test_every_cause_is_in_the_library_or_declared_unknown():
 def far(name, size, rng):
     """How far a drawn cause is from neutral; factors on a logarithmic scale."""
     parameters = causes.draw(name, size, rng).parameters
-    if set(parameters) == {"scale"}:
-        return abs(np.log(parameters["scale"]))
+    known = {p.name: p for p in effects.LIBRARY[name].parameters}
+    if all(p in known and known[p].is_factor for p in parameters):
+        return abs(np.log(next(iter(parameters.values()))))
     return np.linalg.norm(list(score.comparable(name, parameters).values()))
 
 
@@ -124,7 +125,7 @@ def report(*named, verdict=None, gap=None):
 
 WIND = ("wind", ("wind",), {"x": 0.2, "y": 0.0})
 TRIM = ("attitude_trim", ("attitude_trim", "wind"), {"roll": 0.01, "pitch": 0.0})
-DRAG = ("rotor_drag", ("rotor_drag",), {"scale": 1.3})
+DRAG = ("rotor_drag", ("rotor_drag",), {"lateral": 1.3, "axial": 1.3})
 SCALE = ("thrust_scale", ("thrust_scale",), {"scale": 0.9})
 
 

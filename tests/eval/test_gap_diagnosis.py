@@ -105,7 +105,7 @@ def test_nothing_hidden(matched):
 @pytest.mark.parametrize(
     "name, values",
     [
-        ("rotor_drag", {"scale": 2.0}),
+        ("rotor_drag", {"lateral": 2.0, "axial": 2.0}),
         ("wind", {"x": 0.5, "y": -0.3}),
         ("motor_lag", {"scale": 1.7}),
         ("attitude_delay", {"delay": 0.03}),
@@ -127,7 +127,7 @@ def test_hidden_effect_is_named(name, values):
 
 
 def test_two_hidden_effects_are_named():
-    truth = {"rotor_drag": {"scale": 2.0}, "attitude_time_constant": {"scale": 0.7}}
+    truth = {"rotor_drag": {"lateral": 2.0, "axial": 2.0}, "attitude_time_constant": {"scale": 0.7}}
     d = quick(flights(truth, seed=3))
     assert {e.name for e in d.effects} == set(truth)
 

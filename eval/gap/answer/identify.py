@@ -216,20 +216,22 @@ def _fields(before: Vehicle, after: Vehicle, parameters: tuple[Identified, ...])
     half = {p.name: 0.5 * (p.ci95[1] - p.ci95[0]) for p in parameters}
     share = {p.name: half[p.name] / max(abs(p.value), 1e-12) for p in parameters}
     offsets: dict[str, list[float]] = {}
-    factors: dict[str, float] = {}
+    factors: dict[tuple[str, int], float] = {}
     for c in (p.constant for e in LIBRARY.values() for p in e.parameters if p.constant):
         if c.name in half and c.offset:
             offsets.setdefault(c.field, []).append(half[c.name])
         elif c.name in half:
-            factors |= dict.fromkeys((c.field, *c.also), share[c.name])
+            for field in (c.field, *c.also):
+                parts = c.parts or range(np.size(getattr(after, field)))
+                factors |= {(field, k): share[c.name] for k in parts}
     fields = {}
     for name in (f.name for f in dataclasses.fields(after)):
         value = getattr(after, name)
         if value == getattr(before, name):
             continue
         if isinstance(value, tuple):
-            factor = factors.get(name, 0.0)
-            fields[name] = tuple(offsets.get(name) or (abs(x) * factor for x in value))
+            scaled = (abs(x) * factors.get((name, k), 0.0) for k, x in enumerate(value))
+            fields[name] = tuple(offsets.get(name) or scaled)
         else:
-            fields[name] = offsets[name][0] if name in offsets else abs(value) * factors.get(name, 0.0)
+            fields[name] = offsets[name][0] if name in offsets else abs(value) * factors.get((name, 0), 0.0)
     return fields

@@ -143,7 +143,7 @@ def _terms(log: FlightLog, vehicle: Vehicle) -> dict[str, tuple[np.ndarray, dict
     lag = lags(pwm, dt, packed)[:-1]
     load = v.thrust_lag_rate * lag
     n = int(rows.sum())
-    up, drag, still, wind_x, wind_y = (np.empty((n, 3)) for _ in range(5))
+    up, drag, across, still, wind_x, wind_y = (np.empty((n, 3)) for _ in range(6))
     force, plane, axial, near = (np.empty(n) for _ in range(4))
     for k, i in enumerate(np.flatnonzero(rows)):
         r = rotation(*attitude[i])
@@ -151,6 +151,7 @@ def _terms(log: FlightLog, vehicle: Vehicle) -> dict[str, tuple[np.ndarray, dict
         k_drag = r @ np.diag(v.drag_coefficients) @ r.T * rotor_speed_sum(force[k], packed[0]) / v.body_mass
         body = r.T @ velocity[i]
         up[k], drag[k] = r[:, 2], k_drag @ velocity[i]
+        across[k] = k_drag @ (velocity[i] - body[2] * r[:, 2])
         wind_x[k], wind_y[k] = -k_drag[:, 0], -k_drag[:, 1]
         still[k] = -np.linalg.norm(body) * velocity[i] / v.body_mass
         plane[k], axial[k] = body[0] ** 2 + body[1] ** 2, body[2]
@@ -161,7 +162,8 @@ def _terms(log: FlightLog, vehicle: Vehicle) -> dict[str, tuple[np.ndarray, dict
         ("thrust_scale", "scale"): thrust,
         ("thrust_fade", "rate"): -thrust * t[:, None],
         ("battery_sag", "sag"): -thrust * (load / hover - 1.0)[:, None],
-        ("rotor_drag", "scale"): drag,
+        ("rotor_drag", "lateral"): across,
+        ("rotor_drag", "axial"): drag - across,
         ("body_drag", "coefficient"): still,
         ("wind", "x"): wind_x,
         ("wind", "y"): wind_y,

@@ -40,13 +40,13 @@ def _sign(rng) -> float:
     return 1.0 if rng.uniform() < 0.5 else -1.0
 
 
-def _scale(field: str, both: bool = True) -> Draw:
+def _scale(field: str, both: bool = True, parameters: tuple[str, ...] = ("scale",)) -> Draw:
     """A factor: size 0.1 is 1.1, or 1/1.1 where both make sense."""
 
     def draw(size, rng):
         up = not both or rng.uniform() < 0.5
         value = 1 + size if up else 1 / (1 + size)
-        return Drawn({field: value}, {"scale": value})
+        return Drawn({field: value}, dict.fromkeys(parameters, value))
 
     return draw
 
@@ -135,7 +135,7 @@ FREE_FLIGHT: dict[str, tuple[tuple[float, float, float], Draw]] = {
     "motor_lag": ((0.4, 0.7, 1.2), _scale("motor_time_scale")),
     "spin_down": ((0.6, 1.0, 1.8), _plain("spin_down", "excess")),
     "mass": ((0.025, 0.06, 0.14), _scale("mass_scale", both=False)),
-    "rotor_drag": ((0.4, 0.8, 1.6), _scale("drag_scale")),
+    "rotor_drag": ((0.4, 0.8, 1.6), _scale("drag_scale", parameters=("lateral", "axial"))),
     "body_drag": ((0.004, 0.008, 0.016), _plain("body_drag", "coefficient")),
     "wind": ((0.15, 0.4, 0.9), _vector("wind_x", "wind_y", ("x", "y"))),
     "translational_lift": ((0.015, 0.035, 0.08), _plain("translational_lift", "coefficient")),
@@ -200,5 +200,5 @@ def base_constants(rng: np.random.Generator) -> dict[str, Drawn]:
     mass, drag = 1 + 0.1 * _sign(rng), 1 + 0.1 * _sign(rng)
     return {
         "mass": Drawn({"mass_scale": mass}, {"scale": mass}),
-        "rotor_drag": Drawn({"drag_scale": drag}, {"scale": drag}),
+        "rotor_drag": Drawn({"drag_scale": drag}, {"lateral": drag, "axial": drag}),
     }

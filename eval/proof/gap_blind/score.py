@@ -21,6 +21,7 @@ import numpy as np
 
 from inclined_landing.eval.base.statistics import proportion
 from inclined_landing.eval.proof.simulator import constants
+from inclined_landing.models.effects import LIBRARY
 
 from .strata import ALIASES, ENTAILED, STRATA
 
@@ -166,8 +167,8 @@ def comparable(
             return None
         change = values["sensitivity"]
         return {"slope over voltage": change / (1 + change * (at["voltage"] - values["reference"]))}
-    neutral = 1.0 if set(values) == {"scale"} else 0.0
-    return {name: value - neutral for name, value in values.items()}
+    neutral = LIBRARY[effect].neutral if effect in LIBRARY else {}
+    return {name: value - neutral.get(name, 0.0) for name, value in values.items()}
 
 
 def table(rows: Iterable[Mapping]) -> list[dict]:

@@ -33,7 +33,7 @@ GIVEN = {
     "attitude_gain": {"scale": 0.8},
     "attitude_time_constant": {"scale": 0.4},
     "attitude_delay": {"delay": 0.05},
-    "rotor_drag": {"scale": 1.5},
+    "rotor_drag": {"lateral": 1.5, "axial": 1.5},
     "thrust_delay": {"delay": 0.04},
 }
 
