@@ -121,7 +121,7 @@ def loop_rates(roll, pitch, u, v, p):
     return (
         (gain * (u[ROLL_COMMAND] + v.effects.attitude_trim[0]) - roll) / tau,
         (gain * (u[PITCH_COMMAND] + v.effects.attitude_trim[1]) - pitch) / tau,
-        u[YAW_RATE_COMMAND] + v.effects.yaw_drift,
+        v.attitude.yaw_gain * u[YAW_RATE_COMMAND] + v.effects.yaw_drift,
     )
 
 
@@ -157,11 +157,11 @@ def angle_steps(axis, command, twist, start, dt, vehicle):
 @numba.njit(cache=True, nogil=True)
 def yaw_steps(command, dt, vehicle):
     """Yaw (m + 1,) [rad] from 0 at the first commanded rate (m,) [rad/s], held for `dt` [s] each: exact."""
-    bandwidth, drift = vehicle[0].attitude.yaw_bandwidth, vehicle[0].effects.yaw_drift
-    decay = math.exp(-bandwidth * dt)
-    out, rate = np.zeros(len(command) + 1), command[0] + drift
+    gain, bandwidth = vehicle[0].attitude.yaw_gain, vehicle[0].attitude.yaw_bandwidth
+    drift, decay = vehicle[0].effects.yaw_drift, math.exp(-bandwidth * dt)
+    out, rate = np.zeros(len(command) + 1), gain * command[0] + drift
     for k in range(len(command)):
-        wanted = command[k] + drift
+        wanted = gain * command[k] + drift
         out[k + 1] = out[k] + wanted * dt + (rate - wanted) * (1.0 - decay) / bandwidth
         rate = wanted + (rate - wanted) * decay
     return out

@@ -21,8 +21,8 @@ from typing import Any
 from inclined_landing.models import plausible, storage
 from inclined_landing.models.errors import UserError, shown
 
-# Tables that a vehicle file may leave out, whole or in part: the shipped entries are taken.
-_LATER = ("effects", "rotor")
+# Tables and entries that a vehicle file may leave out, whole or in part: the shipped entries are taken.
+_LATER = {"effects", "rotor", "attitude.yaw_gain"}
 _FIELDS = ("value", "unit", "source", "uncertainty")
 _SHIPPED = "crazyflie.toml"
 
@@ -73,6 +73,7 @@ class Vehicle:
     attitude_gain: float
     attitude_time_constant: float
     attitude_bandwidth: float
+    attitude_yaw_gain: float
     attitude_yaw_bandwidth: float
     attitude_torque_limit: float
     attitude_yaw_torque_limit: float
@@ -157,8 +158,8 @@ class Vehicle:
 def constants(path: str | Path | None = None) -> list[Constant]:
     """Every entry of the vehicle file (default: the shipped `crazyflie.toml`), in the order of that one.
 
-    Where another file lacks the tables `effects` and `rotor`, or entries of them, the shipped entries
-    stand in, so that files older than these tables stay what they were. Its ranges and units are the
+    Where another file lacks what `_LATER` names, the shipped entries stand in, so that files older than
+    these tables and entries stay what they were. Its ranges and units are the
     shipped ones; an entry may repeat its range.
     Raises UserError, naming file and entry, when the file is unreadable or an entry is missing, unknown
     or not what it should be.
@@ -171,9 +172,9 @@ def constants(path: str | Path | None = None) -> list[Constant]:
     if unknown:
         raise UserError(f"{what} has unknown entries: {_first(unknown)}")
     found = {f"{section}_{name}": entry for (section, name), entry in given.items()}
-    missing = [c.label for c in shipped.values() if c.field not in found and c.section not in _LATER]
+    missing = [c for c in shipped.values() if c.field not in found and not {c.section, c.label} & _LATER]
     if missing:
-        raise UserError(f"{what} lacks entries: {_first(missing)}")
+        raise UserError(f"{what} lacks entries: {_first([c.label for c in missing])}")
     return [
         _constant(found[field], like, f"{what}: {like.label}") if field in found else like
         for field, like in shipped.items()

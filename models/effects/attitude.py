@@ -12,6 +12,14 @@ def _second_order(vehicle, values):
     return dataclasses.replace(vehicle, attitude_bandwidth=1.0 / (1.0 / vehicle.attitude_bandwidth + lag))
 
 
+def _yaw_loop(vehicle, values):
+    return dataclasses.replace(
+        vehicle,
+        attitude_yaw_gain=vehicle.attitude_yaw_gain * values.get("gain", 1.0),
+        attitude_yaw_bandwidth=vehicle.attitude_yaw_bandwidth / values.get("time_constant", 1.0),
+    )
+
+
 def _level(vehicle, values):
     tilt = [values.get(name, 0.0) for name in ("roll", "pitch")]
     shown = (old + new for old, new in zip(vehicle.effects_mocap_tilt, tilt))
@@ -150,13 +158,42 @@ EFFECTS = (
         says="the attitude estimate that flies and logs is tilted by {roll} of roll and {pitch} of pitch",
     ),
     Effect(
+        name="yaw_loop",
+        description="The yaw rate is another share of the commanded one, or follows it at another speed: "
+        "gains of the firmware's rate controller, another inertia, weak yaw authority.",
+        formula="d(yaw rate)/dt = bandwidth/time_constant (gain yaw_gain command + drift - yaw rate)",
+        source="the firmware's yaw rate controller; yaw is driven by the rotors' reaction torque only",
+        parameters=(
+            Parameter(
+                *("gain", "1", 1.0, (0.3, 2.0), 0.9, 0.01),
+                constant=FittedConstant(
+                    "yaw rate gain", "attitude_yaw_gain", "1", lambda v, x: x * v.attitude_yaw_gain
+                ),
+            ),
+            Parameter(
+                *("time_constant", "1", 1.0, (0.1, 8.0), 1.5, 0.1),
+                constant=FittedConstant(
+                    *("yaw rate time constant", "attitude_yaw_bandwidth", "s"),
+                    lambda v, x: x / v.attitude_yaw_bandwidth,
+                ),
+            ),
+        ),
+        regimes=("lateral", "hover"),
+        confused_with=("yaw_drift", "attitude_delay"),
+        remedy="Use the yaw controller gains the model was identified with, or accept the new constants. A "
+        "drift shows while no yaw rate is commanded, a gain does not.",
+        channels=("yaw",),
+        apply=_yaw_loop,
+        says="the yaw rate is {gain} times the modelled one, its time constant {time_constant} times",
+    ),
+    Effect(
         name="yaw_drift",
         description="The heading turns slowly although no yaw rate is commanded: a gyroscope bias.",
         formula="d(yaw)/dt = yaw rate command + rate",
         source="bias of consumer gyroscopes",
         parameters=(Parameter("rate", "rad/s", 0.0, (-1.0, 1.0), 0.05, 0.003),),
         regimes=("hover", "climb", "lateral", "attitude_step"),
-        confused_with=(),
+        confused_with=("yaw_loop",),
         remedy="Keep the vehicle still while it starts, so that the gyroscopes calibrate.",
         channels=("yaw",),
         apply=added("effects_yaw_drift", "rate"),

@@ -76,16 +76,17 @@ void Compute(const mjModel* m, mjData* d, int instance) {
     const double wanted = (gain * command - angle) / tau;
     return config->bandwidth * (wanted - rate) - rate / tau;
   };
-  double yaw_command = 0, yaw_bandwidth = config->yaw_bandwidth;
+  double yaw_wanted = 0, yaw_bandwidth = config->yaw_bandwidth;
   if (actuators[kYaw] >= 0) {
     const Hooks hooks(m, actuators[kYaw]);
-    yaw_command = hooks.gain_scale * (Command(m, d, actuators[kYaw]) + hooks.bias[0] + config->yaw_drift);
+    const double gain = hooks.gain_scale * config->yaw_gain;
+    yaw_wanted = gain * (Command(m, d, actuators[kYaw]) + hooks.bias[0]) + config->yaw_drift;
     yaw_bandwidth /= hooks.time_scale;
   }
   const double roll_acc = angle_acceleration(actuators[kRoll], roll, roll_rate, config->trim[0]);
   const double pitch_acc =
       angle_acceleration(actuators[kPitch], pitch, pitch_rate, config->trim[1]);
-  const double yaw_acc = yaw_bandwidth * (yaw_command - yaw_rate);
+  const double yaw_acc = yaw_bandwidth * (yaw_wanted - yaw_rate);
 
   // time derivative of w = (roll' cp - yaw' cr sp, pitch' + yaw' sr, roll' sp + yaw' cr cp)
   const double horizontal = yaw_acc * cos_roll - yaw_rate * roll_rate * sin_roll;

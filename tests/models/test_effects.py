@@ -474,14 +474,14 @@ def test_a_tilted_level_shows_in_the_true_attitude_only(kind):
     np.testing.assert_allclose(plant.state[0, [ROLL, PITCH]], wanted - [roll, pitch], atol=3e-4)
 
 
-@pytest.mark.parametrize("name", ["level_calibration", "mocap_tilt", "attitude_trim"])
-def test_the_prediction_along_a_flight_knows_tilted_attitudes(name):
+@pytest.mark.parametrize("name", ["level_calibration", "mocap_tilt", "attitude_trim", "yaw_loop"])
+def test_the_prediction_along_a_flight_knows_the_attitude_effects(name):
     """Positions up to the line that the start state is, angles once the start has died away."""
     vehicle, rng = changed(name), np.random.default_rng(5)
     commands = np.zeros((300, 1, 4))
     commands[:, 0, PWM] = V.hover_pwm * np.repeat(rng.uniform(0.96, 1.04, 20), 15)
     commands[:, 0, 1:3] = np.repeat(rng.uniform(-0.2, 0.2, (20, 2)), 15, axis=0)
-    commands[:, 0, 3] = 1.0  # the heading turns
+    commands[:, 0, 3] = np.repeat(rng.uniform(0.0, 2.0, 20), 15)  # the heading turns
     flown = fly(plant_of("analytic", 1, vehicle), commands)[:, 0]
     log = FlightLog(
         "flown", np.arange(299) * 0.02, flown[:-1, X : Z + 1], flown[:-1, ROLL:WX], commands[1:, 0]
@@ -490,7 +490,8 @@ def test_the_prediction_along_a_flight_knows_tilted_attitudes(name):
 
     def error(v):
         windows = flight.cut(flight.measured - predict(flight, v))[5:]  # (w, rows, 6)
-        return np.abs(detrend(windows[..., :3], axis=1)).max(), np.abs(windows[..., 3:5]).max()
+        angles = windows[..., 3:] - windows[:, :1, 3:] * [0, 0, 1]
+        return np.abs(detrend(windows[..., :3], axis=1)).max(), np.abs(angles).max()
 
     (metres, radians), nominal = error(vehicle), error(V)
     assert metres < 2e-4 and radians < 1e-5  # attitudes between rows, velocities smoothed over 0.1 s

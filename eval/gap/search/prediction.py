@@ -47,11 +47,9 @@ def predict(flight, vehicle: Vehicle) -> np.ndarray:
     _translate(*middle, pwm, flight.ambient, packed, dt, out, twist)
     for k in (0, 1):
         out[:, ROLL_CHANNEL + k] = angle_steps(k, angles[k], twist[:, k], start[k], dt, packed)
-    if any(tilt):  # with the measured heading: that of the loops is only compared up to its start
-        loops = np.column_stack([out[:, ROLL_CHANNEL : ROLL_CHANNEL + 2], flight.attitude[:, 2]])
-        tilted(loops.copy(), *tilt, loops)
-        out[:, ROLL_CHANNEL : ROLL_CHANNEL + 2] = loops[:, :2]
     out[:, YAW_CHANNEL] = yaw_steps(angles[2], dt, packed)
+    if any(tilt):
+        tilted(out[:, ROLL_CHANNEL:].copy(), *tilt, out[:, ROLL_CHANNEL:])
     return out
 
 

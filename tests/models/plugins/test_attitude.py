@@ -29,11 +29,12 @@ def expected(build, command=COMMAND, t=DURATION, **changed):
         "gain": v.attitude_gain,
         "time_constant": v.attitude_time_constant,
         "bandwidth": v.attitude_bandwidth,
+        "yaw_gain": v.attitude_yaw_gain,
         "yaw_bandwidth": v.attitude_yaw_bandwidth,
     } | changed
     loop = (values["gain"], values["time_constant"], values["bandwidth"])
     b = values["yaw_bandwidth"]
-    yaw = command[2] * (t + math.expm1(-b * t) / b)
+    yaw = values["yaw_gain"] * command[2] * (t + math.expm1(-b * t) / b)
     return (*(angle_response(c, t, *loop) for c in command[:2]), yaw)
 
 
@@ -46,7 +47,14 @@ def flown(build, model, command=COMMAND, duration=DURATION):
 
 @pytest.mark.parametrize(
     "changed",
-    [{}, {"gain": 0.8}, {"time_constant": 0.1}, {"bandwidth": 100.0}, {"yaw_bandwidth": 30.0}],
+    [
+        {},
+        {"gain": 0.8},
+        {"yaw_gain": 0.9},
+        {"time_constant": 0.1},
+        {"bandwidth": 100.0},
+        {"yaw_bandwidth": 30.0},
+    ],
     ids=lambda changed: next(iter(changed), "defaults"),
 )
 def test_poles_are_the_loop_and_the_bandwidth(build, changed):
@@ -157,7 +165,7 @@ def test_wrong_trim_is_refused(build, attribute, text):
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "one", "1 2", "nan"])
-@pytest.mark.parametrize("attribute", ["gain", "time_constant", "bandwidth", "yaw_bandwidth"])
+@pytest.mark.parametrize("attribute", ["gain", "time_constant", "bandwidth", "yaw_gain", "yaw_bandwidth"])
 def test_wrong_attribute_is_refused_in_a_sentence(build, attribute, text):
     with pytest.raises(ValueError, match=f"attitude: attribute '{attribute}' must be "):
         build(attitude={attribute: text})
