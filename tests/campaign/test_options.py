@@ -28,6 +28,7 @@ NEEDED = {
     "logs": ("{place}/log.csv",),
     "identify": ("{place}/log.csv", "--out", "{place}/out"),
     "gap": ("{place}/log.csv", "--out", "{place}/out"),
+    "plan": ("{place}/report", "--out", "{place}/out"),
     "effects": (),
     "gap-example": ("--out", "{place}/out"),
     "gap-blind": ("--out", "{place}/out"),
@@ -56,6 +57,7 @@ NUMBERS = (
     "\x1b[31m\n",
 )
 TEXTS = (*NAMES, "none", "x" * 5000, "/proc/none", "/dev/zero", "", "LANDING", "é\u0301")
+REPORT = '{"sets": [{"effects": ["body_drag"], "probability": 1.0, "values": {"body_drag": {}}}]}'
 OUTPUTS = {
     "under a file": "{place}/log.csv/out",
     "deep under a file": "{place}/log.csv/a/b/out",
@@ -72,6 +74,8 @@ OUTPUTS = {
 def place(folder: Path) -> Path:
     write(folder / "log.csv", text(a_flight()))
     write(folder / "study.toml", STUDY)
+    (folder / "report").mkdir()
+    write(folder / "report/report.json", REPORT)
     (folder / "link").symlink_to(folder / "nowhere" / "at" / "all")
     return folder
 

@@ -1,0 +1,122 @@
+"""`landing-eval plan`: a report in; set-points, commands and a picture of the flight that tells out."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Folder, Range, Seed, VehicleFile
+from inclined_landing.eval.base.style import save_figure, styled
+from inclined_landing.eval.gap.plan import words
+from inclined_landing.eval.gap.plan.design import SECONDS, Plan, design
+from inclined_landing.eval.gap.plan.picture import picture
+from inclined_landing.eval.gap.plan.reading import Doubt, read_report
+from inclined_landing.eval.gap.plan.setpoints import COLUMNS
+from inclined_landing.models import storage
+
+ALONE = 0.95  # probability at which a set stands alone
+TELLS = 0.05  # nat, least gain of a flight that is worth flying
+
+
+def command(
+    report: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="REPORT")],
+    /,
+    out: Folder,
+    seconds: Annotated[float, Range(8.0, 120.0)] = SECONDS,
+    vehicle: VehicleFile = None,
+    seed: Seed = 0,
+) -> None:
+    """The safe flight that tells best which of the sets of effects of a report is right.
+
+    Takes half a minute. Where no flight tells, it says what does and writes nothing.
+
+    Args:
+        report: folder that landing-eval gap wrote.
+        out: new folder for flight.csv, plan.json and plan.png.
+        seconds: of the flight.
+        vehicle: vehicle file (TOML) that the report was made with, where it is not where it was.
+        seed: of the search.
+    """
+    runs.check_new_run(out)
+    doubt = read_report(report, vehicle)
+    best = doubt.hypotheses[0]
+    if best.probability >= ALONE * sum(h.probability for h in doubt.hypotheses):
+        print(f"{best.text} stands alone ({best.probability:.2f}): no flight is needed")
+        return
+    plan = _designed(doubt, seconds, seed)
+    said = words.alike(plan.question, plan.expected)
+    if plan.gain < TELLS:
+        print("\n".join([words.doubt(plan.question), *said]))
+        return
+    told = [words.doubt(plan.question), words.outcome(plan.question, plan.expected), *said]
+    with styled():
+        drawn = picture(plan, doubt.platform)
+    with runs.staged_run(out) as folder:
+        storage.write_text(folder / "flight.csv", csv(plan))
+        storage.write_json(folder / "plan.json", to_json(plan, report, seed) | {"text": told})
+        save_figure(drawn, folder / "plan.png")
+    print("\n".join([*told, *words.flight(plan), str(out / "flight.csv")]))
+
+
+def _designed(doubt: Doubt, seconds: float, seed: int) -> Plan:
+    console = Console(stderr=True)
+    columns = (SpinnerColumn(), TextColumn("{task.description:22}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=None)
+        return design(
+            doubt.hypotheses,
+            doubt.vehicle,
+            quiet=doubt.quiet,
+            seconds=seconds,
+            platform=doubt.platform,
+            seed=seed,
+            tick=lambda what: bar.update(task, description=what),
+        )
+
+
+def csv(plan: Plan) -> str:
+    """The flight as documented log columns, velocity and acceleration: micrometres, microradians."""
+    rows = [",".join(f"{x:.6f}" for x in row) for row in plan.points.table()]
+    return "\n".join([",".join(COLUMNS), *rows]) + "\n"
+
+
+def to_json(plan: Plan, report: Path, seed: int) -> dict:
+    """The contents of plan.json."""
+    states = np.concatenate([s.reshape(-1, s.shape[-1]) for s in plan.flown])
+    sets = [
+        {
+            "effects": h.effects,
+            "probability": h.probability,
+            "expected": float(plan.expected[k, k]),
+            "values": h.values,
+        }
+        for k, h in enumerate(plan.question.hypotheses)
+    ]
+    return {
+        "report": str(report),
+        "seconds": plan.path.seconds,
+        "seed": seed,
+        "sets": sets,
+        "expected": plan.right,
+        "gain": plan.gain,
+        "pieces": [
+            {"kind": s.piece.kind, "start": s.start, "stop": s.stop, "text": s.piece.text}
+            | {"parameters": s.piece.parameters}
+            for s in plan.path.spans
+        ],
+        "simulated": {
+            "flights": sum(len(s) for s in plan.flown),
+            "speed": float(np.linalg.norm(states[:, 3:6], axis=1).max()),
+            "tilt": float(np.abs(states[:, 6:8]).max()),
+            "lowest": float(states[:, 2].min()),
+        },
+        "refused": [dataclasses.asdict(v) for v in plan.refused],
+        "versions": runs.versions(),
+    }

@@ -1,0 +1,184 @@
+"""The choice of a flight: pieces drawn at random, put together by what they tell, and refined one by one."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from inclined_landing.eval.gap.plan import pieces, safety
+from inclined_landing.eval.gap.plan.information import Hypothesis, Question, Quiet
+from inclined_landing.eval.gap.plan.pieces import Path, Piece, Space
+from inclined_landing.eval.gap.plan.safety import Violation
+from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
+from inclined_landing.models.effects import LIBRARY, Effect
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+
+SECONDS = 20.0
+DRAWN = 12  # safe pieces of every kind
+TRIES = 40  # draws for one that is safe
+ROUNDS = 3  # of refinement, each piece moved so often in each, by steps that shrink
+MOVES = 4
+STEPS = (0.25, 0.12, 0.06)
+ATTEMPTS = 6  # flights simulated before giving up
+MOST_SETS = 8  # the most probable sets that are told apart
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """A safe flight and what it is expected to tell."""
+
+    points: Setpoints
+    question: Question
+    expected: np.ndarray  # (K, K) probability of every set j after the flight where the set i is true
+    gain: float  # nat, expected decrease of the entropy of the sets
+    flown: list[np.ndarray]  # states (copies, m, 13) of the simulated flights, by set
+    refused: tuple[Violation, ...]  # of flights that were simulated before and not safe
+
+    @property
+    def path(self) -> Path:
+        """Where it goes."""
+        return self.points.path
+
+    @property
+    def right(self) -> float:
+        """Expected probability of the right set afterwards."""
+        return float(self.question.probabilities @ np.diag(self.expected))
+
+
+def design(
+    hypotheses: Sequence[Hypothesis],
+    vehicle: Vehicle,
+    *,
+    quiet: Quiet | None = None,
+    seconds: float = SECONDS,
+    platform: bool = False,
+    library: Mapping[str, Effect] = LIBRARY,
+    seed: int = 0,
+    tick: Callable[[str], None] = lambda what: None,
+) -> Plan:
+    """The flight of `seconds` that is expected to tell most about which set of effects `vehicle` lacks.
+
+    quiet: noise and unrest of the flights at hand. platform: the slab of the vehicle file stands there.
+    tick: called as the work goes on. The same arguments give the same plan.
+    Raises UserError when there is no room, the battery does not last, or no safe flight is found.
+    """
+    space = Space.of(vehicle, platform)
+    if (left := safety.battery(vehicle, seconds)) < safety.LEAST_VOLTAGE:
+        raise UserError(
+            f"after {seconds:g} s the battery of the vehicle file is at {left:.2f} V; plan a shorter flight"
+        )
+    known = sorted(hypotheses, key=lambda h: -h.probability)[:MOST_SETS]
+    question = Question(known, vehicle, quiet or Quiet.usual(), library)
+    tick("pieces")
+    search = _Search(question, space, seconds, np.random.default_rng(seed))
+    refused: list[Violation] = []
+    for _ in range(ATTEMPTS):
+        tick("choice")
+        path = search.best()
+        points = setpoints(path, vehicle)
+        tick("simulated flights")
+        wrong, flown = safety.simulated(points, question.vehicles, space, question.quiet.noise, seed)
+        if wrong is None:
+            gram = question.gram(points, platform=platform)
+            return Plan(points, question, question.expected(gram), question.gain(gram), flown, tuple(refused))
+        refused.append(wrong)
+        search.forbid(path, wrong.time)
+    raise UserError(
+        f"none of {ATTEMPTS} flights planned is safe under every set of effects: the last "
+        f"{refused[-1].text} after {refused[-1].time:.1f} s"
+    )
+
+
+class _Search:
+    """Pieces with their matrices, and how a flight is put together from them."""
+
+    def __init__(self, question: Question, space: Space, seconds: float, rng: np.random.Generator):
+        self.question, self.space, self.seconds, self.rng = question, space, seconds, rng
+        self._grams: dict[Piece, np.ndarray | None] = {}
+        self.pool = [p for kind in pieces.kinds(space) for p in self._drawn(kind)]
+        self._look(self.pool)
+
+    def _drawn(self, kind: str) -> list[Piece]:
+        """Safe pieces of a kind; fewer where few are."""
+        found: list[Piece] = []
+        for _ in range(TRIES * DRAWN):
+            piece = pieces.draw(kind, self.rng)
+            if len(found) < DRAWN and self._safe(piece) is not None:
+                found.append(piece)
+        return found
+
+    def _safe(self, piece: Piece) -> Setpoints | None:
+        points = setpoints(pieces.alone(piece, self.space), self.space.vehicle)
+        return points if safety.planned(points, self.space) is None else None
+
+    def _look(self, candidates: Sequence[Piece]) -> None:
+        """Matrices of pieces not seen before; None where they are not safe."""
+        new = [p for p in dict.fromkeys(candidates) if p not in self._grams]
+        with ThreadPoolExecutor(2) as pool:
+            self._grams |= dict(zip(new, pool.map(self._gram, new)))
+
+    def _gram(self, piece: Piece) -> np.ndarray | None:
+        points = self._safe(piece)
+        return None if points is None else self.question.gram(points, platform=self.space.platform)
+
+    def gain(self, chosen: Sequence[Piece]) -> float:
+        """Expected decrease of entropy [nat] by the pieces together; -1 where one is not safe."""
+        grams = [self._grams[p] for p in chosen]
+        if any(g is None for g in grams):
+            return -1.0
+        return self.question.gain(np.sum(grams, axis=0))
+
+    def best(self) -> Path:
+        """The pieces of the pool that tell most together, refined, as one flight."""
+        chosen = self._greedy()
+        for step in STEPS:
+            for k in range(len(chosen)):
+                moved = [pieces.moved(chosen[k], self.rng, step) for _ in range(MOVES)]
+                self._look(moved)
+                others = [[*chosen[:k], p, *chosen[k + 1 :]] for p in moved]
+                better = [c for c in others if self.gain(c) > self.gain(chosen)]
+                better.sort(key=self.gain, reverse=True)
+                chosen = next(filter(self._flyable, better), chosen)
+        return pieces.joined(chosen, self.space, self.seconds)
+
+    def _greedy(self) -> list[Piece]:
+        """One piece after the other, that which gains most for its time, until time is up."""
+        chosen: list[Piece] = []
+        gain, taken = 0.0, pieces.joined([], self.space).seconds
+        while True:
+            found = []
+            for piece in self.pool:
+                longer = [*chosen, piece]
+                seconds = pieces.joined(longer, self.space).seconds
+                if seconds <= self.seconds:
+                    new = self.gain(longer)
+                    found.append(((new - gain) / (seconds - taken), new, seconds, longer))
+            found.sort(key=lambda row: row[0], reverse=True)
+            best = next((row for row in found if self._flyable(row[-1])), None)
+            if best is None:
+                return chosen
+            _, gain, taken, chosen = best
+
+    def _flyable(self, chosen: Sequence[Piece]) -> bool:
+        """Whether the pieces fit in the time and are safe with the ways between them."""
+        path = pieces.joined(chosen, self.space)
+        if path.seconds > self.seconds:
+            return False
+        return safety.planned(setpoints(path, self.space.vehicle), self.space) is None
+
+    def forbid(self, path: Path, time: float) -> None:
+        """Leave out, from now on, the piece flown at a time, or the next one."""
+        for span in path.spans:
+            if time < span.stop + 0.5:
+                kind = span.piece.kind
+                own = np.array(span.piece.shares)
+                # Those like it too.
+                self.pool = [
+                    p for p in self.pool if p.kind != kind or np.abs(np.array(p.shares) - own).max() > 0.25
+                ]
+                self._grams[span.piece] = None
+                return

@@ -1,0 +1,117 @@
+"""The picture of a plan: the way through the arena, the pieces in time, the probabilities now and after."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon, Rectangle
+
+from inclined_landing.eval.base.style import (
+    AIR,
+    BASE,
+    BLUE,
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    PURPLE,
+    RULE,
+    SLAB,
+    panel,
+    time_colours,
+)
+from inclined_landing.eval.gap.plan.design import Plan
+from inclined_landing.models.parameters import Vehicle
+
+WIDTH, HEIGHT = 11.0, 7.4  # inches
+
+
+def picture(plan: Plan, platform: bool) -> Figure:
+    """The whole figure; platform: the slab stands in the arena."""
+    figure = Figure(figsize=(WIDTH, HEIGHT))
+    vehicle = plan.question.vehicle
+    above = panel(figure, 0.6, 4.75, 5.4, 2.25)
+    side = panel(figure, 0.6, 2.55, 5.4, 1.95)
+    _way(above, plan, vehicle, platform, 1)
+    _way(side, plan, vehicle, platform, 2)
+    above.set_xlabel("")
+    above.set_title("The way, from dark to light; simulated flights in grey", loc="left")
+    _probabilities(panel(figure, 8.1, 2.85, 2.7, 4.1), plan)
+    _timeline(panel(figure, 0.6, 0.5, 10.2, 1.5), plan)
+    return figure
+
+
+def _way(axes: Axes, plan: Plan, v: Vehicle, platform: bool, across: int) -> None:
+    """Seen from above (across 1: y over x) or from the side (2: z over x)."""
+    ends = (v.arena_y, v.arena_z)[across - 1]
+    axes.set_facecolor(AIR)
+    axes.grid(True)
+    if platform:
+        _slab(axes, v, across)
+    for states in plan.flown:
+        for flight in states:
+            axes.plot(flight[:, 0], flight[:, across], color=MUTED, lw=0.4, alpha=0.4)
+    position = plan.path.position
+    colours = time_colours(np.linspace(0, 1, len(position) - 1)[::10])
+    for k, colour in zip(range(0, len(position) - 1, 10), colours):
+        axes.plot(position[k : k + 11, 0], position[k : k + 11, across], color=colour, lw=1.6)
+    axes.plot(position[0, 0], position[0, across], "o", color=INK, ms=4)
+    axes.set(xlim=v.arena_x, ylim=ends, aspect="equal", xlabel="x [m]", ylabel=f"{'xyz'[across]} [m]")
+    axes.add_patch(
+        Rectangle(
+            (v.arena_x[0], ends[0]), np.ptp(v.arena_x), np.ptp(ends), fill=False, ec=INK, lw=1.2, zorder=5
+        )
+    )
+
+
+def _slab(axes: Axes, v: Vehicle, across: int) -> None:
+    half = 0.5 * v.platform_width
+    if across == 1:
+        axes.add_patch(
+            Rectangle(
+                (-half, -0.5 * v.platform_depth), 2 * half, v.platform_depth, fc=SLAB, ec=BASE, zorder=1
+            )
+        )
+        return
+    rise = -half * math.tan(v.platform_inclination)
+    top = v.platform_surface_height
+    corners = [(-half, 0.0), (-half, top - rise), (half, top + rise), (half, 0.0)]
+    axes.add_patch(Polygon(corners, fc=SLAB, ec=BASE, zorder=1))
+
+
+def _probabilities(axes: Axes, plan: Plan) -> None:
+    sets = plan.question.hypotheses
+    y = np.arange(len(sets))
+    after = np.diag(plan.expected)
+    axes.barh(y - 0.19, [h.probability for h in sets], 0.36, color=MUTED, label="now")
+    axes.barh(y + 0.19, after, 0.36, color=GREEN, label="expected afterwards, if it is right")
+    for k, (h, a) in enumerate(zip(sets, after)):
+        for at, x in ((k - 0.19, h.probability), (k + 0.19, a)):
+            axes.text(min(x, 1.0) + 0.02, at, f"{x:.2f}", va="center", fontsize=7.5)
+    axes.set_yticks(y, ["\n".join(h.effects) if h.effects else "nothing" for h in sets], fontsize=8)
+    axes.set(xlim=(0, 1.15), ylim=(len(sets) - 0.45, -0.55), xticks=[0, 0.5, 1], xlabel="probability")
+    axes.set_title("Which effects are missing", loc="left")
+    axes.legend(loc="upper right", bbox_to_anchor=(1.0, -0.09), fontsize=7.5)
+
+
+def _timeline(axes: Axes, plan: Plan) -> None:
+    t, path = plan.path.t, plan.path
+    curves = (
+        ("height [m]", path.position[:, 2], BLUE),
+        ("speed [m/s]", np.linalg.norm(plan.points.velocity, axis=1), ORANGE),
+        ("heading [rad]", path.yaw, PURPLE),
+    )
+    for label, values, colour in curves:
+        axes.plot(t, values, color=colour, lw=1.2, label=label)
+    low, high = axes.get_ylim()
+    high += 0.28 * (high - low)
+    for k, span in enumerate(path.spans):
+        axes.axvspan(span.start, span.stop, color=RULE, alpha=0.7 if k % 2 else 0.4, lw=0, zorder=0)
+        middle = 0.5 * (span.start + span.stop)
+        name, turned = span.piece.kind.replace("_", " "), 0 if span.stop - span.start > 1.6 else 35
+        axes.text(middle, high, name, ha="center", va="top", fontsize=7, color=INK, rotation=turned)
+    axes.set(xlim=(0, path.seconds), ylim=(low, high), xlabel="time [s]")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=7.5, borderpad=0.1)

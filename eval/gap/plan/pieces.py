@@ -1,0 +1,348 @@
+"""Pieces of flight: hover, turns, doublets, runs, climbs, low passes ... each smooth, from rest to rest.
+
+A piece is a kind with a number for each of its parameters, within bounds. Pieces are joined by moves from
+rest to rest; the whole is a `Path`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import lfilter
+
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.geometry import Shapes, shapes_of
+from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.scene import compile_scene
+
+RATE = 100.0  # rows per second
+LEAD_IN = 1.0  # s of hover before the first piece
+MARGIN = 0.3  # m to the walls, floor, ceiling and slab, of paths
+SMOOTHING = 0.02  # s, of steps of a command
+MOVE_SPEED, MOVE_ACCELERATION, TURN_RATE = 1.2, 3.0, 2.0  # m/s, m/s2, rad/s, at most, between pieces
+# Peak speed and acceleration of `_smoothly` over unit length in unit time.
+_PEAK_SPEED, _PEAK_ACCELERATION = 35.0 / 16.0, 84.0 / (5.0 * math.sqrt(5.0))
+
+Way = tuple[np.ndarray, np.ndarray]  # position (m, 3) [m], heading (m,) [rad] at RATE
+
+
+@dataclasses.dataclass(frozen=True)
+class Space:
+    """Where may be flown: the arena within margins [m], and what is in it."""
+
+    low: np.ndarray  # (3,)
+    high: np.ndarray  # (3,)
+    home: np.ndarray  # (3,) where a flight begins: beside the slab, on its larger side
+    vehicle: Vehicle
+    platform: bool
+    shapes: Shapes  # of the vehicle
+
+    @staticmethod
+    def of(vehicle: Vehicle, platform: bool) -> Space:
+        """The arena of the vehicle file. Raises UserError when there is no room."""
+        ends = np.array([vehicle.arena_x, vehicle.arena_y, vehicle.arena_z], float)
+        low, high = ends[:, 0] + MARGIN, ends[:, 1] - MARGIN
+        free_low, free_high = low.copy(), high.copy()
+        if platform:
+            edge = 0.5 * vehicle.platform_width + MARGIN
+            if -edge - low[0] >= high[0] - edge:
+                free_high[0] = min(high[0], -edge)
+            else:
+                free_low[0] = max(low[0], edge)
+        if (free_high - free_low < 1.0).any():
+            room = " x ".join(f"{max(0.0, x):.1f}" for x in free_high - free_low)
+            raise UserError(f"the arena leaves {room} m to fly in; at least 1 m each way is needed")
+        home = 0.5 * (free_low + free_high)
+        home[2] = min(max(1.2, low[2] + 0.3), high[2] - 0.3)
+        return Space(low, high, home, vehicle, platform, shapes_of(compile_scene(vehicle)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Kind:
+    """A kind of piece."""
+
+    words: str  # {parameter} stands for its value, angles in degrees
+    bounds: Mapping[str, tuple[float, float]]
+    make: Callable[..., Way]  # of the space and the parameters
+    near: bool = False  # goes closer to a surface than MARGIN
+
+
+@dataclasses.dataclass(frozen=True)
+class Piece:
+    """A kind with its parameters, as shares of their bounds: (k,) within 0 and 1."""
+
+    kind: str
+    shares: tuple[float, ...]
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Parameter values, SI units."""
+        bounds = KINDS[self.kind].bounds
+        return {n: a + u * (b - a) for (n, (a, b)), u in zip(bounds.items(), self.shares)}
+
+    @property
+    def text(self) -> str:
+        """What is flown, as part of a sentence."""
+        angles = ("heading", "direction", "angle", "tilt", "rate")
+        shown = {
+            n: f"{math.degrees(x):.0f}" if n in angles else f"{x:.2g}" for n, x in self.parameters.items()
+        }
+        return KINDS[self.kind].words.format(**shown)
+
+    def way(self, space: Space) -> Way:
+        """The piece alone."""
+        return KINDS[self.kind].make(space, **self.parameters)
+
+
+def draw(kind: str, rng: np.random.Generator) -> Piece:
+    """A piece of a kind with parameters drawn evenly within their bounds."""
+    return Piece(kind, tuple(rng.random(len(KINDS[kind].bounds))))
+
+
+def moved(piece: Piece, rng: np.random.Generator, step: float) -> Piece:
+    """The piece with every parameter moved by a normal step, of this share of its bounds, and kept within."""
+    shares = np.array(piece.shares) + step * rng.standard_normal(len(piece.shares))
+    return Piece(piece.kind, tuple(np.clip(shares, 0.0, 1.0)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Span:
+    """When a piece is flown, [s] of the path."""
+
+    piece: Piece
+    start: float
+    stop: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Path:
+    """A whole flight, every 1/RATE s."""
+
+    position: np.ndarray  # (m, 3) m
+    yaw: np.ndarray  # (m,) rad, continuous
+    spans: tuple[Span, ...]
+
+    @property
+    def t(self) -> np.ndarray:
+        """Time (m,) [s] from the start."""
+        return np.arange(len(self.yaw)) / RATE
+
+    @property
+    def seconds(self) -> float:
+        """How long it takes."""
+        return len(self.yaw) / RATE
+
+    @property
+    def near(self) -> np.ndarray:
+        """(m,) bool: rows of a piece that goes close to a surface."""
+        result = np.zeros(len(self.yaw), bool)
+        for span in self.spans:
+            if KINDS[span.piece.kind].near:
+                result[round(span.start * RATE) : round(span.stop * RATE)] = True
+        return result
+
+
+def joined(pieces: Sequence[Piece], space: Space, seconds: float | None = None) -> Path:
+    """The pieces one after the other from a hover at home, held to `seconds` if it is shorter."""
+    ways, spans, rows = [_hold(space.home, 0.0, LEAD_IN)], [], 0
+    rows = len(ways[0][1])
+    for piece in pieces:
+        position, yaw = piece.way(space)
+        before = ways[-1]
+        # The same heading, whole turns apart, that is nearest.
+        yaw = yaw + 2.0 * math.pi * round((before[1][-1] - yaw[0]) / (2.0 * math.pi))
+        ways.append(_line(before[0][-1], position[0], before[1][-1], yaw[0]))
+        rows += len(ways[-1][1])
+        ways.append((position, yaw))
+        spans.append(Span(piece, rows / RATE, (rows + len(yaw)) / RATE))
+        rows += len(yaw)
+    if seconds is not None and rows < round(seconds * RATE):
+        end = ways[-1]
+        ways.append(_hold(end[0][-1], end[1][-1], seconds - rows / RATE))
+    position, yaw = (np.concatenate(x) for x in zip(*ways))
+    return Path(position, yaw, tuple(spans))
+
+
+def alone(piece: Piece, space: Space) -> Path:
+    """A piece with a short hover before and after it."""
+    position, yaw = piece.way(space)
+    ways = [_hold(position[0], yaw[0], 0.3), (position, yaw), _hold(position[-1], yaw[-1], 0.3)]
+    position, yaw = (np.concatenate(x) for x in zip(*ways))
+    return Path(position, yaw, (Span(piece, 0.0, len(yaw) / RATE),))
+
+
+def _rows(seconds: float) -> int:
+    return max(1, round(seconds * RATE))
+
+
+def _smoothly(seconds: float) -> np.ndarray:
+    """From 0 to 1, from rest to rest, acceleration and jerk zero at both ends."""
+    u = (np.arange(_rows(seconds)) + 1) / _rows(seconds)
+    return u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3)
+
+
+def _hold(position, yaw: float, seconds: float) -> Way:
+    n = _rows(seconds)
+    return np.tile(np.asarray(position, float), (n, 1)), np.full(n, yaw)
+
+
+def _line(a, b, yaw: float = 0.0, turned: float | None = None, speed: float = MOVE_SPEED) -> Way:
+    """From a to b, with a peak speed [m/s] where that takes no more than MOVE_ACCELERATION."""
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    turned = yaw if turned is None else turned
+    length, turn = float(np.linalg.norm(b - a)), abs(turned - yaw)
+    slow = max(MOVE_ACCELERATION, speed**2)
+    seconds = max(
+        0.3 if length + turn > 1e-9 else 0.01,
+        _PEAK_SPEED * length / speed,
+        math.sqrt(_PEAK_ACCELERATION * length / slow),
+        _PEAK_SPEED * turn / TURN_RATE,
+    )
+    s = _smoothly(seconds)
+    return a + np.outer(s, b - a), yaw + s * (turned - yaw)
+
+
+def _after(*ways: Way) -> Way:
+    position, yaw = zip(*ways)
+    return np.concatenate(position), np.concatenate(yaw)
+
+
+def _across(direction: float) -> np.ndarray:
+    return np.array([math.cos(direction), math.sin(direction), 0.0])
+
+
+def _doublet(seconds: float, *lags: float) -> np.ndarray:
+    """One way, twice as long the other, the one way again, behind first-order lags [s].
+
+    An acceleration of this form leaves speed and place as they were.
+    """
+    rest = 5.0 * max(lags)
+    parts = [(0.0, 0.1), (1.0, seconds), (-1.0, 2 * seconds), (1.0, seconds), (0.0, rest)]
+    steps = np.concatenate([np.full(_rows(s), x) for x, s in parts])
+    steps = gaussian_filter1d(steps, SMOOTHING * RATE, mode="nearest")
+    for lag in lags:
+        keep = math.exp(-1.0 / (lag * RATE))
+        steps = lfilter([1.0 - keep], [1.0, -keep], steps)
+    return steps
+
+
+def _pushed(start, acceleration: np.ndarray, yaw: float) -> Way:
+    """From rest at `start` under an acceleration (m, 3) whose first integral ends at zero."""
+    speed = np.cumsum(acceleration, axis=0) / RATE
+    speed = speed - np.linspace(0.0, 1.0, len(speed))[:, None] * speed[-1]  # rounding of the durations
+    return start + np.cumsum(speed, axis=0) / RATE, np.full(len(speed), yaw)
+
+
+def _hover(space: Space, heading: float, seconds: float) -> Way:
+    return _hold(space.home, heading, seconds)
+
+
+def _turn(space: Space, angle: float, rate: float) -> Way:
+    s = _smoothly(_PEAK_SPEED * angle / rate)
+    return np.tile(space.home, (len(s), 1)), angle * s
+
+
+def _tilts(space: Space, tilt: float, seconds: float, direction: float, heading: float) -> Way:
+    v = space.vehicle
+    angle = v.attitude_gain * tilt * _doublet(seconds, v.attitude_time_constant, 1.0 / v.attitude_bandwidth)
+    size = v.environment_gravity * np.tan(angle)
+    return _pushed(space.home, np.outer(size, _across(direction)), heading)
+
+
+def _thrusts(space: Space, size: float, seconds: float) -> Way:
+    v = space.vehicle
+    up = size * v.environment_gravity * _doublet(seconds, 1.0 / v.thrust_lag_rate)
+    return _pushed(space.home, np.outer(up, [0.0, 0.0, 1.0]), 0.0)
+
+
+def _climb(space: Space, height: float, speed: float) -> Way:
+    low, high = space.home - [0, 0, 0.5 * height], space.home + [0, 0, 0.5 * height]
+    return _after(_line(low, high, speed=speed), _hold(high, 0.0, 0.2), _line(high, low, speed=speed))
+
+
+def _heave(space: Space, height: float, frequency: float) -> Way:
+    """Two and a half swings; smooth at both ends."""
+    t = np.arange(_rows(2.5 / frequency)) / RATE
+    fade = np.sin(np.pi * np.clip(np.minimum(t, t[-1] - t) * frequency, 0.0, 0.5)) ** 2
+    z = 0.5 * height * fade * np.sin(2 * np.pi * frequency * t)
+    return space.home + np.outer(z, [0.0, 0.0, 1.0]), np.zeros(len(t))
+
+
+def _run(space: Space, distance: float, speed: float, direction: float, heading: float) -> Way:
+    a, b = (space.home + side * 0.5 * distance * _across(direction) for side in (-1, 1))
+    there, back = _line(a, b, heading, speed=speed), _line(b, a, heading, speed=speed)
+    return _after(there, _hold(b, heading, 0.2), back)
+
+
+def _circle(space: Space, radius: float, speed: float, seconds: float, nose: float) -> Way:
+    """Round home from rest to rest; nose 0: one heading, 1: it turns with the path."""
+    rate = np.convolve(np.ones(_rows(seconds)), np.diff(_smoothly(1.0), prepend=0.0))
+    angle = np.cumsum(rate) / RATE * speed / radius
+    around = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    return space.home + radius * around, nose * angle
+
+
+def _down_to(above: np.ndarray, low: np.ndarray, over: np.ndarray, heading: float, seconds: float) -> Way:
+    """From `above` to `low`, from there over to another low point, and up again."""
+    up = over + (above - low)
+    return _after(
+        _line(above, low, heading, speed=0.5),
+        _hold(low, heading, seconds),
+        _line(low, over, heading, speed=0.6),
+        _line(over, up, heading, speed=0.6),
+    )
+
+
+def _low_hover(space: Space, height: float, seconds: float, heading: float) -> Way:
+    low = np.array([*space.home[:2], height])
+    return _down_to(low + [0.0, 0.0, 0.35], low, low, heading, seconds)
+
+
+def _low_pass(space: Space, height: float, distance: float, direction: float) -> Way:
+    low = np.array([*space.home[:2], height]) - 0.5 * distance * _across(direction)
+    return _down_to(low + [0, 0, 0.35], low, low + distance * _across(direction), 0.0, 0.3)
+
+
+def _slope_hover(space: Space, height: float, seconds: float, heading: float) -> Way:
+    v = space.vehicle
+    up = np.array([math.sin(v.platform_inclination), 0.0, math.cos(v.platform_inclination)])
+    low = np.array([0.0, 0.0, v.platform_surface_height]) + height * up
+    return _down_to(low + [0.0, 0.0, 0.35], low, low, heading, seconds)
+
+
+_TURN = (-math.pi, math.pi)
+KINDS: dict[str, Kind] = {
+    "hover": Kind("hover for {seconds} s at a heading of {heading} deg",
+        {"heading": _TURN, "seconds": (1.2, 3.0)}, _hover),
+    "turn": Kind("turn in place by {angle} deg at up to {rate} deg/s",
+        {"angle": (1.2, 6.3), "rate": (1.0, 2.6)}, _turn),
+    "tilts": Kind("command {tilt} deg of tilt towards {direction} deg and back, {seconds} s each, "
+        "at a heading of {heading} deg",
+        {"tilt": (0.1, 0.42), "seconds": (0.12, 0.45), "direction": _TURN, "heading": _TURN}, _tilts),
+    "thrusts": Kind("give {size} times the hover thrust more and less in turn, {seconds} s each",
+        {"size": (0.1, 0.5), "seconds": (0.1, 0.4)}, _thrusts),
+    "climb": Kind("climb and sink by {height} m at up to {speed} m/s",
+        {"height": (0.4, 1.5), "speed": (0.4, 2.0)}, _climb),
+    "heave": Kind("heave over {height} m at {frequency} Hz",
+        {"height": (0.1, 0.5), "frequency": (0.4, 1.2)}, _heave),
+    "run": Kind("fly {distance} m towards {direction} deg and back at up to {speed} m/s, "
+        "at a heading of {heading} deg",
+        {"distance": (0.8, 3.0), "speed": (0.5, 2.8), "direction": _TURN, "heading": _TURN}, _run),
+    "circle": Kind("circle with a radius of {radius} m at {speed} m/s for {seconds} s",
+        {"radius": (0.3, 0.9), "speed": (0.5, 2.2), "seconds": (1.5, 4.0), "nose": (0.0, 1.0)}, _circle),
+    "low_hover": Kind("hover {height} m above the floor for {seconds} s at a heading of {heading} deg",
+        {"height": (0.07, 0.25), "seconds": (1.2, 3.0), "heading": _TURN}, _low_hover, near=True),
+    "low_pass": Kind("fly {distance} m towards {direction} deg, {height} m above the floor",
+        {"height": (0.07, 0.25), "distance": (0.5, 1.5), "direction": _TURN}, _low_pass, near=True),
+    "slope_hover": Kind("hover {height} m above the slope for {seconds} s at a heading of {heading} deg",
+        {"height": (0.12, 0.3), "seconds": (1.2, 3.0), "heading": _TURN}, _slope_hover, near=True),
+}  # fmt: skip
+
+
+def kinds(space: Space) -> tuple[str, ...]:
+    """The kinds of pieces that can be flown here."""
+    return tuple(name for name in KINDS if space.platform or name != "slope_hover")

@@ -1,0 +1,177 @@
+"""Is a planned flight safe? Set-points within limits, and flights simulated under every set of effects.
+
+The simulated pilot follows the set-points as simply as can be: proportional, rate and integral feedback of
+the measured position beside the commands of the plan, which know nothing of the hidden effects.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from inclined_landing.eval.gap.plan.pieces import MARGIN, RATE, Space
+from inclined_landing.eval.gap.plan.setpoints import Setpoints, thrust_and_angles
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, YAW, X, Z, rotations
+from inclined_landing.models.geometry import reach_below
+from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.surface import normal_of
+
+SPEED = 3.0  # m/s, at most
+TILT = 0.8  # of the attitude limit, at most, in a plan; simulated flights may use all of it
+THRUST_MARGIN = 0.05  # of the range of the PWM, at either end, in a plan
+CLEAR, CLEAR_NEAR = 0.15, 0.02  # m from any part to any surface in simulated flights; in pieces near one
+LEAST_VOLTAGE = 3.0  # V under load, at the end
+# The vehicle's own uncertainty beside the hidden effects: every simulated copy has another draw.
+COPIES = 4
+UNCERTAINTY = {"thrust_scale": 0.03, "lag_scale": 0.2, "drag_change": 0.3, "gain_scale": 0.05,
+    "time_constant_scale": 0.15, "mass_scale": 0.01}  # fmt: skip
+# Of the pilot: proportional, rate, integral; heading: proportional.
+SIDEWAYS, UPWARD, HEADING = (4.0, 3.2, 1.0), (8.0, 5.0, 3.0), 1.5  # 1/s2, 1/s, 1/s3; 1/s
+
+
+@dataclasses.dataclass(frozen=True)
+class Violation:
+    """What is not safe, first where."""
+
+    time: float  # s
+    text: str
+
+
+def planned(points: Setpoints, space: Space) -> Violation | None:
+    """What a plan itself breaks, the first of it; None if nothing."""
+    v, path = space.vehicle, points.path
+    speed = np.linalg.norm(points.velocity, axis=1)
+    inside = np.minimum(path.position - space.low, space.high - path.position)
+    inside = np.where(path.near[:, None], 1.0, inside).min(axis=1)
+    low, high = v.command_pwm_range
+    spare = THRUST_MARGIN * (high - low)
+    pwm = np.minimum(points.command[:, 0] - low - spare, high - spare - points.command[:, 0])
+    limit = v.command_angle_limit
+    tilt = np.abs(points.attitude[:, :2]).max(axis=1)
+    asked = np.abs(points.command[:, 1:3]).max(axis=1)
+    surface = clearance(path.position, points.attitude, space)
+    needed = np.where(path.near, CLEAR_NEAR + 0.02, CLEAR)
+    return _first(
+        ("leaves the space that is free", inside < -1e-9),
+        (f"is faster than {SPEED:g} m/s", speed > SPEED),
+        (f"tilts beyond {math.degrees(TILT * limit):.0f} deg", tilt > TILT * limit),
+        ("asks for more tilt than can be commanded", asked > 0.95 * limit),
+        ("asks for thrust at the end of its range", pwm < 0.0),
+        ("comes too close to a surface", surface < needed),
+    )
+
+
+def battery(vehicle: Vehicle, seconds: float) -> float:
+    """Voltage under hover load [V] that the vehicle file's battery has left after so many seconds."""
+    v = vehicle
+    drop = v.effects_voltage_drop * v.hover_pwm
+    return v.effects_voltage_open - drop - v.effects_voltage_discharge * seconds
+
+
+def simulated(
+    points: Setpoints, vehicles: Sequence[Vehicle], space: Space, noise: np.ndarray, seed: int = 0
+) -> tuple[Violation | None, list[np.ndarray]]:
+    """The first thing that goes wrong when each of `vehicles`, as uncertain as it is, flies the plan.
+
+    Also the states (COPIES, m, 13) of every one at the control rate. noise (6,) of what the pilot sees.
+    """
+    flown = [fly(points, v, space, noise, (seed, k)) for k, v in enumerate(vehicles)]
+    wrong = [w for states in flown if (w := _judged(states, points, space)) is not None]
+    return min(wrong, key=lambda w: w.time, default=None), flown
+
+
+def fly(points: Setpoints, vehicle: Vehicle, space: Space, noise: np.ndarray, seed) -> np.ndarray:
+    """States (COPIES, m, 13) of a vehicle that the pilot flies along the plan in MuJoCo; NaN from a crash."""
+    rng = np.random.default_rng(seed)
+    plant = MujocoPlant(COPIES, vehicle)
+    drawn = {n: rng.uniform(-s, s, COPIES) * (np.arange(COPIES) > 0) for n, s in UNCERTAINTY.items()}
+    plant.perturb(**{n: x if n == "drag_change" else 1.0 + x for n, x in drawn.items()})
+    plant.set_platform(np.arange(COPIES), vehicle.platform_inclination, space.platform)
+    start = np.zeros((COPIES, STATE_SIZE))
+    start[:, X : Z + 1], start[:, YAW] = points.path.position[0], points.path.yaw[0]
+    start[:, LAG] = space.vehicle.hover_lag
+    plant.reset(np.arange(COPIES), start)
+    stride = max(1, round(plant.control_period * RATE))
+    rows = np.arange(0, len(points.path.yaw), stride)
+    states, integral = np.full((len(rows), COPIES, STATE_SIZE), np.nan), np.zeros((COPIES, 3))
+    for i, row in enumerate(rows):
+        seen = plant.measurement.copy()
+        seen[:, X : Z + 1] += noise[:3] * rng.standard_normal((COPIES, 3))
+        command = _pilot(points, row, seen, integral, plant.control_period, space.vehicle)
+        plant.advance(command)
+        if plant.diverged.any() or plant.contacts.touch.any():
+            break
+        states[i] = plant.state
+    return states.swapaxes(0, 1)
+
+
+def _pilot(points: Setpoints, row: int, seen: np.ndarray, integral: np.ndarray, dt: float, v: Vehicle):
+    """Commands (n, 4) from what is seen (n, 13); integral (n, 3) is changed in place."""
+    error = points.path.position[row] - seen[:, X : Z + 1]
+    integral += dt * np.clip(error, -0.5, 0.5)
+    gains = np.array([SIDEWAYS, SIDEWAYS, UPWARD]).T
+    wanted = points.acceleration[row] + gains[0] * error
+    wanted = wanted + gains[1] * (points.velocity[row] - seen[:, VX : VX + 3]) + gains[2] * integral
+    wanted[:, 2] = np.maximum(wanted[:, 2], 2.0 - v.environment_gravity)
+    size, angles = thrust_and_angles(wanted, seen[:, YAW], v.environment_gravity)
+    turn = points.path.yaw[row] - seen[:, YAW]
+    turn = HEADING * np.arctan2(np.sin(turn), np.cos(turn))
+    limit, spin = v.command_angle_limit, v.command_yaw_rate_limit
+    return np.column_stack(
+        [
+            np.clip(v.hover_pwm * size / v.environment_gravity + points.lead[row, 0], *v.command_pwm_range),
+            np.clip(angles / v.attitude_gain + points.lead[row, 1:], -limit, limit),
+            np.clip(points.command[row, 3] + turn, -spin, spin),
+        ]
+    )
+
+
+def _judged(states: np.ndarray, points: Setpoints, space: Space) -> Violation | None:
+    v = space.vehicle
+    stride = max(1, round(len(points.path.yaw) / states.shape[1]))
+    near = points.path.near[::stride][: states.shape[1]]
+    lost = ~np.isfinite(states).all(axis=(0, 2))
+    with np.errstate(invalid="ignore"):
+        position = states[..., X : Z + 1]
+        ends = np.array([v.arena_x, v.arena_y, v.arena_z], float)
+        outside = np.maximum(ends[:, 0] - position, position - ends[:, 1])
+        outside[..., 2] = position[..., 2] - ends[2, 1]  # the floor is a surface
+        outside = outside.max(axis=(0, 2))
+        speed = np.linalg.norm(states[..., VX : VX + 3], axis=2).max(axis=0)
+        tilt = np.abs(states[..., [ROLL, PITCH]]).max(axis=(0, 2))
+        surface = clearance(position, states[..., ROLL : YAW + 1], space).min(axis=0)
+    return _first(
+        ("touches something", lost),
+        ("leaves the arena", outside > -0.5 * MARGIN),
+        (f"is faster than {1.1 * SPEED:g} m/s", speed > 1.1 * SPEED),
+        ("tilts beyond the attitude limit", tilt > v.command_angle_limit),
+        ("comes too close to a surface", surface < np.where(near, CLEAR_NEAR, CLEAR)),
+        step=stride / RATE,
+    )
+
+
+def clearance(position: np.ndarray, attitude: np.ndarray, space: Space) -> np.ndarray:
+    """Distance (...,) [m], not more than that, from a vehicle to the floor and, where it stands, the slab.
+
+    position (..., 3) of its centre, attitude (..., 3): roll, pitch, yaw.
+    """
+    v, z = space.vehicle, position[..., 2]
+    rotation = rotations(attitude.reshape(-1, 3)).reshape(*attitude.shape, 3)
+    floor = z - reach_below(space.shapes, rotation[..., 2, :])
+    if not space.platform:
+        return floor
+    normal = normal_of(v.platform_inclination)
+    above = (position - [0.0, 0.0, v.platform_surface_height]) @ normal
+    above = above - reach_below(space.shapes, np.einsum("...ij,i->...j", rotation, normal))
+    beside = np.abs(position[..., :2]) - 0.5 * np.array([v.platform_width, v.platform_depth])
+    return np.minimum(floor, np.maximum(above, beside.max(axis=-1) - space.shapes.reach))
+
+
+def _first(*checks: tuple[str, np.ndarray], step: float = 1.0 / RATE) -> Violation | None:
+    """The earliest row that a check (text, (m,) bool) finds wrong."""
+    found = [Violation(float(np.argmax(wrong)) * step, text) for text, wrong in checks if wrong.any()]
+    return min(found, key=lambda v: v.time, default=None)

@@ -1,0 +1,225 @@
+"""The flight that tells: pieces, what they tell, safety, the choice, and the command."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+from inclined_landing.eval.cli import main
+from inclined_landing.eval.gap.plan import Hypothesis, Quiet, design, pieces, safety, words
+from inclined_landing.eval.gap.plan.information import Question
+from inclined_landing.eval.gap.plan.setpoints import setpoints
+from inclined_landing.eval.logs import read_log
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants import AnalyticPlant
+
+VEHICLE = load_vehicle()
+FREE, SLAB = (pieces.Space.of(VEHICLE, platform) for platform in (False, True))
+WIND = Hypothesis(("wind",), 0.5, {"wind": {"x": 0.5, "y": -0.3}})
+DRAG = Hypothesis(("rotor_drag",), 0.5, {"rotor_drag": {"lateral": 1.6, "axial": 1.6}})
+BODY = Hypothesis(("body_drag",), 0.5, {"body_drag": {"coefficient": 0.005}})
+MASS = Hypothesis(("mass",), 0.5, {"mass": {"scale": 1.05}})
+THRUST = Hypothesis(("thrust_scale",), 0.5, {"thrust_scale": {"scale": 0.95}})
+
+
+def middle(kind):
+    """The piece of a kind with all parameters halfway."""
+    return pieces.Piece(kind, (0.5,) * len(pieces.KINDS[kind].bounds))
+
+
+def points(*kinds, space=FREE):
+    """Set-points of the middle pieces of some kinds."""
+    return setpoints(pieces.joined([middle(k) for k in kinds], space), VEHICLE)
+
+
+@pytest.mark.parametrize("kind", pieces.KINDS)
+def test_a_piece_is_smooth_from_rest_to_rest_and_safe(kind):
+    alone = setpoints(pieces.alone(middle(kind), SLAB), VEHICLE)
+    assert safety.planned(alone, SLAB) is None
+    assert np.abs(alone.velocity[[0, -1]]).max() < 1e-6
+    assert np.abs(np.diff(alone.path.position, axis=0)).max() * pieces.RATE < safety.SPEED
+    # Commands jump no more in one row than the smoothed doublets do: an eighth of their range.
+    assert np.abs(np.diff(alone.command[:, 1:3], axis=0)).max() < VEHICLE.command_angle_limit / 4
+
+
+def test_the_commands_fly_the_path():
+    """The equations under the commands alone stay near the path: what is left out is the rotors' drag.
+
+    At 1.7 m/s it is some 0.35 m/s2 for about a second: a third of a metre at most.
+    """
+    plan = points("thrusts", "tilts", "run")
+    plant = AnalyticPlant(1, VEHICLE, attitude="rate_loop", control_period=0.01)
+    start = np.zeros((1, 13))
+    start[0, :3], start[0, 12] = plan.path.position[0], VEHICLE.hover_lag
+    plant.reset(np.arange(1), start)
+    off = []
+    for row in range(len(plan.path.yaw) - 1):
+        plant.step(plan.command[row : row + 1])
+        off.append(np.linalg.norm(plant.state[0, :3] - plan.path.position[row + 1]))
+    spans = {s.piece.kind: slice(round(100 * s.start), round(100 * s.stop)) for s in plan.path.spans}
+    assert max(off[spans["thrusts"]]) < 0.03
+    assert max(off[spans["tilts"]]) < 0.15
+    assert max(off) < 0.5
+
+
+def test_headings_turn_the_short_way():
+    plan = pieces.joined([pieces.Piece("hover", (0.99, 0.0)), pieces.Piece("hover", (0.01, 0.0))], FREE)
+    assert np.ptp(plan.yaw) < math.pi + 0.2
+    assert abs(plan.yaw[-1] - 0.99 * math.pi) < 0.2
+
+
+def test_matrices_add_up_over_pieces():
+    question = Question([DRAG, BODY], VEHICLE, Quiet.usual())
+    both = question.gram(points("run", "circle"))
+    parts = [question.gram(setpoints(pieces.alone(middle(k), FREE), VEHICLE)) for k in ("run", "circle")]
+    # Windows are cut elsewhere and the way between the pieces counts too.
+    ratio = np.diag(both)[1] / np.diag(sum(parts))[1]  # the first set is where it is linearised
+    assert 0.7 < ratio < 1.6
+
+
+def test_expected_probability_of_two_points_is_that_of_a_logistic_of_a_normal():
+    """Nothing free: the log odds are normal with mean d^2/2 and variance d^2."""
+    question = Question([DRAG, BODY], VEHICLE, Quiet.usual())
+    question.free[:] = 0.0
+    d, gram = 2.0, np.zeros((question.free.shape[1],) * 2)
+    gram[0, 0] = d * d
+    odds = d * d / 2 + d * np.random.default_rng(0).standard_normal(100_000)
+    expected = question.expected(gram)
+    # 32 draws of a number of deviation 0.2 at most.
+    assert np.diag(expected).mean() == pytest.approx((1 / (1 + np.exp(-odds))).mean(), abs=0.06)
+    assert expected.sum(axis=1) == pytest.approx(1.0)
+
+
+def test_what_predicts_the_same_stays_in_doubt():
+    question = Question([DRAG, dataclasses.replace(DRAG, probability=0.2)], VEHICLE, Quiet.usual())
+    gram = question.gram(points("run"))
+    assert question.gain(gram) == pytest.approx(0.0, abs=1e-6)
+    assert np.diag(question.expected(gram)) == pytest.approx([5 / 7, 2 / 7], abs=1e-6)
+
+
+def test_moving_tells_drag_and_hovering_does_not():
+    question = Question([DRAG, BODY], VEHICLE, Quiet.usual())
+    gains = {k: question.gain(question.gram(points(k))) for k in ("run", "hover", "turn")}
+    assert gains["run"] > 0.3 > 0.05 > max(gains["hover"], gains["turn"])
+
+
+def test_more_noise_tells_less():
+    loud = Quiet(10 * Quiet.usual().noise)
+    gains = [Question([DRAG, BODY], VEHICLE, q).gain for q in (Quiet.usual(), loud)]
+    grams = [Question([DRAG, BODY], VEHICLE, q).gram(points("run")) for q in (Quiet.usual(), loud)]
+    assert gains[0](grams[0]) > 1.5 * gains[1](grams[1])
+
+
+def test_a_plan_through_the_slab_or_a_wall_is_refused():
+    through = dataclasses.replace(SLAB, home=FREE.home)
+    run = setpoints(pieces.joined([middle("run")], through), VEHICLE)
+    assert "surface" in safety.planned(run, through).text
+    aside = dataclasses.replace(FREE, home=FREE.home + [0.0, 1.0, 0.0])
+    run = pieces.Piece("run", (0.5, 0.5, 0.75, 0.5))  # towards +y
+    assert "space" in safety.planned(setpoints(pieces.joined([run], aside), VEHICLE), aside).text
+
+
+def test_a_vehicle_that_cannot_hold_its_height_is_not_safe():
+    weak = dataclasses.replace(VEHICLE, thrust_state_gain=0.5 * VEHICLE.thrust_state_gain)
+    plan, noise = points("low_hover"), Quiet.usual().noise
+    assert safety.simulated(plan, [VEHICLE], FREE, noise)[0] is None
+    wrong, _ = safety.simulated(plan, [VEHICLE, weak], FREE, noise)
+    assert "touches" in wrong.text or "surface" in wrong.text
+
+
+def test_simulated_flights_follow_the_plan():
+    plan = points("tilts", "run", "low_hover")
+    states = safety.fly(plan, VEHICLE, FREE, Quiet.usual().noise, 0)
+    assert states.shape == (safety.COPIES, len(plan.path.yaw[::2]), 13)
+    assert np.abs(states[..., :3] - plan.path.position[::2]).max() < 0.15
+    again = safety.fly(plan, VEHICLE, FREE, Quiet.usual().noise, 0)
+    assert np.array_equal(states, again)
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return design([DRAG, BODY], VEHICLE, seconds=10.0)
+
+
+def test_the_design_is_safe_repeatable_and_tells(plan):
+    assert plan.path.seconds == 10.0
+    assert safety.planned(plan.points, FREE) is None
+    assert plan.right > 0.9
+    kinds = {span.piece.kind for span in plan.path.spans}
+    assert kinds & {"run", "circle"}
+    same = design([DRAG, BODY], VEHICLE, seconds=10.0)
+    assert np.array_equal(same.points.table(), plan.points.table())
+
+
+def test_the_scale_tells_mass_from_thrust():
+    question = Question([MASS, THRUST], VEHICLE, Quiet.usual())
+    expected = question.expected(question.gram(points("climb", "thrusts")))
+    assert "Weigh the vehicle" in " ".join(words.alike(question, expected))
+
+
+def report(tmp_path, *hypotheses, **more):
+    folder = tmp_path / "report"
+    folder.mkdir()
+    sets = [
+        {"effects": list(h.effects), "probability": h.probability, "values": h.values} for h in hypotheses
+    ]
+    (folder / "report.json").write_text(json.dumps({"verdict": "effects", "sets": sets, **more}))
+    return folder
+
+
+def test_the_command_writes_a_flight_that_reads_as_a_log(tmp_path, capsys):
+    folder, out = report(tmp_path, DRAG, BODY), tmp_path / "flight"
+    assert main(["plan", str(folder), "--out", str(out), "--seconds", "10"]) == 0
+    said = capsys.readouterr().out
+    assert "rotor_drag (0.50) or body_drag (0.50)" in said and "Expected afterwards" in said
+    assert {p.name for p in out.iterdir()} == {"flight.csv", "plan.json", "plan.png"}
+    log = read_log(out / "flight.csv")
+    assert log.missing == () and len(log) == 1000
+    written = json.loads((out / "plan.json").read_text())
+    assert written["sets"][0]["expected"] > 0.8 and written["simulated"]["flights"] == 2 * safety.COPIES
+    assert main(["plan", str(folder), "--out", str(out)]) == 2
+    assert "not empty" in capsys.readouterr().err
+
+
+def test_no_flight_where_none_is_needed_or_none_tells(tmp_path, capsys):
+    out = tmp_path / "flight"
+    alone = report(tmp_path, dataclasses.replace(DRAG, probability=0.97))
+    assert main(["plan", str(alone), "--out", str(out)]) == 0
+    assert "rotor_drag stands alone (0.97)" in capsys.readouterr().out
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    "change, sentence",
+    [
+        ({"sets": None}, "sets must be a list"),
+        ({"sets": [{"effects": ["drag"], "probability": 1.0}]}, "sets[0] has the unknown effect 'drag'"),
+        ({"sets": [{"effects": ["wind"], "probability": 1.0}]}, "sets[0].values.wind is missing"),
+        ({"sets": [{"effects": [], "probability": 2.0}]}, "sets[0].probability is 2; it must be from 0 to 1"),
+        (
+            {"sets": [{"effects": ["wind"], "probability": 1.0, "values": {"wind": {"x": 90.0}}}]},
+            "sets[0].values.wind.x is 90 m/s; it must be from -4 to 4",
+        ),
+        ({"noise": {"x": -1.0}}, "noise.x is -1; it must be above 0"),
+        ({"platform": 3}, "platform must be true or false, not 3"),
+    ],
+)
+def test_bad_reports_are_refused_in_one_sentence(tmp_path, capsys, change, sentence):
+    folder = report(tmp_path, WIND, BODY, **change)
+    out = tmp_path / "flight"
+    assert main(["plan", str(folder), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said and said.count("\n") == 1
+    assert not out.exists()
+
+
+def test_no_report_and_no_room_are_refused(tmp_path, capsys):
+    assert main(["plan", str(tmp_path / "no"), "--out", str(tmp_path / "flight")]) == 2
+    assert "is no folder" in capsys.readouterr().err
+    narrow = dataclasses.replace(VEHICLE, arena_y=(-0.5, 0.5))
+    with pytest.raises(ValueError, match=r"6\.2 x 0\.4 x 1\.8 m to fly in"):
+        design([DRAG, BODY], narrow)
+    with pytest.raises(ValueError, match="battery"):
+        design([DRAG, BODY], dataclasses.replace(VEHICLE, effects_voltage_discharge=0.1))
