@@ -8,12 +8,25 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.proof import simulator
-from inclined_landing.eval.proof.simulator import World, constants, control, dynamics, fly, landing, ordinary
+from inclined_landing.eval.proof.simulator import (
+    FAMILIES,
+    Build,
+    Reality,
+    World,
+    constants,
+    control,
+    draw,
+    dynamics,
+    fly,
+    landing,
+    ordinary,
+)
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import AnalyticPlant
 
 C = constants()
-QUIET = C._replace(gyro_noise=0.0, position_noise=0.0, attitude_noise=0.0, voltage_noise=0.0)
+SILENT = {"gyro_noise": 0.0, "position_noise": 0.0, "attitude_noise": 0.0, "voltage_noise": 0.0}
+QUIET = Reality(C._replace(**SILENT))
 HOVER = np.sqrt(C.mass * C.gravity / (4 * C.thrust_per_speed))
 IDLE = np.zeros(4)
 NEUTRAL = World()
@@ -28,11 +41,11 @@ def state(**parts):
     return s
 
 
-def advance(s, seconds, world=NEUTRAL, target=IDLE, rate=2000, vehicle=C, anchor=None):
+def advance(s, seconds, world=NEUTRAL, target=IDLE, rate=2000, build=Build(), anchor=None):  # noqa: B008
     work, r, contact = np.zeros((4, dynamics.SIZE)), np.zeros((3, 3)), np.zeros(4)
     anchor = np.full((4, 3), np.nan) if anchor is None else anchor
     for _ in range(round(seconds * rate)):
-        dynamics.advance(s, target, np.zeros(2), anchor, 0.0, 1 / rate, vehicle, world, work, r, contact)
+        dynamics.advance(s, target, np.zeros(8), anchor, 0.0, 1 / rate, C, build, world, work, r, contact)
     return contact
 
 
@@ -104,9 +117,9 @@ def test_thrust_lag_and_directions():
     thrust = (s[dynamics.ROTORS : dynamics.ROTORS + 4] / HOVER) ** 2
     assert thrust == pytest.approx(1 + 0.2 * (1 - np.exp(-1)), abs=1e-3)
     for reference, column, sign in ((control.REF_ROLL, 4, -1), (control.REF_PITCH, 3, 1)):
-        log = fly(steps(reference, 0.1), World(), np.random.default_rng(0), vehicle=QUIET, warm_up=0.5)
+        log = fly(steps(reference, 0.1), World(), np.random.default_rng(0), QUIET, warm_up=0.5)
         assert sign * log.truth[-1, column] > 0.2  # positive roll goes to -y, positive pitch to +x
-    log = fly(steps(control.REF_YAW_RATE, 1.0), World(), np.random.default_rng(0), vehicle=QUIET, warm_up=0.5)
+    log = fly(steps(control.REF_YAW_RATE, 1.0), World(), np.random.default_rng(0), QUIET, warm_up=0.5)
     assert log.truth[-1, 8] > 0.5
 
 
@@ -123,7 +136,7 @@ def steps(column, size, seconds=0.8):
 @pytest.mark.parametrize("column", [control.REF_ROLL, control.REF_PITCH])
 def test_attitude_loop_is_the_papers(column):
     """Step response against gain 1.1094, time constant 0.1838 s, rate loop 50 1/s."""
-    log = fly(steps(column, np.radians(9)), World(), np.random.default_rng(0), vehicle=QUIET, warm_up=0.5)
+    log = fly(steps(column, np.radians(9)), World(), np.random.default_rng(0), QUIET, warm_up=0.5)
     axis = column - control.REF_ROLL
     angle = rate = 0.0
     expected = []
@@ -139,7 +152,9 @@ def test_attitude_loop_is_the_papers(column):
 
 def test_yaw_loop():
     rows = steps(control.REF_YAW_RATE, 1.0)
-    log = fly(rows, World(), np.random.default_rng(0), vehicle=QUIET._replace(yaw_gain=0.0), warm_up=0.5)
+    log = fly(
+        rows, World(), np.random.default_rng(0), Reality(QUIET.constants._replace(yaw_gain=0.0)), warm_up=0.5
+    )
     t = np.maximum(log.t - 0.1, 0.0)
     expected = t - 0.1 * (1 - np.exp(-10.0 * t))  # a rate loop of 10 1/s
     assert np.abs(log.truth[:, 8] - expected).max() < 0.012
@@ -177,7 +192,7 @@ def test_battery_sags_under_load_and_thrust_follows_its_square():
     rng = np.random.default_rng(0)
     rows = steps(control.REF_PWM, 0.0, 2.0)
     rows[:, control.REF_MODE] = control.TRACK
-    log = fly(rows, world._replace(battery_voltage=-0.4), rng, vehicle=QUIET)
+    log = fly(rows, world._replace(battery_voltage=-0.4), rng, QUIET)
     supply = dynamics.voltage(state(rotors=[HOVER] * 4), 1.0, C, world._replace(battery_voltage=-0.4))
     assert log.command[-1, 0] == pytest.approx(34100 * (3.8 / supply) ** 2, rel=0.01)
 
@@ -185,7 +200,7 @@ def test_battery_sags_under_load_and_thrust_follows_its_square():
 def test_delays_shift_what_they_should():
     rows = steps(control.REF_PITCH, 0.1)
     plain, late, seen = (
-        fly(rows, world, np.random.default_rng(0), vehicle=QUIET, warm_up=0.5)
+        fly(rows, world, np.random.default_rng(0), QUIET, warm_up=0.5)
         for world in (World(), World(attitude_delay=0.02), World(mocap_delay=0.02))
     )
     assert np.abs(late.truth[2:, 7] - plain.truth[:-2, 7]).max() < 1e-4
@@ -197,7 +212,7 @@ def test_delays_shift_what_they_should():
 def test_tilted_motion_capture_is_in_the_log_alone():
     rows = steps(control.REF_PITCH, 0.1)
     plain, tilted = (
-        fly(rows, world, np.random.default_rng(0), vehicle=QUIET, warm_up=0.5)
+        fly(rows, world, np.random.default_rng(0), QUIET, warm_up=0.5)
         for world in (World(), World(mocap_roll=0.02, mocap_pitch=-0.03))
     )
     off = tilted.attitude - tilted.truth[:, 6:9]
@@ -277,3 +292,79 @@ def test_same_seed_same_flight_and_noise_scales():
     for log, scale in ((first, 1.0), (noisy, 3.0)):
         assert np.std(log.position - log.truth[:, :3]) == pytest.approx(0.001 * scale, rel=0.1)
         assert np.std(log.attitude - log.truth[:, 6:9]) == pytest.approx(np.radians(0.3) * scale, rel=0.1)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_members_of_a_family_fly_and_obey(family):
+    """Whatever is drawn, the vehicle follows its path, and a tilt commanded settles near the paper's in half
+    a second.
+
+    Steady gain and time constant are drawn 10 % off; the rest is for other structures and their overshoot.
+    """
+    for seed in range(3):
+        rng = np.random.default_rng((seed, 11))
+        reality = draw(family, rng)
+        log = fly(ordinary("waypoints", rng, 6.0), World(), rng, reality)
+        assert np.isfinite(log.truth).all() and np.diff(log.t).min() > 0
+        assert len(log.t) == pytest.approx(6.0 * reality.log_rate, abs=1)
+        assert np.abs(log.truth[:, 9:11]).max() < 6.0 and log.truth[:, 2].min() > 0.1
+        still = Reality(
+            reality.constants._replace(**SILENT),
+            reality.build._replace(
+                unrest=(0.0,) * 3, unrest_torque=(0.0,) * 3, rotor=(1.0,) * 4, arms=(1.0,) * 4
+            ),
+        )
+        log = fly(steps(control.REF_PITCH, 0.1, 0.65), World(), rng, still, warm_up=0.5)
+        asked = log.command[-1, 2] * reality.constants.attitude_gain
+        expected = asked * (1 - np.exp(-(log.t[-1] - 0.1 - 0.02) / reality.constants.attitude_time))
+        assert log.truth[-1, 7] == pytest.approx(expected, rel=0.15)
+
+
+def test_a_family_is_its_seed_and_no_two_members_are_alike():
+    for family in FAMILIES[1:]:
+        first, again, other = (draw(family, np.random.default_rng(seed)) for seed in (1, 1, 2))
+        assert first == again and first.constants != other.constants and first.build != other.build
+
+
+def test_unrest_has_its_size_and_correlation_time():
+    b = Build(unrest=(0.1, 0.05, 0.02), unrest_time=0.3)
+    air = simulator.flight._air(np.random.default_rng(0), 500 * 600, b, World(gust=0.5))
+    # Ten minutes hold 1000 correlation times: 3 % of the deviation.
+    assert air[:, 2:5].std(axis=0) == pytest.approx(b.unrest, rel=0.1)
+    assert air[:, :2].std(axis=0) == pytest.approx([0.5, 0.5], rel=0.15) and not air[:, 5:].any()
+    later = round(0.3 * 500)
+    assert np.corrcoef(air[:-later, 2], air[later:, 2])[0, 1] == pytest.approx(np.exp(-1), abs=0.1)
+
+
+def test_a_level_that_is_off_tilts_vehicle_and_log():
+    """The log follows the command; the vehicle stands crooked by as much, the other way."""
+    rows = steps(control.REF_PITCH, 0.0, 1.0)
+    log = fly(rows, World(level_roll=0.03, level_pitch=-0.02), np.random.default_rng(0), QUIET, warm_up=1.0)
+    assert log.attitude[-1, :2] == pytest.approx([0.0, 0.0], abs=2e-3)
+    assert log.truth[-1, 6:8] == pytest.approx([-0.03, 0.02], abs=2e-3)
+
+
+def test_forms_of_the_ground_effect_agree_at_90_mm():
+    gains = [
+        dynamics.ground_gain(0.09, 0.0, C, Build(ground=form), World(ground_effect=5.0)) - 1
+        for form in range(3)
+    ]
+    assert gains == pytest.approx(
+        [5.0 * (0.0235 / 0.36) ** 2] * 3, rel=0.05
+    )  # 1/(1 - x) = 1 + x to first order
+
+
+def test_drag_that_saturates_or_grows():
+    """Beside the linear drag of the reference: less with flapping blades, more with a quadratic part."""
+    slow = {}
+    for name, b in (
+        ("linear", Build()),
+        ("flapping", Build(flapping=0.2)),
+        ("square", Build(quadratic_drag=(0.2,) * 3)),
+    ):
+        s = state(rotors=[HOVER] * 4, velocity=[1.0, 0.0, 0.0])
+        advance(s, 0.01, target=np.full(4, HOVER), build=b)
+        slow[name] = 1.0 - s[3]
+    # Over 10 ms the speed hardly changes: to first order 1/1.2 and 1.2.
+    assert slow["flapping"] / slow["linear"] == pytest.approx(1 / 1.2, rel=1e-3)
+    assert slow["square"] / slow["linear"] == pytest.approx(1.2, rel=1e-3)

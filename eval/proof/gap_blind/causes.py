@@ -1,7 +1,8 @@
 """The hidden causes: what each does to the simulator's world, and what the label says about it.
 
 A cause has three sizes. The number drawn lies within 15 % of the size, with a random sign or direction where
-both make sense. Weak is somewhat above the smallest that a prototype of the diagnosis could name.
+both make sense. What it does to thrust, drag or the ground's cushion has the form of the reality it is hidden
+in.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.proof.simulator import World, constants
+from inclined_landing.eval.proof.simulator import Reality, World, reference
 
 SIZES = ("weak", "medium", "strong")
 _TICK = 0.002  # s, delays are whole control periods
@@ -33,7 +34,7 @@ class Drawn:
     spread: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
 
 
-Draw = Callable[[float, np.random.Generator], Drawn]
+Draw = Callable[[float, np.random.Generator, Reality], Drawn]
 
 
 def _sign(rng) -> float:
@@ -43,7 +44,7 @@ def _sign(rng) -> float:
 def _scale(field: str, both: bool = True, parameters: tuple[str, ...] = ("scale",)) -> Draw:
     """A factor: size 0.1 is 1.1, or 1/1.1 where both make sense."""
 
-    def draw(size, rng):
+    def draw(size, rng, reality):
         up = not both or rng.uniform() < 0.5
         value = 1 + size if up else 1 / (1 + size)
         return Drawn({field: value}, dict.fromkeys(parameters, value))
@@ -54,14 +55,14 @@ def _scale(field: str, both: bool = True, parameters: tuple[str, ...] = ("scale"
 def _less(field: str) -> Draw:
     """A factor below 1: below 0.65 of the nominal friction landings slide off the slope."""
 
-    def draw(size, rng):
+    def draw(size, rng, reality):
         return Drawn({field: (1 - size) * World._field_defaults[field]}, {"scale": 1 - size})
 
     return draw
 
 
 def _plain(field: str, parameter: str, signed: bool = False) -> Draw:
-    def draw(size, rng):
+    def draw(size, rng, reality):
         value = size * (_sign(rng) if signed else 1.0)
         return Drawn({field: value}, {parameter: value})
 
@@ -69,7 +70,7 @@ def _plain(field: str, parameter: str, signed: bool = False) -> Draw:
 
 
 def _delay(*fields: str) -> Draw:
-    def draw(size, rng):
+    def draw(size, rng, reality):
         value = max(1, round(size / _TICK)) * _TICK
         return Drawn(dict.fromkeys(fields, value), {"delay": value})
 
@@ -77,7 +78,7 @@ def _delay(*fields: str) -> Draw:
 
 
 def _vector(first: str, second: str, names: tuple[str, str]) -> Draw:
-    def draw(size, rng):
+    def draw(size, rng, reality):
         a = rng.uniform(-math.pi, math.pi)
         x, y = size * math.cos(a), size * math.sin(a)
         return Drawn({first: x, second: y}, {names[0]: x, names[1]: y})
@@ -88,41 +89,42 @@ def _vector(first: str, second: str, names: tuple[str, str]) -> Draw:
 def _battery(channel: bool) -> Draw:
     """Size: volts lost at hover load. Without a channel every flight starts on the same charge."""
 
-    def draw(size, rng):
-        c = constants()
+    def draw(size, rng, reality):
+        c, power = reality.constants, reality.build.battery_power
         start = rng.uniform(-0.1, 0.15)
         full = c.battery_voltage + start
         # The supply at which PWM gives its nominal thrust: that of a load of 0.7 to 1.2 times hover.
-        reference = full - size * rng.uniform(0.7, 1.2)
+        supply = full - size * rng.uniform(0.7, 1.2)
         world = {
             "battery_resistance": size / c.hover_current,
-            "battery_reference": reference,
+            "battery_reference": supply,
             "battery_voltage": start,
         }
-        # Thrust is PWM times voltage squared, and the voltage falls with thrust. In hover:
+        # Thrust is PWM times a power of the voltage, and the voltage falls with thrust. In hover:
         hover = full - size
         if channel:
             spread = {"battery_voltage": (start - 0.15, start + 0.15)}
-            return Drawn(world, {"slope": 2.0 / hover, "voltage": hover}, True, spread)
-        pwm = c.mass * c.gravity / c.thrust_per_pwm * (reference / hover) ** 2
-        lost = 2.0 * size / hover  # share of thrust per share of thrust
+            return Drawn(world, {"slope": power / hover, "voltage": hover}, True, spread)
+        pwm = c.mass * c.gravity / c.thrust_per_pwm * (supply / hover) ** power
+        lost = power * size / hover  # share of thrust per share of thrust
         return Drawn(world, {"slope": lost / (1.0 + lost) / pwm, "pwm": pwm})
 
     return draw
 
 
-def _updraft(size, rng):
+def _updraft(size, rng, reality):
     world = {"updraft": size * _sign(rng), "updraft_radius": rng.uniform(0.3, 0.5)}
     world |= {"updraft_x": rng.uniform(-0.5, 0.5), "updraft_y": rng.uniform(-0.5, 0.5)}
     return Drawn(world, {})
 
 
-def _outside(field: str, **also) -> Draw:
-    return lambda size, rng: Drawn({field: size, **also}, {})
+def _swing(size, rng, reality):
+    turn = rng.uniform(-math.pi, math.pi)
+    return Drawn({"swing": size, "swing_period": rng.uniform(2.0, 5.0), "swing_direction": turn}, {})
 
 
-def _signed_outside(field: str) -> Draw:
-    return lambda size, rng: Drawn({field: size * _sign(rng)}, {})
+def _outside(field: str, signed: bool = False, **also) -> Draw:
+    return lambda size, rng, reality: Drawn({field: size * (_sign(rng) if signed else 1.0), **also}, {})
 
 
 # name: (weak, medium, strong), how it is drawn. Names are those of the library of effects.
@@ -136,32 +138,48 @@ FREE_FLIGHT: dict[str, tuple[tuple[float, float, float], Draw]] = {
     "spin_down": ((0.6, 1.0, 1.8), _plain("spin_down", "excess")),
     "mass": ((0.025, 0.06, 0.14), _scale("mass_scale", both=False)),
     "rotor_drag": ((0.4, 0.8, 1.6), _scale("drag_scale", parameters=("lateral", "axial"))),
+    "lateral_drag": ((0.4, 0.8, 1.6), _scale("lateral_drag", parameters=("lateral",))),
     "body_drag": ((0.004, 0.008, 0.016), _plain("body_drag", "coefficient")),
     "wind": ((0.15, 0.4, 0.9), _vector("wind_x", "wind_y", ("x", "y"))),
     "translational_lift": ((0.015, 0.035, 0.08), _plain("translational_lift", "coefficient")),
     "axial_inflow": ((0.02, 0.045, 0.10), _plain("axial_inflow", "coefficient")),
     "ground_effect": ((2.5, 5.0, 9.0), _plain("ground_effect", "strength")),
-    "com_offset": ((1e-4, 3e-4, 8e-4), _vector("com_x", "com_y", ("x", "y"))),
+    "com_offset": ((1.5e-4, 6e-4, 2.5e-3), _vector("com_x", "com_y", ("x", "y"))),
     "thrust_delay": ((0.008, 0.014, 0.03), _delay("thrust_delay")),
     "attitude_delay": ((0.008, 0.014, 0.03), _delay("attitude_delay")),
     "mocap_delay": ((0.008, 0.014, 0.03), _delay("mocap_delay")),
+    "log_delay": ((0.008, 0.014, 0.03), _delay("log_delay")),
     "attitude_gain": ((0.05, 0.12, 0.25), _scale("attitude_gain_scale")),
     "attitude_time_constant": ((0.15, 0.35, 0.7), _scale("attitude_time_scale")),
     "second_order_attitude": ((0.015, 0.03, 0.06), _plain("rate_lag", "rate_lag")),
     "attitude_trim": ((0.006, 0.015, 0.04), _vector("trim_roll", "trim_pitch", ("roll", "pitch"))),
     "mocap_tilt": ((0.008, 0.02, 0.045), _vector("mocap_roll", "mocap_pitch", ("roll", "pitch"))),
+    "level_calibration": ((0.008, 0.02, 0.045), _vector("level_roll", "level_pitch", ("roll", "pitch"))),
     "yaw_drift": ((0.03, 0.08, 0.25), _plain("yaw_drift", "rate", signed=True)),
 }
 
-# Outside the library of effects: the diagnosis should say that it knows no such thing.
+# Outside the library of effects, and the same in every flight: the diagnosis should say that something
+# repeats that it does not know.
 UNKNOWN: dict[str, tuple[tuple[float, float, float], Draw]] = {
     "updraft": ((0.5, 0.9, 1.4), _updraft),
     "dead_zone": ((0.03, 0.05, 0.08), _outside("dead_zone")),
-    "gust": ((0.4, 0.7, 1.1), _outside("gust")),
-    "cross_coupling": ((0.12, 0.2, 0.35), _signed_outside("cross_coupling")),
+    "cross_coupling": ((0.12, 0.2, 0.35), _outside("cross_coupling", signed=True)),
     "slung_load": ((0.0015, 0.003, 0.005), _outside("load_mass")),
+    "yaw_loss": ((0.02, 0.04, 0.08), _outside("yaw_loss")),
+    "wall": ((0.4, 0.8, 1.5), _outside("wall")),
+    "capture_scale": ((0.03, 0.06, 0.12), _outside("capture_scale", signed=True)),
+    "swing": ((0.1, 0.2, 0.4), _swing),
+    "heading_force": ((0.1, 0.2, 0.4), _outside("heading_force", signed=True)),
+    "quantum": ((0.03, 0.05, 0.08), _outside("quantum")),
 }
 
+# What no two flights have alike: unrest, not something unknown.
+UNREST: dict[str, tuple[tuple[float, float, float], Draw]] = {
+    "gust": ((0.4, 0.7, 1.1), _outside("gust")),
+    "slow_gust": ((0.3, 0.5, 0.8), _outside("gust", gust_time=4.0)),
+    "burst": ((0.6, 1.0, 1.6), _outside("gust", gust_time=0.4, gust_calm=0.75)),
+    "command_jitter": ((0.01, 0.02, 0.04), _outside("command_jitter")),
+}
 
 # Seen only when the feet touch.
 TOUCHDOWN: dict[str, tuple[tuple[float, float, float], Draw]] = {
@@ -173,10 +191,15 @@ TOUCHDOWN: dict[str, tuple[tuple[float, float, float], Draw]] = {
 }
 
 
-def draw(name: str, size: str, rng: np.random.Generator) -> Drawn:
-    """Draw the numbers of cause `name` at `size` (weak, medium, strong)."""
-    sizes, how = (FREE_FLIGHT | UNKNOWN | TOUCHDOWN)[name]
-    return how(sizes[SIZES.index(size)] * rng.uniform(0.85, 1.15), rng)
+ALL = FREE_FLIGHT | UNKNOWN | UNREST | TOUCHDOWN
+
+
+def draw(name: str, size: str, rng: np.random.Generator, reality: Reality | None = None) -> Drawn:
+    """Draw the numbers of cause `name` at `size` (weak, medium, strong) in a reality (None: the
+    reference)."""
+    sizes, how = ALL[name]
+    reality = reference() if reality is None else reality
+    return how(sizes[SIZES.index(size)] * rng.uniform(0.85, 1.15), rng, reality)
 
 
 def combined(*drawn: Drawn, names: Sequence[str] = ()) -> Drawn:

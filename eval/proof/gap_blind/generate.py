@@ -23,7 +23,16 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.eval.proof.simulator import KINDS, Recording, World, constants, fly, landing, ordinary
+from inclined_landing.eval.proof.simulator import (
+    KINDS,
+    Reality,
+    Recording,
+    World,
+    fly,
+    landing,
+    ordinary,
+    reference,
+)
 from inclined_landing.models import storage
 
 from . import causes, strata
@@ -83,12 +92,15 @@ def _draw(cause, size, rng) -> causes.Drawn:
 def fly_all(
     drawn: causes.Drawn,
     rng: np.random.Generator,
+    reality: Reality | None = None,
     *,
     count: int = 10,
     noise: float = 1.0,
     seconds: float = SECONDS,
 ) -> list[Recording]:
     """Fly `count` ordinary flights in the world of `drawn`, kinds in a random order.
+
+    reality: whose vehicle, air and log (None: the reference).
 
     A flight that would touch the floor is flown again on another path.
     """
@@ -102,7 +114,7 @@ def fly_all(
         world = World(**fields)
         lowest = world.load_length + 0.3 if world.load_mass > 0 else 0.0
         for _ in range(_TRIES):
-            recording = fly(ordinary(kind, rng, seconds, lowest), world, rng, noise=noise)
+            recording = fly(ordinary(kind, rng, seconds, lowest), world, rng, reality, noise=noise)
             if recording.truth[:, 2].min() > _LOWEST:
                 break
         else:
@@ -119,7 +131,7 @@ def land_all(
     The pilot goes by the nominal platform. Every fourth landing is on the floor, 2 m beside it, where
     height and tilt of the platform do not matter.
     """
-    c = constants()
+    c = reference().constants
     recordings = []
     while len(recordings) < count:
         floor = len(recordings) % 4 == 3

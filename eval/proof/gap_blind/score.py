@@ -25,6 +25,8 @@ from inclined_landing.models.effects import LIBRARY
 
 from .strata import ALIASES, ENTAILED, STRATA
 
+_HOVER = constants().mass * constants().gravity  # N
+
 OUTCOMES = (
     *("named", "tie", "spurious", "half", "misnamed", "missed"),
     *("right", "false alarm", "flagged"),
@@ -145,8 +147,7 @@ def comparable(
 
     at: holds the `pwm` or the `voltage` in hover, where the slopes of a battery are taken.
     """
-    c = constants()
-    weight = c.mass * c.gravity
+    weight = _HOVER
     if effect == "thrust_scale":
         return {"level": values["scale"] - 1}
     if effect == "thrust_bias":

@@ -123,7 +123,7 @@ ENTAILED: tuple[tuple[tuple[str, ...], tuple[str, ...], str], ...] = (
         "small commands are lost: less angle per command on average, and later",
     ),
     (
-        ("gust",),
+        ("updraft",),
         ("wind", "body_drag", "rotor_drag"),
         "gusts over a short flight have a mean, and air that moves changes drag",
     ),

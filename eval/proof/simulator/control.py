@@ -1,8 +1,10 @@
 """Flight controller (500 Hz) and pilot (50 Hz): they see measurements only. Compiled.
 
-The flight controller is cascaded: an attitude loop with a derivative term asks for body rates, a rate loop
-asks for torques, whose derivative cancels the motors' lag, and the mixer asks for four thrusts. It has no
-integral terms: the paper's identified loop, with a steady gain above one, has none either.
+The reference's flight controller is cascaded: an attitude loop with a derivative term asks for body rates, a
+rate loop asks for torques, whose derivative cancels the motors' lag, and the mixer asks for four thrusts. It
+has no integral terms: the paper's identified loop, with a steady gain above one, has none either. Other
+vehicles have other controllers (`vehicle.Build`). An integral of roll or pitch rate forgets: one that did not
+would hide a centre of mass that is off from everybody.
 """
 
 import math
@@ -10,6 +12,12 @@ import math
 import numba
 
 from .dynamics import SIDE_X, SIDE_Y, SPIN
+from .vehicle import FULL_STATE, INCREMENTAL
+
+# What the flight controller remembers, three numbers each: filtered setpoint; torques of the last call;
+# whether there was one; low-passed gyro; integrals; accelerations that the motors make, and the same through
+# the gyro's low-pass.
+SETPOINT, TORQUE, AWAKE, SMOOTH, INTEGRAL, MOTOR, LATE, MEMORY = 0, 3, 6, 7, 10, 13, 16, 19
 
 # Columns of the reference, one row per pilot period.
 REF_POSITION, REF_VELOCITY, REF_ACCELERATION, REF_YAW, REF_YAW_RATE = 0, 3, 6, 9, 10
@@ -97,40 +105,150 @@ def clip(value, limit):
 
 
 @numba.njit(cache=True)
-def flight_controller(pwm, setpoint, roll, pitch, gyro, memory, dt, c, w, target):
+def flight_controller(pwm, setpoint, roll, pitch, gyro, memory, dt, c, b, w, target):
     """Rotor speeds (4,) to ask of the motors, for the perfect supply.
 
     pwm and setpoint (3,) [roll, pitch rad, yaw rate] as received, roll and pitch [rad] estimated, gyro
-    (3,); memory (7,): filtered setpoint, torques of the last call, whether there was one.
+    (3,); memory (MEMORY,), all zero before the first call.
     """
     if pwm <= 0.0:
         target[:] = 0.0
-        memory[6] = 0.0
+        memory[AWAKE] = 0.0
         return
     fast, slow = math.exp(-dt / c.setpoint_filter), math.exp(-dt / c.yaw_filter)
-    memory[0] = setpoint[0] + fast * (memory[0] - setpoint[0])
-    memory[1] = setpoint[1] + fast * (memory[1] - setpoint[1])
-    memory[2] = setpoint[2] + slow * (memory[2] - setpoint[2])
+    roll_ahead, pitch_ahead = memory[SETPOINT], memory[SETPOINT + 1]
+    for k in range(3):
+        keep = slow if k == 2 else fast
+        memory[SETPOINT + k] = setpoint[k] + keep * (memory[SETPOINT + k] - setpoint[k])
+    roll_ahead = (memory[SETPOINT] - roll_ahead) / dt
+    pitch_ahead = (memory[SETPOINT + 1] - pitch_ahead) / dt
     gain = c.attitude_gain * w.attitude_gain_scale
     time = c.attitude_time * w.attitude_time_scale
-    bandwidth = 1.0 / (1.0 / c.rate_bandwidth + w.rate_lag)
-    roll_rate, pitch_rate, _ = angle_rates(roll, pitch, gyro[0], gyro[1], gyro[2])
-    damping = 1.0 / (bandwidth * time)
-    wanted_roll = (gain * memory[0] - roll) / time - damping * roll_rate
-    wanted_pitch = (gain * memory[1] - pitch) / time - damping * pitch_rate
-    p, q, o = body_rates(roll, pitch, wanted_roll, wanted_pitch, memory[2])
-    tx = c.inertia[0] * bandwidth * (p - gyro[0])
-    ty = c.inertia[1] * bandwidth * (q - gyro[1])
-    tz = c.inertia[2] * c.yaw_bandwidth * (o - gyro[2])
-    lead = c.motor_time / dt if memory[6] != 0.0 else 0.0
-    roll_part = (tx + lead * (tx - memory[3])) / (4.0 * c.arm)
-    pitch_part = (ty + lead * (ty - memory[4])) / (4.0 * c.arm)
-    yaw_part = (tz + lead * (tz - memory[5])) / (4.0 * c.torque_ratio)
-    memory[3], memory[4], memory[5], memory[6] = tx, ty, tz, 1.0
+    wanted_roll, wanted_pitch = gain * memory[SETPOINT], gain * memory[SETPOINT + 1]
+    if b.controller == FULL_STATE:
+        p, q, o = full_state(wanted_roll - roll, wanted_pitch - pitch, roll, gyro, memory, time, dt, c, b, w)
+    elif b.controller == INCREMENTAL:
+        p, q, o = incremental(wanted_roll, wanted_pitch, roll, pitch, gyro, memory, time, dt, c, b, w)
+    else:
+        ahead = b.feed_forward * gain
+        p, q, o = cascade(
+            *(wanted_roll - roll, wanted_pitch - pitch, ahead * roll_ahead, ahead * pitch_ahead),
+            *(roll, pitch, gyro, memory, time, dt, c, b, w),
+        )
+    memory[INTEGRAL + 2] = clip(memory[INTEGRAL + 2] + dt * (memory[SETPOINT + 2] - gyro[2]), 1.0)
+    tx = c.inertia[0] * p
+    ty = c.inertia[1] * q
+    tz = c.inertia[2] * (o + b.yaw_integral * memory[INTEGRAL + 2])
+    lead = c.motor_time / dt if memory[AWAKE] != 0.0 else 0.0
+    share = b.lead * lead
+    roll_part = (tx + share * (tx - memory[TORQUE])) / (4.0 * c.arm)
+    pitch_part = (ty + share * (ty - memory[TORQUE + 1])) / (4.0 * c.arm)
+    yaw_part = (tz + lead * (tz - memory[TORQUE + 2])) / (4.0 * c.torque_ratio)
+    memory[TORQUE], memory[TORQUE + 1], memory[TORQUE + 2], memory[AWAKE] = tx, ty, tz, 1.0
     roll_part, pitch_part = clip(roll_part, c.tilt_authority), clip(pitch_part, c.tilt_authority)
     yaw_part = clip(yaw_part, c.yaw_authority)
-    most = c.pwm_limit * 0.25 * c.thrust_per_pwm
+    hover = 0.25 * c.mass * c.gravity
+    most = c.pwm_limit * 0.25 * c.thrust_per_pwm / hover
     for k in range(4):
         force = 0.25 * c.thrust_per_pwm * pwm + SIDE_Y[k] * roll_part - SIDE_X[k] * pitch_part
         force += SPIN[k] * yaw_part
-        target[k] = math.sqrt(min(most, max(0.0, force)) / c.thrust_per_speed)
+        force = min(most, max(0.0, force / hover))
+        if b.thrust_exponent != 1.0 or b.thrust_curve != 0.0:
+            force = max(0.0, force**b.thrust_exponent + b.thrust_curve * (force - 1.0) * force)
+        target[k] = math.sqrt(force * hover / c.thrust_per_speed)
+
+
+@numba.njit(cache=True)
+def cascade(off_roll, off_pitch, roll_ahead, pitch_ahead, roll, pitch, gyro, memory, time, dt, c, b, w):
+    """Angular accelerations to ask for [rad/s2]: an attitude loop over a rate loop with three terms.
+
+    off_roll and off_pitch [rad]: what the angles lack; roll_ahead and pitch_ahead [rad/s]: rates fed forward.
+    """
+    quick = c.rate_bandwidth / (1.0 + b.derivative)  # of the rate loop as a whole
+    slower = 1.0 / (1.0 + w.rate_lag * quick)
+    bandwidth = c.rate_bandwidth * slower
+    roll_rate, pitch_rate, _ = angle_rates(roll, pitch, gyro[0], gyro[1], gyro[2])
+    damping = b.pole_shift / (bandwidth * time)
+    p, q, o = body_rates(
+        roll,
+        pitch,
+        off_roll / time - damping * roll_rate + roll_ahead,
+        off_pitch / time - damping * pitch_rate + pitch_ahead,
+        memory[SETPOINT + 2],
+    )
+    smooth = math.exp(-dt / b.derivative_filter)
+    for k in range(2):
+        wanted = p if k == 0 else q
+        before = memory[SMOOTH + k]
+        memory[SMOOTH + k] = gyro[k] + smooth * (before - gyro[k])
+        turning = (memory[SMOOTH + k] - before) / dt if memory[AWAKE] != 0.0 else 0.0
+        error = wanted - gyro[k]
+        memory[INTEGRAL + k] += dt * (error - memory[INTEGRAL + k] / b.integral_leak)
+        asked = bandwidth * error + slower * b.integral * memory[INTEGRAL + k] - b.derivative * turning
+        if k == 0:
+            p = asked
+        else:
+            q = asked
+    return p, q, c.yaw_bandwidth * (o - gyro[2])
+
+
+@numba.njit(cache=True)
+def incremental(wanted_roll, wanted_pitch, roll, pitch, gyro, memory, time, dt, c, b, w):
+    """Angular accelerations to ask for [rad/s2]: increments on those that the motors make at present.
+
+    The attitude error is geometric, between the rotations wanted and present at the same heading.
+    """
+    sw, cw = math.sin(wanted_roll), math.cos(wanted_roll)
+    tw, dw = math.sin(wanted_pitch), math.cos(wanted_pitch)
+    s, c_, t, d = math.sin(roll), math.cos(roll), math.sin(pitch), math.cos(pitch)
+    # Columns of Rx(roll) Ry(pitch): (d, s t, -c t), (0, c, s), (t, -s d, c d). What turns the present
+    # rotation into the one wanted has the products of the columns of both as its entries.
+    e32 = -s * d * cw + c_ * d * sw
+    e23 = -sw * dw * c_ + cw * dw * s
+    e13 = d * tw - s * t * sw * dw - c_ * t * cw * dw
+    e31 = dw * t - sw * tw * s * d - cw * tw * c_ * d
+    error_x, error_y = 0.5 * (e32 - e23), 0.5 * (e13 - e31)
+    smooth = math.exp(-dt / b.derivative_filter)
+    motor = c.motor_time * (1.0 - b.lead)
+    follow = math.exp(-dt / motor) if motor > 0.0 else 0.0
+    quick = c.rate_bandwidth / (1.0 + w.rate_lag * c.rate_bandwidth)
+    asked_p = asked_q = 0.0
+    for k in range(2):
+        before = memory[SMOOTH + k]
+        memory[SMOOTH + k] = gyro[k] + smooth * (before - gyro[k])
+        turning = (memory[SMOOTH + k] - before) / dt if memory[AWAKE] != 0.0 else 0.0
+        asked = memory[TORQUE + k] / c.inertia[k]
+        memory[MOTOR + k] = asked + follow * (memory[MOTOR + k] - asked)
+        memory[LATE + k] = memory[MOTOR + k] + smooth * (memory[LATE + k] - memory[MOTOR + k])
+        error = error_x if k == 0 else error_y
+        now = quick * (error / time - gyro[k]) + b.kept_torque * (memory[LATE + k] - turning)
+        if k == 0:
+            asked_p = now
+        else:
+            asked_q = now
+    return asked_p, asked_q, c.yaw_bandwidth * (memory[SETPOINT + 2] * c_ * d - gyro[2])
+
+
+@numba.njit(cache=True)
+def full_state(off_roll, off_pitch, roll, gyro, memory, time, dt, c, b, w):
+    """Angular accelerations to ask for [rad/s2]: a gain on angle, rate and the motors' present torque.
+
+    It puts the poles at -1/time and a pair of rate `pole_rate` and damping `pole_damping`.
+    """
+    slow, lag = 1.0 / time, c.motor_time
+    quick = b.pole_rate / (1.0 + w.rate_lag * b.pole_rate)
+    angle_gain = lag * slow * quick * quick
+    rate_gain = lag * (quick * quick + 2.0 * b.pole_damping * quick * slow)
+    torque_gain = lag * (slow + 2.0 * b.pole_damping * quick) - 1.0
+    follow = math.exp(-dt / lag)
+    asked_p = asked_q = 0.0
+    for k in range(2):
+        asked = memory[TORQUE + k] / c.inertia[k]
+        memory[MOTOR + k] = asked + follow * (memory[MOTOR + k] - asked)
+        off = off_roll if k == 0 else off_pitch
+        now = angle_gain * off - rate_gain * gyro[k] - torque_gain * memory[MOTOR + k]
+        if k == 0:
+            asked_p = now
+        else:
+            asked_q = now
+    return asked_p, asked_q, c.yaw_bandwidth * (memory[SETPOINT + 2] * math.cos(roll) - gyro[2])

@@ -9,6 +9,8 @@ import math
 import numba
 import numpy as np
 
+from .vehicle import CHEESEMAN, EXPONENTIAL, FIRST_ORDER_SPEED
+
 POSITION, VELOCITY, QUATERNION, RATES, ROTORS, LOAD, LOAD_VELOCITY, SIZE = 0, 3, 6, 10, 13, 17, 20, 23
 
 # Rotor k sits at arm * (SIDE_X[k], SIDE_Y[k]); its reaction torque on the body is SPIN[k] * ratio * thrust.
@@ -56,33 +58,35 @@ def tilted(roll, pitch, yaw, a, b):
 
 
 @numba.njit(cache=True)
-def voltage(s, time, c, w):
-    """Battery voltage [V] under the load of the present rotor speeds."""
-    hover = c.mass * c.gravity / c.thrust_per_speed  # rotor speeds squared
-    current = 0.0
+def current(s, c):
+    """What the battery gives [A]: a line over thrust, measured by Bitcraze."""
+    squares = 0.0
     for k in range(4):
-        current += c.hover_current * s[ROTORS + k] ** 2 / hover  # measured by Bitcraze: a line over thrust
-    return (
-        c.battery_voltage
-        + w.battery_voltage
-        - c.battery_fall * max(time, 0.0)
-        - w.battery_resistance * current
-    )
+        squares += s[ROTORS + k] ** 2
+    return c.hover_current * squares * c.thrust_per_speed / (c.mass * c.gravity)
 
 
 @numba.njit(cache=True)
-def derivative(s, target, gust, anchor, time, c, w, r, contact, ds):
+def voltage(s, time, c, w):
+    """Battery voltage [V] under the load of the present rotor speeds."""
+    full = c.battery_voltage + w.battery_voltage - c.battery_fall * max(time, 0.0)
+    return full - w.battery_resistance * current(s, c)
+
+
+@numba.njit(cache=True)
+def derivative(s, target, air, anchor, time, c, b, w, r, contact, ds):
     """ds/dt of state s (23,).
 
-    target (4,) rotor speeds [rad/s] asked of the motors, gust (2,) [m/s], anchor (4, 3) points of the
-    surface where the feet stick (NaN: not touching), time [s] of the log; r (3, 3) scratch, contact (4,)
-    receives the normal force of each foot [N].
+    target (4,) rotor speeds [rad/s] asked of the motors, air (8,): wind (2,) [m/s], unrest of acceleration
+    (3,) [m/s2] and of angular acceleration (3,) [rad/s2]; anchor (4, 3) points of the surface where the feet
+    stick (NaN: not touching), time [s] of the log; r (3, 3) scratch, contact (4,) receives the normal force
+    of each foot [N].
     """
     rotation(s[QUATERNION : QUATERNION + 4], r)
     mass = c.mass * w.mass_scale
     # Air.
-    ax = s[VELOCITY] - w.wind_x - gust[0]
-    ay = s[VELOCITY + 1] - w.wind_y - gust[1]
+    ax = s[VELOCITY] - w.wind_x - air[0]
+    ay = s[VELOCITY + 1] - w.wind_y - air[1]
     az = s[VELOCITY + 2]
     rising = 0.0
     if w.updraft != 0.0:
@@ -96,16 +100,23 @@ def derivative(s, target, gust, anchor, time, c, w, r, contact, ds):
     if rising != 0.0:
         inflow *= 1.0 + 0.05 * rising  # a rotor in rising air gains thrust
     inflow *= w.thrust_scale * (1.0 - w.thrust_fade * max(time, 0.0))
-    thrust, speed, tx, ty, tz = rotors(s, target, inflow, c, w, r, ds)
-    drag = c.drag_per_speed
+    inflow *= 1.0 - w.yaw_loss * abs(s[RATES + 2])
+    lateral = math.sqrt(bx * bx + by * by)
+    thrust, speed, tx, ty, tz = rotors(s, target, inflow, lateral, c, b, w, r, ds)
+    drag, more = c.drag_per_speed, b.quadratic_drag
     still = w.body_drag * math.sqrt(bx * bx + by * by + bz * bz)
-    fx = -(drag[0] * w.drag_scale * speed + still) * bx
-    fy = -(drag[1] * w.drag_scale * speed + still) * by
-    fz = -(drag[2] * w.drag_scale * speed + still) * bz + thrust
+    across = w.drag_scale * w.lateral_drag * speed / (1.0 + b.flapping * lateral)
+    fx = -(drag[0] * across * (1.0 + more[0] * abs(bx)) + still) * bx
+    fy = -(drag[1] * across * (1.0 + more[1] * abs(by)) + still) * by
+    fz = -(drag[2] * w.drag_scale * speed * (1.0 + more[2] * abs(bz)) + still) * bz + thrust
     for k in range(3):
         ds[k] = s[VELOCITY + k]
         ds[VELOCITY + k] = (r[k, 0] * fx + r[k, 1] * fy + r[k, 2] * fz) / mass
     ds[VELOCITY + 2] -= c.gravity
+    ahead, left = outside(s, time, r, w)
+    ds[VELOCITY] += ahead + air[2]
+    ds[VELOCITY + 1] += left + air[3]
+    ds[VELOCITY + 2] += air[4]
     if w.load_mass > 0.0:
         pull_load(s, mass, c, w, ds)
     if w.contact != 0.0:
@@ -113,9 +124,9 @@ def derivative(s, target, gust, anchor, time, c, w, r, contact, ds):
     # Rotation.
     jx, jy, jz = c.inertia
     p, q, o = s[RATES], s[RATES + 1], s[RATES + 2]
-    ds[RATES] = (tx - (jz - jy) * q * o) / jx
-    ds[RATES + 1] = (ty - (jx - jz) * o * p) / jy
-    ds[RATES + 2] = (tz - (jy - jx) * p * q) / jz
+    ds[RATES] = (tx - (jz - jy) * q * o) / jx + air[5]
+    ds[RATES + 1] = (ty - (jx - jz) * o * p) / jy + air[6]
+    ds[RATES + 2] = (tz - (jy - jx) * p * q) / jz + air[7]
     a, b, d, e = s[QUATERNION], s[QUATERNION + 1], s[QUATERNION + 2], s[QUATERNION + 3]
     ds[QUATERNION] = 0.5 * (-b * p - d * q - e * o)
     ds[QUATERNION + 1] = 0.5 * (a * p + d * o - e * q)
@@ -124,10 +135,42 @@ def derivative(s, target, gust, anchor, time, c, w, r, contact, ds):
 
 
 @numba.njit(cache=True)
-def rotors(s, target, inflow, c, w, r, ds):
+def outside(s, time, r, w):
+    """Horizontal acceleration (x, y) [m/s2] of what stands in the room or hangs on the vehicle."""
+    x = y = 0.0
+    if w.wall != 0.0:
+        x += w.wall * math.exp(min(0.0, s[0] - w.wall_x) / w.wall_range)
+    if w.swing != 0.0:
+        force = w.swing * math.sin(2.0 * math.pi * time / w.swing_period)
+        x += force * math.cos(w.swing_direction)
+        y += force * math.sin(w.swing_direction)
+    if w.heading_force != 0.0:
+        heading = math.atan2(r[1, 0], r[0, 0])
+        x += w.heading_force * math.cos(2.0 * heading)
+        y += w.heading_force * math.sin(2.0 * heading)
+    return x, y
+
+
+@numba.njit(cache=True)
+def ground_gain(height, lateral, c, b, w):
+    """Factor of a rotor's thrust at a height [m] above a surface, at a speed [m/s] across its axis.
+
+    The forms agree at 90 mm, at rest, to first order.
+    """
+    near = c.rotor_radius / (4.0 * height)
+    if b.ground == CHEESEMAN:
+        return 1.0 / (1.0 - min(w.ground_effect * near * near, 0.5))
+    if b.ground == EXPONENTIAL:
+        at = c.rotor_radius / 0.36
+        return 1.0 + min(w.ground_effect * at * at * math.exp((0.09 - height) / b.ground_range), 1.0)
+    return 1.0 + min(w.ground_effect * near * near / (1.0 + 0.25 * lateral * lateral), 1.0)
+
+
+@numba.njit(cache=True)
+def rotors(s, target, inflow, lateral, c, b, w, r, ds):
     """Thrust [N], sum of speeds [rad/s] and torque (x, y, z) [N m] of the rotors; their part of ds.
 
-    inflow: factor of the thrust, of all rotors alike.
+    inflow: factor of the thrust, of all rotors alike; lateral: speed [m/s] of the air across their axis.
     """
     nx, nz = math.sin(w.surface_tilt), math.cos(w.surface_tilt)
     thrust = speed = tx = ty = tz = 0.0
@@ -135,17 +178,19 @@ def rotors(s, target, inflow, c, w, r, ds):
         n = s[ROTORS + k]
         slow = c.motor_time * w.motor_time_scale
         if n > target[k]:
-            slow *= 1.0 + w.spin_down
-        # Motor torque against the propeller's, which grows with n^2: thrust settles exponentially.
-        ds[ROTORS + k] = (target[k] ** 2 - n * n) / (2.0 * slow * max(n, 50.0))
-        force = c.thrust_per_speed * n * n * inflow + 0.25 * w.thrust_bias
-        x, y = c.arm * SIDE_X[k], c.arm * SIDE_Y[k]
+            slow *= (1.0 + w.spin_down) * (1.0 + b.spin_down)
+        if b.motors == FIRST_ORDER_SPEED:
+            ds[ROTORS + k] = (target[k] - n) / slow
+        else:
+            # Motor torque against the propeller's, which grows with n^2: thrust settles exponentially.
+            ds[ROTORS + k] = (target[k] ** 2 - n * n) / (2.0 * slow * max(n, 50.0))
+        force = c.thrust_per_speed * n * n * inflow * b.rotor[k] + 0.25 * w.thrust_bias
+        x, y = c.arm * b.arms[k] * SIDE_X[k], c.arm * b.arms[k] * SIDE_Y[k]
         if w.ground_effect != 0.0:
             px = s[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * c.disc_height
             pz = s[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * c.disc_height
             height = max(px * nx + (pz - w.surface_height) * nz, 0.5 * c.rotor_radius)
-            near = c.rotor_radius / (4.0 * height)
-            force /= 1.0 - min(w.ground_effect * near * near, 0.5)  # Cheeseman and Bennett
+            force *= ground_gain(height, lateral, c, b, w)
         thrust += force
         speed += n
         tx += (y + w.com_y) * force
@@ -260,22 +305,22 @@ def move_anchors(s, r, anchor, contact, c, w):
 
 
 @numba.njit(cache=True)
-def advance(s, target, gust, anchor, time, dt, c, w, work, r, contact):
+def advance(s, target, air, anchor, time, dt, c, b, w, work, r, contact):
     """Advance state s (23,) in place by dt [s] with classical RK4; work (4, 23) is scratch."""
     k, z, total = work[0], work[1], work[2]
-    derivative(s, target, gust, anchor, time, c, w, r, contact, k)
+    derivative(s, target, air, anchor, time, c, b, w, r, contact, k)
     for j in range(SIZE):
         total[j] = k[j]
         z[j] = s[j] + 0.5 * dt * k[j]
-    derivative(z, target, gust, anchor, time + 0.5 * dt, c, w, r, contact, k)
+    derivative(z, target, air, anchor, time + 0.5 * dt, c, b, w, r, contact, k)
     for j in range(SIZE):
         total[j] += 2.0 * k[j]
         z[j] = s[j] + 0.5 * dt * k[j]
-    derivative(z, target, gust, anchor, time + 0.5 * dt, c, w, r, contact, k)
+    derivative(z, target, air, anchor, time + 0.5 * dt, c, b, w, r, contact, k)
     for j in range(SIZE):
         total[j] += 2.0 * k[j]
         z[j] = s[j] + dt * k[j]
-    derivative(z, target, gust, anchor, time + dt, c, w, r, contact, k)
+    derivative(z, target, air, anchor, time + dt, c, b, w, r, contact, k)
     for j in range(SIZE):
         s[j] += dt / 6.0 * (total[j] + k[j])
     norm = 0.0

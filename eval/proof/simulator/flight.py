@@ -8,15 +8,34 @@ import numba
 import numpy as np
 
 from . import control, dynamics
-from .vehicle import CONTROL_RATE, LOG_RATE, PHYSICS_RATE, PILOT_RATE, Constants, World, constants
+from .vehicle import CONTROL_RATE, PHYSICS_RATE, PILOT_RATE, TRACK_RATE, Build, Constants, World, constants
 
 WARM_UP = 4.0  # s flown before the log begins: filters and pilot settle
-_GUST_TIME = 0.8  # s, correlation time
+_LEVEL_TIME = 60.0  # s, in which an accelerometer's level wanders
+
+
+@dataclasses.dataclass(frozen=True)
+class Reality:
+    """A vehicle, its air and its log: all that is the same in the flights of one set, hidden causes aside."""
+
+    constants: Constants
+    build: Build = dataclasses.field(default_factory=Build)
+    family: str = "reference"
+
+    @property
+    def log_rate(self) -> float:
+        """Rows of the log per second."""
+        return CONTROL_RATE / self.build.log_ticks
+
+
+def reference() -> Reality:
+    """The vehicle that flies as the paper's equations say, in still air."""
+    return Reality(constants())
 
 
 @dataclasses.dataclass(frozen=True)
 class Recording:
-    """The log of one flight at 100 Hz, as a motion capture and a radio would give it.
+    """The log of one flight, as a motion capture and a radio would give it.
 
     `truth` is for tests and never written: position, velocity, roll, pitch, yaw, body rates, thrust of the
     four rotors in still air.
@@ -31,32 +50,36 @@ class Recording:
     truth: np.ndarray  # (m, 16)
 
     def between(self, start: float, end: float) -> Recording:
-        """The rows from `start` to `end` [s], with time from 0; an even first row keeps the pilot's beat."""
-        first = round(start * LOG_RATE) // 2 * 2
-        rows = slice(max(0, first), round(end * LOG_RATE))
+        """The rows from `start` to `end` [s], with time from 0."""
+        rows = slice(*np.searchsorted(self.t, [start - 1e-9, end - 1e-9]))
         cut = {f.name: getattr(self, f.name)[rows] for f in dataclasses.fields(self)}
         return Recording(**cut | {"t": cut["t"] - cut["t"][0]})
 
 
 @numba.njit(cache=True)
-def _fly(s, reference, gust, gyro_noise, mocap_noise, warm_up, substeps, c, w, log, truth):
+def _fly(s, reference, air, gyro_noise, mocap_noise, level, heard, warm_up, substeps, c, b, w, log, truth):
     ticks = gyro_noise.shape[0]
     dt = 1.0 / CONTROL_RATE
     h = dt / substeps
-    per_log, per_pilot = CONTROL_RATE // LOG_RATE, CONTROL_RATE // PILOT_RATE
+    per_log, per_pilot = int(b.log_ticks), CONTROL_RATE // PILOT_RATE
+    per_track = CONTROL_RATE // TRACK_RATE
     thrust_delay = round(w.thrust_delay * CONTROL_RATE)
     attitude_delay = round(w.attitude_delay * CONTROL_RATE)
     mocap_delay = round(w.mocap_delay * CONTROL_RATE)
-    poses, commands = np.zeros((ticks, 6)), np.zeros((ticks, 4))
+    capture_age = mocap_delay + round(b.capture_age * CONTROL_RATE)
+    log_delay = mocap_delay + round(w.log_delay * CONTROL_RATE)
+    dead_time = round(b.dead_time * CONTROL_RATE)
+    poses, commands, asked = np.zeros((ticks, 6)), np.zeros((ticks, 4)), np.zeros((ticks, 4))
     work, r, contact = np.zeros((4, dynamics.SIZE)), np.zeros((3, 3)), np.zeros(4)
     anchor = np.full((4, 3), np.nan)
-    target, memory = s[dynamics.ROTORS : dynamics.ROTORS + 4].copy(), np.zeros(7)
-    command, setpoint, gyro = np.zeros(4), np.zeros(3), np.zeros(3)
+    target, memory = s[dynamics.ROTORS : dynamics.ROTORS + 4].copy(), np.zeros(control.MEMORY)
+    asked[0] = target
+    command, setpoint, gyro, force = np.zeros(4), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, c.gravity])
     position, velocity, integral = s[:3].copy(), np.zeros(3), np.zeros(3)
     measured = np.zeros(6)
     dynamics.rotation(s[dynamics.QUATERNION : dynamics.QUATERNION + 4], r)
     roll, pitch, _ = dynamics.angles(r)
-    turns = 0.0
+    turns = polarised = 0.0
     for k in range(ticks):
         time = k * dt - warm_up
         # Measure.
@@ -64,45 +87,95 @@ def _fly(s, reference, gust, gyro_noise, mocap_noise, warm_up, substeps, c, w, l
         for j in range(3):
             gyro[j] = s[dynamics.RATES + j] + gyro_noise[k, j]
         if k > 0:
-            a, b, _ = control.angle_rates(roll, pitch, gyro[0], gyro[1], gyro[2])
-            roll += dt * a
-            pitch += dt * b
-        if k % per_log == 0:
-            for j in range(6):
-                measured[j] = poses[max(0, k - mocap_delay), j] + mocap_noise[k // per_log, j]
-            # The estimate of roll and pitch leans on the vehicle's own sense of level.
-            roll += c.attitude_trust * (measured[3] - roll)
-            pitch += c.attitude_trust * (measured[4] - pitch)
-            if w.mocap_roll != 0.0 or w.mocap_pitch != 0.0:
-                measured[3], measured[4], measured[5] = dynamics.tilted(
-                    measured[3], measured[4], measured[5], w.mocap_roll, w.mocap_pitch
-                )
-            _track(measured, dt, per_log, c, position, velocity)
+            down, right, _ = control.angle_rates(roll, pitch, gyro[0], gyro[1], gyro[2])
+            roll += dt * down
+            pitch += dt * right
+        if k % per_track == 0:
+            # The estimate of roll and pitch leans on motion capture, or on the vehicle's own sense of level.
+            if b.accelerometer != 0.0:
+                lean_roll = np.arctan2(force[1], np.sqrt(force[0] ** 2 + force[2] ** 2)) + level[k, 0]
+                lean_pitch = np.arctan2(-force[0], force[2]) + level[k, 1]
+            else:
+                lean_roll = poses[max(0, k - capture_age), 3] + mocap_noise[k, 3]
+                lean_pitch = poses[max(0, k - capture_age), 4] + mocap_noise[k, 4]
+            roll += c.attitude_trust * (lean_roll - roll)
+            pitch += c.attitude_trust * (lean_pitch - pitch)
+            _capture(poses[max(0, k - mocap_delay)], mocap_noise[k], roll, pitch, b, w, measured)
+            _track(measured, dt * per_track, c, position, velocity)
         # Command.
         if k % per_pilot == 0:
             row = min(k // per_pilot, reference.shape[0] - 1)
             control.pilot(reference[row], position, velocity, measured[5], integral, c, command)
         for j in range(4):
             commands[k, j] = command[j]
-        pwm = commands[max(0, k - thrust_delay), 0]
-        _received(commands[max(0, k - attitude_delay)], w, setpoint)
-        # A trim is an attitude sensor that sits crooked.
+        pwm = commands[heard[max(0, k - thrust_delay)], 0]
+        _received(commands[heard[max(0, k - attitude_delay)]], w, setpoint)
+        # A trim is an attitude sensor that sits crooked; a level that is off tilts the log too.
+        level_roll, level_pitch = roll, pitch
+        if w.level_roll != 0.0 or w.level_pitch != 0.0:
+            level_roll, level_pitch, _ = dynamics.tilted(roll, pitch, 0.0, w.level_roll, w.level_pitch)
         gain = c.attitude_gain * w.attitude_gain_scale
-        level_roll, level_pitch = roll - gain * w.trim_roll, pitch - gain * w.trim_pitch
+        level_roll, level_pitch = level_roll - gain * w.trim_roll, level_pitch - gain * w.trim_pitch
         # The estimator knows its gyro's bias in roll and pitch, not about the vertical.
         gyro[2] -= w.yaw_drift
-        control.flight_controller(pwm, setpoint, level_roll, level_pitch, gyro, memory, dt, c, w, target)
-        volts = dynamics.voltage(s, time, c, w)
-        if w.battery_reference > 0.0:
-            for j in range(4):
-                target[j] *= volts / w.battery_reference
+        control.flight_controller(pwm, setpoint, level_roll, level_pitch, gyro, memory, dt, c, b, w, target)
+        volts = dynamics.voltage(s, time, c, w) - polarised
+        polarised += dt / b.polarisation_time * (b.polarisation * dynamics.current(s, c) - polarised)
+        supply = _supply(volts, c, b, w)
+        for j in range(4):
+            asked[k, j] = target[j] * supply
+            target[j] = asked[max(0, k - dead_time), j]
         # Log.
         if k % per_log == 0:
             i = k // per_log
+            _capture(poses[max(0, k - log_delay)], mocap_noise[k], roll, pitch, b, w, measured)
             _write(measured, command, volts, contact, log[i])
             _write_truth(s, poses[k], c, truth[i])
+        force[:] = s[dynamics.VELOCITY : dynamics.VELOCITY + 3]
         for j in range(substeps):
-            dynamics.advance(s, target, gust[k], anchor, time + j * h, h, c, w, work, r, contact)
+            dynamics.advance(s, target, air[k], anchor, time + j * h, h, c, b, w, work, r, contact)
+        _specific_force(s, r, dt, c, force)
+
+
+@numba.njit(cache=True)
+def _specific_force(s, r, dt, c, force):
+    """What an accelerometer shows (3,) [m/s2], into `force`, which holds the velocity one period ago."""
+    x = (s[dynamics.VELOCITY] - force[0]) / dt
+    y = (s[dynamics.VELOCITY + 1] - force[1]) / dt
+    z = (s[dynamics.VELOCITY + 2] - force[2]) / dt + c.gravity
+    dynamics.rotation(s[dynamics.QUATERNION : dynamics.QUATERNION + 4], r)
+    for j in range(3):
+        force[j] = r[0, j] * x + r[1, j] * y + r[2, j] * z
+
+
+@numba.njit(cache=True)
+def _supply(volts, c, b, w):
+    """Rotor speed per speed asked for, under the battery's voltage."""
+    if w.battery_reference > 0.0:
+        return (volts / w.battery_reference) ** (0.5 * b.battery_power)
+    if b.uncompensated > 0.0:
+        return (volts / c.battery_voltage) ** (0.5 * b.battery_power * b.uncompensated)
+    return 1.0
+
+
+@numba.njit(cache=True)
+def _capture(pose, noise, roll, pitch, b, w, measured):
+    """The pose (6,) as motion capture or, for roll and pitch, the vehicle's own estimate shows it."""
+    for j in range(6):
+        measured[j] = pose[j] + noise[j]
+    if w.capture_scale != 0.0:
+        measured[0] *= 1.0 + w.capture_scale * pose[0]
+    if b.log_estimate != 0.0:
+        measured[3], measured[4] = roll, pitch
+    # The vehicle does not use the attitude of a tracked body that sits crooked.
+    if w.mocap_roll != 0.0 or w.mocap_pitch != 0.0:
+        measured[3], measured[4], measured[5] = dynamics.tilted(
+            measured[3], measured[4], measured[5], w.mocap_roll, w.mocap_pitch
+        )
+    if w.level_roll != 0.0 or w.level_pitch != 0.0:
+        measured[3], measured[4], measured[5] = dynamics.tilted(
+            measured[3], measured[4], measured[5], w.level_roll, w.level_pitch
+        )
 
 
 @numba.njit(cache=True)
@@ -119,13 +192,13 @@ def _pose(s, r, poses, k, turns):
 
 
 @numba.njit(cache=True)
-def _track(measured, dt, per_log, c, position, velocity):
-    """The pilot's estimates (3,) of position and velocity follow the measured pose, every `per_log` steps."""
+def _track(measured, period, c, position, velocity):
+    """The pilot's estimates (3,) of position and velocity follow the measured pose, every `period` [s]."""
     for j in range(3):
-        position[j] += velocity[j] * dt * per_log
+        position[j] += velocity[j] * period
         error = measured[j] - position[j]
         position[j] += c.position_filter[0] * error
-        velocity[j] += c.position_filter[1] * error / (dt * per_log)
+        velocity[j] += c.position_filter[1] * error / period
 
 
 @numba.njit(cache=True)
@@ -137,6 +210,9 @@ def _received(command, w, setpoint):
         for j in range(2):
             if abs(setpoint[j]) < w.dead_zone:
                 setpoint[j] = 0.0
+    if w.quantum > 0.0:
+        for j in range(2):
+            setpoint[j] = w.quantum * np.round(setpoint[j] / w.quantum)
     setpoint[1] += w.cross_coupling * setpoint[0]
 
 
@@ -168,42 +244,53 @@ def initial_state(position, yaw: float, c: Constants, w: World) -> np.ndarray:
 
 
 def fly(
-    reference: np.ndarray,
+    path: np.ndarray,
     world: World,
     rng: np.random.Generator,
+    reality: Reality | None = None,
     *,
     noise: float = 1.0,
-    vehicle: Constants | None = None,
     warm_up: float = WARM_UP,
     physics_rate: int = PHYSICS_RATE,
 ) -> Recording:
-    """Fly one reference and return its log.
+    """Fly one path and return its log.
 
-    reference (k, REF_SIZE) at 50 Hz (see `control.py`), flown from its first row, after `warm_up` seconds
-    on that row; noise scales the motion capture's; rng gives all noise and gusts.
-    Raises ValueError for a delay that is not a whole number of control periods.
+    path (k, REF_SIZE) at 50 Hz (see `control.py`), flown from its first row, after `warm_up` seconds
+    on that row; reality: None is the reference; noise scales the motion capture's; rng gives all noise and
+    gusts. Raises ValueError for a delay that is not a whole number of control periods.
     """
-    c = constants() if vehicle is None else vehicle
-    for delay in (world.thrust_delay, world.attitude_delay, world.mocap_delay):
+    reality = reference() if reality is None else reality
+    c, b = reality.constants, reality.build
+    delays = (world.thrust_delay, world.attitude_delay, world.mocap_delay, world.log_delay)
+    for delay in (*delays, b.capture_age, b.dead_time):
         if abs(delay * CONTROL_RATE - round(delay * CONTROL_RATE)) > 1e-6 or delay < 0:
             raise ValueError(f"a delay of {delay} s is not a whole number of {1000 / CONTROL_RATE:g} ms")
-    waiting = np.repeat(reference[:1], round(warm_up * PILOT_RATE), axis=0)
-    rows = np.ascontiguousarray(np.vstack([waiting, reference]))
+    waiting = np.repeat(path[:1], round(warm_up * PILOT_RATE), axis=0)
+    rows = np.ascontiguousarray(np.vstack([waiting, path]))
     ticks = len(rows) * (CONTROL_RATE // PILOT_RATE)
-    samples = ticks * LOG_RATE // CONTROL_RATE
+    per_log = round(b.log_ticks)
+    # The log begins with the first row at which the pilot commands after the warm-up.
+    first = -(-round(warm_up * CONTROL_RATE) // per_log)
+    samples = -(-ticks // per_log)
     gyro = c.gyro_noise * rng.standard_normal((ticks, 3))
     scale = np.array([c.position_noise] * 3 + [c.attitude_noise] * 3)
-    mocap = noise * scale * rng.standard_normal((samples, 6))
+    mocap = noise * scale * rng.standard_normal((ticks, 6))
     volts = c.voltage_noise * rng.standard_normal(samples)
-    gust = _gusts(rng.standard_normal((ticks, 2)), world.gust)
+    level = _wandering(rng, (ticks, 2), b.wander, _LEVEL_TIME)
     log, truth = np.zeros((samples, 12)), np.zeros((samples, 16))
     s = initial_state(rows[0, :3], rows[0, control.REF_YAW], c, world)
     substeps = physics_rate // CONTROL_RATE
-    _fly(s, rows, gust, gyro, mocap, warm_up, substeps, c, world, log, truth)
-    first = round(warm_up * LOG_RATE)
+    air, heard = _air(rng, ticks, b, world), _heard(rng, ticks, world.command_jitter)
+    _fly(s, rows, air, gyro, mocap, level, heard, warm_up, substeps, c, b, world, log, truth)
     log, truth = log[first:], truth[first:]
+    t = np.arange(len(log)) * per_log / CONTROL_RATE
+    if b.stamp_jitter > 0.0:
+        late = np.clip(
+            b.stamp_jitter * rng.standard_normal(len(t)), *(x * per_log / CONTROL_RATE for x in (-0.4, 0.4))
+        )
+        t = t + late - late[0]
     return Recording(
-        t=np.arange(len(log)) / LOG_RATE,
+        t=t,
         position=log[:, :3],
         attitude=log[:, 3:6],
         command=log[:, 6:10],
@@ -213,9 +300,29 @@ def fly(
     )
 
 
-def _gusts(white: np.ndarray, deviation: float) -> np.ndarray:
-    """Ornstein-Uhlenbeck wind (ticks, 2) [m/s] from white noise (ticks, 2)."""
+def _wandering(rng: np.random.Generator, shape: tuple[int, int], deviation, seconds: float) -> np.ndarray:
+    """Ornstein-Uhlenbeck noise (ticks, k) of a standard deviation (one, or (k,)) and correlation time."""
     from scipy.signal import lfilter
 
-    keep = np.exp(-1.0 / (_GUST_TIME * CONTROL_RATE))
-    return deviation * lfilter([np.sqrt(1 - keep**2)], [1, -keep], white, axis=0)
+    keep = np.exp(-1.0 / (seconds * CONTROL_RATE))
+    start = rng.standard_normal((1, shape[1]))
+    white = rng.standard_normal(shape)
+    return deviation * lfilter([np.sqrt(1 - keep**2)], [1, -keep], white, axis=0, zi=keep * start)[0]
+
+
+def _air(rng: np.random.Generator, ticks: int, b: Build, w: World) -> np.ndarray:
+    """Wind, unrest of acceleration and of angular acceleration (ticks, 8) (see `dynamics.derivative`)."""
+    gust = _wandering(rng, (ticks, 2), w.gust, w.gust_time)
+    if w.gust_calm > 0.0:
+        strength = _wandering(rng, (ticks, 1), 1.0, 1.5)
+        gust *= strength > np.quantile(strength, w.gust_calm)
+    unrest = _wandering(rng, (ticks, 6), np.array([*b.unrest, *b.unrest_torque]), b.unrest_time)
+    return np.hstack([gust, unrest])
+
+
+def _heard(rng: np.random.Generator, ticks: int, latest: float) -> np.ndarray:
+    """The control period (ticks,) whose command is in effect, when each arrives up to `latest` [s] late."""
+    per_pilot = CONTROL_RATE // PILOT_RATE
+    sent = np.arange(0, ticks, per_pilot)
+    arrives = np.maximum.accumulate(sent + np.round(rng.uniform(0.0, latest, len(sent)) * CONTROL_RATE))
+    return sent[np.maximum(np.searchsorted(arrives, np.arange(ticks), side="right") - 1, 0)]
