@@ -185,6 +185,8 @@ EFFECTS = (
         channels=("yaw",),
         apply=_yaw_loop,
         says="the yaw rate is {gain} times the modelled one, its time constant {time_constant} times",
+        # Commands that only hold the heading answer to what disturbs it: 0.3 rad/s turn it by more.
+        requires={"yaw_rate_command": 0.3},
     ),
     Effect(
         name="yaw_drift",

@@ -75,7 +75,8 @@ class Effect:
     channels: tuple[str, ...]  # in what it shows: see CHANNELS
     apply: Callable[[Vehicle, Mapping[str, float]], Vehicle]
     says: str  # part of a sentence; {parameter} stands for its value with unit
-    # Log channel without which it cannot be told -> change over the flights below which neither.
+    # Log channel (or `yaw_rate_command`) without which it cannot be told -> change over the flights below
+    # which neither.
     requires: Mapping[str, float] = dataclasses.field(default_factory=dict)
     # What it brings with it physically: found beside it, explaining less, that is no cause of its own.
     entails: tuple[str, ...] = ()

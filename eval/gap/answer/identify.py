@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from inclined_landing.eval.gap.flights.windows import Measured, prepare_all
-from inclined_landing.eval.gap.search.evidence import Problem
+from inclined_landing.eval.gap.search.evidence import Problem, tellable
 from inclined_landing.eval.gap.search.fit import Fitted, estimates, left_out_vehicles, refit, spread_between
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.logs import FlightLog
@@ -108,8 +108,10 @@ def identify(
     forms = {"transfer function": vehicle, "static map": static_map(vehicle)}
     if vehicle.effects_battery_sag or vehicle.effects_thrust_bias:
         del forms["static map"]
-    problems = {name: Problem(fitted, base, LIBRARY) for name, base in forms.items()}
-    fits = {name: _best(problem, EFFECTS) for name, problem in problems.items()}
+    library, untold = tellable({name: LIBRARY[name] for name in EFFECTS}, fitted)
+    notes += untold
+    problems = {name: Problem(fitted, base, library) for name, base in forms.items()}
+    fits = {name: _best(problem, list(problem.library)) for name, problem in problems.items()}
     scores = {name: float(fit.weighted.left_out(fit.index).sum()) for name, fit in fits.items()}
     chosen = min(scores, key=scores.get)
     problem = problems[chosen]

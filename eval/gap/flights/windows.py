@@ -66,6 +66,11 @@ class Measured:
         return len(self.t)
 
     @property
+    def yaw_rate_command(self) -> np.ndarray | None:
+        """Commanded yaw rate (m,) [rad/s], None where it or the heading was not logged."""
+        return self.command[:, 3] if self.has_yaw else None
+
+    @property
     def measured(self) -> np.ndarray:
         """Measured pose (m, 6)."""
         return np.hstack([self.position, self.attitude])
