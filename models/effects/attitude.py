@@ -4,12 +4,14 @@ import dataclasses
 
 from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added, scaled
 
+_QUICKEST = 0.002  # s, lag of a rate loop that the engine's step can follow
+
 
 def _second_order(vehicle, values):
-    lag = values.get("rate_lag", 0.0)
+    own, lag = 1.0 / vehicle.attitude_bandwidth, values.get("rate_lag", 0.0)
     if lag == 0.0:
         return vehicle
-    return dataclasses.replace(vehicle, attitude_bandwidth=1.0 / (1.0 / vehicle.attitude_bandwidth + lag))
+    return dataclasses.replace(vehicle, attitude_bandwidth=1.0 / max(own + lag, min(own, _QUICKEST)))
 
 
 def _yaw_loop(vehicle, values):
@@ -48,7 +50,7 @@ EFFECTS = (
         source="Kooi and Babuska 2021: k identified in flight; about 0.89 in the utias_fmpc flights",
         parameters=(
             Parameter(
-                *("scale", "1", 1.0, (0.4, 1.8), 0.9, 0.01),
+                *("scale", "1", 1.0, (0.4, 1.8), 0.85, 0.01),
                 constant=FittedConstant(
                     "attitude gain k", "attitude_gain", "1", lambda v, x: x * v.attitude_gain
                 ),
@@ -69,7 +71,7 @@ EFFECTS = (
         source="Kooi and Babuska 2021: tau = 0.184 s; about 0.06 s in the utias_fmpc flights",
         parameters=(
             Parameter(
-                *("scale", "1", 1.0, (0.15, 4.0), 0.7, 0.03),
+                *("scale", "1", 1.0, (0.06, 4.0), 0.6, 0.03),
                 constant=FittedConstant(
                     *("attitude time constant tau", "attitude_time_constant", "s"),
                     lambda v, x: x * v.attitude_time_constant,
@@ -86,13 +88,12 @@ EFFECTS = (
     Effect(
         name="second_order_attitude",
         description="The rate loop under the attitude loop is slower than modelled, so that the angles "
-        "respond with an S-shaped start instead of at once.",
-        formula="bandwidth = 1/(1/attitude_bandwidth + rate_lag)",
+        "respond with a longer S-shaped start; a negative lag is a quicker one.",
+        formula="bandwidth = 1/(1/attitude_bandwidth + rate_lag), the lag in all at least 2 ms",
         source="cascaded attitude and rate controllers of the Crazyflie firmware",
         parameters=(
             Parameter(
-                *("rate_lag", "s", 0.0, (-0.01, 0.15), 0.03, 0.004),
-                one_signed=True,
+                *("rate_lag", "s", 0.0, (-0.017, 0.15), 0.03, 0.004),
                 constant=FittedConstant(
                     *("rate loop lag", "attitude_bandwidth", "s"), lambda v, x: x + 1.0 / v.attitude_bandwidth
                 ),

@@ -74,10 +74,11 @@ EFFECTS = (
         "the modelled thrust is right. In simulation the voltage is the vehicle file's: open - drop load - "
         "discharge t.",
         formula="F_t times (1 + sensitivity (V - reference))",
-        source="brushed motors: speed proportional to duty times voltage; PWM times voltage is constant in "
-        "hover within 1.3 % in the nanobench flights",
+        source="brushed motors: speed proportional to duty times voltage, so that thrust goes with voltage "
+        "or its square, 0.27 to 0.54 1/V; PWM times voltage is constant in hover within 1.3 % in the "
+        "nanobench flights",
         parameters=(
-            Parameter("sensitivity", "1/V", 0.0, (-0.3, 1.2), 0.27, 0.02),
+            Parameter("sensitivity", "1/V", 0.0, (-0.3, 1.2), 0.4, 0.02),
             Parameter(
                 *("reference", "V", _SHIPPED.effects_voltage_reference, (2.8, 4.6), 3.8, 0.03),
                 is_reference=True,

@@ -9,7 +9,7 @@ EFFECTS = (
         "inertia is left as it is.",
         formula="m = scale body_mass",
         source="bookkeeping; decks weigh 1 to 4 g, 3 to 12 % of the vehicle",
-        parameters=(Parameter("scale", "1", 1.0, (0.6, 1.8), 1.06, 0.005),),
+        parameters=(Parameter("scale", "1", 1.0, (0.6, 1.8), 1.08, 0.005),),
         regimes=("hover", "climb", "lateral"),
         confused_with=("thrust_scale", "thrust_bias", "battery_sag"),
         remedy="Weigh the vehicle as it flies and write the mass into the vehicle file. In free flight only "
@@ -23,13 +23,14 @@ EFFECTS = (
     Effect(
         name="com_offset",
         description="The centre of mass sits beside the line of the thrust, by the offset in the body frame: "
-        "a battery or deck out of the middle. The moment tilts the vehicle against its attitude loop. The "
-        "inertia stays.",
-        formula="torque = (-y F_t, x F_t, 0)",
+        "a battery or deck out of the middle. The moment tilts the vehicle against its attitude loop, "
+        "so that flights show the offset over the loop's stiffness: its size is as right as the model's "
+        "inertia, bandwidth and time constant.",
+        formula="torque = (-y F_t, x F_t, 0); stiffness = inertia bandwidth/time_constant",
         source="rigid-body mechanics",
         parameters=(
-            Parameter("x", "m", 0.0, (-0.006, 0.006), 0.001, 5e-5),
-            Parameter("y", "m", 0.0, (-0.006, 0.006), -0.0005, 5e-5),
+            Parameter("x", "m", 0.0, (-0.015, 0.015), 0.001, 5e-5),
+            Parameter("y", "m", 0.0, (-0.015, 0.015), -0.001, 5e-5),
         ),
         regimes=("climb", "hover", "attitude_step"),
         confused_with=("attitude_trim", "wind"),
