@@ -32,6 +32,10 @@ COMMANDS = {
     "contact-truth": ("truth", "Can contact be believed? Rest, slip, drops, energy ... as page and figures."),
     "landings": ("", "Landing study: thousands of touchdowns over friction, speeds ..., each classified."),
     "logs": ("", "What flight logs hold and whether they can be believed, in words."),
+    "flights": (
+        "logs",
+        "Measured flights of others: where to get each set; its own files converted to documented CSV.",
+    ),
     "identify": ("gap", "Thrust, lags, delays, attitude loops and drag from flights: a vehicle file."),
     "gap": ("", "Where simulation and flights disagree, which effect is missing, the corrected model."),
     "plan": ("gap", "The safe flight that tells best which of the sets of effects of a report is right."),

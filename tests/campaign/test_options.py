@@ -26,6 +26,7 @@ NEEDED = {
     "contact-truth": ("--out", "{place}/out"),
     "landings": ("{place}/study.toml", "--out", "{place}/out"),
     "logs": ("{place}/log.csv",),
+    "flights": ("nanobench", "{place}/log.csv", "--out", "{place}/out"),
     "identify": ("{place}/log.csv", "--out", "{place}/out"),
     "gap": ("{place}/log.csv", "--out", "{place}/out"),
     "plan": ("{place}/report", "--out", "{place}/out"),

@@ -1,0 +1,1 @@
+"""Public sets of measured flights: where each is to be had, and its own files as documented CSV."""

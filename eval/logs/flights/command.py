@@ -1,0 +1,84 @@
+"""`landing-eval flights`: where the measured flights of others are, and their files as documented CSV."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import NewFolder
+from inclined_landing.eval.logs.flights.convert import PublicSet, convert, public_sets
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, shown
+
+
+def command(
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[SET")] = "",
+    files: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE [FILE ...]]")] = (),
+    out: NewFolder = None,
+) -> None:
+    """Measured flights of others: where to get each set; its own files converted to documented CSV.
+
+    Without arguments it says where every set is, under which licence, and which command converts it.
+
+    Args:
+        name: utias_fmpc, nanobench, crazypad or arp_sysid.
+        files: files of that set as they are in its repository.
+        out: new folder for one .csv.gz per flight and source.txt.
+    """
+    sets = public_sets()
+    if not name:
+        print("\n\n".join(_where(key, known) for key, known in sets.items()))
+        return
+    if name not in sets:
+        raise UserError(f"unknown set {shown(name)!r}; known are {', '.join(sets)}")
+    if not files:
+        print(_where(name, sets[name]))
+        return
+    if out is None:
+        raise UserError("flights are converted into a new folder: --out DIR")
+    runs.check_new_run(out)
+    seen: dict[str, str] = {}
+    with runs.staged_run(out) as folder:
+        for file in files:
+            flight, table, notes = convert(name, Path(file))
+            text = table.to_csv(index=False, lineterminator="\n").encode()
+            key = hashlib.sha256(text).hexdigest()
+            if key in seen:
+                print(f"{shown(file, 250)}: the same flight as {seen[key]}, left out", file=sys.stderr)
+                continue
+            if (folder / f"{flight}.csv.gz").exists():
+                raise UserError(f"{shown(file, 250)}: two files are both the flight {flight}")
+            seen[key] = file
+            storage.write_bytes(folder / f"{flight}.csv.gz", _packed(text))
+            for note in notes:
+                print(f"{shown(file, 250)}: {note}", file=sys.stderr)
+        storage.write_text(folder / "source.txt", _where(name, sets[name]) + "\n")
+    print(f"{len(seen)} flights in {out}")
+
+
+def _packed(text: bytes) -> bytes:
+    """Compressed, the same bytes for the same text."""
+    packed = io.BytesIO()
+    with gzip.GzipFile(fileobj=packed, mode="wb", mtime=0) as file:
+        file.write(text)
+    return packed.getvalue()
+
+
+def _where(name: str, known: PublicSet) -> str:
+    folder = known.repository.rsplit("/", 1)[1]
+    return "\n".join(
+        (
+            known.title,
+            f"  git clone {known.repository} && git -C {folder} checkout {known.commit[:7]}",
+            f"  landing-eval flights {name} {folder}/{known.files} --out {name}",
+            f"  licence: {known.licence}",
+            f"  cite: {known.cite}",
+        )
+    )

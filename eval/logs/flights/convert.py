@@ -1,0 +1,111 @@
+"""From the files of a public set, as its authors published them, to the documented CSV.
+
+What a set's columns become stands in the TOML file of its name: source column, unit, sign, decimals.
+Nothing is filtered, shifted or filled in: an impossible PWM, and what was not logged, become empty cells.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pandas
+
+from inclined_landing.eval.logs import csv_file, limits, sd_card
+from inclined_landing.eval.logs.record import Record
+from inclined_landing.models.errors import UserError, shown
+
+_UNITS = {"deg": math.pi / 180.0, "g": 9.80665, "mV": 1e-3}
+_MOST_PWM = 65535
+
+
+@dataclasses.dataclass(frozen=True)
+class PublicSet:
+    """A set of flights that others published."""
+
+    title: str
+    repository: str
+    commit: str
+    files: str  # which files of the repository, as a shell would find them
+    licence: str
+    cite: str
+    path: str  # regular expression of a file's path
+    name: str  # of the flight, by the groups of `path`
+    columns: Mapping[str, Mapping]
+    unit_length: tuple[str, ...] = ()  # columns of a quaternion, to be normalised
+    zeros_mean_not_logged: tuple[str, ...] = ()
+    segments: Mapping[str, tuple[float, float]] | None = None  # by the file's name: from, to [s]
+
+
+@cache
+def public_sets() -> Mapping[str, PublicSet]:
+    """The known sets by name."""
+    folder = resources.files("inclined_landing.eval.logs") / "flights"
+    files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
+    return {f.name[:-5]: PublicSet(**tomllib.loads(f.read_text("utf-8"))) for f in files}
+
+
+def convert(name: str, path: Path) -> tuple[str, pandas.DataFrame, list[str]]:
+    """One file of the set `name`: the flight's name, its table in documented columns, notes in words.
+
+    Raises UserError when the file is none of that set.
+    """
+    known = public_sets()[name]
+    match = re.fullmatch(known.path, path.as_posix())
+    if not match:
+        raise UserError(f"{shown(path, 250)}: the path of a file of {name} ends like {known.files}")
+    if limits.check_file(path):
+        raise UserError(f"{path}: a folder, not a file")
+    record = sd_card.read(path) if sd_card.is_sd_card_log(path) else csv_file.read(path)
+    notes = list(record.notes)
+    table = pandas.DataFrame({c: _column(name, c, of, path, record) for c, of in known.columns.items()})
+    if known.segments:
+        if path.name not in known.segments:
+            chosen = ", ".join(known.segments)
+            raise UserError(f"{path}: the flights of {name} are parts of {chosen}; of no other log")
+        start, stop = known.segments[path.name]
+        table = table[(table["t"] >= start) & (table["t"] <= stop)]
+    if len(table) < 2:
+        raise UserError(f"{path}: {len(table)} rows; not a flight")
+    table = table.reset_index(drop=True)
+    table["t"] -= table["t"].iloc[0]
+    quaternion = list(known.unit_length)
+    if quaternion:
+        length = np.linalg.norm(table[quaternion].to_numpy(), axis=1)
+        table[quaternion] /= np.where(length > 0.0, length, np.nan)[:, None]
+    for column in table:
+        if not (column.endswith("_pwm") and (table[column].abs() > 0.0).any()):
+            continue
+        wrong = (table[column] < 0) | (table[column] > _MOST_PWM)
+        if wrong.any():
+            notes.append(f"{column} is no PWM in {wrong.sum()} rows ({table[column].max():.0f}): left empty")
+            table.loc[wrong, column] = np.nan
+    for column in known.zeros_mean_not_logged:
+        if (table[column] == 0.0).all():
+            notes.append(f"{column} is zero throughout: not logged, left empty")
+            table[column] = np.nan
+    decimals = {c: of["decimals"] for c, of in known.columns.items() if "decimals" in of}
+    return match.expand(known.name), table.round(decimals), notes
+
+
+def _column(name: str, column: str, of: Mapping, path: Path, record: Record):
+    """One column of the record in SI units; text as it stands."""
+    if "from" not in of:  # the time of logs that date every value
+        if not record.times:
+            raise UserError(f"{path}: no file of {name}, which are micro-SD logs")
+        return record.times[next(iter(record.columns))]
+    source = of["from"]
+    if source not in record.columns:
+        if of.get("optional"):
+            return np.nan
+        raise UserError(f"{path}: no file of {name}: it lacks the column {source}")
+    if of.get("text"):
+        return pandas.read_csv(path, usecols=[source], dtype=str)[source].fillna("")
+    return of.get("sign", 1) * _UNITS.get(of.get("unit", ""), 1.0) * record.columns[source]
