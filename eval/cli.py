@@ -41,7 +41,7 @@ COMMANDS = {
     "plan": ("gap", "The safe flight that tells best which of the sets of effects of a report is right."),
     "effects": ("gap", "The physical effects that a model may lack: formula, size, what to do about them."),
     "gap-example": ("proof", "Twenty flights with hidden effects, of an independent simulator, to try gap."),
-    "gap-blind": ("proof", "Hidden causes in flights of an independent simulator: what gap names (minutes)."),
+    "gap-blind": ("proof", "Hidden causes in flights of independent simulators: what gap names (minutes)."),
     "gap-real": ("proof", "Measured flights of others: what is named, how much of the gap closes (minutes)."),
     "benchmark": ("machine", "What a step, an action, a picture and a training cost here (a few minutes)."),
     "doctor": ("machine", "What is installed, what is missing, and what to do about it."),

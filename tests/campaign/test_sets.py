@@ -4,15 +4,16 @@ import json
 from pathlib import Path
 
 from campaign.judge import EVIL, Case, judge, mutations, parametrised, write
+from inclined_landing.eval.proof.gap_blind import cases as drawn
 from inclined_landing.eval.proof.gap_blind import command as blind
-from inclined_landing.eval.proof.gap_blind import strata
 
-CASES = {case.name: case.label() for case in strata.cases((1, 0), len(strata.STRATA))}
+CASES = {case.name: case.label() for case in drawn.of_set("dev", 0, len(drawn.STRATA))}
 NAME, LABEL = next((name, label) for name, label in CASES.items() if label["causes"])
 SET = {"set": "dev", "seed": 0, "cases": len(CASES)}
 REPORT = {
     "verdict": "effects",
     "effects": [{"name": LABEL["causes"][0], "class": [], "parameters": {}}],
+    "sets": [{"effects": [LABEL["causes"][0]], "probability": 1.0}],
     "gap": {},
     "seconds": 1.0,
 }

@@ -18,8 +18,10 @@ import numpy as np
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.proof import simulator
 from inclined_landing.eval.proof.simulator import Reality
+from inclined_landing.models.parameters import Vehicle
 
 from . import causes, generate
+from .accepted import LEVEL, accepted
 from .causes import FREE_FLIGHT, SIZES, TOUCHDOWN, UNKNOWN, UNREST, Drawn
 
 # Families whose cases thresholds are chosen on, and those that are scored once.
@@ -28,8 +30,26 @@ STRATA = (
     *("single", "pair", "nothing", "few flights", "noisy", "slow log", "paper", "base off"),
     *("unknown", "unrest", "touchdown"),
 )
-IDENTIFY, HELDOUT = 8, 3  # flights
-LANDINGS = 16  # of a touchdown case
+IDENTIFY, HELDOUT = 10, 3  # flights: every kind once to identify with
+# Constants that are 10 % off after identification, by the name of the effect that rescales them.
+BASE_OFF = {
+    "mass": ("body_mass",),
+    "rotor_drag": ("drag_coefficients",),
+    "attitude_gain": ("attitude_gain",),
+}
+# With the paper's constants these are off in a family's reality, whatever is hidden.
+_PAPER_OFF = (
+    *(
+        "mass",
+        "rotor_drag",
+        "motor_lag",
+        "thrust_delay",
+        "attitude_gain",
+        "attitude_time_constant",
+        "attitude_delay",
+    ),
+    *("second_order_attitude", "attitude_trim", "yaw_loop"),
+)
 
 # Causes that are one physical matter seen from one side, so that a pair of them would be no pair.
 KIN = (
@@ -69,6 +89,7 @@ class Case:
     reality: Reality
     count: int  # flights to diagnose
     voltage: bool  # the logs have a battery channel
+    base: dict[str, float]  # factors of what is off besides, by the effect's name (see BASE_OFF)
     entropy: tuple[int, ...]  # of the flights
 
     @property
@@ -84,10 +105,21 @@ class Case:
             "causes": list(self.causes),
             "size": self.size,
             "parameters": {cause: one.parameters for cause, one in self.drawn.items()},
+            "base": list(_PAPER_OFF if self.stratum == "paper" else self.base),
         }
 
-    def fly(self) -> Flown:
-        """Fly all flights."""
+    def vehicle(self, identified: Vehicle) -> Vehicle:
+        """The vehicle that the gap is measured for: as identified, with the constants of `base` off."""
+        changes = {}
+        for name, factor in self.base.items():
+            for field in BASE_OFF[name]:
+                value = getattr(identified, field)
+                scaled = tuple(x / factor for x in value) if isinstance(value, tuple) else value / factor
+                changes[field] = scaled
+        return dataclasses.replace(identified, **changes)
+
+    def fly(self, seconds: float = generate.SECONDS) -> Flown:
+        """Fly all flights, of so many seconds each where they do not land."""
         rng = np.random.default_rng(self.entropy)
         drawn = causes.combined(*self.drawn.values())
         count = self.count + HELDOUT
@@ -96,18 +128,16 @@ class Case:
             gap, plain = generate.logs(recordings, contact=True), []
         else:
             charge = {"battery_voltage": (-0.15, 0.15)}
-            plain = generate.fly_all(
-                Drawn({}, {}, spread=charge), rng, self.reality, count=IDENTIFY * self.identified
-            )
             # Without a channel that shows its battery, every flight starts on the same charge.
             spread = {} if "battery_sag" in self.causes else charge | drawn.spread
-            hidden = dataclasses.replace(drawn, spread=spread)
-            gap = generate.logs(
-                generate.fly_all(hidden, rng, self.reality, count=count), voltage=self.voltage
+            hidden, usual = dataclasses.replace(drawn, spread=spread), Drawn({}, {}, spread=charge)
+            before = generate.fly_all(
+                usual, rng, self.reality, count=IDENTIFY * self.identified, seconds=seconds
             )
-        return Flown(
-            generate.logs(plain, voltage=self.voltage), gap[: self.count], gap[self.count :], self.label()
-        )
+            plain = generate.logs(before, voltage=self.voltage)
+            after = generate.fly_all(hidden, rng, self.reality, count=count, seconds=seconds)
+            gap = generate.logs(after, voltage=self.voltage)
+        return Flown(plain, gap[: self.count], gap[self.count :], self.label())
 
 
 def draw(
@@ -140,10 +170,63 @@ def draw(
         size=size,
         drawn=drawn,
         reality=reality,
-        count={"few flights": 3, "touchdown": LANDINGS}.get(stratum, 10),
+        count={"few flights": 3, "touchdown": generate.LANDINGS}.get(stratum, 10),
         voltage=logged or any(one.voltage for one in drawn.values()),
+        base={one: 1 + 0.1 * rng.choice([-1, 1]) for one in BASE_OFF} if stratum == "base off" else {},
         entropy=(*entropy, 1),
     )
+
+
+def plans(rng: np.random.Generator) -> list[tuple[str, tuple[str, ...], str | None]]:
+    """(stratum, causes, size) of the cases of a full set, stratum by stratum."""
+    names = list(FREE_FLIGHT)
+    # Two of the three sizes for every cause, so that each size has its share.
+    result = [
+        ("single", (name,), size)
+        for k, name in enumerate(names)
+        for j, size in enumerate(SIZES)
+        if (k + j) % 3
+    ]
+    pairs: set[tuple[str, ...]] = set()
+    while len(pairs) < 16:
+        pairs.add(tuple(sorted(_hidden("pair", rng))))
+    result += [("pair", pair, SIZES[1 + k % 2]) for k, pair in enumerate(sorted(pairs))]
+    result += [("nothing", (), None)] * 20
+    for stratum in ("few flights", "noisy", "slow log", "paper", "base off"):
+        some = [one for one in rng.permutation(names) if one in _candidates(stratum)][:8]
+        result += [(stratum, (str(one),), SIZES[1 + k % 2]) for k, one in enumerate(some)]
+    for stratum, table in (("unknown", UNKNOWN), ("unrest", UNREST)):
+        result += [(stratum, (name,), size) for name in table for size in SIZES[1:]]
+    result += [("touchdown", (name,), SIZES[1 + k % 2]) for k, name in enumerate(TOUCHDOWN)]
+    result += [("touchdown", (), None)]
+    return result
+
+
+def of_set(name: str, seed: int, limit: int | None = None) -> list[Case]:
+    """The cases of a set of SETS, in an order and with names that tell nothing.
+
+    limit: at most so many, the strata keeping their shares.
+    """
+    entropy = (list(SETS).index(name) + 1, seed)
+    rng = np.random.default_rng(entropy)
+    chosen = plans(rng)
+    if limit is not None and limit < len(chosen):
+        # Every stratum is shuffled, then thinned evenly over the list.
+        order = sorted(range(len(chosen)), key=lambda k: (STRATA.index(chosen[k][0]), rng.uniform()))
+        chosen = [chosen[order[k]] for k in np.linspace(0, len(order) - 1, limit).round().astype(int)]
+    result = []
+    for number, k in enumerate(rng.permutation(len(chosen))):
+        stratum, hidden, size = chosen[k]
+        result.append(draw(name, stratum, hidden, size, (*entropy, number), f"case_{number:03d}"))
+    return result
+
+
+def _candidates(stratum: str) -> list[str]:
+    """Causes for a stratum: with constants off, those that are not the like of one of them."""
+    off = {"paper": _PAPER_OFF, "base off": tuple(BASE_OFF)}.get(stratum, ())
+    off = {*off, *(LEVEL if off else ()), *(("body_drag", "lateral_drag") if off else ())}
+    table = {"unknown": UNKNOWN, "unrest": UNREST, "touchdown": TOUCHDOWN}.get(stratum, FREE_FLIGHT)
+    return [name for name in table if not any(names & off for names in accepted(name))]
 
 
 def _hidden(stratum: str, rng) -> tuple[str, ...]:
@@ -152,8 +235,7 @@ def _hidden(stratum: str, rng) -> tuple[str, ...]:
     if stratum == "pair":
         first, second = (KIN[k] for k in rng.choice(len(KIN), 2, replace=False))
         return str(rng.choice(first)), str(rng.choice(second))
-    table = {"unknown": UNKNOWN, "unrest": UNREST, "touchdown": TOUCHDOWN}.get(stratum, FREE_FLIGHT)
-    return (str(rng.choice(list(table))),)
+    return (str(rng.choice(_candidates(stratum))),)
 
 
 def _fitted(reality: Reality, stratum: str, rng) -> Reality:

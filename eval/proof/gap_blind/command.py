@@ -1,4 +1,5 @@
-"""`landing-eval gap-blind`: draw a set, seal its labels, diagnose every case, open the labels, count."""
+"""`landing-eval gap-blind`: draw a set, seal its labels, identify and diagnose every case as a user would,
+open the labels, count."""
 
 from __future__ import annotations
 
@@ -6,7 +7,6 @@ import hashlib
 import importlib.util
 import multiprocessing
 import os
-import shutil
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -19,15 +19,15 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.eval.base import runs, style
-from inclined_landing.eval.base.options import Flag, Folder, Range, Seed
+from inclined_landing.eval.base.options import Folder, Range, Seed
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
 
-from . import score, strata
-from .page import markdown, page
+from . import score, summary
+from .cases import SETS, STRATA, Case, Flown, of_set
+from .page import markdown, page, reliability
 
-# Development and fresh sets differ by these numbers and the seed alone.
-SETS = {"dev": 1, "fresh": 2}
 METHODS = ("workflow", "tuning", "sparse")
 _SET, _LABELS, _RESULTS = "set.json", "sealed/labels.json", "results.json"
 _COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -37,20 +37,17 @@ def command(
     out: Folder,
     set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh}")] = "dev",
     seed: Seed = 0,
-    cases: Annotated[int | None, Range(len(strata.STRATA), 10**6)] = None,
+    cases: Annotated[int | None, Range(len(STRATA), 10**6)] = None,
     method: Annotated[tuple[str, ...], tyro.conf.arg(metavar="{workflow,tuning,sparse}")] = ("workflow",),
-    keep: Flag = False,
     processes: Annotated[int, Range(1, 256)] = 2,
 ) -> None:
-    """Hidden causes in flights of an independent simulator: what gap names (minutes).
+    """Hidden causes in flights of independent simulators: what gap names (minutes).
 
     Args:
-        out: folder for results.json, table.md and report.html; an interrupted run goes on in it.
-        set: development (thresholds are chosen on it) or fresh (scored once); they share no seed.
-        seed: of the set.
-        cases: at most so many, every stratum keeping its share (default: all).
+        out: folder for results.json, table.md, reliability.png and report.html; an interrupted run goes on in
+        it. set: development (thresholds are chosen on it) or fresh (scored once); their vehicles share no
+        structure. seed: of the set. cases: at most so many, every stratum keeping its share (default: all).
         method: one or more of: the gap workflow, parameter tuning only, sparse regression (needs pysindy).
-        keep: keep the flights, some 3 MB a case.
         processes: cases diagnosed at a time.
     """
     methods = method
@@ -61,17 +58,20 @@ def command(
             raise UserError(f"unknown method {method!r}; known are {', '.join(METHODS)}")
     if "sparse" in methods and importlib.util.find_spec("pysindy") is None:
         raise UserError("--method sparse needs pysindy; pip install 'inclined-landing[baselines]'")
-    drawn = strata.cases((SETS[set], seed), cases)
+    drawn = of_set(set, seed, cases)
     labels = {case.name: case.label() for case in drawn}
     out = runs.new_run(out, "gap-blind", resumable=_SET)
     with runs.held(out):
         storage.remove_parts(out)
         _open_set(out, {"set": set, "seed": seed, "cases": len(drawn)}, labels)
-        _diagnose_all(drawn, labels, methods, out, keep, processes)
+        _diagnose_all(drawn, labels, methods, out, processes)
         results = _score(out, labels, methods)
     storage.write_json(out / _RESULTS, results)
     storage.write_text(out / "table.md", markdown(results))
-    storage.write_text(out / "report.html", page(results))
+    figure = reliability(results)
+    if figure is not None:
+        style.save_figure(figure, out / "reliability.png")
+    storage.write_text(out / "report.html", page(results, figure))
     Console().print(markdown(results), markup=False, highlight=False, soft_wrap=True)
 
 
@@ -91,7 +91,7 @@ def _open_set(out: Path, description: dict, labels: dict) -> None:
     storage.write_text(out / _LABELS, sealed)
 
 
-def _diagnose_all(drawn, labels: dict, methods, out: Path, keep: bool, processes: int) -> None:
+def _diagnose_all(drawn, labels: dict, methods, out: Path, processes: int) -> None:
     for method in methods:
         style.make_folder(out / "reports" / method)
     todo = []
@@ -104,7 +104,7 @@ def _diagnose_all(drawn, labels: dict, methods, out: Path, keep: bool, processes
     with Progress(*_COLUMNS, console=Console(stderr=True), transient=True) as progress:
         bar = progress.add_task("cases", total=len(drawn), completed=len(drawn) - len(todo))
         with ProcessPoolExecutor(processes, mp_context=context, initializer=_few_threads) as pool:
-            jobs = [pool.submit(_case, case, left, out, keep) for case, left in todo]
+            jobs = [pool.submit(_case, case, left, out) for case, left in todo]
             try:
                 for job in as_completed(jobs):
                     job.result()
@@ -131,54 +131,44 @@ def _scored(out: Path, method: str, name: str, label: dict) -> dict | None:
     try:
         report = storage.read_json(_report(out, method, name), "report")
         row = {"case": name} | score.score_case(label, report)
-        score.table([row])
+        summary.by_family([row])
     except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError):
         return None
     return row
 
 
-def _case(case: strata.Case, methods: Sequence[str], out: Path, keep: bool) -> None:
-    """Fly one case, read its logs as a user would, and write the report of every method."""
-    from inclined_landing.eval.logs import read_log
-
-    folder = out / "flights" / case.name
-    write_flights(case, folder)
-    fitted = [read_log(path) for path in sorted(folder.glob("flight_*.csv"))]
-    kept = [read_log(path) for path in sorted(folder.glob("heldout_*.csv"))]
+def _case(case: Case, methods: Sequence[str], out: Path) -> None:
+    """Fly one case, identify its vehicle as a user would, and write the report of every method."""
+    flown, began = case.fly(), time.perf_counter()
+    vehicle = case.vehicle(_identified(flown))
+    spent = time.perf_counter() - began
     for method in methods:
         began = time.perf_counter()
-        report = diagnosed(method, fitted, kept)
-        report["wall seconds"] = time.perf_counter() - began
+        try:
+            report = diagnosed(method, flown, vehicle)
+        except UserError as error:
+            report = {"verdict": "failed", "effects": [], "notes": [str(error)]}
+        report |= {"identify seconds": spent, "wall seconds": time.perf_counter() - began}
         storage.write_json(_report(out, method, case.name), report)
-    if not keep:
-        shutil.rmtree(folder)
 
 
-def write_flights(case: strata.Case, folder: Path) -> None:
-    """Fly `case` and write its logs: flight_NN.csv to diagnose, heldout_NN.csv to measure the gap on."""
-    from . import generate
-
-    recordings = generate.flights_of(case)
-    folder.mkdir(parents=True, exist_ok=True)
-    for k, recording in enumerate(recordings):
-        name = f"flight_{k:02d}" if k < case.count else f"heldout_{k - case.count:02d}"
-        generate.write_csv(recording, folder / f"{name}.csv", voltage=case.voltage, contact=case.landings)
-
-
-def diagnosed(method: str, flights: Sequence, heldout: Sequence) -> dict:
-    """The report of one method on the logs of one case, for the nominal vehicle."""
+def _identified(flown: Flown) -> Vehicle:
+    from inclined_landing.eval.gap.answer.identify import identify
     from inclined_landing.models.parameters import load_vehicle
 
+    return identify(flown.identify, load_vehicle()).vehicle if flown.identify else load_vehicle()
+
+
+def diagnosed(method: str, flown: Flown, vehicle: Vehicle) -> dict:
+    """The report of one method on the logs of one case."""
     if method == "workflow":
         from inclined_landing.eval.gap import diagnose
 
-        diagnosis = diagnose(
-            flights, load_vehicle(), heldout=heldout, plants=("analytic", "mujoco"), curves=False
-        )
-        return diagnosis.to_json()
+        plants = ("analytic", "mujoco")
+        return diagnose(flown.gap, vehicle, heldout=flown.heldout, plants=plants, curves=False).to_json()
     from . import baselines
 
-    return baselines.report(method, flights, heldout, load_vehicle())
+    return baselines.report(method, flown.gap, flown.heldout, vehicle)
 
 
 def _score(out: Path, labels: dict, methods: Sequence[str]) -> dict:
@@ -186,5 +176,10 @@ def _score(out: Path, labels: dict, methods: Sequence[str]) -> dict:
     results = storage.read_json(out / _SET, "record") | {"methods": {}}
     for method in methods:
         rows = [_scored(out, method, name, label) for name, label in sorted(labels.items())]
-        results["methods"][method] = {"table": score.table(rows), "cases": rows}
+        results["methods"][method] = {
+            "table": summary.table(rows),
+            "families": summary.by_family(rows),
+            "calibration": summary.calibration(rows),
+            "cases": rows,
+        }
     return results

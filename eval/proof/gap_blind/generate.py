@@ -1,19 +1,9 @@
-"""Flights with a hidden cause, as documented CSV logs.
-
-Ten flights for one cause, in memory, for development::
-
-    from inclined_landing.eval.proof.gap_blind.generate import flights, logs
-    recordings, drawn = flights("wind", "medium", seed=3)     # drawn.parameters: the truth
-    flight_logs = logs(recordings, voltage=drawn.voltage)     # FlightLog objects, as read from CSV
-    recordings, drawn = flights(None, None, seed=3)           # nothing hidden
-
-    flights(["wind", "thrust_scale"], "medium", seed=3)       # two causes
-    flights("wind", "weak", seed=3, count=3, noise=3.0)       # three flights, three times the noise
+"""Flights and landings with a hidden cause, as recordings, logs or tables of the documented CSV.
 
     recordings, drawn = landings("friction", "strong", seed=3)  # sixteen touchdowns, four on the floor
-    logs(recordings, contact=True)
+    flight_logs = logs(recordings, contact=True)  # FlightLog objects, as read from CSV
 
-Names and sizes are in `causes.py`. The same arguments give the same flights. A whole blind set: `run.py`.
+Names and sizes are in `causes.py`; whole cases in `cases.py`. The same arguments give the same flights.
 """
 
 from __future__ import annotations
@@ -35,9 +25,10 @@ from inclined_landing.eval.proof.simulator import (
 )
 from inclined_landing.models import storage
 
-from . import causes, strata
+from . import causes
 
 SECONDS = 20.0
+LANDINGS = 16
 _LOWEST = 0.022  # m, the lowest height of the centre in a flight that does not land: the feet end at 0.018
 _TRIES = 30
 _BEFORE, _AFTER = 1.0, 0.7  # s of log before the first touch and after it
@@ -49,37 +40,18 @@ HEADER = (
 )
 
 
-def flights(
-    cause: str | Sequence[str] | None,
-    size: str | None,
-    seed: int | Sequence[int],
-    *,
-    count: int = 10,
-    noise: float = 1.0,
-    seconds: float = SECONDS,
-) -> tuple[list[Recording], causes.Drawn]:
-    """Fly `count` ordinary flights with the named cause or causes (None: nothing hidden).
-
-    Returns the recordings and the cause's numbers; with several causes the parameters are keyed
-    `cause.parameter`.
-    """
-    rng = np.random.default_rng(seed)
-    drawn = _draw(cause, size, rng)
-    return fly_all(drawn, rng, count=count, noise=noise, seconds=seconds), drawn
-
-
 def landings(
     cause: str | Sequence[str] | None,
     size: str | None,
     seed: int | Sequence[int],
     *,
-    count: int = strata.LANDINGS,
-    noise: float = 1.0,
+    count: int = LANDINGS,
 ) -> tuple[list[Recording], causes.Drawn]:
-    """The same for `count` landings, every fourth on the floor, the others on the inclined platform."""
+    """Land `count` times with the named cause or causes (None: nothing hidden): every fourth on the floor,
+    the others on the inclined platform."""
     rng = np.random.default_rng(seed)
     drawn = _draw(cause, size, rng)
-    return land_all(drawn, rng, count=count, noise=noise), drawn
+    return land_all(drawn, rng, count=count), drawn
 
 
 def _draw(cause, size, rng) -> causes.Drawn:
@@ -95,7 +67,6 @@ def fly_all(
     reality: Reality | None = None,
     *,
     count: int = 10,
-    noise: float = 1.0,
     seconds: float = SECONDS,
 ) -> list[Recording]:
     """Fly `count` ordinary flights in the world of `drawn`, kinds in a random order.
@@ -114,7 +85,7 @@ def fly_all(
         world = World(**fields)
         lowest = world.load_length + 0.3 if world.load_mass > 0 else 0.0
         for _ in range(_TRIES):
-            recording = fly(ordinary(kind, rng, seconds, lowest), world, rng, reality, noise=noise)
+            recording = fly(ordinary(kind, rng, seconds, lowest), world, rng, reality)
             if recording.truth[:, 2].min() > _LOWEST:
                 break
         else:
@@ -123,9 +94,7 @@ def fly_all(
     return recordings
 
 
-def land_all(
-    drawn: causes.Drawn, rng: np.random.Generator, *, count: int = strata.LANDINGS, noise: float = 1.0
-) -> list[Recording]:
+def land_all(drawn: causes.Drawn, rng: np.random.Generator, *, count: int = LANDINGS) -> list[Recording]:
     """Land `count` times in the world of `drawn`; only landings that come to rest on the feet are kept.
 
     The pilot goes by the nominal platform. Every fourth landing is on the floor, 2 m beside it, where
@@ -144,7 +113,7 @@ def land_all(
                 fields[field] += value
         world = World(**fields)
         for _ in range(_TRIES):
-            recording = fly(landing(rng, surface, tilt, c.foot_height), world, rng, noise=noise)
+            recording = fly(landing(rng, surface, tilt, c.foot_height), world, rng)
             if _landed(recording, world):
                 break
         else:
@@ -168,14 +137,6 @@ def _landed(recording: Recording, world: World) -> bool:
     level = np.abs(truth[-1, 6:8] - [0.0, world.surface_tilt]).max() < 0.1
     upright = np.abs(truth[first:, 6:8] - [0.0, world.surface_tilt]).max() < 0.6
     return bool(still and level and upright and recording.contact[last - 1])
-
-
-def flights_of(case: strata.Case) -> list[Recording]:
-    """The flights of a case: those to diagnose, then strata.HELDOUT more of the same vehicle."""
-    rng = np.random.default_rng(case.entropy)
-    if case.landings:
-        return land_all(case.drawn, rng, count=case.count + strata.HELDOUT, noise=case.noise)
-    return fly_all(case.drawn, rng, count=case.count + strata.HELDOUT, noise=case.noise)
 
 
 def table(recording: Recording, *, voltage: bool = False, contact: bool = False):

@@ -1,8 +1,11 @@
-"""The tables of a blind set, as Markdown and as one self-contained HTML page."""
+"""The tables of a blind set, as Markdown, as a figure and as one self-contained HTML page."""
 
 from __future__ import annotations
 
-from inclined_landing.eval.base.page import render
+from matplotlib.figure import Figure
+
+from inclined_landing.eval.base import style
+from inclined_landing.eval.base.page import embedded, png, render
 
 from .score import OUTCOMES
 
@@ -14,16 +17,17 @@ _TITLES = {
 
 
 def markdown(results: dict) -> str:
-    """Every method's table, with the set and its seed."""
-    head = f"Blind set `{results['set']}`, seed {results['seed']}, {results['cases']} cases\n"
-    parts = [head]
+    """Every method's tables, with the set and its seed."""
+    parts = [f"Blind set `{results['set']}`, seed {results['seed']}, {results['cases']} cases\n"]
     for method, result in results["methods"].items():
-        header, lines = cells(result["table"])
         parts.append(f"### {_TITLES[method]}\n")
-        parts.append("| " + " | ".join(header) + " |")
-        parts.append("|" + "---|" * len(header))
-        parts += ["| " + " | ".join(line) + " |" for line in lines]
-        parts.append("")
+        for header, lines in (cells(result["table"]), family_cells(result["families"])):
+            parts.append("| " + " | ".join(header) + " |")
+            parts.append("|" + "---|" * len(header))
+            parts += ["| " + " | ".join(line) + " |" for line in lines]
+            parts.append("")
+        if words := calibrated(result["calibration"]):
+            parts.append(words + "\n")
     return "\n".join(parts)
 
 
@@ -40,18 +44,49 @@ def cells(table: list[dict]) -> tuple[list[str], list[list[str]]]:
         "also flagged",
         "parameter error",
     ]
-    header += [f"gap closed, {plant}" for plant in plants] + ["seconds"]
+    header += ["intervals that hold", *(f"gap closed, {plant}" for plant in plants), "seconds"]
     lines = []
     for line in table:
         row = [line["stratum"], str(line["cases"]), *(str(line[name]) for name in shown)]
         row += [_share(line["good"]), _share(line["first"], interval=False), str(line["also flagged"])]
-        row += [_median(line["error"])] + [_median(line["closed"].get(plant)) for plant in plants]
+        row += [_median(line["error"]), _share(line["covered"])]
+        row += [_median(line["closed"].get(plant)) for plant in plants]
         row += ["" if line["seconds"] is None else f"{line['seconds']:.1f}"]
         lines.append(row)
     return header, lines
 
 
+def family_cells(families: list[dict]) -> tuple[list[str], list[list[str]]]:
+    """Good cases of every family by stratum, as text."""
+    strata = list(dict.fromkeys(name for one in families for name in one["strata"]))
+    header = ["family", "all good [95 %]", *strata, "calibration error", "log score"]
+    lines = []
+    for one in families:
+        row = [one["family"], _share(one["all"])]
+        row += [_count(one["strata"].get(name)) for name in strata]
+        c = one["calibration"]
+        row += ["", ""] if c is None else [f"{c['error']:.2f}", f"{c['log score']:.2f}"]
+        lines.append(row)
+    return header, lines
+
+
+def calibrated(calibration: dict | None) -> str:
+    """How far the probabilities can be believed, in a sentence."""
+    if calibration is None:
+        return ""
+    return (
+        f"Probabilities of the likeliest set in {calibration['cases']} cases: expected calibration error "
+        f"{calibration['error']:.3f} in ten bins; log score of the truth {calibration['log score']:.2f}."
+    )
+
+
+def _count(proportion: dict | None) -> str:
+    return "" if proportion is None else f"{proportion['count']}/{proportion['of']}"
+
+
 def _share(proportion: dict, interval: bool = True) -> str:
+    if proportion["share"] is None:
+        return ""
     text = f"{100 * proportion['share']:.0f} %"
     if interval:
         text += " [{:.0f}, {:.0f}]".format(*(100 * end for end in proportion["interval"]))
@@ -62,10 +97,39 @@ def _median(value: dict | None) -> str:
     return "" if value is None else f"{100 * value['median']:.1f} %"
 
 
-def page(results: dict) -> str:
-    """One self-contained HTML page: the tables, then every case with label and answer."""
+def reliability(results: dict) -> Figure | None:
+    """Share of right answers against the probability given to them; None where no method gives any."""
+    shown = {name: one["calibration"] for name, one in results["methods"].items() if one["calibration"]}
+    if not shown:
+        return None
+    with style.styled():
+        figure = Figure(figsize=(4.6, 4.4))
+        axes = figure.add_axes((0.14, 0.12, 0.82, 0.82))
+        axes.plot([0, 1], [0, 1], color=style.RULE, zorder=1)
+        for colour, (name, one) in zip((style.BLUE, style.ORANGE, style.GREEN), shown.items()):
+            x = [b["probability"] for b in one["bins"]]
+            y = [b["right"]["share"] for b in one["bins"]]
+            low = [max(0.0, s - b["right"]["interval"][0]) for s, b in zip(y, one["bins"])]
+            high = [max(0.0, b["right"]["interval"][1] - s) for s, b in zip(y, one["bins"])]
+            axes.errorbar(x, y, [low, high], fmt="o", color=colour, capsize=3, label=_TITLES[name])
+            for a, b, c in zip(x, y, one["bins"]):
+                axes.annotate(str(c["right"]["of"]), (a, b), (5, -10), textcoords="offset points", fontsize=8)
+        axes.set(xlim=(0, 1.02), ylim=(-0.02, 1.02))
+        axes.set(xlabel="probability of the likeliest set", ylabel="share of the cases where it is right")
+        axes.legend(loc="upper left")
+    return figure
+
+
+def page(results: dict, figure: Figure | None) -> str:
+    """One self-contained HTML page: the tables, the reliability, then every case with label and answer."""
     methods = [
-        {"title": _TITLES[name], "table": cells(result["table"]), "cases": result["cases"]}
+        {
+            "title": _TITLES[name],
+            "table": cells(result["table"]),
+            "families": family_cells(result["families"]),
+            "calibrated": calibrated(result["calibration"]),
+            "cases": result["cases"],
+        }
         for name, result in results["methods"].items()
     ]
     return render(
@@ -74,5 +138,6 @@ def page(results: dict) -> str:
         title="Blind test of the gap workflow",
         results=results,
         methods=methods,
+        figure=None if figure is None else embedded(png(figure)),
         versions=results.get("versions", {}),
     )

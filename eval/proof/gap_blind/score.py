@@ -1,15 +1,17 @@
-"""The scorer: opens the labels after the diagnoses are written, and counts.
+"""The scorer: judges one report against what was hidden.
 
 Outcome of one case, in this order:
 
-- nothing hidden: `right` (verdict nothing) or `false alarm`;
+- nothing hidden, or only unrest: `right` (verdict nothing, or names of what comes with it), `false alarm` (an
+effect
+  is named) or `false unknown`;
 - a cause outside the library: `flagged` (verdict unknown), `misnamed` (only effects) or `missed`;
 - else `named` (every hidden cause is the name of an effect, or one of its declared aliases is), `tie` (every
   one is at least in the class of an effect), `half` (some of several causes), `misnamed` (none, but effects
   are named), `missed` (no effects).
 
 An effect whose class holds neither a hidden cause, nor an alias, nor what physically comes with it
-(`strata.py`) is *spurious*: a case with one is never `named` or `tie` but `spurious`.
+(`accepted.py`) is *spurious*: a case with one is never `named` or `tie` but `spurious`.
 """
 
 from __future__ import annotations
@@ -17,71 +19,57 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-import numpy as np
-
-from inclined_landing.eval.base.statistics import proportion
 from inclined_landing.eval.proof.simulator import constants
 from inclined_landing.models.effects import LIBRARY
 
-from .strata import ALIASES, ENTAILED, STRATA
-
-_HOVER = constants().mass * constants().gravity  # N
+from .accepted import EFFECT, LEVEL, NOT_COMPARED, accepted, entailed
+from .causes import UNKNOWN, UNREST
 
 OUTCOMES = (
     *("named", "tie", "spurious", "half", "misnamed", "missed"),
-    *("right", "false alarm", "flagged"),
+    *("right", "false alarm", "false unknown", "flagged", "failed"),
 )
 GOOD = ("named", "tie", "right", "flagged")
-
-
-def accepted(cause: str) -> tuple[frozenset[str], ...]:
-    """The sets of effect names that name `cause`, itself first."""
-    return (
-        frozenset({cause}),
-        *(names for one, sets, _ in ALIASES if one == cause for names in sets),
-    )
-
-
-def entailed(cause: str) -> frozenset[str]:
-    """The effects that physically come with `cause`."""
-    return frozenset(name for ones, names, _ in ENTAILED if cause in ones for name in names)
+_WEIGHT = constants().mass * constants().gravity  # N
+_NEAR_GROUND = (
+    constants().rotor_radius / (4.0 * 0.09)
+) ** 2  # the library's ratio squared, 90 mm above ground
 
 
 def score_case(label: Mapping, report: Mapping) -> dict:
     """Judge one report against its label: a flat row.
 
-    label as in labels.json (see `strata.Case.label`); report as in report.json: `verdict`, `effects` with
-    `name`, `class`, `parameters`, optionally `gap` and `seconds`.
+    label as of `cases.Case.label`; report as report.json: `verdict`, `effects` with `name`, `class`,
+    `parameters`, optionally `sets`, `gap` and `seconds`.
     """
     effects = report["effects"]
     found = [effect["name"] for effect in effects]
     classes = [{effect["name"], *effect.get("class", ())} for effect in effects]
-    hidden = [*label["causes"], *label["base"]]
-    welcome = set().union(*(set().union(*accepted(c)) | entailed(c) for c in hidden)) if hidden else set()
+    welcome = _welcome(label)
     spurious = [name for name, members in zip(found, classes) if not members & welcome]
-    states = [_found(cause, found, classes) for cause in label["causes"]]
-    row = {
-        "stratum": label["stratum"],
-        "causes": list(label["causes"]),
-        "size": label["size"],
+    return {
+        **{key: label[key] for key in ("family", "stratum", "causes", "size")},
         "verdict": report["verdict"],
         "effects": found,
         "classes": [sorted(members) for members in classes],
         "spurious": spurious,
-        "outcome": _outcome(label, report, states, spurious, found),
+        "outcome": _outcome(label, report, spurious, found, classes),
         "flagged": report["verdict"] == "unknown",
-        "errors": {
-            cause: error
-            for cause in label["causes"]
-            if (error := parameter_error(cause, label["parameters"][cause], effects)) is not None
-        },
+        "belief": belief(label, report),
+        "errors": {c: e for c in label["causes"] if (e := parameter_error(c, label, effects)) is not None},
+        "covered": {c: x for c in label["causes"] if (x := covered(c, label, effects))},
         "closed": {plant: closed_share(gap) for plant, gap in report.get("gap", {}).items()},
         "seconds": report.get("seconds"),
     }
-    return row
 
 
-def _found(cause: str, names: list[str], classes: list[set]) -> str | None:
+def _welcome(label: Mapping) -> set[str]:
+    """Names that are right to give beside or instead of the causes' own."""
+    hidden = [*label["causes"], *label["base"]]
+    return {name for c in hidden for names in (*accepted(c), entailed(c)) for name in names}
+
+
+def _found(cause: str, names: Iterable[str], classes: list[set]) -> str | None:
     if any(option <= set(names) for option in accepted(cause)):
         return "named"
     if any(all(any(one in members for members in classes) for one in option) for option in accepted(cause)):
@@ -89,17 +77,17 @@ def _found(cause: str, names: list[str], classes: list[set]) -> str | None:
     return None
 
 
-def _outcome(label, report, states, spurious, found) -> str:
-    if not label["causes"]:
-        # Base constants that are off are no causes, but naming them is right.
-        alarm = report["verdict"] != "nothing" and (spurious or not label["base"])
-        return "false alarm" if alarm else "right"
-    if not label["known"]:
-        if report["verdict"] == "unknown":
-            return "flagged"
-        return "misnamed" if found else "missed"
+def _outcome(label, report, spurious, found, classes) -> str:
+    if report["verdict"] == "failed":
+        return "failed"
+    unknown = report["verdict"] == "unknown"
+    if set(label["causes"]) <= set(UNREST):
+        return "false alarm" if spurious else "false unknown" if unknown else "right"
+    if set(label["causes"]) & set(UNKNOWN):
+        return "flagged" if unknown else "misnamed" if found else "missed"
     if not found:
         return "missed"
+    states = [_found(cause, found, classes) for cause in label["causes"]]
     if not any(states):
         return "misnamed"
     if not all(states):
@@ -107,6 +95,35 @@ def _outcome(label, report, states, spurious, found) -> str:
     if spurious:
         return "spurious"
     return "named" if all(state == "named" for state in states) else "tie"
+
+
+def belief(label: Mapping, report: Mapping) -> dict | None:
+    """What the report believes of its answer: None where it has no probabilities or no set of the library is
+    true.
+
+    Returns `probability` of the likeliest set, whether that set is `right`, and the probability of the
+    `truth`: of all sets that are right. Names that free flight cannot tell apart count as one.
+    """
+    if not report.get("sets") or set(label["causes"]) & set(UNKNOWN):
+        return None
+    believed: dict[frozenset[str], float] = {}
+    for one in report["sets"]:
+        names = frozenset(LEVEL[0] if name in LEVEL else name for name in one["effects"])
+        if not 0.0 <= one["probability"] <= 1.0:
+            raise ValueError(f"a probability of {one['probability']}")
+        believed[names] = believed.get(names, 0.0) + one["probability"]
+    welcome = _welcome(label)
+    causes = [cause for cause in label["causes"] if cause not in UNREST]
+
+    def right(names: frozenset[str]) -> bool:
+        return names <= welcome and all(_found(cause, names, []) for cause in causes)
+
+    likeliest = max(believed, key=believed.get)
+    return {
+        "probability": min(1.0, believed[likeliest]),
+        "right": right(likeliest),
+        "truth": min(1.0, math.fsum(p for names, p in believed.items() if right(names))),
+    }
 
 
 def closed_share(gap: Mapping) -> float | None:
@@ -120,111 +137,82 @@ def closed_share(gap: Mapping) -> float | None:
     return (before - after) / (before - floor)
 
 
-def parameter_error(cause: str, truth: Mapping[str, float], effects: Iterable[Mapping]) -> float | None:
-    """Error of the estimate as a share of how far the truth is from neutral; None without an estimate.
+def parameter_error(cause: str, label: Mapping, effects: Iterable[Mapping]) -> float | None:
+    """Error of the estimate as a share of how far the truth is from neutral; None without an estimate."""
+    truth = label["parameters"][cause]
+    effect = _estimate(cause, effects)
+    wanted = comparable(cause, truth)
+    if effect is None or wanted is None:
+        return None
+    given = comparable(effect["name"], {n: p["value"] for n, p in effect["parameters"].items()}, at=truth)
+    if given is None or not set(wanted) <= set(given):
+        return None
+    size = math.hypot(*wanted.values())
+    return math.hypot(*(given[key] - value for key, value in wanted.items())) / size if size > 0 else None
 
-    Thrust scale, thrust bias and mass are compared by what they do to thrust over mass in hover, a battery
-    without its channel by the slope of thrust over load.
-    """
-    for effect in effects:
-        values = {name: one["value"] for name, one in effect["parameters"].items()}
-        wanted = comparable(cause, truth)
-        given = comparable(effect["name"], values, at=truth)
-        if wanted is None or given is None or set(wanted) != set(given):
+
+def covered(cause: str, label: Mapping, effects: Iterable[Mapping]) -> dict[str, bool]:
+    """Number -> does its 95 % interval hold the truth? Empty without an estimate or intervals."""
+    truth = label["parameters"][cause]
+    effect = _estimate(cause, effects)
+    wanted = comparable(cause, truth)
+    if effect is None or wanted is None:
+        return {}
+    values = {name: one["value"] for name, one in effect["parameters"].items()}
+    result = {}
+    for name, one in effect["parameters"].items():
+        if name == "reference" or not one.get("ci95"):
             continue
-        if effect["name"] != cause and frozenset({effect["name"]}) not in accepted(cause):
-            continue
-        size = math.hypot(*(value for value in wanted.values()))
-        off = math.hypot(*(given[key] - value for key, value in wanted.items()))
-        return off / size if size > 0 else None
-    return None
+        low, high = (comparable(effect["name"], values | {name: end}, at=truth) or {} for end in one["ci95"])
+        for key in set(wanted) & set(low):
+            if low[key] != high[key]:
+                result[key] = min(low[key], high[key]) <= wanted[key] <= max(low[key], high[key])
+    return result
+
+
+def _estimate(cause: str, effects: Iterable[Mapping]) -> Mapping | None:
+    """The effect that names `cause` alone, if there is one."""
+    names = {name for option in accepted(cause) if len(option) == 1 for name in option}
+    return next((effect for effect in effects if effect["name"] in names), None)
 
 
 def comparable(
     effect: str, values: Mapping[str, float], at: Mapping[str, float] | None = None
 ) -> dict[str, float] | None:
-    """What two estimates of an effect are compared by: deviations from neutral.
+    """What truth and estimate of an effect are compared by: deviations from neutral. None: nothing.
 
-    at: holds the `pwm` or the `voltage` in hover, where the slopes of a battery are taken.
+    Thrust scale, thrust bias and mass by what they do to thrust over mass in hover; a battery without its
+    channel by the slope of thrust over load, with it by that over voltage; ground effect by the thrust it
+    adds 90 mm above the ground. The others by their own numbers, which realities of other forms share:
+    factors of the drag, lag or gain that the vehicle had before, offsets, delays. at: holds the `pwm` or the
+    `voltage` in hover, where the slopes of a battery are taken.
     """
-    weight = _HOVER
+    if effect in NOT_COMPARED or EFFECT.get(effect, effect) not in LIBRARY:
+        return None
     if effect == "thrust_scale":
         return {"level": values["scale"] - 1}
     if effect == "thrust_bias":
-        return {"level": values["force"] / weight}
+        return {"level": values["force"] / _WEIGHT}
     if effect == "mass":
         return {"level": 1 / values["scale"] - 1}
-    if effect == "battery_sag":
-        if "slope" in values:
-            return {"slope over load": values["slope"]}
-        if at is None or "pwm" not in at:
-            return None
-        sag, reference = values["sag"], values["reference"]
-        return {"slope over load": sag / reference / (1 - sag * (at["pwm"] / reference - 1))}
-    if effect == "battery_voltage":
-        if "slope" in values:
-            return {"slope over voltage": values["slope"]}
-        if at is None or "voltage" not in at:
-            return None
-        change = values["sensitivity"]
-        return {"slope over voltage": change / (1 + change * (at["voltage"] - values["reference"]))}
-    neutral = LIBRARY[effect].neutral if effect in LIBRARY else {}
+    if effect == "ground_effect":
+        return {"gain": values["gain"] if "gain" in values else values["strength"] * _NEAR_GROUND}
+    if effect in ("battery_sag", "battery_voltage"):
+        return _slope(effect, values, at)
+    neutral = LIBRARY[EFFECT.get(effect, effect)].neutral
     return {name: value - neutral.get(name, 0.0) for name, value in values.items()}
 
 
-def table(rows: Iterable[Mapping]) -> list[dict]:
-    """One line per stratum and one for every size of the single effects: counts, shares, intervals.
-
-    Keys: `stratum`, `cases`, a count for each of OUTCOMES, `good` (named or tie; right; flagged), `first`
-    (the right cause found, spurious ones or not), `also flagged` among cases of the library, each a
-    proportion with Wilson's 95 % interval; `error` and `closed`: medians with quartiles.
-    """
-    rows = list(rows)
-    lines = []
-    for stratum in STRATA:
-        members = [row for row in rows if row["stratum"] == stratum]
-        if not members:
-            continue
-        lines.append(_line(stratum, members))
-        if stratum in ("single", "unknown"):
-            for size in ("weak", "medium", "strong"):
-                part = [row for row in members if row["size"] == size]
-                if part:
-                    lines.append(_line(f"{stratum}, {size}", part))
-    return lines
-
-
-def _line(name: str, rows: list[Mapping]) -> dict:
-    outcomes = [row["outcome"] for row in rows]
-    n = len(rows)
-    found = sum(outcome in (*GOOD, "spurious") for outcome in outcomes)
-    known = [row for row in rows if row["outcome"] not in ("flagged", "right", "false alarm")]
-    errors = [error for row in rows for error in row["errors"].values()]
-    line = {"stratum": name, "cases": n}
-    line |= {outcome: outcomes.count(outcome) for outcome in OUTCOMES}
-    line["good"] = proportion(sum(outcome in GOOD for outcome in outcomes), n)
-    line["first"] = proportion(found, n)
-    line["also flagged"] = sum(row["flagged"] for row in known)
-    line["error"] = _quartiles(errors)
-    plants = sorted({plant for row in rows for plant in row["closed"]})
-    line["closed"] = {
-        plant: _quartiles(
-            [
-                row["closed"][plant]
-                for row in rows
-                if row["outcome"] in ("named", "tie") and row["closed"].get(plant) is not None
-            ]
-        )
-        for plant in plants
-    }
-    seconds = [row["seconds"] for row in rows if row["seconds"] is not None]
-    line["seconds"] = float(np.median(seconds)) if seconds else None
-    return line
-
-
-def _quartiles(values: list[float]) -> dict | None:
-    """Median and quartiles; None without values."""
-    if not values:
+def _slope(
+    effect: str, values: Mapping[str, float], at: Mapping[str, float] | None
+) -> dict[str, float] | None:
+    key, hover = ("slope over load", "pwm") if effect == "battery_sag" else ("slope over voltage", "voltage")
+    if "slope" in values:
+        return {key: values["slope"]}
+    if at is None or hover not in at:
         return None
-    low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
-    return {"of": len(values), "median": float(middle), "quartiles": [float(low), float(high)]}
+    if effect == "battery_sag":
+        sag, reference = values["sag"], values["reference"]
+        return {key: sag / reference / (1 - sag * (at["pwm"] / reference - 1))}
+    change = values["sensitivity"]
+    return {key: change / (1 + change * (at["voltage"] - values["reference"]))}

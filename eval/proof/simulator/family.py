@@ -35,7 +35,14 @@ def draw(family: str, rng: np.random.Generator) -> Reality:
     """A reality of a family of FAMILIES."""
     c, common = _constants(rng), _common(rng)
     c, own = _FAMILIES[family](c, rng)
-    return Reality(c, Build(**(common | own)), family)
+    b = Build(**(common | own))
+    if family == "reference":
+        return Reality(c, b, family)
+    # Yaw works through the motors' lag as roll and pitch do: as quick as it can be without overshoot.
+    lag = c.motor_time * (1.0 - b.lead)
+    quick = min(rng.uniform(14.0, 20.0), 1.0 / (4.0 * rng.uniform(0.85, 1.0) ** 2 * max(lag, 1e-6)))
+    integral = quick * rng.uniform(0.2, 0.6)
+    return Reality(c._replace(yaw_bandwidth=quick), b._replace(yaw_integral=integral), family)
 
 
 def _about(rng, size: float) -> float:
@@ -70,7 +77,6 @@ def _constants(rng) -> Constants:
         position_noise=_between(rng, 0.0002, 0.003),
         attitude_noise=math.radians(_between(rng, 0.05, 0.5)),
         gyro_noise=_between(rng, 0.0005, 0.002),
-        yaw_bandwidth=rng.uniform(14.0, 20.0),
     )
 
 
@@ -82,7 +88,6 @@ def _common(rng) -> dict:
     return {
         "rotor": tuple(1.0 + 0.007 * rng.standard_normal(4)),
         "arms": tuple(1.0 + 0.01 * rng.standard_normal(4)),
-        "yaw_integral": rng.uniform(10.0, 30.0),
         "unrest": tuple(size * _between(rng, 0.6, 1.6) for _ in range(3)),
         "unrest_time": _between(rng, 0.1, 1.0),
         "unrest_torque": (turn * _about(rng, 0.3), turn * _about(rng, 0.3), 0.3 * turn),

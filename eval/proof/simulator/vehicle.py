@@ -74,7 +74,7 @@ class Build(NamedTuple):
     # Flight controller. A cascade: attitude, then rates (proportional, integral, derivative); increments of
     # the torque on a geometric attitude error; or a gain on angle, rate and motor torque.
     controller: float = CASCADE
-    lead: float = 1.0  # share of the motors' lag that roll and pitch make up for
+    lead: float = 1.0  # share of the motors' lag that the controller makes up for
     pole_shift: float = (
         1.0  # 1: the cascade asks for the rates whose slow pole is exactly that of the attitude loop
     )
@@ -83,7 +83,7 @@ class Build(NamedTuple):
     derivative_filter: float = 0.005  # s, low-pass of the gyro for it
     integral: float = 0.0  # 1/s2, of the error of roll and pitch rate, in inertias
     integral_leak: float = 1.0  # s, in which it forgets
-    yaw_integral: float = 0.0  # 1/s2
+    yaw_integral: float = 0.0  # 1/s2, in inertias
     kept_torque: float = 0.0  # share of the present torque and acceleration that increments build on
     pole_rate: float = 35.0  # rad/s, fast pair of poles of the full-state gain
     pole_damping: float = 0.8
