@@ -41,7 +41,7 @@ COMMANDS = {
     "gap_example": (EVAL, "gap-example --out {out}", ("fit", "heldout")),
     "gap": (EVAL, "gap {flights} --out {out}", ("report.json",)),
     "identify": (EVAL, "identify {flights} --out {out}", ("report.json",)),
-    "blind": (EVAL, "gap-blind --set dev --seed 3 --out {out}", ("results.json",)),
+    "blind": (EVAL, "gap-blind --set dev --seed 3 --cases 24 --out {out}", ("results.json",)),
     "success_effects": (EVAL, "success landing --effects --json", ()),
 }
 SKIPPED = {

@@ -310,9 +310,7 @@ def test_members_of_a_family_fly_and_obey(family):
         assert np.abs(log.truth[:, 9:11]).max() < 6.0 and log.truth[:, 2].min() > 0.1
         still = Reality(
             reality.constants._replace(**SILENT),
-            reality.build._replace(
-                unrest=(0.0,) * 3, unrest_torque=(0.0,) * 3, rotor=(1.0,) * 4, arms=(1.0,) * 4
-            ),
+            reality.build._replace(unrest=(0.0,) * 3, unrest_torque=(0.0,) * 3, rotor=(1.0,) * 4),
         )
         log = fly(steps(control.REF_PITCH, 0.1, 0.65), World(), rng, still, warm_up=0.5)
         asked = log.command[-1, 2] * reality.constants.attitude_gain

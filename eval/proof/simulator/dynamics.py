@@ -185,7 +185,7 @@ def rotors(s, target, inflow, lateral, c, b, w, r, ds):
             # Motor torque against the propeller's, which grows with n^2: thrust settles exponentially.
             ds[ROTORS + k] = (target[k] ** 2 - n * n) / (2.0 * slow * max(n, 50.0))
         force = c.thrust_per_speed * n * n * inflow * b.rotor[k] + 0.25 * w.thrust_bias
-        x, y = c.arm * b.arms[k] * SIDE_X[k], c.arm * b.arms[k] * SIDE_Y[k]
+        x, y = c.arm * SIDE_X[k], c.arm * SIDE_Y[k]
         if w.ground_effect != 0.0:
             px = s[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * c.disc_height
             pz = s[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * c.disc_height

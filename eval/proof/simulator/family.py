@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from .dynamics import SPIN
 from .flight import Reality
 from .vehicle import (
     CASCADE,
@@ -72,6 +73,7 @@ def _constants(rng) -> Constants:
         drag_per_speed=tuple(x * drag for x in c.drag_per_speed),
         attitude_gain=c.attitude_gain * _about(rng, BASE_ERROR),
         attitude_time=c.attitude_time * _about(rng, BASE_ERROR),
+        arm=c.arm * _about(rng, 0.02),
         inertia=tuple(x * _about(rng, BASE_ERROR) for x in c.inertia),
         battery_voltage=rng.uniform(3.85, 4.15),
         position_noise=_between(rng, 0.0002, 0.003),
@@ -84,10 +86,12 @@ def _common(rng) -> dict:
     """What members of every family differ in: geometry, unrest of the air, log."""
     size = _between(rng, 0.02, 0.15)
     turn = _between(rng, 0.1, 1.0)
+    # Propellers that turn one way are stronger than the others; along the arms they are balanced well, since
+    # a vehicle whose thrust acts beside its centre of mass has a cause to be named.
+    hand = 0.015 * rng.standard_normal()
     ticks = float(rng.choice([1, 2, 4, 5, 10], p=[0.1, 0.15, 0.2, 0.35, 0.2]))
     return {
-        "rotor": tuple(1.0 + 0.007 * rng.standard_normal(4)),
-        "arms": tuple(1.0 + 0.01 * rng.standard_normal(4)),
+        "rotor": tuple(1.0 + hand * spin + 0.001 * rng.standard_normal() for spin in SPIN),
         "unrest": tuple(size * _between(rng, 0.6, 1.6) for _ in range(3)),
         "unrest_time": _between(rng, 0.1, 1.0),
         "unrest_torque": (turn * _about(rng, 0.3), turn * _about(rng, 0.3), 0.3 * turn),

@@ -98,7 +98,6 @@ class Build(NamedTuple):
     thrust_exponent: float = 1.0  # of thrust over PWM, about hover
     thrust_curve: float = 0.0  # quadratic part of the same
     rotor: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)  # thrust of each
-    arms: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)  # length of each
     # Battery: thrust goes with this power of the voltage, by default made up for.
     battery_power: float = 2.0
     uncompensated: float = 0.0  # share of it that the firmware does not make up for
