@@ -79,7 +79,13 @@ class BatchEnv:
     def seed(self, seed: int | None) -> None:
         """Restart the random starts from `seed`."""
         check_seed(seed)
-        self.rng = np.random.default_rng(seed)
+        self.draw_from(np.random.default_rng(seed))
+
+    def draw_from(self, rng: np.random.Generator) -> None:
+        """Take random starts, and the air's unrest where the plant has it, from `rng`."""
+        self.rng = rng
+        if self.plant.unrest:
+            self.plant.unrest.seed(rng)
 
     def episode_state(self) -> dict[str, np.ndarray]:
         """Copies of the per-vehicle records, for `restore_episodes`."""

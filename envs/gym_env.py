@@ -6,7 +6,7 @@ reward. Options of both constructors:
 | option | default | meaning |
 |---|---|---|
 | `plant` | "mujoco" | "mujoco" or "analytic" |
-| `plant_options` | {} | arguments of the plant, such as `{"integrator": "implicitfast"}` |
+| `plant_options` | {} | arguments of the plant: `{"integrator": "implicitfast"}`, `{"unrest": 0}` ... |
 | `vehicle` | shipped | a `Vehicle`, or the path of a vehicle file |
 | others | | arguments of the task, such as `inclination` or `pwm_centre` |
 
@@ -155,7 +155,7 @@ class TaskEnv(gym.Env):
         state = _reset_option(options, "state", ("state",))
         check_seed(seed)
         super().reset(seed=seed)
-        self.batch.rng = self.np_random
+        self.batch.draw_from(self.np_random)
         if state is not None:
             state = np.atleast_2d(numbers(state, "the start state"))
         return self.batch.reset(state=state)[0], {}
@@ -235,7 +235,7 @@ class TaskVectorEnv(VectorEnv):
             ids = ids[mask]
         super().reset(seed=seed)
         if seed is not None:
-            self.batch.rng = self.np_random
+            self.batch.draw_from(self.np_random)
         self.batch.reset(ids, state)
         return self.batch.observe(), {}
 

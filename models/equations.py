@@ -295,8 +295,11 @@ def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
 
 
 @numba.njit(cache=True)
-def _derivative(y, u, ambient, v, p, rate_loop, r, f, dy):
-    """dy/dt of the integrated vector y (13,) under command u (4,); r (3, 3) and f (5,) are scratch."""
+def _derivative(y, u, ambient, push, i, v, p, rate_loop, r, f, dy):
+    """dy/dt of the integrated vector y (13,) under command u (4,); r (3, 3) and f (5,) are scratch.
+
+    push (n, 6), or None: of it row i is further acceleration [m/s2] and torque [N m] in the world's axes.
+    """
     sr, cr = math.sin(y[_PHI]), math.cos(y[_PHI])
     sp, cp = math.sin(y[_THETA]), math.cos(y[_THETA])
     sy, cy = math.sin(y[_PSI]), math.cos(y[_PSI])
@@ -308,6 +311,8 @@ def _derivative(y, u, ambient, v, p, rate_loop, r, f, dy):
     for k in range(3):
         dy[k] = y[VX + k]
         dy[VX + k] = (r[k, 0] * f[0] + r[k, 1] * f[1] + r[k, 2] * f[2]) / mass
+        if push is not None:
+            dy[VX + k] += push[i, k]
     dy[VZ] -= v.environment.gravity
     dy[_OMEGA] = lag_derivative(y[_OMEGA], u[PWM], v, p)
     roll_wanted, pitch_wanted, yaw_wanted = loop_rates(y[_PHI], y[_THETA], u, v, p)
@@ -318,8 +323,14 @@ def _derivative(y, u, ambient, v, p, rate_loop, r, f, dy):
         dy[_RATES] = rate_loop_acceleration(roll_wanted, phid, v.attitude.bandwidth, tau)
         dy[_RATES + 1] = rate_loop_acceleration(pitch_wanted, thetad, v.attitude.bandwidth, tau)
         dy[_RATES + 2] = v.attitude.yaw_bandwidth * (yaw_wanted - psid)
-        if f[3] != 0.0 or f[4] != 0.0:
-            a, b, d = euler_rates(y[_PHI], y[_THETA], f[3] / v.body.inertia[0], f[4] / v.body.inertia[1], 0.0)
+        tx, ty, tz = f[3], f[4], 0.0
+        if push is not None:
+            tx += r[0, 0] * push[i, 3] + r[1, 0] * push[i, 4] + r[2, 0] * push[i, 5]
+            ty += r[0, 1] * push[i, 3] + r[1, 1] * push[i, 4] + r[2, 1] * push[i, 5]
+            tz += r[0, 2] * push[i, 3] + r[1, 2] * push[i, 4] + r[2, 2] * push[i, 5]
+        if tx != 0.0 or ty != 0.0 or tz != 0.0:
+            j = v.body.inertia
+            a, b, d = euler_rates(y[_PHI], y[_THETA], tx / j[0], ty / j[1], tz / j[2])
             dy[_RATES] += a
             dy[_RATES + 1] += b
             dy[_RATES + 2] += d
@@ -335,13 +346,14 @@ def free_air(n: int) -> np.ndarray:
 
 
 @numba.njit(cache=True)
-def advance(state, commands, ambient, vehicle, p, rate_loop, dt, substeps):
+def advance(state, commands, ambient, vehicle, p, rate_loop, dt, substeps, push=None):
     """Advance every vehicle, and its time, in place by substeps * dt with RK4.
 
     state (n, 13) with the columns of `attitude.py`, commands (n, 4) held constant, ambient (n, 4) with
     the columns time, voltage, inclination, present, vehicle from `pack`, p (n, 7) perturbations, rate_loop:
-    which attitude model. With the kinematic model the body rates in the state are those of the
-    first-order loops at the end of the step, and torques have no effect.
+    which attitude model, push (n, 6) further accelerations [m/s2] and torques [N m] in the world's axes.
+    With the kinematic model the body rates in the state are those of the first-order loops at the end of
+    the step, and torques have no effect.
     """
     v, size = vehicle[0], _SIZE if rate_loop else _RATES
     y, z, total = np.zeros(_SIZE), np.zeros(_SIZE), np.zeros(_SIZE)
@@ -352,21 +364,21 @@ def advance(state, commands, ambient, vehicle, p, rate_loop, dt, substeps):
         y[_OMEGA] = s[LAG]
         y[_RATES], y[_RATES + 1], y[_RATES + 2] = euler_rates(s[ROLL], s[PITCH], s[WX], s[WY], s[WZ])
         for _ in range(substeps):
-            _derivative(y, u, around, v, p[i], rate_loop, r, f, k)
+            _derivative(y, u, around, push, i, v, p[i], rate_loop, r, f, k)
             for j in range(size):
                 total[j] = k[j]
                 z[j] = y[j] + 0.5 * dt * k[j]
             around[TIME] += 0.5 * dt
-            _derivative(z, u, around, v, p[i], rate_loop, r, f, k)
+            _derivative(z, u, around, push, i, v, p[i], rate_loop, r, f, k)
             for j in range(size):
                 total[j] += 2.0 * k[j]
                 z[j] = y[j] + 0.5 * dt * k[j]
-            _derivative(z, u, around, v, p[i], rate_loop, r, f, k)
+            _derivative(z, u, around, push, i, v, p[i], rate_loop, r, f, k)
             for j in range(size):
                 total[j] += 2.0 * k[j]
                 z[j] = y[j] + dt * k[j]
             around[TIME] += 0.5 * dt
-            _derivative(z, u, around, v, p[i], rate_loop, r, f, k)
+            _derivative(z, u, around, push, i, v, p[i], rate_loop, r, f, k)
             for j in range(size):
                 y[j] += dt / 6.0 * (total[j] + k[j])
         s[:9] = y[:9]
@@ -386,7 +398,8 @@ def derivative(state: np.ndarray, command: np.ndarray, vehicle: Vehicle, rate_lo
     y[:9], y[_OMEGA] = state[:9], state[LAG]
     y[_RATES:] = euler_rates(state[ROLL], state[PITCH], state[WX], state[WY], state[WZ])
     v, p, command = pack(vehicle)[0], np.array(NEUTRAL), np.asarray(command, float)
-    _derivative(y, command, free_air(1)[0], v, p, rate_loop, np.empty((3, 3)), np.zeros(5), dy)
+    still = free_air(1)[0], None, 0
+    _derivative(y, command, *still, v, p, rate_loop, np.empty((3, 3)), np.zeros(5), dy)
     result = {
         "acceleration": dy[VX : VZ + 1].copy(),
         "euler_rates": dy[_PHI : _PSI + 1].copy(),

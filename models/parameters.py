@@ -22,7 +22,7 @@ from inclined_landing.models import plausible, storage
 from inclined_landing.models.errors import UserError, shown
 
 # Tables and entries that a vehicle file may leave out, whole or in part: the shipped entries are taken.
-_LATER = {"effects", "rotor", "attitude.yaw_gain"}
+_LATER = {"effects", "rotor", "unrest", "attitude.yaw_gain"}
 _FIELDS = ("value", "unit", "source", "uncertainty")
 _SHIPPED = "crazyflie.toml"
 
@@ -94,6 +94,10 @@ class Vehicle:
     platform_max_inclination: float
     contact_friction: float
     contact_solref: tuple[float, float]
+    unrest_acceleration: tuple[float, float, float]
+    unrest_acceleration_time: tuple[float, float, float]
+    unrest_angular: tuple[float, float, float]
+    unrest_angular_time: tuple[float, float, float]
     effects_thrust_bias: float
     effects_thrust_fade: float
     effects_battery_sag: float

@@ -10,6 +10,9 @@ unless another is given), and shows
 - `reset(ids, state)`: full state, lag included; `save()` / `restore()`: everything that a replay needs;
 - `set_platform(ids, inclination, present)` and `perturb(**changes)`, per vehicle, no recompiling.
 
+With `unrest=SEED` both meet the vehicle file's unrest of the air, the same under the same seed (`unrest.py`);
+without it the air is still.
+
 The MuJoCo plant also has `set_contact(ids, ...)`: friction, restitution and contact time, foot height;
 and `torque_needs_motors`: with it, a vehicle under PWM 0 has no attitude torque, as motors make it.
 What happens at touching is seen by `recorder.Recorder`, at every step of the engine.

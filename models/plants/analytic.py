@@ -9,12 +9,14 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.base import Attitude, Plant
 from inclined_landing.models.scene import compile_scene
+from inclined_landing.models.unrest import Seed
 
 
 class AnalyticPlant(Plant):
     """The equations of `equations.py`; obstacles are detected geometrically, never felt.
 
     substeps: RK4 steps per control period. The default of one is the paper's 0.02 s.
+    unrest: seed of the vehicle's unrest of the air; None for still air.
     """
 
     kind = "analytic"
@@ -28,8 +30,9 @@ class AnalyticPlant(Plant):
         keep_out: float = 0.0,
         control_period: float | None = None,
         substeps: int = 1,
+        unrest: Seed | None = None,
     ):
-        super().__init__(n, vehicle, attitude, keep_out, control_period)
+        super().__init__(n, vehicle, attitude, keep_out, control_period, unrest)
         if substeps < 1:
             raise UserError(f"substeps must be at least 1, not {substeps}")
         self.substeps = substeps
@@ -38,7 +41,7 @@ class AnalyticPlant(Plant):
         self._distance = np.empty((n, 3, 3))
         self._ambient = equations.free_air(n)
         self._ambient[:, equations.INCLINATION], self._ambient[:, equations.PRESENT] = self.inclination, True
-        self.contacts.force[:] = np.nan
+        self.reset(np.arange(n), self.state)
 
     def _arrays(self):
         return super()._arrays() | {"position": self._position, "ambient": self._ambient}
@@ -61,28 +64,28 @@ class AnalyticPlant(Plant):
 
     def reset(self, ids, state: np.ndarray) -> None:
         """Put the vehicles `ids` into `state` (k, 13) at time 0; contacts and past commands cleared."""
-        self.state[ids] = state
+        self._begin(ids, state)
         self._ambient[ids, equations.TIME] = 0.0
-        self.delays.reset(ids, state)
-        self._clear_contacts(ids)
 
     def step(self, commands: np.ndarray) -> None:
         """Advance every vehicle by one control period under commands (n, 4)."""
         commands = np.ascontiguousarray(commands, dtype=float)
         dt = self.control_period / self.substeps
+        push = None if self.unrest is None else self.unrest.push(self.state, self.attitude == "rate_loop")
         self.delays.push_commands(commands)
         if self.delays.of_commands:
             for k in range(self.substeps):
-                self._advance(self.delays.acting(k * dt, dt), dt, 1)
+                self._advance(self.delays.acting(k * dt, dt), dt, 1, push)
         else:
-            self._advance(commands, dt, self.substeps)
+            self._advance(commands, dt, self.substeps, push)
+        if self.unrest:
+            self.unrest.step()
         self.delays.push_state(self.state)
         geometry.clearances(self.state, self.inclination, self._position, self.shapes, self._distance)
         np.less(self._distance, self.keep_out, out=self.contacts.near)
         np.less(self._distance, 0.0, out=self.contacts.touch)
 
-    def _advance(self, commands: np.ndarray, dt: float, substeps: int) -> None:
+    def _advance(self, commands: np.ndarray, dt: float, substeps: int, push: np.ndarray | None) -> None:
         rate_loop = self.attitude == "rate_loop"
-        equations.advance(
-            self.state, commands, self._ambient, self._constants, self.perturbation, rate_loop, dt, substeps
-        )
+        vehicles = self.state, commands, self._ambient, self._constants, self.perturbation
+        equations.advance(*vehicles, rate_loop, dt, substeps, push)

@@ -13,6 +13,7 @@ from inclined_landing.models.attitude import STATE_SIZE
 from inclined_landing.models.delays import Delays
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, check_vehicle, load_vehicle
+from inclined_landing.models.unrest import Seed, Unrest
 
 Attitude = Literal["rate_loop", "kinematic"]
 
@@ -53,7 +54,11 @@ class Snapshot:
 
 
 class Plant:
-    """What both plants share: platform poses, perturbations, snapshots."""
+    """What both plants share: platform poses, perturbations, unrest of the air, snapshots.
+
+    unrest: seed of the vehicle file's unrest, None for still air. It acts on every control period as
+    acceleration and torque (`unrest.py`); with kinematic attitude the torque has no effect.
+    """
 
     def __init__(
         self,
@@ -62,6 +67,7 @@ class Plant:
         attitude: Attitude,
         keep_out: float,
         control_period: float | None,
+        unrest: Seed | None,
     ):
         if attitude not in ("rate_loop", "kinematic"):
             raise UserError(f"attitude must be 'rate_loop' or 'kinematic', not {attitude!r}")
@@ -84,6 +90,9 @@ class Plant:
         self.perturbation = perturbation.neutral(n)
         self.delays = Delays(n, self.vehicle, self.control_period)
         self._constants = equations.pack(self.vehicle)
+        self.unrest = None
+        if unrest is not None:
+            self.unrest = Unrest(n, self.vehicle, self.control_period, unrest)
 
     def _arrays(self) -> dict[str, np.ndarray]:
         c = self.contacts
@@ -95,7 +104,9 @@ class Plant:
             "inclination": self.inclination,
             "present": self.present,
             "perturbation": self.perturbation,
-        } | self.delays.arrays()
+            **self.delays.arrays(),
+            **(self.unrest.arrays() if self.unrest else {}),
+        }
 
     @property
     def measurement(self) -> np.ndarray:
@@ -113,6 +124,8 @@ class Plant:
             raise UserError("the snapshot belongs to a plant of another kind or size")
         for name, array in own.items():
             array[:] = snapshot.arrays[name]
+        if self.unrest:
+            self.unrest.resume()
         self._apply_perturbation()
 
     def perturb(self, **changes) -> None:
@@ -122,6 +135,14 @@ class Plant:
 
     def _apply_perturbation(self) -> None:
         """Hook for plants that keep the perturbation elsewhere too."""
+
+    def _begin(self, ids, state: np.ndarray) -> None:
+        """Everything of a new episode of the vehicles `ids`, from `state` (k, 13), that both plants have."""
+        self.state[ids] = state
+        self.delays.reset(ids, state)
+        if self.unrest:
+            self.unrest.reset(ids)
+        self._clear_contacts(ids)
 
     def _clear_contacts(self, ids) -> None:
         self.contacts.near[ids] = False

@@ -29,6 +29,7 @@ from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.base import Attitude, Plant, Snapshot
 from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.scene import compile_scene
+from inclined_landing.models.unrest import Seed, Unrest
 
 # The engine's warnings on which it silently resets a simulation.
 _DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
@@ -45,6 +46,7 @@ class MujocoPlant(Plant):
     keep_out: sensor-only zone around the platform [m] in which contacts count as `near`.
     threads: 0 takes all cores.
     torque_needs_motors: a vehicle under PWM 0 has no attitude torque, as motors make it.
+    unrest: seed of the vehicle's unrest of the air (`xfrc_applied`); None for still air.
     """
 
     kind = "mujoco"
@@ -62,8 +64,9 @@ class MujocoPlant(Plant):
         threads: int = 0,
         torque_limit: bool = True,
         torque_needs_motors: bool = False,
+        unrest: Seed | None = None,
     ):
-        super().__init__(n, vehicle, attitude, keep_out, control_period)
+        super().__init__(n, vehicle, attitude, keep_out, control_period, unrest)
         if not (math.isfinite(timestep) and timestep > 0):
             raise UserError(f"timestep must be positive, not {timestep!r}")
         self.substeps = round(self.control_period / timestep)
@@ -93,6 +96,7 @@ class MujocoPlant(Plant):
         self._seen = {"sensordata": np.zeros((n, self.substeps, self.model.nsensordata))}
         self.contact_sensors = contact_sensors(self.model)
         self._everyone = np.arange(n)
+        self._applied = bind("xfrc_applied")[:, self.model.body("crazyflie").id]
         self._perturbed = self._contact_set = False
         self.torque_needs_motors = torque_needs_motors
         self._loops = np.array([self.model.actuator(name).id for name in ("roll", "pitch", "yaw_rate")])
@@ -175,9 +179,7 @@ class MujocoPlant(Plant):
         self._warmstart[ids] = 0.0
         self._time[ids] = 0.0
         self._warning[ids] = 0
-        self.state[ids] = state
-        self.delays.reset(ids, state)
-        self._clear_contacts(ids)
+        self._begin(ids, state)
 
     def step(self, commands: np.ndarray) -> None:
         """Advance every vehicle by one control period under commands (n, 4).
@@ -217,6 +219,8 @@ class MujocoPlant(Plant):
             self._history[fresh] = empty + commands[fresh] @ held
         self.delays.push_commands(commands, own)
         self.allow_torque(commands)
+        if self.unrest:
+            self._disturb(self.unrest, own)
         if self.attitude == "kinematic":
             kept = np.ones(self.n, bool)
             kept[own] = self.contacts.touch[own].any(axis=(1, 2))
@@ -235,6 +239,15 @@ class MujocoPlant(Plant):
         _read_state(self._qpos, self._qvel, self._act, self.state)
         self.delays.push_state(self.state, own)
         return seen
+
+    def _disturb(self, unrest: Unrest, own) -> None:
+        """Force and torque of the unrest on the vehicles `own` for one control period, which then goes on."""
+        body, masses = self.model.body("crazyflie").id, self.batch.expanded("body_mass")
+        mass = self.model.body_mass[body] if masses is None else masses[:, body, None]
+        push = unrest.push(self.state, self.attitude == "rate_loop")
+        self._applied[own, :3] = (push[:, :3] * mass)[own]
+        self._applied[own, 3:] = push[own, 3:]
+        unrest.step(own)
 
     def allow_torque(self, commands: np.ndarray) -> None:
         """Attitude torques as motors under commands (n, 4) can make them; every step sees to it itself."""

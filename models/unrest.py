@@ -1,0 +1,90 @@
+"""Unrest: the disturbance of the air that does not repeat, of n vehicles.
+
+Each world axis has an acceleration and each body axis an angular acceleration that is an
+Ornstein-Uhlenbeck process: Gaussian, of a standard deviation and a correlation time, both entries of the
+vehicle file's table `[unrest]` (`landing-eval gap` estimates them from flights). The steps are exact for
+any control period; a value is held for one period, and the axes of an angular one are those of the body at
+the period's beginning. Both plants meet the same numbers under the same seed.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from inclined_landing.models.attitude import PITCH, ROLL, YAW, rotation
+from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.parameters import Vehicle
+
+# A seed, or a generator that gives one.
+Seed = int | np.random.Generator
+
+
+class Unrest:
+    """The processes (n, 6) of n vehicles: accelerations along x, y, z of the world, angular ones of the body.
+
+    period: of control [s]. seed: of everything drawn.
+    Raises UserError for a negative seed.
+    """
+
+    def __init__(self, n: int, vehicle: Vehicle, period: float, seed: Seed):
+        self.seed(seed)
+        self._stream = np.zeros(4, np.uint64)
+        self._size = np.array([*vehicle.unrest_acceleration, *vehicle.unrest_angular])
+        times = np.array([*vehicle.unrest_acceleration_time, *vehicle.unrest_angular_time])
+        self._keep = np.exp(-period / np.where(times > 0.0, times, np.inf))
+        self._fresh = self._size * np.sqrt(1.0 - self._keep**2)
+        self._inertia = np.array(vehicle.body_inertia)
+        self.now = np.zeros((n, 6))  # m/s2 along the world's axes, rad/s2 about the body's
+        self._push = np.zeros((n, 6))
+
+    def seed(self, seed: Seed) -> None:
+        """Restart everything drawn from now on."""
+        if isinstance(seed, np.random.Generator):
+            seed = int(seed.integers(2**63))
+        if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+            raise UserError(
+                f"unrest must be a seed, a whole number from 0, or a generator, not {shown(repr(seed), 40)}"
+            )
+        self._bits = np.random.SFC64(int(seed))
+        self._random = np.random.Generator(self._bits)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Everything that a replay needs; `resume` when it has been overwritten."""
+        self._stream[:] = self._bits.state["state"]["state"]
+        return {"unrest": self.now, "unrest_stream": self._stream}
+
+    def resume(self) -> None:
+        """Go on from the stream that `arrays` holds."""
+        state = self._bits.state
+        state["state"]["state"] = self._stream.copy()
+        self._bits.state = state
+
+    def reset(self, ids) -> None:
+        """Begin anew, anywhere in the stationary distribution, for the vehicles `ids`."""
+        self.now[ids] = self._size * self._random.standard_normal(self.now[ids].shape)
+
+    def push(self, state: np.ndarray, torque: bool) -> np.ndarray:
+        """What is held from now on: acceleration [m/s2] and torque [N m] (n, 6) in the world's axes.
+
+        state (n, 13); torque: whether it has an effect, else it is 0.
+        """
+        _push(self.now, state, self._inertia, torque, self._push)
+        return self._push
+
+    def step(self, ids=slice(None)) -> None:
+        """One control period on, for the vehicles `ids`."""
+        now = self.now[ids]
+        self.now[ids] = self._keep * now + self._fresh * self._random.standard_normal(now.shape)
+
+
+@numba.njit(cache=True)
+def _push(now, state, inertia, torque, out):
+    for i in range(len(now)):
+        out[i, :3] = now[i, :3]
+        out[i, 3:] = 0.0
+        if torque:
+            r = rotation(state[i, ROLL], state[i, PITCH], state[i, YAW])
+            for k in range(3):
+                for j in range(3):
+                    out[i, 3 + k] += r[k, j] * inertia[j] * now[i, 3 + j]
