@@ -43,6 +43,10 @@ COMMANDS = {
     "gap-example": ("proof", "Twenty flights with hidden effects, of an independent simulator, to try gap."),
     "gap-blind": ("proof", "Hidden causes in flights of independent simulators: what gap names (minutes)."),
     "gap-real": ("proof", "Measured flights of others: what is named, how much of the gap closes (minutes)."),
+    "nanobench": (
+        "proof",
+        "NanoBench's identification task: an identified vehicle beside the published baselines.",
+    ),
     "benchmark": ("machine", "What a step, an action, a picture and a training cost here (a few minutes)."),
     "doctor": ("machine", "What is installed, what is missing, and what to do about it."),
 }

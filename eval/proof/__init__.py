@@ -1,1 +1,1 @@
-"""Does the gap workflow work? `gap-example`, `gap-blind`, `gap-real`. The workflow never imports this."""
+"""Does the gap workflow work? `gap-example`, `gap-blind`, `gap-real`, `nanobench`. It never imports this."""

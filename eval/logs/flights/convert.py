@@ -87,10 +87,10 @@ def convert(name: str, path: Path) -> tuple[str, pandas.DataFrame, list[str]]:
         if wrong.any():
             notes.append(f"{column} is no PWM in {wrong.sum()} rows ({table[column].max():.0f}): left empty")
             table.loc[wrong, column] = np.nan
-    for column in known.zeros_mean_not_logged:
-        if (table[column] == 0.0).all():
-            notes.append(f"{column} is zero throughout: not logged, left empty")
-            table[column] = np.nan
+    idle = [column for column in known.zeros_mean_not_logged if (table[column] == 0.0).all()]
+    if idle:
+        notes.append(f"zero throughout: {', '.join(idle)}; not logged, left empty")
+        table[idle] = np.nan
     decimals = {c: of["decimals"] for c, of in known.columns.items() if "decimals" in of}
     return match.expand(known.name), table.round(decimals), notes
 
