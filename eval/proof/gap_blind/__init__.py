@@ -1,1 +1,1 @@
-"""The blind test: flights with hidden causes, sealed labels, and the scorer that opens them afterwards."""
+"""The blind test: flights with hidden causes in random realities, sealed labels, and the scorer."""

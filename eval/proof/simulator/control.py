@@ -166,9 +166,10 @@ def cascade(off_roll, off_pitch, roll_ahead, pitch_ahead, roll, pitch, gyro, mem
     """
     quick = c.rate_bandwidth / (1.0 + b.derivative)  # of the rate loop as a whole
     slower = 1.0 / (1.0 + w.rate_lag * quick)
+    quick *= slower
     bandwidth = c.rate_bandwidth * slower
     roll_rate, pitch_rate, _ = angle_rates(roll, pitch, gyro[0], gyro[1], gyro[2])
-    damping = b.pole_shift / (bandwidth * time)
+    damping = b.pole_shift / (quick * time)
     p, q, o = body_rates(
         roll,
         pitch,

@@ -119,17 +119,17 @@ def _cascade(c: Constants, rng) -> tuple[Constants, dict]:
 def _firmware(c: Constants, rng) -> tuple[Constants, dict]:
     """Rates with integral and a low-passed derivative, as in the Crazyflie's firmware; late motion capture;
     no axial drag to speak of; an exponential ground effect."""
-    derivative, damping = rng.uniform(1.2, 2.0), rng.uniform(0.75, 0.95)
+    derivative, damping = rng.uniform(1.6, 2.6), rng.uniform(0.75, 0.95)
     bandwidth = (1.0 + derivative) ** 2 / (4.0 * damping**2 * c.motor_time)
     drag = (*c.drag_per_speed[:2], c.drag_per_speed[2] * rng.uniform(0.0, 0.3))
     c = c._replace(rate_bandwidth=bandwidth, drag_per_speed=drag, attitude_trust=_between(rng, 0.003, 0.02))
     return c, {
         "controller": CASCADE,
         "lead": 0.0,
-        "pole_shift": rng.uniform(0.0, 0.5),
+        "pole_shift": rng.uniform(0.6, 1.0),
         "derivative": derivative,
         "derivative_filter": _between(rng, 0.003, 0.008),
-        "integral": bandwidth * rng.uniform(0.2, 0.8),
+        "integral": bandwidth * rng.uniform(0.1, 0.4),
         "integral_leak": rng.uniform(0.5, 1.5),
         "capture_age": _ticks(rng.uniform(0.01, 0.03)),
         "motors": FIRST_ORDER_SPEED,
@@ -143,7 +143,7 @@ def _firmware(c: Constants, rng) -> tuple[Constants, dict]:
 
 def _feed_forward(c: Constants, rng) -> tuple[Constants, dict]:
     """An attitude gain with feed-forward over rates with a derivative; drag of its own ratio."""
-    derivative, damping = rng.uniform(0.6, 1.2), rng.uniform(0.75, 0.95)
+    derivative, damping = rng.uniform(1.2, 2.0), rng.uniform(0.75, 0.95)
     lead = rng.uniform(0.3, 0.6)
     bandwidth = (1.0 + derivative) ** 2 / (4.0 * damping**2 * c.motor_time * (1.0 - lead))
     drag = (
@@ -154,10 +154,10 @@ def _feed_forward(c: Constants, rng) -> tuple[Constants, dict]:
     return c, {
         "controller": CASCADE,
         "lead": lead,
-        "pole_shift": rng.uniform(0.3, 1.0),
+        "pole_shift": rng.uniform(0.7, 1.0),
         "feed_forward": rng.uniform(0.03, 0.1),
         "derivative": derivative,
-        "integral": bandwidth * rng.uniform(0.0, 0.3),
+        "integral": bandwidth * rng.uniform(0.0, 0.2),
         "integral_leak": rng.uniform(0.5, 1.5),
         "capture_age": _ticks(rng.uniform(0.0, 0.02)),
         "motors": FIRST_ORDER_SPEED,
