@@ -57,7 +57,7 @@ TIME, VOLTAGE, INCLINATION, PRESENT = range(AMBIENT_SIZE)
 # Entries of [effects] that are no terms here: what other entries refer to, and what the plants do.
 _NO_TERMS = frozenset(
     "battery_reference voltage_reference voltage_open voltage_drop voltage_discharge "
-    "thrust_delay attitude_delay mocap_tilt mocap_delay".split()
+    "ground_range thrust_delay attitude_delay mocap_tilt mocap_delay".split()
 )
 
 
@@ -220,38 +220,60 @@ def powered_thrust(thrust, lag, time, voltage, v):
     return (thrust + v.effects.thrust_bias) * fade(time, v) * sag * supply(voltage, lag, time, v)
 
 
+@numba.njit(cache=True, inline="always")
+def disc_inside(distance, radius):
+    """Share of a disc on the inner side of a straight edge, its centre `distance` within."""
+    d = min(1.0, max(-1.0, distance / radius))
+    return 0.5 + (d * math.sqrt(1.0 - d * d) + math.asin(d)) / math.pi
+
+
+@numba.njit(cache=True, inline="always")
+def ground_gain(height, v):
+    """Share of thrust that a rotor gains all over a surface, its disc's centre `height` [m] from it.
+
+    strength (radius/(4 h))^2 after Cheeseman and Bennett (1955) to first order, times the fading
+    exp((4 radius - h)/range), which is 1 where the strength is read; radius/(4 h) at most 1/2, the gain 1.
+    """
+    ratio = 0.5
+    if height > 0.5 * v.rotor.radius:
+        ratio = v.rotor.radius / (4.0 * height)
+    fading = math.exp((4.0 * v.rotor.radius - height) / v.effects.ground_range)
+    return min(1.0, v.effects.ground_effect * ratio * ratio * fading)
+
+
 @numba.njit(cache=True)
 def ground_effect(position, r, thrust, inclination, present, v):
     """Extra thrust [N] and body torque (x, y) [N m] of the rotors near a surface.
 
-    position (3,), attitude r (3, 3), thrust [N] of all rotors. Each rotor sees the slab or else the floor
-    along its axis; its thrust grows by strength (radius/(4 h))^2 with h the distance along the surface's
-    normal, the ratio radius/(4 h) at most 1/2.
+    position (3,), attitude r (3, 3), thrust [N] of all rotors. Each rotor sees the slab along its axis with
+    the share of its disc that is over it, and the floor with the rest; heights are along the normals.
     """
     extra, torque_x, torque_y = 0.0, 0.0, 0.0
     if r[2, 2] <= 0.0:
         return extra, torque_x, torque_y
     si, ci = math.sin(inclination), math.cos(inclination)
     facing = si * r[0, 2] + ci * r[2, 2]  # of the rotor's axis and the slab's normal
+    radius = v.rotor.radius
     for side in range(4):
         x = v.rotor.arm if side < 2 else -v.rotor.arm
         y = v.rotor.arm if side % 2 == 0 else -v.rotor.arm
         px = position[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * v.rotor.height
         py = position[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * v.rotor.height
         pz = position[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * v.rotor.height
-        height = pz
+        share, gain = 0.0, 0.0
         if present != 0.0 and facing > 0.0:
             normal = si * px + ci * (pz - v.platform.surface_height)
             along = ci * px - si * (pz - v.platform.surface_height)
             down = normal / facing  # along the rotor's axis
             along -= down * (ci * r[0, 2] - si * r[2, 2])
             across = py - down * r[1, 2]
-            if normal > 0.0 and abs(along) <= v.slab_half_length and abs(across) <= 0.5 * v.platform.depth:
-                height = normal
-        ratio = 0.5
-        if height > 0.5 * v.rotor.radius:
-            ratio = v.rotor.radius / (4.0 * height)
-        force = 0.25 * thrust * v.effects.ground_effect * ratio * ratio
+            if normal > 0.0 and down * r[2, 2] < pz:  # the slab is below, and the floor below it
+                share = disc_inside(v.slab_half_length - abs(along), radius)
+                share *= disc_inside(0.5 * v.platform.depth - abs(across), radius)
+                gain = share * ground_gain(normal, v)
+        if pz > 0.0:
+            gain += (1.0 - share) * ground_gain(pz, v)
+        force = 0.25 * thrust * gain
         extra += force
         torque_x += y * force
         torque_y -= x * force

@@ -1,8 +1,10 @@
 #include "rotors.h"
 
+#include <algorithm>
 #include <cmath>
 #include <iterator>
 #include <string>
+#include <vector>
 
 #include "config.h"
 
@@ -43,26 +45,54 @@ mjtNum Inflow(const RotorsConfig& config, const mjtNum air[3]) {
          mju_max(0, 1 - config.axial_inflow * air[2]);
 }
 
-// Distance from a point along the normal of the nearest upper face that a ray down `axis` meets, of
-// the planes and boxes named as surfaces; -1 without one.
-mjtNum Height(const mjModel* m, const mjData* d, const RotorsConfig& config, const mjtNum point[3],
-              const mjtNum axis[3]) {
-  const mjtNum down[3] = {-axis[0], -axis[1], -axis[2]};
-  mjtNum nearest = -1, height = -1;
+// Share of a disc on the inner side of a straight edge, its centre `distance` within.
+mjtNum DiscInside(mjtNum distance, mjtNum radius) {
+  const mjtNum d = mju_clip(distance / radius, -1, 1);
+  return 0.5 + (d * std::sqrt(1 - d * d) + std::asin(d)) / mjPI;
+}
+
+// Share of thrust that a rotor gains all over a surface, its disc's centre `height` [m] from it.
+mjtNum GroundGain(const RotorsConfig& config, mjtNum height) {
+  const mjtNum ratio = height > 0.5 * config.disc_radius ? config.disc_radius / (4 * height) : 0.5;
+  const mjtNum fading = std::exp((4 * config.disc_radius - height) / config.ground_range);
+  return mju_min(1, config.ground_effect * ratio * ratio * fading);
+}
+
+// What a rotor at `point` gains from the upper faces of the planes and boxes named as surfaces, along its
+// axis: each with the share of the disc that is over it and that nearer ones leave.
+mjtNum Gain(const mjModel* m, const mjData* d, const RotorsConfig& config, const mjtNum point[3],
+            const mjtNum axis[3]) {
+  struct Face {
+    mjtNum distance, share, gain;
+  };
+  thread_local std::vector<Face> faces;
+  faces.clear();
   for (const std::string& name : config.surfaces) {
     const int geom = mj_name2id(m, mjOBJ_GEOM, name.c_str());
     if (geom < 0) continue;
-    const mjtNum* frame = d->geom_xmat + 9 * geom;
-    mjtNum normal[3];
-    const mjtNum distance = mju_rayGeom(d->geom_xpos + 3 * geom, frame, m->geom_size + 3 * geom, point,
-                                        down, m->geom_type[geom], normal);
-    if (distance < 0 || (nearest >= 0 && distance >= nearest)) continue;
-    const mjtNum up[3] = {frame[2], frame[5], frame[8]};
-    if (mju_dot3(up, normal) < 0.99) continue;  // a side or the underside
-    nearest = distance;
-    height = distance * mju_dot3(axis, up);
+    const mjtNum *frame = d->geom_xmat + 9 * geom, *size = m->geom_size + 3 * geom;
+    mjtNum offset[3], at[3], up[3];
+    mju_sub3(offset, point, d->geom_xpos + 3 * geom);
+    mju_mulMatTVec3(at, frame, offset);
+    mju_mulMatTVec3(up, frame, axis);
+    const bool plane = m->geom_type[geom] == mjGEOM_PLANE;
+    const mjtNum height = at[2] - (plane ? 0 : size[2]);
+    if (height <= 0 || up[2] <= 0) continue;
+    const mjtNum distance = height / up[2];
+    mjtNum share = 1;
+    for (int k = 0; k < 2; ++k) {
+      if (plane && size[k] == 0) continue;  // without end
+      share *= DiscInside(size[k] - std::abs(at[k] - distance * up[k]), config.disc_radius);
+    }
+    if (share > 0) faces.push_back({distance, share, GroundGain(config, height)});
   }
-  return height;
+  std::sort(faces.begin(), faces.end(), [](const Face& a, const Face& b) { return a.distance < b.distance; });
+  mjtNum gain = 0, left = 1;
+  for (const Face& face : faces) {
+    gain += left * face.share * face.gain;
+    left *= 1 - face.share;
+  }
+  return gain;
 }
 
 // Extra thrust [N] and torque about body x and y [N m] of the rotors near a surface.
@@ -79,10 +109,7 @@ mjtNum GroundEffect(const mjModel* m, const mjData* d, const RotorsConfig& confi
     mjtNum point[3];
     mju_mulMatVec3(point, frame, arm);
     mju_addTo3(point, d->xpos + 3 * body);
-    const mjtNum height = Height(m, d, config, point, axis);
-    if (height < 0) continue;
-    const mjtNum ratio = height > 0.5 * config.disc_radius ? config.disc_radius / (4 * height) : 0.5;
-    const mjtNum force = 0.25 * thrust * config.ground_effect * ratio * ratio;
+    const mjtNum force = 0.25 * thrust * Gain(m, d, config, point, axis);
     extra += force;
     torque[0] += arm[1] * force;
     torque[1] -= arm[0] * force;

@@ -194,7 +194,7 @@ def test_both_plants_fly_all_effects_at_once_with_perturbations():
 def test_both_plants_feel_surfaces_alike():
     """Near slabs of several inclinations and near the floor, 1 s without touching anything.
 
-    Here nothing moves fast: the difference is the rounding of the ray's hit, not of the integration.
+    Here nothing moves fast: the integrators agree better than in the flights above.
     """
     vehicle, n, rng = changed("ground_effect"), 24, np.random.default_rng(0)
     inclination = np.radians(np.resize([-45, -25.7, -10, 0, 20, 40], n))
@@ -221,12 +221,12 @@ def test_both_plants_feel_surfaces_alike():
     flights = np.array(flights)
     position, angle = largest_gaps(*flights[:2])
     assert position < 1e-6 and angle < 1e-4
-    assert np.linalg.norm((flights[1] - flights[2])[-1, :, :3], axis=-1).min() > 0.005
+    assert np.linalg.norm((flights[1] - flights[2])[-1, :, :3], axis=-1).min() > 0.002
 
 
 def test_both_plants_see_the_same_edges_of_the_slab():
-    """The force on a vehicle at rest anywhere around the slab, with any attitude: rays against formulas."""
-    vehicle, rng = changed("ground_effect", strength=20.0), np.random.default_rng(1)
+    """The force on a vehicle at rest anywhere around the slab, with any attitude, partly over its edges."""
+    vehicle, rng = changed("ground_effect", strength=20.0, range=0.1), np.random.default_rng(1)
     model, v = MujocoPlant(1, vehicle).model, equations.pack(vehicle)[0]
     data, seen = mujoco.MjData(model), set()
     for _ in range(300):
@@ -461,6 +461,45 @@ def test_a_slope_turns_the_vehicle_away_from_itself(kind):
             plant.step(np.array([[V.hover_pwm, 0, 0, 0]]))
         assert sign * plant.state[0, PITCH] > 1e-3 and abs(plant.state[0, ROLL]) < 1e-9
         assert plant.state[0, VZ] > 0.01
+
+
+def gain_over(x, height=0.08, strength=5.0, reach=0.2):
+    """Share of the weight gained and torque about y [N m], level at x over a level slab."""
+    vehicle = changed("ground_effect", strength=strength, range=reach)
+    position = np.array([x, 0.0, V.platform_surface_height + height - V.rotor_height])
+    v = equations.pack(vehicle)[0]
+    extra, _, torque = equations.ground_effect(position, np.eye(3), WEIGHT, 0.0, 1.0, v)
+    return extra / WEIGHT, torque
+
+
+def test_ground_effect_fades_by_its_strength_and_range():
+    """All over the slab: strength (r/4h)^2 at four radii, sooner gone with a shorter range, never doubled."""
+    r = V.rotor_radius
+    assert gain_over(0.0, 4 * r)[0] == pytest.approx(5.0 / 16**2, rel=1e-12)
+    for h in (0.06, 0.15):
+        wanted = 5.0 * (r / (4 * h)) ** 2 * math.exp((4 * r - h) / 0.2)
+        assert gain_over(0.0, h)[0] == pytest.approx(wanted, rel=1e-12)
+    assert gain_over(0.0, 0.15, reach=0.05)[0] < 0.5 * gain_over(0.0, 0.15)[0]
+    assert gain_over(0.0, 0.012, strength=40.0)[0] == 1.0
+
+
+def test_a_rotor_over_an_edge_gains_its_share():
+    """Half of it with its axis above the edge; smooth all the way from over the slab to beyond it."""
+    inner, outer = V.slab_half_length - V.rotor_arm, V.slab_half_length + V.rotor_arm
+    whole, torque = gain_over(0.0)
+    assert torque == pytest.approx(0.0, abs=1e-15)
+    assert gain_over(inner)[0] == pytest.approx(0.75 * whole, rel=1e-2)  # the floor far below adds 0.5 %
+    assert gain_over(outer)[0] == pytest.approx(0.25 * whole, rel=2e-2)
+    beyond, _ = gain_over(outer + V.rotor_radius)
+    x = np.linspace(inner - 0.05, outer + 0.05, 2001)
+    gains, torques = np.array([gain_over(one) for one in x]).T
+    assert (np.diff(gains) <= 1e-15).all() and gains[-1] == pytest.approx(beyond, rel=1e-12)
+    # The share of a disc changes by at most 2/(pi r) per metre, of two of the four at a time.
+    steepest = 0.5 * whole * 2 / (math.pi * V.rotor_radius)
+    assert np.abs(np.diff(gains) / np.diff(x)).max() <= steepest
+    assert torques.min() > -1e-15 and torques.max() == pytest.approx(
+        0.5 * V.rotor_arm * whole * WEIGHT, rel=0.02
+    )  # rear rotors over the slab, front ones beyond: the nose goes down
 
 
 @pytest.mark.parametrize("kind", BOTH)

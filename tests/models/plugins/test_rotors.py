@@ -213,7 +213,11 @@ def test_ground_effect_needs_its_surfaces(build):
 
 
 def test_ground_effect_sees_any_named_surface_with_its_nearest_upper_face(build):
-    """A box on the floor under two of the four rotors; not the ball that hangs between."""
+    """A box on the floor under two of the four rotors, half a radius within; not the ball that hangs between.
+
+    Of a disc whose centre is half a radius within the edge 1/2 + (sqrt(3)/4 + pi/6)/pi is over the box, of
+    one as far beyond it the rest.
+    """
     surfaces = (
         '<geom name="ground" type="plane" size="0 0 1"/>'
         '<geom name="step" type="box" size="0.5 1 0.1" pos="0.5 0 0.1"/>'
@@ -221,12 +225,14 @@ def test_ground_effect_sees_any_named_surface_with_its_nearest_upper_face(build)
     )
     xml = build.xml(
         rotors={"ground_effect": "2", "surfaces": "ground step", "arm": "0.05", "disc_height": "0.1",
-                "disc_radius": "0.4"},
+                "disc_radius": "0.1", "ground_range": "0.5"},
         site='<site name="com"/>',
     ).replace("<worldbody>", f"<worldbody>{surfaces}")  # fmt: skip
     data = build.data(mujoco.MjModel.from_xml_string(xml), [build.vehicle.hover_pwm], build.vehicle.hover_lag)
     weight = build.vehicle.body_mass * build.vehicle.environment_gravity
-    near, far = (0.25 * weight * 2 * (0.4 / (4 * h)) ** 2 for h in (0.9, 1.1))  # discs at 1.1 m
+    low, high = (0.25 * weight * 2 * (0.1 / (4 * h)) ** 2 * math.exp((0.4 - h) / 0.5) for h in (0.9, 1.1))
+    share = 0.5 + (math.sqrt(3) / 4 + math.pi / 6) / math.pi
+    near, far = (s * low + (1 - s) * high for s in (share, 1 - share))  # discs at 1.1 m
     assert data.actuator_force[0] == pytest.approx(weight + 2 * near + 2 * far, rel=1e-9)
     assert data.qfrc_passive[4] == pytest.approx(-2 * 0.05 * (near - far), rel=1e-9)  # nose up
     assert abs(data.qfrc_passive[3]) < 1e-12
