@@ -7,6 +7,7 @@ import pytest
 
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.gap import diagnose
+from inclined_landing.eval.logs.alignment import pose
 from inclined_landing.eval.proof.gap_real import attitude, halves, pads, thrust
 from inclined_landing.eval.proof.gap_real.command import MOTORS, flights
 from inclined_landing.models.parameters import load_vehicle
@@ -49,6 +50,17 @@ def test_tilt_of_the_motion_capture_shows_on_the_floor_too():
         np.testing.assert_allclose(t.flown, t.rest, atol=0.015)
         assert abs(t.flown[0]) > 0.04
     assert tilts[0].flown[1] > 0.015 > -0.015 > tilts[2].flown[1]  # another rigid body on the other day
+
+
+@needs_data
+def test_tracked_point_above_the_centre_of_mass_repeats():
+    """Eleven NanoBench flights that tilt enough agree within 3 mm; attitude is not 10 ms late."""
+    logs = flights(DATA / "nanobench", "nb_*.csv.gz")
+    found = [pose(log) for log in logs if "linear_ramp" not in log.name]
+    heights = np.array([p.above.value for p in found])
+    assert len(heights) == 11
+    np.testing.assert_allclose(heights, 0.013, atol=0.003)
+    assert abs(np.median([p.late.value for p in found])) < 0.01
 
 
 @needs_data

@@ -17,6 +17,7 @@ from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Folder, VehicleFile
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap.flights.reading import read_flights
+from inclined_landing.eval.logs import alignment
 from inclined_landing.eval.proof.gap_real import attitude, figures, halves, pads, tables, thrust
 from inclined_landing.eval.proof.gap_real.halves import Fleet
 from inclined_landing.models import storage
@@ -55,7 +56,7 @@ def command(
         data: folder of the tidy data sets utias_fmpc, nanobench, crazypad and arp_sysid.
         out: new folder for tables.md, real.json and figures.
         only: some of utias_day1, utias_all, utias_given, nanobench, nanobench_motors, attitude, thrust,
-            crazypad, arp_sysid.
+            utias_streams, nanobench_streams, crazypad, arp_sysid.
         vehicle: vehicle file (TOML), where the model differs from the shipped one.
     """
     for name in only:
@@ -110,6 +111,16 @@ def _attitude(folder: Path, nominal: Vehicle) -> Part:
     return plain, None, tables.loops(found, tilts, nominal)
 
 
+def _streams(name: str, pattern: str, folder: Path, nominal: Vehicle) -> Part:
+    logs = flights(folder, pattern)
+    poses, late = [alignment.pose(log) for log in logs], alignment.commands(logs)
+    plain = {
+        log.name: {"pose": dataclasses.asdict(p), "commands": dataclasses.asdict(c)}
+        for log, p, c in zip(logs, poses, late)
+    }
+    return plain, None, tables.streams(name, [log.name for log in logs], poses, late)
+
+
 def _thrust(folder: Path, nominal: Vehicle) -> Part:
     law = thrust.law(flights(folder, _NANOBENCH, str(MOTORS)), nominal)
     plain = dataclasses.asdict(law) | {"samples": len(law.samples), "near": law.near.to_dict("records")}
@@ -140,6 +151,8 @@ PARTS: dict[str, tuple[str, Callable[[Path, Vehicle], Part]]] = {
     "utias_given": ("utias_fmpc", _given),
     "attitude": ("utias_fmpc", _attitude),
     "thrust": ("nanobench", _thrust),
+    "utias_streams": ("utias_fmpc", functools.partial(_streams, "utias_streams", _UTIAS)),
+    "nanobench_streams": ("nanobench", functools.partial(_streams, "nanobench_streams", _NANOBENCH)),
     "crazypad": ("crazypad", _pads),
     "arp_sysid": ("arp_sysid", _lags),
 }

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import pandas as pd
 
 from inclined_landing.eval.gap.result import Diagnosis, PlantGap
+from inclined_landing.eval.logs.alignment import Estimate, Pose
 from inclined_landing.eval.proof.gap_real.attitude import Loop, Tilt
 from inclined_landing.eval.proof.gap_real.halves import Fleet, Stability
 from inclined_landing.eval.proof.gap_real.thrust import Lag, Law
@@ -113,6 +114,16 @@ def lags(found: Sequence[Lag], vehicle: Vehicle) -> str:
     lines += ["| log | rate 1/s | spinning up | spinning down | fit |", "|---|---|---|---|---|"]
     for x in found:
         lines.append(f"| {x.log} | {x.rate:.1f} | {x.up:.1f} | {x.down:.1f} | {x.fit:.0f} % |")
+    return "\n".join([*lines, ""])
+
+
+def streams(title: str, names: Sequence[str], poses: Sequence[Pose], late: Sequence[Estimate]) -> str:
+    """How the streams of each flight agree in time, and where the tracked point is."""
+    lines = [f"## {title}", "", "| flight | attitude late ms | commands late ms | tracked point above mm |"]
+    lines += ["|---|---|---|---|"]
+    for name, pose, commands in zip(names, poses, late):
+        cells = [f"{1e3 * x.value:.0f} ± {1e3 * x.half:.0f}" for x in (pose.late, commands, pose.above)]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join([*lines, ""])
 
 
