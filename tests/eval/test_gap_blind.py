@@ -274,8 +274,8 @@ def test_intervals_that_hold_the_truth():
     # Drag across the rotors alone leaves that along them open.
     drag = ("rotor_drag", (), {"lateral": (2.0, 1.9, 2.1), "axial": (1.0, 0.5, 1.5)})
     assert hits("lateral_drag", {"lateral": 2.05}, drag) == {"lateral": True}
-    strength = ("ground_effect", (), {"strength": (5.0, 4.0, 6.0)})
-    assert hits("ground_effect", {"gain": 5.0 * (0.0235 / 0.36) ** 2}, strength) == {"gain": True}
+    strength = ("ground_effect", (), {"strength": (5.0, 4.0, 6.0), "range": (0.3, 0.2, 0.4)})
+    assert hits("ground_effect", {"gain": 5.0 / 256.0}, strength) == {"gain": True}
     assert hits("wind", {"x": 0.2, "y": 0.0}, WIND) == {}
 
 

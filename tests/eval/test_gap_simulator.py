@@ -342,14 +342,12 @@ def test_a_level_that_is_off_tilts_vehicle_and_log():
     assert log.truth[-1, 6:8] == pytest.approx([-0.03, 0.02], abs=2e-3)
 
 
-def test_forms_of_the_ground_effect_agree_at_90_mm():
+def test_forms_of_the_ground_effect_agree_at_four_radii():
     gains = [
-        dynamics.ground_gain(0.09, 0.0, C, Build(ground=form), World(ground_effect=5.0)) - 1
+        dynamics.ground_gain(4 * C.rotor_radius, 0.0, C, Build(ground=form), World(ground_effect=5.0)) - 1
         for form in range(3)
     ]
-    assert gains == pytest.approx(
-        [5.0 * (0.0235 / 0.36) ** 2] * 3, rel=0.05
-    )  # 1/(1 - x) = 1 + x to first order
+    assert gains == pytest.approx([5.0 / 256.0] * 3, rel=0.05)  # 1/(1 - x) = 1 + x to first order
 
 
 def test_drag_that_saturates_or_grows():

@@ -62,10 +62,13 @@ def _less(field: str) -> Draw:
     return draw
 
 
-def _plain(field: str, parameter: str, signed: bool = False) -> Draw:
+def _plain(field: str, parameter: str, signed: bool = False, force: bool = False) -> Draw:
+    """force: labelled as for the paper's mass, since flights show forces over mass alone."""
+
     def draw(size, rng, reality):
         value = size * (_sign(rng) if signed else 1.0)
-        return Drawn({field: value}, {parameter: value})
+        per_mass = reference().constants.mass / reality.constants.mass if force else 1.0
+        return Drawn({field: value}, {parameter: value * per_mass})
 
     return draw
 
@@ -114,9 +117,8 @@ def _battery(channel: bool) -> Draw:
 
 
 def _ground(size, rng, reality):
-    """The label has the thrust added 90 mm above the ground, where all forms agree to first order."""
-    c = reality.constants
-    added = size * (c.rotor_radius / (4.0 * 0.09)) ** 2
+    """The label has the thrust added four radii above the ground, where all forms agree to first order."""
+    added = size / 256.0
     if reality.build.ground == CHEESEMAN:
         added /= 1.0 - added
     return Drawn({"ground_effect": size}, {"gain": added})
@@ -140,7 +142,7 @@ def _outside(field: str, signed: bool = False, **also) -> Draw:
 # name: (weak, medium, strong), how it is drawn. Names are those of the library of effects.
 FREE_FLIGHT: dict[str, tuple[tuple[float, float, float], Draw]] = {
     "thrust_scale": ((0.02, 0.06, 0.14), _scale("thrust_scale")),
-    "thrust_bias": ((0.008, 0.02, 0.045), _plain("thrust_bias", "force", signed=True)),
+    "thrust_bias": ((0.008, 0.02, 0.045), _plain("thrust_bias", "force", signed=True, force=True)),
     "thrust_fade": ((0.0015, 0.003, 0.007), _plain("thrust_fade", "rate")),
     "battery_sag": ((0.10, 0.22, 0.42), _battery(False)),
     "battery_voltage": ((0.10, 0.22, 0.42), _battery(True)),
@@ -149,7 +151,7 @@ FREE_FLIGHT: dict[str, tuple[tuple[float, float, float], Draw]] = {
     "mass": ((0.025, 0.06, 0.14), _scale("mass_scale", both=False)),
     "rotor_drag": ((0.4, 0.8, 1.6), _scale("drag_scale", parameters=("lateral", "axial"))),
     "lateral_drag": ((0.4, 0.8, 1.6), _scale("lateral_drag", parameters=("lateral",))),
-    "body_drag": ((0.004, 0.008, 0.016), _plain("body_drag", "coefficient")),
+    "body_drag": ((0.004, 0.008, 0.016), _plain("body_drag", "coefficient", force=True)),
     "wind": ((0.15, 0.4, 0.9), _vector("wind_x", "wind_y", ("x", "y"))),
     "translational_lift": ((0.015, 0.035, 0.08), _plain("translational_lift", "coefficient")),
     "axial_inflow": ((0.02, 0.045, 0.10), _plain("axial_inflow", "coefficient")),

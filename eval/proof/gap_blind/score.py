@@ -32,8 +32,8 @@ OUTCOMES = (
 GOOD = ("named", "tie", "right", "flagged")
 _WEIGHT = constants().mass * constants().gravity  # N
 _NEAR_GROUND = (
-    constants().rotor_radius / (4.0 * 0.09)
-) ** 2  # the library's ratio squared, 90 mm above ground
+    1.0 / 256.0
+)  # (radius/(4 h))^2 four radii above the ground, where the library reads the strength
 
 
 def score_case(label: Mapping, report: Mapping) -> dict:
@@ -159,9 +159,10 @@ def covered(cause: str, label: Mapping, effects: Iterable[Mapping]) -> dict[str,
     if effect is None or wanted is None:
         return {}
     values = {name: one["value"] for name, one in effect["parameters"].items()}
+    references = {p.name for p in LIBRARY[effect["name"]].parameters if p.is_reference}
     result = {}
     for name, one in effect["parameters"].items():
-        if name == "reference" or not one.get("ci95"):
+        if name in references or not one.get("ci95"):
             continue
         low, high = (comparable(effect["name"], values | {name: end}, at=truth) or {} for end in one["ci95"])
         for key in set(wanted) & set(low):

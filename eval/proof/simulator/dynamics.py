@@ -155,14 +155,14 @@ def outside(s, time, r, w):
 def ground_gain(height, lateral, c, b, w):
     """Factor of a rotor's thrust at a height [m] above a surface, at a speed [m/s] across its axis.
 
-    The forms agree at 90 mm, at rest, to first order.
+    The forms agree at four radii, at rest, to first order.
     """
     near = c.rotor_radius / (4.0 * height)
     if b.ground == CHEESEMAN:
         return 1.0 / (1.0 - min(w.ground_effect * near * near, 0.5))
     if b.ground == EXPONENTIAL:
-        at = c.rotor_radius / 0.36
-        return 1.0 + min(w.ground_effect * at * at * math.exp((0.09 - height) / b.ground_range), 1.0)
+        fading = math.exp((4.0 * c.rotor_radius - height) / b.ground_range)
+        return 1.0 + min(w.ground_effect * fading / 256.0, 1.0)
     return 1.0 + min(w.ground_effect * near * near / (1.0 + 0.25 * lateral * lateral), 1.0)
 
 
