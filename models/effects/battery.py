@@ -16,16 +16,16 @@ def _line(slope, zero, more, at):
     return total, at if slope == 0.0 else (slope * zero + more * at) / total
 
 
-def _sag(vehicle, values):
-    sag = values.get("sag", 0.0)
-    own, reference = vehicle.effects_battery_sag, vehicle.effects_battery_reference
+def with_sag(vehicle, sag, reference=None):
+    """The vehicle with the factor 1 - sag (load/reference - 1) of its thrust on top of what it has."""
+    own, before = vehicle.effects_battery_sag, vehicle.effects_battery_reference
     if sag == 0.0:
         return vehicle
-    at = values.get("reference", reference)
+    at = before if reference is None else reference
     if own == 0.0:
         total = sag
     else:  # -sag (load/reference - 1) is a line in the load with slope -sag/reference
-        slope, at = _line(-own / reference, reference, -sag / at, at)
+        slope, at = _line(-own / before, before, -sag / at, at)
         total = -slope * at
     return dataclasses.replace(vehicle, effects_battery_sag=total, effects_battery_reference=at)
 
@@ -52,18 +52,18 @@ EFFECTS = (
         source="internal resistance of a one-cell lithium-polymer battery; 0.1 to 0.2 V per 10 000 PWM in "
         "the nanobench flights",
         parameters=(
-            Parameter("sag", "1", 0.0, (-0.3, 0.7), 0.15, 0.01),
+            Parameter("sag", "1", 0.0, (-0.03, 0.7), 0.15, 0.01, one_signed=True),
             Parameter(
                 *("reference", "PWM", _SHIPPED.effects_battery_reference, (5000.0, 65000.0), 34100.0, 1000.0),
                 is_reference=True,
             ),
         ),
         regimes=("hover", "climb", "low_battery"),
-        confused_with=("thrust_scale", "thrust_bias", "battery_voltage", "thrust_fade"),
+        confused_with=("thrust_scale", "thrust_bias", "thrust_curve", "battery_voltage", "thrust_fade"),
         remedy="Use a fresh battery with low internal resistance, or log pm.vbat and scale the thrust "
         "command by nominal over measured voltage.",
         channels=("translation",),
-        apply=_sag,
+        apply=lambda vehicle, values: with_sag(vehicle, values.get("sag", 0.0), values.get("reference")),
         says="the thrust sags under load (sag {sag}, right at a load of {reference})",
         # It also runs down, and its voltage follows the load at once, which looks like faster motors.
         entails=("thrust_fade", "motor_lag", "thrust_delay"),

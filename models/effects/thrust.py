@@ -1,6 +1,8 @@
 """Effects on the size of the collective thrust."""
 
+from inclined_landing.models.effects.battery import with_sag
 from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added, scaled
+from inclined_landing.models.parameters import load_vehicle
 
 EFFECTS = (
     Effect(
@@ -42,6 +44,31 @@ EFFECTS = (
         apply=added("effects_thrust_bias", "force"),
         says="a constant {force} is added to the thrust, whatever the command",
         scales_thrust=True,
+    ),
+    Effect(
+        name="thrust_curve",
+        description="The thrust grows faster than its command: it goes with the square of the rotor speed, "
+        "and the modelled line is right at one load only. In the equations it is a battery's sag of the "
+        "other sign: a curve that bends up is this, one that bends down a sag.",
+        formula="F_t times (1 + curvature (load/reference - 1)),  load = lag_rate Omega",
+        source="static map of Foerster 2015: a curvature of 0.42 about its hover PWM",
+        parameters=(
+            Parameter("curvature", "1", 0.0, (-0.03, 0.9), 0.3, 0.01, one_signed=True),
+            Parameter(
+                *("reference", "PWM", load_vehicle().effects_battery_reference, (5000.0, 65000.0)),
+                *(34100.0, 1000.0),
+                is_reference=True,
+            ),
+        ),
+        regimes=("climb",),
+        confused_with=("battery_sag", "thrust_bias", "thrust_scale", "axial_inflow"),
+        remedy="Identify the thrust with the static map, or hover with and without a load of known mass: two "
+        "loads give two points of the curve.",
+        channels=("translation",),
+        apply=lambda vehicle, values: with_sag(
+            vehicle, -values.get("curvature", 0.0), values.get("reference")
+        ),
+        says="the thrust bends up with the command (curvature {curvature}, right at a load of {reference})",
     ),
     Effect(
         name="thrust_fade",

@@ -411,6 +411,29 @@ def test_a_sagging_battery_needs_more_pwm_to_hover(kind):
     assert np.abs(speed).max() < 1e-9
 
 
+def test_the_static_map_is_a_line_and_a_curve():
+    """Quadratic in the steady PWM: with the line through its zeros, curvature and line are the map itself."""
+    a, b, c = (V.motor_count * x for x in V.motor_pwm_to_force)
+    near, far = sorted(-np.roots([a, b, c]))
+    reference = 34_100.0
+    curvature = reference / (far + reference)
+    line = dataclasses.replace(
+        V,
+        thrust_state_gain=a * far / (1.0 - curvature) * V.thrust_lag_rate,
+        thrust_direct_gain=0.0,
+        effects_thrust_bias=a * far / (1.0 - curvature) * near,
+    )
+    values = {"curvature": curvature, "reference": reference}
+    v = equations.pack(LIBRARY["thrust_curve"].apply(line, values))[0]
+    for pwm in (10_000.0, 34_100.0, 60_000.0):
+        lag = pwm / V.thrust_lag_rate
+        thrust = equations.total_thrust(lag, pwm, v, np.array(perturbation.NEUTRAL))
+        thrust = equations.powered_thrust(thrust, lag, 0.0, math.nan, v)
+        assert thrust == pytest.approx(a * pwm**2 + b * pwm + c, rel=1e-9)
+    opposite = LIBRARY["battery_sag"].apply(line, {"sag": -curvature, "reference": reference})
+    assert opposite == LIBRARY["thrust_curve"].apply(line, values)
+
+
 @pytest.mark.parametrize("kind", BOTH)
 def test_fade_and_discharge_follow_the_time_since_the_reset(kind):
     vehicle = changed("thrust_fade", rate=0.01)
