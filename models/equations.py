@@ -57,7 +57,7 @@ TIME, VOLTAGE, INCLINATION, PRESENT = range(AMBIENT_SIZE)
 # Entries of [effects] that are no terms here: what other entries refer to, and what the plants do.
 _NO_TERMS = frozenset(
     "battery_reference voltage_reference voltage_open voltage_drop voltage_discharge "
-    "ground_range thrust_delay attitude_delay mocap_tilt mocap_delay".split()
+    "ground_fading thrust_delay attitude_delay mocap_tilt mocap_delay".split()
 )
 
 
@@ -232,12 +232,12 @@ def ground_gain(height, v):
     """Share of thrust that a rotor gains all over a surface, its disc's centre `height` [m] from it.
 
     strength (radius/(4 h))^2 after Cheeseman and Bennett (1955) to first order, times the fading
-    exp((4 radius - h)/range), which is 1 where the strength is read; radius/(4 h) at most 1/2, the gain 1.
+    exp((4 radius - h) fading), which is 1 where the strength is read; radius/(4 h) at most 1/2, the gain 1.
     """
     ratio = 0.5
     if height > 0.5 * v.rotor.radius:
         ratio = v.rotor.radius / (4.0 * height)
-    fading = math.exp((4.0 * v.rotor.radius - height) / v.effects.ground_range)
+    fading = math.exp((4.0 * v.rotor.radius - height) * v.effects.ground_fading)
     return min(1.0, v.effects.ground_effect * ratio * ratio * fading)
 
 

@@ -113,7 +113,7 @@ class Vehicle:
     effects_translational_lift: float
     effects_axial_inflow: float
     effects_ground_effect: float
-    effects_ground_range: float
+    effects_ground_fading: float
     effects_com_offset: tuple[float, float]
     effects_thrust_delay: float
     effects_attitude_delay: float

@@ -3,9 +3,6 @@
 import dataclasses
 
 from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added
-from inclined_landing.models.parameters import load_vehicle
-
-_RANGE = load_vehicle().effects_ground_range
 
 
 def _rotor_drag(vehicle, values):
@@ -18,11 +15,11 @@ def _ground_effect(vehicle, values):
     strength = values.get("strength", 0.0)
     if strength == 0.0:
         return vehicle
-    own, reach = vehicle.effects_ground_effect, vehicle.effects_ground_range
-    total, given = own + strength, values.get("range", reach)
-    if own != 0.0:  # the sum of two such laws is none of them: the range between, by their strengths
-        given = (abs(own) * reach + abs(strength) * given) / (abs(own) + abs(strength))
-    return dataclasses.replace(vehicle, effects_ground_effect=total, effects_ground_range=given)
+    own, before = vehicle.effects_ground_effect, vehicle.effects_ground_fading
+    fading = values.get("fading", before)
+    if own != 0.0:  # the sum of two such laws is none of them: what lies between, by their strengths
+        fading = (abs(own) * before + abs(strength) * fading) / (abs(own) + abs(strength))
+    return dataclasses.replace(vehicle, effects_ground_effect=own + strength, effects_ground_fading=fading)
 
 
 def _drag(name: str, parts: tuple[int, ...]) -> Parameter:
@@ -110,15 +107,15 @@ EFFECTS = (
         name="ground_effect",
         description="Near a surface each rotor gives more thrust, by its own distance along the surface's "
         "normal. Near a slope the rotors uphill gain more, which turns the vehicle away from it. A disc "
-        "partly over the slab's edge gains its share there, the rest from the floor. The range is how soon "
-        "the gain ends beyond the law.",
-        formula="F_i times (1 + strength (r/(4 h_i))^2 exp((4 r - h_i)/range)), r/(4 h_i) at most 1/2",
-        source="Cheeseman and Bennett 1955 (strength 1, one rotor, no range); several times that with four, "
+        "partly over the slab's edge gains its share there, the rest from the floor. The fading is by "
+        "how much sooner the gain ends than the law, 1 over a range; strength counts at four radii.",
+        formula="F_i times (1 + strength (r/(4 h_i))^2 exp((4 r - h_i) fading)), r/(4 h_i) at most 1/2",
+        source="Cheeseman and Bennett 1955 (strength 1, one rotor, no fading); several times that with four, "
         "Sanchez-Cuevas et al. 2017; an exponential end, He et al. 2019; 4 to 9 % below 7 cm in the "
         "nanobench flights",
         parameters=(
             Parameter("strength", "1", 0.0, (-2.0, 40.0), 5.0, 0.5, one_signed=True),
-            Parameter("range", "m", _RANGE, (0.03, 1.0), 0.3, 0.05, is_reference=True),
+            Parameter("fading", "1/m", 0.0, (-1.5, 30.0), 3.0, 0.5, is_reference=True),
         ),
         regimes=("near_surface", "touchdown"),
         confused_with=("thrust_scale", "thrust_bias", "platform_height"),
@@ -126,6 +123,6 @@ EFFECTS = (
         "surfaces tell it from a thrust scale.",
         channels=("translation", "attitude"),
         apply=_ground_effect,
-        says="near a surface the rotors give more thrust (strength {strength}, range {range})",
+        says="near a surface the rotors give more thrust (strength {strength}, fading {fading})",
     ),
 )

@@ -54,7 +54,7 @@ mjtNum DiscInside(mjtNum distance, mjtNum radius) {
 // Share of thrust that a rotor gains all over a surface, its disc's centre `height` [m] from it.
 mjtNum GroundGain(const RotorsConfig& config, mjtNum height) {
   const mjtNum ratio = height > 0.5 * config.disc_radius ? config.disc_radius / (4 * height) : 0.5;
-  const mjtNum fading = std::exp((4 * config.disc_radius - height) / config.ground_range);
+  const mjtNum fading = std::exp((4 * config.disc_radius - height) * config.ground_fading);
   return mju_min(1, config.ground_effect * ratio * ratio * fading);
 }
 

@@ -226,7 +226,7 @@ def test_both_plants_feel_surfaces_alike():
 
 def test_both_plants_see_the_same_edges_of_the_slab():
     """The force on a vehicle at rest anywhere around the slab, with any attitude, partly over its edges."""
-    vehicle, rng = changed("ground_effect", strength=20.0, range=0.1), np.random.default_rng(1)
+    vehicle, rng = changed("ground_effect", strength=20.0, fading=10.0), np.random.default_rng(1)
     model, v = MujocoPlant(1, vehicle).model, equations.pack(vehicle)[0]
     data, seen = mujoco.MjData(model), set()
     for _ in range(300):
@@ -486,23 +486,23 @@ def test_a_slope_turns_the_vehicle_away_from_itself(kind):
         assert plant.state[0, VZ] > 0.01
 
 
-def gain_over(x, height=0.08, strength=5.0, reach=0.2):
+def gain_over(x, height=0.08, strength=5.0, fading=5.0):
     """Share of the weight gained and torque about y [N m], level at x over a level slab."""
-    vehicle = changed("ground_effect", strength=strength, range=reach)
+    vehicle = changed("ground_effect", strength=strength, fading=fading)
     position = np.array([x, 0.0, V.platform_surface_height + height - V.rotor_height])
     v = equations.pack(vehicle)[0]
     extra, _, torque = equations.ground_effect(position, np.eye(3), WEIGHT, 0.0, 1.0, v)
     return extra / WEIGHT, torque
 
 
-def test_ground_effect_fades_by_its_strength_and_range():
-    """All over the slab: strength (r/4h)^2 at four radii, sooner gone with a shorter range, never doubled."""
+def test_ground_effect_has_a_strength_and_a_fading():
+    """All over the slab: strength (r/4h)^2 at four radii, sooner gone with fading, thrust at most doubled."""
     r = V.rotor_radius
     assert gain_over(0.0, 4 * r)[0] == pytest.approx(5.0 / 16**2, rel=1e-12)
     for h in (0.06, 0.15):
-        wanted = 5.0 * (r / (4 * h)) ** 2 * math.exp((4 * r - h) / 0.2)
+        wanted = 5.0 * (r / (4 * h)) ** 2 * math.exp((4 * r - h) * 5.0)
         assert gain_over(0.0, h)[0] == pytest.approx(wanted, rel=1e-12)
-    assert gain_over(0.0, 0.15, reach=0.05)[0] < 0.5 * gain_over(0.0, 0.15)[0]
+    assert gain_over(0.0, 0.15, fading=20.0)[0] < 0.5 * gain_over(0.0, 0.15)[0]
     assert gain_over(0.0, 0.012, strength=40.0)[0] == 1.0
 
 

@@ -27,6 +27,7 @@ V = dataclasses.replace(
     effects_translational_lift=0.02,
     effects_axial_inflow=0.02,
     effects_ground_effect=2.0,
+    effects_ground_fading=2.0,
     effects_attitude_trim=(0.02, -0.01),
     effects_yaw_drift=0.1,
 )

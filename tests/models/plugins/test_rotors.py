@@ -225,7 +225,7 @@ def test_ground_effect_sees_any_named_surface_with_its_nearest_upper_face(build)
     )
     xml = build.xml(
         rotors={"ground_effect": "2", "surfaces": "ground step", "arm": "0.05", "disc_height": "0.1",
-                "disc_radius": "0.1", "ground_range": "0.5"},
+                "disc_radius": "0.1", "ground_fading": "2"},
         site='<site name="com"/>',
     ).replace("<worldbody>", f"<worldbody>{surfaces}")  # fmt: skip
     data = build.data(mujoco.MjModel.from_xml_string(xml), [build.vehicle.hover_pwm], build.vehicle.hover_lag)
