@@ -41,14 +41,19 @@ Scales = Annotated[
 
 
 def evaluate(
-    policy: Policy, *, plant: str = "mujoco", thrust_scales: Sequence[float] = (1.0,), seed: int = 0
+    policy: Policy,
+    *,
+    plant: str = "mujoco",
+    thrust_scales: Sequence[float] = (1.0,),
+    unrest: bool = False,
+    seed: int = 0,
 ) -> dict:
     """The success report of a policy, as plain numbers; one entry of `conditions` per thrust scale.
 
     plant: "mujoco" or "analytic", always the plain one (no keep-out zone, RK4 at 4 ms).
-    seed: of the random starts.
+    unrest: fly in that of the task's vehicle, always the same. seed: of the random starts.
     """
-    return _evaluate(policy, plant, thrust_scales, seed)[0]
+    return _evaluate(policy, plant, thrust_scales, unrest, seed)[0]
 
 
 def command(
@@ -57,6 +62,7 @@ def command(
     flown: Flat[Flown] = Flown(),
     thrust_scale: Scales = (),
     effects: Flag = False,
+    unrest: Flag = False,
     seed: Seed = 0,
     json: Flag = False,
     out: NewFolder = None,
@@ -68,6 +74,7 @@ def command(
         thrust_scale: total thrust times this, one row for each value (default: 1).
         effects: one row for every physical effect of the library at a plausible size, which the policy
             knows nothing of; from the frozen grid only (four minutes).
+        unrest: with the unrest of the air that the vehicle file has, as landing-eval gap writes it.
         seed: of the random starts.
         json: print JSON, and nothing else, on standard output.
         out: new folder for success.json and (without effects) flights.csv.
@@ -78,28 +85,35 @@ def command(
             raise UserError(f"--thrust-scale must be above 0 and at most 3, not {scale:g}")
     if effects and scales != (1.0,):
         raise UserError("give either --effects or --thrust-scale: an effect of the library scales the thrust")
+    if effects and unrest:
+        raise UserError("give either --effects or --unrest: effects are flown in still air")
     if out is not None:
         runs.check_new_run(out)
     loaded = flown.load(policy)
+    vehicle = loaded.task.vehicle
+    if unrest and not any((*vehicle.unrest_acceleration, *vehicle.unrest_angular)):
+        raise UserError(
+            "--unrest needs a --vehicle whose table [unrest] is not all 0; this one's air is still"
+        )
     if effects:
         from inclined_landing.eval.policies import success_effects
 
         report, flights = success_effects.evaluate(loaded, plant=flown.plant, seed=seed), None
     else:
-        report, flights = _evaluate(loaded, flown.plant, scales, seed)
+        report, flights = _evaluate(loaded, flown.plant, scales, unrest, seed)
     report["vehicle"] = str(flown.vehicle) if flown.vehicle is not None else "crazyflie.toml"
     files = None if flights is None else {"flights.csv": _flights_csv(flights)}
     runs.hand_over(report, success_table.show, json, out, files)
 
 
-def _evaluate(policy: Policy, plant: str, thrust_scales: Sequence[float], seed: int):
+def _evaluate(policy: Policy, plant: str, thrust_scales: Sequence[float], unrest: bool, seed: int):
     task, judge = policy.task, judge_of(policy.task)
     groups = judge.groups(task, seed)
     names = np.repeat(list(groups), [len(states) for states in groups.values()])
     starts = np.concatenate(list(groups.values()))
     conditions, rows = [], []
     for scale in track(thrust_scales, "flying", console=Console(stderr=True), transient=True):
-        fleet = make_plant(plant, len(starts), task.vehicle)
+        fleet = make_plant(plant, len(starts), task.vehicle, unrest=0 if unrest else None)
         if scale != 1.0:
             fleet.perturb(thrust_scale=scale)
         try:
@@ -109,7 +123,8 @@ def _evaluate(policy: Policy, plant: str, thrust_scales: Sequence[float], seed: 
         flown = {name: [f for f, group in zip(flights, names) if group == name] for name in groups}
         conditions.append({"thrust_scale": float(scale), **judge.condition(task, flown, scale)})
         rows += [(scale, name, flight) for name, flight in zip(names, flights)]
-    return report_of("success", policy, plant, seed) | {"paper": judge.paper, "conditions": conditions}, rows
+    report = report_of("success", policy, plant, seed) | {"paper": judge.paper, "conditions": conditions}
+    return report | ({"unrest": True} if unrest else {}), rows
 
 
 def _flights_csv(flights) -> str:

@@ -11,6 +11,7 @@ from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import record_flight, record_flights
 from inclined_landing.envs.tasks import Moment, make_task
 from inclined_landing.envs.tasks.base import hover_states
+from inclined_landing.eval import cli
 from inclined_landing.eval.base import statistics
 from inclined_landing.eval.policies import judges, motors_cut, success, success_effects, success_table
 from inclined_landing.models import storage
@@ -195,6 +196,21 @@ def test_landing_report_of_a_policy_that_hovers(landing):
     assert hover["entry"] is None and hover["motors_cut"] is None
     assert hover["grid"]["left_out"] == 0
     storage.to_json(report)
+
+
+def test_the_unrest_of_the_vehicle_is_flown_where_asked_for(capsys):
+    """Hovering without feedback, the vehicle is blown from where it starts; still air is refused."""
+    sizes = {"unrest_acceleration": (2.0, 2.0, 2.0), "unrest_acceleration_time": (1.0, 1.0, 1.0)}
+    task = make_task("landing", dataclasses.replace(load_vehicle(), **sizes), pwm_centre="hover")
+    still, restless = (
+        success.evaluate(Constant(task, 0.0, 0.0), plant="analytic", unrest=unrest)
+        for unrest in (False, True)
+    )
+    touched = [report["conditions"][0]["grid"]["touched"]["count"] for report in (still, restless)]
+    assert touched[0] == 0 and touched[1] > 10
+    assert restless["unrest"] and "unrest" not in still
+    assert cli.main(["success", "landing", "--unrest"]) == 2
+    assert "--unrest needs a --vehicle whose table [unrest] is not all 0" in capsys.readouterr().err
 
 
 def test_entry_statistics(landing):
