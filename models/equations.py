@@ -115,8 +115,25 @@ def total_thrust(lag, pwm, v, p):
 
 
 @numba.njit(cache=True, inline="always")
+def held_angles(roll, pitch, yaw, vx, vy, vz, v):
+    """Roll and pitch [rad] as the onboard estimate has them, at a velocity [m/s] in the world."""
+    lean = v.effects.estimator_lean
+    if lean == 0.0:
+        return roll, pitch
+    sr, cr = math.sin(roll), math.cos(roll)
+    sp, cp = math.sin(pitch), math.cos(pitch)
+    sy, cy = math.sin(yaw), math.cos(yaw)
+    forward = (cy * cp - sy * sr * sp) * vx + (sy * cp + cy * sr * sp) * vy - cr * sp * vz
+    left = -sy * cr * vx + cy * cr * vy + sr * vz
+    return roll + lean * left, pitch - lean * forward
+
+
+@numba.njit(cache=True, inline="always")
 def loop_rates(roll, pitch, u, v, p):
-    """Euler rates [rad/s] of the paper's first-order loops at (roll, pitch) under command u (4,)."""
+    """Euler rates [rad/s] of the paper's first-order loops at (roll, pitch) under command u (4,).
+
+    roll, pitch: those of the onboard estimate (`held_angles`).
+    """
     gain, tau = v.attitude.gain * p[GAIN_SCALE], v.attitude.time_constant * p[TIME_CONSTANT_SCALE]
     return (
         (gain * (u[ROLL_COMMAND] + v.effects.attitude_trim[0]) - roll) / tau,
@@ -337,7 +354,8 @@ def _derivative(y, u, ambient, push, i, v, p, rate_loop, r, f, dy):
             dy[VX + k] += push[i, k]
     dy[VZ] -= v.environment.gravity
     dy[_OMEGA] = lag_derivative(y[_OMEGA], u[PWM], v, p)
-    roll_wanted, pitch_wanted, yaw_wanted = loop_rates(y[_PHI], y[_THETA], u, v, p)
+    roll, pitch = held_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
+    roll_wanted, pitch_wanted, yaw_wanted = loop_rates(roll, pitch, u, v, p)
     if rate_loop:
         phid, thetad, psid = y[_RATES], y[_RATES + 1], y[_RATES + 2]
         tau = v.attitude.time_constant * p[TIME_CONSTANT_SCALE]
@@ -406,7 +424,8 @@ def advance(state, commands, ambient, vehicle, p, rate_loop, dt, substeps, push=
         s[:9] = y[:9]
         s[LAG] = y[_OMEGA]
         if not rate_loop:
-            y[_RATES], y[_RATES + 1], y[_RATES + 2] = loop_rates(y[_PHI], y[_THETA], u, v, p[i])
+            roll, pitch = held_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
+            y[_RATES], y[_RATES + 1], y[_RATES + 2] = loop_rates(roll, pitch, u, v, p[i])
         s[WX], s[WY], s[WZ] = body_rates(y[_PHI], y[_THETA], y[_RATES], y[_RATES + 1], y[_RATES + 2])
 
 

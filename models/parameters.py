@@ -118,6 +118,7 @@ class Vehicle:
     effects_thrust_delay: float
     effects_attitude_delay: float
     effects_attitude_trim: tuple[float, float]
+    effects_estimator_lean: float
     effects_yaw_drift: float
     effects_mocap_tilt: tuple[float, float]
     effects_mocap_delay: float

@@ -159,6 +159,22 @@ EFFECTS = (
         says="the attitude estimate that flies and logs is tilted by {roll} of roll and {pitch} of pitch",
     ),
     Effect(
+        name="estimator_lean",
+        description="The onboard estimate knows no drag: it takes what drag slows for less tilt, and the "
+        "control that holds the estimate lets the vehicle lean into its motion. Drag seems smaller by it.",
+        formula="roll and pitch held by the loops: roll + lean v_left, pitch - lean v_forward",
+        source="nanobench: estimated less measured pitch -0.021 v_forward, roll +0.024 v_left; at most "
+        "drag/(mass g), 0.04 rad s/m there",
+        parameters=(Parameter("lean", "rad s/m", 0.0, (-0.1, 0.1), 0.02, 0.002),),
+        regimes=("lateral",),
+        confused_with=("rotor_drag", "attitude_gain", "body_drag"),
+        remedy="Log the onboard estimate beside the motion capture: their difference grows with the speed. "
+        "Trust the orientation of the motion capture more in the estimator, or give it a drag term.",
+        channels=("attitude",),
+        apply=added("effects_estimator_lean", "lean"),
+        says="the vehicle leans into its motion by {lean} that its own estimate does not show",
+    ),
+    Effect(
         name="yaw_loop",
         description="The yaw rate is another share of the commanded one, or follows it at another speed: "
         "gains of the firmware's rate controller, another inertia, weak yaw authority.",

@@ -64,6 +64,10 @@ void Compute(const mjModel* m, mjData* d, int instance) {
   const double yaw_rate = (w[2] * cos_pitch - w[0] * sin_pitch) / guarded;
   const double pitch_rate = w[1] - yaw_rate * sin_roll;
 
+  // What the loops hold: the estimate, which is short of the tilt in the direction of flight.
+  const double held_roll = roll + config->lean * velocity[4];
+  const double held_pitch = pitch - config->lean * velocity[3];
+
   // Euler accelerations: the paper's loop, its wanted rate followed with bandwidth B
   const auto angle_acceleration = [&](int actuator, double angle, double rate, double trim) {
     double gain = config->gain, tau = config->time_constant, command = 0;
@@ -83,9 +87,9 @@ void Compute(const mjModel* m, mjData* d, int instance) {
     yaw_wanted = gain * (Command(m, d, actuators[kYaw]) + hooks.bias[0]) + config->yaw_drift;
     yaw_bandwidth /= hooks.time_scale;
   }
-  const double roll_acc = angle_acceleration(actuators[kRoll], roll, roll_rate, config->trim[0]);
+  const double roll_acc = angle_acceleration(actuators[kRoll], held_roll, roll_rate, config->trim[0]);
   const double pitch_acc =
-      angle_acceleration(actuators[kPitch], pitch, pitch_rate, config->trim[1]);
+      angle_acceleration(actuators[kPitch], held_pitch, pitch_rate, config->trim[1]);
   const double yaw_acc = yaw_bandwidth * (yaw_wanted - yaw_rate);
 
   // time derivative of w = (roll' cp - yaw' cr sp, pitch' + yaw' sr, roll' sp + yaw' cr cp)

@@ -45,6 +45,12 @@ def predict(flight, vehicle: Vehicle) -> np.ndarray:
     twist = np.zeros((flight.samples - 1, 3))
     middle = (flight.middle_position, flight.middle_velocity, rotation, attitude)
     _translate(*middle, pwm, flight.ambient, packed, dt, out, twist)
+    lean = vehicle.effects_estimator_lean
+    if lean:  # the angle at which the loops come to rest moves with the speed: a twist that holds it there
+        moved = np.einsum("kji,kj->ki", rotation, flight.middle_velocity)
+        stiffness = vehicle.attitude_bandwidth / vehicle.attitude_time_constant
+        twist[:, 0] -= lean * stiffness * moved[:, 1]
+        twist[:, 1] += lean * stiffness * moved[:, 0]
     for k in (0, 1):
         out[:, ROLL_CHANNEL + k] = angle_steps(k, angles[k], twist[:, k], start[k], dt, packed)
     out[:, YAW_CHANNEL] = yaw_steps(angles[2], dt, packed)
