@@ -135,10 +135,9 @@ def flight_controller(pwm, setpoint, roll, pitch, gyro, memory, dt, c, b, w, tar
             *(wanted_roll - roll, wanted_pitch - pitch, ahead * roll_ahead, ahead * pitch_ahead),
             *(roll, pitch, gyro, memory, time, dt, c, b, w),
         )
-    memory[INTEGRAL + 2] = clip(memory[INTEGRAL + 2] + dt * (memory[SETPOINT + 2] - gyro[2]), 1.0)
     tx = c.inertia[0] * p
     ty = c.inertia[1] * q
-    tz = c.inertia[2] * (o + b.yaw_integral * memory[INTEGRAL + 2])
+    tz = c.inertia[2] * o
     lead = c.motor_time / dt if memory[AWAKE] != 0.0 else 0.0
     share = b.lead * lead
     roll_part = (tx + share * (tx - memory[TORQUE])) / (4.0 * c.arm)
@@ -170,7 +169,7 @@ def cascade(off_roll, off_pitch, roll_ahead, pitch_ahead, roll, pitch, gyro, mem
     bandwidth = c.rate_bandwidth * slower
     roll_rate, pitch_rate, _ = angle_rates(roll, pitch, gyro[0], gyro[1], gyro[2])
     damping = b.pole_shift / (quick * time)
-    p, q, o = body_rates(
+    p, q, _ = body_rates(
         roll,
         pitch,
         off_roll / time - damping * roll_rate + roll_ahead,
@@ -190,6 +189,8 @@ def cascade(off_roll, off_pitch, roll_ahead, pitch_ahead, roll, pitch, gyro, mem
             p = asked
         else:
             q = asked
+    # Yaw turns with the rates that are, not with those that roll and pitch ask for.
+    _, _, o = body_rates(roll, pitch, roll_rate, pitch_rate, memory[SETPOINT + 2])
     return p, q, c.yaw_bandwidth * (o - gyro[2])
 
 

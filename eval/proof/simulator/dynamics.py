@@ -176,7 +176,7 @@ def rotors(s, target, inflow, lateral, c, b, w, r, ds):
     thrust = speed = tx = ty = tz = 0.0
     for k in range(4):
         n = s[ROTORS + k]
-        slow = c.motor_time * w.motor_time_scale
+        slow = c.motor_time * w.motor_time_scale * b.rotor[k]
         if n > target[k]:
             slow *= (1.0 + w.spin_down) * (1.0 + b.spin_down)
         if b.motors == FIRST_ORDER_SPEED:
@@ -184,7 +184,7 @@ def rotors(s, target, inflow, lateral, c, b, w, r, ds):
         else:
             # Motor torque against the propeller's, which grows with n^2: thrust settles exponentially.
             ds[ROTORS + k] = (target[k] ** 2 - n * n) / (2.0 * slow * max(n, 50.0))
-        force = c.thrust_per_speed * n * n * inflow * b.rotor[k] + 0.25 * w.thrust_bias
+        force = c.thrust_per_speed * n * n * inflow + 0.25 * w.thrust_bias
         x, y = c.arm * SIDE_X[k], c.arm * SIDE_Y[k]
         if w.ground_effect != 0.0:
             px = s[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * c.disc_height

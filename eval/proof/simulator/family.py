@@ -12,7 +12,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .dynamics import SPIN
 from .flight import Reality
 from .vehicle import (
     CASCADE,
@@ -39,11 +38,10 @@ def draw(family: str, rng: np.random.Generator) -> Reality:
     b = Build(**(common | own))
     if family == "reference":
         return Reality(c, b, family)
-    # Yaw works through the motors' lag as roll and pitch do: as quick as it can be without overshoot.
+    # Yaw works through the motors' lag as roll and pitch do: as quick as it can be without much overshoot.
     lag = c.motor_time * (1.0 - b.lead)
-    quick = min(rng.uniform(14.0, 20.0), 1.0 / (4.0 * rng.uniform(0.85, 1.0) ** 2 * max(lag, 1e-6)))
-    integral = quick * rng.uniform(0.2, 0.6)
-    return Reality(c._replace(yaw_bandwidth=quick), b._replace(yaw_integral=integral), family)
+    quick = min(rng.uniform(14.0, 20.0), 1.0 / (4.0 * rng.uniform(0.75, 0.9) ** 2 * max(lag, 1e-6)))
+    return Reality(c._replace(yaw_bandwidth=quick), b, family)
 
 
 def _about(rng, size: float) -> float:
@@ -86,12 +84,10 @@ def _common(rng) -> dict:
     """What members of every family differ in: geometry, unrest of the air, log."""
     size = _between(rng, 0.02, 0.15)
     turn = _between(rng, 0.1, 1.0)
-    # Propellers that turn one way are stronger than the others; along the arms they are balanced well, since
-    # a vehicle whose thrust acts beside its centre of mass has a cause to be named.
-    hand = 0.015 * rng.standard_normal()
     ticks = float(rng.choice([1, 2, 4, 5, 10], p=[0.1, 0.15, 0.2, 0.35, 0.2]))
     return {
-        "rotor": tuple(1.0 + hand * spin + 0.001 * rng.standard_normal() for spin in SPIN),
+        # Differences of thrust would be causes to be named: a centre of mass that is off, a turning vehicle.
+        "rotor": tuple(_about(rng, 0.05) for _ in range(4)),
         "unrest": tuple(size * _between(rng, 0.6, 1.6) for _ in range(3)),
         "unrest_time": _between(rng, 0.1, 1.0),
         "unrest_torque": (turn * _about(rng, 0.3), turn * _about(rng, 0.3), 0.3 * turn),

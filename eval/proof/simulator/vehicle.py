@@ -83,7 +83,6 @@ class Build(NamedTuple):
     derivative_filter: float = 0.005  # s, low-pass of the gyro for it
     integral: float = 0.0  # 1/s2, of the error of roll and pitch rate, in inertias
     integral_leak: float = 1.0  # s, in which it forgets
-    yaw_integral: float = 0.0  # 1/s2, in inertias
     kept_torque: float = 0.0  # share of the present torque and acceleration that increments build on
     pole_rate: float = 35.0  # rad/s, fast pair of poles of the full-state gain
     pole_damping: float = 0.8
@@ -97,7 +96,7 @@ class Build(NamedTuple):
     dead_time: float = 0.0  # s
     thrust_exponent: float = 1.0  # of thrust over PWM, about hover
     thrust_curve: float = 0.0  # quadratic part of the same
-    rotor: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)  # thrust of each
+    rotor: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)  # factors of each one's time constant
     # Battery: thrust goes with this power of the voltage, by default made up for.
     battery_power: float = 2.0
     uncompensated: float = 0.0  # share of it that the firmware does not make up for
