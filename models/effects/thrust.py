@@ -13,7 +13,7 @@ EFFECTS = (
         source="Kooi and Babuska 2021: their flights needed 0.88 of the modelled force",
         parameters=(
             Parameter(
-                *("scale", "1", 1.0, (0.4, 1.6), 0.88, 0.005),
+                *("scale", "1", 1.0, (0.2, 2.0), 0.88, 0.005),
                 constant=FittedConstant(
                     *("thrust gain", "thrust_state_gain", "1", lambda v, x: x),
                     also=("thrust_direct_gain", "effects_thrust_bias"),
@@ -35,7 +35,7 @@ EFFECTS = (
         "an offset in the firmware's PWM, or a static map that does not pass through zero.",
         formula="F_t = state_gain Omega + direct_gain PWM + force",
         source="offset of the static map in Foerster 2015",
-        parameters=(Parameter("force", "N", 0.0, (-0.12, 0.12), -0.02, 0.002),),
+        parameters=(Parameter("force", "N", 0.0, (-0.25, 0.25), -0.02, 0.002),),
         regimes=("hover", "climb", "lateral"),
         confused_with=("thrust_scale", "mass", "battery_sag", "ground_effect"),
         remedy="Fly climbs and descents with a wide range of PWM, to tell an offset from a scale. Check the "
