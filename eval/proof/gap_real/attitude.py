@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
+from scipy import stats
 from scipy.optimize import least_squares
 
 from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.logs.csv_file import read_columns
 from inclined_landing.eval.proof.gap_real.thrust import SMOOTHING, derivative, lagged
 from inclined_landing.models.delays import averages
 from inclined_landing.models.parameters import Vehicle
@@ -104,3 +108,43 @@ def tilt(log: FlightLog, vehicle: Vehicle) -> Tilt:
         (float(fits[1][1] / g), float(-fits[0][1] / g)),
         (float(-fits[0][0]), float(-fits[1][0])),
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class Lean:
+    """Onboard estimate less motion capture, per speed [rad s/m]: (mean, half-width of the 95 % interval)."""
+
+    roll: tuple[float, float]  # by the speed to the left
+    pitch: tuple[float, float]  # by the forward speed
+    flights: int
+
+
+def lean(paths: Sequence[Path], logs: Sequence[FlightLog], vehicle: Vehicle) -> Lean:
+    """What the estimate of the NanoBench flights misses in proportion to the speed.
+
+    Beside a constant in every flight, and a scale and a lateness of the estimate.
+    """
+    grams = []
+    for path, log in zip(paths, logs):
+        flight = prepare(log, vehicle)
+        table = read_columns(path, ("t", "ekf_roll", "ekf_pitch"))
+        own = (table["t"] - table["t"].iloc[0]).to_numpy()
+        u, heading = flight.usable, flight.attitude[:, 2]
+        x, y = flight.velocity[:, 0], flight.velocity[:, 1]
+        speeds = np.cos(heading) * y - np.sin(heading) * x, np.cos(heading) * x + np.sin(heading) * y
+        rates = np.gradient(flight.attitude, flight.dt, axis=0)
+        for k, name in enumerate(("ekf_roll", "ekf_pitch")):
+            apart = np.interp(flight.t, own, table[name]) - flight.attitude[:, k]
+            a = np.stack([speeds[k], rates[:, k], flight.attitude[:, k], apart], axis=1)[u]
+            a -= a.mean(axis=0)
+            grams.append(a.T @ a)
+    own = np.reshape(grams, (len(logs), 2, 4, 4))
+    all_of_them = own.sum(axis=0)
+
+    def slope(gram: np.ndarray) -> np.ndarray:
+        return np.linalg.solve(gram[..., :3, :3], gram[..., :3, 3:])[..., 0, 0]
+
+    value, without, n = slope(all_of_them), slope(all_of_them - own), len(logs)
+    error = np.sqrt((n - 1) / n * ((without - without.mean(axis=0)) ** 2).sum(axis=0))  # jackknife
+    half = stats.t.ppf(0.975, n - 1) * error
+    return Lean((float(value[0]), float(half[0])), (float(value[1]), float(half[1])), n)

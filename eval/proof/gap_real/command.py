@@ -114,11 +114,15 @@ def _attitude(folder: Path, nominal: Vehicle) -> Part:
 def _streams(name: str, pattern: str, folder: Path, nominal: Vehicle) -> Part:
     logs = flights(folder, pattern)
     poses, late = [alignment.pose(log) for log in logs], alignment.commands(logs)
-    plain = {
+    plain: dict[str, object] = {
         log.name: {"pose": dataclasses.asdict(p), "commands": dataclasses.asdict(c)}
         for log, p, c in zip(logs, poses, late)
     }
-    return plain, None, tables.streams(name, [log.name for log in logs], poses, late)
+    text = tables.streams(name, [log.name for log in logs], poses, late)
+    if name == "nanobench_streams":
+        lean = attitude.lean(sorted(folder.glob(pattern)), logs, nominal)
+        plain["lean"], text = dataclasses.asdict(lean), text + tables.lean(lean)
+    return plain, None, text
 
 
 def _thrust(folder: Path, nominal: Vehicle) -> Part:

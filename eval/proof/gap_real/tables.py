@@ -8,7 +8,7 @@ import pandas as pd
 
 from inclined_landing.eval.gap.result import Diagnosis, PlantGap
 from inclined_landing.eval.logs.alignment import Estimate, Pose
-from inclined_landing.eval.proof.gap_real.attitude import Loop, Tilt
+from inclined_landing.eval.proof.gap_real.attitude import Lean, Loop, Tilt
 from inclined_landing.eval.proof.gap_real.halves import Fleet, Stability
 from inclined_landing.eval.proof.gap_real.thrust import Lag, Law
 from inclined_landing.models.parameters import Vehicle
@@ -125,6 +125,15 @@ def streams(title: str, names: Sequence[str], poses: Sequence[Pose], late: Seque
         cells = [f"{1e3 * x.value:.0f} ± {1e3 * x.half:.0f}" for x in (pose.late, commands, pose.above)]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join([*lines, ""])
+
+
+def lean(found: Lean) -> str:
+    """What the onboard estimate misses in proportion to the speed."""
+    cells = [f"{1e3 * value:.0f} ± {1e3 * half:.0f} mrad" for value, half in (found.roll, found.pitch)]
+    return (
+        f"Onboard estimate less motion capture, per 1 m/s, {found.flights} flights: "
+        f"roll {cells[0]} by the speed to the left, pitch {cells[1]} by the forward speed.\n"
+    )
 
 
 def loops(found: Sequence[Loop], tilts: Sequence[Tilt], vehicle: Vehicle) -> str:
