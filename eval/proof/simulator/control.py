@@ -142,7 +142,7 @@ def flight_controller(pwm, setpoint, roll, pitch, gyro, memory, dt, c, b, w, tar
     share = b.lead * lead
     roll_part = (tx + share * (tx - memory[TORQUE])) / (4.0 * c.arm)
     pitch_part = (ty + share * (ty - memory[TORQUE + 1])) / (4.0 * c.arm)
-    yaw_part = (tz + share * (tz - memory[TORQUE + 2])) / (4.0 * c.torque_ratio)
+    yaw_part = (tz + lead * (tz - memory[TORQUE + 2])) / (4.0 * c.torque_ratio)
     memory[TORQUE], memory[TORQUE + 1], memory[TORQUE + 2], memory[AWAKE] = tx, ty, tz, 1.0
     roll_part, pitch_part = clip(roll_part, c.tilt_authority), clip(pitch_part, c.tilt_authority)
     yaw_part = clip(yaw_part, c.yaw_authority)

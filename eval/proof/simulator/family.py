@@ -35,13 +35,7 @@ def draw(family: str, rng: np.random.Generator) -> Reality:
     """A reality of a family of FAMILIES."""
     c, common = _constants(rng), _common(rng)
     c, own = _FAMILIES[family](c, rng)
-    b = Build(**(common | own))
-    if family == "reference":
-        return Reality(c, b, family)
-    # Yaw works through the motors' lag as roll and pitch do: as quick as it can be without much overshoot.
-    lag = c.motor_time * (1.0 - b.lead)
-    quick = min(rng.uniform(14.0, 20.0), 1.0 / (4.0 * rng.uniform(0.75, 0.9) ** 2 * max(lag, 1e-6)))
-    return Reality(c._replace(yaw_bandwidth=quick), b, family)
+    return Reality(c, Build(**(common | own)), family)
 
 
 def _about(rng, size: float) -> float:
@@ -76,6 +70,7 @@ def _constants(rng) -> Constants:
         battery_voltage=rng.uniform(3.85, 4.15),
         position_noise=_between(rng, 0.0002, 0.003),
         attitude_noise=math.radians(_between(rng, 0.05, 0.5)),
+        yaw_bandwidth=rng.uniform(12.0, 20.0),
         gyro_noise=_between(rng, 0.0005, 0.002),
     )
 

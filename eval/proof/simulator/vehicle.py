@@ -74,7 +74,7 @@ class Build(NamedTuple):
     # Flight controller. A cascade: attitude, then rates (proportional, integral, derivative); increments of
     # the torque on a geometric attitude error; or a gain on angle, rate and motor torque.
     controller: float = CASCADE
-    lead: float = 1.0  # share of the motors' lag that the controller makes up for
+    lead: float = 1.0  # share of the motors' lag that roll and pitch make up for
     pole_shift: float = (
         1.0  # 1: the cascade asks for the rates whose slow pole is exactly that of the attitude loop
     )
