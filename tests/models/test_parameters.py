@@ -280,7 +280,7 @@ def test_no_number_of_the_vehicle_file_stands_anywhere_else():
     numbers = {}
     for c in constants():
         for value in c.value if isinstance(c.value, tuple) else (c.value,):
-            digits = f"{abs(value):.17g}".partition("e")[0].replace(".", "").strip("0")
+            digits = repr(abs(float(value))).partition("e")[0].replace(".", "").strip("0")
             if c.section in DISTINCTIVE and len(digits) >= 3:
                 numbers[abs(value)] = f"{c.section}.{c.name}"
     assert len(numbers) >= 15
