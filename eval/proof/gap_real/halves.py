@@ -64,13 +64,18 @@ def stability(logs: Sequence[FlightLog], vehicle: Vehicle, values) -> list[Stabi
     return rows
 
 
-def judged(logs: Sequence[FlightLog], vehicle: Vehicle, values) -> PlantGap:
-    """Gap with the effects of `values`, not searched for, refitted to all flights but the one judged."""
+def judged(logs, vehicle: Vehicle, values, heldout: Sequence[FlightLog] = ()) -> tuple[PlantGap, Vehicle]:
+    """Gap with the effects of `values`, not searched for, and the vehicle with them, refitted to all flights.
+
+    The gap is that on `heldout`; without, every flight is judged with the others fitted.
+    """
     problem = Problem(prepare_all(logs, vehicle, False, []), vehicle, LIBRARY)
     fit = _refit(problem, values)
-    starts = rollout.Starts.of(problem.flights)
-    floor = rollout.noise_floor(starts, problem.corrected(fit.values))
-    return rollout.plant_gap(starts, vehicle, left_out_vehicles(problem, fit), "analytic", floor)
+    corrected = problem.corrected(fit.values)
+    starts = rollout.Starts.of(prepare_all(heldout, vehicle, False, []) if heldout else problem.flights)
+    floor = rollout.noise_floor(starts, corrected)
+    after = corrected if heldout else left_out_vehicles(problem, fit)
+    return rollout.plant_gap(starts, vehicle, after, "analytic", floor), corrected
 
 
 def _refit(problem: Problem, values) -> Fitted:
@@ -81,11 +86,14 @@ def _refit(problem: Problem, values) -> Fitted:
 def _fit(logs, vehicle: Vehicle, values) -> dict[tuple[str, str], tuple[float, float]]:
     problem = Problem(prepare_all(logs, vehicle, False, []), vehicle, LIBRARY)
     fit = _refit(problem, values)
-    error = np.sqrt(np.diag(fit.weighted.covariance(fit.index)))
+    # A reference is where another parameter acts about: at another one that and others are as good.
+    own = [k for k in fit.index if not problem.parameter(fit.weighted.columns[k]).is_reference]
+    error = np.sqrt(np.diag(fit.weighted.covariance(np.array(own))))
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
+    columns = [fit.weighted.columns[k] for k in own]
     return {
         (c.effect, c.parameter): (fit.values[c.effect][c.parameter], float(quantile * e))
-        for c, e in zip(fit.weighted.columns, error)
+        for c, e in zip(columns, error)
     }
 
 

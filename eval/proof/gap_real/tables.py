@@ -60,10 +60,10 @@ def stability(rows: Sequence[Stability]) -> list[str]:
     return lines
 
 
-def given(gap: PlantGap, rows: Sequence[Stability]) -> str:
+def given(title: str, gap: PlantGap, rows: Sequence[Stability]) -> str:
     """Effects that were given instead of found."""
-    lines = ["## utias_given", "", "| 1 s position error | before | after | noise | closed |"]
-    lines += ["|---|---|---|---|---|", _gap("left out in turn", gap), "", *stability(rows), ""]
+    lines = [f"## {title}", "", "| 1 s position error | before | after | noise | closed |"]
+    lines += ["|---|---|---|---|---|", _gap("left out", gap), "", *(stability(rows) if rows else ()), ""]
     return "\n".join(lines)
 
 
