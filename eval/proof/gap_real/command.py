@@ -79,19 +79,19 @@ def command(
         data: folder of the tidy data sets utias_fmpc, nanobench, crazypad and arp_sysid.
         out: new folder for tables.md, real.json and figures.
         only: some of utias_day1, utias_all, utias_given, nanobench, nanobench_motors, nanobench_given,
-            attitude, thrust, utias_streams, nanobench_streams, crazypad, arp_sysid.
-        heldout: further flights of nanobench, on which the part nanobench_given is judged.
+            nanobench_motors_given, attitude, thrust, utias_streams, nanobench_streams, crazypad, arp_sysid.
+        heldout: further flights of nanobench, on which the one part nanobench_given or
+            nanobench_motors_given is judged.
         vehicle: vehicle file (TOML), where the model differs from the shipped one.
     """
-    if heldout and only != ("nanobench_given",):
-        raise UserError("--heldout goes with --only nanobench_given")
+    if heldout and only not in (("nanobench_given",), ("nanobench_motors_given",)):
+        raise UserError("--heldout goes with --only nanobench_given or --only nanobench_motors_given")
     for name in only:
         if name not in PARTS:
             raise UserError(f"unknown part {name!r}; known are {', '.join(PARTS)}")
     chosen = {name: PARTS[name] for name in only or PARTS}
     if heldout:
-        judged_on = functools.partial(PARTS["nanobench_given"][1], heldout=heldout)
-        chosen = {"nanobench_given": ("nanobench", judged_on)}
+        chosen = {only[0]: ("nanobench", functools.partial(PARTS[only[0]][1], heldout=heldout))}
     for folder, _ in chosen.values():
         if not (data / folder).is_dir():
             raise UserError(f"{data / folder} is missing; {data} should hold the four data sets")
@@ -132,13 +132,15 @@ def _fleet(name: str, pattern: str, mapping: str | None, folder: Path, nominal: 
 def _given(
     name: str,
     pattern: str,
+    mapping: str | None,
     values: Mapping,
     folder: Path,
     nominal: Vehicle,
     heldout: Sequence[str] = (),
 ) -> Part:
-    logs = flights(folder, pattern)
-    gap, vehicle = halves.judged(logs, nominal, values, [read_log(file) for file in heldout])
+    logs = flights(folder, pattern, mapping)
+    others = [read_log(file, mapping=mapping) for file in heldout]
+    gap, vehicle = halves.judged(logs, nominal, values, others)
     rows = [] if heldout else halves.stability(logs, nominal, values)
     plain = {"gap": dataclasses.asdict(gap), "stability": _stability(rows)}
     return Part(plain, None, tables.given(name, gap, rows), vehicle)
@@ -193,10 +195,17 @@ PARTS: dict[str, tuple[str, Callable[[Path, Vehicle], Part]]] = {
         "nanobench",
         functools.partial(_fleet, "nanobench_motors", _NANOBENCH, str(MOTORS)),
     ),
-    "utias_given": ("utias_fmpc", functools.partial(_given, "utias_given", _DAY1, GIVEN)),
+    "utias_given": ("utias_fmpc", functools.partial(_given, "utias_given", _DAY1, None, GIVEN)),
     "nanobench_given": (
         "nanobench",
-        functools.partial(_given, "nanobench_given", _NANOBENCH, NANOBENCH_GIVEN),
+        functools.partial(_given, "nanobench_given", _NANOBENCH, None, NANOBENCH_GIVEN),
+    ),
+    "nanobench_motors_given": (
+        "nanobench",
+        functools.partial(
+            *(_given, "nanobench_motors_given", _NANOBENCH, str(MOTORS)),
+            NANOBENCH_GIVEN | {"thrust_scale": {"scale": 0.7}, "thrust_bias": {"force": -0.04}},
+        ),
     ),
     "attitude": ("utias_fmpc", _attitude),
     "thrust": ("nanobench", _thrust),
