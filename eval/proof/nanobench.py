@@ -105,7 +105,7 @@ def command(
         rows["motors"] = spun.errors(by_motors(spun, models["motors"]))
     report = {
         "command": "nanobench",
-        "flights": [flight.name for flight in flown.starts.flights],
+        "flights": [Path(flight.name).name for flight in flown.starts.flights],
         "starts": len(flown.starts),
         "every": every,
         "states": STATES,

@@ -112,3 +112,10 @@ def test_command_refuses_missing_data(tmp_path, capsys):
     assert main(["gap-real", str(tmp_path), "--out", str(tmp_path / "out"), "--only", "moon"]) == 2
     assert "unknown part 'moon'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_flights_left_out_need_effects_that_are_given(tmp_path, capsys):
+    words = ["gap-real", str(tmp_path), "--heldout", "a.csv", "--out", str(tmp_path / "out")]
+    for only in ([], ["--only", "crazypad"], ["--only", "utias_given", "nanobench_given"]):
+        assert main([*words, *only]) == 2
+        assert "--only nanobench_given" in capsys.readouterr().err

@@ -80,18 +80,19 @@ def command(
         out: new folder for tables.md, real.json and figures.
         only: some of utias_day1, utias_all, utias_given, nanobench, nanobench_motors, nanobench_given,
             nanobench_motors_given, attitude, thrust, utias_streams, nanobench_streams, crazypad, arp_sysid.
-        heldout: further flights of nanobench, on which the one part nanobench_given or
-            nanobench_motors_given is judged.
+        heldout: further flights, on which the one part of --only is judged, whose effects are given.
         vehicle: vehicle file (TOML), where the model differs from the shipped one.
     """
-    if heldout and only not in (("nanobench_given",), ("nanobench_motors_given",)):
-        raise UserError("--heldout goes with --only nanobench_given or --only nanobench_motors_given")
+    if heldout and not (len(only) == 1 and only[0].endswith("_given")):
+        raise UserError("--heldout goes with one part whose effects are given: --only nanobench_given, say")
     for name in only:
         if name not in PARTS:
             raise UserError(f"unknown part {name!r}; known are {', '.join(PARTS)}")
     chosen = {name: PARTS[name] for name in only or PARTS}
     if heldout:
-        chosen = {only[0]: ("nanobench", functools.partial(PARTS[only[0]][1], heldout=heldout))}
+        (name,) = only
+        folder, study = PARTS[name]
+        chosen = {name: (folder, functools.partial(study, heldout=heldout))}
     for folder, _ in chosen.values():
         if not (data / folder).is_dir():
             raise UserError(f"{data / folder} is missing; {data} should hold the four data sets")
