@@ -1,9 +1,9 @@
-"""Window errors made white: start state projected out, noise of known shape divided out.
+"""Window errors made white: start state projected out, noise and unrest of known shape divided out.
 
 The error of a perfect model over a window is a line in time (unknown start position and velocity) plus
-position noise plus the double integral of a white acceleration, which noise in the measured attitude
-feeds into the prediction. Roll and pitch errors carry white noise and the two decaying modes of their
-loop, yaw errors an offset and the mode of its loop.
+position noise plus the double integral of an acceleration: white, fed in by the noise of the measured
+attitude, and the unrest of the air, an Ornstein-Uhlenbeck process. Roll, pitch and yaw errors carry white
+noise, the decaying modes of their loop, and what its response makes of an unrest in angular acceleration.
 """
 
 from __future__ import annotations
@@ -15,6 +15,54 @@ from scipy.linalg import cholesky, null_space, solve_triangular
 
 from inclined_landing.models.parameters import Vehicle
 
+CHANNELS = 6
+
+
+@dataclasses.dataclass(frozen=True)
+class Shapes:
+    """What noise and unrest make of a window's error, for windows of one length and one vehicle."""
+
+    free: tuple[np.ndarray, ...]  # of 6 (rows, q): everything but the start state, q = rows - 2
+    responses: tuple[np.ndarray, ...]  # of 6 (rows, rows): of the error to a unit acceleration in every step
+    dt: float
+
+    @staticmethod
+    def of(rows: int, dt: float, vehicle: Vehicle) -> Shapes:
+        """For windows of `rows` samples dt apart, the attitude loops those of `vehicle`."""
+        t = np.arange(rows) * dt
+        since = t[:, None] - t[None, :]
+        a, b = 1.0 / vehicle.attitude_time_constant, vehicle.attitude_bandwidth
+        b = b if abs(a - b) > 1e-3 * a else 1.001 * b
+        turn_bandwidth = vehicle.attitude_yaw_bandwidth
+
+        def of_step(step_response) -> np.ndarray:
+            begun, over = np.maximum(since, 0.0), np.maximum(since - dt, 0.0)
+            return step_response(begun) - step_response(over)
+
+        moved = of_step(lambda s: 0.5 * s * s)
+        tilted = of_step(lambda s: (1.0 - (b * np.exp(-a * s) - a * np.exp(-b * s)) / (b - a)) / (a * b))
+        turned = of_step(lambda s: (s - (1.0 - np.exp(-turn_bandwidth * s)) / turn_bandwidth) / turn_bandwidth)
+        line = np.stack([np.ones(rows), t], axis=1)
+        tilt = np.stack([np.exp(-a * t), np.exp(-b * t)], axis=1)
+        turn = np.stack([np.ones(rows), np.exp(-turn_bandwidth * t)], axis=1)
+        line, tilt, turn = (null_space(x.T) for x in (line, tilt, turn))
+        return Shapes((line,) * 3 + (tilt,) * 2 + (turn,), (moved,) * 3 + (tilted,) * 2 + (turned,), dt)
+
+    def noise(self, channel: int, noise: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+        """Covariance (q, q) of a channel's error by measurement noise alone (see `Whitening.of`)."""
+        free = self.free[channel]
+        covariance = noise[channel] ** 2 * np.eye(free.shape[1])
+        if channel < 3:
+            fed = acceleration[channel] * free.T @ self.responses[channel]
+            covariance += fed @ fed.T
+        return covariance
+
+    def unrest(self, channel: int, time: float) -> np.ndarray:
+        """Covariance (q, q) of a channel's error by unrest of unit size with a correlation time [s]."""
+        fed = self.free[channel].T @ self.responses[channel]
+        steps = np.arange(fed.shape[1]) * self.dt
+        return fed @ np.exp(-np.abs(steps[:, None] - steps) / time) @ fed.T
+
 
 @dataclasses.dataclass(frozen=True)
 class Whitening:
@@ -24,26 +72,26 @@ class Whitening:
     shapes: np.ndarray  # (6, q) the whitened unit remainder of each channel (see `sizes`)
 
     @staticmethod
-    def of(rows: int, dt: float, noise: np.ndarray, acceleration: np.ndarray, vehicle: Vehicle) -> Whitening:
-        """For windows of `rows` samples dt apart.
+    def of(
+        shapes: Shapes,
+        noise: np.ndarray,
+        acceleration: np.ndarray,
+        size: np.ndarray | None = None,
+        time: np.ndarray | None = None,
+    ) -> Whitening:
+        """Of noise (6,) of the measured pose [m, rad], acceleration (3,) noise per sample [m/s2].
 
-        noise (6,) of the measured pose [m, rad], acceleration (3,) noise per sample [m/s2].
+        size, time (6,): of the unrest in every channel [m/s2, rad/s2], [s]; None: the air is still.
         """
-        t = np.arange(rows) * dt
-        lag = np.arange(rows)[:, None] - np.arange(rows)[None, :] - 0.5
-        double = np.where(lag > 0, lag, 0.0) * dt * dt
-        tau, bandwidth = vehicle.attitude_time_constant, vehicle.attitude_bandwidth
-        line = np.stack([np.ones(rows), t], axis=1)
-        tilt = np.stack([np.exp(-t / tau), np.exp(-t * bandwidth)], axis=1)
-        turn = np.stack([np.ones(rows), np.exp(-t * vehicle.attitude_yaw_bandwidth)], axis=1)
         matrices = []
-        for channel in range(6):
-            covariance = noise[channel] ** 2 * np.eye(rows)
-            if channel < 3:
-                covariance += acceleration[channel] ** 2 * double @ double.T
-            free = null_space((line if channel < 3 else tilt if channel < 5 else turn).T)
-            factor = cholesky(free.T @ covariance @ free, lower=True)
+        for channel, free in enumerate(shapes.free):
+            covariance = shapes.noise(channel, noise, acceleration)
+            if size is not None and size[channel] > 0.0:
+                covariance = covariance + size[channel] ** 2 * shapes.unrest(channel, time[channel])
+            factor = cholesky(covariance, lower=True)
             matrices.append(solve_triangular(factor, free.T, lower=True))
+        rows = matrices[0].shape[1]
+        t = np.arange(rows) * shapes.dt
         unit = [0.5 * t * t] * 3 + [np.ones(rows)] * 2 + [t / t[-1]]
         matrices = np.array(matrices)
         return Whitening(matrices, np.einsum("cqk,ck->cq", matrices, np.array(unit)))
@@ -58,5 +106,5 @@ class Whitening:
 
     @property
     def power(self) -> np.ndarray:
-        """(6,) inverse variance of `sizes` under the noise alone."""
+        """(6,) inverse variance of `sizes` under noise and unrest alone."""
         return np.einsum("cq,cq->c", self.shapes, self.shapes)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import savgol_filter
 
-from inclined_landing.eval.gap.flights.whitening import Whitening
+from inclined_landing.eval.gap.flights.whitening import Shapes, Whitening
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import rotations
 from inclined_landing.models.equations import AMBIENT_SIZE
@@ -57,6 +57,8 @@ class Measured:
     starts: np.ndarray  # (w,) first row of every window
     rows: int  # per window
     regimes: np.ndarray  # (w, len(REGIMES)) bool
+    sensed: np.ndarray  # (3,) noise of the predicted acceleration by that of the attitude, per row
+    shapes: Shapes
     whitening: Whitening
     usable: np.ndarray  # (m,) bool: measured, flying, not touching
 
@@ -74,6 +76,12 @@ class Measured:
     def measured(self) -> np.ndarray:
         """Measured pose (m, 6)."""
         return np.hstack([self.position, self.attitude])
+
+    def rewhiten(self, shapes: Shapes, unrest) -> None:
+        """Weigh errors by noise and an `unrest.Unrest` too."""
+        self.shapes = shapes
+        noise = self.noise * unrest.noise
+        self.whitening = Whitening.of(shapes, noise, self.sensed, unrest.size, unrest.time)
 
     def cut(self, values: np.ndarray) -> np.ndarray:
         """Windows (w, rows, ...) of the rows of `values` (m, ...)."""
@@ -127,6 +135,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
             f"({100 * usable.mean():.0f} % of its rows are in flight)"
         )
     sensed = _acceleration_noise(noise, attitude[usable], vehicle)
+    shapes = Shapes.of(rows, dt, vehicle)
     flight = Measured(
         name=log.name,
         dt=dt,
@@ -146,7 +155,9 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
         starts=starts,
         rows=rows,
         regimes=np.zeros((len(starts), len(REGIMES)), bool),
-        whitening=Whitening.of(rows, dt, noise, sensed, vehicle),
+        sensed=sensed,
+        shapes=shapes,
+        whitening=Whitening.of(shapes, noise, sensed),
         usable=usable,
     )
     flight.regimes = _regimes(flight, vehicle, platform)

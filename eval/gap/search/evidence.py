@@ -12,6 +12,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from inclined_landing.eval.gap.flights.unrest import Unrest
+from inclined_landing.eval.gap.flights.whitening import Shapes
 from inclined_landing.eval.gap.flights.windows import Measured
 from inclined_landing.eval.gap.search.prediction import YAW_CHANNEL, predict
 from inclined_landing.models.effects import Effect, Parameter
@@ -92,6 +94,11 @@ class Problem(Suspects):
         self.logged[~np.array([f.has_yaw for f in self.flights])[self.flight_of], YAW_CHANNEL] = 0.0
         self.weight = self.logged.copy()
         self._pool = ThreadPoolExecutor(2)
+
+    def rewhiten(self, unrest: Unrest, vehicle: Vehicle) -> None:
+        """Weigh all errors by noise and unrest, the loops of roll, pitch and yaw those of `vehicle`."""
+        for flight in self.flights:
+            flight.rewhiten(Shapes.of(flight.rows, flight.dt, vehicle), unrest)
 
     def white(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
         """White errors (w, 6, q) of every flight, each with its vehicle."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy import stats
@@ -29,21 +29,32 @@ class Fitted:
 
 
 def refit(
-    problem: Problem, values: Values, inflation: np.ndarray, iterations: int = 8, tolerance: float = 0.05
+    problem: Problem,
+    values: Values,
+    inflation: np.ndarray,
+    iterations: int = 8,
+    tolerance: float = 0.05,
+    prior: Callable[[Problem, Sequence[Column]], np.ndarray] | None = None,
 ) -> Fitted:
-    """Levenberg-Marquardt fit, within bounds, of all parameters of the effects in `values`."""
+    """Levenberg-Marquardt fit, within bounds, of all parameters of the effects in `values`.
+
+    prior: gives the standard deviation (P,) of columns about neutral; None: as the flights say.
+    """
     names = list(values)
     values = {name: dict(problem.library[name].neutral) | dict(v) for name, v in values.items()}
     damping = 1e-3
     columns = [Column(name, p.name) for name in names for p in problem.library[name].parameters]
     fit = fit_at(problem, values, columns, inflation)
+    width = prior(problem, columns) if prior else np.full(len(columns), np.inf)
     for _ in range(iterations if names else 0):
         improved = False
         while damping < 1e4:
-            trial = _moved(problem, fit, damping)
+            trial = _moved(problem, fit, damping, width)
             new = fit_at(problem, trial, columns, inflation)
-            if new.squares < fit.squares:
-                gain, fit, improved = fit.squares - new.squares, new, True
+            gain = fit.squares - new.squares
+            gain += _unlikely(problem, fit, width) - _unlikely(problem, new, width)
+            if gain > 0.0:
+                fit, improved = new, True
                 damping = max(1e-9, damping / 10.0)
                 break
             if fit.squares - _predicted(fit, trial) < tolerance:
@@ -60,9 +71,21 @@ def fit_at(problem: Problem, values, columns, inflation) -> Fitted:
     return Fitted(values, weighted, np.arange(len(columns)), inflation)
 
 
-def _moved(problem: Problem, fit: Fitted, damping: float) -> dict[str, dict[str, float]]:
+def _unlikely(problem: Problem, fit: Fitted, width: np.ndarray) -> float:
+    """Squared sizes of the parameters, each over its `width`."""
+    return float(((from_neutral(problem, fit) / width) ** 2).sum())
+
+
+def from_neutral(problem: Problem, fit: Fitted) -> np.ndarray:
+    """(k,) fitted values of all columns less their neutral ones."""
+    columns = fit.weighted.columns
+    return np.array([fit.values[c.effect][c.parameter] - problem.parameter(c).neutral for c in columns])
+
+
+def _moved(problem: Problem, fit: Fitted, damping: float, width: np.ndarray) -> dict[str, dict[str, float]]:
     """Values after a damped step; parameters that would leave their bounds stay there, the others refit."""
     a, b = fit.weighted.group_a.sum(axis=0), fit.weighted.group_b.sum(axis=0)
+    a, b = a + np.diag(width**-2.0), b - from_neutral(problem, fit) * width**-2.0
     at, bounds = at_and_bounds(problem, fit)
     step = bounded_step(a + damping * np.diag(np.diag(a)), a, b, at, bounds, np.ones(len(at), bool))
     return _stepped(problem, fit, step)

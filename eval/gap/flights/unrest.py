@@ -1,0 +1,116 @@
+"""What does not repeat: measurement noise and the unrest of the air, estimated from window errors.
+
+An Ornstein-Uhlenbeck acceleration in every channel, of some standard deviation and correlation time, on top
+of the measurement noise: both by maximum likelihood over all windows of all flights, intervals by flights
+drawn with replacement.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import eigh
+
+from inclined_landing.eval.gap.flights.windows import Measured
+
+UNITS = ("m/s2",) * 3 + ("rad/s2",) * 3
+TIMES = np.geomspace(0.05, 1.6, 6)  # s
+# Sizes are sought between these shares of what the errors alone would ask for.
+SIZES = np.geomspace(0.02, 3.0, 36)
+NOISE = np.geomspace(0.5, 8.0, 13)  # variance of the noise over that seen in the log
+DRAWS = 200
+
+
+@dataclasses.dataclass(frozen=True)
+class Unrest:
+    """Disturbance that does not repeat, in x, y, z [m/s2], roll, pitch and yaw [rad/s2]."""
+
+    size: np.ndarray  # (6,) standard deviation
+    size_ci95: np.ndarray  # (2, 6)
+    time: np.ndarray  # (6,) s, correlation time
+    time_ci95: np.ndarray  # (2, 6)
+    noise: np.ndarray  # (6,) of the measurement over what every log shows by itself, at least 0.7
+
+    @staticmethod
+    def none() -> Unrest:
+        """Still air, the noise as the logs show it."""
+        zero = np.zeros(6)
+        return Unrest(zero, np.zeros((2, 6)), np.full(6, 0.3), np.full((2, 6), 0.3), np.ones(6))
+
+
+def estimate(flights: Sequence[Measured], errors: Sequence[np.ndarray], seed: int = 0) -> Unrest:
+    """The unrest of which errors (m, 6), measured minus predicted, of flights are made."""
+    windows = [f.cut(e) for f, e in zip(flights, errors)]
+    columns = [_of_channel(flights, windows, c, seed) for c in range(6)]
+    size, size_ends, time, time_ends, noise = (np.array(x) for x in zip(*columns))
+    return Unrest(size, size_ends.T, time, time_ends.T, noise)
+
+
+def _of_channel(flights, windows, channel: int, seed: int):
+    """(size, its interval, time, its interval, factor of the noise) of one channel."""
+    if channel == 5 and not any(f.has_yaw for f in flights):
+        return 0.0, (0.0, 0.0), 0.3, (0.3, 0.3), 1.0
+    parts = [_modes(f, w, channel) for f, w in zip(flights, windows)]
+    # The size at which unrest alone, of middling correlation time, would explain the errors.
+    middle = len(TIMES) // 2
+    whole = np.median([z.mean() / v.mean() for v, z, _ in (p[middle] for p in parts)])
+    sizes = SIZES * np.sqrt(max(whole, 1e-12))
+    table = np.stack([_log_likelihood(part, sizes) for part in parts])  # (f, times, noise, sizes)
+    best = np.unravel_index(int(np.argmax(table.sum(axis=0))), table.shape[1:])
+    rng = np.random.default_rng((seed, channel))
+    share = rng.multinomial(len(parts), np.full(len(parts), 1.0 / len(parts)), DRAWS)
+    drawn = np.tensordot(share, table[:, :, best[1], :], axes=1)
+    places = [np.unravel_index(int(np.argmax(x)), x.shape) for x in drawn]
+    size_ends = np.quantile([sizes[k] for _, k in places], [0.025, 0.975])
+    time_ends = np.quantile([TIMES[k] for k, _ in places], [0.025, 0.975])
+    total = table.sum(axis=0)
+    size = _refined(np.log(sizes), total[best[0], best[1]], best[2])
+    time = _refined(np.log(TIMES), total[:, best[1], best[2]], best[0])
+    if best[2] == 0:  # no more than the least that was tried
+        return 0.0, (0.0, float(size_ends[1])), time, tuple(time_ends), float(np.sqrt(NOISE[best[1]]))
+    ends = (min(size, size_ends[0]), max(size, size_ends[1]))
+    times = (min(time, time_ends[0]), max(time, time_ends[1]))
+    return size, ends, time, times, float(np.sqrt(NOISE[best[1]]))
+
+
+def _modes(flight: Measured, windows: np.ndarray, channel: int):
+    """For every time of TIMES: (variances (q,) by unit unrest, mean squares (q,), windows w).
+
+    In the directions in which noise has unit variance and unrest is uncorrelated.
+    """
+    shapes = flight.shapes
+    noise = shapes.noise(channel, flight.noise, flight.sensed)
+    free = windows[..., channel] @ shapes.free[channel]
+    result = []
+    for time in TIMES:
+        variance, modes = eigh(shapes.unrest(channel, float(time)), noise)
+        result.append((np.maximum(variance, 0.0), _mean_squares(free @ modes), len(windows)))
+    return result
+
+
+def _mean_squares(values: np.ndarray) -> np.ndarray:
+    """Mean squares (q,) of values (w, q); the few windows that outdo all others drawn in."""
+    squares = values**2
+    total = squares.mean(axis=1)
+    most = 4.0 * np.median(total) + 1e-300
+    return (squares * np.minimum(1.0, most / np.maximum(total, 1e-300))[:, None]).mean(axis=0)
+
+
+def _log_likelihood(part, sizes: np.ndarray) -> np.ndarray:
+    """Log-likelihood (times, noise, sizes) of one flight."""
+    rows = []
+    for variance, squares, count in part:
+        total = NOISE[:, None, None] + sizes[None, :, None] ** 2 * variance
+        rows.append(-0.5 * count * (np.log(total) + squares / total).sum(axis=2))
+    return np.stack(rows)
+
+
+def _refined(x: np.ndarray, y: np.ndarray, k: int) -> float:
+    """Where the parabola through the largest y and its neighbours is highest; x: logarithms."""
+    if k in (0, len(x) - 1):
+        return float(np.exp(x[k]))
+    bend = y[k - 1] - 2.0 * y[k] + y[k + 1]
+    shift = 0.5 * (y[k - 1] - y[k + 1]) / bend if bend < 0.0 else 0.0
+    return float(np.exp(x[k] + np.clip(shift, -0.5, 0.5) * (x[1] - x[0])))

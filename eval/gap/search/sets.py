@@ -1,0 +1,224 @@
+"""Which set of effects explains the flights: all sets are candidates, the answer is a distribution over them.
+
+From no effect on, sets are screened with the Gram matrices of the nearest set that has been fitted, and the
+most probable are fitted through the simulator and linearised anew, until no neighbour - one effect more, less
+or another - promises more than what has been fitted.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+
+from inclined_landing.eval.gap.flights import unrest
+from inclined_landing.eval.gap.search.evidence import Problem
+from inclined_landing.eval.gap.search.fit import Fitted, fit_at, refit
+from inclined_landing.eval.gap.search.posterior import Local, Screen, Set, flight_weights, slabs
+from inclined_landing.eval.gap.search.prediction import predict
+
+NOTHING = 0.5  # prior probability that nothing is missing
+MOST = 6  # effects of a set
+FITTED = 14  # sets that are fitted through the simulator, at most
+WORTH = 6.0  # log probability behind the best within which a neighbour is worth a fit
+LEAST = 1e-3  # probability of a set that is worth telling
+
+
+@dataclasses.dataclass
+class Node:
+    """A set fitted through the simulator."""
+
+    names: Set
+    values: dict[str, dict[str, float]]
+    local: Local
+    screen: Screen
+    score: float  # log probability, up to a constant
+
+
+@dataclasses.dataclass(frozen=True)
+class Scored:
+    """A set with its probability."""
+
+    names: Set
+    probability: float
+    values: dict[str, dict[str, float]]
+
+
+@dataclasses.dataclass
+class Search:
+    """The outcome of `search`."""
+
+    fit: Fitted  # of the most probable set
+    local: Local  # the flights near it
+    sets: tuple[Scored, ...]  # most probable first
+    unrest: unrest.Unrest
+    whole: dict[str, dict[str, float]]  # all effects fitted together
+    inflation: np.ndarray  # (6,)
+
+    def probability(self, name: str) -> float:
+        """That an effect is part of what is missing."""
+        return sum(s.probability for s in self.sets if name in s.names)
+
+
+def search(problem: Problem) -> Search:
+    """The sets of effects that may explain the flights of `problem`, which is whitened anew."""
+    whole, stir = settle(problem)
+    inflation = repeated(problem, whole)
+    nodes = _explore(problem, inflation)
+    best = max(nodes.values(), key=lambda node: node.score)
+    scored = _distribution(problem, nodes, best, inflation)
+    chosen = nodes[scored[0].names]
+    columns = [c for c in chosen.local.columns if c.effect in chosen.names]
+    fit = fit_at(problem, chosen.values, columns, inflation)
+    return Search(fit, chosen.local, scored, stir, whole, inflation)
+
+
+def settle(problem: Problem) -> tuple[dict, unrest.Unrest]:
+    """All effects fitted together, and the noise and unrest that they leave; the flights weighed by these."""
+    values: dict[str, dict[str, float]] = {name: {} for name in problem.library}
+    still = np.ones(6)
+    stir = unrest.Unrest.none()
+    for iterations in (3, 2):
+        fit = refit(problem, values, still, iterations=iterations, prior=slabs)
+        values = fit.values
+        vehicle = problem.corrected(values)
+        errors = [f.measured - predict(f, vehicle) for f in problem.flights]
+        stir = unrest.estimate(problem.flights, errors)
+        problem.rewhiten(stir, vehicle)
+    return values, stir
+
+
+def repeated(problem: Problem, values) -> np.ndarray:
+    """(6,) how much less a window tells than if it were independent of the one before."""
+    vehicle = problem.corrected(values)
+    white = problem.white([vehicle] * len(problem.flights))
+    scale = np.ones(6)
+    for channel in range(6):
+        total, apart = 0.0, np.zeros(4)
+        for flight, errors in zip(problem.flights, white):
+            size = flight.whitening.sizes(errors)[:, channel]
+            size = size * np.sqrt(flight.whitening.power[channel])
+            total += float(size @ size)
+            apart += [float(size[lag:] @ size[:-lag]) if len(size) > lag else 0.0 for lag in range(1, 5)]
+        if total > 0.0:
+            scale[channel] = np.clip(1.0 + 2.0 * (apart / total).sum(), 1.0, 10.0)
+    return scale
+
+
+def _prior(problem: Problem, names: Set) -> float:
+    """Log prior probability of a set: every effect alike, nothing with probability NOTHING."""
+    share = 1.0 - NOTHING ** (1.0 / max(1, len(problem.library)))
+    return len(names) * math.log(share / (1.0 - share))
+
+
+def _visit(problem: Problem, names: Set, start, inflation: np.ndarray) -> Node:
+    """Fit a set from `start`, and linearise the simulator there."""
+    values = {n: dict(start.get(n, {})) for n in problem.library if n in names}
+    fit = refit(problem, values, inflation, prior=slabs)
+    columns = problem.columns(fit.values, list(problem.library))
+    weighted = problem.linearise(fit.values, columns).weighted(inflation)
+    local = Local.of(problem, weighted, fit.values)
+    values = stepped(problem, local, names, fit.values)
+    score = float(local.log_evidence(names, np.ones((1, problem.groups)))[0]) + _prior(problem, names)
+    return Node(names, values, local, Screen(local), score)
+
+
+def stepped(problem: Problem, local: Local, names: Set, values, weights=None) -> dict:
+    """Values of a set's effects beside the small errors of all others."""
+    change, _ = local.fit(names, weights)
+    result = {n: dict(v) for n, v in values.items()}
+    for k, column in enumerate(local.columns):
+        if column.effect in names and not column.fixed and column.effect in values:
+            p = problem.parameter(column)
+            value = values[column.effect][p.name] + change[k] * local.unit[k]
+            result[column.effect][p.name] = float(np.clip(value, *p.bounds))
+    return result
+
+
+def _start(problem: Problem, node: Node, names: Set) -> dict:
+    """Where the fit of a neighbour starts: the linear estimate, references at the better end."""
+    change, _ = node.local.fit(names)
+    start = {n: dict(v) for n, v in node.values.items() if n in names}
+    for name in names - node.names:
+        effect = problem.library[name]
+        values = dict(effect.neutral)
+        own = node.local.index([name])
+        if effect.reference:
+            k = max(own, key=lambda k: abs(change[k]))
+            first, ends = effect.parameters[0], dict(node.local.columns[k].fixed)
+            values[first.name] = first.neutral + change[k] * node.local.unit[k]
+            lo, hi = effect.reference.bounds
+            total = change[own].sum()
+            share = change[own[-1]] / total if total else 0.5
+            ends = {effect.reference.name: float(np.clip(lo + share * (hi - lo), lo, hi))}
+            values |= ends
+        else:
+            for k in own:
+                p = problem.parameter(node.local.columns[k])
+                values[p.name] = p.neutral + change[k] * node.local.unit[k]
+        for p in effect.parameters:
+            values[p.name] = float(np.clip(values[p.name], *p.bounds))
+        start[name] = values
+    return start
+
+
+def _neighbours(problem: Problem, node: Node) -> list[Set]:
+    """Sets that differ from a node's by one effect more, less or exchanged, and by the best two more."""
+    names = list(problem.library)
+    others = [n for n in names if n not in node.names]
+    result = [node.names - {n} for n in node.names]
+    if len(node.names) < MOST:
+        more = [node.names | {n} for n in others]
+        result += more
+    result += [(node.names - {n}) | {m} for n in node.names for m in others]
+    if len(node.names) + 2 <= MOST:
+        pairs = list(itertools.combinations(others, 2))
+        result += [node.names | set(pair) for pair in pairs]
+    return [frozenset(s) for s in result]
+
+
+def _explore(problem: Problem, inflation: np.ndarray) -> dict[Set, Node]:
+    """The sets that were fitted."""
+    empty: Set = frozenset()
+    nodes = {empty: _visit(problem, empty, {}, inflation)}
+    promised: dict[Set, tuple[float, Node]] = {}
+    expanded: set[Set] = set()
+    while len(nodes) < FITTED:
+        best = max(nodes.values(), key=lambda node: node.score)
+        if best.names not in expanded:
+            expanded.add(best.names)
+            for names in _neighbours(problem, best):
+                promised[names] = (best.screen(names) + _prior(problem, names), best)
+        left = [(score, names) for names, (score, _) in promised.items() if names not in nodes]
+        if not left:
+            break
+        score, names = max(left, key=lambda item: (item[0], sorted(item[1])))
+        if score < best.score - WORTH:
+            break
+        origin = promised[names][1]
+        nodes[names] = _visit(problem, names, _start(problem, origin, names), inflation)
+    return nodes
+
+
+def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflation) -> tuple[Scored, ...]:
+    """Probabilities of sets; those that were not fitted count by the linearisation at the best."""
+    weights = flight_weights(problem.groups)
+    near = {n: best.screen(n) + _prior(problem, n) for n in _neighbours(problem, best) if n not in nodes}
+    near = dict(sorted(near.items(), key=lambda item: -item[1])[:60])
+    table = {n: node.local.log_evidence(n, weights) + _prior(problem, n) for n, node in nodes.items()}
+    table |= {n: best.local.log_evidence(n, weights) + _prior(problem, n) for n in near}
+    names = list(table)
+    logs = np.stack([table[n] for n in names])
+    shares = np.exp(logs - logs.max(axis=0))
+    probability = (shares / shares.sum(axis=0)).mean(axis=1)
+    result = []
+    for k in np.argsort(-probability, kind="stable"):
+        if probability[k] < LEAST and result:
+            continue
+        one = names[k]
+        if one not in nodes:
+            nodes[one] = _visit(problem, one, _start(problem, best, one), inflation)
+        result.append(Scored(one, float(probability[k]), nodes[one].values))
+    return tuple(result)
