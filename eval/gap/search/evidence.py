@@ -109,6 +109,12 @@ class Problem(Suspects):
         flight = self.flights[k]
         return flight.whitening(flight.cut(flight.measured - predict(flight, vehicle)))
 
+    def squares(self, values: Values, inflation: np.ndarray) -> float:
+        """White squared error over all windows with effects at `values`."""
+        white = self.white([self.corrected(values)] * len(self.flights))
+        by_channel = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in white])
+        return float((self.weight / inflation * by_channel).sum())
+
     def columns(self, values: Values, names: Sequence[str]) -> list[Column]:
         """Directions of the effects `names` at `values`.
 

@@ -50,11 +50,10 @@ def refit(
         improved = False
         while damping < 1e4:
             trial = _moved(problem, fit, damping, width)
-            new = fit_at(problem, trial, columns, inflation)
-            gain = fit.squares - new.squares
-            gain += _unlikely(problem, fit, width) - _unlikely(problem, new, width)
+            gain = fit.squares - problem.squares(trial, inflation)
+            gain += _unlikely(problem, columns, fit.values, width) - _unlikely(problem, columns, trial, width)
             if gain > 0.0:
-                fit, improved = new, True
+                fit, improved = fit_at(problem, trial, columns, inflation), True
                 damping = max(1e-9, damping / 10.0)
                 break
             if fit.squares - _predicted(fit, trial) < tolerance:
@@ -71,21 +70,20 @@ def fit_at(problem: Problem, values, columns, inflation) -> Fitted:
     return Fitted(values, weighted, np.arange(len(columns)), inflation)
 
 
-def _unlikely(problem: Problem, fit: Fitted, width: np.ndarray) -> float:
+def _unlikely(problem: Problem, columns: Sequence[Column], values: Values, width: np.ndarray) -> float:
     """Squared sizes of the parameters, each over its `width`."""
-    return float(((from_neutral(problem, fit) / width) ** 2).sum())
+    return float(((from_neutral(problem, columns, values) / width) ** 2).sum())
 
 
-def from_neutral(problem: Problem, fit: Fitted) -> np.ndarray:
-    """(k,) fitted values of all columns less their neutral ones."""
-    columns = fit.weighted.columns
-    return np.array([fit.values[c.effect][c.parameter] - problem.parameter(c).neutral for c in columns])
+def from_neutral(problem: Problem, columns: Sequence[Column], values: Values) -> np.ndarray:
+    """(k,) values of all columns less their neutral ones."""
+    return np.array([values[c.effect][c.parameter] - problem.parameter(c).neutral for c in columns])
 
 
 def _moved(problem: Problem, fit: Fitted, damping: float, width: np.ndarray) -> dict[str, dict[str, float]]:
     """Values after a damped step; parameters that would leave their bounds stay there, the others refit."""
     a, b = fit.weighted.group_a.sum(axis=0), fit.weighted.group_b.sum(axis=0)
-    a, b = a + np.diag(width**-2.0), b - from_neutral(problem, fit) * width**-2.0
+    a, b = a + np.diag(width**-2.0), b - from_neutral(problem, fit.weighted.columns, fit.values) * width**-2.0
     at, bounds = at_and_bounds(problem, fit)
     step = bounded_step(a + damping * np.diag(np.diag(a)), a, b, at, bounds, np.ones(len(at), bool))
     return _stepped(problem, fit, step)

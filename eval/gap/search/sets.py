@@ -24,6 +24,7 @@ MOST = 6  # effects of a set
 FITTED = 14  # sets that are fitted through the simulator, at most
 WORTH = 6.0  # log probability behind the best within which a neighbour is worth a fit
 LEAST = 1e-3  # probability of a set that is worth telling
+CLEAR = 0.03  # above which it is fitted through the simulator
 
 
 @dataclasses.dataclass
@@ -218,7 +219,8 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
         if probability[k] < LEAST and result:
             continue
         one = names[k]
-        if one not in nodes:
+        if one not in nodes and probability[k] > CLEAR:
             nodes[one] = _visit(problem, one, _start(problem, best, one), inflation)
-        result.append(Scored(one, float(probability[k]), nodes[one].values))
+        values = nodes[one].values if one in nodes else _start(problem, best, one)
+        result.append(Scored(one, float(probability[k]), values))
     return tuple(result)
