@@ -22,7 +22,7 @@ from inclined_landing.models.parameters import Vehicle
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 
 # With fewer flights than this, flights are split into this many groups of windows in all.
-LEAST_GROUPS = 4
+LEAST_GROUPS = 8
 _RIDGE = 1e-9
 
 
@@ -119,14 +119,14 @@ class Problem(Suspects):
         """Directions of the effects `names` at `values`.
 
         A reference changes nothing while its effect is neutral and has no direction of its own there; the
-        first parameter then counts at both ends of its range.
+        first parameter then counts with it well to either side.
         """
         result = []
         for name in names:
             effect = self.library[name]
             first, idle = effect.parameters[0], effect.reference
             if idle and values.get(name, effect.neutral).get(first.name, first.neutral) == first.neutral:
-                result += [Column(name, first.name, ((idle.name, end),)) for end in idle.bounds]
+                result += [Column(name, first.name, ((idle.name, end),)) for end in either_side(idle)]
             else:
                 result += [Column(name, p.name) for p in effect.parameters]
         return result
@@ -152,6 +152,13 @@ class Problem(Suspects):
         parts = list(self._pool.map(of, self.flights))
         a, b, c = (np.concatenate(x) for x in zip(*parts))
         return Linear(tuple(columns), a, b, c, self)
+
+
+def either_side(reference: Parameter) -> tuple[float, float]:
+    """Values well below and above a reference's own."""
+    low, high = reference.bounds
+    away = 0.25 * (high - low)
+    return max(low, reference.neutral - away), min(high, reference.neutral + away)
 
 
 def _groups(flights: Sequence[Measured]) -> np.ndarray:

@@ -57,6 +57,8 @@ class Local:
     unit: np.ndarray  # (P,) spikes
     slab: np.ndarray  # (P,) in spikes
     held: np.ndarray  # (P,) bool: at a bound, where it cannot move
+    own_a: np.ndarray  # (f, P, P) of every flight, its deviation not integrated out
+    own_b: np.ndarray  # (f, P)
 
     @staticmethod
     def of(problem: Problem, weighted: Weighted, values: Values) -> Local:
@@ -75,6 +77,11 @@ class Local:
         a = weighted.group_a * np.outer(unit, unit)
         b = weighted.group_b * unit
         c = np.bincount(problem.group_of, weighted.c, g)
+        flights = len(problem.flights)
+        of = np.array([problem.flight_of[np.argmax(problem.group_of == k)] for k in range(g)])
+        own_a, own_b = np.zeros((flights, *a.shape[1:])), np.zeros((flights, a.shape[1]))
+        np.add.at(own_a, of, a)
+        np.add.at(own_b, of, b)
         between = (BETWEEN / SPIKE) ** 2
         # Marginal over a deviation u of each flight, u ~ N(0, between) in every column.
         eye = np.eye(len(columns))
@@ -84,7 +91,8 @@ class Local:
             b[k] = inner @ b[k]
             a[k] = inner @ a[k]
             a[k] = 0.5 * (a[k] + a[k].T)
-        return Local(problem, columns, at, a, b, c, unit, slabs(problem, columns) / unit, held)
+        slab = slabs(problem, columns) / unit
+        return Local(problem, columns, at, a, b, c, unit, slab, held, own_a, own_b)
 
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Positions of the columns of the effects `names`."""
@@ -119,6 +127,11 @@ class Local:
         at = np.where(self.held, 0.0, self.at)
         covariance = np.linalg.inv(np.tensordot(w, self.a, axes=1) + np.diag(precision))
         return covariance @ (w @ self.b - precision * at), covariance
+
+    def deviation(self, flight: int, change: np.ndarray) -> np.ndarray:
+        """How far (P,) one flight lies from the fleet's change of the columns, in spikes."""
+        a, b = self.own_a[flight], self.own_b[flight]
+        return np.linalg.solve(a + (SPIKE / BETWEEN) ** 2 * np.eye(len(b)), b - a @ change)
 
 
 class Screen:

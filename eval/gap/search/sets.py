@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from inclined_landing.eval.gap.flights import unrest
-from inclined_landing.eval.gap.search.evidence import Problem
+from inclined_landing.eval.gap.search.evidence import Problem, either_side
 from inclined_landing.eval.gap.search.fit import Fitted, fit_at, refit
 from inclined_landing.eval.gap.search.posterior import Local, Screen, Set, flight_weights, slabs
 from inclined_landing.eval.gap.search.prediction import predict
@@ -57,6 +57,16 @@ class Search:
     unrest: unrest.Unrest
     whole: dict[str, dict[str, float]]  # all effects fitted together
     inflation: np.ndarray  # (6,)
+
+    @property
+    def names(self) -> Set:
+        """The most probable set."""
+        return self.sets[0].names
+
+    @property
+    def values(self) -> dict[str, dict[str, float]]:
+        """Its fitted values."""
+        return self.fit.values
 
     def probability(self, name: str) -> float:
         """That an effect is part of what is missing."""
@@ -147,14 +157,11 @@ def _start(problem: Problem, node: Node, names: Set) -> dict:
         values = dict(effect.neutral)
         own = node.local.index([name])
         if effect.reference:
-            k = max(own, key=lambda k: abs(change[k]))
-            first, ends = effect.parameters[0], dict(node.local.columns[k].fixed)
-            values[first.name] = first.neutral + change[k] * node.local.unit[k]
-            lo, hi = effect.reference.bounds
-            total = change[own].sum()
+            first, (low, high) = effect.parameters[0], either_side(effect.reference)
+            slope, total = change[own] * node.local.unit[own], change[own].sum()
             share = change[own[-1]] / total if total else 0.5
-            ends = {effect.reference.name: float(np.clip(lo + share * (hi - lo), lo, hi))}
-            values |= ends
+            values[first.name] = first.neutral + slope.sum()
+            values[effect.reference.name] = low + share * (high - low)
         else:
             for k in own:
                 p = problem.parameter(node.local.columns[k])
