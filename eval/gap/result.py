@@ -113,25 +113,50 @@ class WindowCurves:
 
 @dataclasses.dataclass(frozen=True)
 class Dependence:
-    """How much of the remainder of one channel a quantity explains."""
+    """A disturbance of one channel that goes with something known: predicted on flights left out."""
 
-    channel: str
-    on: str  # "height z", "own command", "command of the other axis", "time", ...
-    share: float  # R2 on flights left out, 0..1
-    x: np.ndarray  # (b,) bin centres of the quantity
-    y: np.ndarray  # (b,) mean remainder there
-    unit: str
+    channel: str  # x, y, z, roll, pitch, yaw, forward, left (of the heading)
+    on: str  # place, velocity, commands, ...: the inputs of the function
+    size: float  # its root mean square over the flights
+    unit: str  # m/s2, rad/s2
+    share: float  # of the squared error that it takes away on flights left out
+    score: float  # standard deviations over flips of signs
+    regimes: dict[str, float]  # regime -> root mean square there
+    against: str  # the one input it goes with most
+    x: np.ndarray  # (b,) bin centres of that input
+    y: np.ndarray  # (b,) its mean there
 
 
 @dataclasses.dataclass(frozen=True)
 class Remainder:
-    """What is left after the named effects."""
+    """What is left after the most probable set."""
 
-    unexplained: bool  # above the floors: something is there that the library does not know
-    size: dict[str, float]  # channel -> root mean square beyond the noise (m/s2 for x, y, z; rad)
-    floor: dict[str, float]  # channel -> size below which it counts as nothing
-    depends_on: tuple[Dependence, ...]  # largest share first, those worth telling only
+    unexplained: bool  # something is there that repeats, and is more than what nobody needs to correct
+    p_value: float  # of the largest gain of all functions, if nothing repeated
+    size: dict[str, float]  # channel -> root mean square beyond noise and unrest (m/s2 for x, y, z; rad)
+    depends_on: tuple[Dependence, ...]  # what repeats, one for each channel, surest first
     text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Disturbance:
+    """Noise and unrest of one channel."""
+
+    noise: float  # m, rad: standard deviation of the measurement
+    size: float  # m/s2, rad/s2
+    size_ci95: tuple[float, float]
+    time: float  # s, correlation time
+    time_ci95: tuple[float, float]
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True)
+class ScoredSet:
+    """A set of effects with its probability."""
+
+    effects: tuple[str, ...]
+    probability: float
+    values: dict[str, dict[str, float]]
 
 
 @dataclasses.dataclass(frozen=True)

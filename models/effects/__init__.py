@@ -16,7 +16,7 @@ from collections.abc import Mapping
 
 from inclined_landing.models.effects import air, attitude, battery, body, contact, delays, motor, platform
 from inclined_landing.models.effects import thrust as _thrust
-from inclined_landing.models.effects.effect import CHANNELS, REGIMES, Effect, Parameter
+from inclined_landing.models.effects.effect import CHANNELS, REGIMES, Effect, FittedConstant, Parameter
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 

@@ -75,6 +75,7 @@ EFFECTS = (
         channels=("translation",),
         apply=added("effects_wind", "x", "y"),
         says="the air moves with {x} along x and {y} along y",
+        of_the_place=True,
     ),
     Effect(
         name="translational_lift",

@@ -89,6 +89,7 @@ class Effect:
     unites_because: str = ""
     # Not named beside it, because MuJoCo's contact couples what feet do not.
     couples_with: tuple[str, ...] = ()
+    of_the_place: bool = False  # no part of the vehicle: another day or room has another value
     told_by: str = ""  # how it is told without a flight, a sentence; "": by flights
 
     @property

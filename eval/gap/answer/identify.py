@@ -14,22 +14,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from inclined_landing.eval.gap.flights.unrest import Unrest
 from inclined_landing.eval.gap.flights.windows import Measured, prepare_all
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
 from inclined_landing.eval.gap.search.fit import Fitted, estimates, left_out_vehicles, refit, spread_between
+from inclined_landing.eval.gap.search.posterior import SPIKE, Local, slabs
 from inclined_landing.eval.gap.search.prediction import predict
+from inclined_landing.eval.gap.search.sets import settle
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.effects import LIBRARY, FittedConstant
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
-# Effects that rescale what the model has.
-EFFECTS = tuple(name for name, e in LIBRARY.items() if any(p.constant for p in e.parameters))
 # What the paper reports of the attitude loops: gain, time constant [s] and fit [%].
 PAPER = {name: getattr(load_vehicle(), name) for name in ("attitude_gain", "attitude_time_constant")}
 PAPER["fit"] = 85.3
 FIT_HORIZON = 1.0  # s, of the velocity changes that the fit of x, y and z is about
-# A parameter is not identified when its 95 % interval is wider than this share of its range.
-TOO_WIDE = 0.5
+# A parameter is not identified when the flights leave its uncertainty above this share of what it was.
+UNSEEN = 0.7
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,10 +53,9 @@ class Identification:
     """The answer of `identify`."""
 
     vehicle: Vehicle
-    thrust: str  # "transfer function" or "static map"
     parameters: tuple[Identified, ...]
     fit: dict[str, dict[str, float]]  # channel -> {"before", "after"}: NRMSE fit [%] on flights left out
-    alternatives: dict[str, float]  # form of the thrust -> white squared error on flights left out
+    unrest: Unrest
     fields: dict[str, tuple[float, ...] | float]  # changed Vehicle field -> half-width of its interval
     flights: tuple[str, ...]
     notes: tuple[str, ...]
@@ -105,18 +105,13 @@ def identify(
     notes: list[str] = []
     fitted = prepare_all(flights, vehicle, platform, notes)
     judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
-    forms = {"transfer function": vehicle, "static map": static_map(vehicle)}
-    if vehicle.effects_battery_sag or vehicle.effects_thrust_bias:
-        del forms["static map"]
-    library, untold = tellable({name: LIBRARY[name] for name in EFFECTS}, fitted)
+    library, untold = tellable({n: e for n, e in LIBRARY.items() if not (e.contact or e.told_by)}, fitted)
     notes += untold
-    problems = {name: Problem(fitted, base, library) for name, base in forms.items()}
-    fits = {name: _best(problem, list(problem.library)) for name, problem in problems.items()}
-    scores = {name: float(fit.weighted.left_out(fit.index).sum()) for name, fit in fits.items()}
-    chosen = min(scores, key=scores.get)
-    problem = problems[chosen]
-    fit = _without_unseen(problem, fits[chosen], notes)
-    result = problem.corrected(fit.values)
+    problem = Problem(fitted, vehicle, library)
+    places = [name for name in problem.library if LIBRARY[name].of_the_place]
+    fit, stir = settle(problem, list(problem.library))
+    fit = _without_unseen(problem, fit, notes)
+    result = problem.corrected({n: v for n, v in fit.values.items() if n not in places})
     own = left_out_vehicles(problem, fit)
     test = judged or fitted
     vehicles = [result] * len(judged) if judged else own
@@ -128,41 +123,31 @@ def identify(
     parameters = _parameters(problem, fit, vehicle)
     return Identification(
         vehicle=result,
-        thrust=chosen,
         parameters=parameters,
         fit=channels,
-        alternatives=scores,
-        fields=_fields(vehicle, result, parameters),
+        unrest=stir,
+        fields=_fields(problem, fit, vehicle, result),
         flights=tuple(f.name for f in fitted),
         notes=tuple(notes),
     )
 
 
-def _best(problem: Problem, names: Sequence[str]) -> Fitted:
-    """The best fit from neutral and from the starts of pairs, from one to the other of which it is uphill."""
-    values = {name: {} for name in names}
-    fits = [refit(problem, values, np.ones(6), iterations=15)]
-    for pair in problem.pairs():
-        start = {n: {problem.library[n].parameters[0].name: x} for n, x in pair.items() if n in values}
-        fits.append(refit(problem, values | start, np.ones(6), iterations=15))
-    return min(fits, key=lambda fit: fit.squares)
-
-
 def _without_unseen(problem: Problem, fit: Fitted, notes: list[str]) -> Fitted:
-    """Leave out, one by one, effects that the flights do not excite enough to be told."""
-    while fit.values:
-        covariance = fit.weighted.covariance(fit.index)
-        width = {}
-        for k, column in enumerate(fit.weighted.columns):
-            low, high = problem.parameter(column).bounds
-            share = 4.0 * math.sqrt(covariance[k, k]) / (high - low)
-            width[column.effect] = max(share, width.get(column.effect, 0.0))
-        worst = max(width, key=width.get)
-        if width[worst] < TOO_WIDE:
-            break
-        notes.append(f"{worst.replace('_', ' ')} is not excited enough in these flights; it stays as it was")
-        fit = _best(problem, [name for name in fit.values if name != worst])
-    return fit
+    """Leave out effects of which the flights tell no more than was known, and those not worth correcting."""
+    local = Local.of(problem, fit.weighted, fit.values)
+    _, covariance = local.fit(frozenset(fit.values))
+    error = np.sqrt(np.diag(covariance))
+    kept, seen = set(), set()
+    for column, sd, slab, at in zip(local.columns, error, local.slab, local.at):
+        if sd < UNSEEN * slab:
+            seen.add(column.effect)
+            if abs(at) * SPIKE > 1.0 and not problem.parameter(column).is_reference:
+                kept.add(column.effect)
+    for name in fit.values:
+        if name not in seen:
+            label = name.replace("_", " ")
+            notes.append(f"{label} is not excited enough in these flights; it stays as it was")
+    return refit(problem, {n: v for n, v in fit.values.items() if n in kept}, np.ones(6), prior=slabs)
 
 
 def nrmse_fit(measured: np.ndarray, predicted: np.ndarray) -> float:
@@ -193,8 +178,11 @@ def _compared(flights: list[Measured], before: Vehicle, after: Sequence[Vehicle]
 
 def _parameters(problem: Problem, fit: Fitted, before: Vehicle) -> tuple[Identified, ...]:
     result = []
-    for _, p, value, half, change, error in estimates(problem, fit):
-        c = p.constant
+    for effect, p, value, half, change, error in estimates(problem, fit):
+        if LIBRARY[effect].of_the_place:
+            continue
+        label = f"{effect} {p.name}".replace("_", " ")
+        c = p.constant or FittedConstant(label, "", p.unit, lambda v, x: x)
         ends = sorted(c.number(before, float(np.clip(value + s * half, *p.bounds))) for s in (-1, 1))
         per_unit = abs(c.number(before, 2.0) - c.number(before, 1.0))
         result.append(
@@ -213,27 +201,14 @@ def _parameters(problem: Problem, fit: Fitted, before: Vehicle) -> tuple[Identif
     return tuple(result)
 
 
-def _fields(before: Vehicle, after: Vehicle, parameters: tuple[Identified, ...]):
+def _fields(problem: Problem, fit: Fitted, before: Vehicle, after: Vehicle):
     """Changed fields of the vehicle with the half-width of their intervals, in the field's own unit."""
-    half = {p.name: 0.5 * (p.ci95[1] - p.ci95[0]) for p in parameters}
-    share = {p.name: half[p.name] / max(abs(p.value), 1e-12) for p in parameters}
-    offsets: dict[str, list[float]] = {}
-    factors: dict[tuple[str, int], float] = {}
-    for c in (p.constant for e in LIBRARY.values() for p in e.parameters if p.constant):
-        if c.name in half and c.offset:
-            offsets.setdefault(c.field, []).append(half[c.name])
-        elif c.name in half:
-            for field in (c.field, *c.also):
-                parts = c.parts or range(np.size(getattr(after, field)))
-                factors |= {(field, k): share[c.name] for k in parts}
-    fields = {}
-    for name in (f.name for f in dataclasses.fields(after)):
-        value = getattr(after, name)
-        if value == getattr(before, name):
-            continue
-        if isinstance(value, tuple):
-            scaled = (abs(x) * factors.get((name, k), 0.0) for k, x in enumerate(value))
-            fields[name] = tuple(offsets.get(name) or scaled)
-        else:
-            fields[name] = offsets[name][0] if name in offsets else abs(value) * factors.get((name, 0), 0.0)
-    return fields
+    changed = [f.name for f in dataclasses.fields(after) if getattr(after, f.name) != getattr(before, f.name)]
+    width = {name: np.zeros(np.shape(getattr(after, name))) for name in changed}
+    for effect, p, value, half, *_ in estimates(problem, fit):
+        end = float(np.clip(value + half, *p.bounds))
+        values = {**fit.values, effect: {**fit.values[effect], p.name: end}}
+        moved = problem.corrected({n: v for n, v in values.items() if not LIBRARY[n].of_the_place})
+        for name in changed:
+            width[name] = np.hypot(width[name], np.subtract(getattr(moved, name), getattr(after, name)))
+    return {n: float(w) if np.ndim(w) == 0 else tuple(map(float, w)) for n, w in width.items()}

@@ -62,6 +62,14 @@ class Suspects:
         pairs = [(n, e.pairs_with) for n, e in self.library.items() if e.pairs_with]
         return [dict(zip((name, other.name), other.starts)) for name, other in reversed(pairs)]
 
+    def to_one_side(self, values: Values, column: Column) -> tuple[Vehicle, float]:
+        """The vehicle with a parameter a negligible size from `values`, within bounds, and that size."""
+        p = self.parameter(column)
+        at = {**self.library[column.effect].neutral, **values.get(column.effect, {}), **dict(column.fixed)}
+        step = p.negligible if at[p.name] + p.negligible <= p.bounds[1] else -p.negligible
+        beside = self.corrected({**values, column.effect: {**at, p.name: at[p.name] + step}})
+        return beside, step
+
     def to_either_side(self, values: Values, column: Column, times: float) -> tuple[list[Vehicle], float]:
         """Vehicles some negligible sizes below and above `values`, within bounds, and what lies between."""
         p = self.parameter(column)
@@ -135,8 +143,8 @@ class Problem(Suspects):
         """Errors at `values` and their Gram matrices with all `columns`."""
         vehicles, steps = [self.corrected(values)], []
         for column in columns:
-            ends, step = self.to_either_side(values, column, 1.0)
-            vehicles += ends
+            beside, step = self.to_one_side(values, column)
+            vehicles.append(beside)
             steps.append(step)
 
         def of(flight: Measured):
@@ -144,8 +152,8 @@ class Problem(Suspects):
             predicted = [predict(flight, v) for v in vehicles]
             error = flight.whitening(flight.cut(measured - predicted[0]))
             slopes = [
-                flight.whitening(flight.cut((predicted[2 * k + 2] - predicted[2 * k + 1]) / steps[k]))
-                for k in range(len(steps))
+                flight.whitening(flight.cut((one - predicted[0]) / step))
+                for one, step in zip(predicted[1:], steps)
             ]
             return gram(error, slopes)
 

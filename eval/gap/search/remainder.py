@@ -34,6 +34,7 @@ BLOCK = 5.0  # s of a flight that may have the other sign
 PAST = (0.1, 0.25)  # s ago, of commands
 MOVED = (0.15, 0.3, 0.5)  # s ago, of velocities
 BINS = 8
+WORTH = 1.0  # squared error that is worth telling, in that of errors of negligible size
 UNITS_OF = ("m/s2",) * 3 + ("rad/s2",) * 3
 LEAST = {"m/s2": 0.01, "rad/s2": 0.3}  # a function's expected size where the air is still
 
@@ -138,8 +139,74 @@ def assess(problem: Problem, found: Search, seed: int = 0) -> Remainder:
     scores = np.stack([f.scores(signs) for f in functions])
     most = scores.max(axis=0)
     p_value = float((most >= most[0] - 1e-9).mean())
-    order = np.argsort(-scores[:, 0])
-    return functions, scores, p_value, size, order
+    tolerance, total = _tolerances(problem, found)
+    sure = np.quantile(most[1:], 1.0 - FALSE_ALARM)
+    depends: dict[str, Dependence] = {}
+    for k in np.argsort(-scores[:, 0], kind="stable"):
+        f = functions[k]
+        if scores[k, 0] < sure or f.gain < WORTH * tolerance[f.target] or f.target in depends:
+            continue
+        arrays, names = inputs[f.on][1], inputs[f.on][0]
+        share = float(np.clip(f.gain / total[f.target], 0.0, 1.0))
+        depends[f.target] = _described(problem, f, basis[f.on], arrays, names, share, float(scores[k, 0]))
+    told = tuple(depends.values())
+    return Remainder(bool(told), p_value, size, told, _words(told))
+
+
+def _tolerances(problem: Problem, found: Search) -> tuple[dict[str, float], dict[str, float]]:
+    """Squared error of every target that errors of negligible size make, and all that is left there."""
+    columns = problem.columns(found.values, list(problem.library))
+    linear = problem.linearise(found.values, columns)
+    weight = problem.weight / found.inflation
+    spread = np.einsum("wckk,k,wc->c", linear.a, found.local.unit**2, weight, optimize=True)
+    left = (linear.c * weight).sum(axis=0)
+    result = []
+    for by_channel in (spread, left):
+        table = dict(zip(CHANNELS, map(float, by_channel)))
+        result.append(table | dict.fromkeys(("forward", "left"), table["x"] + table["y"]))
+    return result[0], result[1]
+
+
+def _described(problem, function: _Function, features, arrays, names, share: float, score: float) -> Dependence:
+    """A function in numbers: its size by regime, and its course over the input it goes with most."""
+    weights = function.weights()
+    value = np.concatenate([np.matmul(x, weights).mean(axis=1) for x in features])
+    regimes = np.concatenate([f.regimes for f in problem.flights])
+    rms = {n: float(np.sqrt((value[w] ** 2).mean())) for n, w in zip(REGIMES, regimes.T) if w.any()}
+    against, best, curve = names[0], -1.0, (np.zeros(0), np.zeros(0))
+    for k, name in enumerate(names):
+        x = np.concatenate([f.cut(v[:, k]).mean(axis=1) for f, v in zip(problem.flights, arrays)])
+        told, *bins = _binned(x, value)
+        if told > best:
+            against, best, curve = name, told, bins
+    unit = UNITS_OF[CHANNELS.index(function.target)] if function.target in CHANNELS else UNITS_OF[0]
+    size = float(np.sqrt((value**2).mean()))
+    return Dependence(function.target, function.on, size, unit, share, score, rms, against, *curve)
+
+
+def _binned(x: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Variance of y between bins of x, bin centres and means."""
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
+    if len(edges) < 3:
+        return 0.0, np.zeros(0), np.zeros(0)
+    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    count = np.maximum(1, np.bincount(place, minlength=len(edges) - 1))
+    centre, mean = np.bincount(place, x) / count, np.bincount(place, y) / count
+    return float((count * (mean - y.mean()) ** 2).sum() / len(y)), centre, mean
+
+
+def _words(told: Sequence[Dependence]) -> str:
+    if not told:
+        return "What remains cannot be predicted from anything that was logged: it is noise and unrest."
+    d = told[0]
+    regime = max(d.regimes, key=d.regimes.get).replace("_", " ") if d.regimes else ""
+    where = f", most in {regime}" if regime else ""
+    axis = {"forward": "along the heading", "left": "across the heading"}.get(d.channel, f"in {d.channel}")
+    more = f"; so does something in {', '.join(x.channel for x in told[1:])}" if told[1:] else ""
+    return (
+        f"Something of {d.size:.2g} {d.unit} {axis} repeats on flights left out and goes with the "
+        f"{d.on}{where}{more}."
+    )
 
 
 def left_by(problem: Problem, found: Search) -> list[np.ndarray]:
@@ -151,10 +218,10 @@ def left_by(problem: Problem, found: Search) -> list[np.ndarray]:
     for k, flight in enumerate(problem.flights):
         own = (change + local.deviation(k, change)) * local.unit
         error = flight.measured - predict(flight, vehicle)
+        here = predict(flight, vehicle)
         for column, step in zip(local.columns, own):
-            ends, width = problem.to_either_side(found.values, column, 1.0)
-            low, high = (predict(flight, v) for v in ends)
-            error -= (high - low) * (step / width)
+            beside, width = problem.to_one_side(found.values, column)
+            error -= (predict(flight, beside) - here) * (step / width)
         result.append(flight.whitening(flight.cut(error)))
     return result
 
@@ -180,8 +247,8 @@ def _fit(problem, found, white, target: str, name: str, features, block_of: np.n
     groups, width = problem.groups, features[0].shape[2]
     a, b = np.zeros((groups, width, width)), np.zeros((int(block_of.max()) + 1, width))
     ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
-    group, block = np.split(problem.group_of, ends), np.split(block_of, ends)
-    for flight, errors, basis, g, k in zip(problem.flights, white, features, group, block):
+    of_flights = [np.split(x, ends) for x in (problem.group_of, block_of, problem.weight)]
+    for flight, errors, basis, g, k, weight in zip(problem.flights, white, features, *of_flights):
         for channel in channels:
             drive = basis
             if len(channels) == 2:
@@ -191,11 +258,12 @@ def _fit(problem, found, white, target: str, name: str, features, block_of: np.n
                 drive = basis * (sign * np.sin(heading) if across else np.cos(heading))
             scale = 1.0 / np.sqrt(found.inflation[channel])
             through = scale * flight.whitening.matrices[channel] @ flight.shapes.responses[channel]
-            slopes = np.matmul(through, drive)  # (w, q, D)
+            share = np.sqrt(weight[:, channel])[:, None]
+            slopes = share[..., None] * np.matmul(through, drive)  # (w, q, D)
             for one in np.unique(g):
                 own = slopes[g == one].reshape(-1, width)
                 a[one] += own.T @ own
-            np.add.at(b, k, scale * np.einsum("wqd,wq->wd", slopes, errors[:, channel], optimize=True))
+            np.add.at(b, k, scale * np.einsum("wqd,wq->wd", slopes, share * errors[:, channel], optimize=True))
     # Expected as large as what is taken for unrest.
     expected = max(float(size[list(channels)].max()), LEAST[UNITS_OF[channels[0]]])
     ridge = 1.0 / expected**2

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -21,8 +22,10 @@ from inclined_landing.eval.gap.search.prediction import predict
 
 NOTHING = 0.5  # prior probability that nothing is missing
 MOST = 6  # effects of a set
-FITTED = 14  # sets that are fitted through the simulator, at most
+FITTED = 10  # sets that are fitted through the simulator, at most
 WORTH = 6.0  # log probability behind the best within which a neighbour is worth a fit
+OUTDONE = 2.5  # times the usual squared error that a window counts at most
+SETTLED = 4  # rounds in which effects and unrest are fitted in turn, at most
 LEAST = 1e-3  # probability of a set that is worth telling
 CLEAR = 0.03  # above which it is fitted through the simulator
 
@@ -75,30 +78,43 @@ class Search:
 
 def search(problem: Problem) -> Search:
     """The sets of effects that may explain the flights of `problem`, which is whitened anew."""
-    whole, stir = settle(problem)
-    inflation = repeated(problem, whole)
+    whole, stir = settle(problem, list(problem.library))
+    temper(problem, whole.values)
+    inflation = repeated(problem, whole.values)
     nodes = _explore(problem, inflation)
     best = max(nodes.values(), key=lambda node: node.score)
     scored = _distribution(problem, nodes, best, inflation)
     chosen = nodes[scored[0].names]
     columns = [c for c in chosen.local.columns if c.effect in chosen.names]
     fit = fit_at(problem, chosen.values, columns, inflation)
-    return Search(fit, chosen.local, scored, stir, whole, inflation)
+    return Search(fit, chosen.local, scored, stir, whole.values, inflation)
 
 
-def settle(problem: Problem) -> tuple[dict, unrest.Unrest]:
-    """All effects fitted together, and the noise and unrest that they leave; the flights weighed by these."""
-    values: dict[str, dict[str, float]] = {name: {} for name in problem.library}
-    still = np.ones(6)
-    stir = unrest.Unrest.none()
-    for iterations in (3, 2):
-        fit = refit(problem, values, still, iterations=iterations, prior=slabs)
-        values = fit.values
-        vehicle = problem.corrected(values)
+def settle(problem: Problem, names: Sequence[str]) -> tuple[Fitted, unrest.Unrest]:
+    """Effects fitted together, and the noise and unrest that they leave; the flights weighed by these."""
+    values: dict[str, dict[str, float]] = {name: {} for name in names}
+    still, stir = np.ones(6), unrest.Unrest.none()
+    for _ in range(SETTLED):
+        before, fit = stir, refit(problem, values, still, iterations=3, tolerance=5.0, prior=slabs)
+        values, vehicle = fit.values, problem.corrected(fit.values)
         errors = [f.measured - predict(f, vehicle) for f in problem.flights]
         stir = unrest.estimate(problem.flights, errors)
         problem.rewhiten(stir, vehicle)
-    return values, stir
+        if np.allclose(stir.size, before.size, rtol=0.15, atol=1e-3):
+            break
+    return fit, stir
+
+
+def temper(problem: Problem, values) -> None:
+    """Draw in the windows that all effects together explain much worse than the others.
+
+    They are no evidence for some of the effects.
+    """
+    vehicle = problem.corrected(values)
+    white = problem.white([vehicle] * len(problem.flights))
+    mean = np.concatenate([(x**2).mean(axis=2) for x in white])
+    usual = np.median(mean, axis=0)
+    problem.weight = problem.logged * np.minimum(1.0, OUTDONE * usual / np.maximum(mean, 1e-12))
 
 
 def repeated(problem: Problem, values) -> np.ndarray:
@@ -127,7 +143,7 @@ def _prior(problem: Problem, names: Set) -> float:
 def _visit(problem: Problem, names: Set, start, inflation: np.ndarray) -> Node:
     """Fit a set from `start`, and linearise the simulator there."""
     values = {n: dict(start.get(n, {})) for n in problem.library if n in names}
-    fit = refit(problem, values, inflation, prior=slabs)
+    fit = refit(problem, values, inflation, iterations=4, tolerance=1.0, prior=slabs)
     columns = problem.columns(fit.values, list(problem.library))
     weighted = problem.linearise(fit.values, columns).weighted(inflation)
     local = Local.of(problem, weighted, fit.values)
