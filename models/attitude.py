@@ -71,16 +71,22 @@ def euler_angles(w, x, y, z):
     return math.asin(sin_roll), pitch, yaw
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def tilted(attitudes, roll, pitch, out):
     """Attitudes (n, 3) turned in their own frame by Rx(roll) Ry(pitch), into `out` (n, 3)."""
-    turn = rotation(roll, pitch, 0.0)
+    t = rotation(roll, pitch, 0.0)
     for i in range(attitudes.shape[0]):
-        r = rotation(attitudes[i, 0], attitudes[i, 1], attitudes[i, 2]) @ turn
-        yaw = math.atan2(-r[0, 1], r[1, 1])
-        out[i, 0] = math.asin(min(1.0, max(-1.0, r[2, 1])))
-        out[i, 1] = math.atan2(-r[2, 0], r[2, 2])
-        out[i, 2] = attitudes[i, 2] + (yaw - attitudes[i, 2] + math.pi) % (2.0 * math.pi) - math.pi
+        sr, cr = math.sin(attitudes[i, 0]), math.cos(attitudes[i, 0])
+        sp, cp = math.sin(attitudes[i, 1]), math.cos(attitudes[i, 1])
+        # Without the heading, which is added again.
+        ahead = cp * t[0, 1] + sp * t[2, 1]
+        left = sr * sp * t[0, 1] + cr * t[1, 1] - sr * cp * t[2, 1]
+        x = -cr * sp * t[0, 0] + sr * t[1, 0] + cr * cp * t[2, 0]
+        y = -cr * sp * t[0, 1] + sr * t[1, 1] + cr * cp * t[2, 1]
+        z = -cr * sp * t[0, 2] + sr * t[1, 2] + cr * cp * t[2, 2]
+        out[i, 0] = math.asin(min(1.0, max(-1.0, y)))
+        out[i, 1] = math.atan2(-x, z)
+        out[i, 2] = attitudes[i, 2] + math.atan2(-ahead, left)
 
 
 @numba.njit(cache=True)

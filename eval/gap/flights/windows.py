@@ -15,7 +15,7 @@ from scipy.signal import savgol_filter
 
 from inclined_landing.eval.gap.flights.whitening import Shapes, Whitening
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models.attitude import rotations
+from inclined_landing.models.attitude import rotations, tilted
 from inclined_landing.models.equations import AMBIENT_SIZE
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
@@ -61,6 +61,7 @@ class Measured:
     shapes: Shapes
     whitening: Whitening
     usable: np.ndarray  # (m,) bool: measured, flying, not touching
+    _levelled: dict = dataclasses.field(default_factory=dict, repr=False)
 
     @property
     def samples(self) -> int:
@@ -83,9 +84,29 @@ class Measured:
         noise = self.noise * unrest.noise
         self.whitening = Whitening.of(shapes, noise, self.sensed, unrest.size, unrest.time)
 
+    def levelled(self, tilt: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Attitudes in the middle of every step, their rotations, and the first one, without a tilt [rad]."""
+        kept = self._levelled.get(tilt)
+        if kept is None:
+            attitude = level(self.middle_attitude, tilt)
+            kept = attitude, rotations(attitude), level(self.attitude[:1], tilt)[0]
+            if len(self._levelled) > 8:
+                self._levelled.clear()
+            self._levelled[tilt] = kept
+        return kept
+
     def cut(self, values: np.ndarray) -> np.ndarray:
         """Windows (w, rows, ...) of the rows of `values` (m, ...)."""
         return values[self.starts[:, None] + np.arange(self.rows)]
+
+
+def level(attitude: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
+    """Attitudes (m, 3) of the vehicle whose measured ones are `attitude`, by a tilt (roll, pitch) [rad]."""
+    # Ry(-pitch) Rx(-roll) undoes Rx(roll) Ry(pitch).
+    out = np.empty_like(attitude)
+    tilted(attitude, 0.0, -tilt[1], out)
+    tilted(out.copy(), -tilt[0], 0.0, out)
+    return out
 
 
 def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Measured:

@@ -23,13 +23,45 @@ SPIKE = 0.5  # standard deviation of what is not named, as a share of negligible
 BETWEEN = 0.5  # of the difference between flights, likewise
 SLAB = 1.0  # of what is named, in plausible sizes
 DRAWS = 60  # of flights
+ROUNDS = 10  # of expectation and maximisation
 
 Set = frozenset[str]
 
 
 def spikes(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Standard deviation (P,) of every column that is not named."""
-    return np.array([SPIKE * problem.parameter(c).negligible for c in columns])
+    """Standard deviation (P,) of every column that is not named.
+
+    What nobody needs to correct; and where flights differ, the vehicle's file was identified in some others.
+    """
+    least = np.array([SPIKE * problem.parameter(c).negligible for c in columns])
+    return np.hypot(least, betweens(problem, columns) / np.sqrt(problem.groups))
+
+
+def betweens(problem: Problem, columns: Sequence) -> np.ndarray:
+    """Standard deviation (P,) of every column between flights."""
+    least = [BETWEEN * problem.parameter(c).negligible for c in columns]
+    own = [problem.between.get((c.effect, c.parameter), 0.0) for c in columns]
+    return np.maximum(least, own)
+
+
+def between_flights(problem: Problem, weighted: Weighted) -> dict[tuple[str, str], float]:
+    """(effect, parameter) -> its standard deviation between flights, by expectation and maximisation."""
+    unit = np.array([problem.parameter(c).negligible for c in weighted.columns])
+    a, b = weighted.group_a * np.outer(unit, unit), weighted.group_b * unit
+    prior = (unit / slabs(problem, weighted.columns)) ** 2
+    variance, eye = np.full(len(unit), BETWEEN**2), np.eye(len(unit))
+    for _ in range(ROUNDS):
+        inner = np.linalg.inv(eye + a * variance)
+        total = (inner @ a).sum(axis=0) + np.diag(prior)
+        fleet = np.linalg.solve(total, np.einsum("gpq,gq->p", inner, b))
+        covariance = variance[:, None] * inner
+        own = np.einsum("gpq,gq->gp", covariance, b - a @ fleet)
+        second = own**2 + np.diagonal(covariance, axis1=1, axis2=2)
+        variance = np.maximum(BETWEEN**2, second.mean(axis=0))
+    return {
+        (c.effect, c.parameter): float(np.sqrt(v) * u)
+        for c, v, u in zip(weighted.columns, variance, unit)
+    }
 
 
 def slabs(problem: Problem, columns: Sequence) -> np.ndarray:
@@ -57,6 +89,7 @@ class Local:
     unit: np.ndarray  # (P,) spikes
     slab: np.ndarray  # (P,) in spikes
     held: np.ndarray  # (P,) bool: at a bound, where it cannot move
+    between: np.ndarray  # (P,) variance between flights
     own_a: np.ndarray  # (f, P, P) of every flight, its deviation not integrated out
     own_b: np.ndarray  # (f, P)
 
@@ -82,17 +115,17 @@ class Local:
         own_a, own_b = np.zeros((flights, *a.shape[1:])), np.zeros((flights, a.shape[1]))
         np.add.at(own_a, of, a)
         np.add.at(own_b, of, b)
-        between = (BETWEEN / SPIKE) ** 2
+        between = (betweens(problem, columns) / unit) ** 2
         # Marginal over a deviation u of each flight, u ~ N(0, between) in every column.
         eye = np.eye(len(columns))
         for k in range(g):
-            inner = np.linalg.inv(eye + between * a[k])
-            c[k] -= between * b[k] @ inner @ b[k]
+            inner = np.linalg.inv(eye + a[k] * between)
+            c[k] -= (b[k] * between) @ inner @ b[k]
             b[k] = inner @ b[k]
             a[k] = inner @ a[k]
             a[k] = 0.5 * (a[k] + a[k].T)
         slab = slabs(problem, columns) / unit
-        return Local(problem, columns, at, a, b, c, unit, slab, held, own_a, own_b)
+        return Local(problem, columns, at, a, b, c, unit, slab, held, between, own_a, own_b)
 
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Positions of the columns of the effects `names`."""
@@ -131,7 +164,7 @@ class Local:
     def deviation(self, flight: int, change: np.ndarray) -> np.ndarray:
         """How far (P,) one flight lies from the fleet's change of the columns, in spikes."""
         a, b = self.own_a[flight], self.own_b[flight]
-        return np.linalg.solve(a + (SPIKE / BETWEEN) ** 2 * np.eye(len(b)), b - a @ change)
+        return np.linalg.solve(a + np.diag(1.0 / self.between), b - a @ change)
 
 
 class Screen:

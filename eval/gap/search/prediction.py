@@ -14,7 +14,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from inclined_landing.models.attitude import PWM, euler_rates, rotations, tilted
+from inclined_landing.models.attitude import PWM, euler_rates, tilted
 from inclined_landing.models.delays import averages
 from inclined_landing.models.equations import angle_steps, lag_step, pack, wrench, yaw_steps
 from inclined_landing.models.parameters import Vehicle
@@ -39,8 +39,7 @@ def predict(flight, vehicle: Vehicle) -> np.ndarray:
     attitude, rotation, start = flight.middle_attitude, flight.middle_rotation, flight.attitude[0]
     tilt = vehicle.effects_mocap_tilt
     if any(tilt):
-        attitude, start = level(attitude, tilt), level(flight.attitude[:1], tilt)[0]
-        rotation = rotations(attitude)
+        attitude, rotation, start = flight.levelled(tilt)
     out = np.empty((flight.samples, 6))
     twist = np.zeros((flight.samples - 1, 3))
     middle = (flight.middle_position, flight.middle_velocity, rotation, attitude)
@@ -56,15 +55,6 @@ def predict(flight, vehicle: Vehicle) -> np.ndarray:
     out[:, YAW_CHANNEL] = yaw_steps(angles[2], dt, packed)
     if any(tilt):
         tilted(out[:, ROLL_CHANNEL:].copy(), *tilt, out[:, ROLL_CHANNEL:])
-    return out
-
-
-def level(attitude: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
-    """Attitudes (m, 3) of the vehicle whose measured ones are `attitude`, by a tilt (roll, pitch) [rad]."""
-    # Ry(-pitch) Rx(-roll) undoes Rx(roll) Ry(pitch).
-    out = np.empty_like(attitude)
-    tilted(attitude, 0.0, -tilt[1], out)
-    tilted(out.copy(), -tilt[0], 0.0, out)
     return out
 
 

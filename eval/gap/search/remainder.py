@@ -155,8 +155,7 @@ def assess(problem: Problem, found: Search, seed: int = 0) -> Remainder:
 
 def _tolerances(problem: Problem, found: Search) -> tuple[dict[str, float], dict[str, float]]:
     """Squared error of every target that errors of negligible size make, and all that is left there."""
-    columns = problem.columns(found.values, list(problem.library))
-    linear = problem.linearise(found.values, columns)
+    linear = problem.linearise(found.at, found.local.columns)
     weight = problem.weight / found.inflation
     spread = np.einsum("wckk,k,wc->c", linear.a, found.local.unit**2, weight, optimize=True)
     left = (linear.c * weight).sum(axis=0)
@@ -213,14 +212,14 @@ def left_by(problem: Problem, found: Search) -> list[np.ndarray]:
     """White errors (w, 6, q) of every flight beside the best set and negligible errors of all effects."""
     local = found.local
     change, _ = local.fit(found.names)
-    vehicle = problem.corrected(found.values)
+    vehicle = problem.corrected(found.at)
     result = []
     for k, flight in enumerate(problem.flights):
         own = (change + local.deviation(k, change)) * local.unit
         error = flight.measured - predict(flight, vehicle)
         here = predict(flight, vehicle)
         for column, step in zip(local.columns, own):
-            beside, width = problem.to_one_side(found.values, column)
+            beside, width = problem.to_one_side(found.at, column)
             error -= (predict(flight, beside) - here) * (step / width)
         result.append(flight.whitening(flight.cut(error)))
     return result

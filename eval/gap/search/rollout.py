@@ -14,9 +14,9 @@ import numba
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from inclined_landing.eval.gap.flights.windows import SMOOTHING, Measured, prepare
+from inclined_landing.eval.gap.flights.windows import SMOOTHING, Measured, level, prepare
 from inclined_landing.eval.gap.result import PlantGap
-from inclined_landing.eval.gap.search.prediction import level, predict
+from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.models import equations
 from inclined_landing.models.attitude import LAG, PWM, ROLL, STATE_SIZE, VX, WX, body_rates, tilted
 from inclined_landing.models.delays import averages

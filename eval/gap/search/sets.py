@@ -17,7 +17,14 @@ import numpy as np
 from inclined_landing.eval.gap.flights import unrest
 from inclined_landing.eval.gap.search.evidence import Problem, either_side
 from inclined_landing.eval.gap.search.fit import Fitted, fit_at, refit
-from inclined_landing.eval.gap.search.posterior import Local, Screen, Set, flight_weights, slabs
+from inclined_landing.eval.gap.search.posterior import (
+    Local,
+    Screen,
+    Set,
+    between_flights,
+    flight_weights,
+    slabs,
+)
 from inclined_landing.eval.gap.search.prediction import predict
 
 NOTHING = 0.5  # prior probability that nothing is missing
@@ -35,7 +42,8 @@ class Node:
     """A set fitted through the simulator."""
 
     names: Set
-    values: dict[str, dict[str, float]]
+    at: dict[str, dict[str, float]]  # where it was linearised
+    values: dict[str, dict[str, float]]  # a step on, beside the small errors of all other effects
     local: Local
     screen: Screen
     score: float  # log probability, up to a constant
@@ -55,7 +63,8 @@ class Search:
     """The outcome of `search`."""
 
     fit: Fitted  # of the most probable set
-    local: Local  # the flights near it
+    at: dict[str, dict[str, float]]  # effect values near it
+    local: Local  # the flights at these
     sets: tuple[Scored, ...]  # most probable first
     unrest: unrest.Unrest
     whole: dict[str, dict[str, float]]  # all effects fitted together
@@ -81,13 +90,16 @@ def search(problem: Problem) -> Search:
     whole, stir = settle(problem, list(problem.library))
     temper(problem, whole.values)
     inflation = repeated(problem, whole.values)
+    columns = problem.columns(whole.values, list(problem.library))
+    near = problem.linearise(whole.values, columns).weighted(inflation)
+    problem.between = between_flights(problem, near)
     nodes = _explore(problem, inflation)
     best = max(nodes.values(), key=lambda node: node.score)
     scored = _distribution(problem, nodes, best, inflation)
     chosen = nodes[scored[0].names]
     columns = [c for c in chosen.local.columns if c.effect in chosen.names]
     fit = fit_at(problem, chosen.values, columns, inflation)
-    return Search(fit, chosen.local, scored, stir, whole.values, inflation)
+    return Search(fit, chosen.at, chosen.local, scored, stir, whole.values, inflation)
 
 
 def settle(problem: Problem, names: Sequence[str]) -> tuple[Fitted, unrest.Unrest]:
@@ -149,7 +161,7 @@ def _visit(problem: Problem, names: Set, start, inflation: np.ndarray) -> Node:
     local = Local.of(problem, weighted, fit.values)
     values = stepped(problem, local, names, fit.values)
     score = float(local.log_evidence(names, np.ones((1, problem.groups)))[0]) + _prior(problem, names)
-    return Node(names, values, local, Screen(local), score)
+    return Node(names, fit.values, values, local, Screen(local), score)
 
 
 def stepped(problem: Problem, local: Local, names: Set, values, weights=None) -> dict:
