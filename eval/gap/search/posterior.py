@@ -90,6 +90,7 @@ class Local:
     slab: np.ndarray  # (P,) in spikes
     held: np.ndarray  # (P,) bool: at a bound, where it cannot move
     between: np.ndarray  # (P,) variance between flights
+    stays: np.ndarray  # (P,) bool: where it was fitted, since a linear step from there fails
     own_a: np.ndarray  # (f, P, P) of every flight, its deviation not integrated out
     own_b: np.ndarray  # (f, P)
 
@@ -125,7 +126,7 @@ class Local:
             a[k] = inner @ a[k]
             a[k] = 0.5 * (a[k] + a[k].T)
         slab = slabs(problem, columns) / unit
-        return Local(problem, columns, at, a, b, c, unit, slab, held, between, own_a, own_b)
+        return Local(problem, columns, at, a, b, c, unit, slab, held, between, np.zeros(len(columns), bool), own_a, own_b)
 
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Positions of the columns of the effects `names`."""
@@ -148,8 +149,11 @@ class Local:
         at = np.where(self.held, 0.0, self.at)
         h = weights @ self.b - precision * at
         factor = np.linalg.cholesky(a)
-        z = np.linalg.solve(factor, h[..., None])[..., 0]
         log_det = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        if self.stays.any():
+            move = ~self.stays
+            h, factor = h[:, move], np.linalg.cholesky(a[:, move][:, :, move])
+        z = np.linalg.solve(factor, h[..., None])[..., 0]
         left = weights @ self.c + (precision * at * at).sum() - (z * z).sum(axis=1)
         return -0.5 * (left + log_det - np.log(precision).sum())
 
@@ -158,8 +162,11 @@ class Local:
         precision = self.precision(names)
         w = np.ones(len(self.c)) if weights is None else weights
         at = np.where(self.held, 0.0, self.at)
-        covariance = np.linalg.inv(np.tensordot(w, self.a, axes=1) + np.diag(precision))
-        return covariance @ (w @ self.b - precision * at), covariance
+        a, h = np.tensordot(w, self.a, axes=1) + np.diag(precision), w @ self.b - precision * at
+        change = np.zeros(len(h))
+        move = ~self.stays
+        change[move] = np.linalg.solve(a[np.ix_(move, move)], h[move])
+        return change, np.linalg.inv(a)
 
     def deviation(self, flight: int, change: np.ndarray) -> np.ndarray:
         """How far (P,) one flight lies from the fleet's change of the columns, in spikes."""

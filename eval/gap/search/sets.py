@@ -31,6 +31,7 @@ NOTHING = 0.5  # prior probability that nothing is missing
 MOST = 6  # effects of a set
 FITTED = 10  # sets that are fitted through the simulator, at most
 WORTH = 6.0  # log probability behind the best within which a neighbour is worth a fit
+TOLERATED = 10.0  # squared error by which a linear step may be worse than foreseen
 OUTDONE = 2.5  # times the usual squared error that a window counts at most
 SETTLED = 4  # rounds in which effects and unrest are fitted in turn, at most
 LEAST = 1e-3  # probability of a set that is worth telling
@@ -160,8 +161,19 @@ def _visit(problem: Problem, names: Set, start, inflation: np.ndarray) -> Node:
     weighted = problem.linearise(fit.values, columns).weighted(inflation)
     local = Local.of(problem, weighted, fit.values)
     values = stepped(problem, local, names, fit.values)
+    if names and not _follows(problem, fit, values, inflation):
+        local.stays[local.index(names)] = True
+        values = fit.values
     score = float(local.log_evidence(names, np.ones((1, problem.groups)))[0]) + _prior(problem, names)
     return Node(names, fit.values, values, local, Screen(local), score)
+
+
+def _follows(problem: Problem, fit: Fitted, values, inflation: np.ndarray) -> bool:
+    """Whether the simulator follows the linear step of a set's effects from where they were fitted."""
+    columns = fit.weighted.columns
+    step = np.array([values[c.effect][c.parameter] - fit.values[c.effect][c.parameter] for c in columns])
+    foreseen = float(fit.weighted.left(np.arange(len(step)), step).sum())
+    return problem.squares(values, inflation) < max(foreseen, fit.squares) + TOLERATED
 
 
 def stepped(problem: Problem, local: Local, names: Set, values, weights=None) -> dict:
