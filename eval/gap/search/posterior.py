@@ -19,8 +19,8 @@ import numpy as np
 
 from inclined_landing.eval.gap.search.evidence import Problem, Values, Weighted
 
-SPIKE = 0.5  # standard deviation of what is not named, as a share of negligible
-BETWEEN = 0.5  # of the difference between flights, likewise
+SPIKE = 0.35  # standard deviation of what is not named, as a share of negligible
+BETWEEN = 0.35  # of the difference between flights, likewise
 SLAB = 1.0  # of what is named, in plausible sizes
 DRAWS = 60  # of flights
 ROUNDS = 10  # of expectation and maximisation
