@@ -6,6 +6,7 @@ from inclined_landing.models.effects.effect import Effect, Parameter
 from inclined_landing.models.parameters import load_vehicle
 
 _SHIPPED = load_vehicle()
+_LEAST_REFERENCE = 1e-3  # PWM
 
 
 def _line(slope, zero, more, at):
@@ -26,6 +27,7 @@ def with_sag(vehicle, sag, reference=None):
         total = sag
     else:  # -sag (load/reference - 1) is a line in the load with slope -sag/reference
         slope, at = _line(-own / before, before, -sag / at, at)
+        at = at or _LEAST_REFERENCE  # the line itself, where it is right at no load
         total = -slope * at
     return dataclasses.replace(vehicle, effects_battery_sag=total, effects_battery_reference=at)
 

@@ -41,6 +41,11 @@ class Parameter:
         """Whether it multiplies (neutral is 1) instead of adding (neutral is 0)."""
         return self.neutral == 1.0 and not self.is_reference
 
+    @property
+    def possible(self) -> tuple[float, float]:
+        """Bounds of what has a physical cause."""
+        return (self.neutral, self.bounds[1]) if self.one_signed else self.bounds
+
     def size(self, value: float) -> float:
         """How far a value is from neutral; 0 of a reference."""
         return 0.0 if self.is_reference else value - self.neutral

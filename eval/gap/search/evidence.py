@@ -66,7 +66,7 @@ class Suspects:
         """The vehicle with a parameter a negligible size from `values`, within bounds, and that size."""
         p = self.parameter(column)
         at = {**self.library[column.effect].neutral, **values.get(column.effect, {}), **dict(column.fixed)}
-        step = p.negligible if at[p.name] + p.negligible <= p.bounds[1] else -p.negligible
+        step = p.negligible if at[p.name] + p.negligible <= p.possible[1] else -p.negligible
         beside = self.corrected({**values, column.effect: {**at, p.name: at[p.name] + step}})
         return beside, step
 

@@ -93,7 +93,7 @@ def at_and_bounds(problem: Problem, fit: Fitted) -> tuple[np.ndarray, np.ndarray
     """Fitted values (k,) and bounds (2, k) of all columns of a fit."""
     columns = fit.weighted.columns
     at = np.array([fit.values[c.effect][c.parameter] for c in columns])
-    return at, np.array([problem.parameter(c).bounds for c in columns]).reshape(-1, 2).T
+    return at, np.array([problem.parameter(c).possible for c in columns]).reshape(-1, 2).T
 
 
 def bounded_step(damped, a, b, at, bounds, free) -> np.ndarray:
@@ -180,7 +180,7 @@ def _stepped(problem: Problem, fit: Fitted, step: np.ndarray) -> dict[str, dict[
     values = {name: dict(v) for name, v in fit.values.items()}
     for column, change in zip(fit.weighted.columns, step):
         at = values[column.effect][column.parameter] + change
-        values[column.effect][column.parameter] = float(np.clip(at, *problem.parameter(column).bounds))
+        values[column.effect][column.parameter] = float(np.clip(at, *problem.parameter(column).possible))
     return values
 
 

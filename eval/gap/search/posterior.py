@@ -106,7 +106,7 @@ class Local:
             if column.effect in values and not column.fixed:
                 value = values[column.effect][p.name]
                 at[k] = (value - p.neutral) / unit[k]
-                low, high = p.bounds
+                low, high = p.possible
                 held[k] = min(value - low, high - value) < 1e-6 * (high - low)
         a = weighted.group_a * np.outer(unit, unit)
         b = weighted.group_b * unit

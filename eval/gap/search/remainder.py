@@ -149,6 +149,10 @@ def assess(problem: Problem, found: Search, seed: int = 0) -> Remainder:
         arrays, names = inputs[f.on][1], inputs[f.on][0]
         share = float(np.clip(f.gain / total[f.target], 0.0, 1.0))
         depends[f.target] = _described(problem, f, basis[f.on], arrays, names, share, float(scores[k, 0]))
+    import os
+    if os.environ.get("DBG"):
+        for k in np.argsort(-scores[:, 0], kind="stable")[:4]:
+            f = functions[k]; print("       DBG", f.target, f.on, "score %.1f gain %.0f tol %.2f share %.4f sure %.1f" % (scores[k, 0], f.gain, f.gain / tolerance[f.target], f.gain / total[f.target], sure))
     told = tuple(depends.values())
     return Remainder(bool(told), p_value, size, told, _words(told))
 

@@ -165,6 +165,8 @@ def _visit(problem: Problem, names: Set, start, inflation: np.ndarray) -> Node:
         local.stays[local.index(names)] = True
         values = fit.values
     score = float(local.log_evidence(names, np.ones((1, problem.groups)))[0]) + _prior(problem, names)
+    if any(not np.any(problem.sizes(name, values)) for name in names):
+        score = -np.inf  # without the one that stayed at nothing it is another set
     return Node(names, fit.values, values, local, Screen(local), score)
 
 
@@ -184,7 +186,7 @@ def stepped(problem: Problem, local: Local, names: Set, values, weights=None) ->
         if column.effect in names and not column.fixed and column.effect in values:
             p = problem.parameter(column)
             value = values[column.effect][p.name] + change[k] * local.unit[k]
-            result[column.effect][p.name] = float(np.clip(value, *p.bounds))
+            result[column.effect][p.name] = float(np.clip(value, *p.possible))
     return result
 
 
@@ -207,7 +209,7 @@ def _start(problem: Problem, node: Node, names: Set) -> dict:
                 p = problem.parameter(node.local.columns[k])
                 values[p.name] = p.neutral + change[k] * node.local.unit[k]
         for p in effect.parameters:
-            values[p.name] = float(np.clip(values[p.name], *p.bounds))
+            values[p.name] = float(np.clip(values[p.name], *p.possible))
         start[name] = values
     return start
 
@@ -255,7 +257,8 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
     weights = flight_weights(problem.groups)
     near = {n: best.screen(n) + _prior(problem, n) for n in _neighbours(problem, best) if n not in nodes}
     near = dict(sorted(near.items(), key=lambda item: -item[1])[:60])
-    table = {n: node.local.log_evidence(n, weights) + _prior(problem, n) for n, node in nodes.items()}
+    fitted = {n: node for n, node in nodes.items() if np.isfinite(node.score)}
+    table = {n: node.local.log_evidence(n, weights) + _prior(problem, n) for n, node in fitted.items()}
     table |= {n: best.local.log_evidence(n, weights) + _prior(problem, n) for n in near}
     names = list(table)
     logs = np.stack([table[n] for n in names])
@@ -266,7 +269,7 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
         if probability[k] < LEAST and result:
             continue
         one = names[k]
-        if one not in nodes and probability[k] > CLEAR:
+        if one not in nodes and probability[k] > CLEAR:  # told by the linearisation alone so far
             nodes[one] = _visit(problem, one, _start(problem, best, one), inflation)
         values = nodes[one].values if one in nodes else _start(problem, best, one)
         result.append(Scored(one, float(probability[k]), values))
