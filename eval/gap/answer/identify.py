@@ -13,12 +13,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import stats
 
 from inclined_landing.eval.gap.flights.unrest import Unrest
 from inclined_landing.eval.gap.flights.windows import Measured, prepare_all
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
-from inclined_landing.eval.gap.search.fit import Fitted, estimates, left_out_vehicles, refit, spread_between
-from inclined_landing.eval.gap.search.posterior import SPIKE, Local, slabs
+from inclined_landing.eval.gap.search.fit import Fitted, estimates, left_out_vehicles, refit
+from inclined_landing.eval.gap.search.posterior import Local, slabs
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.gap.search.sets import settle
 from inclined_landing.eval.logs import FlightLog
@@ -110,7 +111,7 @@ def identify(
     problem = Problem(fitted, vehicle, library)
     places = [name for name in problem.library if LIBRARY[name].of_the_place]
     fit, stir = settle(problem, list(problem.library))
-    fit = _without_unseen(problem, fit, notes)
+    fit = _worth_having(problem, fit, notes)
     result = problem.corrected({n: v for n, v in fit.values.items() if n not in places})
     own = left_out_vehicles(problem, fit)
     test = judged or fitted
@@ -132,19 +133,19 @@ def identify(
     )
 
 
-def _without_unseen(problem: Problem, fit: Fitted, notes: list[str]) -> Fitted:
-    """Leave out effects of which the flights tell no more than was known, and those not worth correcting."""
+def _worth_having(problem: Problem, fit: Fitted, notes: list[str]) -> Fitted:
+    """The fit without effects that nobody needs to correct; notes on those that flights tell nothing of."""
     local = Local.of(problem, fit.weighted, fit.values)
-    _, covariance = local.fit(frozenset(fit.values))
-    error = np.sqrt(np.diag(covariance))
+    error = np.sqrt(np.diag(local.fit(frozenset(fit.values))[1])) * local.unit
     kept, seen = set(), set()
-    for column, sd, slab, at in zip(local.columns, error, local.slab, local.at):
+    for column, sd, slab in zip(local.columns, error, slabs(problem, local.columns)):
+        p = problem.parameter(column)
         if sd < UNSEEN * slab:
             seen.add(column.effect)
-            if abs(at) * SPIKE > 1.0 and not problem.parameter(column).is_reference:
-                kept.add(column.effect)
+        if abs(p.size(fit.values[column.effect][p.name])) > p.negligible:
+            kept.add(column.effect)
     for name in fit.values:
-        if name not in seen:
+        if name not in seen | kept:
             label = name.replace("_", " ")
             notes.append(f"{label} is not excited enough in these flights; it stays as it was")
     return refit(problem, {n: v for n, v in fit.values.items() if n in kept}, np.ones(6), prior=slabs)
@@ -178,7 +179,9 @@ def _compared(flights: list[Measured], before: Vehicle, after: Sequence[Vehicle]
 
 def _parameters(problem: Problem, fit: Fitted, before: Vehicle) -> tuple[Identified, ...]:
     result = []
-    for effect, p, value, half, change, error in estimates(problem, fit):
+    width = _half_widths(problem, fit)
+    for effect, p, value, _, change, _ in estimates(problem, fit):
+        half = width[effect, p.name]
         if LIBRARY[effect].of_the_place:
             continue
         label = f"{effect} {p.name}".replace("_", " ")
@@ -194,18 +197,30 @@ def _parameters(problem: Problem, fit: Fitted, before: Vehicle) -> tuple[Identif
                 value=c.number(before, value),
                 ci95=(ends[0], ends[1]),
                 per_flight=tuple(c.number(before, float(x)) for x in value + change),
-                spread=spread_between(change, error) * per_unit,
+                spread=problem.between.get((effect, p.name), 0.0) * per_unit,
                 note="at its bound" if min(value - p.bounds[0], p.bounds[1] - value) < 1e-6 else "",
             )
         )
     return tuple(result)
 
 
+def _half_widths(problem: Problem, fit: Fitted) -> dict[tuple[str, str], float]:
+    """(effect, parameter) -> half of its 95 % interval."""
+    if not fit.values:
+        return {}
+    local = Local.of(problem, fit.weighted, fit.values)
+    error = np.sqrt(np.diag(local.fit(frozenset(fit.values))[1])) * local.unit
+    times = float(stats.t.ppf(0.975, max(1, problem.groups - 1)))
+    return {(c.effect, c.parameter): times * float(sd) for c, sd in zip(local.columns, error)}
+
+
 def _fields(problem: Problem, fit: Fitted, before: Vehicle, after: Vehicle):
     """Changed fields of the vehicle with the half-width of their intervals, in the field's own unit."""
     changed = [f.name for f in dataclasses.fields(after) if getattr(after, f.name) != getattr(before, f.name)]
     width = {name: np.zeros(np.shape(getattr(after, name))) for name in changed}
-    for effect, p, value, half, *_ in estimates(problem, fit):
+    wide = _half_widths(problem, fit)
+    for effect, p, value, *_ in estimates(problem, fit):
+        half = wide[effect, p.name]
         end = float(np.clip(value + half, *p.bounds))
         values = {**fit.values, effect: {**fit.values[effect], p.name: end}}
         moved = problem.corrected({n: v for n, v in values.items() if not LIBRARY[n].of_the_place})

@@ -41,7 +41,9 @@ class Shapes:
 
         moved = of_step(lambda s: 0.5 * s * s)
         tilted = of_step(lambda s: (1.0 - (b * np.exp(-a * s) - a * np.exp(-b * s)) / (b - a)) / (a * b))
-        turned = of_step(lambda s: (s - (1.0 - np.exp(-turn_bandwidth * s)) / turn_bandwidth) / turn_bandwidth)
+        turned = of_step(
+            lambda s: (s - (1.0 - np.exp(-turn_bandwidth * s)) / turn_bandwidth) / turn_bandwidth
+        )
         line = np.stack([np.ones(rows), t], axis=1)
         tilt = np.stack([np.exp(-a * t), np.exp(-b * t)], axis=1)
         turn = np.stack([np.ones(rows), np.exp(-turn_bandwidth * t)], axis=1)

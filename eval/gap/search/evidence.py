@@ -101,7 +101,9 @@ class Problem(Suspects):
         self.logged = np.ones((len(self.flight_of), 6))
         self.logged[~np.array([f.has_yaw for f in self.flights])[self.flight_of], YAW_CHANNEL] = 0.0
         self.weight = self.logged.copy()
-        self.between: dict[tuple[str, str], float] = {}  # parameters that differ more between flights
+        # Of parameters: how much more they differ between flights, how many look alike.
+        self.between: dict[tuple[str, str], float] = {}
+        self.alike: dict[tuple[str, str], float] = {}
         self._pool = ThreadPoolExecutor(2)
 
     def rewhiten(self, unrest: Unrest, vehicle: Vehicle) -> None:

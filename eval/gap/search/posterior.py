@@ -31,22 +31,36 @@ Set = frozenset[str]
 def spikes(problem: Problem, columns: Sequence) -> np.ndarray:
     """Standard deviation (P,) of every column that is not named.
 
-    What nobody needs to correct; and where flights differ, the vehicle's file was identified in some others.
+    What nobody needs to correct, shared by all that look alike; and where flights differ, the vehicle's file
+    was identified in some others.
     """
-    least = np.array([SPIKE * problem.parameter(c).negligible for c in columns])
-    return np.hypot(least, betweens(problem, columns) / np.sqrt(problem.groups))
+    return np.hypot(SPIKE * _shares(problem, columns), betweens(problem, columns) / np.sqrt(problem.groups))
 
 
 def betweens(problem: Problem, columns: Sequence) -> np.ndarray:
     """Standard deviation (P,) of every column between flights."""
-    least = [BETWEEN * problem.parameter(c).negligible for c in columns]
     own = [problem.between.get((c.effect, c.parameter), 0.0) for c in columns]
-    return np.maximum(least, own)
+    return np.maximum(BETWEEN * _shares(problem, columns), own)
+
+
+def _shares(problem: Problem, columns: Sequence) -> np.ndarray:
+    """Each column's share (P,) of negligible, for those that look alike have it together."""
+    alike = [problem.alike.get((c.effect, c.parameter), 1.0) * (2.0 if c.fixed else 1.0) for c in columns]
+    return np.array([problem.parameter(c).negligible for c in columns]) / np.sqrt(alike)
+
+
+def looks_alike(weighted: Weighted) -> dict[tuple[str, str], float]:
+    """(effect, parameter) -> how many columns change the predictions as it does, itself included."""
+    a = weighted.group_a.sum(axis=0)
+    scale = np.sqrt(np.maximum(np.diag(a), 1e-300))
+    squared = (a / np.outer(scale, scale)) ** 2
+    count = np.maximum(1.0, squared.sum(axis=0))
+    return {(c.effect, c.parameter): float(x) for c, x in zip(weighted.columns, count)}
 
 
 def between_flights(problem: Problem, weighted: Weighted) -> dict[tuple[str, str], float]:
     """(effect, parameter) -> its standard deviation between flights, by expectation and maximisation."""
-    unit = np.array([problem.parameter(c).negligible for c in weighted.columns])
+    unit = _shares(problem, weighted.columns)
     a, b = weighted.group_a * np.outer(unit, unit), weighted.group_b * unit
     prior = (unit / slabs(problem, weighted.columns)) ** 2
     variance, eye = np.full(len(unit), BETWEEN**2), np.eye(len(unit))
@@ -59,8 +73,7 @@ def between_flights(problem: Problem, weighted: Weighted) -> dict[tuple[str, str
         second = own**2 + np.diagonal(covariance, axis1=1, axis2=2)
         variance = np.maximum(BETWEEN**2, second.mean(axis=0))
     return {
-        (c.effect, c.parameter): float(np.sqrt(v) * u)
-        for c, v, u in zip(weighted.columns, variance, unit)
+        (c.effect, c.parameter): float(np.sqrt(v) * u) for c, v, u in zip(weighted.columns, variance, unit)
     }
 
 
@@ -69,7 +82,8 @@ def slabs(problem: Problem, columns: Sequence) -> np.ndarray:
     width = []
     for column in columns:
         p = problem.parameter(column)
-        width.append(0.25 * (p.bounds[1] - p.bounds[0]) if p.is_reference else SLAB * abs(p.size(p.plausible)))
+        about = 0.25 * (p.bounds[1] - p.bounds[0])
+        width.append(about if p.is_reference else SLAB * abs(p.size(p.plausible)))
     return np.array(width)
 
 
@@ -126,7 +140,8 @@ class Local:
             a[k] = inner @ a[k]
             a[k] = 0.5 * (a[k] + a[k].T)
         slab = slabs(problem, columns) / unit
-        return Local(problem, columns, at, a, b, c, unit, slab, held, between, np.zeros(len(columns), bool), own_a, own_b)
+        stays = np.zeros(len(columns), bool)
+        return Local(problem, columns, at, a, b, c, unit, slab, held, between, stays, own_a, own_b)
 
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Positions of the columns of the effects `names`."""
@@ -204,7 +219,7 @@ class Screen:
         if len(own):  # of the matrix less what the spikes of the set held it by
             change = precision[own] - 1.0
             inner = np.diag(1.0 / change) + self.inverse[np.ix_(own, own)]
-            sign, log_inner = np.linalg.slogdet(inner)
+            log_inner = np.linalg.slogdet(inner)[1]
             square -= mean[own] @ np.linalg.solve(inner, mean[own])
             log_det += log_inner + np.log(np.abs(change)).sum()
         left = self.c + (precision * self.at * self.at).sum() - square

@@ -3,8 +3,8 @@
 A disturbance that is a function of something known - place, speed, heading, commands and their past, time,
 voltage - would be missing physics; one that is not is unrest. Functions are ridge regressions on random
 Fourier features, driven through the same window errors as any effect: an acceleration along an axis of the
-world or of the heading, an angular acceleration of a loop. Each is fitted to all flights but one and judged on
-that one. Under the hypothesis that nothing repeats, the errors of a whole flight may as well have the other
+world or of the heading, an angular acceleration of a loop. Each is fitted to all flights but one and judged
+on that one. Under the hypothesis that nothing repeats, the errors of a whole flight may as well have the other
 sign: over all flips of signs, the largest gain over all functions gives the false alarm rate by construction.
 """
 
@@ -34,13 +34,14 @@ BLOCK = 5.0  # s of a flight that may have the other sign
 PAST = (0.1, 0.25)  # s ago, of commands
 MOVED = (0.15, 0.3, 0.5)  # s ago, of velocities
 BINS = 8
+SHARE = 0.005  # of the squared error left in a channel that is worth telling
 WORTH = 1.0  # squared error that is worth telling, in that of errors of negligible size
 UNITS_OF = ("m/s2",) * 3 + ("rad/s2",) * 3
 LEAST = {"m/s2": 0.01, "rad/s2": 0.3}  # a function's expected size where the air is still
 
 
 def sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Error (w, 6) of every window as an acceleration or angle, and its variance (w, 6) by noise and unrest."""
+    """Error (w, 6) of every window as an acceleration or angle, its variance (w, 6) by noise and unrest."""
     value = np.concatenate([f.whitening.sizes(x) for f, x in zip(problem.flights, white)])
     variance = np.concatenate(
         [np.tile(1.0 / f.whitening.power, (len(x), 1)) for f, x in zip(problem.flights, white)]
@@ -72,16 +73,20 @@ def quantities(flights: Sequence[Measured]) -> dict[str, tuple[tuple[str, ...], 
     put("heading", ("heading",) * 2, lambda f: [np.cos(f.attitude[:, 2]), np.sin(f.attitude[:, 2])])
     commands = ("thrust command", "roll command", "pitch command", "yaw rate command")
     put("commands", commands, lambda f: [f.command])
-    past = tuple(f"thrust command {t:g} s ago" for t in PAST)
+    past = [f"thrust command{when}" for when in _when(PAST)]
     put("thrust command and its past", ("thrust command", *past), lambda f: ago(f, f.command[:, :1], PAST))
-    names = [f"{axis} command{ago}" for ago in ("", *(f" {t:g} s ago" for t in PAST)) for axis in ("roll", "pitch")]
+    names = [f"{axis} command{when}" for when in ("", *_when(PAST)) for axis in ("roll", "pitch")]
     put("tilt commands and their past", names, lambda f: ago(f, f.command[:, 1:3], PAST))
-    names = [f"{axis}{when}" for when in ("", *(f" {t:g} s ago" for t in MOVED)) for axis in body]
+    names = [f"{axis}{when}" for when in ("", *_when(MOVED)) for axis in body]
     put("velocity and its past", names, lambda f: ago(f, turned(f, f.velocity), MOVED))
     put("flight time", ("flight time",), lambda f: [f.t])
     if all(f.voltage is not None for f in flights):
         put("battery voltage", ("battery voltage",), lambda f: [f.voltage])
     return result
+
+
+def _when(times: Sequence[float]) -> list[str]:
+    return [f" {t:g} s ago" for t in times]
 
 
 @dataclasses.dataclass
@@ -144,17 +149,28 @@ def assess(problem: Problem, found: Search, seed: int = 0) -> Remainder:
     depends: dict[str, Dependence] = {}
     for k in np.argsort(-scores[:, 0], kind="stable"):
         f = functions[k]
-        if scores[k, 0] < sure or f.gain < WORTH * tolerance[f.target] or f.target in depends:
+        if scores[k, 0] < sure or f.target in depends:
+            continue
+        if f.gain < max(WORTH * tolerance[f.target], SHARE * total[f.target]):
             continue
         arrays, names = inputs[f.on][1], inputs[f.on][0]
         share = float(np.clip(f.gain / total[f.target], 0.0, 1.0))
         depends[f.target] = _described(problem, f, basis[f.on], arrays, names, share, float(scores[k, 0]))
     import os
+
     if os.environ.get("DBG"):
         for k in np.argsort(-scores[:, 0], kind="stable")[:4]:
-            f = functions[k]; print("       DBG", f.target, f.on, "score %.1f gain %.0f tol %.2f share %.4f sure %.1f" % (scores[k, 0], f.gain, f.gain / tolerance[f.target], f.gain / total[f.target], sure))
+            f = functions[k]
+            print(
+                "       DBG",
+                f.target,
+                f.on,
+                "score %.1f gain %.0f tol %.2f share %.4f sure %.1f"
+                % (scores[k, 0], f.gain, f.gain / tolerance[f.target], f.gain / total[f.target], sure),
+            )
     told = tuple(depends.values())
-    return Remainder(bool(told), p_value, size, told, _words(told))
+    # The heading is compared on its own and moves nothing else.
+    return Remainder(any(d.channel != "yaw" for d in told), p_value, size, told, _words(told))
 
 
 def _tolerances(problem: Problem, found: Search) -> tuple[dict[str, float], dict[str, float]]:
@@ -170,7 +186,7 @@ def _tolerances(problem: Problem, found: Search) -> tuple[dict[str, float], dict
     return result[0], result[1]
 
 
-def _described(problem, function: _Function, features, arrays, names, share: float, score: float) -> Dependence:
+def _described(problem, function: _Function, features, arrays, names, share, score) -> Dependence:
     """A function in numbers: its size by regime, and its course over the input it goes with most."""
     weights = function.weights()
     value = np.concatenate([np.matmul(x, weights).mean(axis=1) for x in features])
@@ -237,7 +253,8 @@ def _basis(problem: Problem, arrays: Sequence[np.ndarray], seed: int) -> list[np
     parts: list = [make_pipeline(StandardScaler(), splines)]
     if k > 1:
         random = RBFSampler(gamma=0.5 / k, n_components=FEATURES, random_state=seed)
-        parts.append(make_pipeline(StandardScaler(), FunctionTransformer(np.clip, kw_args={"a_min": -4, "a_max": 4}), random))
+        drawn_in = FunctionTransformer(np.clip, kw_args={"a_min": -4.0, "a_max": 4.0})
+        parts.append(make_pipeline(StandardScaler(), drawn_in, random))
     spread = seen + 1e-9 * np.random.default_rng(seed).standard_normal(seen.shape)  # knots that differ
     features = make_union(*parts).fit(spread[:: max(1, len(spread) // 5000)])
     return [f.cut(features.transform(x)) for f, x in zip(problem.flights, arrays)]
@@ -266,7 +283,8 @@ def _fit(problem, found, white, target: str, name: str, features, block_of: np.n
             for one in np.unique(g):
                 own = slopes[g == one].reshape(-1, width)
                 a[one] += own.T @ own
-            np.add.at(b, k, scale * np.einsum("wqd,wq->wd", slopes, share * errors[:, channel], optimize=True))
+            left = scale * share * errors[:, channel]
+            np.add.at(b, k, np.einsum("wqd,wq->wd", slopes, left, optimize=True))
     # Expected as large as what is taken for unrest.
     expected = max(float(size[list(channels)].max()), LEAST[UNITS_OF[channels[0]]])
     ridge = 1.0 / expected**2

@@ -23,13 +23,15 @@ from inclined_landing.eval.gap.search.posterior import (
     Set,
     between_flights,
     flight_weights,
+    looks_alike,
     slabs,
 )
 from inclined_landing.eval.gap.search.prediction import predict
 
 NOTHING = 0.5  # prior probability that nothing is missing
 MOST = 6  # effects of a set
-FITTED = 10  # sets that are fitted through the simulator, at most
+PLACES = 2  # others that are fitted in the place of every effect of the best set
+FITTED = 9  # sets that are fitted through the simulator, at most
 WORTH = 6.0  # log probability behind the best within which a neighbour is worth a fit
 TOLERATED = 10.0  # squared error by which a linear step may be worse than foreseen
 OUTDONE = 2.5  # times the usual squared error that a window counts at most
@@ -93,6 +95,7 @@ def search(problem: Problem) -> Search:
     inflation = repeated(problem, whole.values)
     columns = problem.columns(whole.values, list(problem.library))
     near = problem.linearise(whole.values, columns).weighted(inflation)
+    problem.alike = looks_alike(near)
     problem.between = between_flights(problem, near)
     nodes = _explore(problem, inflation)
     best = max(nodes.values(), key=lambda node: node.score)
@@ -249,7 +252,25 @@ def _explore(problem: Problem, inflation: np.ndarray) -> dict[Set, Node]:
             break
         origin = promised[names][1]
         nodes[names] = _visit(problem, names, _start(problem, origin, names), inflation)
+    for _ in range(2):
+        best = max(nodes.values(), key=lambda node: node.score)
+        others = _in_its_place(problem, best, nodes)
+        for names in others:
+            nodes[names] = _visit(problem, names, _start(problem, best, names), inflation)
+        if best is max(nodes.values(), key=lambda node: node.score):
+            break
     return nodes
+
+
+def _in_its_place(problem: Problem, best: Node, nodes: dict[Set, Node]) -> list[Set]:
+    """For every effect of a set, the set with the likeliest other in its place, where that was not fitted."""
+    result = []
+    for name in sorted(best.names):
+        rest = best.names - {name}
+        swaps = [rest | {n} for n in problem.library if n not in best.names]
+        swaps = sorted(swaps, key=lambda names: -best.screen(names))[:PLACES]
+        result += [names for names in swaps if names not in nodes]
+    return result
 
 
 def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflation) -> tuple[Scored, ...]:
@@ -269,7 +290,9 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
         if probability[k] < LEAST and result:
             continue
         one = names[k]
-        if one not in nodes and probability[k] > CLEAR:  # told by the linearisation alone so far
+        if one not in nodes and (
+            probability[k] > CLEAR or not result
+        ):  # told by the linearisation alone so far
             nodes[one] = _visit(problem, one, _start(problem, best, one), inflation)
         values = nodes[one].values if one in nodes else _start(problem, best, one)
         result.append(Scored(one, float(probability[k]), values))
