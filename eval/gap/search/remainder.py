@@ -34,7 +34,7 @@ BLOCK = 5.0  # s of a flight that may have the other sign
 PAST = (0.1, 0.25)  # s ago, of commands
 MOVED = (0.15, 0.3, 0.5)  # s ago, of velocities
 BINS = 8
-SHARE = 0.005  # of the squared error left in a channel that is worth telling
+SHARE = 0.015  # of the squared error left in a channel that is worth telling
 WORTH = 1.0  # squared error that is worth telling, in that of errors of negligible size
 UNITS_OF = ("m/s2",) * 3 + ("rad/s2",) * 3
 LEAST = {"m/s2": 0.01, "rad/s2": 0.3}  # a function's expected size where the air is still
@@ -156,18 +156,6 @@ def assess(problem: Problem, found: Search, seed: int = 0) -> Remainder:
         arrays, names = inputs[f.on][1], inputs[f.on][0]
         share = float(np.clip(f.gain / total[f.target], 0.0, 1.0))
         depends[f.target] = _described(problem, f, basis[f.on], arrays, names, share, float(scores[k, 0]))
-    import os
-
-    if os.environ.get("DBG"):
-        for k in np.argsort(-scores[:, 0], kind="stable")[:4]:
-            f = functions[k]
-            print(
-                "       DBG",
-                f.target,
-                f.on,
-                "score %.1f gain %.0f tol %.2f share %.4f sure %.1f"
-                % (scores[k, 0], f.gain, f.gain / tolerance[f.target], f.gain / total[f.target], sure),
-            )
     told = tuple(depends.values())
     # The heading is compared on its own and moves nothing else.
     return Remainder(any(d.channel != "yaw" for d in told), p_value, size, told, _words(told))

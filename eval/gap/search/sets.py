@@ -30,7 +30,7 @@ from inclined_landing.eval.gap.search.prediction import predict
 
 NOTHING = 0.5  # prior probability that nothing is missing
 MOST = 6  # effects of a set
-PLACES = 2  # others that are fitted in the place of every effect of the best set
+PLACES = 3  # others that are fitted in the place of every effect of the best set
 FITTED = 9  # sets that are fitted through the simulator, at most
 WORTH = 6.0  # log probability behind the best within which a neighbour is worth a fit
 TOLERATED = 10.0  # squared error by which a linear step may be worse than foreseen
@@ -267,8 +267,9 @@ def _in_its_place(problem: Problem, best: Node, nodes: dict[Set, Node]) -> list[
     result = []
     for name in sorted(best.names):
         rest = best.names - {name}
+        near = nodes.get(rest, best)  # adding is more nearly linear than exchanging
         swaps = [rest | {n} for n in problem.library if n not in best.names]
-        swaps = sorted(swaps, key=lambda names: -best.screen(names))[:PLACES]
+        swaps = sorted(swaps, key=lambda names: -near.screen(names))[:PLACES]
         result += [names for names in swaps if names not in nodes]
     return result
 
@@ -295,5 +296,7 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
         ):  # told by the linearisation alone so far
             nodes[one] = _visit(problem, one, _start(problem, best, one), inflation)
         values = nodes[one].values if one in nodes else _start(problem, best, one)
+        if any(not np.any(problem.sizes(n, values)) for n in one):
+            continue
         result.append(Scored(one, float(probability[k]), values))
     return tuple(result)
