@@ -15,7 +15,7 @@ Verdict = Literal["effects", "nothing", "unknown"]
 
 @dataclasses.dataclass(frozen=True)
 class WhereRow:
-    """Short-window prediction error of one channel in one regime, before and after, beside the noise.
+    """Short-window prediction error of one channel in one regime, before and after.
 
     Translation: root mean square of the constant acceleration (m/s2) that each window's error looks like,
     one axis; attitude and yaw: of the angle error (rad) at the end of a window; touchdown: of the
@@ -26,7 +26,7 @@ class WhereRow:
     channel: str  # x, y, z, roll, pitch, yaw, touchdown
     before: float
     after: float
-    floor: float  # what the measurement noise alone gives
+    floor: float  # what measurement noise and unrest alone give; touchdown: the noise alone
     unit: str
     windows: int
 
@@ -37,13 +37,13 @@ class Estimate:
 
     value: float
     unit: str
-    ci95: tuple[float, float]  # intervals clustered by flight (by window with fewer than four flights)
+    ci95: tuple[float, float]
     neutral: float
     bounds: tuple[float, float]
     at_bound: bool
-    per_flight: tuple[float, ...]  # estimate of each flight alone, NaN where the flight does not tell
+    per_flight: tuple[float, ...]  # in each flight, drawn to the common value; NaN where it does not tell
     per_flight_error: tuple[float, ...]  # their standard errors
-    spread: float  # standard deviation between flights beyond these errors
+    spread: float  # standard deviation between flights
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,40 +51,16 @@ class NamedEffect:
     """An effect the diagnosis names."""
 
     name: str
-    members: tuple[str, ...]  # all names that cannot be told apart on these flights, itself first
+    members: tuple[str, ...]  # itself first, then the names that take its place in other probable sets
+    probability: float | None  # that it is part of what is missing; None: named by landings
     parameters: dict[str, Estimate]
-    gain: float  # share of the closable short-window error it removes on flights left out, 0..1
-    evidence: float  # standard errors of its gain over windows of flights left out
+    gain: float  # share of the closable squared error that is lost without it, 0..1
     remedy: str
-    follows_from: str = ""  # another named effect that entails this one: no cause of its own
-    note: str = ""  # a sentence, e.g. that all delays agree
+    note: str = ""  # a sentence
 
     def values(self) -> dict[str, float]:
         """Fitted parameter values."""
         return {name: p.value for name, p in self.parameters.items()}
-
-
-@dataclasses.dataclass(frozen=True)
-class Candidate:
-    """One row of the ranking in one step of the search."""
-
-    effect: str
-    gain: float  # decrease of the whitened squared error on flights left out, over all windows
-    share: float  # the same as a share of what the whole library could close at this step, 0..1
-    evidence: float  # standard errors over windows
-    refitted: bool  # refitted through the simulator (else the linear estimate)
-    tie: bool  # in the class of the effect accepted in this step
-    reason: str  # why it was not accepted; empty for the accepted one
-    values: dict[str, float]
-
-
-@dataclasses.dataclass(frozen=True)
-class SearchStep:
-    """The candidates of one step of the stepwise search, best first."""
-
-    accepted: str | None  # None: the step that ended the search
-    dropped: tuple[str, ...]  # earlier effects this step made useless
-    candidates: tuple[Candidate, ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,6 +133,7 @@ class ScoredSet:
     effects: tuple[str, ...]
     probability: float
     values: dict[str, dict[str, float]]
+    deviations: dict[str, dict[str, float]]  # standard errors of the values, where they are known
 
 
 @dataclasses.dataclass(frozen=True)
@@ -188,11 +165,13 @@ class Diagnosis:
     separating_manoeuvre: str | None
     manoeuvres: tuple[dict, ...]  # {name, text, separation} for every tie, largest separation first
     where: tuple[WhereRow, ...]
-    steps: tuple[SearchStep, ...]
+    sets: tuple[ScoredSet, ...]  # of effects that show in free flight, most probable first
+    unrest: dict[str, Disturbance]  # channel -> noise and unrest
     horizon: tuple[HorizonCurve, ...]
     windows: tuple[WindowCurves, ...]
     remainder: Remainder
     gap: dict[str, PlantGap]  # "analytic", "mujoco"; empty until `with_gap`
+    platform: bool  # the slab stood in the arena
     flights: tuple[str, ...]  # names of the flights fitted
     heldout: tuple[str, ...]  # names of the flights judged on (those fitted, left out in turn, if none)
     seconds: dict[str, float]  # stage -> s
@@ -202,6 +181,11 @@ class Diagnosis:
         """Fitted parameter values: effect -> parameter -> value."""
         return {e.name: e.values() for e in self.effects}
 
+    @property
+    def nothing(self) -> float:
+        """Probability that nothing of the library is missing in free flight."""
+        return sum(s.probability for s in self.sets if not s.effects)
+
     def apply(self, vehicle: Vehicle) -> Vehicle:
         """`vehicle` with the named effects added."""
         return effects.apply(vehicle, self.values())
@@ -210,22 +194,32 @@ class Diagnosis:
         """The contents of report.json: plain dicts, sequences, strings and numbers."""
         named = [
             {
-                **_some(e, "name", "gain", "remedy", "note"),
+                **_some(e, "name", "probability", "gain", "remedy", "note"),
                 "class": e.members,
                 "parameters": {
-                    name: _some(p, "value", "unit", "ci95", "per_flight") for name, p in e.parameters.items()
+                    name: _some(p, "value", "unit", "ci95", "per_flight", "spread")
+                    for name, p in e.parameters.items()
                 },
-                "follows_from": e.follows_from or None,
+                "follows_from": None,
             }
             for e in self.effects
         ]
-        depends_on = [_some(d, "channel", "on", "share") for d in self.remainder.depends_on]
+        depends_on = [
+            _some(d, "channel", "on", "size", "unit", "share", "score", "against", "regimes")
+            for d in self.remainder.depends_on
+        ]
         return {
-            **_some(self, "verdict", "separating_manoeuvre", "flights", "heldout", "notes"),
+            **_some(self, "verdict", "nothing", "separating_manoeuvre", "platform", "flights", "heldout", "notes"),
             "effects": named,
+            "sets": [dataclasses.asdict(one) for one in self.sets],
+            "noise": {channel: d.noise for channel, d in self.unrest.items()},
+            "unrest": {
+                channel: _some(d, "size", "size_ci95", "time", "time_ci95", "unit")
+                for channel, d in self.unrest.items()
+            },
             "where": [dataclasses.asdict(row) for row in self.where],
             "gap": {plant: dataclasses.asdict(gap) for plant, gap in self.gap.items()},
-            "remainder": _some(self.remainder, "unexplained", "size", "floor", "text")
+            "remainder": _some(self.remainder, "unexplained", "p_value", "size", "text")
             | {"depends_on": depends_on},
             "seconds": float(sum(self.seconds.values())),
             "stages": self.seconds,

@@ -9,24 +9,28 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from inclined_landing.eval.gap.answer import manoeuvres
+from inclined_landing.eval.gap.answer.named import (
+    disturbances,
+    left_out,
+    named_effects,
+    parts_only,
+    scored_sets,
+    touched_effects,
+    values_with,
+)
 from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE, Landing, landings_of
 from inclined_landing.eval.gap.flights.windows import REGIMES, prepare_all
 from inclined_landing.eval.gap.result import (
     Diagnosis,
-    Estimate,
     HorizonCurve,
     NamedEffect,
     PlantGap,
-    SearchStep,
     WhereRow,
     WindowCurves,
 )
-from inclined_landing.eval.gap.search import after_touch, contact, remainder, rollout
+from inclined_landing.eval.gap.search import after_touch, contact, remainder, rollout, sets
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
-from inclined_landing.eval.gap.search.fit import estimates, left_out_vehicles, refit, spread_between
-from inclined_landing.eval.gap.search.naming import Search, search
 from inclined_landing.eval.gap.search.prediction import CHANNELS
-from inclined_landing.eval.gap.search.trial import Thresholds
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
@@ -42,7 +46,6 @@ def diagnose(
     *,
     heldout: Sequence[FlightLog] = (),
     platform: bool | None = None,
-    limits: Thresholds | None = None,
     plants: Sequence[str] = ("analytic",),
     curves: bool = True,
 ) -> Diagnosis:
@@ -63,18 +66,22 @@ def diagnose(
     problem = Problem(fitted, vehicle, library)
     notes += [*_limits_in_words(problem), *untold]
     clock("prepare")
-    found = united(problem, search(problem, limits))
+    found = sets.search(problem)
     clock("name")
-    effects, corrected = _named(problem, found), problem.corrected(found.fit.values)
+    left = remainder.assess(problem, found)
+    parts = parts_only(problem, found, left)
+    notes += [f"{name} would explain the smaller part of what is left: it is not named" for name in parts]
+    values = values_with(problem, found, found.names - frozenset(parts))
+    effects, corrected = named_effects(problem, found, values), problem.corrected(values)
+    clock("remainder")
     if judged:
         test, after = Problem(judged, vehicle, library), [corrected] * len(judged)
+        test.rewhiten(found.unrest, corrected)
     else:
-        test, after = problem, left_out_vehicles(problem, found.fit)
-    white = test.white(after)
-    where = _where(test, test.white([vehicle] * len(after)), white)
-    left = remainder.assess(test, white, remainder.floors_with(test, found.fit.values))
+        test, after = problem, left_out(problem, found, frozenset(values))
+    where = _where(test, test.white([vehicle] * len(after)), test.white(after))
     clock("where")
-    ties = manoeuvres.separating(problem, [e.members for e in effects], found.fit.values)
+    ties = manoeuvres.separating(problem, found.unrest, [e.members for e in effects], values)
     clock("manoeuvres")
     touched = _touched(flights, heldout, vehicle, corrected, library, notes)
     if touched.landed:
@@ -84,7 +91,7 @@ def diagnose(
     if starts is not None and (curves or plants):
         floor = rollout.noise_floor(starts, corrected)
         if curves:
-            horizon = _horizon(problem, starts, found, after, floor)
+            horizon = _horizon(problem, starts, effects, after, floor)
             drawn = {"horizon": horizon, "windows": _window_curves(starts, vehicle, corrected)}
         clock("show")
         for plant in plants:
@@ -93,11 +100,8 @@ def diagnose(
     elif touched.landed and "mujoco" in plants:
         gap["mujoco"] = _landing_gap(touched.landed, vehicle, touched.vehicle)
         clock("gap mujoco")
-    if found.unstable:
-        names = ", ".join(dict.fromkeys(found.unstable))
-        notes.append(f"{names} would explain part of the error, but not the same way in every flight")
     effects += touched.effects
-    unknown = left.unexplained or found.unstable or touched.unexplained
+    unknown = left.unexplained or touched.unexplained
     return Diagnosis(
         verdict="unknown" if unknown else "effects" if effects else "nothing",
         effects=effects,
@@ -105,10 +109,12 @@ def diagnose(
         separating_manoeuvre=" ".join(t["text"] for t in ties) or None,
         manoeuvres=tuple(ties),
         where=where + touched.where,
-        steps=(*found.steps, *touched.steps),
+        sets=scored_sets(problem, found),
+        unrest=disturbances(problem, found),
         **drawn,
         remainder=left,
         gap=gap,
+        platform=platform,
         flights=tuple(f.name for f in fitted),
         heldout=tuple(f.name for f in test.flights),
         seconds=clock.spent,
@@ -123,7 +129,6 @@ class _Touched:
     vehicle: Vehicle  # corrected for contact too
     landed: list[Landing] = dataclasses.field(default_factory=list)  # those judged on
     effects: tuple[NamedEffect, ...] = ()
-    steps: Sequence[SearchStep] = ()
     where: tuple[WhereRow, ...] = ()
     unexplained: bool = False
 
@@ -142,7 +147,7 @@ def _touched(flights, heldout, vehicle: Vehicle, corrected: Vehicle, library, no
         notes.append("the motion after the touch differs from the simulated one in a way no effect explains")
     test = landings_of(heldout, corrected) or landed
     where = _where_touching(test, vehicle, after)
-    return _Touched(after, test, _named(problem, named), named.steps, where, named.unexplained)
+    return _Touched(after, test, touched_effects(problem, named), where, named.unexplained)
 
 
 class _Clock:
@@ -162,7 +167,7 @@ def _limits_in_words(problem: Problem) -> list[str]:
     if n < FEW_FLIGHTS:
         notes.append(
             f"{n} flight{'s' * (n > 1)} only: parts of a flight take the place of flights left out, and "
-            "whether an effect is the same in every flight cannot be checked"
+            "how far flights differ is a guess"
         )
     seconds = sum(len(f.starts) * f.rows * f.dt for f in problem.flights)
     if seconds < 20.0:
@@ -170,70 +175,6 @@ def _limits_in_words(problem: Problem) -> list[str]:
     if not problem.logged[:, 5].any():
         notes.append("yaw or its command not logged: the yaw channel was left out")
     return notes
-
-
-def united(problem: Problem, found: Search) -> Search:
-    """Effects found that are equal are the one that unites them, where that explains as much."""
-    for name, effect in problem.library.items():
-        if effect.unites and set(effect.unites) <= set(found.fit.values):
-            found = _united(problem, found, name)
-    return found
-
-
-def _united(problem: Problem, found: Search, name: str) -> Search:
-    parts, values = problem.library[name].unites, found.fit.values
-    parameters = [problem.library[n].parameters[0] for n in parts]
-    sizes = [values[n][p.name] for n, p in zip(parts, parameters)]
-    variance = np.diag(found.fit.weighted.covariance(found.fit.index))[found.fit.weighted.index(parts)]
-    least = max(p.negligible for p in parameters)
-    if max(sizes) - min(sizes) > max(least, 2.5 * np.sqrt(variance.sum())):
-        return found
-    own = {problem.library[name].parameters[0].name: sum(sizes) / len(sizes)}
-
-    def merged(table: dict, value) -> dict:
-        return {n: x for n, x in table.items() if n not in parts} | {name: value}
-
-    return dataclasses.replace(
-        found,
-        fit=refit(problem, merged(values, own), found.inflation),
-        gains=merged(found.gains, sum(found.gains[n] for n in parts)),
-        evidence=merged(found.evidence, max(found.evidence[n] for n in parts)),
-        classes=merged(found.classes, (name,)),
-    )
-
-
-def _named(problem: Problem | after_touch.TouchdownProblem, found: Search) -> tuple[NamedEffect, ...]:
-    named: dict[str, dict[str, Estimate]] = {name: {} for name in found.fit.values}
-    for effect, p, value, half, change, error in estimates(problem, found.fit):
-        lo, hi = p.bounds
-        own = np.where(error < 10 * max(abs(value - p.neutral), p.negligible), value + change, np.nan)
-        named[effect][p.name] = Estimate(
-            value=value,
-            unit=p.unit,
-            ci95=(float(max(lo, value - half)), float(min(hi, value + half))),
-            neutral=p.neutral,
-            bounds=p.bounds,
-            at_bound=bool(min(value - lo, hi - value) <= 1e-6 * (hi - lo)),
-            per_flight=tuple(map(float, own)),
-            per_flight_error=tuple(map(float, error)),
-            spread=spread_between(change, error),
-        )
-    effects = []
-    for name, parameters in named.items():
-        cause, effect = found.follows.get(name, ""), problem.library[name]
-        effects.append(
-            NamedEffect(
-                name=name,
-                members=found.classes.get(name, (name,)),
-                parameters=parameters,
-                gain=found.gains.get(name, 0.0),
-                evidence=found.evidence.get(name, 0.0),
-                remedy=effect.remedy,
-                follows_from=cause,
-                note=f"follows from {cause} physically" if cause else effect.unites_because,
-            )
-        )
-    return tuple(sorted(effects, key=lambda e: -e.gain))
 
 
 def _where(problem: Problem, before, after) -> tuple[WhereRow, ...]:
@@ -277,14 +218,13 @@ def _starts(problem: Problem, notes: list[str]) -> rollout.Starts | None:
         return None
 
 
-def _horizon(problem, starts, found: Search, after, floor) -> tuple[HorizonCurve, ...]:
+def _horizon(problem, starts, effects: Sequence[NamedEffect], after, floor) -> tuple[HorizonCurve, ...]:
     """Error against horizon with the effects added one by one."""
     t = np.arange(1, starts.rows + 1) * starts.dt
-    names = sorted(found.fit.values, key=lambda n: -found.gains.get(n, 0.0))
-    curves = []
+    names, curves = [e.name for e in effects], []
     for k in range(len(names) + 1):
         chosen = tuple(names[:k])
-        vehicle = problem.corrected({n: found.fit.values[n] for n in chosen})
+        vehicle = problem.corrected({e.name: e.values() for e in effects[:k]})
         if k and k == len(names):
             error, _ = rollout.errors_by_flight(starts, after)
         else:

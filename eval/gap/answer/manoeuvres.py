@@ -1,7 +1,7 @@
 """Flights that would tell effects apart which look alike in the flights at hand.
 
 Each manoeuvre is a smooth path flown perfectly; how far it separates two effects is computed with the
-same windows and noise as the diagnosis, in standard errors, after everything else that could be adjusted
+same windows, noise and unrest as the diagnosis, in standard errors, after everything else that could be adjusted
 (the first effect's own size, the accepted effects) has been.
 """
 
@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from inclined_landing.eval.gap.flights.unrest import Unrest
 from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.gap.search.evidence import Problem, Values, solve
 from inclined_landing.eval.logs import FlightLog
@@ -100,20 +101,24 @@ def fly(name: str, vehicle: Vehicle, noise: np.ndarray) -> FlightLog:
     )
 
 
-def separating(problem: Problem, ties: Sequence[tuple[str, ...]], values: Values) -> list[dict]:
+def separating(
+    problem: Problem, stir: Unrest, ties: Sequence[tuple[str, ...]], values: Values
+) -> list[dict]:
     """For every class of more than one effect, the manoeuvre that separates its members best.
 
+    stir: the unrest that they are flown in.
     Returns [{name, text, separation, members}], separation in standard errors of the closest pair,
     largest first.
     """
-    answers = [_separating(problem, members, values) for members in ties if len(members) > 1]
+    answers = [_separating(problem, stir, members, values) for members in ties if len(members) > 1]
     return sorted(answers, key=lambda r: -r["separation"])
 
 
-def _separating(problem: Problem, members: tuple[str, ...], values: Values) -> dict:
+def _separating(problem: Problem, stir: Unrest, members: tuple[str, ...], values: Values) -> dict:
     told = " ".join(problem.library[m].told_by for m in members if problem.library[m].told_by)
     members = tuple(m for m in members if not problem.library[m].told_by)
-    tried = {name: _separation(problem, name, members, values) for name in MANOEUVRES if len(members) > 1}
+    flown = MANOEUVRES if len(members) > 1 else ()
+    tried = {name: _separation(problem, stir, name, members, values) for name in flown}
     scored = {name: errors for name, errors in tried.items() if errors is not None}
     best = max(scored, key=lambda name: (scored[name], name), default="none")
     errors, text = scored.get(best, 0.0), ""
@@ -127,12 +132,15 @@ def _separating(problem: Problem, members: tuple[str, ...], values: Values) -> d
     return {"name": best, "text": text, "separation": errors, "members": list(members)}
 
 
-def _separation(problem: Problem, name: str, members: Sequence[str], values: Values) -> float | None:
+def _separation(
+    problem: Problem, stir: Unrest, name: str, members: Sequence[str], values: Values
+) -> float | None:
     """Standard errors between the accepted effect, the first, and the closest to it; None if not seen."""
     noise = np.median([f.noise for f in problem.flights], axis=0)
     flown = Problem(
         [prepare(fly(name, problem.vehicle, noise), problem.vehicle)], problem.vehicle, problem.library
     )
+    flown.rewhiten(stir, problem.vehicle)
     live = [m for m in members if m in flown.library]
     if len(live) < 2:
         return None

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from inclined_landing.eval.gap.flights.landings import Landing
-from inclined_landing.eval.gap.result import Candidate, SearchStep
 from inclined_landing.eval.gap.search.after_touch import TouchdownProblem
-from inclined_landing.eval.gap.search.evidence import Values
-from inclined_landing.eval.gap.search.fit import Fitted, refit, standard_errors
-from inclined_landing.eval.gap.search.naming import Search
-from inclined_landing.eval.gap.search.trial import Objection, Reason, Thresholds, Trial, objection, trial_of
+from inclined_landing.eval.gap.search.evidence import solve
+from inclined_landing.eval.gap.search.fit import Fitted, refit, spread_between, standard_errors
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.parameters import Vehicle
 
@@ -25,19 +23,42 @@ REFITTED = 2  # effects of every step
 TIED = 0.7  # standard errors by which the best must beat an effect that is told from it
 SCAN = (-2.0, -1.0, -0.4, 0.4, 1.0, 2.0)  # times the plausible deviation
 SCAN_FACTOR = (0.27, 0.4, 0.6, 0.8, 1.25, 1.7, 2.5, 3.6)  # factors instead
-# Landings are few, and each tells more than a window of free flight.
-LIMITS = Thresholds(
-    **{"evidence": 2.3, "gain": 35.0, "share": 0.15, "share_more": 0.3, "share_left": 0.2},
-    **{"agreement": 0.5, "spread": 1.0, "most": 2},
-)
+MOST = 2  # effects
+# What it takes to be named. Landings are few, and each tells more than a window of free flight.
+EVIDENCE = 2.3  # standard errors of the gain over landings
+ENOUGH = 0.8  # of the most standard errors that so many landings can give, where that is less
+GAIN = 35.0  # decrease of the white squared error
+SHARE_MORE = 0.3  # of the first effect's gain, for a second one
+AGREEMENT = 0.5  # share of landings with a positive gain
+SPREAD = 1.0  # between landings, as a share of the parameter's distance from neutral
+# Squared error that an effect makes in a landing (noise 1) so that a gain there can be expected.
+SHOWS = 9.0
+
+
+@dataclasses.dataclass
+class Touched:
+    """The outcome of `name_contact`."""
+
+    fit: Fitted
+    gains: dict[str, float] = dataclasses.field(default_factory=dict)  # effect -> share of the squared error
+    classes: dict[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)  # names like it, itself first
+    unexplained: bool = False  # errors remain
+
+
+@dataclasses.dataclass
+class Trial:
+    """One candidate added to the effects found so far and refitted with them."""
+
+    fit: Fitted
+    gain: float
+    evidence: float
+    agreement: float
+    values: dict[str, float]
 
 
 def name_contact(
-    landings: Sequence[Landing],
-    vehicle: Vehicle,
-    library: Mapping[str, Effect],
-    limits: Thresholds = LIMITS,
-) -> tuple[TouchdownProblem, Search]:
+    landings: Sequence[Landing], vehicle: Vehicle, library: Mapping[str, Effect]
+) -> tuple[TouchdownProblem, Touched]:
     """Name the contact effects that `vehicle`, corrected for free flight, lacks to explain `landings`.
 
     Feet that stick say nothing about how they would slide, so that every effect is scanned through the
@@ -45,38 +66,61 @@ def name_contact(
     the error they take away: a few landings that go another way would decide that.
     """
     problem = TouchdownProblem(landings, vehicle, library)
-    noise = np.ones(6)
-    found = Search(refit(problem, {}, noise), noise)
-    total = found.fit.squares
+    found = Touched(refit(problem, {}, np.ones(6)))
+    total, most = found.fit.squares, 0.0
     size = 6 * problem.rows.sum()
-    for _ in range(limits.most):
+    for _ in range(MOST):
         if found.fit.values and found.fit.squares < MATCHED * size:
             break
         scans = _Scans(problem, found.fit)
         best, trial = next(iter(scans.trials.items()))
-        closable = max(1.0, trial.gain)
-        against = _coupled(problem, best, found.fit.values) or objection(
-            problem, best, trial, closable, max(found.closable, closable), limits, found.fit.values
-        )
-        alike = [] if against else scans.alike(best, limits)
-        rows = scans.rows(best, alike, closable, against)
-        found.steps.append(SearchStep(None if against else best, (), rows))
-        if against:
+        coupled = any(best in problem.library[other].couples_with for other in found.fit.values)
+        if coupled or trial.gain < SHARE_MORE * most or not _clear(problem, best, trial):
             break
-        found.closable = max(found.closable, closable)
-        found.fit = trial.fit
-        found.evidence[best], found.classes[best] = trial.evidence, tuple(alike)
+        most = max(most, trial.gain)
+        found.fit, found.classes[best] = trial.fit, tuple(scans.alike(best))
         found.gains[best] = float(np.clip(trial.gain / total, 0.0, 1.0))
     found.unexplained = found.fit.squares > UNEXPLAINED * size
     return problem, found
 
 
-def _coupled(problem: TouchdownProblem, name: str, found: Values) -> Objection | None:
-    """What speaks against naming an effect beside one that the engine couples it with."""
-    for other in found:
-        if name in problem.library[other].couples_with:
-            return Objection(Reason.COUPLED, {"other": other})
-    return None
+def _clear(problem: TouchdownProblem, name: str, trial: Trial) -> bool:
+    """Whether an effect explains enough, alike in most landings, with a value that it can have."""
+    # All landings alike give the square root of their number: no more can be asked of a few.
+    evidence = min(EVIDENCE, ENOUGH * math.sqrt(len(problem.flight_of)))
+    if trial.gain < GAIN or trial.evidence < evidence or trial.agreement < AGREEMENT:
+        return False
+    (p,) = problem.library[name].parameters
+    value, (low, high) = trial.values[p.name], p.bounds
+    beyond = low == p.neutral and value < 0.5 * (low + high)
+    if not beyond and min(value - low, high - value) < 1e-3 * (high - low):
+        return False
+    if abs(value - p.neutral) < p.negligible:
+        return False
+    change, error = trial.fit.weighted.per_flight(trial.fit.index)
+    own = trial.fit.weighted.index([name])[0]
+    return spread_between(change[:, own], error[:, own]) <= SPREAD * abs(value - p.neutral)
+
+
+def _trial_of(problem: TouchdownProblem, fit: Fitted, name: str, gain: np.ndarray) -> Trial:
+    """A trial from the decrease (n, 6) of the squared error of every landing and axis."""
+    of_landing = gain.sum(axis=1)
+    shows = _shown_in(problem, fit, name) > SHOWS
+    # Landings where the effect cannot show say nothing about it.
+    agreement = (of_landing[shows] > 0).mean() if shows.sum() >= 2 else (of_landing > 0).mean()
+    return Trial(fit, float(gain.sum()), standard_errors(gain), float(agreement), fit.values[name])
+
+
+def _shown_in(problem: TouchdownProblem, fit: Fitted, name: str) -> np.ndarray:
+    """Squared error (n,) that an effect of the fitted size makes in every landing, what others absorb apart."""
+    own = fit.weighted.index([name])
+    others = np.setdiff1d(fit.index, own)
+    a = fit.weighted.group_a
+    total = a.sum(axis=0)
+    absorbed = np.zeros(a.shape[1])
+    size = absorbed[own] = problem.sizes(name, fit.values)
+    absorbed[others] = -solve(total[np.ix_(others, others)], total[np.ix_(others, own)] @ size)
+    return np.einsum("gpq,p,q->g", a, absorbed, absorbed)
 
 
 class _Scans:
@@ -94,9 +138,7 @@ class _Scans:
             values = {**fit.values, name: {self._parameter(name).name: self._refined(name)}}
             new = refit(problem, values, fit.inflation, iterations=0)
             self.left[name] = problem.cells(problem.corrected(new.values))
-            gain = self.before - self.left[name]
-            trial = trial_of(problem, new, name, gain.sum(axis=1))
-            trials[name] = dataclasses.replace(trial, evidence=standard_errors(gain))
+            trials[name] = _trial_of(problem, new, name, self.before - self.left[name])
         self.trials = dict(sorted(trials.items(), key=lambda item: -item[1].evidence))
 
     def _parameter(self, name: str) -> Parameter:
@@ -129,22 +171,7 @@ class _Scans:
             left[vertex] = float(self._cells(name, vertex).sum())
         return min(left, key=left.get)
 
-    def alike(self, best: str, limits: Thresholds) -> list[str]:
+    def alike(self, best: str) -> list[str]:
         """The refined effects that cannot be told from the best."""
-        clear = [n for n, t in self.trials.items() if t.evidence > limits.evidence]
+        clear = [n for n, t in self.trials.items() if t.evidence > EVIDENCE]
         return [n for n in clear if standard_errors(self.left[n] - self.left[best]) < TIED]
-
-    def rows(
-        self, best: str, alike: Sequence[str], closable: float, against: Objection | None
-    ) -> tuple[Candidate, ...]:
-        """The ranking of this step."""
-        less, rows = str(Objection(Reason.LESS_EVIDENCE)), []
-        for n, t in self.trials.items():
-            reason, tie = less if n != best else str(against or ""), n in alike
-            rows.append(Candidate(n, t.gain, t.gain / closable, t.evidence, True, tie, reason, t.values))
-        for n in self.order[REFITTED:]:
-            value, cells = min(self.scans[n].items(), key=lambda item: item[1].sum())
-            gain, evidence = float((self.before - cells).sum()), standard_errors(self.before - cells)
-            values = {self._parameter(n).name: value}
-            rows.append(Candidate(n, gain, gain / closable, evidence, False, False, less, values))
-        return tuple(rows)

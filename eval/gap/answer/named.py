@@ -1,0 +1,224 @@
+"""The effects of the most probable set: their sizes, what takes their place, and what they bring."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from scipy import stats
+
+from inclined_landing.eval.gap.result import (
+    Disturbance,
+    Estimate,
+    NamedEffect,
+    Remainder,
+    ScoredSet,
+)
+from inclined_landing.eval.gap.search.after_touch import TouchdownProblem
+from inclined_landing.eval.gap.search.contact import Touched
+from inclined_landing.eval.gap.search.evidence import Problem, Values
+from inclined_landing.eval.gap.search.fit import estimates, spread_between
+from inclined_landing.eval.gap.search.posterior import Set
+from inclined_landing.eval.gap.search.prediction import CHANNELS
+from inclined_landing.eval.gap.search.sets import Search, stepped
+from inclined_landing.models.parameters import Vehicle
+
+HELD = 0.95  # of the probability, by the sets that what takes an effect's place is looked for in
+# A flight tells a parameter when it leaves less than this share of what flights may differ by.
+TELLS = 0.9
+
+
+def named_effects(problem: Problem, found: Search, values: Values) -> tuple[NamedEffect, ...]:
+    """The effects of `values`, fitted to the flights of `problem`, largest gain first."""
+    names = frozenset(values)
+    sizes, lost = _estimates(problem, found, names), squares_lost(problem, found, values)
+    before, after = (by_channel(problem, found, v).sum() for v in ({}, values))
+    effects = [
+        NamedEffect(
+            name=name,
+            members=(name, *in_its_place(found, name)),
+            probability=found.probability(name),
+            parameters=sizes[name],
+            gain=float(np.clip(lost[name].sum() / max(before - after, 1e-9), 0.0, 1.0)),
+            remedy=problem.library[name].remedy,
+        )
+        for name in values
+    ]
+    return tuple(sorted(effects, key=lambda e: -e.gain))
+
+
+def in_its_place(found: Search, name: str) -> tuple[str, ...]:
+    """What probable sets without an effect have in exchange for it, most probable first."""
+    best, others, held = found.names, [], 0.0
+    for one in found.sets:
+        if held >= HELD:
+            break
+        held += one.probability
+        if name in best - one.names:
+            others += sorted(one.names - best)
+    return tuple(dict.fromkeys(others))
+
+
+def by_channel(problem: Problem, found: Search, values: Values) -> np.ndarray:
+    """White squared error (6,) of every channel with effects at `values`."""
+    white = problem.white([problem.corrected(values)] * len(problem.flights))
+    squares = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in white])
+    return (problem.weight / found.inflation * squares).sum(axis=0)
+
+
+def squares_lost(problem: Problem, found: Search, values: Values) -> dict[str, np.ndarray]:
+    """Effect -> squared error (6,) of every channel that comes back without it."""
+    after = by_channel(problem, found, values)
+    rest = {name: {n: v for n, v in values.items() if n != name} for name in values}
+    return {name: by_channel(problem, found, rest[name]) - after for name in values}
+
+
+def parts_only(problem: Problem, found: Search, left: Remainder) -> list[str]:
+    """Effects that would name what they explain the smaller part of.
+
+    Those that act mostly where something repeats that no effect explains, and that take away less there than
+    what is left would.
+    """
+    values = found.values
+    if not left.depends_on or not values:
+        return []
+    after, lost = by_channel(problem, found, values), squares_lost(problem, found, values)
+    share = np.zeros(6)
+    for d in left.depends_on:
+        own = [CHANNELS.index(d.channel)] if d.channel in CHANNELS else [0, 1]  # along or across the heading
+        share[own] = np.maximum(share[own], d.share)
+    there = share > 0.0
+    repeats = float(share @ after)
+    parts = []
+    for name, squares in lost.items():
+        squares = np.maximum(squares, 0.0)
+        own = float(squares[there].sum())
+        if own > 0.5 * squares.sum() and own < repeats:
+            parts.append(name)
+    return parts
+
+
+def values_with(problem: Problem, found: Search, names: Set, weights=None) -> dict[str, dict[str, float]]:
+    """Values of the effects `names` of the best set; weights (g,): how much every group of windows counts."""
+    values = stepped(problem, found.local, names, found.at, weights)
+    return {n: v for n, v in values.items() if n in names}
+
+
+def left_out(problem: Problem, found: Search, names: Set) -> list[Vehicle]:
+    """For every flight, the vehicle with the effects `names` fitted to the other flights."""
+    flights = len(problem.flights)
+    if flights < 2 or not names:
+        return [problem.corrected(values_with(problem, found, names))] * flights
+    vehicles = []
+    for k in range(flights):
+        weights = np.ones(problem.groups)
+        weights[np.unique(problem.group_of[problem.flight_of == k])] = 0.0
+        vehicles.append(problem.corrected(values_with(problem, found, names, weights)))
+    return vehicles
+
+
+def _estimates(problem: Problem, found: Search, names: Set) -> dict[str, dict[str, Estimate]]:
+    """Effect -> parameter -> its size beside the small errors of all other effects."""
+    local, values = found.local, values_with(problem, found, names)
+    change, covariance = local.fit(names)
+    # What is held at a bound could still go the other way.
+    own = local.a.sum(axis=0).diagonal() + 1.0 / local.slab**2
+    error = np.where(local.held, 1.0 / np.sqrt(own), np.sqrt(covariance.diagonal())) * local.unit
+    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
+    between = np.sqrt(local.between) * local.unit
+    flights = range(len(problem.flights))
+    deviation = np.array([local.deviation(k, change) for k in flights]) * local.unit
+    alone = np.array(
+        [np.sqrt(np.linalg.inv(local.own_a[k] + np.diag(1.0 / local.between)).diagonal()) for k in flights]
+    )
+    result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
+    for name in values:
+        for p in problem.library[name].parameters:
+            value, (low, high) = values[name][p.name], p.bounds
+            k = _column(local.columns, name, p.name)
+            if k is None:  # a reference about which nothing acts
+                nan = (math.nan,) * len(problem.flights)
+                result[name][p.name] = Estimate(value, p.unit, p.bounds, p.neutral, p.bounds, False, nan, nan, 0.0)
+                continue
+            half = float(quantile * error[k])
+            tells = alone[:, k] * local.unit[k] < TELLS * between[k]
+            result[name][p.name] = Estimate(
+                value=value,
+                unit=p.unit,
+                ci95=(max(low, value - half), min(high, value + half)),
+                neutral=p.neutral,
+                bounds=p.bounds,
+                at_bound=bool(min(value - low, high - value) <= 1e-6 * (high - low)),
+                per_flight=tuple(map(float, np.where(tells, value + deviation[:, k], np.nan))),
+                per_flight_error=tuple(map(float, alone[:, k] * local.unit[k])),
+                spread=float(between[k]),
+            )
+    return result
+
+
+def _column(columns: Iterable, effect: str, parameter: str) -> int | None:
+    for k, column in enumerate(columns):
+        if (column.effect, column.parameter) == (effect, parameter) and not column.fixed:
+            return k
+    return None
+
+
+def scored_sets(problem: Problem, found: Search) -> tuple[ScoredSet, ...]:
+    """The sets with their probabilities; standard errors from the flights near the most probable one."""
+    local, result = found.local, []
+    for one in found.sets:
+        _, covariance = local.fit(one.names)
+        error = np.sqrt(covariance.diagonal()) * local.unit
+        deviations: dict[str, dict[str, float]] = {}
+        for name, values in one.values.items():
+            places = {p: _column(local.columns, name, p) for p in values}
+            deviations[name] = {p: float(error[k]) for p, k in places.items() if k is not None}
+        names = tuple(n for n in problem.library if n in one.names)
+        values = {n: dict(one.values[n]) for n in names}
+        result.append(ScoredSet(names, one.probability, values, deviations))
+    return tuple(result)
+
+
+def disturbances(problem: Problem, found: Search) -> dict[str, Disturbance]:
+    """Channel -> noise and unrest of the flights; yaw only where it was logged."""
+    stir = found.unrest
+    noise = np.median([f.noise for f in problem.flights], axis=0) * stir.noise
+    return {
+        channel: Disturbance(
+            noise=float(noise[k]),
+            size=float(stir.size[k]),
+            size_ci95=(float(stir.size_ci95[0, k]), float(stir.size_ci95[1, k])),
+            time=float(stir.time[k]),
+            time_ci95=(float(stir.time_ci95[0, k]), float(stir.time_ci95[1, k])),
+            unit="m/s2" if k < 3 else "rad/s2",
+        )
+        for k, channel in enumerate(CHANNELS)
+        if problem.logged[:, k].any()
+    }
+
+
+def touched_effects(problem: TouchdownProblem, found: Touched) -> tuple[NamedEffect, ...]:
+    """The effects named by landings."""
+    effects: Mapping[str, dict[str, Estimate]] = {name: {} for name in found.fit.values}
+    for effect, p, value, half, change, error in estimates(problem, found.fit):
+        low, high = p.bounds
+        own = np.where(error < 10 * max(abs(value - p.neutral), p.negligible), value + change, np.nan)
+        effects[effect][p.name] = Estimate(
+            value=value,
+            unit=p.unit,
+            ci95=(float(max(low, value - half)), float(min(high, value + half))),
+            neutral=p.neutral,
+            bounds=p.bounds,
+            at_bound=bool(min(value - low, high - value) <= 1e-6 * (high - low)),
+            per_flight=tuple(map(float, own)),
+            per_flight_error=tuple(map(float, error)),
+            spread=spread_between(change, error),
+        )
+    named = [
+        NamedEffect(
+            name, found.classes[name], None, parameters, found.gains[name], problem.library[name].remedy
+        )
+        for name, parameters in effects.items()
+    ]
+    return tuple(sorted(named, key=lambda e: -e.gain))
