@@ -209,7 +209,9 @@ class Diagnosis:
             for d in self.remainder.depends_on
         ]
         return {
-            **_some(self, "verdict", "nothing", "separating_manoeuvre", "platform", "flights", "heldout", "notes"),
+            **_some(
+                self, "verdict", "nothing", "separating_manoeuvre", "platform", "flights", "heldout", "notes"
+            ),
             "effects": named,
             "sets": [dataclasses.asdict(one) for one in self.sets],
             "noise": {channel: d.noise for channel, d in self.unrest.items()},

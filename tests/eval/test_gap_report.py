@@ -13,15 +13,15 @@ from inclined_landing.eval.gap.report import figures, model, terminal, words
 from inclined_landing.eval.gap.report.page import page
 from inclined_landing.eval.gap.report.tracks import Track
 from inclined_landing.eval.gap.result import (
-    Candidate,
     Dependence,
     Diagnosis,
+    Disturbance,
     Estimate,
     HorizonCurve,
     NamedEffect,
     PlantGap,
     Remainder,
-    SearchStep,
+    ScoredSet,
     WhereRow,
     WindowCurves,
 )
@@ -43,7 +43,7 @@ def estimate(effect, name, value):
 
 def named(name, values, gain=0.5, *alike):
     parameters = {p: estimate(name, p, x) for p, x in values.items()}
-    return NamedEffect(name, (name, *alike), parameters, gain, 9.0, LIBRARY[name].remedy)
+    return NamedEffect(name, (name, *alike), 0.97, parameters, gain, LIBRARY[name].remedy)
 
 
 def example(verdict="effects"):
@@ -52,7 +52,21 @@ def example(verdict="effects"):
         said = (named("thrust_scale", SCALE, 0.8, "mass"), named("attitude_trim", TRIM, 0.1))
     t = np.linspace(0.01, 1.0, 20)
     shape = np.outer(t, np.ones(6))
-    left = Dependence("z", "height z", 0.4, np.arange(3.0), np.arange(3.0), "m/s2")
+    bins = np.arange(3.0)
+    left = Dependence("z", "place", 0.3, "m/s2", 0.4, 9.0, {"hover": 0.4}, "position z", bins, bins)
+    scored = {
+        "nothing": (
+            ScoredSet((), 0.9, {}, {}),
+            ScoredSet(("wind",), 0.1, {"wind": {"x": 0.1, "y": 0.0}}, {}),
+        ),
+        "effects": (
+            ScoredSet(
+                ("thrust_scale", "attitude_trim"), 0.8, {"thrust_scale": SCALE, "attitude_trim": TRIM}, {}
+            ),
+            ScoredSet(("mass", "attitude_trim"), 0.17, {"mass": {"scale": 1.136}, "attitude_trim": TRIM}, {}),
+            ScoredSet(("thrust_scale",), 0.02, {"thrust_scale": SCALE}, {}),
+        ),
+    }
     return Diagnosis(
         verdict=verdict,
         effects=said,
@@ -64,27 +78,28 @@ def example(verdict="effects"):
             for r in ("hover", "all")
             for c in ("z", "roll")
         ),
-        steps=(
-            SearchStep(
-                "thrust_scale",
-                (),
-                (
-                    Candidate("thrust_scale", 100.0, 0.8, 9.0, True, False, "", {"scale": 0.88}),
-                    Candidate("mass", 99.0, 0.79, 9.0, True, True, "explains less", {"scale": 1.13}),
-                    Candidate("wind", 1.0, 0.01, 0.5, False, False, "not significant", {}),
-                ),
-            ),
-        ),
+        sets=scored["nothing" if verdict == "nothing" else "effects"],
+        unrest={
+            "z": Disturbance(0.001, 0.3, (0.2, 0.4), 0.25, (0.1, 0.4), "m/s2"),
+            "roll": Disturbance(0.005, 0.0, (0.0, 0.0), 0.3, (0.3, 0.3), "rad/s2"),
+        },
         horizon=(
             HorizonCurve("nominal", (), t, 0.5 * t**2, 0.01 * t),
             HorizonCurve("+ thrust_scale", ("thrust_scale",), t, 0.04 * t, 0.01 * t),
         ),
         windows=(WindowCurves("a", "hover", 3.0, t, shape, shape + t[:, None] ** 2, shape),),
-        remainder=Remainder(verdict == "unknown", {"z": 0.2}, {"z": 0.1}, (left,), "z 0.2 m/s2 is left."),
+        remainder=Remainder(
+            verdict == "unknown",
+            0.002,
+            {"z": 0.2},
+            (left,) if verdict == "unknown" else (),
+            "Nothing repeats.",
+        ),
         gap={
             "analytic": PlantGap(0.487, 0.04, 0.01, 0.5, 0.05, 30, 1.0),
             "mujoco": PlantGap(0.486, 0.041, 0.01, 0.5, 0.05, 30, 1.0),
         },
+        platform=True,
         flights=FLIGHTS,
         heldout=("d",),
         seconds={"name": 1.5},
@@ -110,9 +125,15 @@ def test_every_effect_is_said_in_words_with_its_numbers():
 
 
 def test_headlines_say_what_is_known_and_what_is_not():
-    assert words.headline(example()) == "The model lacks thrust scale (or mass) and attitude trim."
+    ratio = "thrust scale or mass (over 99 %: only their ratio shows)"
+    assert words.headline(example()) == f"The model lacks {ratio} and attitude trim (97 %)."
     assert words.headline(example("unknown")).endswith("something that no effect of the library explains.")
-    assert words.headline(example("nothing")).startswith("Nothing is missing")
+    assert words.headline(example("nothing")).startswith("Nothing is missing (90 %)")
+    little = dataclasses.replace(
+        example(), effects=(named("wind", {"x": 0.3, "y": 0.0}, 0.5), example().effects[1])
+    )
+    little = dataclasses.replace(little, effects=(little.effects[0], named("attitude_trim", TRIM, 0.001)))
+    assert words.headline(little) == "The model lacks wind (97 %)."
     assert "Something is missing" in words.headline(
         dataclasses.replace(example("nothing"), verdict="unknown")
     )
@@ -121,7 +142,7 @@ def test_headlines_say_what_is_known_and_what_is_not():
 def test_the_first_sentences_hold_class_remedy_manoeuvre_and_gap():
     text = " ".join(words.sentences(example()))
     assert "the rotors give 0.880 times the modelled thrust" in text.lower()
-    assert "cannot be told apart from mass" in text
+    assert "It may as well be mass: free flight shows only the ratio" in text
     assert "To tell thrust scale from mass: weigh." in text
     assert "from 49 cm to 4.0 cm (94 % of the gap closed); the measurement noise alone makes 1.0 cm" in text
     assert "in MuJoCo" in text and LIBRARY["attitude_trim"].remedy in text
@@ -133,16 +154,16 @@ def test_the_page_stands_alone(verdict, track):
     text = page(d, track, versions={"mujoco": "4.0"}, notes=("a note on <all> logs",))
     assert words.headline(d) in text and "a note on &lt;all&gt; logs." in text
     assert not re.search(r"(src|href)=\"(?!data:)", text) and "nan" not in text.lower().split("base64")[0]
-    assert text.count("data:image/svg+xml") == (6 if d.effects else 5)
-    assert (
-        "Step 1: thrust scale added" in text and "cannot be told apart" in text and "not significant" in text
-    )
+    assert text.count("data:image/svg+xml") == {"effects": 5, "unknown": 6, "nothing": 4}[verdict]
+    assert "17 %" in text if d.effects else "10 %" in text  # the second set
+    assert "0.20 to 0.40 m/s²" in text and "250 ms" in text  # the unrest
+    assert ("0.300 m/s² in z goes with place, most in hover" in text) == (verdict == "unknown")
 
 
 def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
     d = dataclasses.replace(
-        example("nothing"), where=(), steps=(), horizon=(), windows=(), gap={}, heldout=FLIGHTS,
-        remainder=Remainder(False, {}, {}, (), ""),
+        example("nothing"), where=(), sets=(), unrest={}, horizon=(), windows=(), gap={}, heldout=FLIGHTS,
+        remainder=Remainder(False, 1.0, {}, (), ""),
     )  # fmt: skip
     assert "in turn" in page(d, None, versions={})
     figures.overview(example("nothing"), None)
@@ -152,13 +173,16 @@ def test_the_terminal_says_the_same(capsys):
     terminal.show(example(), ("hover thrust differs",))
     out = " ".join(capsys.readouterr().out.split())
     assert out.startswith(words.headline(example()))
-    assert "thrust scale scale 0.8800 0.868 to 0.892 80 %" in out and "Note: hover thrust differs." in out
+    assert (
+        "thrust scale scale 0.8800 0.868 to 0.892 97 % 80 %" in out and "Note: hover thrust differs." in out
+    )
 
 
 def test_the_corrected_model_is_a_vehicle_file_with_provenance(tmp_path):
     d = example()
     model.write(d, load_vehicle(), tmp_path)
-    assert load_vehicle(tmp_path / "vehicle.toml") == d.corrected
+    stir = {"unrest_acceleration": (0.0, 0.0, 0.3), "unrest_acceleration_time": (0.0, 0.0, 0.25)}
+    assert load_vehicle(tmp_path / "vehicle.toml") == dataclasses.replace(d.corrected, **stir)
     entries = {f"{c.section}_{c.name}": c for c in constants(tmp_path / "vehicle.toml")}
     gain = entries["thrust_state_gain"]
     assert gain.source.startswith(
@@ -166,6 +190,7 @@ def test_the_corrected_model_is_a_vehicle_file_with_provenance(tmp_path):
     )
     # Half the width of the interval, of the scale, times the nominal gain.
     assert gain.uncertainty == pytest.approx(0.012 * load_vehicle().thrust_state_gain, rel=1e-2)
+    assert entries["unrest_acceleration"].uncertainty == (0.0, 0.0, 0.1)
     assert entries["effects_attitude_trim"].uncertainty == (0.002, 0.001)
     assert entries["body_mass"] in constants()
 
@@ -186,5 +211,7 @@ def test_the_json_has_the_promised_keys():
     assert set(promised) <= set(record)
     assert set(record["effects"][0]) >= {"name", "class", "parameters", "gain"}
     assert set(record["effects"][0]["parameters"]["scale"]) >= {"value", "unit", "ci95"}
+    assert record["nothing"] == 0.0 and record["sets"][1]["effects"] == ["mass", "attitude_trim"]
+    assert record["noise"]["z"] == 0.001 and record["unrest"]["z"]["size"] == 0.3 and record["platform"]
     assert set(record["where"][0]) >= {"regime", "channel", "before", "after", "floor", "unit"}
     assert set(record["gap"]["mujoco"]) >= {"before", "after", "floor"}

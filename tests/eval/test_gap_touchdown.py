@@ -6,7 +6,7 @@ import pytest
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.flights.landings import landings_of
 from inclined_landing.eval.gap.search.after_touch import sag
-from inclined_landing.eval.gap.search.contact import FEWEST, LIMITS, name_contact
+from inclined_landing.eval.gap.search.contact import FEWEST, name_contact
 from inclined_landing.eval.proof.gap_blind.generate import landings, logs
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
@@ -59,11 +59,6 @@ def test_a_contact_effect_is_named_among_few(higher):
     assert list(problem.library) == list(few) and list(found.fit.values) == ["platform_height"]
     assert found.fit.values["platform_height"]["offset"] == pytest.approx(offset, abs=0.003)
     assert found.classes == {"platform_height": ("platform_height",)} and not found.unexplained
-    best, other = found.steps[0].candidates
-    assert (best.effect, best.reason) == ("platform_height", "") and best.evidence > LIMITS.evidence
-    assert other.reason == "less evidence" and other.evidence < best.evidence
-    # It leaves nothing to explain, so that no second effect is looked for.
-    assert len(found.steps) == 1
 
 
 @pytest.mark.slow

@@ -110,7 +110,7 @@ def diagnose(
         manoeuvres=tuple(ties),
         where=where + touched.where,
         sets=scored_sets(problem, found),
-        unrest=disturbances(problem, found),
+        unrest=disturbances(problem, found.unrest),
         **drawn,
         remainder=left,
         gap=gap,

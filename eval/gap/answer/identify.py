@@ -1,9 +1,7 @@
 """Grey-box identification of what the model already has, from flights.
 
-Two forms of the thrust are fitted, the transfer function of the paper times a gain and the static map of a
-single motor (behind the same lag) times a gain; flights left out decide. With them: lag and delay of the
-thrust, gain, time constant, rate lag, delay and trim of the attitude loops, rotor drag, and the tilt of the
-measured attitude.
+Every effect that free flight shows is fitted together with the others, beside what belongs to the place and
+is not kept; those of which the flights tell nothing, or nothing worth correcting, are left out again.
 """
 
 from __future__ import annotations
@@ -15,8 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from inclined_landing.eval.gap.flights.unrest import Unrest
+from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.flights.windows import Measured, prepare_all
+from inclined_landing.eval.gap.result import Disturbance
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
 from inclined_landing.eval.gap.search.fit import Fitted, estimates, left_out_vehicles, refit
 from inclined_landing.eval.gap.search.posterior import Local, slabs
@@ -56,7 +55,7 @@ class Identification:
     vehicle: Vehicle
     parameters: tuple[Identified, ...]
     fit: dict[str, dict[str, float]]  # channel -> {"before", "after"}: NRMSE fit [%] on flights left out
-    unrest: Unrest
+    unrest: dict[str, Disturbance]  # channel -> noise and unrest
     fields: dict[str, tuple[float, ...] | float]  # changed Vehicle field -> half-width of its interval
     flights: tuple[str, ...]
     notes: tuple[str, ...]
@@ -126,7 +125,7 @@ def identify(
         vehicle=result,
         parameters=parameters,
         fit=channels,
-        unrest=stir,
+        unrest=disturbances(problem, stir),
         fields=_fields(problem, fit, vehicle, result),
         flights=tuple(f.name for f in fitted),
         notes=tuple(notes),

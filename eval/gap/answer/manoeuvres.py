@@ -1,7 +1,7 @@
 """Flights that would tell effects apart which look alike in the flights at hand.
 
 Each manoeuvre is a smooth path flown perfectly; how far it separates two effects is computed with the
-same windows, noise and unrest as the diagnosis, in standard errors, after everything else that could be adjusted
+windows, noise and unrest of the diagnosis, in standard errors, after everything else that could be adjusted
 (the first effect's own size, the accepted effects) has been.
 """
 
@@ -101,9 +101,7 @@ def fly(name: str, vehicle: Vehicle, noise: np.ndarray) -> FlightLog:
     )
 
 
-def separating(
-    problem: Problem, stir: Unrest, ties: Sequence[tuple[str, ...]], values: Values
-) -> list[dict]:
+def separating(problem: Problem, stir: Unrest, ties: Sequence[tuple[str, ...]], values: Values) -> list[dict]:
     """For every class of more than one effect, the manoeuvre that separates its members best.
 
     stir: the unrest that they are flown in.

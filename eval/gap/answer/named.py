@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from scipy import stats
 
+from inclined_landing.eval.gap.flights.unrest import Unrest
 from inclined_landing.eval.gap.result import (
     Disturbance,
     Estimate,
@@ -25,8 +26,6 @@ from inclined_landing.eval.gap.search.sets import Search, stepped
 from inclined_landing.models.parameters import Vehicle
 
 HELD = 0.95  # of the probability, by the sets that what takes an effect's place is looked for in
-# A flight tells a parameter when it leaves less than this share of what flights may differ by.
-TELLS = 0.9
 
 
 def named_effects(problem: Problem, found: Search, values: Values) -> tuple[NamedEffect, ...]:
@@ -139,10 +138,11 @@ def _estimates(problem: Problem, found: Search, names: Set) -> dict[str, dict[st
             k = _column(local.columns, name, p.name)
             if k is None:  # a reference about which nothing acts
                 nan = (math.nan,) * len(problem.flights)
-                result[name][p.name] = Estimate(value, p.unit, p.bounds, p.neutral, p.bounds, False, nan, nan, 0.0)
+                result[name][p.name] = Estimate(
+                    value, p.unit, p.bounds, p.neutral, p.bounds, False, nan, nan, 0.0
+                )
                 continue
             half = float(quantile * error[k])
-            tells = alone[:, k] * local.unit[k] < TELLS * between[k]
             result[name][p.name] = Estimate(
                 value=value,
                 unit=p.unit,
@@ -150,7 +150,7 @@ def _estimates(problem: Problem, found: Search, names: Set) -> dict[str, dict[st
                 neutral=p.neutral,
                 bounds=p.bounds,
                 at_bound=bool(min(value - low, high - value) <= 1e-6 * (high - low)),
-                per_flight=tuple(map(float, np.where(tells, value + deviation[:, k], np.nan))),
+                per_flight=tuple(map(float, value + deviation[:, k])),
                 per_flight_error=tuple(map(float, alone[:, k] * local.unit[k])),
                 spread=float(between[k]),
             )
@@ -180,9 +180,8 @@ def scored_sets(problem: Problem, found: Search) -> tuple[ScoredSet, ...]:
     return tuple(result)
 
 
-def disturbances(problem: Problem, found: Search) -> dict[str, Disturbance]:
+def disturbances(problem: Problem, stir: Unrest) -> dict[str, Disturbance]:
     """Channel -> noise and unrest of the flights; yaw only where it was logged."""
-    stir = found.unrest
     noise = np.median([f.noise for f in problem.flights], axis=0) * stir.noise
     return {
         channel: Disturbance(

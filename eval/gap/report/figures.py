@@ -38,7 +38,6 @@ from inclined_landing.eval.gap.result import (
     WhereRow,
     WindowCurves,
 )
-from inclined_landing.eval.gap.search.remainder import UNITS
 
 BEFORE, AFTER = ORANGE, GREEN
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw", "touchdown")
@@ -47,7 +46,7 @@ _ENDS = (10.0, 30.0, 100.0, 300.0, 1000.0)  # times the floor, where the colour 
 _HEAT = LinearSegmentedColormap.from_list(
     "heat", ["#f4f8fb", "#fde3c8", "#f9b071", "#e66f22", "#a63c06", "#5e1f04"]
 )
-_MAPS = {"before": "before", "after": "after", "floor": "noise alone"}
+_MAPS = {"before": "before", "after": "after", "floor": "noise and unrest alone"}
 _STEPS = (PURPLE, BLUE, "#56b4e9", "#8a8f98", "#c9b458")  # between before and after
 
 
@@ -63,7 +62,7 @@ def svg(figure: Figure) -> str:
 
 
 def where_map(rows: Sequence[WhereRow]) -> Figure | None:
-    """Maps regime by channel: before, after, and what the noise alone gives."""
+    """Maps regime by channel: before, after, and what noise and unrest alone give."""
     if not rows:
         return None
     height = 0.34 * len(_axes_of(rows)[0])
@@ -122,7 +121,7 @@ def _where_scale(figure: Figure, rows: Sequence[WhereRow], left: float, bottom: 
     bar = figure.colorbar(ScalarMappable(norm, _HEAT), cax=axis, orientation="horizontal")
     bar.outline.set_visible(False)
     ends = [end for end in _ENDS if end <= norm.vmax]
-    bar.set_ticks([1, 3, *ends], labels=["noise", "3 times the noise", *(f"{end:g}" for end in ends)])
+    bar.set_ticks([1, 3, *ends], labels=["floor", "3 times the floor", *(f"{end:g}" for end in ends)])
     bar.ax.tick_params(labelsize=7.5, length=0, colors=MUTED)
     bar.minorticks_off()
 
@@ -278,7 +277,7 @@ def _draw_window(axis: Axes, w: WindowCurves, channels: Sequence[int], factor: f
 
 
 def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> Figure | None:
-    """Estimates of single flights with their standard errors, over the interval of all."""
+    """Values in single flights with their 95 % intervals, over the interval of all."""
     parts = [(e, name, p) for e in effects for name, p in e.parameters.items()]
     if not parts or not flights:
         return None
@@ -331,31 +330,20 @@ def name_rows(axis: Axes, names: Sequence[str], size: float = 9.0) -> None:
 
 
 def remainder(left: Remainder) -> Figure | None:
-    """What is left in every channel beside what counts as nothing, and what it depends on."""
-    channels = [c for c in CHANNELS if c in left.size]
-    if not channels:
+    """What repeats without being explained, over the input that it goes with most."""
+    drawn = [d for d in left.depends_on if len(d.x)][:4]
+    if not drawn:
         return None
     figure = Figure(figsize=(WIDTH, 2.6))
-    axis = panel(figure, 0.75, 0.55, 2.6, 1.7)
-    times = [left.size[c] / left.floor[c] for c in channels]
-    for k, (channel, part) in enumerate(zip(channels, times)):
-        factor, unit = shown(UNITS[channel])
-        axis.barh(k, part, 0.62, color=ORANGE if part > 1 else "#b9c4cf")
-        size = f"{factor * left.size[channel]:.2g} {unit}"
-        axis.text(max(part, 1.0) + 0.06, k, size, va="center", fontsize=7.5)
-    axis.axvline(1.0, color=INK, linewidth=1.0, linestyle=(0, (2, 2)))
-    name_rows(axis, channels)
-    axis.set_xlim(0, 1.35 * max(1.0, *times))
-    axis.set_xlabel("times what counts as nothing", fontsize=8)
-    axis.set_title("Left beyond the noise", loc="left", fontsize=9)
-    for k, d in enumerate(left.depends_on[:3]):
-        plot = panel(figure, 4.35 + k * 2.1, 0.55, 1.5, 1.7)
-        factor, unit = shown(UNITS[d.channel])
+    width = WIDTH / 4
+    for k, d in enumerate(drawn):
+        plot = panel(figure, k * width + 0.75, 0.55, width - 0.95, 1.7)
+        factor, unit = shown(d.unit)
         plot.axhline(0, color=RULE, linewidth=1)
         plot.plot(d.x, factor * np.asarray(d.y), "o-", color=ORANGE, markersize=3, linewidth=1.4)
-        plot.set_xlabel(d.on, fontsize=8)
+        plot.set_xlabel(d.against, fontsize=8)
         plot.set_ylabel(f"{d.channel} [{unit}]", fontsize=8, labelpad=1)
-        plot.set_title(f"explains {100 * d.share:.0f} %", fontsize=9, loc="left")
+        plot.set_title(f"{_number(factor * d.size)} {unit}", fontsize=9, loc="left")
         plot.tick_params(labelsize=7.5)
         plot.grid()
     return figure

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +11,7 @@ from inclined_landing.eval.base.tables import new_table
 from inclined_landing.eval.gap.answer.identify import PAPER, Identification, Identified
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE
-from inclined_landing.eval.gap.report.model import VEHICLE
+from inclined_landing.eval.gap.report.model import VEHICLE, unrest_fields
 from inclined_landing.eval.gap.report.page import render
 from inclined_landing.eval.gap.report.terminal import say
 from inclined_landing.models.parameters import write_vehicle
@@ -32,14 +33,6 @@ def sentences(found: Identification) -> list[str]:
         "100 % minus the error as a share of the signal's own variation; x, y and z: velocity changes over "
         "1 s, angles: open loop.",
     ]
-    best = min(found.alternatives, key=found.alternatives.get)
-    others = [
-        f"{name} leaves {found.alternatives[name] / max(found.alternatives[best], 1e-12):.2f} times the error"
-        for name in found.alternatives
-        if name != best
-    ]
-    if others:
-        said.append(f"The thrust is that of the {best}; the {words.listed(others)}.")
     return said
 
 
@@ -63,6 +56,8 @@ def page(
         colours=(BEFORE, AFTER),
         heads=_HEADS,
         rows=rows(found),
+        quiet=words.quiet_rows(found.unrest),
+        words=words,
         vehicle=VEHICLE,
         flights=found.flights,
         heldout=heldout,
@@ -105,14 +100,15 @@ def write(found: Identification, folder: Path, *, base: Path | None = None) -> N
         + "".join(f"; {p.name} {words.span(p.ci95, p.unit)}, 95 % interval" for p in by_field.get(field, []))
         for field in found.fields
     }
+    stir, widths = unrest_fields(found.unrest)
+    said = f"estimated by landing-eval identify from {len(found.flights)} flights"
     write_vehicle(
         folder / VEHICLE,
-        found.vehicle,
-        sources,
-        found.fields,
+        dataclasses.replace(found.vehicle, **stir),
+        sources | dict.fromkeys(stir, said),
+        found.fields | widths,
         base=base,
-        heading=f"Identified by landing-eval identify, thrust as the {found.thrust}.\n"
-        "Every command takes it with --vehicle.",
+        heading="Identified by landing-eval identify.\nEvery command takes it with --vehicle.",
     )
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.eval.gap.result import Diagnosis, NamedEffect
+from inclined_landing.eval.gap.result import Diagnosis, Disturbance, NamedEffect
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import Vehicle, write_vehicle
@@ -23,10 +24,14 @@ def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = N
     from inclined_landing.models.scene import build_spec
 
     sources, uncertainties = provenance(d, vehicle)
+    stir, widths = unrest_fields(d.unrest)
+    said = f"estimated by landing-eval gap from {len(d.flights)} flight{'s' * (len(d.flights) != 1)}"
+    sources |= dict.fromkeys(stir, said)
+    uncertainties |= widths
     names = ", ".join(effect.name for effect in d.effects) or "no effect"
     write_vehicle(
         folder / VEHICLE,
-        d.corrected,
+        dataclasses.replace(d.corrected, **stir),
         sources,
         uncertainties,
         base=base,
@@ -49,6 +54,26 @@ def provenance(
             sources[field] += _source(effect)
             squares[field] = squares.get(field, 0.0) + squared
     return sources, {field: _half_width(squared) for field, squared in squares.items()}
+
+
+def unrest_fields(unrest: Mapping[str, Disturbance]) -> tuple[dict[str, tuple], dict[str, tuple]]:
+    """Fields of the vehicle's table of unrest, and the half-widths of their 95 % intervals.
+
+    A channel without unrest, or not logged, is still.
+    """
+    fields: dict[str, tuple] = {}
+    widths: dict[str, tuple] = {}
+    for name, channels in (("acceleration", "x y z"), ("angular", "roll pitch yaw")):
+        stirred = [unrest[c] if c in unrest and unrest[c].size else None for c in channels.split()]
+        for field, of in ((f"unrest_{name}", "size"), (f"unrest_{name}_time", "time")):
+            ends = [getattr(d, f"{of}_ci95") if d else (0.0, 0.0) for d in stirred]
+            fields[field] = tuple(_short(getattr(d, of)) if d else 0.0 for d in stirred)
+            widths[field] = tuple(_short(0.5 * (high - low)) for low, high in ends)
+    return fields, widths
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.3g}")
 
 
 def _source(effect: NamedEffect) -> str:
@@ -81,5 +106,5 @@ def _spread(effect: NamedEffect, vehicle: Vehicle) -> dict[str, np.ndarray]:
 def _half_width(squared: np.ndarray) -> float | tuple[float, ...] | str:
     if not np.all(np.isfinite(squared)):
         return "not known"
-    rounded = [float(f"{x:.3g}") for x in np.sqrt(np.atleast_1d(squared))]
+    rounded = [_short(x) for x in np.sqrt(np.atleast_1d(squared))]
     return tuple(rounded) if squared.ndim else rounded[0]

@@ -42,6 +42,8 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
         d=d,
         words=words,
         rows=rows,
+        sets=words.set_rows(d),
+        quiet=words.quiet_rows(d.unrest),
         figures={name: figure and figures.svg(figure) for name, figure in drawn.items()},
         colours=(figures.BEFORE, figures.AFTER),
         every=EVERY,

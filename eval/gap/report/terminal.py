@@ -13,13 +13,14 @@ from inclined_landing.eval.gap.result import Diagnosis
 
 def show(d: Diagnosis, notes: Sequence[str] = ()) -> None:
     """Print verdict, effects, ties, remedies, gap and limits."""
-    rows = new_table(None, "effect", "parameter", "value", "95 % interval", "closes", left=2)
+    rows = new_table(None, "effect", "parameter", "value", "95 % interval", "probability", "closes", left=2)
     for effect in d.effects:
-        ends = (words.label(effect.name), words.share(effect.gain))
+        sure = "" if effect.probability is None else words.probability(effect.probability)
+        ends = (words.label(effect.name), sure, words.share(effect.gain))
         for name, p in effect.parameters.items():
             value = words.rounded(p.value, p.ci95, p.unit)
-            rows.add_row(ends[0], name, value, words.span(p.ci95, p.unit), ends[1])
-            ends = ("", "")
+            rows.add_row(ends[0], name, value, words.span(p.ci95, p.unit), *ends[1:])
+            ends = ("", "", "")
     say(words.headline(d), words.sentences(d), rows, (*d.notes, *notes))
 
 

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from inclined_landing.eval.gap.result import Candidate, Diagnosis, NamedEffect, PlantGap, SearchStep
+from inclined_landing.eval.gap.result import (
+    Dependence,
+    Diagnosis,
+    Disturbance,
+    NamedEffect,
+    PlantGap,
+    ScoredSet,
+)
 from inclined_landing.models.effects import LIBRARY
 
 # Factor and name of the unit a person reads, by the unit of the number.
@@ -21,8 +28,13 @@ SHOWN = {
     "1/V": (100.0, "%/V"),
     "1/m": (1.0, "per m"),
     "m/s2": (1.0, "m/s²"),
+    "rad/s2": (180.0 / math.pi, "deg/s²"),
     "s2/m2": (1.0, "s²/m²"),
 }
+# Named effects that close less than this share are left to the cards.
+TO_THE_HEADLINE = 0.01
+# Of the rows that show sets of effects.
+SETS = 7
 PLANTS = {"analytic": "the equations", "mujoco": "MuJoCo"}
 REGIMES = {
     "hover": "hover",
@@ -101,25 +113,107 @@ def sentence(effect: NamedEffect) -> str:
 
 
 def tie(effect: NamedEffect) -> str:
-    """What a named effect cannot be told from, as a sentence; empty where nothing is like it."""
-    alike = _alike(effect)
-    return f"On these flights {label(effect.name)} cannot be told apart from {alike}." if alike else ""
+    """What may take a named effect's place, as a sentence; empty where nothing does."""
+    others = [label(name) for name in effect.members if name != effect.name]
+    if not others:
+        return ""
+    if _only_the_ratio(effect.members):
+        return (
+            f"It may as well be {listed(others, 'or')}: free flight shows only the ratio of thrust to mass."
+        )
+    return f"On these flights {listed(others, 'or')} may take the place of {label(effect.name)}."
 
 
-def _alike(effect: NamedEffect) -> str:
-    return listed([label(name) for name in effect.members if name != effect.name], "or")
+def _only_the_ratio(names: Sequence[str]) -> bool:
+    return all(LIBRARY[name].scales_thrust for name in names if name in LIBRARY)
+
+
+def probability(part: float) -> str:
+    """A probability in percent, never quite certain."""
+    if part > 0.99:
+        return "over 99 %"
+    return "under 1 %" if part < 0.01 else f"{100 * part:.0f} %"
+
+
+def of_class(d: Diagnosis, effect: NamedEffect) -> float:
+    """Probability that a named effect, or what may take its place, is part of what is missing."""
+    return sum(one.probability for one in d.sets if set(effect.members) & set(one.effects))
+
+
+def _lacking(d: Diagnosis, effect: NamedEffect) -> str:
+    """A named effect in the headline: `rotor drag (98 %)`, `mass or thrust scale (99 %: ...)`."""
+    names = listed([label(name) for name in effect.members], "or")
+    if effect.probability is None:
+        return names
+    if len(effect.members) == 1:
+        return f"{names} ({probability(effect.probability)})"
+    why = ": only their ratio shows" if _only_the_ratio(effect.members) else ""
+    return f"{names} ({probability(of_class(d, effect))}{why})"
 
 
 def headline(d: Diagnosis) -> str:
     """The verdict in one sentence."""
     if d.verdict == "nothing":
-        return "Nothing is missing: the model explains these flights as well as their noise allows."
+        said = f" ({probability(d.nothing)})" if d.sets else ""
+        return (
+            f"Nothing is missing{said}: the model explains these flights as well as noise and unrest allow."
+        )
     if not d.effects:
         return "Something is missing that no effect of the library explains."
-    names = listed([label(e.name) + (f" (or {_alike(e)})" if _alike(e) else "") for e in d.effects])
+    large = [e for e in d.effects if e.gain >= TO_THE_HEADLINE] or list(d.effects)
+    names = listed([_lacking(d, e) for e in large])
     if d.verdict == "unknown":
         return f"The model lacks {names}, and something that no effect of the library explains."
     return f"The model lacks {names}."
+
+
+def set_rows(d: Diagnosis) -> list[tuple[str, float, str, bool]]:
+    """(effects, probability, their sizes, whether it is the most probable) of the likeliest sets.
+
+    The last row sums up the others.
+    """
+    rows = [
+        (listed([label(n) for n in one.effects], "+") or "nothing", one.probability, _sizes(one), k == 0)
+        for k, one in enumerate(d.sets[:SETS])
+    ]
+    rest = 1.0 - sum(one.probability for one in d.sets[:SETS])
+    return [*rows, ("all other sets", rest, "", False)] if rows and rest > 0.005 else rows
+
+
+def _sizes(one: ScoredSet) -> str:
+    parts = []
+    for name, values in one.values.items():
+        effect = LIBRARY[name]
+        said = [f"{label(p)} {quantity(x, effect.parameter(p).unit)}" for p, x in values.items()]
+        parts.append(", ".join(said))
+    return "; ".join(parts)
+
+
+QUIET = ("channel", "noise", "unrest", "95 % interval", "correlation time", "95 % interval")
+
+
+def quiet_rows(unrest: Mapping[str, Disturbance]) -> list[tuple[str, ...]]:
+    """Noise and unrest of every channel under the heads QUIET."""
+    rows = []
+    for channel, q in unrest.items():
+        size, time = ("none", ""), ("", "")
+        if q.size_ci95[1] > 0.0:
+            size = rounded(q.size, q.size_ci95, q.unit), span(q.size_ci95, q.unit)
+        if q.size_ci95[0] > 0.0:  # where nothing is sure to be there, its time tells nothing
+            time = quantity(q.time, "s"), span(q.time_ci95, "s")
+        rows.append((channel, quantity(q.noise, "m" if channel in "xyz" else "rad"), *size, *time))
+    return rows
+
+
+def repeats(d: Dependence) -> str:
+    """One thing that repeats and that no effect explains, as a sentence."""
+    axis = {"forward": "along the heading", "left": "across the heading"}.get(d.channel, f"in {d.channel}")
+    share_of = f"it is {share(d.share)} of the squared error that is left there"
+    most = max(d.regimes, key=d.regimes.get, default="")
+    where = ""
+    if most:
+        where = f", most in {REGIMES.get(most, label(most))} ({quantity(d.regimes[most], d.unit)})"
+    return f"{quantity(d.size, d.unit)} {axis} goes with {d.on}{where}; {share_of} on flights left out."
 
 
 def gap(plant: str, g: PlantGap) -> str:
@@ -139,23 +233,6 @@ def centimetres(metres: float) -> str:
     return f"{100 * metres:.1f} cm" if abs(metres) < 0.1 else f"{100 * metres:.0f} cm"
 
 
-def outcome(step: SearchStep, number: int) -> str:
-    """What a step of the search came to."""
-    said = f"nothing {'more ' if number > 1 else ''}is worth adding"
-    if step.accepted:
-        said = f"{label(step.accepted)} added"
-    if step.dropped:
-        said += ", " + ", ".join(map(label, step.dropped)) + " no longer needed"
-    return said
-
-
-def fate(candidate: Candidate, step: SearchStep) -> str:
-    """What became of a candidate in a step of the search."""
-    if candidate.effect != step.accepted:
-        return "cannot be told apart" if candidate.tie else candidate.reason
-    return "added, " + ", ".join(f"{label(name)} {value:.3g}" for name, value in candidate.values.items())
-
-
 def share(part: float) -> str:
     """A share in percent."""
     whole = 0.0995 <= part < 0.995 or part in (0.0, 1.0)
@@ -172,12 +249,13 @@ def sentences(d: Diagnosis) -> list[str]:
     """The first lines of the report, after the headline."""
     said = []
     for effect in d.effects:
-        said += [s for s in (sentence(effect), tie(effect), plain(effect.note)) if s]
+        remedy = f"What to do: {plain(effect.remedy)}" if effect.remedy else ""
+        said += [s for s in (sentence(effect), tie(effect), plain(effect.note), remedy) if s]
     if d.separating_manoeuvre:
         said.append(f"To tell them apart: {manoeuvre(d)}")
-    said += [f"What to do: {plain(effect.remedy)}" for effect in d.effects if effect.remedy]
     said += [gap(plant, g) for plant, g in d.gap.items()]
-    if d.remainder.text:
+    said += [repeats(one) for one in d.remainder.depends_on]
+    if not d.remainder.depends_on and d.remainder.text:
         said.append(plain(d.remainder.text))
     return said
 

@@ -41,7 +41,9 @@ class Touched:
 
     fit: Fitted
     gains: dict[str, float] = dataclasses.field(default_factory=dict)  # effect -> share of the squared error
-    classes: dict[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)  # names like it, itself first
+    classes: dict[str, tuple[str, ...]] = dataclasses.field(
+        default_factory=dict
+    )  # names like it, itself first
     unexplained: bool = False  # errors remain
 
 
@@ -112,7 +114,7 @@ def _trial_of(problem: TouchdownProblem, fit: Fitted, name: str, gain: np.ndarra
 
 
 def _shown_in(problem: TouchdownProblem, fit: Fitted, name: str) -> np.ndarray:
-    """Squared error (n,) that an effect of the fitted size makes in every landing, what others absorb apart."""
+    """Squared error (n,) that an effect of its size makes in every landing, less what others absorb."""
     own = fit.weighted.index([name])
     others = np.setdiff1d(fit.index, own)
     a = fit.weighted.group_a
