@@ -33,8 +33,8 @@ SHOWN = {
 }
 # Named effects that close less than this share are left to the cards.
 TO_THE_HEADLINE = 0.01
-# Of the rows that show sets of effects.
-SETS = 7
+SETS = 7  # rows of sets of effects
+NAMED = 3  # names of a class that a headline lists
 PLANTS = {"analytic": "the equations", "mujoco": "MuJoCo"}
 REGIMES = {
     "hover": "hover",
@@ -135,6 +135,12 @@ def probability(part: float) -> str:
     return "under 1 %" if part < 0.01 else f"{100 * part:.0f} %"
 
 
+def _some(names: Sequence[str]) -> list[str]:
+    """The first names, and how many more there are."""
+    more = len(names) - NAMED
+    return list(names) if more < 2 else [*names[:NAMED], f"{more} others"]
+
+
 def of_class(d: Diagnosis, effect: NamedEffect) -> float:
     """Probability that a named effect, or what may take its place, is part of what is missing."""
     return sum(one.probability for one in d.sets if set(effect.members) & set(one.effects))
@@ -142,7 +148,7 @@ def of_class(d: Diagnosis, effect: NamedEffect) -> float:
 
 def _lacking(d: Diagnosis, effect: NamedEffect) -> str:
     """A named effect in the headline: `rotor drag (98 %)`, `mass or thrust scale (99 %: ...)`."""
-    names = listed([label(name) for name in effect.members], "or")
+    names = listed(_some([label(name) for name in effect.members]), "or")
     if effect.probability is None:
         return names
     if len(effect.members) == 1:
