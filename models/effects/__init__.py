@@ -40,4 +40,4 @@ def apply(vehicle: Vehicle, effects: Mapping[str, Mapping[str, float]]) -> Vehic
     return vehicle
 
 
-__all__ = ["CHANNELS", "LIBRARY", "REGIMES", "Effect", "Parameter", "apply"]
+__all__ = ["CHANNELS", "LIBRARY", "REGIMES", "Effect", "FittedConstant", "Parameter", "apply"]

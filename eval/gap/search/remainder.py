@@ -1,11 +1,11 @@
 """What a corrected vehicle still does not explain, and whether that can be predicted.
 
 A disturbance that is a function of something known - place, speed, heading, commands and their past, time,
-voltage - would be missing physics; one that is not is unrest. Functions are ridge regressions on random
-Fourier features, driven through the same window errors as any effect: an acceleration along an axis of the
-world or of the heading, an angular acceleration of a loop. Each is fitted to all flights but one and judged
-on that one. Under the hypothesis that nothing repeats, the errors of a whole flight may as well have the other
-sign: over all flips of signs, the largest gain over all functions gives the false alarm rate by construction.
+voltage - would be missing physics; one that is not is unrest. Functions are ridge regressions on splines and
+random Fourier features, driven through the same window errors as any effect: an acceleration along an axis of
+the world or of the heading, an angular acceleration of a loop. Each is fitted to all flights but one and
+judged on that one. If nothing repeated, the errors of any few seconds might as well have the other sign: over
+flips of signs, the largest gain of all functions gives the rate of false alarms by construction.
 """
 
 from __future__ import annotations
