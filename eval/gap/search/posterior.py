@@ -64,6 +64,7 @@ def between_flights(problem: Problem, weighted: Weighted) -> dict[tuple[str, str
     a, b = weighted.group_a * np.outer(unit, unit), weighted.group_b * unit
     prior = (unit / slabs(problem, weighted.columns)) ** 2
     variance, eye = np.full(len(unit), BETWEEN**2), np.eye(len(unit))
+    sized = np.array([not problem.parameter(c).is_reference for c in weighted.columns])
     for _ in range(ROUNDS):
         inner = np.linalg.inv(eye + a * variance)
         total = (inner @ a).sum(axis=0) + np.diag(prior)
@@ -71,7 +72,7 @@ def between_flights(problem: Problem, weighted: Weighted) -> dict[tuple[str, str
         covariance = variance[:, None] * inner
         own = np.einsum("gpq,gq->gp", covariance, b - a @ fleet)
         second = own**2 + np.diagonal(covariance, axis1=1, axis2=2)
-        variance = np.maximum(BETWEEN**2, second.mean(axis=0))
+        variance = np.where(sized, np.maximum(BETWEEN**2, second.mean(axis=0)), BETWEEN**2)
     return {
         (c.effect, c.parameter): float(np.sqrt(v) * u) for c, v, u in zip(weighted.columns, variance, unit)
     }

@@ -168,9 +168,14 @@ def _visit(problem: Problem, names: Set, start, inflation: np.ndarray) -> Node:
         local.stays[local.index(names)] = True
         values = fit.values
     score = float(local.log_evidence(names, np.ones((1, problem.groups)))[0]) + _prior(problem, names)
-    if any(not np.any(problem.sizes(name, values)) for name in names):
-        score = -np.inf  # without the one that stayed at nothing it is another set
+    if not _has_sizes(problem, names, values):
+        score = -np.inf
     return Node(names, fit.values, values, local, Screen(local), score)
+
+
+def _has_sizes(problem: Problem, names: Set, values) -> bool:
+    """Whether every effect of a set has a size: without one that stayed at nothing it is another set."""
+    return all(np.any(problem.sizes(name, values)) for name in names)
 
 
 def _follows(problem: Problem, fit: Fitted, values, inflation: np.ndarray) -> bool:
@@ -279,6 +284,8 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
     weights = flight_weights(problem.groups)
     near = {n: best.screen(n) + _prior(problem, n) for n in _neighbours(problem, best) if n not in nodes}
     near = dict(sorted(near.items(), key=lambda item: -item[1])[:60])
+    starts = {n: _start(problem, best, n) for n in near}
+    near = {n: x for n, x in near.items() if _has_sizes(problem, n, starts[n])}
     fitted = {n: node for n, node in nodes.items() if np.isfinite(node.score)}
     table = {n: node.local.log_evidence(n, weights) + _prior(problem, n) for n, node in fitted.items()}
     table |= {n: best.local.log_evidence(n, weights) + _prior(problem, n) for n in near}
@@ -294,9 +301,7 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
         if one not in nodes and (
             probability[k] > CLEAR or not result
         ):  # told by the linearisation alone so far
-            nodes[one] = _visit(problem, one, _start(problem, best, one), inflation)
-        values = nodes[one].values if one in nodes else _start(problem, best, one)
-        if any(not np.any(problem.sizes(n, values)) for n in one):
-            continue
+            nodes[one] = _visit(problem, one, starts[one], inflation)
+        values = nodes[one].values if one in nodes else starts[one]
         result.append(Scored(one, float(probability[k]), values))
     return tuple(result)
