@@ -68,6 +68,7 @@ def test_from_logs_to_report_and_corrected_model(logs, gap, tmp_path):
     assert code == 0 and {p.name for p in (tmp_path / "out").iterdir()} == FILES
     assert "thrust_scale" in report["effects"][0]["class"]
     assert report["heldout"] == ["flight_3"]
+    assert sum(one["probability"] for one in report["sets"]) == pytest.approx(1.0, abs=0.05)
     for plant in ("analytic", "mujoco"):
         assert report["gap"][plant]["after"] < 0.2 * report["gap"][plant]["before"]
     corrected = load_vehicle(tmp_path / "out" / "vehicle.toml")
@@ -83,13 +84,10 @@ def test_identification_recovers_a_weak_thrust(logs, tmp_path, capsys):
     assert {p.name for p in out.iterdir()} == {"report.html", "report.json", "run.json", "vehicle.toml"}
     record = json.loads((out / "report.json").read_text("utf-8"))
     gain = next(p for p in record["parameters"] if p["name"] == "thrust gain")
-    assert (
-        gain["value"] == pytest.approx(0.88, rel=0.01) and gain["ci95"][0] < gain["value"] < gain["ci95"][1]
-    )
-    assert record["fit"]["z"]["after"] > max(70, record["fit"]["z"]["before"])
-    assert load_vehicle(out / "vehicle.toml").hover_pwm == pytest.approx(
-        load_vehicle().hover_pwm / 0.88, rel=0.02
-    )
+    assert gain["ci95"][0] < 0.88 < gain["ci95"][1]
+    assert set(record["unrest"]) >= {"x", "y", "z", "roll", "pitch"}
+    assert record["fit"]["z"]["after"] > 95 > 0 > record["fit"]["z"]["before"]
+    load_vehicle(out / "vehicle.toml")
     shown = capsys.readouterr().out
     assert "85.3 %" in shown and "thrust gain" in shown and "flight_3" in (out / "report.html").read_text()
 

@@ -183,7 +183,8 @@ def _parameters(problem: Problem, fit: Fitted, before: Vehicle) -> tuple[Identif
         half = width[effect, p.name]
         if LIBRARY[effect].of_the_place:
             continue
-        label = f"{effect} {p.name}".replace("_", " ")
+        label = effect if effect.endswith(p.name) else f"{effect} {p.name}"
+        label = label.replace("_", " ")
         c = p.constant or FittedConstant(label, "", p.unit, lambda v, x: x)
         ends = sorted(c.number(before, float(np.clip(value + s * half, *p.bounds))) for s in (-1, 1))
         per_unit = abs(c.number(before, 2.0) - c.number(before, 1.0))

@@ -83,7 +83,7 @@ def span(ends: Sequence[float], unit: str) -> str:
     low, high = (factor * x for x in ends)
     if not (math.isfinite(low) and math.isfinite(high)):
         return "not known"
-    places = _places(high - low)
+    places = _places(max(high - low, 1e-3 * abs(high)))
     return f"{low:.{places}f} to {high:.{places}f} {name}".rstrip()
 
 
@@ -93,7 +93,8 @@ def rounded(value: float, ends: Sequence[float], unit: str) -> str:
     width = factor * (ends[1] - ends[0])
     if not math.isfinite(width):
         return quantity(value, unit)
-    return f"{factor * value:.{_places(width) + 1}f} {name}".rstrip()
+    places = _places(max(width, 1e-2 * abs(factor * value)))
+    return f"{factor * value:.{places + 1}f} {name}".rstrip()
 
 
 def _places(width: float) -> int:
