@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from inclined_landing.eval.gap.answer.named import in_its_place, parts_only
 from inclined_landing.eval.gap.flights import unrest
 from inclined_landing.eval.gap.flights.windows import level, prepare
 from inclined_landing.eval.gap.search.evidence import Column
 from inclined_landing.eval.gap.search.posterior import Local, Screen
 from inclined_landing.eval.gap.search.remainder import _Function, _signs, form_of
+from inclined_landing.eval.gap.search.sets import Scored
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import tilted
 from inclined_landing.models.parameters import load_vehicle
@@ -141,3 +143,26 @@ def test_attitudes_are_levelled_and_tilted_back():
     measured = np.empty_like(attitude)
     tilted(attitude, 0.05, -0.03, measured)
     assert level(measured, (0.05, -0.03)) == pytest.approx(attitude, abs=1e-12)
+
+
+def test_what_takes_the_place_of_an_effect_stands_in_sets_without_it():
+    """b for a, in the sets that hold 95 %; neither what comes in addition nor what is too rare."""
+    shares = {("a", "c"): 0.6, ("b", "c"): 0.25, ("c",): 0.05, ("a", "c", "d"): 0.06, ("e", "c"): 0.03}
+    sets = tuple(Scored(frozenset(names), p, {}) for names, p in shares.items())
+    found = types.SimpleNamespace(sets=sets, names=sets[0].names)
+    assert in_its_place(found, "a") == ("b",)
+    assert in_its_place(found, "c") == ()
+
+
+@pytest.mark.parametrize("closes, named", [(5.0, False), (50.0, True)])
+def test_a_name_closes_more_than_what_repeats_there(closes, named):
+    """40 of the 100 that are left in z repeat; an effect in z must close more, one in x has no part in it."""
+
+    def white(vehicles):
+        z, x = 100.0 + (0.0 if "a" in vehicles[0] else closes), 10.0 + (0.0 if "b" in vehicles[0] else 1.0)
+        return [np.sqrt(np.array([x, 0.0, z, 0.0, 0.0, 0.0]))[None, :, None]]
+
+    problem = types.SimpleNamespace(flights=[None], weight=np.ones((1, 6)), corrected=set, white=white)
+    found = types.SimpleNamespace(values={"a": {}, "b": {}}, inflation=np.ones(6))
+    left = types.SimpleNamespace(depends_on=[types.SimpleNamespace(channel="z", share=0.4)])
+    assert parts_only(problem, found, left) == ([] if named else ["a"])

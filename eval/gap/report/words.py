@@ -83,6 +83,8 @@ def span(ends: Sequence[float], unit: str) -> str:
     low, high = (factor * x for x in ends)
     if not (math.isfinite(low) and math.isfinite(high)):
         return "not known"
+    if low == high:
+        return quantity(ends[0], unit)
     places = _places(max(high - low, 1e-3 * abs(high)))
     return f"{low:.{places}f} to {high:.{places}f} {name}".rstrip()
 
@@ -180,7 +182,7 @@ def set_rows(d: Diagnosis) -> list[tuple[str, float, str, bool]]:
     The last row sums up the others.
     """
     rows = [
-        (listed([label(n) for n in one.effects], "+") or "nothing", one.probability, _sizes(one), k == 0)
+        (" + ".join(map(label, one.effects)) or "nothing", one.probability, _sizes(one), k == 0)
         for k, one in enumerate(d.sets[:SETS])
     ]
     rest = 1.0 - sum(one.probability for one in d.sets[:SETS])
