@@ -13,6 +13,8 @@ from inclined_landing.eval.proof.gap_real.halves import Fleet, Stability
 from inclined_landing.eval.proof.gap_real.thrust import Lag, Law
 from inclined_landing.models.parameters import Vehicle
 
+_SETS = 5  # told of a diagnosis
+
 
 def fleet(s: Fleet) -> str:
     """What was named, how much of the gap closed, and how stable it is."""
@@ -37,9 +39,28 @@ def fleet(s: Fleet) -> str:
             sizes = (row.before, row.after, row.floor)
             unit = row.unit.replace("m/s2", "m/s²")
             lines.append(f"| {row.channel} {unit} | " + " | ".join(f"{x:.2g}" for x in sizes) + " |")
-    lines += ["", "Named on all flights: " + named(d)]
+    lines += ["", *disturbances(d), "", *sets(d), ""]
+    lines += ["Named on all flights: " + named(d)]
     lines += ["Named on first halves: " + named(s.first), "Named on second halves: " + named(s.second), ""]
     return "\n".join([*lines, d.remainder.text, ""])
+
+
+def disturbances(d: Diagnosis) -> list[str]:
+    """Noise and unrest of every channel."""
+    lines = ["| channel | noise | unrest | correlation time |", "|---|---|---|---|"]
+    for channel, x in d.unrest.items():
+        size = f"{x.size:.3g} [{x.size_ci95[0]:.3g}, {x.size_ci95[1]:.3g}] {x.unit}".replace("s2", "s²")
+        time = f"{x.time:.2g} [{x.time_ci95[0]:.2g}, {x.time_ci95[1]:.2g}] s"
+        lines.append(f"| {channel} | {x.noise:.2g} | {size} | {time} |")
+    return lines
+
+
+def sets(d: Diagnosis) -> list[str]:
+    """The most probable sets of effects."""
+    lines = ["| probability | set |", "|---|---|"]
+    for one in d.sets[:_SETS]:
+        lines.append(f"| {one.probability:.2f} | {', '.join(one.effects) or 'nothing'} |")
+    return lines
 
 
 def _gap(name: str, gap: PlantGap) -> str:
@@ -70,7 +91,8 @@ def given(title: str, gap: PlantGap, rows: Sequence[Stability]) -> str:
 def named(d: Diagnosis) -> str:
     """The effects with their classes and values."""
     return "; ".join(
-        "/".join(e.members) + " " + ", ".join(f"{k} {p.value:.4g}" for k, p in e.parameters.items())
+        f"{'/'.join(e.members)} ({e.probability:.2f}) "
+        + ", ".join(f"{k} {p.value:.4g}" for k, p in e.parameters.items())
         for e in d.effects
     )
 
