@@ -68,7 +68,7 @@ def unrest_fields(unrest: Mapping[str, Disturbance]) -> tuple[dict[str, tuple], 
         for field, of in ((f"unrest_{name}", "size"), (f"unrest_{name}_time", "time")):
             ends = [getattr(d, f"{of}_ci95") if d else (0.0, 0.0) for d in stirred]
             fields[field] = tuple(_short(getattr(d, of)) if d else 0.0 for d in stirred)
-            widths[field] = tuple(_short(0.5 * (high - low)) for low, high in ends)
+            widths[field] = tuple(_short(round(0.5 * (high - low), 9)) for low, high in ends)
     return fields, widths
 
 

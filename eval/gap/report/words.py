@@ -227,12 +227,13 @@ def repeats(d: Dependence) -> str:
 
 def gap(plant: str, g: PlantGap) -> str:
     """How the gap shrank in one plant, as a sentence."""
-    worth_closing = math.isfinite(g.closed) and g.before > 1.2 * g.floor
+    before, after = centimetres(g.before), centimetres(g.after)
+    worth_closing = math.isfinite(g.closed) and g.before > 1.2 * g.floor and before != after
     closed = f" ({share(g.closed)} of the gap closed)" if worth_closing else ""
-    change = f"goes from {centimetres(g.before)} to {centimetres(g.after)}{closed}"
+    change = f"goes from {before} to {after}{closed}" if before != after else f"is {before}"
     return (
         f"{g.horizon:g} s ahead, on flights left out of the fit, the position error in "
-        f"{PLANTS[plant]} {change if g.after != g.before else f'is {centimetres(g.before)}'}; "
+        f"{PLANTS[plant]} {change}; "
         f"the measurement noise alone makes {centimetres(g.floor)}."
     )
 
