@@ -163,7 +163,6 @@ class Diagnosis:
     effects: tuple[NamedEffect, ...]
     corrected: Vehicle  # the vehicle diagnosed, with the named effects
     separating_manoeuvre: str | None
-    manoeuvres: tuple[dict, ...]  # {name, text, separation} for every tie, largest separation first
     where: tuple[WhereRow, ...]
     sets: tuple[ScoredSet, ...]  # of effects that show in free flight, most probable first
     unrest: dict[str, Disturbance]  # channel -> noise and unrest
@@ -176,6 +175,7 @@ class Diagnosis:
     heldout: tuple[str, ...]  # names of the flights judged on (those fitted, left out in turn, if none)
     seconds: dict[str, float]  # stage -> s
     notes: tuple[str, ...]  # what limits this diagnosis, in sentences
+    unseen: tuple[ScoredSet, ...] = ()  # with effects that the flights could not have shown, at prior odds
 
     def values(self) -> dict[str, dict[str, float]]:
         """Fitted parameter values: effect -> parameter -> value."""
@@ -214,6 +214,7 @@ class Diagnosis:
             ),
             "effects": named,
             "sets": [dataclasses.asdict(one) for one in self.sets],
+            "unseen": [dataclasses.asdict(one) for one in self.unseen],
             "noise": {channel: d.noise for channel, d in self.unrest.items()},
             "unrest": {
                 channel: _some(d, "size", "size_ci95", "time", "time_ci95", "unit")

@@ -33,6 +33,7 @@ NEEDED = {
     "effects": (),
     "gap-example": ("--out", "{place}/out"),
     "gap-blind": ("--out", "{place}/out"),
+    "plan-proof": ("--out", "{place}/out"),
     "gap-real": ("{place}", "--out", "{place}/out"),
     "nanobench": ("{place}/log.csv",),
     "benchmark": (),

@@ -72,7 +72,6 @@ def example(verdict="effects"):
         effects=said,
         corrected=effects.apply(load_vehicle(), {e.name: e.values() for e in said}),
         separating_manoeuvre="Weigh the vehicle. To tell thrust_scale from mass: weigh." if said else None,
-        manoeuvres=(),
         where=tuple(
             WhereRow(r, c, 1.0, 0.1, 0.05, "m/s2" if c == "z" else "rad", 12)
             for r in ("hover", "all")

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.answer import manoeuvres
 from inclined_landing.eval.gap.answer.named import (
     disturbances,
     left_out,
@@ -16,10 +15,12 @@ from inclined_landing.eval.gap.answer.named import (
     parts_only,
     scored_sets,
     touched_effects,
+    unseen_sets,
     values_with,
 )
 from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE, Landing, landings_of
 from inclined_landing.eval.gap.flights.windows import REGIMES, prepare_all
+from inclined_landing.eval.gap.plan.words import separating
 from inclined_landing.eval.gap.result import (
     Diagnosis,
     HorizonCurve,
@@ -81,8 +82,9 @@ def diagnose(
         test, after = problem, left_out(problem, found, frozenset(values))
     where = _where(test, test.white([vehicle] * len(after)), test.white(after))
     clock("where")
-    ties = manoeuvres.separating(problem, found.unrest, [e.members for e in effects], values)
-    clock("manoeuvres")
+    tied = any(len(e.members) > 1 for e in effects)
+    apart = separating(problem, found, platform) if tied else ""
+    clock("manoeuvre")
     touched = _touched(flights, heldout, vehicle, corrected, library, notes)
     if touched.landed:
         clock("touchdown")
@@ -106,10 +108,10 @@ def diagnose(
         verdict="unknown" if unknown else "effects" if effects else "nothing",
         effects=effects,
         corrected=touched.vehicle,
-        separating_manoeuvre=" ".join(t["text"] for t in ties) or None,
-        manoeuvres=tuple(ties),
+        separating_manoeuvre=apart or None,
         where=where + touched.where,
         sets=scored_sets(problem, found),
+        unseen=unseen_sets(problem, found),
         unrest=disturbances(problem, found.unrest),
         **drawn,
         remainder=left,

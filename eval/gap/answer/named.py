@@ -9,6 +9,7 @@ import numpy as np
 from scipy import stats
 
 from inclined_landing.eval.gap.flights.unrest import Unrest
+from inclined_landing.eval.gap.plan.information import Hypothesis, in_doubt, unseen
 from inclined_landing.eval.gap.result import (
     Disturbance,
     Estimate,
@@ -166,18 +167,16 @@ def _column(columns: Iterable, effect: str, parameter: str) -> int | None:
 
 def scored_sets(problem: Problem, found: Search) -> tuple[ScoredSet, ...]:
     """The sets with their probabilities; standard errors from the flights near the most probable one."""
-    local, result = found.local, []
-    for one in found.sets:
-        _, covariance = local.fit(one.names)
-        error = np.sqrt(covariance.diagonal()) * local.unit
-        deviations: dict[str, dict[str, float]] = {}
-        for name, values in one.values.items():
-            places = {p: _column(local.columns, name, p) for p in values}
-            deviations[name] = {p: float(error[k]) for p, k in places.items() if k is not None}
-        names = tuple(n for n in problem.library if n in one.names)
-        values = {n: dict(one.values[n]) for n in names}
-        result.append(ScoredSet(names, one.probability, values, deviations))
-    return tuple(result)
+    return _scored(in_doubt(problem, found)[0])
+
+
+def unseen_sets(problem: Problem, found: Search) -> tuple[ScoredSet, ...]:
+    """The most probable set with each effect that the flights could not have shown, at its prior odds."""
+    return _scored(unseen(problem, found))
+
+
+def _scored(hypotheses: Iterable[Hypothesis]) -> tuple[ScoredSet, ...]:
+    return tuple(ScoredSet(h.effects, h.probability, h.values, h.deviations) for h in hypotheses)
 
 
 def disturbances(problem: Problem, stir: Unrest) -> dict[str, Disturbance]:

@@ -21,9 +21,6 @@ from inclined_landing.eval.gap.plan.reading import Doubt, read_report
 from inclined_landing.eval.gap.plan.setpoints import COLUMNS
 from inclined_landing.models import storage
 
-ALONE = 0.95  # probability at which a set stands alone
-TELLS = 0.05  # nat, least gain of a flight that is worth flying
-
 
 def command(
     report: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="REPORT")],
@@ -47,15 +44,17 @@ def command(
     runs.check_new_run(out)
     doubt = read_report(report, vehicle)
     best = doubt.hypotheses[0]
-    if best.probability >= ALONE * sum(h.probability for h in doubt.hypotheses):
+    if best.probability >= words.ALONE and not doubt.broadly:
         print(f"{best.text} stands alone ({best.probability:.2f}): no flight is needed")
         return
     plan = _designed(doubt, seconds, seed)
     said = words.alike(plan.question, plan.expected)
-    if plan.gain < TELLS:
+    if plan.gain < words.TELLS and not doubt.broadly:
         print("\n".join([words.doubt(plan.question), *said]))
         return
     told = [words.doubt(plan.question), words.outcome(plan.question, plan.expected), *said]
+    if doubt.broadly:
+        told.append(words.broad(doubt.broadly))
     with styled():
         drawn = picture(plan, doubt.platform)
     with runs.staged_run(out) as folder:
@@ -74,6 +73,7 @@ def _designed(doubt: Doubt, seconds: float, seed: int) -> Plan:
             doubt.hypotheses,
             doubt.vehicle,
             quiet=doubt.quiet,
+            broadly=doubt.broadly,
             seconds=seconds,
             platform=doubt.platform,
             seed=seed,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from inclined_landing.eval.gap.plan import pieces, safety
+from inclined_landing.eval.gap.plan.breadth import Breadth
 from inclined_landing.eval.gap.plan.information import Hypothesis, Question, Quiet
 from inclined_landing.eval.gap.plan.pieces import Path, Piece, Space
 from inclined_landing.eval.gap.plan.safety import Violation
@@ -24,7 +26,9 @@ ROUNDS = 3  # of refinement, each piece moved so often in each, by steps that sh
 MOVES = 4
 STEPS = (0.25, 0.12, 0.06)
 ATTEMPTS = 6  # flights simulated before giving up
-MOST_SETS = 8  # the most probable sets that are told apart
+ALIKE = 3  # pieces of a kind, at most: what else may be missing shows in flights that are not all alike
+MOST_SETS = 12  # the most probable sets that are told apart
+SIMULATED = 6  # the most probable of these that the flight is simulated under
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +37,7 @@ class Plan:
 
     points: Setpoints
     question: Question
+    breadth: Breadth
     expected: np.ndarray  # (K, K) probability of every set j after the flight where the set i is true
     gain: float  # nat, expected decrease of the entropy of the sets
     flown: list[np.ndarray]  # states (copies, m, 13) of the simulated flights, by set
@@ -54,6 +59,7 @@ def design(
     vehicle: Vehicle,
     *,
     quiet: Quiet | None = None,
+    broadly: Sequence[str] = (),
     seconds: float = SECONDS,
     platform: bool = False,
     library: Mapping[str, Effect] = LIBRARY,
@@ -62,7 +68,8 @@ def design(
 ) -> Plan:
     """The flight of `seconds` that is expected to tell most about which set of effects `vehicle` lacks.
 
-    quiet: noise and unrest of the flights at hand. platform: the slab of the vehicle file stands there.
+    quiet: noise and unrest of the flights at hand. broadly: what an unexplained remainder depends on, which
+    the flight varies too (see `Breadth`). platform: the slab of the vehicle file stands there.
     tick: called as the work goes on. The same arguments give the same plan.
     Raises UserError when there is no room, the battery does not last, or no safe flight is found.
     """
@@ -74,17 +81,19 @@ def design(
     known = sorted(hypotheses, key=lambda h: -h.probability)[:MOST_SETS]
     question = Question(known, vehicle, quiet or Quiet.usual(), library)
     tick("pieces")
-    search = _Search(question, space, seconds, np.random.default_rng(seed))
+    breadth = Breadth(broadly, space, question.quiet.noise)
+    search = _Search(question, breadth, space, seconds, np.random.default_rng(seed))
     refused: list[Violation] = []
     for _ in range(ATTEMPTS):
         tick("choice")
         path = search.best()
         points = setpoints(path, vehicle)
         tick("simulated flights")
-        wrong, flown = safety.simulated(points, question.vehicles, space, question.quiet.noise, seed)
+        wrong, flown = safety.simulated(points, question.vehicles[:SIMULATED], space, question.quiet, seed)
         if wrong is None:
-            gram = question.gram(points, platform=platform)
-            return Plan(points, question, question.expected(gram), question.gain(gram), flown, tuple(refused))
+            gram = question.gram(question.flight(points, platform=platform))
+            expected, gain = question.expected(gram), question.gain(gram)
+            return Plan(points, question, breadth, expected, gain, flown, tuple(refused))
         refused.append(wrong)
         search.forbid(path, wrong.time)
     raise UserError(
@@ -93,21 +102,35 @@ def design(
     )
 
 
+def telling(question: Question, space: Space, seconds: float = SECONDS) -> tuple[Piece, np.ndarray]:
+    """The one kind of piece that tells most when repeated for so long, and (K, K) what is expected of it.
+
+    Each kind is looked at once, halfway within its bounds: half a second for all of them.
+    """
+    none = Breadth((), space, question.quiet.noise)
+    search = _Search(question, none, space, seconds, np.random.default_rng(0), drawn=0)
+    best = max(search.pool, key=lambda piece: question.gain(search.repeated(piece)))
+    return best, question.expected(search.repeated(best))
+
+
 class _Search:
     """Pieces with their matrices, and how a flight is put together from them."""
 
-    def __init__(self, question: Question, space: Space, seconds: float, rng: np.random.Generator):
-        self.question, self.space, self.seconds, self.rng = question, space, seconds, rng
-        self._grams: dict[Piece, np.ndarray | None] = {}
-        self.pool = [p for kind in pieces.kinds(space) for p in self._drawn(kind)]
+    def __init__(self, question, breadth, space: Space, seconds: float, rng, drawn: int = DRAWN):
+        self.question, self.breadth, self.space = question, breadth, space
+        self.seconds, self.rng = seconds, rng
+        self._grams: dict[Piece, tuple[np.ndarray, np.ndarray] | None] = {}
+        self.pool = [p for kind in pieces.kinds(space) for p in self._safe_of(kind, drawn)]
         self._look(self.pool)
 
-    def _drawn(self, kind: str) -> list[Piece]:
-        """Safe pieces of a kind; fewer where few are."""
-        found: list[Piece] = []
-        for _ in range(TRIES * DRAWN):
+    def _safe_of(self, kind: str, drawn: int) -> list[Piece]:
+        """Safe pieces of a kind: that halfway within its bounds, and so many drawn; fewer where few are."""
+        found = [pieces.middle(kind)] if self._safe(pieces.middle(kind)) is not None else []
+        for _ in range(TRIES * drawn):
+            if len(found) > drawn:
+                break
             piece = pieces.draw(kind, self.rng)
-            if len(found) < DRAWN and self._safe(piece) is not None:
+            if self._safe(piece) is not None:
                 found.append(piece)
         return found
 
@@ -121,16 +144,25 @@ class _Search:
         with ThreadPoolExecutor(2) as pool:
             self._grams |= dict(zip(new, pool.map(self._gram, new)))
 
-    def _gram(self, piece: Piece) -> np.ndarray | None:
+    def _gram(self, piece: Piece) -> tuple[np.ndarray, np.ndarray] | None:
         points = self._safe(piece)
-        return None if points is None else self.question.gram(points, platform=self.space.platform)
+        if points is None:
+            return None
+        flight = self.question.flight(points, platform=self.space.platform)
+        return self.question.gram(flight), self.breadth.gram(flight)
 
     def gain(self, chosen: Sequence[Piece]) -> float:
-        """Expected decrease of entropy [nat] by the pieces together; -1 where one is not safe."""
-        grams = [self._grams[p] for p in chosen]
-        if any(g is None for g in grams):
+        """What the pieces tell together [nat], of the sets and of the rest; -1 where one is not safe."""
+        grams = [g for p in chosen if (g := self._grams[p]) is not None]
+        if len(grams) < len(chosen):
             return -1.0
-        return self.question.gain(np.sum(grams, axis=0))
+        of_sets, of_rest = (np.sum(g, axis=0) for g in zip(*grams))
+        return self.question.gain(of_sets) + self.breadth.gain(of_rest)
+
+    def repeated(self, piece: Piece) -> np.ndarray:
+        """Matrix (P, P) of a piece of the pool flown again and again until time is up."""
+        times = self.seconds / pieces.alone(piece, self.space).seconds
+        return times * self._grams[piece][0]
 
     def best(self) -> Path:
         """The pieces of the pool that tell most together, refined, as one flight."""
@@ -146,21 +178,31 @@ class _Search:
         return pieces.joined(chosen, self.space, self.seconds)
 
     def _greedy(self) -> list[Piece]:
-        """One piece after the other, that which gains most for its time, until time is up."""
+        """One piece after the other, that which gains most for its time, until time is up.
+
+        Beside more others a piece hardly ever gains more: those that gained too little before are not looked
+        at again (lazy greedy choice, Minoux 1978).
+        """
         chosen: list[Piece] = []
         gain, taken = 0.0, pieces.joined([], self.space).seconds
+        left = [(math.inf, piece) for piece in self.pool]
         while True:
-            found = []
-            for piece in self.pool:
+            best, kept = None, []
+            for promised, piece in sorted(left, key=lambda row: -row[0]):
+                if best is not None and promised <= best[0]:
+                    kept.append((promised, piece))
+                    continue
                 longer = [*chosen, piece]
-                seconds = pieces.joined(longer, self.space).seconds
-                if seconds <= self.seconds:
-                    new = self.gain(longer)
-                    found.append(((new - gain) / (seconds - taken), new, seconds, longer))
-            found.sort(key=lambda row: row[0], reverse=True)
-            best = next((row for row in found if self._flyable(row[-1])), None)
+                if sum(p.kind == piece.kind for p in longer) > ALIKE or not self._flyable(longer):
+                    continue
+                new, seconds = self.gain(longer), pieces.joined(longer, self.space).seconds
+                rate = (new - gain) / (seconds - taken)
+                kept.append((rate, piece))
+                if best is None or rate > best[0]:
+                    best = rate, new, seconds, longer
             if best is None:
                 return chosen
+            left = kept
             _, gain, taken, chosen = best
 
     def _flyable(self, chosen: Sequence[Piece]) -> bool:

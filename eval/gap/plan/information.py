@@ -8,21 +8,25 @@ of scalar products of predictions, made white by noise and unrest. Such matrices
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from inclined_landing.eval.gap.flights.whitening import Whitening
 from inclined_landing.eval.gap.flights.windows import Measured, prepare
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
-from inclined_landing.eval.gap.search.evidence import Column, Suspects, Values
+from inclined_landing.eval.gap.search.evidence import Column, Problem, Suspects, Values
+from inclined_landing.eval.gap.search.posterior import BETWEEN, SPIKE
 from inclined_landing.eval.gap.search.prediction import predict
+from inclined_landing.eval.gap.search.sets import NOTHING, Search
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import Vehicle
 
 # A real flight tells less than a linear, perfectly flown one: gains are averaged over these shares.
 TRUST = (1.0, 0.1, 0.01)
-DRAWS = 32  # of values and noise, for every set
-SPIKE = 0.5  # standard deviation of what nobody needs to correct, in negligible sizes
+UNSEEN = 0.7  # share of its prior width that flights leave of an effect which they could not have shown
+DRAWS = 20  # of values and noise, for every set
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,14 +46,71 @@ class Hypothesis:
 
 @dataclasses.dataclass(frozen=True)
 class Quiet:
-    """What a measured flight holds besides the vehicle's motion, of x, y, z, roll, pitch, yaw."""
+    """What a flight holds besides what any vehicle explains, of x, y, z, roll, pitch, yaw."""
 
     noise: np.ndarray  # (6,) standard deviation of the measured pose [m, rad]
+    unrest: np.ndarray  # (6,) standard deviation of the unrest [m/s2, rad/s2]
+    time: np.ndarray  # (6,) its correlation time [s]
+    inflation: np.ndarray  # (6,) how much less a window tells than if it were independent of the next
+
+    def around(self, vehicle: Vehicle) -> Vehicle:
+        """The vehicle in air of this unrest."""
+        size, time = (tuple(map(float, x)) for x in (self.unrest, self.time))
+        return dataclasses.replace(
+            vehicle,
+            unrest_acceleration=size[:3],
+            unrest_acceleration_time=time[:3],
+            unrest_angular=size[3:],
+            unrest_angular_time=time[3:],
+        )
 
     @staticmethod
     def usual() -> Quiet:
-        """A millimetre and 0.3 deg of noise."""
-        return Quiet(np.array([0.001] * 3 + [0.00524] * 3))
+        """A millimetre and 0.3 deg of noise in air that is never quite still."""
+        noise, unrest = [0.001] * 3 + [0.00524] * 3, [0.05] * 3 + [1.0] * 3
+        return Quiet(np.array(noise), np.array(unrest), np.full(6, 0.3), np.ones(6))
+
+
+def in_doubt(problem: Problem, found: Search) -> tuple[list[Hypothesis], Quiet]:
+    """What a search holds for possible, with the noise and unrest it found."""
+    hypotheses = []
+    for scored in found.sets:
+        _, covariance = found.local.fit(scored.names)
+        deviation = np.sqrt(np.diag(covariance)) * found.local.unit
+        names = tuple(n for n in problem.library if n in scored.names)
+        values = {n: dict(scored.values[n]) for n in names}
+        deviations: dict[str, dict[str, float]] = {n: {} for n in names}
+        for column, one in zip(found.local.columns, deviation):
+            if column.parameter in values.get(column.effect, {}):
+                deviations[column.effect][column.parameter] = float(one)
+        hypotheses.append(Hypothesis(names, scored.probability, values, deviations))
+    noise = np.median([f.noise for f in problem.flights], axis=0) * found.unrest.noise
+    return hypotheses, Quiet(noise, found.unrest.size, found.unrest.time, found.inflation)
+
+
+def unseen(problem: Problem, found: Search) -> list[Hypothesis]:
+    """The most probable set with each effect that the flights could not have shown, were it there.
+
+    What nothing speaks against keeps its prior odds, at a size that is plausible.
+    """
+    local, best = found.local, found.sets[0]
+    share = 1.0 - NOTHING ** (1.0 / len(problem.library))
+    told = {one.names for one in found.sets}
+    result = []
+    for name, effect in problem.library.items():
+        names = best.names | {name}
+        own = local.index([name])
+        if names in told or effect.told_by or not len(own):
+            continue
+        _, covariance = local.fit(names)
+        if np.sqrt(covariance[own[0], own[0]]) < UNSEEN * local.slab[own[0]]:
+            continue
+        width = {p.name: abs(p.size(p.plausible)) for p in effect.parameters}
+        values = {n: dict(best.values[n]) for n in best.names} | {name: effect.plausible}
+        ordered = tuple(n for n in problem.library if n in names)
+        odds = best.probability * share / (1.0 - share)
+        result.append(Hypothesis(ordered, odds, values, {name: width}))
+    return result
 
 
 class Question(Suspects):
@@ -79,7 +140,7 @@ class Question(Suspects):
             for p in effect.parameters:
                 if not p.is_reference:
                     self._add(best.values, Column(name, p.name))
-                    deviations.append(np.full(len(self), SPIKE * p.negligible))
+                    deviations.append(np.full(len(self), math.hypot(SPIKE, BETWEEN) * p.negligible))
         for k, h in enumerate(self.hypotheses):
             for name in h.effects:
                 for p in self.library[name].parameters:
@@ -110,53 +171,48 @@ class Question(Suspects):
         low, high = p.bounds
         return float(min(max(known, SPIKE * p.negligible), 0.25 * (high - low)))
 
-    def gram(self, points: Setpoints, *, platform: bool = False) -> np.ndarray:
-        """Scalar products (P, P) of the directions on a flight; zero where it is too short to tell."""
-        flight = self._measured(points, platform)
+    def flight(self, points: Setpoints, *, platform: bool = False) -> Measured:
+        """Set-points as a flight of the vehicle, flown perfectly and measured."""
+        return prepare(points.log("planned", self.quiet.noise), self.vehicle, platform=platform)
+
+    def gram(self, flight: Measured) -> np.ndarray:
+        """Scalar products (P, P) of the directions on a flight."""
+        quiet = self.quiet
+        white_by = Whitening.of(flight.shapes, quiet.noise, flight.sensed, quiet.unrest, quiet.time)
         base = predict(flight, self.base)
         slopes = [predict(flight, v) - base for v in self.vehicles]
         slopes += [(predict(flight, high) - predict(flight, low)) / step for low, high, step in self._pairs]
-        white = np.stack([flight.whitening(flight.cut(s)).ravel() for s in slopes])
+        weight = 1.0 / np.sqrt(quiet.inflation)[:, None]
+        white = np.stack([(weight * white_by(flight.cut(s))).ravel() for s in slopes])
         return white @ white.T
-
-    def _measured(self, points: Setpoints, platform: bool) -> Measured:
-        return prepare(points.log("planned", self.quiet.noise), self.vehicle, platform=platform)
 
     def expected(self, gram: np.ndarray, seed: int = 0) -> np.ndarray:
         """(K, K) expected probability of every set j after the flight where the set i is true."""
-        return np.stack([p.mean(axis=0) for p in self._posteriors(gram, seed)])
+        return self._posteriors(gram, _root(gram), seed).mean(axis=1)
 
     def gain(self, gram: np.ndarray, seed: int = 0) -> float:
         """Expected decrease of the entropy of the sets [nat], averaged over TRUST."""
-        before = _entropy(self.probabilities[None])[0]
+        root, p = _root(gram), self.probabilities
         after = [
-            self.probabilities @ [_entropy(p).mean() for p in self._posteriors(share * gram, seed)]
+            p @ _entropy(self._posteriors(share * gram, math.sqrt(share) * root, seed)).mean(axis=1)
             for share in TRUST
         ]
-        return float(before - np.mean(after))
+        return float(_entropy(p) - np.mean(after))
 
-    def _posteriors(self, gram: np.ndarray, seed: int) -> list[np.ndarray]:
-        """For every true set, probabilities (DRAWS, K) of the sets after flights drawn with it."""
+    def _posteriors(self, gram: np.ndarray, root: np.ndarray, seed: int) -> np.ndarray:
+        """Probabilities (K, DRAWS, K) of the sets after flights drawn with each; root: of the matrix."""
         rng = np.random.default_rng(seed)
-        size, vectors = np.linalg.eigh(gram)
-        root = vectors * np.sqrt(np.maximum(size, 0.0))
-        sets = [self._marginal(gram, k) for k in range(len(self))]
-        result = []
-        for k in range(len(self)):
-            x = rng.standard_normal((DRAWS, len(gram))) * self.free[k]
-            x[:, k] += 1.0
-            seen = x @ gram + rng.standard_normal(x.shape) @ root.T
-            score = np.log(np.maximum(self.probabilities, 1e-12)) + np.stack(
-                [
-                    seen[:, j] + 0.5 * (((seen[:, live] - gram[j, live]) @ w.T) ** 2).sum(axis=1) + constant
-                    for j, (live, w, constant) in enumerate(sets)
-                ],
-                axis=1,
-            )
-            score -= score.max(axis=1, keepdims=True)
-            p = np.exp(score)
-            result.append(p / p.sum(axis=1, keepdims=True))
-        return result
+        x = rng.standard_normal((len(self), DRAWS, len(gram))) * self.free[:, None]
+        x[np.arange(len(self)), :, np.arange(len(self))] += 1.0
+        seen = x @ gram + rng.standard_normal(x.shape) @ root.T
+        scores = np.empty((len(self), DRAWS, len(self)))
+        for j in range(len(self)):
+            live, w, constant = self._marginal(gram, j)
+            square = (((seen[..., live] - gram[j, live]) @ w.T) ** 2).sum(axis=-1)
+            scores[..., j] = seen[..., j] + 0.5 * square + constant
+        scores += np.log(np.maximum(self.probabilities, 1e-12))
+        p = np.exp(scores - scores.max(axis=-1, keepdims=True))
+        return p / p.sum(axis=-1, keepdims=True)
 
     def _marginal(self, gram: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray, float]:
         """Of the log-likelihood of a set, what is free integrated out: its directions, factor, constant."""
@@ -165,6 +221,12 @@ class Question(Suspects):
         lower = np.linalg.cholesky(np.eye(len(live)) + d[:, None] * gram[np.ix_(live, live)] * d)
         w = np.linalg.solve(lower, np.diag(d))
         return live, w, -0.5 * gram[k, k] - float(np.log(np.diag(lower)).sum())
+
+
+def _root(gram: np.ndarray) -> np.ndarray:
+    """A matrix whose product with its transpose is `gram`."""
+    size, vectors = np.linalg.eigh(gram)
+    return vectors * np.sqrt(np.maximum(size, 0.0))
 
 
 def _entropy(p: np.ndarray) -> np.ndarray:

@@ -28,6 +28,7 @@ class Doubt:
     vehicle: Vehicle  # the one diagnosed
     quiet: Quiet
     platform: bool  # the slab stood in the arena
+    broadly: tuple[str, ...]  # what an unexplained remainder depends on
 
 
 def read_report(folder: Path, vehicle: Path | None = None) -> Doubt:
@@ -39,28 +40,34 @@ def read_report(folder: Path, vehicle: Path | None = None) -> Doubt:
         raise UserError(f"{shown(folder)} is no folder; name the report folder that landing-eval gap wrote")
     path = folder / "report.json"
     report = _table(storage.read_json(path, "report"), f"report {path}")
-    if "sets" not in report:
-        raise UserError(f"report {path} has no sets of effects; it is none of landing-eval gap")
     run = folder / "run.json"
     options = _table(storage.read_json(run, "record"), f"record {run}") if run.is_file() else {}
     if vehicle is None and isinstance(options.get("vehicle"), str):
         vehicle = Path(options["vehicle"])
-    platform = report.get("platform", options.get("platform", False))
+    known = {"platform": options.get("platform", False)} | report
+    return doubt(known, load_vehicle(vehicle), f"report {path}")
+
+
+def doubt(report: Mapping, vehicle: Vehicle, name: str = "report") -> Doubt:
+    """What a plan needs of the contents of `report.json`; vehicle: the one diagnosed.
+
+    Raises UserError that begins with `name`.
+    """
+    if "sets" not in report:
+        raise UserError(f"{name} has no sets of effects; it is none of landing-eval gap")
+    platform = report.get("platform", False)
     if not isinstance(platform, bool):
-        raise UserError(f"report {path}: platform must be true or false, not {shown(repr(platform), 40)}")
-    return Doubt(_hypotheses(report["sets"], path), load_vehicle(vehicle), _quiet(report, path), platform)
+        raise UserError(f"{name}: platform must be true or false, not {shown(repr(platform), 40)}")
+    sets, quiet = _hypotheses(report, name), _quiet(report, name)
+    return Doubt(sets, vehicle, quiet, platform, _broadly(report, name))
 
 
-def _hypotheses(sets: Any, path: Path) -> list[Hypothesis]:
-    """The sets of a report, what shows in touchdowns only taken out of them."""
-    if not isinstance(sets, list) or not sets:
-        raise UserError(f"report {path}: sets must be a list of at least one set of effects")
+def _hypotheses(report: Mapping, name: str) -> list[Hypothesis]:
+    """The sets of a report and those its flights could not have shown, without what touchdowns show."""
     found: dict[tuple[str, ...], Hypothesis] = {}
-    for k, row in enumerate(sets):
-        what = f"report {path}: sets[{k}]"
-        row = _table(row, what)
+    for what, row in [*_rows(report, "sets", name), *_rows(report, "unseen", name)]:
         names = row.get("effects")
-        if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
+        if not isinstance(names, (list, tuple)) or not all(isinstance(n, str) for n in names):
             raise UserError(f"{what}.effects must be a list of names of effects")
         unknown = [n for n in names if n not in LIBRARY]
         if unknown:
@@ -72,14 +79,21 @@ def _hypotheses(sets: Any, path: Path) -> list[Hypothesis]:
         values = {n: _values(row, "values", n, what, needed=True) for n in flown}
         deviations = {n: _values(row, "deviations", n, what, needed=False) for n in flown}
         if flown in found:
-            found[flown] = dataclasses.replace(
-                found[flown], probability=found[flown].probability + probability
-            )
+            probability += found[flown].probability
+            found[flown] = dataclasses.replace(found[flown], probability=probability)
         else:
             found[flown] = Hypothesis(flown, probability, values, deviations)
     if sum(h.probability for h in found.values()) <= 0.0:
-        raise UserError(f"report {path}: no set has a probability above 0")
+        raise UserError(f"{name}: no set has a probability above 0")
     return sorted(found.values(), key=lambda h: -h.probability)
+
+
+def _rows(report: Mapping, key: str, name: str) -> list[tuple[str, dict]]:
+    """The tables of a list in a report, each with how sentences call it."""
+    rows = report.get(key, ())
+    if not isinstance(rows, (list, tuple)) or (key == "sets" and not rows):
+        raise UserError(f"{name}: {key} must be a list of sets of effects")
+    return [(f"{name}: {key}[{k}]", _table(row, f"{name}: {key}[{k}]")) for k, row in enumerate(rows)]
 
 
 def _values(row: Mapping, key: str, name: str, what: str, *, needed: bool) -> dict[str, float]:
@@ -106,17 +120,42 @@ def _values(row: Mapping, key: str, name: str, what: str, *, needed: bool) -> di
     return result
 
 
-def _quiet(report: Mapping, path: Path) -> Quiet:
-    """Noise of the flights; the usual one where the report has none."""
+def _broadly(report: Mapping, name: str) -> tuple[str, ...]:
+    """What the remainder of an `unknown` verdict depends on."""
+    if report.get("verdict") != "unknown":
+        return ()
+    remainder = _table(report.get("remainder", {}), f"{name}: remainder")
+    rows = remainder.get("depends_on", ())
+    if not isinstance(rows, (list, tuple)):
+        raise UserError(f"{name}: remainder.depends_on must be a list")
+    found = []
+    for k, row in enumerate(rows):
+        on = _table(row, f"{name}: remainder.depends_on[{k}]").get("on")
+        if not isinstance(on, str):
+            raise UserError(f"{name}: remainder.depends_on[{k}].on must be a name of a quantity")
+        found.append(on)
+    return tuple(found)
+
+
+def _quiet(report: Mapping, name: str) -> Quiet:
+    """Noise and unrest of the flights, channel by channel; what is usual where the report has none."""
     usual = Quiet.usual()
-    noise = _table(report.get("noise", {}), f"report {path}: noise")
-    own = np.array(
-        [_number(noise.get(c, x), f"report {path}: noise.{c}") for c, x in zip(CHANNELS, usual.noise)]
-    )
-    if (own <= 0.0).any():
-        worst = CHANNELS[int(np.argmin(own))]
-        raise UserError(f"report {path}: noise.{worst} is {own.min():g}; it must be above 0")
-    return Quiet(own)
+    noise = _table(report.get("noise", {}), f"{name}: noise")
+    unrest = _table(report.get("unrest", {}), f"{name}: unrest")
+    found = np.array([usual.noise, usual.unrest, usual.time])
+    for k, channel in enumerate(CHANNELS):
+        stir = _table(unrest.get(channel, {}), f"{name}: unrest.{channel}")
+        for j, (given, key, where, least) in enumerate(
+            (
+                (noise, channel, f"noise.{channel}", 1e-9),
+                (stir, "size", f"unrest.{channel}.size", 0.0),
+                (stir, "time", f"unrest.{channel}.time", 1e-3),
+            )
+        ):
+            found[j, k] = _number(given.get(key, found[j, k]), f"{name}: {where}")
+            if found[j, k] < least:
+                raise UserError(f"{name}: {where} is {found[j, k]:g}; it must be at least {least:g}")
+    return dataclasses.replace(usual, noise=found[0], unrest=found[1], time=found[2])
 
 
 def _table(value: Any, what: str) -> dict:

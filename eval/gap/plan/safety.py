@@ -9,9 +9,11 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from inclined_landing.eval.gap.plan.information import Quiet
 from inclined_landing.eval.gap.plan.pieces import MARGIN, RATE, Space
 from inclined_landing.eval.gap.plan.setpoints import Setpoints, thrust_and_angles
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, YAW, X, Z, rotations
@@ -73,21 +75,25 @@ def battery(vehicle: Vehicle, seconds: float) -> float:
 
 
 def simulated(
-    points: Setpoints, vehicles: Sequence[Vehicle], space: Space, noise: np.ndarray, seed: int = 0
+    points: Setpoints, vehicles: Sequence[Vehicle], space: Space, quiet: Quiet, seed: int = 0
 ) -> tuple[Violation | None, list[np.ndarray]]:
     """The first thing that goes wrong when each of `vehicles`, as uncertain as it is, flies the plan.
 
-    Also the states (COPIES, m, 13) of every one at the control rate. noise (6,) of what the pilot sees.
+    Also the states (COPIES, m, 13) of every one at the control rate. quiet: noise of what the pilot sees, and
+    unrest of the air.
     """
-    flown = [fly(points, v, space, noise, (seed, k)) for k, v in enumerate(vehicles)]
+    with ThreadPoolExecutor(2) as pool:
+        flown = list(
+            pool.map(lambda k: fly(points, vehicles[k], space, quiet, (seed, k)), range(len(vehicles)))
+        )
     wrong = [w for states in flown if (w := _judged(states, points, space)) is not None]
     return min(wrong, key=lambda w: w.time, default=None), flown
 
 
-def fly(points: Setpoints, vehicle: Vehicle, space: Space, noise: np.ndarray, seed) -> np.ndarray:
+def fly(points: Setpoints, vehicle: Vehicle, space: Space, quiet: Quiet, seed) -> np.ndarray:
     """States (COPIES, m, 13) of a vehicle that the pilot flies along the plan in MuJoCo; NaN from a crash."""
     rng = np.random.default_rng(seed)
-    plant = MujocoPlant(COPIES, vehicle)
+    plant = MujocoPlant(COPIES, quiet.around(vehicle), threads=1, unrest=rng)
     drawn = {n: rng.uniform(-s, s, COPIES) * (np.arange(COPIES) > 0) for n, s in UNCERTAINTY.items()}
     plant.perturb(**{n: x if n == "drag_change" else 1.0 + x for n, x in drawn.items()})
     plant.set_platform(np.arange(COPIES), vehicle.platform_inclination, space.platform)
@@ -100,7 +106,7 @@ def fly(points: Setpoints, vehicle: Vehicle, space: Space, noise: np.ndarray, se
     states, integral = np.full((len(rows), COPIES, STATE_SIZE), np.nan), np.zeros((COPIES, 3))
     for i, row in enumerate(rows):
         seen = plant.measurement.copy()
-        seen[:, X : Z + 1] += noise[:3] * rng.standard_normal((COPIES, 3))
+        seen[:, X : Z + 1] += quiet.noise[:3] * rng.standard_normal((COPIES, 3))
         command = _pilot(points, row, seen, integral, plant.control_period, space.vehicle)
         plant.advance(command)
         if plant.diverged.any() or plant.contacts.touch.any():

@@ -1,0 +1,212 @@
+"""`landing-eval plan-proof`: flights until the right name stands alone, planned against ordinary ones.
+
+Every case is a reality of the simulator's families with one hidden cause, identified first without it. After
+a few ordinary flights the right name is one of several in doubt. From there two ways part: flights that
+`landing-eval plan` designs from the diagnosis, each from all flights before it, and further ordinary flights.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from typing import Annotated
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Folder, Range, Seed
+from inclined_landing.eval.gap.flights.windows import prepare_all
+from inclined_landing.eval.gap.plan import Hypothesis, Quiet, design
+from inclined_landing.eval.gap.plan.information import in_doubt, unseen
+from inclined_landing.eval.gap.plan.setpoints import Setpoints
+from inclined_landing.eval.gap.search.evidence import Problem, tellable
+from inclined_landing.eval.gap.search.sets import search
+from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.proof import simulator
+from inclined_landing.eval.proof.gap_blind import cases as blind
+from inclined_landing.eval.proof.gap_blind import causes, generate
+from inclined_landing.eval.proof.gap_blind.accepted import accepted, entailed
+from inclined_landing.eval.proof.simulator import control
+from inclined_landing.models import storage
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+
+ALONE = 0.95  # probability from which the right name stands alone ...
+RIVAL = 0.5  # ... while no wrong one has this
+DOUBT = (0.01, 0.7)  # between which the right name is in doubt
+BEFORE = 1  # ordinary flights that the doubt comes from
+MOST = 4  # flights after these
+SECONDS = 20.0
+# Told by the scale and not by flights.
+WEIGHED = ("thrust_scale", "thrust_bias", "mass")
+WAYS = ("planned", "ordinary")
+_COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+
+
+def command(
+    out: Folder,
+    family: Annotated[str, tyro.conf.arg(metavar="{dev,fresh}")] = "dev",
+    cases: Annotated[int, Range(1, 1000)] = 16,
+    seed: Seed = 0,
+    processes: Annotated[int, Range(1, 256)] = 2,
+) -> None:
+    """Flights until the right name stands alone: planned against ordinary ones (minutes).
+
+    Args:
+        out: new folder for results.json and table.md.
+        family: realities to develop on, or those held out.
+        cases: drawn; those in which the right name is not in doubt after the first flights are counted only.
+        seed: of the cases.
+        processes: cases at a time.
+    """
+    if family not in blind.SETS:
+        raise UserError(f"unknown family {family!r}; known are {', '.join(blind.SETS)}")
+    runs.check_new_run(out)
+    context = multiprocessing.get_context("spawn")
+    rows = []
+    with Progress(*_COLUMNS, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("cases", total=cases)
+        with ProcessPoolExecutor(processes, mp_context=context) as pool:
+            for job in as_completed([pool.submit(race, family, (seed, k)) for k in range(cases)]):
+                rows.append(job.result())
+                bar.advance(task)
+    rows.sort(key=lambda row: row["seed"])
+    text = markdown(rows)
+    with runs.staged_run(out) as folder:
+        storage.write_json(folder / "results.json", {"cases": rows, "versions": runs.versions()})
+        storage.write_text(folder / "table.md", text)
+    print(text)
+
+
+def race(family: str, seed: tuple[int, ...]) -> dict:
+    """One case: probability of the right name after the first flights, and after each further one."""
+    from inclined_landing.eval.gap.answer.identify import identify
+
+    rng = np.random.default_rng((*seed, 7))
+    names = [name for name in causes.FREE_FLIGHT if name not in WEIGHED]
+    cause, size = str(rng.choice(names)), str(rng.choice(causes.SIZES[:2]))
+    case = blind.draw(family, "single", cause, size, (*seed, 8))
+    world = case.drawn[cause]
+    plain = generate.fly_all(causes.Drawn({}, {}), rng, case.reality, count=blind.IDENTIFY)
+    vehicle = identify(generate.logs(plain, voltage=case.voltage), load_vehicle()).vehicle
+    first = generate.fly_all(world, rng, case.reality, count=BEFORE)
+    first = generate.logs(first, voltage=case.voltage)
+    start = _searched(first, vehicle)
+    row = {"seed": list(seed), "family": case.family, "cause": cause, "size": size}
+    row["before"] = _named(cause, [*start[0], *start[1]])
+    row["sets"] = [(h.text, h.probability) for h in start[0][:4]]
+    if not DOUBT[0] <= row["before"][0] <= DOUBT[1]:
+        return row
+    for way in WAYS:
+        flights, now, told = list(first), start, []
+        while len(told) < MOST and not (told and alone(*told[-1])):
+            if way == "planned":
+                recording = _planned(now, vehicle, world, case, rng, seed=len(told))
+            else:
+                recording = generate.fly_all(world, rng, case.reality, count=1)[0]
+            flights += generate.logs([recording], voltage=case.voltage)
+            now = _searched(flights, vehicle)
+            told.append(_named(cause, now[0]))
+        row[way] = told
+    return row
+
+
+def _searched(
+    flights: Sequence[FlightLog], vehicle: Vehicle
+) -> tuple[list[Hypothesis], list[Hypothesis], Quiet]:
+    """What the flights leave in doubt, as `landing-eval gap` finds it, and what they could not have shown."""
+    measured = prepare_all(flights, vehicle, False, [])
+    library, _ = tellable({n: e for n, e in LIBRARY.items() if not e.contact}, measured)
+    problem = Problem(measured, vehicle, library)
+    found = search(problem)
+    hypotheses, quiet = in_doubt(problem, found)
+    return hypotheses, unseen(problem, found), quiet
+
+
+def _named(cause: str, hypotheses: Sequence[Hypothesis]) -> tuple[float, float]:
+    """Probability of the right name, and the largest of a wrong one: that it belongs to what is missing."""
+    options = accepted(cause)
+    welcome = set().union(*options) | entailed(cause)
+    wrong: dict[str, float] = {}
+    right = 0.0
+    for h in hypotheses:
+        right += h.probability * any(option <= set(h.effects) for option in options)
+        for name in set(h.effects) - welcome:
+            wrong[name] = wrong.get(name, 0.0) + h.probability
+    return right, max(wrong.values(), default=0.0)
+
+
+def alone(right: float, wrong: float) -> bool:
+    """Does the right name stand alone?"""
+    return right >= ALONE and wrong < RIVAL
+
+
+def _planned(now, vehicle: Vehicle, world: causes.Drawn, case: blind.Case, rng, seed: int):
+    """The recording of a flight planned for what is in doubt now, flown in the case's reality."""
+    hypotheses, hidden, quiet = now
+    plan = design([*hypotheses, *hidden], vehicle, quiet=quiet, seconds=SECONDS, seed=seed)
+    fields = world.world | {field: rng.uniform(*ends) for field, ends in world.spread.items()}
+    return simulator.fly(reference(plan.points, vehicle), simulator.World(**fields), rng, case.reality)
+
+
+def reference(points: Setpoints, vehicle: Vehicle) -> np.ndarray:
+    """Set-points as the reference (k, REF_SIZE) of the simulator's pilot, 50 rows a second."""
+    every = slice(None, None, 2)
+    path, lead = points.path, points.lead
+    rows = np.zeros((len(path.yaw[every]), control.REF_SIZE))
+    rows[:, control.REF_POSITION : control.REF_POSITION + 3] = path.position[every]
+    rows[:, control.REF_VELOCITY : control.REF_VELOCITY + 3] = points.velocity[every]
+    rows[:, control.REF_ACCELERATION : control.REF_ACCELERATION + 3] = points.acceleration[every]
+    rows[:, control.REF_YAW], rows[:, control.REF_YAW_RATE] = path.yaw[every], points.command[every, 3]
+    rows[:, control.REF_PWM] = lead[every, 0]
+    rows[:, control.REF_ROLL] = lead[every, 1] * vehicle.attitude_gain
+    rows[:, control.REF_PITCH] = lead[every, 2] * vehicle.attitude_gain
+    return rows
+
+
+def flown(told: Sequence[tuple[float, float]]) -> int:
+    """Flights until the right name stood alone; one more than MOST where it never did."""
+    return len(told) if alone(*told[-1]) else MOST + 1
+
+
+def markdown(rows: Sequence[dict], seed: int = 0) -> str:
+    """The table: flights of both ways with 95 % intervals over cases drawn with replacement."""
+    doubtful = [row for row in rows if "planned" in row]
+    lines = [
+        f"{len(rows)} cases; in {len(doubtful)} the right name is in doubt after {BEFORE} ordinary flight "
+        f"(probability {DOUBT[0]:g} to {DOUBT[1]:g}).",
+        "",
+        "| further flights | resolved | mean until the right name stands alone (95 %) | median | after one |",
+        "|---|---|---|---|---|",
+    ]
+    if not doubtful:
+        return lines[0] + "\n"
+    counts = {way: np.array([flown(row[way]) for row in doubtful]) for way in WAYS}
+    draws = np.random.default_rng(seed).integers(0, len(doubtful), (2000, len(doubtful)))
+    for way, n in counts.items():
+        low, high = np.quantile(n[draws].mean(axis=1), [0.025, 0.975])
+        lines.append(
+            f"| {way} | {(n <= MOST).sum()} of {len(n)} | {n.mean():.1f} ({low:.1f} to {high:.1f}) | "
+            f"{np.median(n):.0f} | {(n == 1).sum()} |"
+        )
+    ratio = counts["planned"][draws].sum(axis=1) / counts["ordinary"][draws].sum(axis=1)
+    low, high = np.quantile(ratio, [0.025, 0.975])
+    share = counts["planned"].sum() / counts["ordinary"].sum()
+    lines += [
+        "",
+        f"Planned flights needed: {share:.2f} times the ordinary ones (95 %: {low:.2f} to {high:.2f}). "
+        f"What was not resolved after {MOST} flights counts as {MOST + 1}.",
+        "",
+        "| cause | size | family | P before | planned | ordinary |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in doubtful:
+        told = " | ".join(" ".join(f"{p:.2f}" for p, _ in row[way]) for way in WAYS)
+        case = f"{row['cause']} | {row['size']} | {row['family']} | {row['before'][0]:.2f}"
+        lines.append(f"| {case} | {told} |")
+    return "\n".join(lines) + "\n"
