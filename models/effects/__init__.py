@@ -6,7 +6,7 @@ changed `Vehicle`, which both plants understand and a vehicle file stores:
     vehicle = LIBRARY["battery_sag"].apply(load_vehicle(), {"sag": 0.15, "reference": 34100.0})
 
 The terms are those of `equations.py` and of the plugin attributes in `plugin/README.md`. All that the gap
-workflow knows of an effect is in its entry: what it says, entails and pairs with, and which constant of
+workflow knows of an effect is in its entry: what it says, how it is told, and which constant of
 the vehicle it rescales. To add one that changes fields the `Vehicle` has, write its entry in the file of
 its family; new physics needs a field with its entry in the vehicle file, a line of
 `plugin/attributes.toml`, and its term in `equations.py` and in a plugin.

@@ -67,8 +67,6 @@ EFFECTS = (
         channels=("translation",),
         apply=lambda vehicle, values: with_sag(vehicle, values.get("sag", 0.0), values.get("reference")),
         says="the thrust sags under load (sag {sag}, right at a load of {reference})",
-        # It also runs down, and its voltage follows the load at once, which looks like faster motors.
-        entails=("thrust_fade", "motor_lag", "thrust_delay"),
     ),
     Effect(
         name="battery_voltage",
@@ -94,7 +92,5 @@ EFFECTS = (
         apply=_voltage,
         says="the thrust follows the battery voltage by {sensitivity} (right at {reference})",
         requires={"voltage": 0.02},
-        # As the sag under load.
-        entails=("thrust_fade", "motor_lag", "thrust_delay"),
     ),
 )

@@ -1,6 +1,6 @@
 """Dead times between a command and its effect, and between the vehicle and what the ground station sees."""
 
-from inclined_landing.models.effects.effect import Effect, FittedConstant, Pair, Parameter, added
+from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added
 
 
 def _delay(longest: float, plausible: float, negligible: float, name: str, field: str) -> Parameter:
@@ -25,7 +25,6 @@ EFFECTS = (
         channels=("translation",),
         apply=added("effects_thrust_delay", "delay"),
         says="thrust commands act {delay} after they were sent",
-        pairs_with=Pair("motor_lag", (0.03, 0.5)),  # late but quick: together they undo each other
     ),
     Effect(
         name="attitude_delay",
@@ -40,7 +39,6 @@ EFFECTS = (
         channels=("attitude", "yaw"),
         apply=added("effects_attitude_delay", "delay"),
         says="attitude commands act {delay} after they were sent",
-        pairs_with=Pair("attitude_time_constant", (0.05, 0.4)),  # the same of the attitude loops
     ),
     Effect(
         name="mocap_delay",
@@ -56,10 +54,5 @@ EFFECTS = (
         channels=("translation", "attitude", "yaw"),
         apply=added("effects_mocap_delay", "delay"),
         says="the measured pose is {delay} older than its time stamp",
-        # An attitude estimate that is corrected by late measurements is wrong in proportion to the rates, and
-        # so is the loop closed over it.
-        entails=("attitude_gain", "attitude_time_constant", "second_order_attitude"),
-        unites=("thrust_delay", "attitude_delay"),
-        unites_because="commands of thrust and attitude that are late by the same time look the same",
     ),
 )

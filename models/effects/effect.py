@@ -52,14 +52,6 @@ class Parameter:
 
 
 @dataclasses.dataclass(frozen=True)
-class Pair:
-    """An effect that undoes another one, so that the two together can hide what neither shows alone."""
-
-    name: str
-    starts: tuple[float, float]  # of the first parameters of the effect and of its partner, for a fit of both
-
-
-@dataclasses.dataclass(frozen=True)
 class Effect:
     """A physical cause with the change of the vehicle that it means, in both plants.
 
@@ -83,15 +75,7 @@ class Effect:
     # Log channel (or `yaw_rate_command`) without which it cannot be told -> change over the flights below
     # which neither.
     requires: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    # What it brings with it physically: found beside it, explaining less, that is no cause of its own.
-    entails: tuple[str, ...] = ()
-    # Those of `entails` that belong to its form, named whatever their size.
-    corrects: tuple[str, ...] = ()
-    pairs_with: Pair | None = None
     scales_thrust: bool = False  # free flight shows the ratio of thrust to mass alone
-    # Effects that, found together and equal, are this one, and the sentence that says why.
-    unites: tuple[str, ...] = ()
-    unites_because: str = ""
     # Not named beside it, because MuJoCo's contact couples what feet do not.
     couples_with: tuple[str, ...] = ()
     of_the_place: bool = False  # no part of the vehicle: another day or room has another value

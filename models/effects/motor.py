@@ -50,12 +50,5 @@ EFFECTS = (
         channels=("translation",),
         apply=added("effects_spin_down", "excess"),
         says="the motors' time constant grows by a share of {excess} while they slow down",
-        # Motors that slow down late give more thrust on average, because the attitude controller drives them
-        # up and down all the time, most in fast flight.
-        entails=(
-            *("thrust_bias", "thrust_scale", "mass", "battery_sag", "battery_voltage"),
-            *("motor_lag", "thrust_delay", "translational_lift", "axial_inflow"),
-        ),
-        corrects=("thrust_bias", "thrust_scale", "mass"),
     ),
 )

@@ -57,11 +57,6 @@ class Suspects:
         """How far every parameter of an effect is from neutral."""
         return np.array([p.size(values[name][p.name]) for p in self.library[name].parameters])
 
-    def pairs(self) -> list[dict[str, float]]:
-        """Effects that undo each other, with starts of their first parameters; attitude before thrust."""
-        pairs = [(n, e.pairs_with) for n, e in self.library.items() if e.pairs_with]
-        return [dict(zip((name, other.name), other.starts)) for name, other in reversed(pairs)]
-
     def to_one_side(self, values: Values, column: Column) -> tuple[Vehicle, float]:
         """The vehicle with a parameter a negligible size from `values`, within bounds, and that size."""
         p = self.parameter(column)
@@ -251,12 +246,6 @@ class Linear(_Grams):
             left = left - 2.0 * self.b @ change
             left = left + np.einsum("wcpq,p,q->wc", self.a, change, change, optimize=True)
         return (weight * left).sum(axis=0)
-
-    def shown_by_channel(self, inflation: np.ndarray, index: np.ndarray, size: np.ndarray) -> np.ndarray:
-        """Squared error (6,) that a change `size` of the columns `index` makes in every channel."""
-        weight = self.problem.weight / inflation
-        a = self.a[:, :, index[:, None], index[None, :]]
-        return np.einsum("wc,wcpq,p,q->c", weight, a, size, size, optimize=True)
 
     def weighted(self, inflation: np.ndarray) -> Weighted:
         """Channels summed up, each with its weight."""
