@@ -36,7 +36,7 @@ def draw_horizon(axes, s: Fleet) -> None:
     axes.set_ylim(0.001, None)
     axes.set_title(f"{s.title.replace('_', ' ')}: error on flights left out", loc="left")
     axes.grid(axis="y")
-    axes.legend(fontsize=7.5, ncols=2, loc="lower right")
+    axes.legend(fontsize=6.5, ncols=2, loc="lower right", handlelength=1.2, columnspacing=1.0)
 
 
 def draw_stability(axes, rows: list[Stability]) -> None:

@@ -15,6 +15,7 @@ from inclined_landing.eval.gap.result import Diagnosis, PlantGap
 from inclined_landing.eval.gap.search import rollout
 from inclined_landing.eval.gap.search.evidence import Column, Problem
 from inclined_landing.eval.gap.search.fit import Fitted, left_out_vehicles, refit
+from inclined_landing.eval.gap.search.posterior import slabs
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import Vehicle
@@ -78,14 +79,14 @@ def judged(logs, vehicle: Vehicle, values, heldout: Sequence[FlightLog] = ()) ->
     return rollout.plant_gap(starts, vehicle, after, "analytic", floor), corrected
 
 
-def _refit(problem: Problem, values) -> Fitted:
+def _refit(problem: Problem, values, prior=None) -> Fitted:
     columns = [Column(n, p.name) for n in values for p in LIBRARY[n].parameters]
-    return refit(problem, values, problem.linearise(values, columns).inflation())
+    return refit(problem, values, problem.linearise(values, columns).inflation(), prior=prior)
 
 
 def _fit(logs, vehicle: Vehicle, values) -> dict[tuple[str, str], tuple[float, float]]:
     problem = Problem(prepare_all(logs, vehicle, False, []), vehicle, LIBRARY)
-    fit = _refit(problem, values)
+    fit = _refit(problem, values, prior=slabs)  # effects that are nearly alike would not move without
     # A reference is where another parameter acts about: at another one that and others are as good.
     own = [k for k in fit.index if not problem.parameter(fit.weighted.columns[k]).is_reference]
     error = np.sqrt(np.diag(fit.weighted.covariance(np.array(own))))
