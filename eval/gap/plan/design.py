@@ -20,14 +20,15 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
 SECONDS = 20.0
-DRAWN = 12  # safe pieces of every kind
+DRAWN = 8  # safe pieces of every kind
 TRIES = 40  # draws for one that is safe
 ROUNDS = 3  # of refinement, each piece moved so often in each, by steps that shrink
 MOVES = 4
 STEPS = (0.25, 0.12, 0.06)
 ATTEMPTS = 6  # flights simulated before giving up
 ALIKE = 3  # pieces of a kind, at most: what else may be missing shows in flights that are not all alike
-MOST_SETS = 12  # the most probable sets that are told apart
+MOST_SETS = 12  # the most probable sets that are told apart,
+LEAST = 0.01  # none of them less probable than this share of the first
 SIMULATED = 6  # the most probable of these that the flight is simulated under
 
 
@@ -78,7 +79,7 @@ def design(
         raise UserError(
             f"after {seconds:g} s the battery of the vehicle file is at {left:.2f} V; plan a shorter flight"
         )
-    known = sorted(hypotheses, key=lambda h: -h.probability)[:MOST_SETS]
+    known = worth_telling(hypotheses)
     question = Question(known, vehicle, quiet or Quiet.usual(), library)
     tick("pieces")
     breadth = Breadth(broadly, space, question.quiet.noise)
@@ -100,6 +101,12 @@ def design(
         f"none of {ATTEMPTS} flights planned is safe under every set of effects: the last "
         f"{refused[-1].text} after {refused[-1].time:.1f} s"
     )
+
+
+def worth_telling(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The sets that a flight is planned for, most probable first."""
+    ranked = sorted(hypotheses, key=lambda h: -h.probability)[:MOST_SETS]
+    return [h for h in ranked if h.probability >= LEAST * ranked[0].probability]
 
 
 def telling(question: Question, space: Space, seconds: float = SECONDS) -> tuple[Piece, np.ndarray]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from inclined_landing.eval.gap.plan.design import MOST_SETS, SECONDS, Plan, telling
+from inclined_landing.eval.gap.plan.design import SECONDS, Plan, telling, worth_telling
 from inclined_landing.eval.gap.plan.information import Question, in_doubt
 from inclined_landing.eval.gap.plan.pieces import Space
 from inclined_landing.eval.gap.search.evidence import Problem
@@ -16,13 +16,15 @@ from inclined_landing.models.effects import LIBRARY
 
 ALONE = 0.95  # probability at which a set stands alone
 TELLS = 0.05  # nat, least gain of a flight that is worth flying
+TOLD = 0.02  # probability from which a set is worth a word
 ALIKE = 0.5  # share of the doubt between two sets that is left where a flight does not tell them apart
 
 
 def separating(problem: Problem, found: Search, platform: bool) -> str:
     """What tells apart what a search holds for possible, in words (see `short`)."""
     hypotheses, quiet = in_doubt(problem, found)
-    return short(Question(hypotheses[:MOST_SETS], problem.vehicle, quiet, problem.library), platform)
+    question = Question(worth_telling(hypotheses), problem.vehicle, quiet, problem.library)
+    return short(question, platform)
 
 
 def short(question: Question, platform: bool) -> str:
@@ -41,39 +43,46 @@ def short(question: Question, platform: bool) -> str:
     return " ".join(said)
 
 
+def _shown(question: Question) -> tuple[str, dict[int, str]]:
+    """A sentence on what all sets worth telling share, and what else is in each, by its place."""
+    told = {k: h.effects for k, h in enumerate(question.hypotheses) if h.probability >= TOLD}
+    shared = [n for n in next(iter(told.values())) if all(n in names for names in told.values())]
+    rest = {k: [n for n in names if n not in shared] for k, names in told.items()}
+    texts = {k: " with ".join(names) or "nothing" + " else" * bool(shared) for k, names in rest.items()}
+    return f"Missing in any case: {_listed(shared, 'and')}. " if shared else "", texts
+
+
 def doubt(question: Question) -> str:
-    """What is held for possible, in one sentence."""
-    rows = [f"{h.text} ({h.probability:.2f})" for h in question.hypotheses]
-    return f"In doubt: {_listed(rows, 'or')}."
+    """What is held for possible, in a sentence or two."""
+    shared, texts = _shown(question)
+    rows = [f"{text} ({question.probabilities[k]:.2f})" for k, text in texts.items()]
+    return f"{shared}In doubt: {_listed(rows, 'or')}."
 
 
 def outcome(question: Question, expected: np.ndarray) -> str:
     """Expected probabilities after a flight, in one sentence."""
-    before = question.probabilities
-    right = float(before @ np.diag(expected))
-    rows = [
-        f"{h.text} from {b:.2f} to {a:.2f}" for h, b, a in zip(question.hypotheses, before, np.diag(expected))
-    ]
+    before, after = question.probabilities, np.diag(expected)
+    rows = [f"{text} from {before[k]:.2f} to {after[k]:.2f}" for k, text in _shown(question)[1].items()]
     return (
-        f"Expected afterwards: the right one has a probability of {right:.2f}, before it had "
-        f"{float(before @ before):.2f} (each if it is right: {', '.join(rows)})."
+        f"Expected afterwards: the right one has a probability of {before @ after:.2f}, without a flight "
+        f"{before @ before:.2f} (each if it is right: {', '.join(rows)})."
     )
 
 
 def alike(question: Question, expected: np.ndarray) -> list[str]:
     """A sentence for every group of sets that the flight does not tell apart, with what would tell them."""
-    p, said = question.probabilities, []
+    p, said, texts = question.probabilities, [], _shown(question)[1]
     left = expected / (expected + np.diag(expected)[:, None])  # of the doubt between two, after
     pairs = left > ALIKE * p / (p + p[:, None])
     np.fill_diagonal(pairs, False)
     count, group = connected_components(pairs & pairs.T, directed=False)
     for k in range(count):
-        own = [h for h, g in zip(question.hypotheses, group) if g == k]
+        own = [i for i in texts if group[i] == k]
         if len(own) > 1:
-            names = [h.effects for h in own]
+            names = [question.hypotheses[i].effects for i in own]
             apart = set().union(*names) - set(names[0]).intersection(*names[1:])
             told = dict.fromkeys(t for n in sorted(apart) if (t := LIBRARY[n].told_by))
-            first = f"No flight planned here tells {_listed([h.text for h in own], 'and')} apart."
+            first = f"No flight planned here tells {_listed([texts[i] for i in own], 'and')} apart."
             said.append(" ".join([first, *told]))
     return said
 
