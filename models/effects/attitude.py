@@ -5,6 +5,14 @@ import dataclasses
 from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added, scaled
 
 _QUICKEST = 0.002  # s, lag of a rate loop that the engine's step can follow
+_LEAST_TIME = 0.0081  # s, of an attitude loop that a control step of 0.02 s can follow
+
+
+def _time_constant(vehicle, values):
+    own, scale = vehicle.attitude_time_constant, values.get("scale", 1.0)
+    if scale == 1.0:
+        return vehicle
+    return dataclasses.replace(vehicle, attitude_time_constant=max(own * scale, min(own, _LEAST_TIME)))
 
 
 def _second_order(vehicle, values):
@@ -37,7 +45,7 @@ def _angles(plausible: float, field: str, name: str) -> tuple[Parameter, ...]:
             name.format(axis), field, "rad", lambda v, x: x + getattr(v, field)[k], offset=True
         )
         size = -plausible if k else plausible
-        return Parameter(axis, "rad", 0.0, (-0.25, 0.25), size, 0.002, constant=constant)
+        return Parameter(axis, "rad", 0.0, (-0.25, 0.25), size, 0.0035, constant=constant)
 
     return angle("roll", 0), angle("pitch", 1)
 
@@ -50,7 +58,7 @@ EFFECTS = (
         source="Kooi and Babuska 2021: k identified in flight; about 0.89 in the utias_fmpc flights",
         parameters=(
             Parameter(
-                *("scale", "1", 1.0, (0.4, 1.8), 0.85, 0.01),
+                *("scale", "1", 1.0, (0.4, 1.8), 0.85, 0.015),
                 constant=FittedConstant(
                     "attitude gain k", "attitude_gain", "1", lambda v, x: x * v.attitude_gain
                 ),
@@ -67,11 +75,11 @@ EFFECTS = (
         name="attitude_time_constant",
         description="The roll and pitch loops are slower or faster than modelled: other controller gains in "
         "the firmware, another inertia.",
-        formula="d(angle)/dt = (gain command - angle)/(scale time_constant)",
+        formula="d(angle)/dt = (gain command - angle)/(scale time_constant), at least 8.1 ms",
         source="Kooi and Babuska 2021: tau = 0.184 s; about 0.06 s in the utias_fmpc flights",
         parameters=(
             Parameter(
-                *("scale", "1", 1.0, (0.06, 4.0), 0.6, 0.03),
+                *("scale", "1", 1.0, (0.06, 4.0), 0.6, 0.05),
                 constant=FittedConstant(
                     *("attitude time constant tau", "attitude_time_constant", "s"),
                     lambda v, x: x * v.attitude_time_constant,
@@ -82,7 +90,7 @@ EFFECTS = (
         confused_with=("second_order_attitude", "attitude_delay", "attitude_gain"),
         remedy="Use the attitude controller gains the model was identified with, or accept the new constant.",
         channels=("attitude",),
-        apply=scaled("attitude_time_constant"),
+        apply=_time_constant,
         says="the attitude loops have {scale} times the modelled time constant",
     ),
     Effect(
@@ -93,7 +101,7 @@ EFFECTS = (
         source="cascaded attitude and rate controllers of the Crazyflie firmware",
         parameters=(
             Parameter(
-                *("rate_lag", "s", 0.0, (-0.017, 0.15), 0.03, 0.004),
+                *("rate_lag", "s", 0.0, (-0.017, 0.15), 0.03, 0.006),
                 constant=FittedConstant(
                     *("rate loop lag", "attitude_bandwidth", "s"), lambda v, x: x + 1.0 / v.attitude_bandwidth
                 ),
@@ -146,8 +154,8 @@ EFFECTS = (
         "the loops hold the measured angles",
         source="accelerometer of the Crazyflie: levelled at start-up to about 1 deg",
         parameters=(
-            Parameter("roll", "rad", 0.0, (-0.25, 0.25), 0.02, 0.002),
-            Parameter("pitch", "rad", 0.0, (-0.25, 0.25), -0.02, 0.002),
+            Parameter("roll", "rad", 0.0, (-0.25, 0.25), 0.02, 0.0035),
+            Parameter("pitch", "rad", 0.0, (-0.25, 0.25), -0.02, 0.0035),
         ),
         regimes=("hover", "lateral", "climb"),
         confused_with=("wind", "mocap_tilt", "attitude_trim"),
@@ -165,7 +173,7 @@ EFFECTS = (
         formula="roll and pitch held by the loops: roll + lean v_left, pitch - lean v_forward",
         source="nanobench: estimated less measured pitch -0.021 v_forward, roll +0.024 v_left; at most "
         "drag/(mass g), 0.04 rad s/m there",
-        parameters=(Parameter("lean", "rad s/m", 0.0, (-0.1, 0.1), 0.02, 0.002),),
+        parameters=(Parameter("lean", "rad s/m", 0.0, (-0.1, 0.1), 0.02, 0.004),),
         regimes=("lateral",),
         confused_with=("rotor_drag", "attitude_gain", "body_drag"),
         remedy="Log the onboard estimate beside the motion capture: their difference grows with the speed. "

@@ -77,8 +77,8 @@ def squares_lost(problem: Problem, found: Search, values: Values) -> dict[str, n
 def parts_only(problem: Problem, found: Search, left: Remainder) -> list[str]:
     """Effects that would name what they explain the smaller part of.
 
-    Those that act mostly where something repeats that no effect explains, and that take away less there than
-    what is left would.
+    Those that act mostly where something repeats that no effect explains, and that take away less there, all
+    of them together, than what is left would.
     """
     values = found.values
     if not left.depends_on or not values:
@@ -90,13 +90,10 @@ def parts_only(problem: Problem, found: Search, left: Remainder) -> list[str]:
         share[own] = np.maximum(share[own], d.share)
     there = share > 0.0
     repeats = float(share @ after)
-    parts = []
-    for name, squares in lost.items():
-        squares = np.maximum(squares, 0.0)
-        own = float(squares[there].sum())
-        if own > 0.5 * squares.sum() and own < repeats:
-            parts.append(name)
-    return parts
+    lost = {name: np.maximum(squares, 0.0) for name, squares in lost.items()}
+    parts = [name for name, squares in lost.items() if squares[there].sum() > 0.5 * squares.sum()]
+    without = by_channel(problem, found, {n: v for n, v in values.items() if n not in parts})
+    return parts if float((without - after)[there].sum()) < repeats else []
 
 
 def values_with(problem: Problem, found: Search, names: Set, weights=None) -> dict[str, dict[str, float]]:
