@@ -29,7 +29,7 @@ from inclined_landing.eval.gap.search.posterior import (
 from inclined_landing.eval.gap.search.prediction import predict
 
 NOTHING = 0.5  # prior probability that nothing is missing
-MOST = 8  # effects of a set
+MOST = 6  # effects of a set
 PLACES = 3  # others that are fitted in the place of every effect of the best set
 FITTED = 9  # sets that are fitted through the simulator, at most
 WORTH = 6.0  # log probability behind the best within which a neighbour is worth a fit
