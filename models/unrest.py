@@ -9,6 +9,8 @@ the period's beginning. Both plants meet the same numbers under the same seed.
 
 from __future__ import annotations
 
+from typing import Any, TypeAlias
+
 import numba
 import numpy as np
 
@@ -17,7 +19,7 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle
 
 # A seed, or a generator that gives one.
-Seed = int | np.random.Generator
+Seed: TypeAlias = "int | np.random.Generator"
 
 
 class Unrest:
@@ -28,6 +30,8 @@ class Unrest:
     """
 
     def __init__(self, n: int, vehicle: Vehicle, period: float, seed: Seed):
+        self._bits: Any = None
+        self._random: Any = None
         self.seed(seed)
         self._stream = np.zeros(4, np.uint64)
         self._size = np.array([*vehicle.unrest_acceleration, *vehicle.unrest_angular])
