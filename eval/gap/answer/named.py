@@ -49,15 +49,20 @@ def named_effects(problem: Problem, found: Search, values: Values) -> tuple[Name
 
 
 def in_its_place(found: Search, name: str) -> tuple[str, ...]:
-    """What probable sets without an effect have in exchange for it, most probable first."""
-    best, others, held = found.names, [], 0.0
+    """What probable sets without an effect have in exchange for it, most probable first.
+
+    What stands beside it in another probable set does not take its place.
+    """
+    best, others, beside, held = found.names, [], set(found.names), 0.0
     for one in found.sets:
         if held >= HELD:
             break
         held += one.probability
-        if name in best - one.names:
+        if name in one.names:
+            beside |= one.names
+        elif name in best:
             others += sorted(one.names - best)
-    return tuple(dict.fromkeys(others))
+    return tuple(n for n in dict.fromkeys(others) if n not in beside)
 
 
 def by_channel(problem: Problem, found: Search, values: Values) -> np.ndarray:
