@@ -19,7 +19,7 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle
 
 # A seed, or a generator that gives one.
-Seed: TypeAlias = "int | np.random.Generator"
+Seed: TypeAlias = int | np.random.Generator
 
 
 class Unrest:
