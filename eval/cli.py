@@ -47,7 +47,7 @@ COMMANDS = {
         "proof",
         "NanoBench's identification task: an identified vehicle beside the published baselines.",
     ),
-    "plan-proof": ("proof", "Flights until the right name stands alone: planned or ordinary (minutes)."),
+    "plan-proof": ("proof", "Flights until the right name stands alone, planned or not (minutes)."),
     "benchmark": ("machine", "What a step, an action, a picture and a training cost here (a few minutes)."),
     "doctor": ("machine", "What is installed, what is missing, and what to do about it."),
 }

@@ -20,9 +20,8 @@ from scipy.spatial.transform import Rotation
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flag, LogFiles, NewFolder, Range, VehicleFile
 from inclined_landing.eval.base.tables import new_table, printer
-from inclined_landing.eval.gap.flights.windows import prepare_all
+from inclined_landing.eval.gap.flights.windows import level, prepare_all
 from inclined_landing.eval.gap.search import rollout
-from inclined_landing.eval.gap.search.prediction import level
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.logs.csv_file import read_columns
 from inclined_landing.models import equations

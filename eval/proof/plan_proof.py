@@ -55,7 +55,7 @@ def command(
     seed: Seed = 0,
     processes: Annotated[int, Range(1, 256)] = 2,
 ) -> None:
-    """Flights until the right name stands alone: planned against ordinary ones (minutes).
+    """Flights until the right name stands alone, planned or not (minutes).
 
     Args:
         out: new folder for results.json and table.md.
