@@ -137,6 +137,28 @@ class ScoredSet:
 
 
 @dataclasses.dataclass(frozen=True)
+class Difference:
+    """An effect by which flights differ from the others: its values in a model of the others."""
+
+    effect: str
+    alike: tuple[str, ...]  # what may be meant as well
+    swapped: bool  # the values are those of the others in a model of the flights
+    values: dict[str, float]
+    ci95: dict[str, tuple[float, float]]  # of the values that differ
+
+
+@dataclasses.dataclass(frozen=True)
+class Contradiction:
+    """Flights that contradict the others."""
+
+    flights: tuple[str, ...]
+    others: tuple[str, ...]
+    differences: tuple[Difference, ...]  # the surest first
+    p_value: float  # of the surest difference, by chance anywhere
+    false_alarms: float  # share of diagnoses without contradiction in which one is said
+
+
+@dataclasses.dataclass(frozen=True)
 class PlantGap:
     """Open-loop position error in one plant on held-out flights, root mean square in metres."""
 
@@ -176,6 +198,7 @@ class Diagnosis:
     seconds: dict[str, float]  # stage -> s
     notes: tuple[str, ...]  # what limits this diagnosis, in sentences
     unseen: tuple[ScoredSet, ...] = ()  # with effects that the flights could not have shown, at prior odds
+    contradictions: tuple[Contradiction, ...] = ()  # flights that contradict the others
 
     def values(self) -> dict[str, dict[str, float]]:
         """Fitted parameter values: effect -> parameter -> value."""
@@ -212,6 +235,7 @@ class Diagnosis:
             **_some(
                 self, "verdict", "nothing", "separating_manoeuvre", "platform", "flights", "heldout", "notes"
             ),
+            "contradictions": [dataclasses.asdict(one) for one in self.contradictions],
             "effects": named,
             "sets": [dataclasses.asdict(one) for one in self.sets],
             "unseen": [dataclasses.asdict(one) for one in self.unseen],

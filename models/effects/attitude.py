@@ -80,6 +80,7 @@ EFFECTS = (
         parameters=(
             Parameter(
                 *("scale", "1", 1.0, (0.06, 4.0), 0.6, 0.05),
+                manoeuvre=0.12,
                 constant=FittedConstant(
                     *("attitude time constant tau", "attitude_time_constant", "s"),
                     lambda v, x: x * v.attitude_time_constant,
@@ -102,6 +103,7 @@ EFFECTS = (
         parameters=(
             Parameter(
                 *("rate_lag", "s", 0.0, (-0.017, 0.15), 0.03, 0.006),
+                manoeuvre=0.015,
                 constant=FittedConstant(
                     *("rate loop lag", "attitude_bandwidth", "s"), lambda v, x: x + 1.0 / v.attitude_bandwidth
                 ),

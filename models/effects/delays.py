@@ -3,11 +3,16 @@
 from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added
 
 
-def _delay(longest: float, plausible: float, negligible: float, name: str, field: str) -> Parameter:
+def _delay(
+    longest: float, plausible: float, negligible: float, name: str, field: str, manoeuvre: float = 0.0
+) -> Parameter:
     """A delay of commands, added to a field of the vehicle."""
     constant = FittedConstant(name, field, "s", lambda v, x: x + getattr(v, field), offset=True)
     return Parameter(
-        *("delay", "s", 0.0, (0.0, longest), plausible, negligible), one_signed=True, constant=constant
+        *("delay", "s", 0.0, (0.0, longest), plausible, negligible),
+        one_signed=True,
+        constant=constant,
+        manoeuvre=manoeuvre,
     )
 
 
@@ -31,7 +36,7 @@ EFFECTS = (
         description="The roll, pitch and yaw rate commands act later than they were sent.",
         formula="roll, pitch and yaw rate command (t - delay) in the attitude loops",
         source="radio links of the Crazyflie; about 60 ms in the utias_fmpc flights",
-        parameters=(_delay(0.2, 0.04, 0.004, "attitude delay", "effects_attitude_delay"),),
+        parameters=(_delay(0.2, 0.04, 0.004, "attitude delay", "effects_attitude_delay", 0.008),),
         regimes=("attitude_step", "lateral"),
         confused_with=("second_order_attitude", "attitude_time_constant", "mocap_delay"),
         remedy="Send commands at 100 Hz or more with a fresh radio channel, lower the load of the link, or "
@@ -47,7 +52,9 @@ EFFECTS = (
         "controller sees, is late.",
         formula="measured(t) = state(t - delay)",
         source="motion capture over a network: 4 to 20 ms",
-        parameters=(Parameter("delay", "s", 0.0, (0.0, 0.15), 0.02, 0.002, one_signed=True),),
+        parameters=(
+            Parameter("delay", "s", 0.0, (0.0, 0.15), 0.02, 0.002, one_signed=True, manoeuvre=0.007),
+        ),
         regimes=("attitude_step", "lateral", "climb"),
         confused_with=("thrust_delay", "attitude_delay"),
         remedy="Use the capture time stamps of the cameras instead of the time of arrival, or shift the log.",

@@ -35,6 +35,8 @@ class Parameter:
     one_signed: bool = False  # below neutral lies no physical cause, only room for the noise of a fit
     is_reference: bool = False  # where another parameter acts about; no size of its own, any value is neutral
     constant: FittedConstant | None = None
+    # By how much [unit] what fits best varies with how one vehicle is flown: no loop is quite of its form.
+    manoeuvre: float = 0.0
 
     @property
     def is_factor(self) -> bool:

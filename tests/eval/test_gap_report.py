@@ -13,8 +13,10 @@ from inclined_landing.eval.gap.report import figures, model, terminal, words
 from inclined_landing.eval.gap.report.page import page
 from inclined_landing.eval.gap.report.tracks import Track
 from inclined_landing.eval.gap.result import (
+    Contradiction,
     Dependence,
     Diagnosis,
+    Difference,
     Disturbance,
     Estimate,
     HorizonCurve,
@@ -175,6 +177,30 @@ def test_the_terminal_says_the_same(capsys):
     assert (
         "thrust scale scale 0.8800 0.868 to 0.892 97 % 80 %" in out and "Note: hover thrust differs." in out
     )
+
+
+def test_flights_that_contradict_the_others_are_said_first(capsys):
+    differences = (
+        Difference("thrust_scale", ("mass",), False, {"scale": 0.86}, {"scale": (0.84, 0.88)}),
+        Difference("thrust_delay", (), True, {"delay": 0.01}, {"delay": (0.008, 0.012)}),
+    )
+    d = dataclasses.replace(
+        example(), contradictions=(Contradiction(("b",), ("a", "c"), differences, 1e-4, 0.01),)
+    )
+    terminal.show(d)
+    out = " ".join(capsys.readouterr().out.split())
+    assert out.startswith(
+        "b contradicts the other 2 flights. Beside a model of the others, in b the rotors give"
+    )
+    assert "0.8600 times the modelled thrust (95 % interval: 0.840 to 0.880)." in out
+    assert "What differs may as well be mass." in out
+    assert "Beside a model of b, in the others thrust commands act 10.00 ms after" in out
+    text = page(d, None, versions={})
+    assert text.index("b contradicts the other 2 flights.") < text.index(
+        "The model lacks", text.index("<body>")
+    )
+    record = json.loads(storage.to_json(d.to_json()))["contradictions"][0]
+    assert record["flights"] == ["b"] and record["differences"][0]["ci95"]["scale"] == [0.84, 0.88]
 
 
 def test_the_corrected_model_is_a_vehicle_file_with_provenance(tmp_path):

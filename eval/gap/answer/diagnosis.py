@@ -29,7 +29,7 @@ from inclined_landing.eval.gap.result import (
     WhereRow,
     WindowCurves,
 )
-from inclined_landing.eval.gap.search import after_touch, contact, remainder, rollout, sets
+from inclined_landing.eval.gap.search import after_touch, contact, disagreement, remainder, rollout, sets
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
 from inclined_landing.eval.gap.search.prediction import CHANNELS
 from inclined_landing.eval.logs import FlightLog
@@ -69,6 +69,8 @@ def diagnose(
     clock("prepare")
     found = sets.search(problem)
     clock("name")
+    against = disagreement.contradictions(problem, found.near, found.whole)
+    notes[:0] = map(disagreement.in_short, against)
     left = remainder.assess(problem, found)
     parts = parts_only(problem, found, left)
     notes += [f"{name} would explain the smaller part of what is left: it is not named" for name in parts]
@@ -106,6 +108,7 @@ def diagnose(
     unknown = left.unexplained or touched.unexplained
     return Diagnosis(
         verdict="unknown" if unknown else "effects" if effects else "nothing",
+        contradictions=against,
         effects=effects,
         corrected=touched.vehicle,
         separating_manoeuvre=apart or None,

@@ -15,12 +15,13 @@ from scipy import stats
 
 from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.flights.windows import Measured, prepare_all
-from inclined_landing.eval.gap.result import Disturbance
+from inclined_landing.eval.gap.result import Contradiction, Disturbance
+from inclined_landing.eval.gap.search import disagreement
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
 from inclined_landing.eval.gap.search.fit import Fitted, estimates, left_out_vehicles, refit
 from inclined_landing.eval.gap.search.posterior import Local, slabs
 from inclined_landing.eval.gap.search.prediction import predict
-from inclined_landing.eval.gap.search.sets import settle
+from inclined_landing.eval.gap.search.sets import repeated, settle
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, FittedConstant
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -59,6 +60,7 @@ class Identification:
     fields: dict[str, tuple[float, ...] | float]  # changed Vehicle field -> half-width of its interval
     flights: tuple[str, ...]
     notes: tuple[str, ...]
+    contradictions: tuple[Contradiction, ...] = ()  # flights that contradict the others
 
     def to_json(self) -> dict:
         """Plain dicts, lists, strings and numbers."""
@@ -110,6 +112,10 @@ def identify(
     problem = Problem(fitted, vehicle, library)
     places = [name for name in problem.library if LIBRARY[name].of_the_place]
     fit, stir = settle(problem, list(problem.library))
+    columns = problem.columns(fit.values, list(problem.library))
+    near = problem.linearise(fit.values, columns).weighted(repeated(problem, fit.values))
+    against = disagreement.contradictions(problem, near, fit.values)
+    notes[:0] = map(disagreement.in_short, against)
     fit = _worth_having(problem, fit, notes)
     result = problem.corrected({n: v for n, v in fit.values.items() if n not in places})
     own = left_out_vehicles(problem, fit)
@@ -129,6 +135,7 @@ def identify(
         fields=_fields(problem, fit, vehicle, result),
         flights=tuple(f.name for f in fitted),
         notes=tuple(notes),
+        contradictions=against,
     )
 
 

@@ -51,6 +51,7 @@ def page(
         title=headline(found),
         lead=sentences(found),
         found=found,
+        contradictions=found.contradictions,
         percent=_percent,
         paper=PAPER["fit"],
         colours=(BEFORE, AFTER),
@@ -87,7 +88,7 @@ def show(found: Identification, notes: Sequence[str] = ()) -> None:
     constants = new_table(None, *_HEADS)
     for row in rows(found):
         constants.add_row(*row)
-    say(headline(found), sentences(found), constants, (*found.notes, *notes))
+    say(headline(found), sentences(found), constants, (*found.notes, *notes), found.contradictions)
 
 
 def write(found: Identification, folder: Path, *, base: Path | None = None) -> None:

@@ -40,6 +40,7 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
         title=words.headline(d),
         lead=[words.gap("analytic", d.gap["analytic"])] if "analytic" in d.gap else [],
         d=d,
+        contradictions=d.contradictions,
         words=words,
         rows=rows,
         sets=words.set_rows(d),

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from inclined_landing.eval.base.tables import new_table, printer
 from inclined_landing.eval.gap.report import words
-from inclined_landing.eval.gap.result import Diagnosis
+from inclined_landing.eval.gap.result import Contradiction, Diagnosis
 
 
 def show(d: Diagnosis, notes: Sequence[str] = ()) -> None:
@@ -21,12 +21,23 @@ def show(d: Diagnosis, notes: Sequence[str] = ()) -> None:
             value = words.rounded(p.value, p.ci95, p.unit)
             rows.add_row(ends[0], name, value, words.span(p.ci95, p.unit), *ends[1:])
             ends = ("", "", "")
-    say(words.headline(d), words.sentences(d), rows, (*d.notes, *notes))
+    say(words.headline(d), words.sentences(d), rows, (*d.notes, *notes), d.contradictions)
 
 
-def say(headline: str, sentences: Sequence[str], rows: Table, notes: Sequence[str]) -> None:
-    """Print an answer; notes are said once each."""
+def say(
+    headline: str,
+    sentences: Sequence[str],
+    rows: Table,
+    notes: Sequence[str],
+    contradictions: Sequence[Contradiction],
+) -> None:
+    """Print an answer, flights that contradict the others first; notes are said once each."""
     console = printer()
+    for one in contradictions:
+        who, *more = words.against(one)
+        console.print(who, style="bold")
+        for text in more:
+            console.print(text)
     console.print(headline, style="bold")
     for text in sentences:
         console.print(text)

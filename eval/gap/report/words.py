@@ -7,8 +7,10 @@ import re
 from collections.abc import Mapping, Sequence
 
 from inclined_landing.eval.gap.result import (
+    Contradiction,
     Dependence,
     Diagnosis,
+    Difference,
     Disturbance,
     NamedEffect,
     PlantGap,
@@ -176,6 +178,49 @@ def headline(d: Diagnosis) -> str:
     return f"The model lacks {names}."
 
 
+def against(c: Contradiction) -> list[str]:
+    """Flights that contradict the others: who, in what, and what to do; a sentence or two each."""
+    these, n = listed(c.flights), len(c.others)
+    if len(c.flights) == n:
+        who = f"Two groups of flights contradict each other: {these}; and {listed(c.others)}."
+        apart = "diagnose the two groups apart"
+    else:
+        verb, them = ("contradicts", "it") if len(c.flights) == 1 else ("contradict", "them")
+        who = f"{these} {verb} the other {n} flights."
+        apart = f"diagnose {these} apart, and the other {n} flights without {them}"
+    return [
+        who,
+        *(_differs(c, one) for one in c.differences),
+        f"Another vehicle, or another day's calibration? What is said below mixes the two: {apart} "
+        "(landing-eval gap with the logs of each). Where all flights agree, such a thing is said by chance "
+        f"in {100 * c.false_alarms:g} % of diagnoses.",
+    ]
+
+
+def _differs(c: Contradiction, one: Difference) -> str:
+    effect = LIBRARY[one.effect]
+    if len(c.flights) == len(c.others):
+        there, model = "the first group", "the second"
+    else:
+        there, model = c.flights[0] if len(c.flights) == 1 else "these flights", "the others"
+    if one.swapped:
+        there, model = model, there
+    values = {
+        name: rounded(x, one.ci95[name], effect.parameter(name).unit)
+        if name in one.ci95
+        else quantity(x, effect.parameter(name).unit)
+        for name, x in one.values.items()
+    }
+    ends = [
+        f"{label(name) + ' ' if len(one.ci95) > 1 else ''}{span(x, effect.parameter(name).unit)}"
+        for name, x in one.ci95.items()
+    ]
+    said = f"Beside a model of {model}, in {there} {effect.says.format(**values)}"
+    said += f" (95 % interval{'s' * (len(ends) > 1)}: {', '.join(ends)})."
+    others = [label(name) for name in one.alike]
+    return f"{said} What differs may as well be {listed(others, 'or')}." if others else said
+
+
 def set_rows(d: Diagnosis) -> list[tuple[str, float, str, bool]]:
     """(effects, probability, their sizes, whether it is the most probable) of the likeliest sets.
 
@@ -203,7 +248,7 @@ QUIET = ("channel", "noise", "unrest", "95 % interval", "correlation time", "95 
 
 def quiet_rows(unrest: Mapping[str, Disturbance]) -> list[tuple[str, ...]]:
     """Noise and unrest of every channel under the heads QUIET."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for channel, q in unrest.items():
         size, time = ("none", ""), ("", "")
         if q.size_ci95[1] > 0.0:

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from inclined_landing.eval.gap.flights import unrest
-from inclined_landing.eval.gap.search.evidence import Problem, either_side
+from inclined_landing.eval.gap.search.evidence import Problem, Weighted, either_side
 from inclined_landing.eval.gap.search.fit import Fitted, fit_at, refit
 from inclined_landing.eval.gap.search.posterior import (
     Local,
@@ -71,6 +71,7 @@ class Search:
     sets: tuple[Scored, ...]  # most probable first
     unrest: unrest.Unrest
     whole: dict[str, dict[str, float]]  # all effects fitted together
+    near: Weighted  # the flights linearised there
     inflation: np.ndarray  # (6,)
 
     @property
@@ -103,7 +104,7 @@ def search(problem: Problem) -> Search:
     chosen = nodes[scored[0].names]
     columns = [c for c in chosen.local.columns if c.effect in chosen.names]
     fit = fit_at(problem, chosen.values, columns, inflation)
-    return Search(fit, chosen.at, chosen.local, scored, stir, whole.values, inflation)
+    return Search(fit, chosen.at, chosen.local, scored, stir, whole.values, near, inflation)
 
 
 def settle(problem: Problem, names: Sequence[str]) -> tuple[Fitted, unrest.Unrest]:

@@ -1,0 +1,306 @@
+"""Do all flights tell of one vehicle on one day? Which contradict the others, and in what.
+
+Every flight says how far it lies from the fit of all in each effect, everything else allowed the small
+differences that flights may have (`posterior.BETWEEN`, and `Parameter.manoeuvre` of the effects). Flights are
+split in two groups, each effect's size free to differ between them as widely as real vehicles differ
+(`posterior.slabs`), and the difference is compared with how far flights of one group scatter: an F test.
+Every way to split them counts. All groups of one size have a share of the false alarms together, a smaller
+one the larger they are, since one odd flight among many is what happens most; and each effect has its share.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from inclined_landing.eval.gap.result import Contradiction, Difference
+from inclined_landing.eval.gap.search.evidence import Problem, Values, Weighted
+from inclined_landing.eval.gap.search.posterior import BETWEEN, looks_alike, slabs
+
+FALSE_ALARMS = 0.01  # diagnoses of one vehicle in which flights are said to contradict each other
+# The scatter of flights within a group is known beforehand as well as if so many more numbers had been seen,
+# with the size that noise and small differences give: how it varies over effects and sets of flights.
+SEEN_BEFORE = 2.0
+# A flight has a say in an effect when it tells more of it than was known beforehand.
+TELLS = 0.7  # standard error as a share of what is known
+ALIKE = 0.05  # likelihood beside the best effect's, above which another may be meant
+OWN = 0.5  # of what an effect changes, the share that others do not, above which it is another matter
+
+
+def contradictions(problem: Problem, near: Weighted, values: Values) -> tuple[Contradiction, ...]:
+    """Groups of flights that contradict the others, the surest first.
+
+    near: the flights linearised at `values`, all effects of the library fitted together.
+    """
+    table = _Table.of(problem, near)
+    left, result = np.arange(len(problem.flights)), []
+    while len(left) > 2:
+        split = _surest(table, left)
+        if split is None:
+            break
+        result.append(_described(problem, table, split, values))
+        left = np.array([k for k in left if k not in split.apart])
+    return tuple(result)
+
+
+def in_short(against: Contradiction) -> str:
+    """A contradiction as a note."""
+    names, several = ", ".join(d.effect for d in against.differences), len(against.flights) > 1
+    return f"{', '.join(against.flights)} contradict{'' if several else 's'} the other flights in {names}"
+
+
+@dataclasses.dataclass
+class _Table:
+    """What every flight says of every column, in units of `negligible`, its own small differences free."""
+
+    a: np.ndarray  # (f, P, P)
+    b: np.ndarray  # (f, P)
+    unit: np.ndarray  # (P,)
+    known: np.ndarray  # (P,) precision of what is known beforehand
+    own: dict[str, np.ndarray]  # effect -> its columns
+
+    @staticmethod
+    def of(problem: Problem, near: Weighted) -> _Table:
+        """The table of a linearisation."""
+        columns, flights = near.columns, len(problem.flights)
+        unit = np.array([problem.parameter(c).negligible for c in columns])
+        a, b = np.zeros((flights, *near.a.shape[1:])), np.zeros((flights, len(columns)))
+        np.add.at(a, problem.flight_of, near.a)
+        np.add.at(b, problem.flight_of, near.b)
+        a, b = a * np.outer(unit, unit), b * unit
+        # What looks alike shares the small differences; beside them, no loop is quite of its form.
+        alike = looks_alike(near)
+        small = BETWEEN**2 / np.array([alike[c.effect, c.parameter] for c in columns])
+        small += (np.array([problem.parameter(c).manoeuvre for c in columns]) / unit) ** 2
+        inner = np.linalg.inv(np.eye(len(unit)) + a * small)
+        own: dict[str, list[int]] = {}
+        for k, column in enumerate(columns):
+            if not column.fixed and not problem.parameter(column).is_reference:
+                own.setdefault(column.effect, []).append(k)
+        return _Table(
+            inner @ a,
+            np.einsum("fpq,fq->fp", inner, b),
+            unit,
+            (unit / slabs(problem, columns)) ** 2,
+            {name: np.array(index) for name, index in own.items()},
+        )
+
+    def part(self, index: np.ndarray, flights: Sequence[int]) -> _Part:
+        """Some columns of some flights, about what fits all of these best."""
+        rows = np.asarray(flights)
+        a, b = self.a[np.ix_(rows, index, index)], self.b[np.ix_(rows, index)]
+        known = np.diag(self.known[index])
+        inverse = np.linalg.inv(a.sum(axis=0) + 1e-6 * known)
+        score = b - a @ (inverse @ b.sum(axis=0))
+        precision = -np.einsum("fij,jk,gkl->figl", a, inverse, a, optimize=True)
+        each = np.arange(len(rows))
+        precision[each, :, each] += a + 1e-6 * known
+        return _Part(precision, score, known)
+
+    def telling(self, name: str, flights: np.ndarray) -> np.ndarray:
+        """Those of `flights` that tell of an effect."""
+        index = self.own[name]
+        scale = np.sqrt(self.known[index])
+        own = self.a[np.ix_(flights, index, index)] / np.outer(scale, scale)
+        return flights[np.linalg.eigvalsh(own).min(axis=-1) > 1.0 / TELLS**2]
+
+
+@dataclasses.dataclass
+class _Part:
+    """How far each of some flights lies from the others in some columns."""
+
+    precision: np.ndarray  # (n, d, n, d)
+    score: np.ndarray  # (n, d)
+    known: np.ndarray  # (d, d) precision of what is known beforehand
+
+    def difference(self, members: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Gain (s,), difference (s, d) to the others and its covariance (s, d, d) of groups (s, n)."""
+        score, own = self._of(members)
+        covariance = np.linalg.inv(own + self.known)
+        difference = np.einsum("sij,sj->si", covariance, score)
+        return np.einsum("si,si->s", score, difference), difference, covariance
+
+    def scatter(self, members: np.ndarray) -> np.ndarray:
+        """Mean square (s,) of what is left of every flight in groups (s, n), at least the usual."""
+        n, d = self.score.shape
+        flat = self.score.ravel()
+        squares = flat @ np.linalg.solve(self.precision.reshape(n * d, n * d), flat)
+        score, own = self._of(members)
+        closed = np.einsum("si,si->s", score, np.linalg.solve(own, score[..., None])[..., 0])
+        return np.maximum(1.0, (SEEN_BEFORE + squares - closed) / self.freedom)
+
+    def chance(self, members: np.ndarray) -> np.ndarray:
+        """Probability (s,) of gains like those of groups (s, n) by chance."""
+        d = len(self.known)
+        return stats.f.sf(self.difference(members)[0] / d / self.scatter(members), d, self.freedom)
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom of the scatter."""
+        n, d = self.score.shape
+        return SEEN_BEFORE + d * (n - 2)
+
+    def _of(self, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        inside = members.astype(float)
+        own = np.einsum("sf,figl,sg->sil", inside, self.precision, inside, optimize=True)
+        return inside @ self.score, own
+
+    def splits(self) -> np.ndarray:
+        """Groups (s, n) of flights worth a test: each alone, and all parts of rows along a few directions."""
+        n, d = self.score.shape
+        each = np.arange(n)
+        own = self.precision[each, :, each]
+        away = np.linalg.solve(own + self.known, self.score[..., None])[..., 0]
+        away = away @ np.linalg.cholesky(own.mean(axis=0) + self.known)
+        main = np.linalg.svd(away - away.mean(axis=0), full_matrices=False)[2][:1]
+        rows = np.vstack([main, np.eye(d)]) @ away.T
+        place = np.argsort(np.argsort(rows, axis=1), axis=1)
+        members = np.concatenate([np.eye(n, dtype=bool), *(place < m for m in range(1, n))])
+        size = members.sum(axis=1)
+        flip = (2 * size > n) | ((2 * size == n) & ~members[:, 0])
+        return np.unique(members ^ flip[:, None], axis=0)
+
+
+@dataclasses.dataclass
+class _Split:
+    """Flights in two groups, and the effect in which they differ most surely."""
+
+    name: str
+    apart: tuple[int, ...]  # the smaller group
+    others: tuple[int, ...]
+    level: float  # probability of a difference like this in any of all tests, by chance
+    tested: int  # effects
+
+
+def _surest(table: _Table, left: np.ndarray) -> _Split | None:
+    """The split whose groups differ most surely; None: none does."""
+    best: _Split | None = None
+    telling = {name: table.telling(name, left) for name in table.own}
+    telling = {name: flights for name, flights in telling.items() if len(flights) > 2}
+    for name, flights in telling.items():
+        part = table.part(table.own[name], flights)
+        members = part.splits()
+        p = part.chance(members) * _ways(members) * len(telling)
+        k = int(np.argmin(p))
+        if p[k] < FALSE_ALARMS and (best is None or p[k] < best.level):
+            apart = tuple(map(int, flights[members[k]]))
+            others = tuple(int(f) for f in left if f not in apart)
+            best = _Split(name, apart, others, float(p[k]), len(telling))
+    return best
+
+
+def _ways(members: np.ndarray) -> np.ndarray:
+    """(s,) how many groups share with each group (s, n) its part of the false alarms, over that part."""
+    n, sizes = members.shape[1], members.sum(axis=1)
+    every = sum(1.0 / m for m in range(1, n // 2 + 1))
+    count = np.array([math.comb(n, m) * (0.5 if 2 * m == n else 1.0) for m in sizes])
+    return count * sizes * every
+
+
+def _described(problem: Problem, table: _Table, split: _Split, values: Values) -> Contradiction:
+    """All effects in which two groups differ, fitted together; what else may be meant by each."""
+    chosen, alike = [split.name], {}
+    known = [name for name in table.own if _known(table, split, name)]
+    while True:
+        last, rest = chosen[-1], [name for name in known if name not in chosen]
+        after = [_beside(table, split, chosen, name) for name in rest]
+        explained = {r.name for r in after if r.own < OWN or r.chance * split.tested >= FALSE_ALARMS}
+        first, *others = (_beside(table, split, chosen[:-1], name) for name in (last, *rest))
+        least = first.likelihood + math.log(ALIKE)
+        likely = [r for r in others if r.name in explained and r.likelihood > least]
+        alike[last] = tuple(r.name for r in sorted(likely, key=lambda r: -r.likelihood))
+        more = [r for r in after if r.name not in explained]
+        if not more:
+            break
+        chosen.append(min(more, key=lambda r: (r.chance, -r.likelihood)).name)
+    index = np.concatenate([table.own[name] for name in chosen])
+    flights = split.apart + split.others
+    _, difference, covariance = table.part(index, flights).difference(_apart(split, flights))
+    size = difference[0] * table.unit[index]
+    half = np.sqrt(covariance[0].diagonal()) * table.unit[index]
+    differences, at = [], 0
+    for name in chosen:
+        one, own = _beside(table, split, [], name), slice(at, at := at + len(table.own[name]))
+        times = stats.t.ppf(0.975, one.freedom) * math.sqrt(one.scatter)
+        differences.append(_sized(problem, name, alike[name], size[own], times * half[own], values))
+    names = [f.name for f in problem.flights]
+    return Contradiction(
+        flights=tuple(names[k] for k in split.apart),
+        others=tuple(names[k] for k in split.others),
+        differences=tuple(differences),
+        p_value=split.level,
+        false_alarms=FALSE_ALARMS,
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Beside:
+    """An effect tested on a split beside others."""
+
+    name: str
+    chance: float
+    likelihood: float  # log, up to a constant
+    scatter: float
+    freedom: float
+    own: float  # share of what it changes in the smaller group that the others do not
+
+
+def _known(table: _Table, split: _Split, name: str) -> bool:
+    """Whether both groups of a split tell of an effect, and how much it scatters."""
+    telling = set(table.telling(name, np.array(split.apart + split.others)))
+    return telling >= set(split.apart) and len(telling & set(split.others)) > 1
+
+
+def _apart(split: _Split, flights: Sequence[int]) -> np.ndarray:
+    """The smaller group (1, n) of some flights."""
+    return np.isin(flights, split.apart)[None]
+
+
+def _beside(table: _Table, split: _Split, chosen: Sequence[str], name: str) -> _Beside:
+    """What the groups of a split gain by differing in one effect more."""
+    flights = table.telling(name, np.array(split.apart + split.others))
+    members, own = _apart(split, flights), table.own[name]
+    part, share = table.part(own, flights), 1.0
+    gain = float(part.difference(members)[0][0])
+    if chosen:
+        before = np.concatenate([table.own[n] for n in chosen])
+        both = np.concatenate([before, own])
+        less, more = (table.part(x, flights).difference(members)[0][0] for x in (before, both))
+        gain, share = max(0.0, float(more - less)), _own_share(table, split, before, own)
+    scatter, d = float(part.scatter(members)[0]), len(own)
+    chance = float(stats.f.sf(gain / d / scatter, d, part.freedom))
+    likelihood = 0.5 * (part.freedom + d) * math.log1p(gain / scatter / part.freedom)
+    return _Beside(name, chance, likelihood, scatter, part.freedom, share)
+
+
+def _own_share(table: _Table, split: _Split, before: np.ndarray, own: np.ndarray) -> float:
+    """Share of what the columns `own` change in the smaller group that the columns `before` do not."""
+    index, k = np.concatenate([before, own]), len(before)
+    a = table.a[list(split.apart)].sum(axis=0)[np.ix_(index, index)]
+    rest = a[k:, k:] - a[k:, :k] @ np.linalg.pinv(a[:k, :k]) @ a[:k, k:]
+    return float(np.trace(np.linalg.pinv(a[k:, k:]) @ rest) / len(own))
+
+
+def _sized(
+    problem: Problem,
+    name: str,
+    alike: tuple[str, ...],
+    size: np.ndarray,
+    half: np.ndarray,
+    values: Values,
+) -> Difference:
+    """The difference of an effect's parameters as its values in a model of the others, or the other way."""
+    at = dict(problem.library[name].neutral) | dict(values.get(name, {}))
+    parameters = [p for p in problem.library[name].parameters if not p.is_reference]
+    swapped = any(p.one_signed and change < 0.0 for p, change in zip(parameters, size))
+    shown, ci95 = dict(at), {}
+    for p, change, width in zip(parameters, -size if swapped else size, half):
+        ends = np.array([change, change - width, change + width])
+        if p.is_factor:
+            ends = 1.0 + ends / max(at[p.name], p.negligible)
+        shown[p.name], ci95[p.name] = float(ends[0]), (float(ends[1]), float(ends[2]))
+    return Difference(name, alike, swapped, shown, ci95)
