@@ -152,7 +152,7 @@ def test_the_first_sentences_hold_class_remedy_manoeuvre_and_gap():
 @pytest.mark.parametrize("verdict", ["effects", "unknown", "nothing"])
 def test_the_page_stands_alone(verdict, track):
     d = example(verdict)
-    text = page(d, track, versions={"mujoco": "4.0"}, notes=("a note on <all> logs",))
+    text = page(d, track, versions={"mujoco": "4.0"}, notes=("a note on <all> logs",)).replace("\u00a0", " ")
     assert words.headline(d) in text and "a note on &lt;all&gt; logs." in text
     assert not re.search(r"(src|href)=\"(?!data:)", text) and "nan" not in text.lower().split("base64")[0]
     assert text.count("data:image/svg+xml") == {"effects": 5, "unknown": 6, "nothing": 4}[verdict]
@@ -195,7 +195,7 @@ def test_flights_that_contradict_the_others_are_said_first(capsys):
     assert "0.8600 times the modelled thrust (95 % interval: 0.840 to 0.880)." in out
     assert "What differs may as well be mass." in out
     assert "Beside a model of b, in the others thrust commands act 10.00 ms after" in out
-    text = page(d, None, versions={})
+    text = page(d, None, versions={}).replace("\u00a0", " ")
     assert text.index("b contradicts the other 2 flights.") < text.index(
         "The model lacks", text.index("<body>")
     )

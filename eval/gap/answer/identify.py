@@ -18,7 +18,7 @@ from inclined_landing.eval.gap.flights.windows import Measured, prepare_all
 from inclined_landing.eval.gap.result import Contradiction, Disturbance
 from inclined_landing.eval.gap.search import disagreement
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
-from inclined_landing.eval.gap.search.fit import Fitted, estimates, left_out_vehicles, refit
+from inclined_landing.eval.gap.search.fit import Fitted, estimates, left_out_vehicles, refit, spread_between
 from inclined_landing.eval.gap.search.posterior import Local, slabs
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.gap.search.sets import repeated, settle
@@ -186,7 +186,7 @@ def _compared(flights: list[Measured], before: Vehicle, after: Sequence[Vehicle]
 def _parameters(problem: Problem, fit: Fitted, before: Vehicle) -> tuple[Identified, ...]:
     result = []
     width = _half_widths(problem, fit)
-    for effect, p, value, _, change, _ in estimates(problem, fit):
+    for effect, p, value, _, change, error in estimates(problem, fit):
         half = width[effect, p.name]
         if LIBRARY[effect].of_the_place:
             continue
@@ -204,7 +204,7 @@ def _parameters(problem: Problem, fit: Fitted, before: Vehicle) -> tuple[Identif
                 value=c.number(before, value),
                 ci95=(ends[0], ends[1]),
                 per_flight=tuple(c.number(before, float(x)) for x in value + change),
-                spread=problem.between.get((effect, p.name), 0.0) * per_unit,
+                spread=spread_between(change, error) * per_unit,
                 note="at its bound" if min(value - p.bounds[0], p.bounds[1] - value) < 1e-6 else "",
             )
         )
@@ -216,7 +216,7 @@ def _half_widths(problem: Problem, fit: Fitted) -> dict[tuple[str, str], float]:
     if not fit.values:
         return {}
     local = Local.of(problem, fit.weighted, fit.values)
-    error = np.sqrt(np.diag(local.fit(frozenset(fit.values))[1])) * local.unit
+    error = local.errors(frozenset(fit.values)) * local.unit
     times = float(stats.t.ppf(0.975, max(1, problem.groups - 1)))
     return {(c.effect, c.parameter): times * float(sd) for c, sd in zip(local.columns, error)}
 

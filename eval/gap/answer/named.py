@@ -123,10 +123,8 @@ def left_out(problem: Problem, found: Search, names: Set) -> list[Vehicle]:
 def _estimates(problem: Problem, found: Search, names: Set) -> dict[str, dict[str, Estimate]]:
     """Effect -> parameter -> its size beside the small errors of all other effects."""
     local, values = found.local, values_with(problem, found, names)
-    change, covariance = local.fit(names)
-    # What is held at a bound could still go the other way.
-    own = local.a.sum(axis=0).diagonal() + 1.0 / local.slab**2
-    error = np.where(local.held, 1.0 / np.sqrt(own), np.sqrt(covariance.diagonal())) * local.unit
+    change, _ = local.fit(names)
+    error = local.errors(names) * local.unit
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     between = np.sqrt(local.between) * local.unit
     flights = range(len(problem.flights))

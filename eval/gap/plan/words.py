@@ -39,7 +39,7 @@ def short(question: Question, platform: bool) -> str:
     right, before = question.probabilities @ np.diag(expected), (question.probabilities**2).sum()
     if right > before + TELLS:
         flown = f"{piece.text[0].upper()}{piece.text[1:]}, again and again: after {SECONDS:.0f} s"
-        said.insert(0, f"{flown} the right one is expected to have a probability of {right:.2f}.")
+        said.insert(0, f"{flown} the right one is expected to have a probability of {100 * right:.0f} %.")
     return " ".join(said)
 
 
@@ -82,7 +82,8 @@ def alike(question: Question, expected: np.ndarray) -> list[str]:
             names = [question.hypotheses[i].effects for i in own]
             apart = set().union(*names) - set(names[0]).intersection(*names[1:])
             told = dict.fromkeys(t for n in sorted(apart) if (t := LIBRARY[n].told_by))
-            first = f"No flight planned here tells {_listed([texts[i] for i in own], 'and')} apart."
+            what = _listed(sorted(apart) if len(apart) > 1 else [*apart, "not"], "or")
+            first = f"No flight planned here tells whether it is {what}."
             said.append(" ".join([first, *told]))
     return said
 

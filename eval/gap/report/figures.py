@@ -248,7 +248,11 @@ def window_curves(windows: Sequence[WindowCurves]) -> Figure | None:
     """In the worst windows: the coordinate and the angle that the model missed most."""
     if not windows:
         return None
-    chosen = sorted(windows, key=lambda w: -np.max(np.abs(w.before[:, :3] - w.measured[:, :3])))[:4]
+    worst = sorted(windows, key=lambda w: -np.max(np.abs(w.before[:, :3] - w.measured[:, :3])))
+    regimes: dict[tuple[str, float], list[str]] = {}
+    for w in worst:
+        regimes.setdefault((w.flight, w.start), []).append(REGIMES.get(w.regime, w.regime))
+    chosen = list({(w.flight, w.start): w for w in worst}.values())[:4]
     figure = Figure(figsize=(WIDTH, 4.3))
     width = WIDTH / len(chosen)
     for j, w in enumerate(chosen):
@@ -256,7 +260,7 @@ def window_curves(windows: Sequence[WindowCurves]) -> Figure | None:
         low = panel(figure, j * width + 0.6, 0.5, width - 0.7, 1.3)
         _draw_window(high, w, (0, 1, 2), 100.0, "cm")
         _draw_window(low, w, (3, 4, 5), 180 / np.pi, "deg")
-        title = f"{REGIMES.get(w.regime, w.regime)}\n{literal(w.flight)}, {w.start:.1f} s"
+        title = f"{', '.join(regimes[w.flight, w.start])}\n{literal(w.flight)}, {w.start:.1f} s"
         high.set_title(title, fontsize=8, loc="left")
         low.set_xlabel("time in the window [s]", fontsize=8)
     figure.legend(*high.get_legend_handles_labels(), loc="upper left", ncols=3, bbox_to_anchor=(0.045, 1.0))
@@ -267,7 +271,8 @@ def _draw_window(axis: Axes, w: WindowCurves, channels: Sequence[int], factor: f
     """The one of `channels` that the nominal vehicle missed most."""
     k = max(channels, key=lambda c: np.max(np.abs(w.before[:, c] - w.measured[:, c])))
     start = w.measured[0, k] if k < 3 else 0.0
-    axis.plot(w.t, factor * (w.measured[:, k] - start), color=INK, linewidth=1.1, label="measured")
+    wide = 2.8 if k < 3 else 1.1  # angles are noisy
+    axis.plot(w.t, factor * (w.measured[:, k] - start), color=INK, linewidth=wide, label="measured")
     axis.plot(w.t, factor * (w.before[:, k] - start), color=BEFORE, label="predicted before")
     axis.plot(w.t, factor * (w.after[:, k] - start), color=AFTER, label="predicted after")
     axis.set_ylabel(f"{CHANNELS[k]} [{unit}]", labelpad=2)

@@ -61,4 +61,5 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
 def render(template: str, *, notes: Sequence[str], **content) -> str:
     """A template of this room filled in; notes: sentences, said once each."""
     said = [words.plain(note) for note in dict.fromkeys(notes)]
-    return base_page.render(__package__, template, notes=said, **content)
+    text = base_page.render(__package__, template, notes=said, **content)
+    return text.replace(" %", "\u00a0%")  # no line ends between a number and its percent

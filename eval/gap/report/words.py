@@ -12,6 +12,7 @@ from inclined_landing.eval.gap.result import (
     Diagnosis,
     Difference,
     Disturbance,
+    Estimate,
     NamedEffect,
     PlantGap,
     ScoredSet,
@@ -76,7 +77,8 @@ def quantity(value: float, unit: str) -> str:
 def exact(value: float, unit: str) -> str:
     """A number of the model as it stands there, with the unit a person reads."""
     factor, name = shown(unit)
-    return f"{factor * value:.4g} {name}".rstrip()
+    value *= factor
+    return f"{value:.0f} {name}".rstrip() if abs(value) >= 1e4 else f"{value:.4g} {name}".rstrip()
 
 
 def span(ends: Sequence[float], unit: str) -> str:
@@ -88,7 +90,7 @@ def span(ends: Sequence[float], unit: str) -> str:
     if low == high:
         return quantity(ends[0], unit)
     places = _places(max(high - low, 1e-3 * abs(high)))
-    return f"{low:.{places}f} to {high:.{places}f} {name}".rstrip()
+    return f"{_written(low, places)} to {_written(high, places)} {name}".rstrip()
 
 
 def rounded(value: float, ends: Sequence[float], unit: str) -> str:
@@ -98,17 +100,27 @@ def rounded(value: float, ends: Sequence[float], unit: str) -> str:
     if not math.isfinite(width):
         return quantity(value, unit)
     places = _places(max(width, 1e-2 * abs(factor * value)))
-    return f"{factor * value:.{places + 1}f} {name}".rstrip()
+    return f"{_written(factor * value, places + 1)} {name}".rstrip()
 
 
 def _places(width: float) -> int:
-    return min(6, max(0, 1 - math.floor(math.log10(abs(width))))) if width else 3
+    """Decimal places that show two digits of a width; below zero: tens, hundreds."""
+    return min(6, 1 - math.floor(math.log10(abs(width)))) if width else 3
+
+
+def _written(value: float, places: int) -> str:
+    return f"{round(value, places):.{max(0, places)}f}"
 
 
 def says(effect: NamedEffect) -> str:
     """What a named effect means with its values, as part of a sentence."""
-    values = {name: quantity(p.value, p.unit) for name, p in effect.parameters.items()}
+    values = {name: _sized(p) for name, p in effect.parameters.items()}
     return LIBRARY[effect.name].says.format(**values)
+
+
+def _sized(p: Estimate) -> str:
+    """A value with three digits, or as few as its interval can bear."""
+    return min(quantity(p.value, p.unit), rounded(p.value, p.ci95, p.unit), key=len)
 
 
 def sentence(effect: NamedEffect) -> str:
@@ -166,6 +178,8 @@ def headline(d: Diagnosis) -> str:
     """The verdict in one sentence."""
     if d.verdict == "nothing":
         said = f" ({probability(d.nothing)})" if d.sets else ""
+        if d.contradictions:
+            return f"Nothing is missing that all flights share{said}."
         return (
             f"Nothing is missing{said}: the model explains these flights as well as noise and unrest allow."
         )
@@ -253,6 +267,8 @@ def quiet_rows(unrest: Mapping[str, Disturbance]) -> list[tuple[str, ...]]:
         size, time = ("none", ""), ("", "")
         if q.size_ci95[1] > 0.0:
             size = rounded(q.size, q.size_ci95, q.unit), span(q.size_ci95, q.unit)
+            if not any(digit in size[0].split()[0] for digit in "123456789"):
+                size = "none", size[1]
         if q.size_ci95[0] > 0.0:  # where nothing is sure to be there, its time tells nothing
             time = quantity(q.time, "s"), span(q.time_ci95, "s")
         rows.append((channel, quantity(q.noise, "m" if channel in "xyz" else "rad"), *size, *time))
@@ -309,8 +325,13 @@ def sentences(d: Diagnosis) -> list[str]:
     if d.separating_manoeuvre:
         said.append(f"To tell them apart: {manoeuvre(d)}")
     said += [gap(plant, g) for plant, g in d.gap.items()]
-    said += [repeats(one) for one in d.remainder.depends_on]
-    if not d.remainder.depends_on and d.remainder.text:
+    return said + remains(d)
+
+
+def remains(d: Diagnosis) -> list[str]:
+    """What is left after the effects, in sentences; of flights that contradict each other, what repeats."""
+    said = [repeats(one) for one in d.remainder.depends_on]
+    if not (said or d.contradictions) and d.remainder.text:
         said.append(plain(d.remainder.text))
     return said
 

@@ -184,6 +184,11 @@ class Local:
         change[move] = np.linalg.solve(a[np.ix_(move, move)], h[move])
         return change, np.linalg.inv(a)
 
+    def errors(self, names: Set) -> np.ndarray:
+        """Standard error (P,) of every column, in spikes; what is held at a bound could go the other way."""
+        own = self.a.sum(axis=0).diagonal() + 1.0 / self.slab**2
+        return np.where(self.held, 1.0 / np.sqrt(own), np.sqrt(self.fit(names)[1].diagonal()))
+
     def deviation(self, flight: int, change: np.ndarray) -> np.ndarray:
         """How far (P,) one flight lies from the fleet's change of the columns, in spikes."""
         a, b = self.own_a[flight], self.own_b[flight]
