@@ -42,6 +42,10 @@ COMMANDS = {
     "effects": ("gap", "The physical effects that a model may lack: formula, size, what to do about them."),
     "gap-example": ("proof", "Twenty flights with hidden effects, of an independent simulator, to try gap."),
     "gap-blind": ("proof", "Hidden causes in flights of independent simulators: what gap names (minutes)."),
+    "gap-agreement": (
+        "proof",
+        "Flights of another vehicle or day among the others: are they found, and only they (minutes).",
+    ),
     "gap-real": ("proof", "Measured flights of others: what is named, how much of the gap closes (minutes)."),
     "nanobench": (
         "proof",

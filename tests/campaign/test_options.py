@@ -34,6 +34,7 @@ NEEDED = {
     "gap-example": ("--out", "{place}/out"),
     "gap-blind": ("--out", "{place}/out"),
     "plan-proof": ("--out", "{place}/out"),
+    "gap-agreement": ("--out", "{place}/out"),
     "gap-real": ("{place}", "--out", "{place}/out"),
     "nanobench": ("{place}/log.csv",),
     "benchmark": (),

@@ -7,11 +7,13 @@ import pytest
 
 from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.gap.report import words
+from inclined_landing.eval.gap.result import Contradiction, Difference
 from inclined_landing.eval.gap.search.disagreement import contradictions
 from inclined_landing.eval.gap.search.evidence import Column, Problem
 from inclined_landing.eval.gap.search.fit import refit
 from inclined_landing.eval.gap.search.posterior import slabs
 from inclined_landing.eval.gap.search.sets import repeated
+from inclined_landing.eval.proof import gap_agreement
 from inclined_landing.eval.proof.gap_blind import generate
 from inclined_landing.eval.proof.gap_blind.causes import Drawn
 from inclined_landing.models.effects import LIBRARY
@@ -99,3 +101,18 @@ def test_false_alarms_are_as_rare_as_stated():
         near = types.SimpleNamespace(columns=columns, a=a, b=b, group_a=a)
         alarms += bool(contradictions(problem, near, {}))
     assert alarms <= 10
+
+
+def test_what_was_said_is_judged_by_flights_and_intervals():
+    """The half that differs may be told from either side; other flights are false alarms."""
+    tilts = Difference("attitude_gain", (), False, {"scale": 0.87}, {"scale": (0.85, 0.89)})
+    one = Contradiction(("a", "b"), ("c", "d"), (tilts,), 1e-4, 0.01)
+    truth = {("attitude_gain", "scale"): 1.15}
+    right = gap_agreement.judged((one,), frozenset("cd"), truth)
+    assert right == {"found": True, "other": 0, "effects": ["attitude_gain"], "inside": [True]}  # 1/1.15
+    assert gap_agreement.judged((one,), frozenset("ab"), truth)["inside"] == [False]
+    wrong = gap_agreement.judged((one,), frozenset(), {})
+    assert (wrong["found"], wrong["other"]) == (False, 1)
+    rows = [{"kind": "nothing", **wrong}, {"kind": "another vehicle, half", **right}]
+    text = gap_agreement.markdown(rows)
+    assert "| nothing | 1 |  | 1 |  |" in text and "| another vehicle, half | 1 | 1 | 0 | 1 of 1 |" in text

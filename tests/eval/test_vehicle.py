@@ -14,7 +14,17 @@ from inclined_landing.models.parameters import load_vehicle, write_vehicle
 
 V = load_vehicle()
 HEAVY = dataclasses.replace(V, body_mass=1.1 * V.body_mass)
-NO_VEHICLE = {"curves", "logs", "effects", "flights", "gap-example", "gap-blind", "plan-proof", "doctor"}
+NO_VEHICLE = {
+    "curves",
+    "logs",
+    "effects",
+    "flights",
+    "gap-example",
+    "gap-agreement",
+    "gap-blind",
+    "plan-proof",
+    "doctor",
+}
 
 
 @pytest.mark.parametrize("name", [name for name in cli.COMMANDS if name not in NO_VEHICLE])

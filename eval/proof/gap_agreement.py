@@ -1,0 +1,125 @@
+"""`landing-eval gap-agreement`: are flights that contradict the others found, and only these?
+
+In realities of the simulator's families ten flights of one vehicle and day, in which one or half are of
+another vehicle or of another day's calibration, are given to `landing-eval identify`, from the paper's
+constants.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import track
+
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Folder, Range, Seed
+from inclined_landing.eval.gap.answer.identify import identify
+from inclined_landing.eval.gap.result import Contradiction
+from inclined_landing.eval.proof import simulator
+from inclined_landing.eval.proof.gap_blind import cases as blind
+from inclined_landing.eval.proof.gap_blind import generate
+from inclined_landing.eval.proof.gap_blind.causes import Drawn
+from inclined_landing.models import storage
+from inclined_landing.models.parameters import load_vehicle
+
+FLIGHTS = 10
+CHARGE = {"battery_voltage": (-0.15, 0.15)}  # V, of every flight
+TILT = math.radians(1.5)
+# What differs, in the simulator and as (effect, parameter) with its value.
+VEHICLE = ({"thrust_scale": 0.85, "attitude_gain_scale": 1.15}, {("attitude_gain", "scale"): 1.15})
+CAPTURE = ({"mocap_roll": TILT}, {("mocap_tilt", "roll"): TILT})
+TRIM = ({"trim_pitch": TILT}, {("attitude_trim", "pitch"): TILT})
+# Name: what differs in how many of the flights.
+MIXED = {
+    "nothing": (({}, {}), 0),
+    "another vehicle, one flight": (VEHICLE, 1),
+    "another vehicle, half": (VEHICLE, FLIGHTS // 2),
+    "motion capture off by 1.5 deg, one flight": (CAPTURE, 1),
+    "motion capture off by 1.5 deg, half": (CAPTURE, FLIGHTS // 2),
+    "trim off by 1.5 deg, one flight": (TRIM, 1),
+    "trim off by 1.5 deg, half": (TRIM, FLIGHTS // 2),
+}
+
+
+def command(
+    out: Folder,
+    family: Annotated[str, tyro.conf.arg(metavar="{dev,fresh}")] = "dev",
+    cases: Annotated[int, Range(1, 1000)] = 6,
+    seed: Seed = 0,
+) -> None:
+    """Flights of another vehicle or day among the others: are they found, and only they (minutes).
+
+    Args:
+        out: new folder for contradictions.json and contradictions.md.
+        family: families of realities to draw from.
+        cases: realities; each gives a set of every kind.
+        seed: of realities and flights.
+    """
+    runs.check_new_run(out)
+    rows = []
+    for k in track(range(cases), console=Console(stderr=True), transient=True):
+        rows += of_reality(blind.SETS[family][k % len(blind.SETS[family])], (seed, k))
+    with runs.staged_run(out) as folder:
+        storage.write_json(folder / "contradictions.json", {"sets": rows, "versions": runs.versions()})
+        storage.write_text(folder / "contradictions.md", markdown(rows))
+    print(markdown(rows), end="")
+
+
+def of_reality(family: str, entropy: tuple[int, ...], mixed=None, seconds: float = 20.0) -> list[dict]:
+    """One row of what was said for every kind of `mixed` (None: all) in a reality of a family."""
+    rng = np.random.default_rng(entropy)
+    reality = simulator.draw(family, rng)
+
+    def fly(world):
+        drawn = Drawn(world, {}, spread=CHARGE)
+        return generate.logs(generate.fly_all(drawn, rng, reality, count=FLIGHTS, seconds=seconds))
+
+    usual, rows = fly({}), []
+    for kind in mixed or MIXED:
+        (world, truth), count = MIXED[kind]
+        other = {int(k) for k in rng.permutation(FLIGHTS)[:count]}
+        flown = fly(world) if other else usual
+        logs = [(flown if k in other else usual)[k] for k in range(FLIGHTS)]
+        said = identify(logs, load_vehicle()).contradictions
+        names = frozenset(logs[k].name for k in other)
+        rows.append({"family": family, "kind": kind, **judged(said, names, truth)})
+    return rows
+
+
+def judged(said: tuple[Contradiction, ...], flights: frozenset[str], truth: dict) -> dict:
+    """Whether these flights were said to contradict the others, how many other groups, and in what.
+
+    inside: whether the interval of each true difference, where it was said, holds it.
+    """
+    right = [one for one in said if flights in (frozenset(one.flights), frozenset(one.others))]
+    inside = []
+    for one in right:
+        sign = 1.0 if flights == frozenset(one.flights) else -1.0
+        for d in one.differences:
+            for name, (low, high) in d.ci95.items():
+                if (d.effect, name) in truth:
+                    value = truth[d.effect, name]
+                    factor = value > 0.5  # else it adds to zero
+                    expected = value**sign if factor else value * sign
+                    inside.append(bool(low <= expected <= high))
+    effects = [d.effect for one in right for d in one.differences]
+    return {"found": bool(right), "other": len(said) - len(right), "effects": effects, "inside": inside}
+
+
+def markdown(rows: list[dict]) -> str:
+    """The table of all kinds."""
+    lines = [
+        "| differs | sets | found | other flights said | interval holds the difference |",
+        "|---|---|---|---|---|",
+    ]
+    for kind in dict.fromkeys(row["kind"] for row in rows):
+        own = [row for row in rows if row["kind"] == kind]
+        inside = [x for row in own for x in row["inside"]]
+        found = str(sum(row["found"] for row in own)) if MIXED[kind][1] else ""
+        held = f"{sum(inside)} of {len(inside)}" if inside else ""
+        lines.append(f"| {kind} | {len(own)} | {found} | {sum(row['other'] > 0 for row in own)} | {held} |")
+    return "\n".join(lines) + "\n"
