@@ -24,6 +24,7 @@ from inclined_landing.eval.proof.gap_blind import cases as blind
 from inclined_landing.eval.proof.gap_blind import generate
 from inclined_landing.eval.proof.gap_blind.causes import Drawn
 from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
 FLIGHTS = 10
@@ -59,6 +60,8 @@ def command(
         cases: realities; each gives a set of every kind.
         seed: of realities and flights.
     """
+    if family not in blind.SETS:
+        raise UserError(f"unknown family {family!r}; known are {', '.join(blind.SETS)}")
     runs.check_new_run(out)
     rows = []
     for k in track(range(cases), console=Console(stderr=True), transient=True):
