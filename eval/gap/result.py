@@ -52,7 +52,7 @@ class NamedEffect:
 
     name: str
     members: tuple[str, ...]  # itself first, then the names that take its place in other probable sets
-    probability: float | None  # that it is part of what is missing; None: named by landings
+    probability: float  # that it is part of what is missing
     parameters: dict[str, Estimate]
     gain: float  # share of the closable squared error that is lost without it, 0..1
     remedy: str
@@ -112,6 +112,15 @@ class Remainder:
     size: dict[str, float]  # channel -> root mean square beyond noise and unrest (m/s2 for x, y, z; rad)
     depends_on: tuple[Dependence, ...]  # what repeats, one for each channel, surest first
     text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Touchdowns:
+    """What is left of the motion after touching, beside the most probable set."""
+
+    landings: int
+    unexplained: bool  # landings have more in common than what idealised contacts differ by
+    p_value: float  # of what they have in common
 
 
 @dataclasses.dataclass(frozen=True)
@@ -186,7 +195,7 @@ class Diagnosis:
     corrected: Vehicle  # the vehicle diagnosed, with the named effects
     separating_manoeuvre: str | None
     where: tuple[WhereRow, ...]
-    sets: tuple[ScoredSet, ...]  # of effects that show in free flight, most probable first
+    sets: tuple[ScoredSet, ...]  # most probable first; with effects of contact where there are landings
     unrest: dict[str, Disturbance]  # channel -> noise and unrest
     horizon: tuple[HorizonCurve, ...]
     windows: tuple[WindowCurves, ...]
@@ -197,6 +206,7 @@ class Diagnosis:
     heldout: tuple[str, ...]  # names of the flights judged on (those fitted, left out in turn, if none)
     seconds: dict[str, float]  # stage -> s
     notes: tuple[str, ...]  # what limits this diagnosis, in sentences
+    touchdowns: Touchdowns | None = None  # None: too few to name effects of contact
     unseen: tuple[ScoredSet, ...] = ()  # with effects that the flights could not have shown, at prior odds
     contradictions: tuple[Contradiction, ...] = ()  # flights that contradict the others
 
@@ -206,7 +216,7 @@ class Diagnosis:
 
     @property
     def nothing(self) -> float:
-        """Probability that nothing of the library is missing in free flight."""
+        """Probability that nothing of the library is missing."""
         return sum(s.probability for s in self.sets if not s.effects)
 
     def apply(self, vehicle: Vehicle) -> Vehicle:
@@ -247,7 +257,10 @@ class Diagnosis:
             "where": [dataclasses.asdict(row) for row in self.where],
             "gap": {plant: dataclasses.asdict(gap) for plant, gap in self.gap.items()},
             "remainder": _some(self.remainder, "unexplained", "p_value", "size", "text")
-            | {"depends_on": depends_on},
+            | {
+                "depends_on": depends_on,
+                "touchdown": self.touchdowns and dataclasses.asdict(self.touchdowns),
+            },
             "seconds": float(sum(self.seconds.values())),
             "stages": self.seconds,
         }

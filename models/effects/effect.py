@@ -78,8 +78,6 @@ class Effect:
     # which neither.
     requires: Mapping[str, float] = dataclasses.field(default_factory=dict)
     scales_thrust: bool = False  # free flight shows the ratio of thrust to mass alone
-    # Not named beside it, because MuJoCo's contact couples what feet do not.
-    couples_with: tuple[str, ...] = ()
     of_the_place: bool = False  # no part of the vehicle: another day or room has another value
     told_by: str = ""  # how it is told without a flight, a sentence; "": by flights
 

@@ -17,6 +17,7 @@ from inclined_landing.eval.gap.answer.named import (
     touched_effects,
     unseen_sets,
     values_with,
+    with_touched,
 )
 from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE, Landing, landings_of
 from inclined_landing.eval.gap.flights.windows import REGIMES, prepare_all
@@ -26,6 +27,8 @@ from inclined_landing.eval.gap.result import (
     HorizonCurve,
     NamedEffect,
     PlantGap,
+    ScoredSet,
+    Touchdowns,
     WhereRow,
     WindowCurves,
 )
@@ -105,7 +108,7 @@ def diagnose(
         gap["mujoco"] = _landing_gap(touched.landed, vehicle, touched.vehicle)
         clock("gap mujoco")
     effects += touched.effects
-    unknown = left.unexplained or touched.unexplained
+    unknown = left.unexplained or (touched.left is not None and touched.left.unexplained)
     return Diagnosis(
         verdict="unknown" if unknown else "effects" if effects else "nothing",
         contradictions=against,
@@ -113,8 +116,9 @@ def diagnose(
         corrected=touched.vehicle,
         separating_manoeuvre=apart or None,
         where=where + touched.where,
-        sets=scored_sets(problem, found),
+        sets=touched.sets(scored_sets(problem, found)),
         unseen=unseen_sets(problem, found),
+        touchdowns=touched.left,
         unrest=disturbances(problem, found.unrest),
         **drawn,
         remainder=left,
@@ -135,7 +139,12 @@ class _Touched:
     landed: list[Landing] = dataclasses.field(default_factory=list)  # those judged on
     effects: tuple[NamedEffect, ...] = ()
     where: tuple[WhereRow, ...] = ()
-    unexplained: bool = False
+    named: contact.Touched | None = None
+    left: Touchdowns | None = None
+
+    def sets(self, flown: tuple[ScoredSet, ...]) -> tuple[ScoredSet, ...]:
+        """The sets of free flight with those of contact."""
+        return with_touched(flown, self.named) if self.named else flown
 
 
 def _touched(flights, heldout, vehicle: Vehicle, corrected: Vehicle, library, notes: list[str]) -> _Touched:
@@ -147,12 +156,15 @@ def _touched(flights, heldout, vehicle: Vehicle, corrected: Vehicle, library, no
             notes.append(f"{few}: contact effects need {contact.FEWEST}")
         return _Touched(corrected)
     problem, named = contact.name_contact(landed, corrected, library)
-    after = problem.corrected(named.fit.values)
+    after = problem.corrected(named.values)
     if named.unexplained:
-        notes.append("the motion after the touch differs from the simulated one in a way no effect explains")
+        notes.append(
+            f"something in the motion after the touch repeats that no effect explains (p {named.p_value:.2g})"
+        )
     test = landings_of(heldout, corrected) or landed
     where = _where_touching(test, vehicle, after)
-    return _Touched(after, test, touched_effects(problem, named), where, named.unexplained)
+    left = Touchdowns(len(landed), named.unexplained, named.p_value)
+    return _Touched(after, test, touched_effects(problem, named), where, named, left)
 
 
 class _Clock:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 from scipy import stats
@@ -20,10 +20,10 @@ from inclined_landing.eval.gap.result import (
 from inclined_landing.eval.gap.search.after_touch import TouchdownProblem
 from inclined_landing.eval.gap.search.contact import Touched
 from inclined_landing.eval.gap.search.evidence import Problem, Values
-from inclined_landing.eval.gap.search.fit import estimates, spread_between
+from inclined_landing.eval.gap.search.fit import spread_between
 from inclined_landing.eval.gap.search.posterior import Set
 from inclined_landing.eval.gap.search.prediction import CHANNELS
-from inclined_landing.eval.gap.search.sets import Search, stepped
+from inclined_landing.eval.gap.search.sets import LEAST, Search, stepped
 from inclined_landing.models.parameters import Vehicle
 
 HELD = 0.95  # of the probability, by the sets that what takes an effect's place is looked for in
@@ -48,7 +48,7 @@ def named_effects(problem: Problem, found: Search, values: Values) -> tuple[Name
     return tuple(sorted(effects, key=lambda e: -e.gain))
 
 
-def in_its_place(found: Search, name: str) -> tuple[str, ...]:
+def in_its_place(found: Search | Touched, name: str) -> tuple[str, ...]:
     """What probable sets without an effect have in exchange for it, most probable first.
 
     What stands beside it in another probable set does not take its place.
@@ -197,26 +197,40 @@ def disturbances(problem: Problem, stir: Unrest) -> dict[str, Disturbance]:
 
 
 def touched_effects(problem: TouchdownProblem, found: Touched) -> tuple[NamedEffect, ...]:
-    """The effects named by landings."""
-    effects: Mapping[str, dict[str, Estimate]] = {name: {} for name in found.fit.values}
-    for effect, p, value, half, change, error in estimates(problem, found.fit):
-        low, high = p.bounds
-        own = np.where(error < 10 * max(abs(value - p.neutral), p.negligible), value + change, np.nan)
-        effects[effect][p.name] = Estimate(
-            value=value,
+    """The effects of the most probable set of contact effects, largest gain first."""
+    effects = []
+    for name, sized in found.sizes.items():
+        (p,), (low, high) = problem.library[name].parameters, problem.library[name].parameters[0].bounds
+        estimate = Estimate(
+            value=sized.value,
             unit=p.unit,
-            ci95=(float(max(low, value - half)), float(min(high, value + half))),
+            ci95=sized.ends,
             neutral=p.neutral,
             bounds=p.bounds,
-            at_bound=bool(min(value - low, high - value) <= 1e-6 * (high - low)),
-            per_flight=tuple(map(float, own)),
-            per_flight_error=tuple(map(float, error)),
-            spread=spread_between(change, error),
+            at_bound=bool(min(sized.value - low, high - sized.value) <= 1e-6 * (high - low)),
+            per_flight=tuple(map(float, sized.each)),
+            per_flight_error=tuple(map(float, sized.error)),
+            spread=spread_between(sized.each, sized.error),
         )
-    named = [
-        NamedEffect(
-            name, found.classes[name], None, parameters, found.gains[name], problem.library[name].remedy
+        members = (name, *in_its_place(found, name))
+        remedy = problem.library[name].remedy
+        effects.append(
+            NamedEffect(name, members, found.probability(name), {p.name: estimate}, found.gains[name], remedy)
         )
-        for name, parameters in effects.items()
+    return tuple(sorted(effects, key=lambda e: -e.gain))
+
+
+def with_touched(flown: tuple[ScoredSet, ...], found: Touched) -> tuple[ScoredSet, ...]:
+    """Sets of free flight and of contact together, as if independent, most probable first."""
+    both = [
+        ScoredSet(
+            (*one.effects, *other.values),
+            one.probability * other.probability,
+            {**one.values, **other.values},
+            one.deviations,
+        )
+        for one in flown
+        for other in found.sets
     ]
-    return tuple(sorted(named, key=lambda e: -e.gain))
+    both.sort(key=lambda one: -one.probability)
+    return tuple(one for k, one in enumerate(both) if not k or one.probability >= LEAST)

@@ -110,16 +110,20 @@ def _covariance(t: np.ndarray, noise: np.ndarray, gain: Sequence[float]) -> np.n
     """
     moving = np.clip(t, -BEFORE, 0.15) + BEFORE
     held = np.exp(-np.maximum(t, 0.0) / FLEETING)
-    touched = np.clip(t / FLEETING, 0.0, 1.0)
-    settled = 1.0 - np.exp(-np.maximum(t, 0.0) / FLEETING)
-    fleeting = touched * np.exp(-np.maximum(t - 0.1, 0.0) / FLEETING)
-    near = np.exp(-np.abs(t[:, None] - t) / FLEETING)
-    result = np.empty((6, len(t), len(t)))
+    result = ideal(t)
     for c in range(6):
         start = gain[0] ** 2 + gain[1] ** 2 * np.outer(moving, moving)
         if c in (2, 3, 4):
             start = start * np.outer(held, held)
-        result[c] = noise[c] ** 2 * (np.eye(len(t)) + start)
-        result[c] += MISMATCH[c] ** 2 * near * np.outer(fleeting, fleeting)
-        result[c] += OFFSET[c] ** 2 * np.outer(settled, settled)
+        result[c] += noise[c] ** 2 * (np.eye(len(t)) + start)
     return result
+
+
+def ideal(t: np.ndarray) -> np.ndarray:
+    """Covariance (6, k, k) of what two idealised contacts differ by at t (k,) [s] after the touch."""
+    touched = np.clip(t / FLEETING, 0.0, 1.0)
+    settled = 1.0 - np.exp(-np.maximum(t, 0.0) / FLEETING)
+    fleeting = touched * np.exp(-np.maximum(t - 0.1, 0.0) / FLEETING)
+    near = np.exp(-np.abs(t[:, None] - t) / FLEETING)
+    first, stays = near * np.outer(fleeting, fleeting), np.outer(settled, settled)
+    return np.stack([a**2 * first + b**2 * stays for a, b in zip(MISMATCH, OFFSET)])

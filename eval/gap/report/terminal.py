@@ -15,8 +15,7 @@ def show(d: Diagnosis, notes: Sequence[str] = ()) -> None:
     """Print verdict, effects, ties, remedies, gap and limits."""
     rows = new_table(None, "effect", "parameter", "value", "95 % interval", "probability", "closes", left=2)
     for effect in d.effects:
-        sure = "" if effect.probability is None else words.probability(effect.probability)
-        ends = (words.label(effect.name), sure, words.share(effect.gain))
+        ends = (words.label(effect.name), words.probability(effect.probability), words.share(effect.gain))
         for name, p in effect.parameters.items():
             value = words.rounded(p.value, p.ci95, p.unit)
             rows.add_row(ends[0], name, value, words.span(p.ci95, p.unit), *ends[1:])

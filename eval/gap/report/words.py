@@ -166,8 +166,6 @@ def of_class(d: Diagnosis, effect: NamedEffect) -> float:
 def _lacking(d: Diagnosis, effect: NamedEffect) -> str:
     """A named effect in the headline: `rotor drag (98 %)`, `mass or thrust scale (99 %: ...)`."""
     names = listed(_some([label(name) for name in effect.members]), "or")
-    if effect.probability is None:
-        return names
     if len(effect.members) == 1:
         return f"{names} ({probability(effect.probability)})"
     why = ": only their ratio shows" if _only_the_ratio(effect.members) else ""

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from inclined_landing.eval.gap.flights.landings import BEFORE, FLEETING, Landing
-from inclined_landing.eval.gap.search.evidence import Column, Linear, Suspects, Values, gram
+from inclined_landing.eval.gap.search.evidence import Suspects
 from inclined_landing.eval.gap.search.rollout import drive, undelayed
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, X, Y, Z
 from inclined_landing.models.effects import Effect
@@ -28,11 +28,10 @@ from inclined_landing.models.plants.recorder import fly
 from inclined_landing.models.scene import compile_scene
 
 STEP = 0.00125  # s at most, of the engine: damping times 3 is unstable at twice as much
-STEPS = 2.0  # difference quotients over this many times a parameter's negligible size
 
 
 class TouchdownProblem(Suspects):
-    """Landings with the face of `evidence.Problem`, for fits and trials.
+    """Landings, and the effects of contact that may explain them.
 
     Channels: along and across the slope, along its normal, roll, pitch, yaw.
     """
@@ -42,15 +41,10 @@ class TouchdownProblem(Suspects):
         self.vehicle = vehicle
         self.library = {name: effect for name, effect in library.items() if effect.contact}
         self.reach = float(reach_below(shapes_of(compile_scene(vehicle)), part="feet"))
-        n = len(self.flights)
-        self.flight_of = self.group_of = np.arange(n)
-        self.groups = n
         self.samples = min(len(x.compared) for x in self.flights)
-        self.rows = np.full(n, self.samples)
-        self.logged = self.weight = np.ones((n, 6))
 
     def errors(self, vehicle: Vehicle) -> np.ndarray:
-        """Errors (n, 6, samples) in standard deviations, large ones drawn in."""
+        """Errors (n, 6, samples) in standard deviations."""
         simulated = simulate(self.flights, vehicle)
         result = np.empty((len(self.flights), 6, self.samples))
         si, ci = math.sin(self.vehicle.platform_inclination), math.cos(self.vehicle.platform_inclination)
@@ -65,25 +59,9 @@ class TouchdownProblem(Suspects):
             error[:, 2] += lower * settled
             if landing.on_platform:
                 error[:, 4] -= leaning * settled
-            white = np.einsum("cij,jc->ci", landing.whiten, error)
-            # Once an axis of a landing goes wrong it stays wrong: what it adds grows with the logarithm.
-            mean = np.maximum((white**2).mean(axis=1, keepdims=True), 1e-12)
-            result[k] = white * np.sqrt(np.log1p(mean) / mean)
+            whiten = landing.whiten[:, : self.samples, : self.samples]
+            result[k] = np.einsum("cij,jc->ci", whiten, error)
         return result
-
-    def cells(self, vehicle: Vehicle) -> np.ndarray:
-        """Squared error (n, 6) of every landing and axis."""
-        return (self.errors(vehicle) ** 2).sum(axis=2)
-
-    def linearise(self, values: Values, columns: Sequence[Column]) -> Linear:
-        """As `evidence.Problem.linearise`."""
-        error = self.errors(self.corrected(values))
-        slopes = []
-        for column in columns:
-            ends, step = self.to_either_side(values, column, STEPS)
-            low, high = map(self.errors, ends)
-            slopes.append(-(high - low) / step)
-        return Linear(tuple(columns), *gram(error, slopes), self)
 
 
 def sag(vehicle: Vehicle, reach: float) -> tuple[float, float]:

@@ -1,179 +1,405 @@
-"""Naming what is wrong about contact: friction, stiffness, damping, platform height and tilt."""
+"""Which set of contact effects explains the landings: friction, stiffness, damping, platform height and tilt.
+
+As for free flight, every set is a candidate, and the answer is a distribution over sets. An effect of the
+set has a normal prior as wide as what is plausible, of the logarithm where it is a factor; every other one
+may be off by what any two idealised contacts differ by. Touching is far from linear: what an effect does
+is scanned through the simulator over its range, and its part of the marginal likelihood is a sum over that
+scan. Everything else is small, or a second effect, and is integrated out linearly beside it.
+
+An axis of a landing that goes wrong stays wrong: its errors together have a t distribution. Neither are its
+samples independent, nor the axes of a landing: by how much the slopes of errors and effects agree in single
+landings, where chance alone would make it one, gives how much less a landing tells. Probabilities are means
+over landings drawn with replacement.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy import stats
+from scipy.special import logsumexp
 
-from inclined_landing.eval.gap.flights.landings import Landing
+from inclined_landing.eval.gap.flights.landings import BEFORE, Landing, ideal
 from inclined_landing.eval.gap.search.after_touch import TouchdownProblem
-from inclined_landing.eval.gap.search.evidence import solve
-from inclined_landing.eval.gap.search.fit import Fitted, refit, spread_between, standard_errors
+from inclined_landing.eval.gap.search.posterior import SLAB, SPIKE, Set, flight_weights
+from inclined_landing.eval.gap.search.sets import CLEAR, LEAST, NOTHING, Scored
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.parameters import Vehicle
 
 FEWEST = 6  # landings
-# Mean error, drawn in, above which landings are not explained; it is 0.7 to 0.76 where nothing is hidden.
-UNEXPLAINED = 0.95
-MATCHED = 0.77  # the same, below which no second effect is looked for
-REFITTED = 2  # effects of every step
-TIED = 0.7  # standard errors by which the best must beat an effect that is told from it
-SCAN = (-2.0, -1.0, -0.4, 0.4, 1.0, 2.0)  # times the plausible deviation
-SCAN_FACTOR = (0.27, 0.4, 0.6, 0.8, 1.25, 1.7, 2.5, 3.6)  # factors instead
-MOST = 2  # effects
-# What it takes to be named. Landings are few, and each tells more than a window of free flight.
-EVIDENCE = 2.3  # standard errors of the gain over landings
-ENOUGH = 0.8  # of the most standard errors that so many landings can give, where that is less
-GAIN = 35.0  # decrease of the white squared error
-SHARE_MORE = 0.3  # of the first effect's gain, for a second one
-AGREEMENT = 0.5  # share of landings with a positive gain
-SPREAD = 1.0  # between landings, as a share of the parameter's distance from neutral
-# Squared error that an effect makes in a landing (noise 1) so that a gain there can be expected.
-SHOWS = 9.0
+MOST = 2  # effects of a set
+IDEAL = 0.1  # standard deviation, in plausible sizes, of what two idealised contacts differ by
+SCAN = (0.2, 0.55, 1.1, 1.9)  # plausible sizes to either side that are simulated
+REFINED = 2  # times that the best place of a scan is simulated
+ANEW = 3  # sets of several that are scanned beside one another, at most
+FINE = np.linspace(-6.0, 6.0, 25)  # standard deviations about that place at which the likelihood is summed
+STEPS = 2  # of the parameters that are integrated out linearly
+HELD = 0.95  # of an interval
+FALSE_ALARM = 0.05
+MODES = 4  # ways in which an axis may err alike in all landings
+
+
+@dataclasses.dataclass
+class Sized:
+    """A parameter of a set, estimated from the landings."""
+
+    value: float
+    ends: tuple[float, float]  # of its interval
+    each: np.ndarray  # (n,) in every landing, drawn to the common value
+    error: np.ndarray  # (n,) standard errors of these
 
 
 @dataclasses.dataclass
 class Touched:
     """The outcome of `name_contact`."""
 
-    fit: Fitted
-    gains: dict[str, float] = dataclasses.field(default_factory=dict)  # effect -> share of the squared error
-    classes: dict[str, tuple[str, ...]] = dataclasses.field(
-        default_factory=dict
-    )  # names like it, itself first
-    unexplained: bool = False  # errors remain
+    sets: tuple[Scored, ...]  # most probable first
+    sizes: dict[str, Sized]  # of the most probable set
+    gains: dict[str, float]  # effect -> share of the squared error closed that comes back without it
+    unexplained: bool  # something repeats that no set explains, nor that contacts are idealised
+    p_value: float  # of what repeats most
 
+    @property
+    def names(self) -> Set:
+        """The most probable set."""
+        return self.sets[0].names
 
-@dataclasses.dataclass
-class Trial:
-    """One candidate added to the effects found so far and refitted with them."""
+    @property
+    def values(self) -> dict[str, dict[str, float]]:
+        """Its values."""
+        return self.sets[0].values
 
-    fit: Fitted
-    gain: float
-    evidence: float
-    agreement: float
-    values: dict[str, float]
+    def probability(self, name: str) -> float:
+        """That an effect is part of what is missing."""
+        return sum(s.probability for s in self.sets if name in s.names)
 
 
 def name_contact(
     landings: Sequence[Landing], vehicle: Vehicle, library: Mapping[str, Effect]
 ) -> tuple[TouchdownProblem, Touched]:
-    """Name the contact effects that `vehicle`, corrected for free flight, lacks to explain `landings`.
-
-    Feet that stick say nothing about how they would slide, so that every effect is scanned through the
-    simulator, and the best few are refined. Effects are ranked by evidence over landings and axes, not by
-    the error they take away: a few landings that go another way would decide that.
-    """
+    """The sets of contact effects that `vehicle`, corrected for free flight, may lack in `landings`."""
     problem = TouchdownProblem(landings, vehicle, library)
-    found = Touched(refit(problem, {}, np.ones(6)))
-    total, most = found.fit.squares, 0.0
-    size = 6 * problem.rows.sum()
-    for _ in range(MOST):
-        if found.fit.values and found.fit.squares < MATCHED * size:
-            break
-        scans = _Scans(problem, found.fit)
-        best, trial = next(iter(scans.trials.items()))
-        coupled = any(best in problem.library[other].couples_with for other in found.fit.values)
-        if coupled or trial.gain < SHARE_MORE * most or not _clear(problem, best, trial):
-            break
-        most = max(most, trial.gain)
-        found.fit, found.classes[best] = trial.fit, tuple(scans.alike(best))
-        found.gains[best] = float(np.clip(trial.gain / total, 0.0, 1.0))
-    found.unexplained = found.fit.squares > UNEXPLAINED * size
-    return problem, found
+    engine = _Engine(problem)
+    sets, chosen = engine.distribution()
+    values = sets[0].values
+    p_value = repeated(problem.flights, engine.left(values), engine.inflation)
+    unexplained = p_value < FALSE_ALARM
+    return problem, Touched(sets, engine.sized(chosen), engine.gains(values), unexplained, p_value)
 
 
-def _clear(problem: TouchdownProblem, name: str, trial: Trial) -> bool:
-    """Whether an effect explains enough, alike in most landings, with a value that it can have."""
-    # All landings alike give the square root of their number: no more can be asked of a few.
-    evidence = min(EVIDENCE, ENOUGH * math.sqrt(len(problem.flight_of)))
-    if trial.gain < GAIN or trial.evidence < evidence or trial.agreement < AGREEMENT:
-        return False
-    (p,) = problem.library[name].parameters
-    value, (low, high) = trial.values[p.name], p.bounds
-    beyond = low == p.neutral and value < 0.5 * (low + high)
-    if not beyond and min(value - low, high - value) < 1e-3 * (high - low):
-        return False
-    if abs(value - p.neutral) < p.negligible:
-        return False
-    change, error = trial.fit.weighted.per_flight(trial.fit.index)
-    own = trial.fit.weighted.index([name])[0]
-    return spread_between(change[:, own], error[:, own]) <= SPREAD * abs(value - p.neutral)
+def size_of(p: Parameter, value: float) -> float:
+    """How far a value is from neutral; of a factor in its logarithm."""
+    return math.log(value) if p.is_factor else value - p.neutral
 
 
-def _trial_of(problem: TouchdownProblem, fit: Fitted, name: str, gain: np.ndarray) -> Trial:
-    """A trial from the decrease (n, 6) of the squared error of every landing and axis."""
-    of_landing = gain.sum(axis=1)
-    shows = _shown_in(problem, fit, name) > SHOWS
-    # Landings where the effect cannot show say nothing about it.
-    agreement = (of_landing[shows] > 0).mean() if shows.sum() >= 2 else (of_landing > 0).mean()
-    return Trial(fit, float(gain.sum()), standard_errors(gain), float(agreement), fit.values[name])
+def value_of(p: Parameter, size: float) -> float:
+    """The value of a size, within bounds."""
+    return float(np.clip(math.exp(size) if p.is_factor else p.neutral + size, *p.bounds))
 
 
-def _shown_in(problem: TouchdownProblem, fit: Fitted, name: str) -> np.ndarray:
-    """Squared error (n,) that an effect of its size makes in every landing, less what others absorb."""
-    own = fit.weighted.index([name])
-    others = np.setdiff1d(fit.index, own)
-    a = fit.weighted.group_a
-    total = a.sum(axis=0)
-    absorbed = np.zeros(a.shape[1])
-    size = absorbed[own] = problem.sizes(name, fit.values)
-    absorbed[others] = -solve(total[np.ix_(others, others)], total[np.ix_(others, own)] @ size)
-    return np.einsum("gpq,p,q->g", a, absorbed, absorbed)
+@dataclasses.dataclass
+class _Scan:
+    """Errors (m, n, 6, q) of the landings at sizes (m,) of one effect, in ascending order."""
+
+    sizes: np.ndarray
+    errors: np.ndarray
+
+    def at(self, sizes: np.ndarray) -> np.ndarray:
+        """Errors (k, n, 6, q) at sizes (k,), between those simulated on a line."""
+        k = np.clip(np.searchsorted(self.sizes, sizes) - 1, 0, len(self.sizes) - 2)
+        share = ((sizes - self.sizes[k]) / (self.sizes[k + 1] - self.sizes[k]))[:, None, None, None]
+        return (1.0 - share) * self.errors[k] + share * self.errors[k + 1]
+
+    def with_one(self, size: float, errors: np.ndarray) -> _Scan:
+        """With the errors (n, 6, q) at one more size."""
+        k = int(np.searchsorted(self.sizes, size))
+        return _Scan(np.insert(self.sizes, k, size), np.insert(self.errors, k, errors, axis=0))
 
 
-class _Scans:
-    """Every effect, of one parameter each, scanned beside those found; trials of the best few."""
+@dataclasses.dataclass
+class _Part:
+    """A set with one of its effects scanned: log evidence along that effect, the others linear."""
 
-    def __init__(self, problem: TouchdownProblem, fit: Fitted):
-        self.problem, self.fit = problem, fit
-        self.before = problem.cells(problem.corrected(fit.values))
-        self.scans = {n: self._scan(n) for n in problem.library if n not in fit.values}
-        best = {n: min(cells.values(), key=np.sum) for n, cells in self.scans.items()}
-        self.order = sorted(self.scans, key=lambda n: -standard_errors(self.before - best[n]))
-        trials: dict[str, Trial] = {}
-        self.left: dict[str, np.ndarray] = {}
-        for name in self.order[:REFITTED]:
-            values = {**fit.values, name: {self._parameter(name).name: self._refined(name)}}
-            new = refit(problem, values, fit.inflation, iterations=0)
-            self.left[name] = problem.cells(problem.corrected(new.values))
-            trials[name] = _trial_of(problem, new, name, self.before - self.left[name])
-        self.trials = dict(sorted(trials.items(), key=lambda item: -item[1].evidence))
+    names: Set
+    name: str  # the one scanned
+    sizes: np.ndarray  # (m,)
+    log: np.ndarray  # (d, m) of draws of the landings, all of them first, prior and spacing included
+    best: np.ndarray  # (P,) most probable sizes of all effects, from neutral
 
-    def _parameter(self, name: str) -> Parameter:
-        return self.problem.library[name].parameters[0]
+    @property
+    def evidence(self) -> np.ndarray:
+        """(d,) log marginal likelihoods."""
+        return logsumexp(self.log, axis=1)
 
-    def _cells(self, name: str, x: float) -> np.ndarray:
-        values = {**self.fit.values, name: {self._parameter(name).name: x}}
-        return self.problem.cells(self.problem.corrected(values))
 
-    def _scan(self, name: str) -> dict[float, np.ndarray]:
-        """Cells for a few values."""
-        p = self._parameter(name)
-        grid = SCAN_FACTOR if p.is_factor else p.neutral + (p.plausible - p.neutral) * np.array(SCAN)
-        return {float(x): self._cells(name, float(x)) for x in grid if p.bounds[0] <= x <= p.bounds[1]}
+def _likeliest(parts: Sequence[_Part]) -> _Part:
+    """What the most is seen along: other effects are linear there only, and lose what is not."""
+    return max(parts, key=lambda x: float(x.evidence[0]))
 
-    def _refined(self, name: str) -> float:
-        """The value of least squared error: the neighbourhood halved twice, then the vertex of a parabola."""
-        cells = {self._parameter(name).neutral: self.before, **self.scans[name]}
-        left = {x: float(c.sum()) for x, c in cells.items()}
-        for _ in range(2):
-            x = sorted(left)
-            k = min(range(len(x)), key=lambda i: left[x[i]])
-            for middle in [0.5 * (x[k] + x[i]) for i in (k - 1, k + 1) if 0 <= i < len(x)]:
-                left[middle] = float(self._cells(name, middle).sum())
-        x = np.array(sorted(left))
-        k = int(np.clip(np.argmin([left[v] for v in x]), 1, len(x) - 2))
-        a, b, _ = np.polyfit(x[k - 1 : k + 2] - x[k], [left[v] for v in x[k - 1 : k + 2]], 2)
-        vertex = float(x[k] - 0.5 * b / a) if a > 0 else float(x[k])
-        if x[k - 1] < vertex < x[k + 1] and vertex not in left:
-            left[vertex] = float(self._cells(name, vertex).sum())
-        return min(left, key=left.get)
 
-    def alike(self, best: str) -> list[str]:
-        """The refined effects that cannot be told from the best."""
-        clear = [n for n, t in self.trials.items() if t.evidence > EVIDENCE]
-        return [n for n in clear if standard_errors(self.left[n] - self.left[best]) < TIED]
+class _Engine:
+    """Scans of every effect, of one parameter each, and what follows for every set."""
+
+    def __init__(self, problem: TouchdownProblem):
+        self.problem = problem
+        self.names = list(problem.library)
+        self.parameters = [problem.library[n].parameters[0] for n in self.names]
+        n = len(problem.flights)
+        self.weights = np.vstack([np.ones(n), flight_weights(n)])
+        self.slab = np.array([SLAB * abs(size_of(p, p.plausible)) for p in self.parameters])
+        spike = [SPIKE * abs(size_of(p, p.neutral + p.negligible)) for p in self.parameters]
+        self.spike = np.hypot(IDEAL * self.slab, spike)
+        self.neutral = problem.errors(problem.vehicle)
+        self.scans = [self._scan(j, {}) for j in range(len(self.names))]
+        self.slopes = np.stack([self._slopes(scan) for scan in self.scans], axis=-1)  # (n, 6, q, P)
+        everywhere = np.concatenate([scan.errors for scan in self.scans])
+        nearest = everywhere[np.argmin(-_log_t(everywhere).sum(axis=(1, 2)))]
+        self.inflation = inflation(nearest, self.slopes)
+        self.scans = [self._refined(j, scan, self._widths({j}), {}) for j, scan in enumerate(self.scans)]
+
+    def _errors(self, sizes: Mapping[int, float]) -> np.ndarray:
+        """Errors (n, 6, q) with effects at `sizes`, by number."""
+        return self.problem.errors(self.problem.corrected(self._values(sizes)))
+
+    def _values(self, sizes: Mapping[int, float]) -> dict[str, dict[str, float]]:
+        named = {self.names[j]: (self.parameters[j], size) for j, size in sizes.items()}
+        return {n: {named[n][0].name: value_of(*named[n])} for n in self.names if n in named}
+
+    def _scan(self, j: int, beside: Mapping[int, float]) -> _Scan:
+        p = self.parameters[j]
+        wanted = np.outer((-1.0, 1.0), SCAN).ravel() * self.slab[j]
+        sizes = sorted({size_of(p, value_of(p, x)) for x in wanted} | {0.0})
+        if beside:
+            return _Scan(np.array(sizes), np.stack([self._errors({**beside, j: x}) for x in sizes]))
+        return _Scan(np.array(sizes), np.stack([self._errors({j: x}) if x else self.neutral for x in sizes]))
+
+    def _slopes(self, scan: _Scan) -> np.ndarray:
+        """Minus the change (n, 6, q) of the errors by size, about neutral."""
+        k = int(np.searchsorted(scan.sizes, 0.0))
+        low, high = max(k - 1, 0), min(k + 1, len(scan.sizes) - 1)
+        return -(scan.errors[high] - scan.errors[low]) / (scan.sizes[high] - scan.sizes[low])
+
+    def _widths(self, named: set[int]) -> np.ndarray:
+        """Prior standard deviation (P,) of every effect where those numbered are in the set."""
+        return np.where(np.isin(np.arange(len(self.names)), list(named)), self.slab, self.spike)
+
+    def _refined(self, j: int, scan: _Scan, width: np.ndarray, beside: Mapping[int, float]) -> _Scan:
+        """The scan with the most probable sizes simulated too."""
+        for _ in range(REFINED):
+            sizes = _between(scan.sizes, 4)
+            log = self._logs(j, scan.at(sizes), width, beside)[0][:, 0] - 0.5 * (sizes / width[j]) ** 2
+            best = float(sizes[np.argmax(log)])
+            if np.abs(scan.sizes - best).min() < 1e-3 * self.slab[j]:
+                break
+            scan = scan.with_one(best, self._errors({**beside, j: best}))
+        return scan
+
+    def _logs(self, j, errors, width, beside) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Log evidence (m, d) of errors (m, n, 6, q), all effects but the one numbered j integrated out.
+
+        width (P,): of their priors; beside: sizes that the errors have already. Returns their most probable
+        sizes (m, P) too, and how well every landing knows all of them alone, (m, n, P).
+        """
+        at = np.array([beside.get(k, 0.0) for k in range(len(width))])
+        precision = width**-2.0
+        if j is not None:
+            precision[j] = 1e12 / width[j] ** 2
+        share = 1.0 / self.inflation[:, None]
+        slopes, m = self.slopes, np.zeros((len(errors), len(width)))
+        squares = np.einsum("icqp,icqs->icps", slopes, slopes, optimize=True)
+        for step in range(STEPS + 1):
+            left = errors - np.einsum("icqp,mp->micq", slopes, m, optimize=True) if step else errors
+            weight = _weights(left) * share[:, 0]
+            b = np.einsum("micq,icqp,mic->mip", left, slopes, weight, optimize=True)
+            a = np.einsum("icps,mic->mips", squares, weight, optimize=True)
+            if step < STEPS:
+                total = a.sum(axis=1) + np.diag(precision)
+                m = m + np.linalg.solve(total, (b.sum(axis=1) - precision * (m + at))[..., None])[..., 0]
+        each = (_log_t(left) * share[:, 0]).sum(axis=-1)
+        total = np.einsum("di,mips->mdps", self.weights, a, optimize=True) + np.diag(precision)
+        h = np.einsum("di,mip->mdp", self.weights, b) - (precision * (m + at))[:, None]
+        square = (h * np.linalg.solve(total, h[..., None])[..., 0]).sum(axis=-1)
+        free = np.ones(len(width)) if j is None else np.arange(len(width)) != j
+        unlikely = (precision * free * (m + at) ** 2).sum(axis=1)[:, None]
+        log = each @ self.weights.T - 0.5 * (unlikely - square)
+        log -= 0.5 * (np.linalg.slogdet(total)[1] - np.log(precision).sum())
+        return log, m + at, np.einsum("mipp->mip", a)
+
+    def part(self, names: Set, j: int, scan: _Scan, beside: Mapping[int, float]) -> _Part:
+        """A set, its effect numbered j scanned."""
+        width = self._widths({k for k, n in enumerate(self.names) if n in names})
+        sizes = _between(scan.sizes, 2)
+        log, _, known = self._logs(j, scan.at(sizes), width, beside)
+        k = int(np.argmax(log[:, 0] - 0.5 * (sizes / width[j]) ** 2))
+        near = 1.0 / math.sqrt(known[k, :, j].sum() + 1.0 / width[j] ** 2)
+        sizes = np.concatenate([sizes, sizes[k] + near * FINE])
+        sizes = np.unique(np.clip(sizes, scan.sizes[0], scan.sizes[-1]))
+        log, best, _ = self._logs(j, scan.at(sizes), width, beside)
+        prior = -0.5 * (sizes / width[j]) ** 2 - math.log(width[j] * math.sqrt(2.0 * math.pi))
+        at = best.copy()
+        at[:, j] = sizes
+        own = [k for k, n in enumerate(self.names) if n in names]
+        log = log.T + prior + self._sizable(at[:, own], own) + np.log(np.gradient(sizes))
+        k = int(np.argmax(log[0] - np.log(np.gradient(sizes))))
+        best[k, j] = sizes[k]
+        return _Part(names, self.names[j], sizes, log, best[k])
+
+    def _sizable(self, sizes: np.ndarray, own: Sequence[int]) -> np.ndarray:
+        """Log factor (m,) of the prior of sizes (m, k): a named effect is larger than what is not named."""
+        spike, slab = self.spike[own], self.slab[own]
+        factor = -np.expm1(-0.5 * (sizes / spike) ** 2) / (1.0 - spike / np.hypot(spike, slab))
+        return np.log(np.maximum(factor, 1e-12)).sum(axis=1)
+
+    def parts(self, names: Set) -> list[_Part]:
+        """A set along every scan; of several effects along theirs."""
+        along = [j for j, n in enumerate(self.names) if len(names) < 2 or n in names]
+        return [self.part(names, j, self.scans[j], {}) for j in along]
+
+    def anew(self, table: dict[Set, list[_Part]], names: Set) -> None:
+        """Scan each effect of a set of several beside the others at their most probable sizes.
+
+        Sets without the one that is scanned are seen along it as well: with none of its size, but what any
+        contact may be off by.
+        """
+        best = _likeliest(table[names]).best
+        own = {k: float(best[k]) for k, n in enumerate(self.names) if n in names}
+        table[names] = []
+        for j in own:
+            others = {k: size for k, size in own.items() if k != j}
+            scan = self._refined(j, self._scan(j, others), self._widths(set(own)), others)
+            table[names].append(self.part(names, j, scan, others))
+            rest = names - {self.names[j]}
+            table[rest].append(self.part(rest, j, scan, others))
+
+    def distribution(self) -> tuple[tuple[Scored, ...], list[_Part]]:
+        """The sets by probability, and the parts of the most probable."""
+        share = 1.0 - NOTHING ** (1.0 / max(1, len(self.names)))
+        odds = math.log(share / (1.0 - share))
+        table: dict[Set, list[_Part]] = {}
+        for count in range(MOST + 1):
+            for names in itertools.combinations(self.names, count):
+                table[frozenset(names)] = self.parts(frozenset(names))
+        seen: set[Set] = set()
+        while True:
+            logs = {names: _likeliest(parts).evidence + len(names) * odds for names, parts in table.items()}
+            every = np.stack(list(logs.values()))[:, 1:]
+            probability = dict(zip(logs, np.exp(every - logsumexp(every, axis=0)).mean(axis=1)))
+            several = [n for n in logs if len(n) > 1 and n not in seen and probability[n] > CLEAR]
+            if not several or len(seen) == ANEW:
+                break
+            likeliest = max(several, key=probability.get)
+            self.anew(table, likeliest)
+            seen.add(likeliest)
+        order = sorted(logs, key=lambda n: (-probability[n], sorted(n)))
+        kept = [n for k, n in enumerate(order) if not k or probability[n] >= LEAST]
+        own = {n: [x for x in table[n] if x.name in n] for n in kept}
+        values = {n: self._values(self._best(own[n])) for n in kept}
+        return tuple(Scored(n, float(probability[n]), values[n]) for n in kept), own[kept[0]]
+
+    def _best(self, parts: Sequence[_Part]) -> dict[int, float]:
+        """Most probable sizes of a set, by number: each where it was scanned."""
+        return {self.names.index(x.name): float(x.best[self.names.index(x.name)]) for x in parts}
+
+    def sized(self, parts: Sequence[_Part]) -> dict[str, Sized]:
+        """Values of a set with intervals, and in every landing."""
+        own, result = self._best(parts), {}
+        left = self._errors(own) if own else self.neutral
+        weight = _weights(left) / self.inflation
+        for part in parts:
+            j = self.names.index(part.name)
+            p, slopes = self.parameters[j], self.slopes[..., j]
+            density = np.exp(part.log[1:] - part.evidence[1:, None]).mean(axis=0)
+            below = np.cumsum(density) - 0.5 * density
+            ends = np.interp([0.5 - 0.5 * HELD, 0.5 + 0.5 * HELD], below, part.sizes)
+            known = np.einsum("ic,icq,icq->i", weight, slopes, slopes) + self.spike[j] ** -2.0
+            each = own[j] + np.einsum("ic,icq,icq->i", weight, slopes, left) / known
+            value = value_of(p, own[j])
+            error = [value_of(p, own[j] + x) - value for x in known**-0.5]
+            low, high = (value_of(p, x) for x in ends)
+            result[part.name] = Sized(
+                value,
+                (min(low, value), max(high, value)),
+                np.array([value_of(p, x) for x in each]),
+                np.abs(error),
+            )
+        return result
+
+    def gains(self, values) -> dict[str, float]:
+        """Effect -> share of what the set closes that comes back without it."""
+
+        def squares(some) -> float:
+            return -float(_log_t(self.problem.errors(self.problem.corrected(some))).sum())
+
+        if not values:
+            return {}
+        after = squares(values)
+        closed = max(-float(_log_t(self.neutral).sum()) - after, 1e-9)
+        rest = {name: {n: v for n, v in values.items() if n != name} for name in values}
+        return {name: float(np.clip((squares(rest[name]) - after) / closed, 0.0, 1.0)) for name in values}
+
+    def left(self, values) -> np.ndarray:
+        """Errors (n, 6, q) beside a set and what all effects may be off by."""
+        errors = self.problem.errors(self.problem.corrected(values))[None]
+        small = self._logs(None, errors, self._widths(set()), {})[1][0]
+        return errors[0] - self.slopes @ small
+
+
+def _between(sizes: np.ndarray, parts: int) -> np.ndarray:
+    """Sizes (m,) with every interval divided into `parts`."""
+    inner = [np.linspace(a, b, parts, endpoint=False) for a, b in itertools.pairwise(sizes)]
+    return np.append(np.concatenate(inner), sizes[-1])
+
+
+def _log_t(errors: np.ndarray) -> np.ndarray:
+    """Log likelihood (..., 6) of errors (..., 6, q), the q of an axis t-distributed with q degrees."""
+    return -errors.shape[-1] * np.log1p((errors**2).mean(axis=-1))
+
+
+def _weights(errors: np.ndarray) -> np.ndarray:
+    """What the axes (..., 6) of landings count, beside errors (..., 6, q) that are as large as expected."""
+    return 2.0 / (1.0 + (errors**2).mean(axis=-1))
+
+
+def inflation(errors: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """(6,) how much less the axes of a landing tell than if everything in them were independent.
+
+    errors (n, 6, q) near the best explanation, slopes (n, 6, q, P). First the samples of an axis: squares of
+    slope times error over what independent samples give, mean over effects. Then the same of whole landings,
+    whose axes go wrong together.
+    """
+    weight = _weights(errors)[..., None]
+    score = weight * np.einsum("icq,icqp->icp", errors, slopes)
+    known = weight * np.einsum("icqp,icqp->icp", slopes, slopes)
+    ratio = (score**2).sum(axis=0) / np.maximum(known.sum(axis=0), 1e-12)
+    own = np.maximum(1.0, ratio.mean(axis=1))
+    whole = (score / own[:, None]).sum(axis=1)
+    ratio = (whole**2).sum(axis=0) / np.maximum((known / own[:, None]).sum(axis=(0, 1)), 1e-12)
+    return own * max(1.0, float(ratio.mean()))
+
+
+def repeated(landings: Sequence[Landing], left: np.ndarray, inflated: np.ndarray) -> float:
+    """p-value of what landings on the same surface have in common, if idealised contacts differ by that.
+
+    left (n, 6, q): errors beside a set; inflated (6,). On each surface an axis may err alike in all landings,
+    in MODES ways, each as much as the resting pose and the motion before it are expected to: squares of what
+    they have in common, in what chance makes of these, are chi-squared. The largest of all axes counts.
+    """
+    weight, q, values = _weights(left) / inflated, left.shape[2], []
+    first = landings[0]
+    sizes, shapes = np.linalg.eigh(ideal(first.compared[:q] * first.dt - BEFORE))
+    ways = (shapes * np.sqrt(np.maximum(sizes, 0.0))[:, None])[:, :, -MODES:]  # (6, q, MODES)
+    on_platform = np.array([x.on_platform for x in landings])
+    for own in (on_platform, ~on_platform):
+        if own.sum() < 2:
+            continue
+        whiten = np.stack([x.whiten[:, :q, :q] for x in landings])[own]
+        slopes = whiten @ ways
+        a = np.einsum("ic,icqp,icqs->cps", weight[own], slopes, slopes)
+        h = np.einsum("ic,icqp,icq->cp", weight[own], slopes, left[own])
+        squares = (h * np.linalg.solve(a + a @ a, h[..., None])[..., 0]).sum(axis=1)
+        values.append(stats.chi2.sf(squares, MODES))
+    return float(min(1.0, np.min(values) * np.size(values)))

@@ -182,12 +182,3 @@ def _stepped(problem: Problem, fit: Fitted, step: np.ndarray) -> dict[str, dict[
         at = values[column.effect][column.parameter] + change
         values[column.effect][column.parameter] = float(np.clip(at, *problem.parameter(column).possible))
     return values
-
-
-def standard_errors(difference: np.ndarray) -> float:
-    """Sum of the signed roots of the gains (w,) of all windows in standard errors of zero.
-
-    Roots, because an effect that shows in a few windows only has very unequal gains.
-    """
-    root = np.sign(difference) * np.sqrt(np.abs(difference))
-    return float(root.sum() / max(math.sqrt(float((root**2).sum())), 1e-9))
