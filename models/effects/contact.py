@@ -69,5 +69,8 @@ EFFECTS = (
         channels=("touchdown",),
         apply=lambda vehicle, values: _spring(vehicle, 1.0, values.get("scale", 1.0)),
         says="touches are {scale} times as damped as modelled",
+        # Friction in MuJoCo answers within 1/damping of the contact: with less damping vehicles slide
+        # further than feet do.
+        couples_with=("friction",),
     ),
 )

@@ -78,6 +78,8 @@ class Effect:
     # which neither.
     requires: Mapping[str, float] = dataclasses.field(default_factory=dict)
     scales_thrust: bool = False  # free flight shows the ratio of thrust to mass alone
+    # What MuJoCo's contact changes along with it and feet do not: it may be off beside it, as far as it is.
+    couples_with: tuple[str, ...] = ()
     of_the_place: bool = False  # no part of the vehicle: another day or room has another value
     told_by: str = ""  # how it is told without a flight, a sentence; "": by flights
 

@@ -33,7 +33,7 @@ from inclined_landing.models.parameters import Vehicle
 FEWEST = 6  # landings
 MOST = 2  # effects of a set
 IDEAL = 0.1  # standard deviation, in plausible sizes, of what two idealised contacts differ by
-SCAN = (0.2, 0.55, 1.1, 1.9)  # plausible sizes to either side that are simulated
+SCAN = (0.2, 0.55, 1.1, 2.4)  # plausible sizes to either side that are simulated
 REFINED = 2  # times that the best place of a scan is simulated
 ANEW = 3  # sets of several that are scanned beside one another, at most
 FINE = np.linspace(-6.0, 6.0, 25)  # standard deviations about that place at which the likelihood is summed
@@ -187,6 +187,14 @@ class _Engine:
         """Prior standard deviation (P,) of every effect where those numbered are in the set."""
         return np.where(np.isin(np.arange(len(self.names)), list(named)), self.slab, self.spike)
 
+    def _beside(self, named: set[int], j: int, sizes: np.ndarray) -> np.ndarray:
+        """The same (m, P) where the one numbered j has sizes (m,), and what couples with it in MuJoCo."""
+        width = np.tile(self._widths(named), (len(sizes), 1))
+        for other in self.problem.library[self.names[j]].couples_with:
+            if other in self.names and (k := self.names.index(other)) not in named:
+                width[:, k] = np.hypot(width[:, k], sizes / self.slab[j] * self.slab[k])
+        return width
+
     def _refined(self, j: int, scan: _Scan, width: np.ndarray, beside: Mapping[int, float]) -> _Scan:
         """The scan with the most probable sizes simulated too."""
         for _ in range(REFINED):
@@ -201,44 +209,44 @@ class _Engine:
     def _logs(self, j, errors, width, beside) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Log evidence (m, d) of errors (m, n, 6, q), all effects but the one numbered j integrated out.
 
-        width (P,): of their priors; beside: sizes that the errors have already. Returns their most probable
-        sizes (m, P) too, and how well every landing knows all of them alone, (m, n, P).
+        width (P,) or (m, P): of their priors; beside: sizes that the errors have already. Returns their most
+        probable sizes (m, P) too, and how well every landing knows all of them alone, (m, n, P).
         """
-        at = np.array([beside.get(k, 0.0) for k in range(len(width))])
-        precision = width**-2.0
-        if j is not None:
-            precision[j] = 1e12 / width[j] ** 2
-        share = 1.0 / self.inflation[:, None]
-        slopes, m = self.slopes, np.zeros((len(errors), len(width)))
+        count, every = len(self.names), np.eye(len(self.names))
+        at = np.array([beside.get(k, 0.0) for k in range(count)])
+        free = np.ones(count) if j is None else np.arange(count) != j
+        precision = np.broadcast_to(width, (len(errors), count)) ** -2.0 * np.where(free, 1.0, 1e12)
+        prior = precision[:, :, None] * every
+        share = 1.0 / self.inflation
+        slopes, m = self.slopes, np.zeros((len(errors), count))
         squares = np.einsum("icqp,icqs->icps", slopes, slopes, optimize=True)
         for step in range(STEPS + 1):
             left = errors - np.einsum("icqp,mp->micq", slopes, m, optimize=True) if step else errors
-            weight = _weights(left) * share[:, 0]
+            weight = _weights(left) * share
             b = np.einsum("micq,icqp,mic->mip", left, slopes, weight, optimize=True)
             a = np.einsum("icps,mic->mips", squares, weight, optimize=True)
             if step < STEPS:
-                total = a.sum(axis=1) + np.diag(precision)
-                m = m + np.linalg.solve(total, (b.sum(axis=1) - precision * (m + at))[..., None])[..., 0]
-        each = (_log_t(left) * share[:, 0]).sum(axis=-1)
-        total = np.einsum("di,mips->mdps", self.weights, a, optimize=True) + np.diag(precision)
+                h = b.sum(axis=1) - precision * (m + at)
+                m = m + np.linalg.solve(a.sum(axis=1) + prior, h[..., None])[..., 0]
+        each = (_log_t(left) * share).sum(axis=-1)
+        total = np.einsum("di,mips->mdps", self.weights, a, optimize=True) + prior[:, None]
         h = np.einsum("di,mip->mdp", self.weights, b) - (precision * (m + at))[:, None]
         square = (h * np.linalg.solve(total, h[..., None])[..., 0]).sum(axis=-1)
-        free = np.ones(len(width)) if j is None else np.arange(len(width)) != j
         unlikely = (precision * free * (m + at) ** 2).sum(axis=1)[:, None]
         log = each @ self.weights.T - 0.5 * (unlikely - square)
-        log -= 0.5 * (np.linalg.slogdet(total)[1] - np.log(precision).sum())
+        log -= 0.5 * (np.linalg.slogdet(total)[1] - np.log(precision).sum(axis=1)[:, None])
         return log, m + at, np.einsum("mipp->mip", a)
 
     def part(self, names: Set, j: int, scan: _Scan, beside: Mapping[int, float]) -> _Part:
         """A set, its effect numbered j scanned."""
-        width = self._widths({k for k, n in enumerate(self.names) if n in names})
-        sizes = _between(scan.sizes, 2)
-        log, _, known = self._logs(j, scan.at(sizes), width, beside)
+        named = {k for k, n in enumerate(self.names) if n in names}
+        width, sizes = self._widths(named), _between(scan.sizes, 2)
+        log, _, known = self._logs(j, scan.at(sizes), self._beside(named, j, sizes), beside)
         k = int(np.argmax(log[:, 0] - 0.5 * (sizes / width[j]) ** 2))
         near = 1.0 / math.sqrt(known[k, :, j].sum() + 1.0 / width[j] ** 2)
         sizes = np.concatenate([sizes, sizes[k] + near * FINE])
         sizes = np.unique(np.clip(sizes, scan.sizes[0], scan.sizes[-1]))
-        log, best, _ = self._logs(j, scan.at(sizes), width, beside)
+        log, best, _ = self._logs(j, scan.at(sizes), self._beside(named, j, sizes), beside)
         prior = -0.5 * (sizes / width[j]) ** 2 - math.log(width[j] * math.sqrt(2.0 * math.pi))
         at = best.copy()
         at[:, j] = sizes
@@ -368,14 +376,14 @@ def inflation(errors: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     """(6,) how much less the axes of a landing tell than if everything in them were independent.
 
     errors (n, 6, q) near the best explanation, slopes (n, 6, q, P). First the samples of an axis: squares of
-    slope times error over what independent samples give, mean over effects. Then the same of whole landings,
-    whose axes go wrong together.
+    slope times error over what independent samples give, of the effect where they are largest. Then the same
+    of whole landings, whose axes go wrong together, mean over effects.
     """
     weight = _weights(errors)[..., None]
     score = weight * np.einsum("icq,icqp->icp", errors, slopes)
     known = weight * np.einsum("icqp,icqp->icp", slopes, slopes)
     ratio = (score**2).sum(axis=0) / np.maximum(known.sum(axis=0), 1e-12)
-    own = np.maximum(1.0, ratio.mean(axis=1))
+    own = np.maximum(1.0, ratio.max(axis=1))
     whole = (score / own[:, None]).sum(axis=1)
     ratio = (whole**2).sum(axis=0) / np.maximum((known / own[:, None]).sum(axis=(0, 1)), 1e-12)
     return own * max(1.0, float(ratio.mean()))
