@@ -5,7 +5,8 @@ attitude matrix corrected (see `attitude.py`). Two attitude models:
 
 - ``kinematic``: the paper's first-order loops, d(angle)/dt = (k command - angle)/tau;
 - ``rate_loop``: the same loops with a rate loop of bandwidth B under them, as the MuJoCo vehicle has:
-  d2(angle)/dt2 = B (rate_wanted - rate) - rate/tau, poles exactly -1/tau and -B.
+  d2(angle)/dt2 = B (rate_wanted - rate) - rate/tau, poles exactly -1/tau and -B; with another damping
+  than 1 the rate terms are that many times as large.
 
 The named effects of the vehicle (`effects_...`; see `effects/`) are terms of the same equations, left
 out while all are neutral. Delays are not equations: the plant shifts the commands.
@@ -143,9 +144,10 @@ def loop_rates(roll, pitch, u, v, p):
 
 
 @numba.njit(cache=True, inline="always")
-def rate_loop_acceleration(rate_wanted, rate, bandwidth, tau):
-    """Angular acceleration [rad/s2] of the loop whose poles are -1/tau and -bandwidth."""
-    return bandwidth * (rate_wanted - rate) - rate / tau
+def rate_loop_acceleration(rate_wanted, rate, bandwidth, tau, damping):
+    """Angular acceleration [rad/s2] of the loop whose poles are -1/tau and -bandwidth, with damping 1."""
+    beyond = (damping - 1.0) * (bandwidth + 1.0 / tau)
+    return bandwidth * (rate_wanted - rate) - rate / tau - beyond * rate
 
 
 @numba.njit(cache=True, nogil=True)
@@ -157,17 +159,26 @@ def angle_steps(axis, command, twist, start, dt, vehicle):
     v = vehicle[0]
     a, b = 1.0 / v.attitude.time_constant, v.attitude.bandwidth
     gain, trim = v.attitude.gain, v.effects.attitude_trim[axis]
-    slow, apart = math.exp(-min(a, b) * dt), abs(b - a) * dt
-    # From (angle, rate) off rest to the next: drive = (exp(-a dt) - exp(-b dt))/(b - a).
-    drive = slow * dt * (-math.expm1(-apart) / apart if apart > 0.0 else 1.0)
-    stay = slow + min(a, b) * drive
+    # The poles lie `half` to either side of -mean. From (angle, rate) off rest to the next:
+    # drive = exp(-mean dt) sinh(half dt)/half, or sin where they are complex.
+    mean = 0.5 * v.attitude.damping * (a + b)
+    square = mean * mean - a * b
+    half = math.sqrt(abs(square))
+    if square > 0.0:
+        slow, apart = math.exp(-(mean - half) * dt), 2.0 * half * dt
+        drive = slow * dt * -math.expm1(-apart) / apart
+        stay = slow + (mean - half) * drive
+    else:
+        slow, swing = math.exp(-mean * dt), half * dt
+        drive = slow * dt * (math.sin(swing) / swing if swing > 0.0 else 1.0)
+        stay = slow * math.cos(swing) + mean * drive
     out, rate = np.empty(len(command) + 1), 0.0
     out[0] = start
     for k in range(len(command)):
         rest = gain * (command[k] + trim) + twist[k] / (a * b)
         off = out[k] - rest
         out[k + 1] = rest + stay * off + drive * rate
-        rate = (stay - (a + b) * drive) * rate - a * b * drive * off
+        rate = (stay - 2.0 * mean * drive) * rate - a * b * drive * off
     return out
 
 
@@ -360,8 +371,9 @@ def _derivative(y, u, ambient, push, i, v, p, rate_loop, r, f, dy):
         phid, thetad, psid = y[_RATES], y[_RATES + 1], y[_RATES + 2]
         tau = v.attitude.time_constant * p[TIME_CONSTANT_SCALE]
         dy[_PHI], dy[_THETA], dy[_PSI] = phid, thetad, psid
-        dy[_RATES] = rate_loop_acceleration(roll_wanted, phid, v.attitude.bandwidth, tau)
-        dy[_RATES + 1] = rate_loop_acceleration(pitch_wanted, thetad, v.attitude.bandwidth, tau)
+        bandwidth, damping = v.attitude.bandwidth, v.attitude.damping
+        dy[_RATES] = rate_loop_acceleration(roll_wanted, phid, bandwidth, tau, damping)
+        dy[_RATES + 1] = rate_loop_acceleration(pitch_wanted, thetad, bandwidth, tau, damping)
         dy[_RATES + 2] = v.attitude.yaw_bandwidth * (yaw_wanted - psid)
         tx, ty, tz = f[3], f[4], 0.0
         if push is not None:

@@ -73,6 +73,7 @@ class Vehicle:
     attitude_gain: float
     attitude_time_constant: float
     attitude_bandwidth: float
+    attitude_damping: float
     attitude_yaw_gain: float
     attitude_yaw_bandwidth: float
     attitude_torque_limit: float

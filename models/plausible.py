@@ -181,6 +181,11 @@ def _steps(v: Vehicle) -> Iterator[str]:
         ("drag.coefficients slow the vehicle; their rate", drag, period, _SMOOTH),
         ("effects.body_drag slows the vehicle; its rate", v.effects_body_drag * air / mass, period, _SMOOTH),
         ("attitude.bandwidth", v.attitude_bandwidth, ENGINE_STEP, _STABLE),
+        (
+            "attitude.damping times the rates of both loops",
+            v.attitude_damping * (v.attitude_bandwidth + 1.0 / v.attitude_time_constant),
+            *(ENGINE_STEP, _STABLE),
+        ),
         ("attitude.yaw_bandwidth", v.attitude_yaw_bandwidth, ENGINE_STEP, _STABLE),
     ):
         if rate * step > most:

@@ -78,7 +78,8 @@ void Compute(const mjModel* m, mjData* d, int instance) {
       command = Command(m, d, actuator) + hooks.bias[0] + trim;
     }
     const double wanted = (gain * command - angle) / tau;
-    return config->bandwidth * (wanted - rate) - rate / tau;
+    const double beyond = (config->damping - 1) * (config->bandwidth + 1 / tau);
+    return config->bandwidth * (wanted - rate) - rate / tau - beyond * rate;
   };
   double yaw_wanted = 0, yaw_bandwidth = config->yaw_bandwidth;
   if (actuators[kYaw] >= 0) {

@@ -31,8 +31,7 @@ class Shapes:
         """For windows of `rows` samples dt apart, the attitude loops those of `vehicle`."""
         t = np.arange(rows) * dt
         since = t[:, None] - t[None, :]
-        a, b = 1.0 / vehicle.attitude_time_constant, vehicle.attitude_bandwidth
-        b = b if abs(a - b) > 1e-3 * a else 1.001 * b
+        modes, stiffness = _of_loop(vehicle)
         turn_bandwidth = vehicle.attitude_yaw_bandwidth
 
         def of_step(step_response) -> np.ndarray:
@@ -40,12 +39,12 @@ class Shapes:
             return step_response(begun) - step_response(over)
 
         moved = of_step(lambda s: 0.5 * s * s)
-        tilted = of_step(lambda s: (1.0 - (b * np.exp(-a * s) - a * np.exp(-b * s)) / (b - a)) / (a * b))
+        tilted = of_step(lambda s: (1.0 - modes(s)[0]) / stiffness)
         turned = of_step(
             lambda s: (s - (1.0 - np.exp(-turn_bandwidth * s)) / turn_bandwidth) / turn_bandwidth
         )
         line = np.stack([np.ones(rows), t], axis=1)
-        tilt = np.stack([np.exp(-a * t), np.exp(-b * t)], axis=1)
+        tilt = np.stack(modes(t), axis=1)
         turn = np.stack([np.ones(rows), np.exp(-turn_bandwidth * t)], axis=1)
         line, tilt, turn = (null_space(x.T) for x in (line, tilt, turn))
         return Shapes((line,) * 3 + (tilt,) * 2 + (turn,), (moved,) * 3 + (tilted,) * 2 + (turned,), dt)
@@ -64,6 +63,21 @@ class Shapes:
         fed = self.free[channel].T @ self.responses[channel]
         steps = np.arange(fed.shape[1]) * self.dt
         return fed @ np.exp(-np.abs(steps[:, None] - steps) / time) @ fed.T
+
+
+def _of_loop(vehicle: Vehicle):
+    """Of the roll and pitch loops: t -> their responses to an angle and to a rate; their stiffness [1/s2]."""
+    a, b = 1.0 / vehicle.attitude_time_constant, vehicle.attitude_bandwidth
+    mean = 0.5 * vehicle.attitude_damping * (a + b)
+    half = np.sqrt(complex(mean * mean - a * b))
+    half = half if abs(half) > 1e-3 * mean else 1e-3 * mean
+
+    def modes(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        near, far = np.exp((half - mean) * t), np.exp(-(half + mean) * t)
+        drive = ((near - far) / (2.0 * half)).real
+        return (0.5 * (near + far)).real + mean * drive, drive
+
+    return modes, a * b
 
 
 @dataclasses.dataclass(frozen=True)

@@ -66,7 +66,8 @@ def setpoints(path: Path, vehicle: Vehicle) -> Setpoints:
     rates = np.gradient(angles, dt, axis=0)
     bends = np.gradient(rates, dt, axis=0)
     tau, bandwidth = v.attitude_time_constant, v.attitude_bandwidth
-    lead = ((tau + 1.0 / bandwidth) * rates + tau / bandwidth * bends) / v.attitude_gain
+    lag = v.attitude_damping * (tau + 1.0 / bandwidth)
+    lead = (lag * rates + tau / bandwidth * bends) / v.attitude_gain
     pwm = v.hover_pwm * size / v.environment_gravity
     push = np.gradient(pwm, dt) / v.thrust_lag_rate
     wanted = _ahead(angles / v.attitude_gain + lead, v.effects_attitude_delay)

@@ -15,11 +15,11 @@ DURATION = 0.3  # s: well inside the transient of every loop tested
 TOLERANCE = 1e-6
 
 
-def angle_response(command, t, gain, tau, bandwidth):
+def angle_response(command, t, gain, tau, bandwidth, damping):
     """Step response of gain B/tau / ((s + 1/tau)(s + B)) times `command`, at time t."""
-    slow = 1 / tau
-    decay = (bandwidth * math.exp(-slow * t) - slow * math.exp(-bandwidth * t)) / (bandwidth - slow)
-    return gain * command * (1 - decay)
+    first, second = np.roots([1.0, damping * (bandwidth + 1 / tau), bandwidth / tau]).astype(complex)
+    decay = (first * np.exp(second * t) - second * np.exp(first * t)) / (first - second)
+    return gain * command * (1 - decay.real)
 
 
 def expected(build, command=COMMAND, t=DURATION, **changed):
@@ -29,10 +29,11 @@ def expected(build, command=COMMAND, t=DURATION, **changed):
         "gain": v.attitude_gain,
         "time_constant": v.attitude_time_constant,
         "bandwidth": v.attitude_bandwidth,
+        "damping": v.attitude_damping,
         "yaw_gain": v.attitude_yaw_gain,
         "yaw_bandwidth": v.attitude_yaw_bandwidth,
     } | changed
-    loop = (values["gain"], values["time_constant"], values["bandwidth"])
+    loop = (values["gain"], values["time_constant"], values["bandwidth"], values["damping"])
     b = values["yaw_bandwidth"]
     yaw = values["yaw_gain"] * command[2] * (t + math.expm1(-b * t) / b)
     return (*(angle_response(c, t, *loop) for c in command[:2]), yaw)
@@ -53,6 +54,7 @@ def flown(build, model, command=COMMAND, duration=DURATION):
         {"yaw_gain": 0.9},
         {"time_constant": 0.1},
         {"bandwidth": 100.0},
+        {"damping": 0.4},
         {"yaw_bandwidth": 30.0},
     ],
     ids=lambda changed: next(iter(changed), "defaults"),
