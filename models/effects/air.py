@@ -1,14 +1,12 @@
 """Effects of the air: drag, wind, inflow and surfaces nearby."""
 
-import dataclasses
-
 from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added
 
 
 def _rotor_drag(vehicle, values):
     x, y, z = vehicle.drag_coefficients
     lateral, axial = values.get("lateral", 1.0), values.get("axial", 1.0)
-    return dataclasses.replace(vehicle, drag_coefficients=(lateral * x, lateral * y, axial * z))
+    return vehicle.changed(drag_coefficients=(lateral * x, lateral * y, axial * z))
 
 
 def _ground_effect(vehicle, values):
@@ -19,7 +17,7 @@ def _ground_effect(vehicle, values):
     fading = values.get("fading", before)
     if own != 0.0:  # the sum of two such laws is none of them: what lies between, by their strengths
         fading = (abs(own) * before + abs(strength) * fading) / (abs(own) + abs(strength))
-    return dataclasses.replace(vehicle, effects_ground_effect=own + strength, effects_ground_fading=fading)
+    return vehicle.changed(effects_ground_effect=own + strength, effects_ground_fading=fading)
 
 
 def _drag(name: str, parts: tuple[int, ...]) -> Parameter:

@@ -1,7 +1,5 @@
 """Effects on the attitude loops."""
 
-import dataclasses
-
 from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added, scaled
 
 _QUICKEST = 0.002  # s, lag of a rate loop that the engine's step can follow
@@ -12,7 +10,7 @@ def _time_constant(vehicle, values):
     own, scale = vehicle.attitude_time_constant, values.get("scale", 1.0)
     if scale == 1.0:
         return vehicle
-    return dataclasses.replace(vehicle, attitude_time_constant=max(own * scale, min(own, _LEAST_TIME)))
+    return vehicle.changed(attitude_time_constant=max(own * scale, min(own, _LEAST_TIME)))
 
 
 def _second_order(vehicle, values):
@@ -22,12 +20,11 @@ def _second_order(vehicle, values):
     if (scale := values.get("damping", 1.0)) != 1.0:
         most = 1.0 / (_QUICKEST * (bandwidth + 1.0 / vehicle.attitude_time_constant))
         damping = min(damping * scale, max(damping, most))
-    return dataclasses.replace(vehicle, attitude_bandwidth=bandwidth, attitude_damping=damping)
+    return vehicle.changed(attitude_bandwidth=bandwidth, attitude_damping=damping)
 
 
 def _yaw_loop(vehicle, values):
-    return dataclasses.replace(
-        vehicle,
+    return vehicle.changed(
         attitude_yaw_gain=vehicle.attitude_yaw_gain * values.get("gain", 1.0),
         attitude_yaw_bandwidth=vehicle.attitude_yaw_bandwidth / values.get("time_constant", 1.0),
     )
@@ -37,7 +34,7 @@ def _level(vehicle, values):
     tilt = [values.get(name, 0.0) for name in ("roll", "pitch")]
     shown = (old + new for old, new in zip(vehicle.effects_mocap_tilt, tilt))
     held = (old - new / vehicle.attitude_gain for old, new in zip(vehicle.effects_attitude_trim, tilt))
-    return dataclasses.replace(vehicle, effects_mocap_tilt=tuple(shown), effects_attitude_trim=tuple(held))
+    return vehicle.changed(effects_mocap_tilt=tuple(shown), effects_attitude_trim=tuple(held))
 
 
 def _angles(plausible: float, field: str, name: str) -> tuple[Parameter, ...]:

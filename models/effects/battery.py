@@ -1,7 +1,5 @@
 """Effects of the battery on the thrust: with the load alone, or through a measured voltage."""
 
-import dataclasses
-
 from inclined_landing.models.effects.effect import Effect, Parameter
 from inclined_landing.models.parameters import load_vehicle
 
@@ -29,7 +27,7 @@ def with_sag(vehicle, sag, reference=None):
         slope, at = _line(-own / before, before, -sag / at, at)
         at = at or _LEAST_REFERENCE  # the line itself, where it is right at no load
         total = -slope * at
-    return dataclasses.replace(vehicle, effects_battery_sag=total, effects_battery_reference=at)
+    return vehicle.changed(effects_battery_sag=total, effects_battery_reference=at)
 
 
 def _voltage(vehicle, values):
@@ -39,9 +37,7 @@ def _voltage(vehicle, values):
         values.get("sensitivity", 0.0),
         values.get("reference", vehicle.effects_voltage_reference),
     )
-    return dataclasses.replace(
-        vehicle, effects_voltage_sensitivity=sensitivity, effects_voltage_reference=reference
-    )
+    return vehicle.changed(effects_voltage_sensitivity=sensitivity, effects_voltage_reference=reference)
 
 
 EFFECTS = (

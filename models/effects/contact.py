@@ -1,7 +1,5 @@
 """Effects on how vehicle and surfaces touch. MuJoCo only: the equations know no contact."""
 
-import dataclasses
-
 from inclined_landing.models.effects.effect import Effect, Parameter, scaled
 
 
@@ -16,7 +14,7 @@ def _spring(vehicle, stiffness: float, damping: float):
     first, second = vehicle.contact_solref
     if first > 0:  # time constant and damping ratio
         first, second = -1.0 / (first * first * second * second), -2.0 / first
-    return dataclasses.replace(vehicle, contact_solref=(first * stiffness, second * damping))
+    return vehicle.changed(contact_solref=(first * stiffness, second * damping))
 
 
 def spring_of(vehicle) -> tuple[float, float]:

@@ -121,7 +121,7 @@ def scaled(*fields: str, parameter: str = "scale"):
         for field in fields:
             old = getattr(vehicle, field)
             changes[field] = tuple(x * factor for x in old) if isinstance(old, tuple) else old * factor
-        return dataclasses.replace(vehicle, **changes)
+        return vehicle.changed(**changes)
 
     return apply
 
@@ -136,6 +136,6 @@ def added(field: str, *parameters: str):
             changed: Any = tuple(a + b for a, b in zip(old, new))
         else:
             changed = old + new[0]
-        return dataclasses.replace(vehicle, **{field: changed})
+        return vehicle.changed(**{field: changed})
 
     return apply

@@ -1,14 +1,11 @@
 """Effects on how fast the thrust follows its command."""
 
-import dataclasses
-
 from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added
 
 
 def _lag(vehicle, values):
     scale = values.get("scale", 1.0)
-    return dataclasses.replace(
-        vehicle,
+    return vehicle.changed(
         thrust_lag_rate=vehicle.thrust_lag_rate / scale,
         thrust_state_gain=vehicle.thrust_state_gain / scale,
     )

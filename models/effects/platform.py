@@ -1,6 +1,5 @@
 """Effects of a platform that does not stand where the vehicle file puts it."""
 
-import dataclasses
 import math
 
 from inclined_landing.models.effects.effect import Effect, Parameter, added
@@ -10,7 +9,7 @@ def _tilt(vehicle, values):
     tilt = vehicle.platform_inclination + values.get("offset", 0.0)
     # The board keeps its length, so that its horizontal extent changes.
     width = vehicle.platform_width * (math.cos(tilt) / math.cos(vehicle.platform_inclination))
-    return dataclasses.replace(vehicle, platform_inclination=tilt, platform_width=width)
+    return vehicle.changed(platform_inclination=tilt, platform_width=width)
 
 
 EFFECTS = (

@@ -13,9 +13,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.special import ndtr
 
 from inclined_landing.eval.gap.flights import unrest
-from inclined_landing.eval.gap.search.evidence import Problem, Weighted, either_side
+from inclined_landing.eval.gap.search.evidence import Problem, Values, Weighted, either_side
 from inclined_landing.eval.gap.search.fit import Fitted, fit_at, refit
 from inclined_landing.eval.gap.search.posterior import (
     Local,
@@ -293,16 +294,36 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
     names = list(table)
     logs = np.stack([table[n] for n in names])
     shares = np.exp(logs - logs.max(axis=0))
-    probability = (shares / shares.sum(axis=0)).mean(axis=1)
-    result = []
-    for k in np.argsort(-probability, kind="stable"):
-        if probability[k] < LEAST and result:
-            continue
-        one = names[k]
-        if one not in nodes and (
-            probability[k] > CLEAR or not result
-        ):  # told by the linearisation alone so far
-            nodes[one] = _visit(problem, one, starts[one], inflation)
+    probability: dict[Set, float] = {}
+    for one, share in zip(names, (shares / shares.sum(axis=0)).mean(axis=1)):
+        near_it = nodes.get(one, best).local
         values = nodes[one].values if one in nodes else starts[one]
-        result.append(Scored(one, float(probability[k]), values))
+        for subset, part in _worth_correcting(problem, near_it, one, values).items():
+            probability[subset] = probability.get(subset, 0.0) + part * float(share)
+    result: list[Scored] = []
+    for one in sorted(probability, key=lambda n: -probability[n]):
+        if probability[one] < LEAST and result:
+            continue
+        if one not in nodes and (probability[one] > CLEAR or not result):
+            start = starts.get(one) or _start(problem, best, one)  # told by the linearisation alone so far
+            nodes[one] = _visit(problem, one, start, inflation)
+        values = nodes[one].values if one in nodes else starts.get(one) or _start(problem, best, one)
+        result.append(Scored(one, probability[one], values))
     return tuple(result)
+
+
+def _worth_correcting(problem: Problem, local: Local, names: Set, values: Values) -> dict[Set, float]:
+    """How probable every part of a set is the part whose sizes are beyond what nobody needs to correct."""
+    deviations = np.sqrt(local.fit(names)[1].diagonal()) * local.unit
+    result: dict[Set, float] = {frozenset(): 1.0}
+    for name in names:
+        within = 1.0
+        for k in local.index([name]):
+            p = problem.parameter(local.columns[k])
+            size = p.size(values[name][p.name])
+            ends = (np.array([-p.negligible, p.negligible]) - size) / max(deviations[k], 1e-12)
+            if not (p.is_reference or local.columns[k].fixed):
+                within *= float(np.diff(ndtr(ends))[0])
+        parts = result.items()
+        result = {s: x * within for s, x in parts} | {s | {name}: x * (1.0 - within) for s, x in parts}
+    return result
