@@ -47,7 +47,18 @@ EFFECTS = (
         description="Drag of body, decks and markers, growing with the square of the air speed.",
         formula="F_a += -coefficient |v_air| v_air",
         source="drag of a blunt body: half of air density, drag coefficient and area; 0.006 kg/m for 0.01 m2",
-        parameters=(Parameter("coefficient", "kg/m", 0.0, (0.0, 0.08), 0.006, 0.0005, one_signed=True),),
+        parameters=(
+            Parameter(
+                "coefficient",
+                "kg/m",
+                0.0,
+                (0.0, 0.08),
+                0.006,
+                0.0005,
+                one_signed=True,
+                adds_to="effects_body_drag",
+            ),
+        ),
         regimes=("lateral", "climb"),
         confused_with=("rotor_drag", "wind"),
         remedy="Remove what stands in the wind, or accept the term. A slow and a fast flight over the same "
@@ -113,7 +124,9 @@ EFFECTS = (
         "Sanchez-Cuevas et al. 2017; an exponential end, He et al. 2019; 4 to 9 % below 7 cm in the "
         "nanobench flights",
         parameters=(
-            Parameter("strength", "1", 0.0, (-2.0, 40.0), 5.0, 0.5, one_signed=True),
+            Parameter(
+                "strength", "1", 0.0, (-2.0, 40.0), 5.0, 0.5, one_signed=True, adds_to="effects_ground_effect"
+            ),
             Parameter("fading", "1/m", 0.0, (-1.5, 30.0), 3.0, 0.5, is_reference=True),
         ),
         regimes=("near_surface", "touchdown"),

@@ -15,12 +15,11 @@ def _time_constant(vehicle, values):
 
 def _second_order(vehicle, values):
     own, lag = 1.0 / vehicle.attitude_bandwidth, values.get("rate_lag", 0.0)
-    damping = vehicle.attitude_damping
-    bandwidth = 1.0 / max(own + lag, min(own, _QUICKEST)) if lag else vehicle.attitude_bandwidth
-    if (scale := values.get("damping", 1.0)) != 1.0:
-        most = 1.0 / (_QUICKEST * (bandwidth + 1.0 / vehicle.attitude_time_constant))
-        damping = min(damping * scale, max(damping, most))
-    return vehicle.changed(attitude_bandwidth=bandwidth, attitude_damping=damping)
+    if lag == 0.0:
+        return vehicle
+    new, tau = max(own + lag, min(own, _QUICKEST)), vehicle.attitude_time_constant
+    damping = vehicle.attitude_damping * (tau + own) / (tau + new)
+    return vehicle.changed(attitude_bandwidth=1.0 / new, attitude_damping=damping)
 
 
 def _yaw_loop(vehicle, values):
@@ -96,11 +95,10 @@ EFFECTS = (
     ),
     Effect(
         name="second_order_attitude",
-        description="The rate loop under the attitude loop is slower than modelled, so that the angles "
-        "respond with a longer S-shaped start; a negative lag is a quicker one. With less damping the two "
-        "loops swing together.",
-        formula="bandwidth = 1/(1/attitude_bandwidth + rate_lag), the lag in all at least 2 ms; "
-        "d2(angle)/dt2 = bandwidth (wanted rate) - damping (bandwidth + 1/time_constant) rate",
+        description="The rate loop under the attitude loop is slower than modelled: the angles start later "
+        "and swing further, and arrive after the same mean delay. A negative lag is a quicker one.",
+        formula="1/bandwidth + rate_lag, at least 2 ms in all, in place of 1/bandwidth in "
+        "d2(angle)/dt2 = bandwidth (wanted rate - rate); the term with the rate stays as it is",
         source="cascaded attitude and rate controllers of the Crazyflie firmware",
         parameters=(
             Parameter(
@@ -110,19 +108,13 @@ EFFECTS = (
                     *("rate loop lag", "attitude_bandwidth", "s"), lambda v, x: x + 1.0 / v.attitude_bandwidth
                 ),
             ),
-            Parameter(
-                *("damping", "1", 1.0, (0.3, 2.5), 0.8, 0.03),
-                constant=FittedConstant(
-                    "attitude damping", "attitude_damping", "1", lambda v, x: x * v.attitude_damping
-                ),
-            ),
         ),
         regimes=("attitude_step",),
         confused_with=("attitude_delay", "attitude_time_constant"),
         remedy="Raise the rate controller's gains, or check for slack in motor mounts and heavy propellers.",
         channels=("attitude",),
         apply=_second_order,
-        says="the rate loop lags {rate_lag} more than modelled, with {damping} times the damping",
+        says="the rate loop lags {rate_lag} more than modelled",
     ),
     Effect(
         name="attitude_trim",

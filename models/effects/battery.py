@@ -50,7 +50,9 @@ EFFECTS = (
         source="internal resistance of a one-cell lithium-polymer battery; 0.1 to 0.2 V per 10 000 PWM in "
         "the nanobench flights",
         parameters=(
-            Parameter("sag", "1", 0.0, (-0.03, 0.7), 0.15, 0.01, one_signed=True),
+            Parameter(
+                "sag", "1", 0.0, (-0.03, 0.7), 0.15, 0.01, one_signed=True, adds_to="effects_battery_sag"
+            ),
             Parameter(
                 *("reference", "PWM", _SHIPPED.effects_battery_reference, (5000.0, 65000.0), 34100.0, 1000.0),
                 is_reference=True,

@@ -6,12 +6,17 @@ from inclined_landing.models.effects.effect import Effect, FittedConstant, Param
 def _delay(
     longest: float, plausible: float, negligible: float, name: str, field: str, manoeuvre: float = 0.0
 ) -> Parameter:
-    """A delay of commands, added to a field of the vehicle."""
+    """A delay, added to a field of the vehicle.
+
+    All have the same step: where their slopes bend, at whole rows of a log, they stay sums of each other.
+    """
     constant = FittedConstant(name, field, "s", lambda v, x: x + getattr(v, field), offset=True)
     return Parameter(
         *("delay", "s", 0.0, (0.0, longest), plausible, negligible),
         one_signed=True,
+        adds_to=field,
         constant=constant,
+        step=0.001,
         manoeuvre=manoeuvre,
     )
 
@@ -52,9 +57,7 @@ EFFECTS = (
         "controller sees, is late.",
         formula="measured(t) = state(t - delay)",
         source="motion capture over a network: 4 to 20 ms",
-        parameters=(
-            Parameter("delay", "s", 0.0, (0.0, 0.15), 0.02, 0.002, one_signed=True, manoeuvre=0.007),
-        ),
+        parameters=(_delay(0.15, 0.02, 0.002, "mocap delay", "effects_mocap_delay", 0.007),),
         regimes=("attitude_step", "lateral", "climb"),
         confused_with=("thrust_delay", "attitude_delay"),
         remedy="Use the capture time stamps of the cameras instead of the time of arrival, or shift the log.",

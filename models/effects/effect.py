@@ -33,10 +33,12 @@ class Parameter:
     plausible: float  # a value that a real vehicle may well have
     negligible: float  # distance from neutral, in the unit, that nobody needs to correct
     one_signed: bool = False  # below neutral lies no physical cause, only room for the noise of a fit
+    adds_to: str = ""  # field of Vehicle of which, one-signed, there may be less if there is some already
     is_reference: bool = False  # where another parameter acts about; no size of its own, any value is neutral
     constant: FittedConstant | None = None
     # By how much [unit] what fits best varies with how one vehicle is flown: no loop is quite of its form.
     manoeuvre: float = 0.0
+    step: float = 0.0  # over which a fit takes slopes; 0: negligible
 
     @property
     def is_factor(self) -> bool:
@@ -47,6 +49,13 @@ class Parameter:
     def possible(self) -> tuple[float, float]:
         """Bounds of what has a physical cause."""
         return (self.neutral, self.bounds[1]) if self.one_signed else self.bounds
+
+    def beside(self, vehicle: Vehicle) -> Parameter:
+        """The parameter where `vehicle` has the effect already: it may have less of it, down to nothing."""
+        own = float(getattr(vehicle, self.adds_to)) if self.adds_to else 0.0
+        if not self.one_signed or own <= 0.0:
+            return self
+        return dataclasses.replace(self, bounds=(self.neutral - own, self.bounds[1]), one_signed=False)
 
     def size(self, value: float) -> float:
         """How far a value is from neutral; 0 of a reference."""
@@ -102,6 +111,10 @@ class Effect:
     def contact(self) -> bool:
         """Whether it shows in touchdowns only."""
         return self.channels == ("touchdown",)
+
+    def beside(self, vehicle: Vehicle) -> Effect:
+        """The effect as it may be added to `vehicle`."""
+        return dataclasses.replace(self, parameters=tuple(p.beside(vehicle) for p in self.parameters))
 
     def parameter(self, name: str) -> Parameter:
         """The parameter called `name`."""

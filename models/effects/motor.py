@@ -39,7 +39,11 @@ EFFECTS = (
         description="The motors slow down more slowly than they speed up: nothing brakes them but the air.",
         formula="dOmega/dt divided by (1 + excess) while it is negative",
         source="brushed motors without active braking",
-        parameters=(Parameter("excess", "1", 0.0, (-0.6, 6.0), 1.0, 0.1, one_signed=True),),
+        parameters=(
+            Parameter(
+                "excess", "1", 0.0, (-0.6, 6.0), 1.0, 0.1, one_signed=True, adds_to="effects_spin_down"
+            ),
+        ),
         regimes=("climb",),
         confused_with=("motor_lag", "thrust_delay", "thrust_bias"),
         remedy="Nothing is broken. Brake earlier in descents; steps of thrust up and down tell it from an "

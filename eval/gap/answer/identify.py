@@ -1,7 +1,7 @@
 """Grey-box identification of what the model already has, from flights.
 
 Every effect that free flight shows is fitted together with the others, beside what belongs to the place and
-is not kept; those of which the flights tell nothing, or nothing worth correcting, are left out again.
+is not kept; then those without which the flights are more probable are left out again, one after the other.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from inclined_landing.eval.gap.result import Contradiction, Disturbance
 from inclined_landing.eval.gap.search import disagreement
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
 from inclined_landing.eval.gap.search.fit import Fitted, estimates, left_out_vehicles, refit, spread_between
-from inclined_landing.eval.gap.search.posterior import Local, slabs
+from inclined_landing.eval.gap.search.posterior import Local, evidence_of, slabs
 from inclined_landing.eval.gap.search.prediction import predict
-from inclined_landing.eval.gap.search.sets import repeated, settle
+from inclined_landing.eval.gap.search.sets import log_prior, repeated, settle
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, FittedConstant
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -140,21 +140,32 @@ def identify(
 
 
 def _worth_having(problem: Problem, fit: Fitted, notes: list[str]) -> Fitted:
-    """The fit without effects that nobody needs to correct; notes on those that flights tell nothing of."""
+    """The fit without effects that the flights do not ask for; notes on those that they tell nothing of.
+
+    What is left out is neutral in the vehicle file: small errors of several effects do not fall away unseen.
+    """
+    inflation = repeated(problem, fit.values)
+    fit = refit(problem, fit.values, inflation, prior=slabs)
     local = Local.of(problem, fit.weighted, fit.values)
     error = np.sqrt(np.diag(local.fit(frozenset(fit.values))[1])) * local.unit
-    kept, seen = set(), set()
-    for column, sd, slab in zip(local.columns, error, slabs(problem, local.columns)):
-        p = problem.parameter(column)
-        if sd < UNSEEN * slab:
-            seen.add(column.effect)
-        if abs(p.size(fit.values[column.effect][p.name])) > p.negligible:
-            kept.add(column.effect)
+    slab = slabs(problem, local.columns)
+    seen = {c.effect for c, sd, wide in zip(local.columns, error, slab) if sd < UNSEEN * wide}
+    kept = frozenset(n for n in fit.values if np.any(problem.sizes(n, fit.values)))
+    places = frozenset(n for n in kept if LIBRARY[n].of_the_place)
+
+    def score(names: frozenset[str]) -> float:
+        return evidence_of(problem, fit, names) + log_prior(problem, names)
+
+    while kept - places:
+        fewer = max((kept - {n} for n in sorted(kept - places)), key=score)
+        if score(fewer) < score(kept):
+            break
+        kept = fewer
     for name in fit.values:
         if name not in seen | kept:
             label = name.replace("_", " ")
             notes.append(f"{label} is not excited enough in these flights; it stays as it was")
-    return refit(problem, {n: v for n, v in fit.values.items() if n in kept}, np.ones(6), prior=slabs)
+    return refit(problem, {n: v for n, v in fit.values.items() if n in kept}, inflation, prior=slabs)
 
 
 def nrmse_fit(measured: np.ndarray, predicted: np.ndarray) -> float:

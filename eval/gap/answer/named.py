@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 
 import numpy as np
@@ -51,18 +52,16 @@ def named_effects(problem: Problem, found: Search, values: Values) -> tuple[Name
 def in_its_place(found: Search | Touched, name: str) -> tuple[str, ...]:
     """What probable sets without an effect have in exchange for it, most probable first.
 
-    What stands beside it in another probable set does not take its place.
+    What stands beside it more probably than without it does not take its place.
     """
-    best, others, beside, held = found.names, [], set(found.names), 0.0
+    alone, beside, held = Counter[str](), Counter[str](), 0.0
     for one in found.sets:
         if held >= HELD:
             break
         held += one.probability
-        if name in one.names:
-            beside |= one.names
-        elif name in best:
-            others += sorted(one.names - best)
-    return tuple(n for n in dict.fromkeys(others) if n not in beside)
+        for other in one.names - found.names:
+            (beside if name in one.names else alone)[other] += one.probability
+    return tuple(n for n, share in alone.most_common() if share > beside[n])
 
 
 def by_channel(problem: Problem, found: Search, values: Values) -> np.ndarray:

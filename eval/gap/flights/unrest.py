@@ -40,9 +40,20 @@ class Unrest:
         return Unrest(zero, np.zeros((2, 6)), np.full(6, 0.3), np.full((2, 6), 0.3), np.ones(6))
 
 
-def estimate(flights: Sequence[Measured], errors: Sequence[np.ndarray], seed: int = 0) -> Unrest:
-    """The unrest of which errors (m, 6), measured minus predicted, of flights are made."""
+def estimate(
+    flights: Sequence[Measured],
+    errors: Sequence[np.ndarray],
+    weights: Sequence[np.ndarray] | None = None,
+    seed: int = 0,
+) -> Unrest:
+    """The unrest of which errors (m, 6), measured minus predicted, of flights are made.
+
+    weights (w, 6) of the windows of every flight: the variance of their errors over what it would be beside
+    noise and unrest alone, inverted; None: nothing else adds to the errors.
+    """
     windows = [f.cut(e) for f, e in zip(flights, errors)]
+    if weights is not None:
+        windows = [w * np.sqrt(share)[:, None] for w, share in zip(windows, weights)]
     columns = [_of_channel(flights, windows, c, seed) for c in range(6)]
     size, size_ends, time, time_ends, noise = (np.array(x) for x in zip(*columns))
     return Unrest(size, size_ends.T, time, time_ends.T, noise)

@@ -58,10 +58,11 @@ class Suspects:
         return np.array([p.size(values[name][p.name]) for p in self.library[name].parameters])
 
     def to_one_side(self, values: Values, column: Column) -> tuple[Vehicle, float]:
-        """The vehicle with a parameter a negligible size from `values`, within bounds, and that size."""
+        """The vehicle with a parameter a step from `values`, within bounds, and that step."""
         p = self.parameter(column)
         at = {**self.library[column.effect].neutral, **values.get(column.effect, {}), **dict(column.fixed)}
-        step = p.negligible if at[p.name] + p.negligible <= p.possible[1] else -p.negligible
+        step = p.step or p.negligible
+        step = step if at[p.name] + step <= p.possible[1] else -step
         beside = self.corrected({**values, column.effect: {**at, p.name: at[p.name] + step}})
         return beside, step
 
@@ -83,7 +84,7 @@ class Problem(Suspects):
         self.vehicle = vehicle
         ignored = {"touchdown"} if any(f.has_yaw for f in flights) else {"touchdown", "yaw"}
         self.library = {
-            name: effect
+            name: effect.beside(vehicle)
             for name, effect in library.items()
             if set(effect.channels) - ignored
             and all(getattr(f, channel) is not None for f in flights for channel in effect.requires)
@@ -312,11 +313,12 @@ class Weighted(_Grams):
         """Covariance (k, k) of the fit of the columns `index`, clustered by group."""
         total = self.group_a.sum(axis=0)[np.ix_(index, index)]
         inverse = invert(total)
-        d = inverse @ self.group_b.sum(axis=0)[index]
-        scores = self.group_b[:, index] - self.group_a[:, index[:, None], index[None, :]] @ d
         n = self.problem.groups
-        meat = scores.T @ scores * n / max(1, n - 1)
-        clustered = inverse @ meat @ inverse
+        with np.errstate(invalid="ignore"):  # what the flights do not show at all is NaN
+            d = inverse @ self.group_b.sum(axis=0)[index]
+            scores = self.group_b[:, index] - self.group_a[:, index[:, None], index[None, :]] @ d
+            meat = scores.T @ scores * n / max(1, n - 1)
+            clustered = inverse @ meat @ inverse
         # Never smaller than what the noise of the windows alone gives.
         floor = np.diag(inverse)
         scale = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(clustered), 1e-300)))

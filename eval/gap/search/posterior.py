@@ -18,6 +18,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from inclined_landing.eval.gap.search.evidence import Problem, Values, Weighted
+from inclined_landing.eval.gap.search.fit import Fitted, from_neutral
 
 SPIKE = 0.35  # standard deviation of what is not named, as a share of negligible
 BETWEEN = 0.35  # of the difference between flights, likewise
@@ -193,6 +194,20 @@ class Local:
         """How far (P,) one flight lies from the fleet's change of the columns, in spikes."""
         a, b = self.own_a[flight], self.own_b[flight]
         return np.linalg.solve(a + np.diag(1.0 / self.between), b - a @ change)
+
+
+def evidence_of(problem: Problem, fit: Fitted, names: Set) -> float:
+    """Log marginal likelihood of the effects `names` of a fit, the others neutral."""
+    columns = fit.weighted.columns
+    own = np.array([c.effect in names for c in columns])
+    a, b = fit.weighted.group_a.sum(axis=0), fit.weighted.group_b.sum(axis=0)
+    at, precision = from_neutral(problem, columns, fit.values), slabs(problem, columns)[own] ** -2.0
+    without = np.where(own, 0.0, -at)
+    left = fit.squares - 2.0 * b @ without + without @ a @ without
+    h = (b - a @ without)[own] - precision * at[own]
+    whole = a[np.ix_(own, own)] + np.diag(precision)
+    left += precision @ at[own] ** 2 - h @ np.linalg.solve(whole, h)
+    return -0.5 * float(left + np.linalg.slogdet(whole)[1] - np.log(precision).sum())
 
 
 class Screen:

@@ -35,7 +35,7 @@ PLACES = 3  # others that are fitted in the place of every effect of the best se
 FITTED = 9  # sets that are fitted through the simulator, at most
 WORTH = 6.0  # log probability behind the best within which a neighbour is worth a fit
 TOLERATED = 10.0  # squared error by which a linear step may be worse than foreseen
-OUTDONE = 2.5  # times the usual squared error that a window counts at most
+FORMS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # shares of the motion by which it may be off
 SETTLED = 4  # rounds in which effects and unrest are fitted in turn, at most
 LEAST = 1e-3  # probability of a set that is worth telling
 CLEAR = 0.03  # above which it is fitted through the simulator
@@ -93,7 +93,6 @@ class Search:
 def search(problem: Problem) -> Search:
     """The sets of effects that may explain the flights of `problem`, which is whitened anew."""
     whole, stir = settle(problem, list(problem.library))
-    temper(problem, whole.values)
     inflation = repeated(problem, whole.values)
     columns = problem.columns(whole.values, list(problem.library))
     near = problem.linearise(whole.values, columns).weighted(inflation)
@@ -115,24 +114,34 @@ def settle(problem: Problem, names: Sequence[str]) -> tuple[Fitted, unrest.Unres
     for _ in range(SETTLED):
         before, fit = stir, refit(problem, values, still, iterations=3, tolerance=5.0, prior=slabs)
         values, vehicle = fit.values, problem.corrected(fit.values)
-        errors = [f.measured - predict(f, vehicle) for f in problem.flights]
-        stir = unrest.estimate(problem.flights, errors)
+        predicted = [predict(f, vehicle) for f in problem.flights]
+        errors = [f.measured - p for f, p in zip(problem.flights, predicted)]
+        ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
+        stir = unrest.estimate(problem.flights, errors, np.split(problem.weight, ends))
         problem.rewhiten(stir, vehicle)
+        weigh(problem, predicted, errors)
         if np.allclose(stir.size, before.size, rtol=0.15, atol=1e-3):
             break
     return fit, stir
 
 
-def temper(problem: Problem, values) -> None:
-    """Draw in the windows that all effects together explain much worse than the others.
+def weigh(problem: Problem, predicted: Sequence[np.ndarray], errors: Sequence[np.ndarray]) -> None:
+    """Weigh every window by the error that the form of the model makes there.
 
-    They are no evidence for some of the effects.
+    No formula is exact: beside noise and unrest the error grows with the motion that is predicted, by a
+    share of it that is the most likely one over all windows, in every channel.
+    predicted, errors: (m, 6) of every flight.
     """
-    vehicle = problem.corrected(values)
-    white = problem.white([vehicle] * len(problem.flights))
-    mean = np.concatenate([(x**2).mean(axis=2) for x in white])
-    usual = np.median(mean, axis=0)
-    problem.weight = problem.logged * np.minimum(1.0, OUTDONE * usual / np.maximum(mean, 1e-12))
+
+    def energy(values: Sequence[np.ndarray]) -> np.ndarray:
+        white = [f.whitening(f.cut(v)) for f, v in zip(problem.flights, values)]
+        return np.concatenate([(x**2).mean(axis=2) for x in white])
+
+    moved, left = energy(predicted), energy(errors)  # (w, 6)
+    variance = 1.0 + FORMS[:, None, None] ** 2 * moved
+    unlikely = (problem.rows[:, None] * problem.logged * (np.log(variance) + left / variance)).sum(axis=1)
+    best = np.argmin(unlikely, axis=0)
+    problem.weight = problem.logged / np.take_along_axis(variance, best[None, None], axis=0)[0]
 
 
 def repeated(problem: Problem, values) -> np.ndarray:
@@ -152,7 +161,7 @@ def repeated(problem: Problem, values) -> np.ndarray:
     return scale
 
 
-def _prior(problem: Problem, names: Set) -> float:
+def log_prior(problem: Problem, names: Set) -> float:
     """Log prior probability of a set: every effect alike, nothing with probability NOTHING."""
     share = 1.0 - NOTHING ** (1.0 / max(1, len(problem.library)))
     return len(names) * math.log(share / (1.0 - share))
@@ -169,7 +178,7 @@ def _visit(problem: Problem, names: Set, start, inflation: np.ndarray) -> Node:
     if names and not _follows(problem, fit, values, inflation):
         local.stays[local.index(names)] = True
         values = fit.values
-    score = float(local.log_evidence(names, np.ones((1, problem.groups)))[0]) + _prior(problem, names)
+    score = float(local.log_evidence(names, np.ones((1, problem.groups)))[0]) + log_prior(problem, names)
     if not _has_sizes(problem, names, values):
         score = -np.inf
     return Node(names, fit.values, values, local, Screen(local), score)
@@ -250,20 +259,24 @@ def _explore(problem: Problem, inflation: np.ndarray) -> dict[Set, Node]:
         if best.names not in expanded:
             expanded.add(best.names)
             for names in _neighbours(problem, best):
-                promised[names] = (best.screen(names) + _prior(problem, names), best)
+                promised[names] = (best.screen(names) + log_prior(problem, names), best)
         left = [(score, names) for names, (score, _) in promised.items() if names not in nodes]
         if not left:
             break
         score, names = max(left, key=lambda item: (item[0], sorted(item[1])))
         if score < best.score - WORTH:
             break
-        origin = promised[names][1]
-        nodes[names] = _visit(problem, names, _start(problem, origin, names), inflation)
+        start = _start(problem, promised[names][1], names)
+        if _has_sizes(problem, names, start):
+            nodes[names] = _visit(problem, names, start, inflation)
+        else:  # it promises something beyond its bounds only
+            del promised[names]
     for _ in range(2):
         best = max(nodes.values(), key=lambda node: node.score)
         others = _in_its_place(problem, best, nodes)
-        for names in others:
-            nodes[names] = _visit(problem, names, _start(problem, best, names), inflation)
+        for names, start in ((names, _start(problem, best, names)) for names in others):
+            if _has_sizes(problem, names, start):
+                nodes[names] = _visit(problem, names, start, inflation)
         if best is max(nodes.values(), key=lambda node: node.score):
             break
     return nodes
@@ -284,13 +297,13 @@ def _in_its_place(problem: Problem, best: Node, nodes: dict[Set, Node]) -> list[
 def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflation) -> tuple[Scored, ...]:
     """Probabilities of sets; those that were not fitted count by the linearisation at the best."""
     weights = flight_weights(problem.groups)
-    near = {n: best.screen(n) + _prior(problem, n) for n in _neighbours(problem, best) if n not in nodes}
+    near = {n: best.screen(n) + log_prior(problem, n) for n in _neighbours(problem, best) if n not in nodes}
     near = dict(sorted(near.items(), key=lambda item: -item[1])[:60])
     starts = {n: _start(problem, best, n) for n in near}
     near = {n: x for n, x in near.items() if _has_sizes(problem, n, starts[n])}
     fitted = {n: node for n, node in nodes.items() if np.isfinite(node.score)}
-    table = {n: node.local.log_evidence(n, weights) + _prior(problem, n) for n, node in fitted.items()}
-    table |= {n: best.local.log_evidence(n, weights) + _prior(problem, n) for n in near}
+    table = {n: node.local.log_evidence(n, weights) + log_prior(problem, n) for n, node in fitted.items()}
+    table |= {n: best.local.log_evidence(n, weights) + log_prior(problem, n) for n in near}
     names = list(table)
     logs = np.stack([table[n] for n in names])
     shares = np.exp(logs - logs.max(axis=0))

@@ -40,7 +40,11 @@ ENTAILED: tuple[tuple[tuple[str, ...], tuple[str, ...], str], ...] = (
         "the flight controller leans on the late poses too: its estimate trails, and it tilts further",
     ),
     (("com_offset",), ("attitude_trim",), "the torque of the offset is met by a standing tilt"),
-    (("command_jitter",), ("thrust_delay", "attitude_delay"), "its mean is a delay"),
+    (
+        ("command_jitter",),
+        ("thrust_delay", "attitude_delay", "motor_lag", "second_order_attitude"),
+        "its mean is a delay, its spread a lag",
+    ),
 )
 
 # Causes whose number is no number of the library's: it depends on a gain of the flight controller, or on a
