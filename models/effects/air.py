@@ -135,6 +135,7 @@ EFFECTS = (
         "surfaces tell it from a thrust scale.",
         channels=("translation", "attitude"),
         apply=_ground_effect,
+        form=0.25,
         says="near a surface the rotors give more thrust (strength {strength}, fading {fading})",
     ),
 )

@@ -142,7 +142,7 @@ def _estimates(problem: Problem, found: Search, names: Set) -> dict[str, dict[st
                     value, p.unit, p.bounds, p.neutral, p.bounds, False, nan, nan, 0.0
                 )
                 continue
-            half = float(quantile * error[k])
+            half = float(quantile * math.hypot(error[k], problem.library[name].form * p.size(value)))
             result[name][p.name] = Estimate(
                 value=value,
                 unit=p.unit,

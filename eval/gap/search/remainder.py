@@ -30,11 +30,12 @@ FALSE_ALARM = 0.05
 FLIPS = 400
 FEATURES = 24  # random ones of a function
 KNOTS = 7  # of the spline of every input
+EVERY = 0.5  # s between those of the flight time
 BLOCK = 5.0  # s of a flight that may have the other sign
 PAST = (0.1, 0.25)  # s ago, of commands
 MOVED = (0.15, 0.3, 0.5)  # s ago, of velocities
+TIME = "flight time"
 BINS = 8
-SHARE = 0.015  # of the squared error left in a channel that is worth telling
 WORTH = 1.0  # squared error that is worth telling, in that of errors of negligible size
 UNITS_OF = ("m/s2",) * 3 + ("rad/s2",) * 3
 LEAST = {"m/s2": 0.01, "rad/s2": 0.3}  # a function's expected size where the air is still
@@ -79,7 +80,7 @@ def quantities(flights: Sequence[Measured]) -> dict[str, tuple[tuple[str, ...], 
     put("tilt commands and their past", names, lambda f: ago(f, f.command[:, 1:3], PAST))
     names = [f"{axis}{when}" for when in ("", *_when(MOVED)) for axis in body]
     put("velocity and its past", names, lambda f: ago(f, turned(f, f.velocity), MOVED))
-    put("flight time", ("flight time",), lambda f: [f.t])
+    put("flight time", (TIME,), lambda f: [f.t])
     if all(f.voltage is not None for f in flights):
         put("battery voltage", ("battery voltage",), lambda f: [f.voltage])
     return result
@@ -132,7 +133,7 @@ def assess(problem: Problem, found: Search, seed: int = 0) -> Remainder:
         if w.any():
             size[channel] = float(np.sqrt(max(0.0, (value[w, k] ** 2 - variance[w, k]).mean())))
     inputs = quantities(problem.flights)
-    basis = {name: _basis(problem, arrays, seed) for name, (_, arrays) in inputs.items()}
+    basis = {name: _basis(problem, names, arrays, seed) for name, (names, arrays) in inputs.items()}
     block_of = _blocks(problem)
     signs = _signs(int(block_of.max()) + 1, seed)
     functions = []
@@ -151,7 +152,7 @@ def assess(problem: Problem, found: Search, seed: int = 0) -> Remainder:
         f = functions[k]
         if scores[k, 0] < sure or f.target in depends:
             continue
-        if f.gain < max(WORTH * tolerance[f.target], SHARE * total[f.target]):
+        if f.gain < WORTH * tolerance[f.target]:
             continue
         arrays, names = inputs[f.on][1], inputs[f.on][0]
         share = float(np.clip(f.gain / total[f.target], 0.0, 1.0))
@@ -233,11 +234,14 @@ def left_by(problem: Problem, found: Search) -> list[np.ndarray]:
     return result
 
 
-def _basis(problem: Problem, arrays: Sequence[np.ndarray], seed: int) -> list[np.ndarray]:
+def _basis(problem: Problem, names, arrays: Sequence[np.ndarray], seed: int) -> list[np.ndarray]:
     """Features (w, rows, D) of the inputs of every flight: splines of each input, and random ones of all."""
     seen = np.concatenate([x[f.usable] for f, x in zip(problem.flights, arrays)])
     k = seen.shape[1]
-    splines = SplineTransformer(KNOTS, degree=2, knots="quantile", extrapolation="constant")
+    knots = KNOTS
+    if names == (TIME,):  # what beats, or swings
+        knots = max(KNOTS, round(float(np.ptp(seen)) / EVERY))
+    splines = SplineTransformer(knots, degree=2, knots="quantile", extrapolation="constant")
     parts: list = [make_pipeline(StandardScaler(), splines)]
     if k > 1:
         random = RBFSampler(gamma=0.5 / k, n_components=FEATURES, random_state=seed)
