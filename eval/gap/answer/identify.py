@@ -19,9 +19,9 @@ from inclined_landing.eval.gap.result import Contradiction, Disturbance
 from inclined_landing.eval.gap.search import disagreement
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
 from inclined_landing.eval.gap.search.fit import Fitted, estimates, left_out_vehicles, refit, spread_between
-from inclined_landing.eval.gap.search.posterior import Local, evidence_of, slabs
+from inclined_landing.eval.gap.search.posterior import Local, slabs
 from inclined_landing.eval.gap.search.prediction import predict
-from inclined_landing.eval.gap.search.sets import log_prior, repeated, settle
+from inclined_landing.eval.gap.search.sets import asked_for, repeated, settle
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, FittedConstant
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -150,17 +150,7 @@ def _worth_having(problem: Problem, fit: Fitted, notes: list[str]) -> Fitted:
     error = np.sqrt(np.diag(local.fit(frozenset(fit.values))[1])) * local.unit
     slab = slabs(problem, local.columns)
     seen = {c.effect for c, sd, wide in zip(local.columns, error, slab) if sd < UNSEEN * wide}
-    kept = frozenset(n for n in fit.values if np.any(problem.sizes(n, fit.values)))
-    places = frozenset(n for n in kept if LIBRARY[n].of_the_place)
-
-    def score(names: frozenset[str]) -> float:
-        return evidence_of(problem, fit, names) + log_prior(problem, names)
-
-    while kept - places:
-        fewer = max((kept - {n} for n in sorted(kept - places)), key=score)
-        if score(fewer) < score(kept):
-            break
-        kept = fewer
+    kept = asked_for(problem, fit, frozenset(n for n in fit.values if LIBRARY[n].of_the_place))
     for name in fit.values:
         if name not in seen | kept:
             label = name.replace("_", " ")

@@ -23,6 +23,7 @@ from inclined_landing.eval.gap.search.posterior import (
     Screen,
     Set,
     between_flights,
+    evidence_of,
     flight_weights,
     looks_alike,
     slabs,
@@ -98,7 +99,8 @@ def search(problem: Problem) -> Search:
     near = problem.linearise(whole.values, columns).weighted(inflation)
     problem.alike = looks_alike(near)
     problem.between = between_flights(problem, near)
-    nodes = _explore(problem, inflation)
+    together = fit_at(problem, whole.values, whole.weighted.columns, inflation)
+    nodes = _explore(problem, inflation, asked_for(problem, together, most=MOST), whole.values)
     best = max(nodes.values(), key=lambda node: node.score)
     scored = _distribution(problem, nodes, best, inflation)
     chosen = nodes[scored[0].names]
@@ -248,10 +250,27 @@ def _neighbours(problem: Problem, node: Node) -> list[Set]:
     return [frozenset(s) for s in result]
 
 
-def _explore(problem: Problem, inflation: np.ndarray) -> dict[Set, Node]:
-    """The sets that were fitted."""
-    empty: Set = frozenset()
-    nodes = {empty: _visit(problem, empty, {}, inflation)}
+def asked_for(problem: Problem, fit: Fitted, always: Set = frozenset(), most: int | None = None) -> Set:
+    """What is left of effects fitted together when those without which the flights are more probable go.
+
+    One after the other, the others neutral; down to `most` of them. always: these stay.
+    """
+
+    def score(names: Set) -> float:
+        return evidence_of(problem, fit, names) + log_prior(problem, names)
+
+    kept = always | {n for n in fit.values if np.any(problem.sizes(n, fit.values))}
+    while kept - always:
+        fewer = max((kept - {n} for n in sorted(kept - always)), key=score)
+        if score(fewer) < score(kept) and (most is None or len(kept) <= most):
+            break
+        kept = fewer
+    return kept
+
+
+def _explore(problem: Problem, inflation: np.ndarray, likely: Set, values: Values) -> dict[Set, Node]:
+    """The sets that were fitted: from nothing on, and from a likely one with `values`."""
+    nodes = {names: _visit(problem, names, values, inflation) for names in (frozenset[str](), likely)}
     promised: dict[Set, tuple[float, Node]] = {}
     expanded: set[Set] = set()
     while len(nodes) < FITTED:
