@@ -33,7 +33,7 @@ class Clock:
 class CurriculumCallback(BaseCallback):
     """Feeds finished episodes to the curriculum and applies its conditions once per rollout."""
 
-    def __init__(self, curriculum: Curriculum, total_steps: int, learning_rate: float):
+    def __init__(self, curriculum: Curriculum, total_steps: int | None, learning_rate: float):
         super().__init__()
         self.curriculum, self.total, self.rate = curriculum, total_steps, learning_rate
 

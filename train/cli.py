@@ -13,12 +13,13 @@ from inclined_landing.models.errors import shown
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Entry point; returns the exit code: 2 for wrong input, 130 and 143 after Ctrl-C and SIGTERM."""
+    """Entry point; returns the exit code: 2 for wrong input, 3 for a run that ended without the success
+    that was to end it, 130 and 143 after Ctrl-C and SIGTERM."""
     caught: list[int] = []
 
-    def work() -> None:
+    def work() -> int:
         with _signals(caught):
-            _train(arguments)
+            return _train(arguments)
 
     try:
         return command_line.exit_code("landing-train", work, "train")
@@ -28,12 +29,12 @@ def main(arguments: list[str] | None = None) -> int:
         return 128 + (caught or [signal.SIGINT])[0]
 
 
-def _train(arguments: list[str] | None) -> None:
+def _train(arguments: list[str] | None) -> int:
     from inclined_landing.train.config import TrainConfig
 
     config = command_line.parse(TrainConfig, "landing-train", arguments)
     from inclined_landing.train.report import report
-    from inclined_landing.train.run import Run
+    from inclined_landing.train.run import NOT_REACHED, Run
 
     run = Run(config)
     due = config.report and run.config.report and not (run.metrics and "success" in run.metrics)
@@ -42,6 +43,11 @@ def _train(arguments: list[str] | None) -> None:
     metrics = run.execute()
     if due:
         report(run.folder, metrics)
+    if metrics.get("reached") is not False:
+        return 0
+    more = "" if metrics["finished"] else "; --resume with the same --out goes on"
+    print(f"landing-train: {metrics['ended']}{more}", file=sys.stderr)
+    return NOT_REACHED
 
 
 @contextlib.contextmanager

@@ -20,7 +20,8 @@ from inclined_landing.models.scene import INTEGRATORS
 
 # A field of `envs.tasks.base.Training` that is left at None becomes what the task says there.
 _OF_THE_TASK = tuple(field.name for field in dataclasses.fields(Training))
-
+# Those that say when a run ends: the first alone, or the others.
+ENDING = ("steps", "success", "min_steps", "max_steps")
 
 _MANY = Range(1, 10**9)
 _INTERVAL = Range(0, 10**9)
@@ -33,12 +34,25 @@ def _by_task(text: str, name: str):
     return tyro.conf.arg(help=f"{text}.", help_behavior_hint=f"(default: {defaults})")
 
 
+def _by_success(text: str, name: str):
+    """The same of an option for the tasks whose runs end by success."""
+    said = [(task.name, getattr(task.training, name)) for task in TASKS.values() if task.training.success]
+    return tyro.conf.arg(
+        help=f"{text}.", help_behavior_hint=f"(default: {', '.join(f'{task} {n}' for task, n in said)})"
+    )
+
+
 _CURRICULA = "; ".join(f"{name}: {', '.join(task.curricula)}" for name, task in TASKS.items())
 
 
 @dataclasses.dataclass
 class TrainConfig:
-    """Train a policy with Stable-Baselines3 PPO; everything lands in one run folder."""
+    """Train a policy with Stable-Baselines3 PPO; everything lands in one run folder.
+
+    Where the task names a share of successes, the run ends when the curriculum is complete and two
+    evaluations in a row reach it, each from 256 starts of its own. One that ends without exits with code 3;
+    wrong input with 2.
+    """
 
     task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(help=f"{', '.join(TASKS)}.")] = "landing"
     out: Path | None = None
@@ -46,6 +60,17 @@ class TrainConfig:
     seed: Seed = 0
     """Of the policy, the starts and the minibatches; periodic evaluation uses starts of its own."""
     steps: Annotated[int | None, _MANY, _by_task("Environment steps, fixed beforehand", "steps")] = None
+    success: Annotated[
+        float | None,
+        Range(0, 1),
+        _by_task("Share of successes, in two evaluations in a row, that ends the run", "success"),
+    ] = None
+    min_steps: Annotated[
+        int | None, _INTERVAL, _by_success("Environment steps that such a run has at least", "min_steps")
+    ] = None
+    max_steps: Annotated[
+        int | None, _MANY, _by_success("Environment steps that such a run has at most", "max_steps")
+    ] = None
     start_from: Annotated[
         str | None,
         tyro.conf.arg(name="from", metavar="POLICY"),
@@ -125,12 +150,13 @@ class TrainConfig:
         if self.start_from is not None and training.start_from is None:
             known = " and ".join(task.name for task in TASKS.values() if task.training.start_from)
             raise UserError(f"--from is for the {known} task; {self.task} is learned from nothing")
-        given = {name: getattr(self, name) for name in _OF_THE_TASK}
+        given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}
         filled = {k: getattr(training, k) if value is None else value for k, value in given.items()}
+        check_ranges(self)
+        filled |= self._ending(training)
         out = Path(self.out or f"runs/{self.task}-{self.seed}")
         vehicle = None if self.vehicle is None else Path(self.vehicle)
         config = dataclasses.replace(self, out=out, vehicle=vehicle, **filled)
-        check_ranges(config)
         samples = config.environments * config.rollout
         if samples == 1:
             raise UserError("--environments and --rollout must give more than one sample")
@@ -138,6 +164,35 @@ class TrainConfig:
         if samples % config.batch_size == 1:
             raise UserError("--batch-size leaves a last minibatch of one sample; choose another")
         return config
+
+    def _ending(self, training: Training) -> dict:
+        """When the run ends: the fields in ENDING, filled in."""
+        given = [_option(name) for name in ENDING[1:] if getattr(self, name) is not None]
+        if self.steps is not None:
+            if given:
+                raise UserError(f"--steps fixes how long the run is; {given[0]} goes without it")
+            return {}
+        if training.success is None:
+            if given:
+                known = " and ".join(task.name for task in TASKS.values() if task.training.success)
+                raise UserError(
+                    f"{given[0]} is for the {known} task; a run of {self.task} is fixed by --steps"
+                )
+            return {"steps": training.steps}
+        if self.evaluate_every == 0:
+            raise UserError("--evaluate-every 0 goes with --steps: without evaluations nothing ends the run")
+        low, high = self.min_steps, self.max_steps
+        if low is not None and high is not None and low > high:
+            raise UserError(f"--min-steps {low} is more than --max-steps {high}")
+        return {
+            "success": training.success if self.success is None else self.success,
+            "min_steps": min(training.min_steps, high or training.min_steps) if low is None else low,
+            "max_steps": max(training.max_steps, low or 0) if high is None else high,
+        }
+
+    def most_steps(self) -> int:
+        """Environment steps after which the run ends in any case; of a resolved configuration."""
+        return self.max_steps if self.steps is None else self.steps
 
     def _check_types(self) -> None:
         for name, kind in typing.get_type_hints(TrainConfig).items():

@@ -18,6 +18,8 @@ from inclined_landing.envs.tasks import setpoint, task_class, touchdown
 from inclined_landing.envs.tasks.landing import AIDED, EASIEST_GOAL_SIZE, GOAL_SIZE, Conditions
 from inclined_landing.models.errors import UserError
 
+SETTLING = 400_000  # environment steps
+
 
 class Curriculum(Protocol):
     """What the training callback needs."""
@@ -37,8 +39,8 @@ class Curriculum(Protocol):
     def advance(self, steps: int) -> None:
         """A rollout has ended; `steps` environment steps have been made so far."""
 
-    def learning_rate_share(self, steps: int, total: int) -> float:
-        """Share of the initial learning rate at `steps` of `total`."""
+    def learning_rate_share(self, steps: int, total: int | None) -> float:
+        """Share of the initial learning rate at `steps` of `total`; None: the run ends when it succeeds."""
 
     def gamma(self) -> float:
         """Discount factor of the next rollout."""
@@ -53,8 +55,17 @@ class Curriculum(Protocol):
         """Continue from a `state`."""
 
 
+def settling(steps: int) -> float:
+    """Share of the learning rate `steps` after the task was complete, in a run that ends when it succeeds.
+
+    Falls linearly, as policies that learn at full rate to their end are brittle, and stays at a tenth, as
+    nobody knows when that end comes.
+    """
+    return max(0.1, 1.0 - steps / SETTLING)
+
+
 class NoCurriculum:
-    """The task as it is, gamma as given, learning rate falling linearly to zero."""
+    """The task as it is, gamma as given, learning rate falling linearly to zero (or `settling`)."""
 
     name = "none"
     level = 1.0
@@ -74,8 +85,8 @@ class NoCurriculum:
     def advance(self, steps: int) -> None:
         return
 
-    def learning_rate_share(self, steps: int, total: int) -> float:
-        return max(0.0, 1.0 - steps / total)
+    def learning_rate_share(self, steps: int, total: int | None) -> float:
+        return settling(steps) if total is None else max(0.0, 1.0 - steps / total)
 
     def gamma(self) -> float:
         return self._gamma
@@ -105,7 +116,7 @@ class AdaptiveCurriculum:
     Rule, once per rollout: if the success rate of the last `window` episodes exceeds `gate`, l rises by
     `step` and the window is emptied; above `floor`, l creeps up by `creep`; below `retreat` it creeps
     down. Episodes solved within two steps do not count. The learning rate stays constant until l = 1
-    and then falls linearly to zero at the end of the run.
+    and then falls linearly to zero at the end of the run (or is `settling`).
     """
 
     name = "adaptive"
@@ -168,8 +179,12 @@ class AdaptiveCurriculum:
         if self.level >= 1.0:
             self._full_at = steps
 
-    def learning_rate_share(self, steps: int, total: int) -> float:
-        if self._full_at is None or total <= self._full_at:
+    def learning_rate_share(self, steps: int, total: int | None) -> float:
+        if self._full_at is None:
+            return 1.0
+        if total is None:
+            return settling(steps - self._full_at)
+        if total <= self._full_at:
             return 1.0
         return max(0.0, (total - steps) / (total - self._full_at))
 
@@ -246,7 +261,7 @@ class PaperCurriculum:
     def advance(self, steps: int) -> None:
         self.steps = steps
 
-    def learning_rate_share(self, steps: int, total: int) -> float:
+    def learning_rate_share(self, steps: int, total: int | None) -> float:
         return 1.0
 
     def gamma(self) -> float:
@@ -281,7 +296,7 @@ class EffortCurriculum(NoCurriculum):
     def conditions(self) -> setpoint.Conditions:
         return setpoint.Conditions(effort_floor=0.5, episode_limit=150)
 
-    def learning_rate_share(self, steps: int, total: int) -> float:
+    def learning_rate_share(self, steps: int, total: int | None) -> float:
         return min(1.0, super().learning_rate_share(steps, total) / 0.4)
 
 
@@ -320,7 +335,7 @@ class TouchdownCurriculum(NoCurriculum):
     def advance(self, steps: int) -> None:
         self.level = min(1.0, steps / self.RAMP)
 
-    def learning_rate_share(self, steps: int, total: int) -> float:
+    def learning_rate_share(self, steps: int, total: int | None) -> float:
         return min(1.0, super().learning_rate_share(steps, total) / 0.6)
 
     def state(self) -> dict:

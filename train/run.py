@@ -47,9 +47,15 @@ RECORD = "run.json"
 CHECKPOINT = "checkpoint.pt"
 VEHICLE = "vehicle.toml"
 EVALUATION_STARTS = 64
+ENDING_STARTS = 256  # of evaluations that end a run
+NOT_REACHED = 3  # exit code
 TARGET = 0.99  # success that "time to 99 %" means
 _FREE = ("out", "max_seconds", "report", "threads")  # options that may differ from a checkpoint's
 _BEFORE = {RECORD, VEHICLE, "tensorboard"}  # all that a run folder holds before its first checkpoint
+
+
+class _Reached(Exception):
+    """The asked success is there."""
 
 
 class Run:
@@ -139,7 +145,7 @@ class Run:
 
     def _learn(self) -> None:
         config, model = self.config, self.model
-        self.progress = progress = ProgressCallback(config.steps, self.curriculum)
+        self.progress = progress = ProgressCallback(config.most_steps(), self.curriculum)
 
         def every(interval, action, first=1):
             return Every(interval, action, self._per_iteration, max(first, self._begun + 1))
@@ -148,7 +154,7 @@ class Run:
             CurriculumCallback(self.curriculum, config.steps, config.learning_rate),
             _History(self),
             progress,
-            every(config.evaluate_every, self.evaluate),
+            every(config.evaluate_every, self._evaluate_or_end),
             every(config.video_every, self.film),
             every(config.checkpoint_every, self.checkpoint, first=0),
         ]
@@ -161,11 +167,13 @@ class Run:
         if resumed:  # hides what the curves show after the checkpoint
             curves.writer = SummaryWriter(curves.writer.log_dir, purge_step=model.num_timesteps + 1)
         model.set_logger(Logger(str(self.folder), [curves]))
-        remaining = config.steps - model.num_timesteps
+        remaining = 0 if self._reached() else config.most_steps() - model.num_timesteps
         self.clock.switch("training")
         try:
             if remaining > 0:
                 model.learn(remaining, callbacks, reset_num_timesteps=not resumed)
+        except _Reached:  # before a rollout: policy, vehicles and random states belong together
+            pass
         finally:
             progress.close()
             model.logger.close()
@@ -182,13 +190,13 @@ class Run:
             self.checkpoint(math.ceil(steps / self._per_iteration))
         storage.write_bytes(self.folder / "final.zip", self.policy_file())
         self.clock.switch("training")
-        metrics = self._metrics(steps >= self.config.steps)
+        metrics = self._metrics()
         storage.write_json(self.folder / "metrics.json", metrics)
         return metrics
 
     def _finished(self) -> dict | None:
         """metrics.json of a run that has come to its end."""
-        if not (self.folder / "final.zip").is_file() or self.model.num_timesteps < self.config.steps:
+        if not (self.folder / "final.zip").is_file() or not self._over():
             return None
         try:
             metrics = storage.read_json(self.folder / "metrics.json", "file")
@@ -197,6 +205,30 @@ class Run:
         if not isinstance(metrics, dict) or metrics.get("finished") is not True:
             return None
         return metrics | {"config": self._as_recorded()}
+
+    def _over(self) -> bool:
+        return self._reached() or self.model.num_timesteps >= self.config.most_steps()
+
+    def _reached(self) -> bool:
+        """Do the last two evaluations, both of them after the curriculum, reach what was asked for."""
+        config, last = self.config, self.evaluations[-2:]
+        if config.success is None or len(last) < 2 or self.model.num_timesteps < config.min_steps:
+            return False
+        complete = {row["steps"] for row in self.history if row["level"] >= 1.0 - 1e-9}
+        return all(e["steps"] in complete and e["score"] >= config.success for e in last)
+
+    def _ended(self) -> str:
+        """How the run ended, in one sentence."""
+        config, steps = self.config, self.model.num_timesteps
+        if config.success is None:
+            return f"{'ended' if self._over() else 'stopped'} after {steps} of {config.steps} steps"
+        asked = f"two evaluations in a row at {100 * config.success:g} %"
+        if self._reached():
+            return f"{asked} after {steps} steps"
+        last = f"the last one said {self._judge.task.score_words(self.evaluations[-1])}"
+        most = f" of at most {config.max_steps}" if not self._over() else ""
+        level = f"the curriculum stood at level {self.curriculum.level:.2f}"
+        return f"ended without {asked}: after {steps} steps{most} {last}, and {level}"
 
     def _as_recorded(self) -> dict:
         """The configuration as run.json has it; only the wall-time limit may be another."""
@@ -235,6 +267,11 @@ class Run:
         """In what the vehicle is not the shipped one, JSON types only."""
         shipped, own = (dataclasses.asdict(v) for v in (load_vehicle(), self.env.env.task.vehicle))
         return json.loads(storage.to_json({k: value for k, value in own.items() if value != shipped[k]}))
+
+    def _evaluate_or_end(self, iteration: int) -> None:
+        self.evaluate(iteration)
+        if self._reached():
+            raise _Reached
 
     def evaluate(self, iteration: int) -> None:
         """Fly the deterministic policy in the plain plant from the run's own evaluation starts."""
@@ -375,15 +412,17 @@ class Run:
             ppo.save_model(self.model, path)
             return load_policy(path, self._judge.task)
 
-    def _metrics(self, finished: bool) -> dict:
+    def _metrics(self) -> dict:
         reached = [e for e in self.evaluations if e["score"] >= TARGET]
         return {
-            "finished": finished,
+            "finished": self._over(),
+            "reached": None if self.config.success is None else self._reached(),
+            "ended": self._ended(),
             "steps": int(self.model.num_timesteps),
             "seconds": {name: round(value, 2) for name, value in self.clock.spent.items()},
             "steps_per_second": self.model.num_timesteps / max(1e-9, self.clock.spent["training"]),
             "evaluations": {
-                "starts": EVALUATION_STARTS,
+                "starts": len(self._judge.starts),
                 "final": self.evaluations[-1] if self.evaluations else None,
                 "best": max(self.evaluations, key=lambda e: e["score"], default=None),
                 "first_at_99_percent": reached[0] if reached else None,
@@ -400,11 +439,12 @@ class _Judge:
     def __init__(self, config: TrainConfig, vehicle):
         self.task = ppo.build_task(config)
         rng = np.random.default_rng(ppo.evaluation_seed(config))
-        start = self.task.evaluation_starts(rng, EVALUATION_STARTS)
+        count = EVALUATION_STARTS if config.success is None else ENDING_STARTS
+        start = self.task.evaluation_starts(rng, count)
         self.starts = start.state
-        self.plant = make_plant("mujoco", EVALUATION_STARTS, vehicle, threads=config.threads)
+        self.plant = make_plant("mujoco", count, vehicle, threads=config.threads)
         if start.contact is not None:
-            self.plant.set_contact(np.arange(EVALUATION_STARTS), **start.contact)
+            self.plant.set_contact(np.arange(count), **start.contact)
         self.film_start = self.task.states_at(self.task.film_starts[:1])
 
     def __call__(self, policy: Policy) -> dict:

@@ -84,7 +84,10 @@ class Judgement:
 class Training:
     """What `landing-train` takes where its option of the same name is not given."""
 
-    steps: int = 1_000_000
+    steps: int | None = 1_000_000  # fixed beforehand, where `success` does not end the run
+    success: float | None = None  # share of the evaluated flights that ends it
+    min_steps: int = 300_000  # such a run has
+    max_steps: int = 3_000_000
     curriculum: str = "none"
     epochs: int = 5
     gamma: float = 0.99

@@ -102,7 +102,7 @@ class InclinedLanding(Task):
     cut_at_success = True
     shipped = True
     table = "goal_box"
-    training = Training(steps=1_200_000, curriculum="adaptive")
+    training = Training(steps=None, success=0.99, curriculum="adaptive")
     curricula: tuple[str, ...] = ("adaptive", "paper", "none")
     training_conditions: Any = AIDED
     score_curve = ScoreCurve(

@@ -10,6 +10,7 @@ import pytest
 from inclined_landing.envs.tasks import landing, setpoint
 from inclined_landing.models.errors import UserError
 from inclined_landing.train.curriculum import (
+    SETTLING,
     AdaptiveCurriculum,
     NoCurriculum,
     PaperCurriculum,
@@ -146,6 +147,16 @@ def test_a_run_that_ends_before_full_difficulty_keeps_its_learning_rate():
     c = AdaptiveCurriculum()
     c.advance(1000)
     assert c.learning_rate_share(1000, 1000) == 1.0
+
+
+def test_in_a_run_that_ends_by_success_the_learning_rate_settles_at_a_tenth():
+    c = AdaptiveCurriculum(step=1.0)
+    assert c.learning_rate_share(5_000_000, None) == 1.0
+    episodes(c, 60)
+    c.advance(100_000)
+    shares = [c.learning_rate_share(100_000 + k * SETTLING, None) for k in (0, 0.5, 1, 10)]
+    assert shares == pytest.approx([1.0, 0.5, 0.1, 0.1])
+    assert NoCurriculum(0.97).learning_rate_share(SETTLING // 2, None) == pytest.approx(0.5)
 
 
 # --- paper -------------------------------------------------------------------------------------------

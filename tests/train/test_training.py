@@ -19,7 +19,7 @@ from inclined_landing.envs.tasks import TASKS
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.train import cli, run, warm_start
-from inclined_landing.train.config import Range, TrainConfig
+from inclined_landing.train.config import ENDING, Range, TrainConfig
 from inclined_landing.train.run import CHECKPOINT, Run, train
 
 TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "steps": 512, "threads": 1,
@@ -213,6 +213,114 @@ def test_training_applies_the_curriculum_and_evaluation_does_not(tmp_path):
     assert begun.env.env.plant.keep_out == 0.04
 
 
+# --- runs that end by success ------------------------------------------------------------------------
+
+OPEN = {"steps": None, "evaluate_every": 2, "environments": 4, "curriculum": "none"}  # 64 steps a rollout
+
+
+@pytest.fixture
+def scores(monkeypatch):
+    """Scores of the evaluations to come, instead of flights; the last one is repeated."""
+    said = [0.0]
+    monkeypatch.setattr(run, "ENDING_STARTS", 2)
+    monkeypatch.setattr(
+        run._Judge, "__call__", lambda *_: {"score": said.pop(0) if len(said) > 1 else said[0]}
+    )
+    return said
+
+
+def test_a_run_ends_at_two_good_evaluations_in_a_row(tmp_path, scores):
+    scores[:] = [0.99, 0.98, 0.99, 0.995, 0.0]
+    begun = Run(config(tmp_path / "a", **OPEN, min_steps=0))
+    metrics = begun.execute()
+    assert metrics["steps"] == 8 * 64 and metrics["finished"] and metrics["reached"] is True
+    assert metrics["ended"] == "two evaluations in a row at 99 % after 512 steps"
+    assert [e["score"] for e in begun.evaluations] == [0.99, 0.98, 0.99, 0.995]
+    assert Run(TrainConfig(out=tmp_path / "a", resume=True)).metrics["reached"] is True
+    fixed, _ = train(config(tmp_path / "b", **OPEN | {"steps": 512}))  # with another learning rate
+    assert load_policy(fixed / "final.zip").metadata["steps"] == 512
+
+
+def test_a_run_has_its_least_steps(tmp_path, scores):
+    scores[:] = [1.0]
+    _, metrics = train(config(tmp_path / "a", **OPEN, min_steps=300))
+    assert metrics["steps"] == 384 and metrics["reached"]
+
+
+def test_a_run_does_not_end_before_its_curriculum(tmp_path, scores):
+    scores[:] = [1.0]
+    folder, metrics = train(config(tmp_path / "a", **OPEN | {"curriculum": "adaptive"}, max_steps=384))
+    assert metrics["steps"] == 384 and metrics["finished"] and metrics["reached"] is False
+    assert metrics["ended"] == (
+        "ended without two evaluations in a row at 99 %: after 384 steps the last one said 100%, "
+        "and the curriculum stood at level 0.00"
+    )
+    assert (folder / "final.zip").exists() and (folder / "best.zip").exists()
+
+
+def test_its_exit_code_and_its_sentence_say_that_a_run_ended_without(tmp_path, scores, capsys, monkeypatch):
+    monkeypatch.setattr("inclined_landing.train.report.report", lambda folder, metrics: None)
+    tiny = "--environments 4 --rollout 16 --batch-size 64 --epochs 1 --threads 1 --video-every 0".split()
+    out = ["--out", str(tmp_path / "a")]
+    assert (
+        cli.main([*tiny, *out, "--evaluate-every", "1", "--max-steps", "128", "--max-seconds", "1e-6"]) == 3
+    )
+    assert "after 128 steps of at most" not in (said := capsys.readouterr().err)
+    assert said.count("\n") == 1 and "--resume with the same --out goes on" in said
+    for _ in range(2):  # to its end, and once more
+        assert cli.main(["--resume", *out]) == 3
+        said = capsys.readouterr().err
+        assert said.startswith(
+            "landing-train: ended without two evaluations in a row at 99 %: after 128 steps"
+        )
+        assert said.count("\n") == 1
+    metrics = json.loads((tmp_path / "a" / "metrics.json").read_text("utf-8"))
+    assert metrics["ended"] in said and metrics["reached"] is False
+
+
+@pytest.mark.parametrize("dies_at", [2, 4, 8])
+def test_killed_and_resumed_a_run_ends_by_success_in_the_same_bits(dies_at, tmp_path, scores, monkeypatch):
+    """At the checkpoint in between, and at the one of the end itself."""
+    scores[:] = given = [0.99, 0.98, 0.99, 1.0, 0.0]
+    given = list(given)
+    whole, _ = train(config(tmp_path / "whole", **OPEN, min_steps=0))
+    checkpoint = Run.checkpoint
+
+    def checkpoint_and_die(self, iteration):
+        checkpoint(self, iteration)
+        if iteration == dies_at:
+            raise Killed
+
+    scores[:] = given
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "checkpoint", checkpoint_and_die)
+        with pytest.raises(Killed):
+            train(config(tmp_path / "cut", **OPEN, min_steps=0))
+    assert not (tmp_path / "cut" / "final.zip").exists()
+    scores[:] = given[dies_at // 2 :]
+    resumed, metrics = train(TrainConfig(out=tmp_path / "cut", resume=True))
+    assert metrics["steps"] == 512 and metrics["reached"]
+    assert_same_policy(whole / "final.zip", resumed / "final.zip")
+
+
+def test_the_length_of_a_run_is_fixed_or_open(tmp_path):
+    def ends(**options):
+        resolved = TrainConfig(out=tmp_path / "a", **options).resolved()
+        return [getattr(resolved, name) for name in ENDING]
+
+    assert ends() == [None, 0.99, 300_000, 3_000_000]
+    assert ends(steps=7) == [7, None, None, None] and ends(task="setpoint") == [1_000_000, None, None, None]
+    assert ends(success=0.5, max_steps=9) == [None, 0.5, 9, 9]
+    assert ends(min_steps=10**7) == [None, 0.99, 10**7, 10**7]
+    for wrong, sentence in (
+        ({"min_steps": 9, "max_steps": 8}, "--min-steps 9 is more than --max-steps 8"),
+        ({"evaluate_every": 0}, "--evaluate-every 0 goes with --steps"),
+        ({"task": "setpoint", "success": 0.9}, "--success is for the landing task"),
+    ):
+        with pytest.raises(UserError, match=sentence):
+            ends(**wrong)
+
+
 def test_evaluation_starts_are_neither_training_starts_nor_another_seeds(tmp_path):
     judges = [Run(config(tmp_path / str(seed), seed=seed))._judge for seed in (0, 1)]
     assert not np.array_equal(judges[0].starts, judges[1].starts)
@@ -233,6 +341,8 @@ WRONG = {
     "--curriculum steep": "unknown curriculum 'steep' for task landing",
     "setpoint --curriculum adaptive": "unknown curriculum 'adaptive' for task setpoint",
     "--pwm-centre static": "pwm_centre must be",
+    "--success 0.9": "--steps fixes how long the run is; --success goes without it",
+    "--max-steps 9": "--steps fixes how long the run is; --max-steps goes without it",
 }
 
 
@@ -269,6 +379,7 @@ def test_numbers_outside_of_their_range_are_refused_by_name(name, tmp_path):
     """What lies inside is taken, with the limits unless the range is open; NaN lies in none."""
     limits = RANGES[name]
     tiny = {"environments": 2, "rollout": 4, "batch_size": 8, "out": tmp_path / "a"}
+    tiny |= {} if name in ENDING else {"steps": 8}
     for value in (limits.low, limits.high) if not limits.open else (limits.high / 2,):
         TrainConfig(**tiny | {name: value}).resolved()
     outside = [limits.low - 1, limits.high + 1, math.nan, math.inf, 10**400]
@@ -316,6 +427,7 @@ def test_resolved_configurations_stay_as_they_are(tmp_path):
         once = TrainConfig(task=task).resolved()
         assert once.resolved() == once
         left = {f.name for f in dataclasses.fields(once) if getattr(once, f.name) is None}
-        assert left == {"max_seconds", "vehicle"} | (set() if kind.training.start_from else {"start_from"})
+        free = {"max_seconds", "vehicle"} | (set() if kind.training.start_from else {"start_from"})
+        assert left == free | set(ENDING[:1] if kind.training.success else ENDING[1:])
     with pytest.raises(UserError):
         TrainConfig(task="").resolved()
