@@ -199,6 +199,20 @@ def load_policy(
     return policy
 
 
+def trained_for(path: str | Path) -> str | None:
+    """The task that the stamp of a policy file, or of a shipped policy, names; None for a plain SB3 file."""
+    path = locate(path)
+    with _open(path) as archive:
+        return _read_stamp(archive, path).get("task")
+
+
+def tensors(path: str | Path) -> dict[str, np.ndarray]:
+    """All of a policy file's network by SB3's names, the critic and the exploration noise included."""
+    path = locate(path)
+    with _open(path) as archive:
+        return _read_tensors(archive, path)
+
+
 def _build_task(name, metadata, vehicle, inclination, path) -> Task:
     options = dict(metadata.get("task_options", {}))
     if inclination is not None:

@@ -76,6 +76,8 @@ class TrainConfig:
         tyro.conf.arg(name="from", metavar="POLICY"),
         _by_task("The policy to go on from, a file or a shipped one", "start_from"),
     ] = None
+    inclination: Annotated[float | None, Range(-90, 90), tyro.conf.arg(metavar="DEG")] = None
+    """Of the platform in degrees, where it differs from the vehicle file's."""
     vehicle: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Vehicle file (TOML), where it differs from the shipped one; the run keeps a copy."""
     max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
@@ -147,9 +149,8 @@ class TrainConfig:
         if self.integrator not in (None, *INTEGRATORS):
             known = ", ".join(INTEGRATORS)
             raise UserError(f"unknown integrator {shown(self.integrator, 40)!r}; known are {known}")
-        if self.start_from is not None and training.start_from is None:
-            known = " and ".join(task.name for task in TASKS.values() if task.training.start_from)
-            raise UserError(f"--from is for the {known} task; {self.task} is learned from nothing")
+        if self.inclination is not None and not task_class(self.task).has_platform:
+            raise UserError(f"--inclination: the task {self.task} has no inclined platform")
         given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}
         filled = {k: getattr(training, k) if value is None else value for k, value in given.items()}
         check_ranges(self)
@@ -167,7 +168,7 @@ class TrainConfig:
 
     def _ending(self, training: Training) -> dict:
         """When the run ends: the fields in ENDING, filled in."""
-        given = [_option(name) for name in ENDING[1:] if getattr(self, name) is not None]
+        given = [option(name) for name in ENDING[1:] if getattr(self, name) is not None]
         if self.steps is not None:
             if given:
                 raise UserError(f"--steps fixes how long the run is; {given[0]} goes without it")
@@ -200,7 +201,7 @@ class TrainConfig:
             value = getattr(self, name)
             if (isinstance(value, bool) and bool not in kinds) or not isinstance(value, _kinds(kinds)):
                 words = " or ".join(_KINDS[kind][1] for kind in kinds if kind in _KINDS)
-                raise UserError(f"{_option(name)} must be {words}, not {shown(repr(value), 40)}")
+                raise UserError(f"{option(name)} must be {words}, not {shown(repr(value), 40)}")
 
     def as_json(self) -> dict:
         """The configuration with JSON types only."""
@@ -222,5 +223,6 @@ def _kinds(kinds: tuple) -> tuple:
     return tuple(_KINDS[kind][0] if kind in _KINDS else kind for kind in kinds)
 
 
-def _option(name: str) -> str:
+def option(name: str) -> str:
+    """How a field is written on the command line."""
     return "--from" if name == "start_from" else f"--{name.replace('_', '-')}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -50,13 +51,18 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
 
 
 def build_task(config: TrainConfig) -> Task:
-    """The task with the configured vehicle and action map."""
+    """The task with the configured vehicle, platform and action map."""
+    vehicle, slope = load_vehicle(config.vehicle), {}
+    if config.inclination is not None:
+        try:
+            slope["inclination"] = vehicle.check_inclination(math.radians(config.inclination))
+        except UserError as error:
+            raise UserError(f"--inclination: {error}") from error
     if config.vehicle is None:
-        return make_task(config.task, pwm_centre=config.pwm_centre)
+        return make_task(config.task, pwm_centre=config.pwm_centre, **slope)
     # A policy to go on from keeps the thrust at action 0 that it was trained with: the shipped vehicle's.
-    vehicle = load_vehicle(config.vehicle)
     centre = resolve_pwm_centre(config.pwm_centre, load_vehicle() if config.start_from else vehicle)
-    return make_task(config.task, vehicle, pwm_centre=centre)
+    return make_task(config.task, vehicle, pwm_centre=centre, **slope)
 
 
 def evaluation_seed(config: TrainConfig) -> int:

@@ -61,7 +61,10 @@ def _success(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) 
 
 def _touchdown(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
     """touchdown.json of `final.zip` against the policy that training went on from."""
-    table = touchdown.evaluate(load(folder / "final.zip"), load(metrics["config"]["start_from"]))
+    final, origin = load(folder / "final.zip"), load(metrics["config"]["start_from"])
+    if origin.task.name == final.task.name:  # the comparison is with a motor cut, whatever came in between
+        origin = load(final.task.training.start_from)
+    table = touchdown.evaluate(final, origin)
     storage.write_json(folder / "touchdown.json", table)
     metrics["success"] = {"final": touchdown.overall(table, "touchdown")}
     return lambda: touchdown.show(table)

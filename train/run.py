@@ -32,7 +32,6 @@ from torch.utils.tensorboard import SummaryWriter
 
 from inclined_landing.envs.flights import record_flight, record_flights
 from inclined_landing.envs.policy import Policy, load_policy, stamp
-from inclined_landing.envs.tasks import task_class
 from inclined_landing.eval.base import runs
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
@@ -40,7 +39,7 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
 from inclined_landing.train import checkpoint, ppo, warm_start
 from inclined_landing.train.callbacks import Clock, CriticFirst, CurriculumCallback, Every, ProgressCallback
-from inclined_landing.train.config import TrainConfig
+from inclined_landing.train.config import TrainConfig, option
 from inclined_landing.train.curriculum import make_curriculum
 
 RECORD = "run.json"
@@ -66,11 +65,11 @@ class Run:
     """
 
     def __init__(self, config: TrainConfig):
-        config = config.resolved()
+        given, config = config, config.resolved()
         self.folder = config.out
         self.resumed = config.resume
         if config.resume:
-            config, self.record = stored(config)
+            config, self.record = stored(dataclasses.replace(given, out=config.out))
         else:
             _check_new(config.out)
             self.record = _record(config)
@@ -89,12 +88,11 @@ class Run:
 
     def _make(self, config: TrainConfig, fresh: bool) -> None:
         """Vehicles, model, curriculum and judge as they are at the beginning."""
+        self.env = ppo.training_environment(config)
         self.teacher = None
         if config.start_from and fresh:
             vehicle = load_vehicle(config.vehicle) if config.vehicle is not None else None
-            wanted = task_class(config.task).training.start_from
-            self.teacher = load_policy(config.start_from, wanted, vehicle=vehicle)
-        self.env = ppo.training_environment(config)
+            self.teacher = warm_start.teacher(config.start_from, self.env.env.task, vehicle)
         self.curriculum = make_curriculum(config.curriculum, config.task, config.gamma)
         self.model = ppo.build_model(config, self.env)
         if self.teacher is not None:
@@ -516,11 +514,26 @@ def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
             raise UserError("its configuration is not as it was written")
     except UserError as error:
         raise _refused(path, error) from error
+    _check_same(config, given)
     given = dataclasses.replace(given, out=config.out, max_seconds=config.max_seconds, resume=False)
     if given.vehicle is not None:  # its copy, unless the run was stopped before it was made
         copy = config.out / VEHICLE
         given.vehicle = copy if copy.is_file() else Path(given.vehicle)
     return given, record
+
+
+def _check_same(config: TrainConfig, begun: TrainConfig) -> None:
+    """Raise UserError where options were given with --resume that are not those of the run."""
+    for field in dataclasses.fields(TrainConfig):
+        asked, own = getattr(config, field.name), getattr(begun, field.name)
+        if field.name in (*_FREE, "resume") or asked in (field.default, own) or str(asked) == str(own):
+            continue
+        was = f"has {shown(own, 40)}" if own is not None else "has none"
+        final = shlex.quote(str(config.out / "final.zip"))
+        raise UserError(
+            f"--resume goes on with the options of the run, which {was} for {option(field.name)}, not "
+            f"{shown(asked, 40)}; begin a new run with another --out, perhaps --from {final}"
+        )
 
 
 def _refused(path: Path, error: UserError) -> UserError:

@@ -1,10 +1,11 @@
-"""Where touchdown training starts: the landing policy, taught to cut the motors where it would hand over.
+"""Training that goes on from a policy: of the same task with its exploration and its critic, or of another.
 
-A landing policy has never held the motors at idle, and exploration does not find fifteen idle steps in a
-row. So the actor takes over the landing policy's weights and is then taught by imitation: what the landing
-policy does, except that motors go to idle in the goal box and close over the slope (the paper's motor cut,
-without its external signal). The states are those that the learner itself comes through (DAgger). What
-reinforcement learning adds is then in the comparison with the landing policy and a motor cut.
+Touchdown starts from the landing policy, taught to cut the motors where it would hand over. A landing policy
+has never held the motors at idle, and exploration does not find fifteen idle steps in a row. So the actor
+takes over the landing policy's weights and is then taught by imitation: what the landing policy does, except
+that motors go to idle in the goal box and close over the slope (the paper's motor cut, without its external
+signal). The states are those that the learner itself comes through (DAgger). What reinforcement learning adds
+is then in the comparison with the landing policy and a motor cut.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ import torch
 from stable_baselines3 import PPO
 
 from inclined_landing.envs.batch import BatchEnv
-from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.tasks import Moment
+from inclined_landing.envs.policy import Policy, load_policy, tensors, trained_for
+from inclined_landing.envs.tasks import Moment, Task
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.touchdown import (
     FRICTION,
@@ -26,6 +27,7 @@ from inclined_landing.envs.tasks.touchdown import (
 )
 from inclined_landing.models.attitude import X, Z
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
 
 CRITIC_FIRST = 65_536  # environment steps in which the actor is left alone
 CUT_HEIGHT = 0.08  # m over the surface, of the centre of mass
@@ -35,8 +37,21 @@ _ROUNDS, _STEPS, _EPOCHS, _BATCH = 4, 200, 15, 1024
 _RATE, _NOISE = 1e-3, 0.2
 
 
+def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy:
+    """The policy to go on from: one for `task`, or for the task whose policy its training begins with.
+
+    name: a file or a shipped one; vehicle: the run's, where it is not the shipped one. Raises UserError for
+    any other policy.
+    """
+    wanted = task.name if trained_for(name) == task.name else task.training.start_from or task.name
+    return load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))
+
+
 def take_over(model: PPO, policy: Policy) -> None:
-    """Copy the weights of a landing policy into the model's actor; raises UserError if they do not fit."""
+    """Copy a policy's weights into the model's actor; raises UserError if they do not fit.
+
+    Of a policy for the same task the exploration noise too, and the critic if it is in the file.
+    """
     actor = [layer for layer in model.policy.mlp_extractor.policy_net if isinstance(layer, torch.nn.Linear)]
     actor.append(model.policy.action_net)
     task = model.env.env.task
@@ -51,6 +66,15 @@ def take_over(model: PPO, policy: Policy) -> None:
         for layer, weight, bias in zip(actor, policy.weights, policy.biases):
             layer.weight.copy_(torch.as_tensor(weight.T))
             layer.bias.copy_(torch.as_tensor(bias))
+        if policy.task.name != task.name:
+            return
+        found = tensors(policy.path)
+        for name, own in model.policy.state_dict().items():
+            if name == "log_std" or "value_net" in name:
+                value = torch.as_tensor(found[name]) if name in found else own
+                if value.shape != own.shape:
+                    raise UserError(f"policy {policy.path} has another {name} than training uses")
+                own.copy_(value)
 
 
 def lesson(state: np.ndarray, landing: Policy) -> np.ndarray:
@@ -69,7 +93,7 @@ def lesson(state: np.ndarray, landing: Policy) -> np.ndarray:
 
 def teach(model: PPO, env: BatchEnv, teacher: Policy, seed: int) -> None:
     """What a task needs besides the teacher's weights: in touchdown, cutting the motors."""
-    if isinstance(env.task, InclinedTouchdown):
+    if isinstance(env.task, InclinedTouchdown) and teacher.task.name != env.task.name:
         teach_cut(model, env, teacher, seed)
 
 

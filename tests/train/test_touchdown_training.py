@@ -70,7 +70,11 @@ def test_curriculum():
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"task": "landing", "start_from": "landing"}, "--from is for the touchdown task"),
+        ({"task": "landing", "start_from": "setpoint"}, "trained for the task setpoint, not for landing"),
+        ({"task": "landing", "start_from": "touchdown"}, "trained for the task touchdown, not for landing"),
+        ({"task": "setpoint", "start_from": "landing"}, "trained for the task landing, not for setpoint"),
+        ({"start_from": "landing", "pwm_centre": "paper"}, "another scaling of observations or thrust"),
+        ({"start_from": "none.zip"}, "policy none.zip does not exist"),
         ({"task": "touchdown", "start_from": "setpoint"}, "trained for the task setpoint, not for landing"),
         ({"task": "touchdown", "plant": "analytic"}, "needs the MuJoCo plant"),
         ({"task": "touchdown", "curriculum": "none"}, "it must be touchdown"),
@@ -79,5 +83,5 @@ def test_curriculum():
 )
 def test_wrong_input(tmp_path, options, sentence):
     with pytest.raises(UserError, match=sentence):
-        train(TrainConfig(out=tmp_path / "run", **(TINY | options)))
+        train(TrainConfig(out=tmp_path / "run", steps=512, **(TINY | options)))
     assert not list(tmp_path.rglob("*.zip"))

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 from campaign.training import assert_same_policy, weights
 
-from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.policy import load_policy, tensors
 from inclined_landing.envs.tasks import TASKS
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
@@ -201,6 +201,55 @@ def test_a_run_trains_evaluates_and_resumes_with_its_own_vehicle(tmp_path):
     assert policy.task.vehicle == shipped and policy.task.pwm_centre == heavy.hover_pwm
 
 
+def test_a_run_trains_evaluates_and_is_stamped_for_another_slope(tmp_path):
+    begun = Run(config(tmp_path / "a", inclination=15, steps=128))
+    assert begun.env.env.task.inclination == begun._judge.task.inclination == math.radians(15)
+    begun.execute()
+    policy = load_policy(tmp_path / "a" / "final.zip")
+    assert policy.task.inclination == policy.metadata["task_options"]["inclination"] == math.radians(15)
+    assert Run(TrainConfig(out=tmp_path / "a", resume=True)).env.env.task.inclination == math.radians(15)
+
+
+@pytest.mark.parametrize("task", [task.name for task in TASKS.values() if task.shipped])
+def test_a_run_goes_on_from_a_policy_of_its_own_task(task, tmp_path):
+    """Its actor, its noise and its critic; the actor is left alone at first, the critic learns."""
+    begun = Run(config(tmp_path / "a", task=task, start_from=task, steps=256))
+    shipped = tensors(task)
+    for name, own in begun.model.policy.state_dict().items():
+        np.testing.assert_array_equal(own, np.float32(shipped[name]))
+    folder = begun.execute() and tmp_path / "a"
+    after = weights(folder / "final.zip")
+    np.testing.assert_array_equal(after["action_net.weight"], np.float32(shipped["action_net.weight"]))
+    assert not np.array_equal(after["value_net.weight"], np.float32(shipped["value_net.weight"]))
+    again, _ = train(config(tmp_path / "b", task=task, start_from=str(folder / "final.zip"), steps=256))
+    assert load_policy(again / "final.zip").task.name == task
+
+
+def test_a_policy_is_taken_to_another_slope_and_vehicle(tmp_path):
+    heavy = dataclasses.replace(load_vehicle(), body_mass=1.2 * load_vehicle().body_mass)
+    write_vehicle(tmp_path / "heavy.toml", heavy)
+    options = {"start_from": "landing", "inclination": 10.0, "vehicle": tmp_path / "heavy.toml"}
+    begun = Run(config(tmp_path / "a", **options))
+    assert begun.env.env.task.pwm_centre == load_policy("landing").task.pwm_centre
+    assert begun.teacher.task.vehicle == heavy and begun.teacher.task.inclination == math.radians(10.0)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"steps": 1024}, {"seed": 9}, {"task": "setpoint"}, {"inclination": 9.0}, {"start_from": "landing"}],
+)
+def test_resume_with_other_options_is_refused_by_name(options, landing_run):
+    folder = landing_run[0]
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    name = {"start_from": "from"}.get(*options, *options)
+    with pytest.raises(
+        UserError, match=f"goes on with the options of the run, which has .* for --{name}, not"
+    ):
+        Run(TrainConfig(out=folder, resume=True, **options))
+    assert Run(TrainConfig(out=folder, resume=True, steps=512, seed=3)).metrics["steps"] == 512
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+
+
 def test_training_applies_the_curriculum_and_evaluation_does_not(tmp_path):
     """The vehicles train under the first stage; the judge's task and plant are the plain ones."""
     begun = Run(config(tmp_path / "a"))
@@ -341,6 +390,9 @@ WRONG = {
     "--curriculum steep": "unknown curriculum 'steep' for task landing",
     "setpoint --curriculum adaptive": "unknown curriculum 'adaptive' for task setpoint",
     "--pwm-centre static": "pwm_centre must be",
+    "--inclination 80": "--inclination: platform inclination 80 deg is outside the supported range",
+    "setpoint --inclination 10": "--inclination: the task setpoint has no inclined platform",
+    "--from none.zip": "policy none.zip does not exist",
     "--success 0.9": "--steps fixes how long the run is; --success goes without it",
     "--max-steps 9": "--steps fixes how long the run is; --max-steps goes without it",
 }
@@ -427,7 +479,9 @@ def test_resolved_configurations_stay_as_they_are(tmp_path):
         once = TrainConfig(task=task).resolved()
         assert once.resolved() == once
         left = {f.name for f in dataclasses.fields(once) if getattr(once, f.name) is None}
-        free = {"max_seconds", "vehicle"} | (set() if kind.training.start_from else {"start_from"})
+        free = {"max_seconds", "vehicle", "inclination"} | (
+            set() if kind.training.start_from else {"start_from"}
+        )
         assert left == free | set(ENDING[:1] if kind.training.success else ENDING[1:])
     with pytest.raises(UserError):
         TrainConfig(task="").resolved()
