@@ -9,6 +9,7 @@ import dataclasses
 
 import numpy as np
 
+from inclined_landing.envs.randomise import Ranges, deviate
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import Judgement, Moment, Start
 from inclined_landing.models.errors import UserError, shown
@@ -55,10 +56,13 @@ class BatchEnv:
     (steps in contact with the platform or within the plant's keep-out zone), `touched`
     (did any part touch the platform so far), `held` (steps in a row up to now that the task counts as
     held).
+
+    ranges: deviations of the vehicles from the vehicle file, drawn for every episode; none by default.
     """
 
-    def __init__(self, task: Task, plant, seed: int | None = None):
+    def __init__(self, task: Task, plant, seed: int | None = None, ranges: Ranges | None = None):
         self.task, self.plant, self.n = task, plant, plant.n
+        self.ranges = ranges or {}
         self.seed(seed)
         n = self.n
         self.length = np.zeros(n, int)
@@ -120,6 +124,8 @@ class BatchEnv:
                 )
             if not (np.abs(state) <= FARTHEST).all():
                 raise UserError(f"a start state holds NaN or a number beyond {FARTHEST:g}")
+        if self.ranges:
+            deviate(self.plant, ids, self.ranges, self.rng)
         start = self.task.sample(self.rng, len(ids)) if state is None else self.task.start(state)
         for name in _START:
             getattr(self._start, name)[ids] = getattr(start, name)

@@ -20,6 +20,8 @@ from inclined_landing.models.scene import INTEGRATORS
 
 # A field of `envs.tasks.base.Training` that is left at None becomes what the task says there.
 _OF_THE_TASK = tuple(field.name for field in dataclasses.fields(Training))
+# Files of which a run keeps a copy, and its name there.
+COPIED = {"vehicle": "vehicle.toml", "randomise": "randomise.toml"}
 # Those that say when a run ends: the first alone, or the others.
 ENDING = ("steps", "success", "min_steps", "max_steps")
 
@@ -80,6 +82,9 @@ class TrainConfig:
     """Of the platform in degrees, where it differs from the vehicle file's."""
     vehicle: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Vehicle file (TOML), where it differs from the shipped one; the run keeps a copy."""
+    randomise: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Ranges (TOML) from which thrust, lag, drag, attitude and mass of every training episode are drawn, like
+    thrust_scale = [0.8, 1.1]; the run keeps a copy. Evaluations fly the vehicle as it is."""
     max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
     """Stop at this wall time; the checkpoint allows to resume."""
     resume: bool = False
@@ -157,7 +162,8 @@ class TrainConfig:
         filled |= self._ending(training)
         out = Path(self.out or f"runs/{self.task}-{self.seed}")
         vehicle = None if self.vehicle is None else Path(self.vehicle)
-        config = dataclasses.replace(self, out=out, vehicle=vehicle, **filled)
+        randomise = None if self.randomise is None else Path(self.randomise)
+        config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)
         samples = config.environments * config.rollout
         if samples == 1:
             raise UserError("--environments and --rollout must give more than one sample")
@@ -205,7 +211,7 @@ class TrainConfig:
 
     def as_json(self) -> dict:
         """The configuration with JSON types only."""
-        paths = {name: str(path) for name in ("out", "vehicle") if (path := getattr(self, name)) is not None}
+        paths = {name: str(path) for name in ("out", *COPIED) if (path := getattr(self, name)) is not None}
         return dataclasses.asdict(self) | paths
 
 

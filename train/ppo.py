@@ -12,6 +12,7 @@ from stable_baselines3 import PPO
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.features import ScaledObservation
+from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import Task, make_task
 from inclined_landing.envs.tasks.base import resolve_pwm_centre
@@ -47,7 +48,8 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
         options |= {"integrator": config.integrator, "threads": config.threads}
     task = build_task(config)
     plant = make_plant(config.plant, config.environments, task.vehicle, **options)
-    return BatchVecEnv(BatchEnv(task, plant, config.seed), reward_scale=config.reward_scale)
+    ranges = None if config.randomise is None else read_ranges(config.randomise)
+    return BatchVecEnv(BatchEnv(task, plant, config.seed, ranges), reward_scale=config.reward_scale)
 
 
 def build_task(config: TrainConfig) -> Task:

@@ -2,6 +2,7 @@
 
 run.json         resolved configuration, command, versions
 vehicle.toml     the vehicle file, if one was given
+randomise.toml   the file of ranges, if one was given
 learning.csv     one row per iteration; the same curves stand in tensorboard/
 evaluations.csv  one row per periodic evaluation, in the plain plant, on starts of its own
 checkpoint.pt    for --resume: policy, optimizer, vehicles, random states, histories
@@ -39,18 +40,18 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
 from inclined_landing.train import checkpoint, ppo, warm_start
 from inclined_landing.train.callbacks import Clock, CriticFirst, CurriculumCallback, Every, ProgressCallback
-from inclined_landing.train.config import TrainConfig, option
+from inclined_landing.train.config import COPIED, TrainConfig, option
 from inclined_landing.train.curriculum import make_curriculum
 
 RECORD = "run.json"
 CHECKPOINT = "checkpoint.pt"
-VEHICLE = "vehicle.toml"
+VEHICLE = COPIED["vehicle"]
 EVALUATION_STARTS = 64
 ENDING_STARTS = 256  # of evaluations that end a run
 NOT_REACHED = 3  # exit code
 TARGET = 0.99  # success that "time to 99 %" means
 _FREE = ("out", "max_seconds", "report", "threads")  # options that may differ from a checkpoint's
-_BEFORE = {RECORD, VEHICLE, "tensorboard"}  # all that a run folder holds before its first checkpoint
+_BEFORE = {RECORD, *COPIED.values(), "tensorboard"}  # all that a run folder holds before its first checkpoint
 
 
 class _Reached(Exception):
@@ -124,9 +125,10 @@ class Run:
         """From the beginning, perhaps of a run that was stopped before its first checkpoint."""
         if not self.resumed:
             storage.write_json(self.folder / RECORD, self.record)
-        copy = self.folder / VEHICLE
-        if self.config.vehicle not in (None, copy):
-            storage.write_text(copy, self.config.vehicle.read_text("utf-8"))
+        for name, file in COPIED.items():
+            given, copy = getattr(self.config, name), self.folder / file
+            if given not in (None, copy):
+                storage.write_text(copy, given.read_text("utf-8"))
         shutil.rmtree(self.folder / "tensorboard", ignore_errors=True)
         if self.teacher is not None:
             warm_start.teach(self.model, self.env.env, self.teacher, self.config.seed)
@@ -258,6 +260,7 @@ class Run:
             "seed": config.seed,
             "steps": int(self.model.num_timesteps),
             **({"vehicle": self._vehicle()} if self.config.vehicle is not None else {}),
+            **({"ranges": self._ranges()} if self.config.randomise is not None else {}),
             **{k: v for k, v in self.record.items() if k != "config"},
         }
 
@@ -265,6 +268,10 @@ class Run:
         """In what the vehicle is not the shipped one, JSON types only."""
         shipped, own = (dataclasses.asdict(v) for v in (load_vehicle(), self.env.env.task.vehicle))
         return json.loads(storage.to_json({k: value for k, value in own.items() if value != shipped[k]}))
+
+    def _ranges(self) -> dict:
+        """What differs from episode to episode, JSON types only."""
+        return {name: list(range_) for name, range_ in self.env.env.ranges.items()}
 
     def _evaluate_or_end(self, iteration: int) -> None:
         self.evaluate(iteration)
@@ -316,6 +323,7 @@ class Run:
         state = numbers | {
             "config": self._as_recorded(),
             "vehicle": self._vehicle(),
+            "ranges": self._ranges(),
             "curriculum": self.curriculum.state(),
             "history": self.history,
             "evaluations": self.evaluations,
@@ -353,6 +361,8 @@ class Run:
                     raise UserError(f"belongs to another configuration: {name} differs from {RECORD}")
             if state["vehicle"] != self._vehicle():
                 raise UserError(f"belongs to another vehicle than {VEHICLE}")
+            if state["ranges"] != self._ranges():
+                raise UserError(f"belongs to other ranges than {COPIED['randomise']}")
             ppo.restore(self.model, self.env, state, saved.arrays)
             steps = state["steps"]
             self._restore_histories(state, steps)
@@ -486,7 +496,7 @@ def train(config: TrainConfig) -> tuple[Path, dict]:
 
 _STATE = (
     *("steps", "updates", "start_rng", "numpy_rng", "ended", "successes"),
-    *("config", "vehicle", "curriculum", "history", "evaluations", "spent"),
+    *("config", "vehicle", "ranges", "curriculum", "history", "evaluations", "spent"),
 )
 
 
@@ -516,9 +526,10 @@ def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
         raise _refused(path, error) from error
     _check_same(config, given)
     given = dataclasses.replace(given, out=config.out, max_seconds=config.max_seconds, resume=False)
-    if given.vehicle is not None:  # its copy, unless the run was stopped before it was made
-        copy = config.out / VEHICLE
-        given.vehicle = copy if copy.is_file() else Path(given.vehicle)
+    for name, file in COPIED.items():
+        copy, first = config.out / file, getattr(given, name)
+        if first is not None:  # its copy, unless the run was stopped before it was made
+            setattr(given, name, copy if copy.is_file() else Path(first))
     return given, record
 
 

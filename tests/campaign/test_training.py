@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from campaign.judge import EVIL, Case, command, judge, mutations, parametrised, write
+from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.train import run
 from inclined_landing.train.checkpoint import read
 from inclined_landing.train.checkpoint import write as write_checkpoint
@@ -188,6 +189,37 @@ def folder_cases():
 def mutate(path, number):
     content = path.read_bytes()
     write(path, dict(mutations(content, number + 1, seed=number)).popitem()[1])
+
+
+RANGES = b"thrust_scale = [0.8, 1.1]\nthrust_bias = [0, 0]\n"
+
+
+def ranges_cases():
+    for kind, change in WHOLE.items():
+        yield ranges_case(f"ranges are {kind}", change)
+    for k, content in mutations(RANGES, 200):
+        yield ranges_case(f"ranges mutated {k}", functools.partial(write, content=content))
+    for kind, value in EVIL.items():
+        lines = {"range": f"thrust_scale = {value!r}", "end": f"thrust_scale = [{value!r}, 1.1]",
+                 "name": f"{value!r} = [1, 1]"}  # fmt: skip
+        for what, line in lines.items():
+            content = line.encode("utf-8", "replace")
+            yield ranges_case(f"ranges {what} {kind}", functools.partial(write, content=content))
+
+
+def ranges_case(name, change):
+    def make(folder):
+        path = folder / "ranges.toml"
+        write(path, RANGES)
+        change(path)
+        return path
+
+    return Case(name, make=make, take=read_ranges)
+
+
+@parametrised(ranges_cases(), sample=40)
+def test_ranges_are_taken_or_refused(case, tmp_path):
+    judge(case, tmp_path)
 
 
 @parametrised(option_cases(), sample=25)

@@ -16,6 +16,7 @@ from campaign.training import assert_same_policy, weights
 
 from inclined_landing.envs.policy import load_policy, tensors
 from inclined_landing.envs.tasks import TASKS
+from inclined_landing.models import perturbation
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.train import cli, run, warm_start
@@ -225,6 +226,38 @@ def test_a_run_goes_on_from_a_policy_of_its_own_task(task, tmp_path):
     assert load_policy(again / "final.zip").task.name == task
 
 
+def test_a_randomised_run_is_resumed_bit_for_bit_with_its_copy(tmp_path):
+    ranges = tmp_path / "ranges.toml"
+    ranges.write_text("thrust_scale = [0.8, 1.1]\nmass_scale = [1, 1.2]\n", "utf-8")
+    # 384 steps of each vehicle, so that every episode ends once at least
+    whole, _ = train(config(tmp_path / "whole", randomise=ranges, steps=128 * 24))
+    out = tmp_path / "cut"
+    train(config(out, randomise=ranges, steps=128 * 24, max_seconds=0.5))
+    ranges.unlink()  # the run has its own
+    resumed = Run(TrainConfig(out=out, resume=True))
+    assert resumed.env.env.ranges == {"thrust_scale": (0.8, 1.1), "mass_scale": (1.0, 1.2)}
+    resumed.execute()
+    assert_same_policy(whole / "final.zip", out / "final.zip")
+    assert (resumed._judge.plant.perturbation == perturbation.NEUTRAL).all()
+    assert load_policy(out / "final.zip").metadata["ranges"] == {
+        "thrust_scale": [0.8, 1.1],
+        "mass_scale": [1.0, 1.2],
+    }
+    plain, _ = train(config(tmp_path / "plain", steps=256))
+    other, _ = train(config(tmp_path / "other", steps=256, randomise=whole / "randomise.toml"))
+    a, b = weights(plain / "final.zip"), weights(other / "final.zip")
+    assert not np.array_equal(a["action_net.weight"], b["action_net.weight"])
+
+
+def test_a_run_is_not_resumed_with_other_ranges(tmp_path):
+    ranges = tmp_path / "ranges.toml"
+    ranges.write_text("thrust_scale = [0.8, 1.1]\n", "utf-8")
+    train(config(tmp_path / "run", randomise=ranges, max_seconds=1e-6))
+    (tmp_path / "run" / "randomise.toml").write_text("thrust_scale = [0.8, 1.2]\n", "utf-8")
+    with pytest.raises(UserError, match=r"belongs to other ranges than randomise\.toml"):
+        Run(TrainConfig(out=tmp_path / "run", resume=True))
+
+
 def test_a_policy_is_taken_to_another_slope_and_vehicle(tmp_path):
     heavy = dataclasses.replace(load_vehicle(), body_mass=1.2 * load_vehicle().body_mass)
     write_vehicle(tmp_path / "heavy.toml", heavy)
@@ -392,6 +425,7 @@ WRONG = {
     "--pwm-centre static": "pwm_centre must be",
     "--inclination 80": "--inclination: platform inclination 80 deg is outside the supported range",
     "setpoint --inclination 10": "--inclination: the task setpoint has no inclined platform",
+    "--randomise none.toml": "randomise file none.toml does not exist",
     "--from none.zip": "policy none.zip does not exist",
     "--success 0.9": "--steps fixes how long the run is; --success goes without it",
     "--max-steps 9": "--steps fixes how long the run is; --max-steps goes without it",
@@ -479,7 +513,7 @@ def test_resolved_configurations_stay_as_they_are(tmp_path):
         once = TrainConfig(task=task).resolved()
         assert once.resolved() == once
         left = {f.name for f in dataclasses.fields(once) if getattr(once, f.name) is None}
-        free = {"max_seconds", "vehicle", "inclination"} | (
+        free = {"max_seconds", "vehicle", "inclination", "randomise"} | (
             set() if kind.training.start_from else {"start_from"}
         )
         assert left == free | set(ENDING[:1] if kind.training.success else ENDING[1:])
