@@ -57,7 +57,7 @@ EFFECTS = (
         source="Kooi and Babuska 2021: k identified in flight; about 0.89 in the utias_fmpc flights",
         parameters=(
             Parameter(
-                *("scale", "1", 1.0, (0.4, 1.8), 0.85, 0.015),
+                *("scale", "1", 1.0, (0.4, 1.8), 0.85, 0.02),
                 constant=FittedConstant(
                     "attitude gain k", "attitude_gain", "1", lambda v, x: x * v.attitude_gain
                 ),
@@ -78,7 +78,7 @@ EFFECTS = (
         source="Kooi and Babuska 2021: tau = 0.184 s; about 0.06 s in the utias_fmpc flights",
         parameters=(
             Parameter(
-                *("scale", "1", 1.0, (0.06, 4.0), 0.6, 0.05),
+                *("scale", "1", 1.0, (0.06, 4.0), 0.6, 0.08),
                 manoeuvre=0.12,
                 constant=FittedConstant(
                     *("attitude time constant tau", "attitude_time_constant", "s"),
@@ -102,7 +102,7 @@ EFFECTS = (
         source="cascaded attitude and rate controllers of the Crazyflie firmware",
         parameters=(
             Parameter(
-                *("rate_lag", "s", 0.0, (-0.017, 0.15), 0.03, 0.006),
+                *("rate_lag", "s", 0.0, (-0.017, 0.15), 0.03, 0.008),
                 manoeuvre=0.015,
                 constant=FittedConstant(
                     *("rate loop lag", "attitude_bandwidth", "s"), lambda v, x: x + 1.0 / v.attitude_bandwidth

@@ -20,7 +20,7 @@ EFFECTS = (
         source="Kooi and Babuska 2021: first-order motor function, 65 ms",
         parameters=(
             Parameter(
-                *("scale", "1", 1.0, (0.2, 5.0), 1.5, 0.05),
+                *("scale", "1", 1.0, (0.2, 5.0), 1.5, 0.08),
                 constant=FittedConstant(
                     "thrust lag", "thrust_lag_rate", "s", lambda v, x: x / v.thrust_lag_rate
                 ),

@@ -36,7 +36,7 @@ EFFECTS = (
         "an offset in the firmware's PWM, or a static map that does not pass through zero.",
         formula="F_t = state_gain Omega + direct_gain PWM + force",
         source="offset of the static map in Foerster 2015",
-        parameters=(Parameter("force", "N", 0.0, (-0.25, 0.25), -0.02, 0.002),),
+        parameters=(Parameter("force", "N", 0.0, (-0.25, 0.25), -0.02, 0.003),),
         regimes=("hover", "climb", "lateral"),
         confused_with=("thrust_scale", "mass", "battery_sag", "ground_effect"),
         remedy="Fly climbs and descents with a wide range of PWM, to tell an offset from a scale. Check the "

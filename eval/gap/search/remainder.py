@@ -36,7 +36,7 @@ PAST = (0.1, 0.25)  # s ago, of commands
 MOVED = (0.15, 0.3, 0.5)  # s ago, of velocities
 TIME = "flight time"
 BINS = 8
-WORTH = 1.0  # squared error that is worth telling, in that of errors of negligible size
+WORTH = 2.0  # squared error that is worth telling, in that of errors of negligible size
 UNITS_OF = ("m/s2",) * 3 + ("rad/s2",) * 3
 LEAST = {"m/s2": 0.01, "rad/s2": 0.3}  # a function's expected size where the air is still
 

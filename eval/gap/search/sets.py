@@ -31,9 +31,9 @@ from inclined_landing.eval.gap.search.posterior import (
 from inclined_landing.eval.gap.search.prediction import predict
 
 NOTHING = 0.5  # prior probability that nothing is missing
-MOST = 6  # effects of a set
+MOST = 8  # effects of a set
 PLACES = 3  # others that are fitted in the place of every effect of the best set
-FITTED = 9  # sets that are fitted through the simulator, at most
+FITTED = 12  # sets that are fitted through the simulator, at most
 WORTH = 6.0  # log probability behind the best within which a neighbour is worth a fit
 TOLERATED = 10.0  # squared error by which a linear step may be worse than foreseen
 FORMS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # shares of the motion by which it may be off
