@@ -1,9 +1,11 @@
 """What the search for sets of effects rests on: unrest, marginal likelihoods, flips of signs."""
 
+import dataclasses
 import types
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.signal import lfilter
 
 from inclined_landing.eval.gap.answer.named import in_its_place, parts_only
@@ -11,10 +13,12 @@ from inclined_landing.eval.gap.flights import unrest
 from inclined_landing.eval.gap.flights.windows import level, prepare
 from inclined_landing.eval.gap.search.evidence import Column
 from inclined_landing.eval.gap.search.posterior import Local, Screen
+from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.gap.search.remainder import _Function, _signs, form_of
-from inclined_landing.eval.gap.search.sets import Scored
+from inclined_landing.eval.gap.search.sets import Scored, _worth_correcting, weigh
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import tilted
+from inclined_landing.models.effects import LIBRARY, Parameter
 from inclined_landing.models.parameters import load_vehicle
 
 VEHICLE = load_vehicle()
@@ -166,3 +170,61 @@ def test_a_name_closes_more_than_what_repeats_there(closes, named):
     found = types.SimpleNamespace(values={"a": {}, "b": {}}, inflation=np.ones(6))
     left = types.SimpleNamespace(depends_on=[types.SimpleNamespace(channel="z", share=0.4)])
     assert parts_only(problem, found, left) == ([] if named else ["a"])
+
+
+def test_the_form_of_the_model_errs_by_a_share_of_the_motion():
+    """Errors of 5 % of the motion beside noise: windows that move count less, those that rest do not."""
+    rng = np.random.default_rng(6)
+    flights = [prepare(still(rng), VEHICLE) for _ in range(6)]
+    t = flights[0].t
+    moved = [np.outer(np.sin(2 * np.pi * (0.5 + 0.1 * k) * t), np.full(6, 0.3 * (k > 2))) for k in range(6)]
+    wrong = [f.measured - [0, 0, 1, 0, 0, 0] + 0.05 * m for f, m in zip(flights, moved)]
+    count = sum(len(f.starts) for f in flights)
+    rows = np.concatenate([np.full(len(f.starts), f.rows - 2) for f in flights])
+    problem = types.SimpleNamespace(flights=flights, rows=rows, logged=np.ones((count, 6)), weight=None)
+    weigh(problem, moved, wrong)
+    rests = np.arange(count) < count // 2
+    white = [f.whitening(f.cut(e)) for f, e in zip(flights, wrong)]
+    left = np.concatenate([(x**2).mean(axis=2) for x in white])
+    assert left[~rests].mean() > 1.5 * left[rests].mean()
+    np.testing.assert_allclose(problem.weight[rests], 1.0)
+    # The mean square of some 100 windows of 58 numbers: within 10 % beside what a grid of shares allows.
+    weighed = (left * problem.weight)[~rests].mean(axis=0)
+    np.testing.assert_allclose(weighed, left[rests].mean(axis=0), rtol=0.3)
+
+
+def test_an_effect_too_small_to_matter_is_part_of_the_set_without_it(local):
+    def parameter(column):
+        return Parameter(column.parameter, "1", 0.0, (-9.0, 9.0), 5.0, 1.0)
+
+    problem = types.SimpleNamespace(parameter=parameter)
+    sd = np.sqrt(np.diag(local.fit(frozenset("ab"))[1]))
+    values = {"a": {"one": 1.0 + 2.0 * sd[0], "two": 0.0}, "b": {"one": 0.0, "two": 0.0}}
+    parts = _worth_correcting(problem, local, frozenset("ab"), values)
+    assert sum(parts.values()) == pytest.approx(1.0)
+    beyond = sum(share for names, share in parts.items() if "a" in names)
+    assert beyond == pytest.approx(stats.norm.cdf(2.0), abs=0.02)
+    assert sum(share for names, share in parts.items() if "b" in names) < 0.2
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0095])
+def test_slopes_of_delays_are_sums_of_each_other(delay):
+    """Late poses are early commands, also where the slopes bend at a whole row of the log."""
+    rng = np.random.default_rng(7)
+    log = still(rng, 4.0)
+    command = log.command + np.repeat(rng.uniform(-0.2, 0.2, (len(log.t) // 2, 4)), 2, axis=0) * [
+        2e4,
+        1,
+        1,
+        0,
+    ]
+    flight = prepare(dataclasses.replace(log, command=command), VEHICLE)
+    vehicle = VEHICLE.changed(effects_thrust_delay=delay, effects_attitude_delay=delay)
+    start, slopes = predict(flight, vehicle), {}
+    for name in ("thrust_delay", "attitude_delay", "mocap_delay"):
+        (p,) = LIBRARY[name].beside(vehicle).parameters
+        slopes[name] = (predict(flight, LIBRARY[name].apply(vehicle, {p.name: p.step})) - start) / p.step
+    together = slopes["thrust_delay"] + slopes["attitude_delay"]
+    assert np.abs(together).max() > 0.1
+    # Drag couples both only through the measured attitude: the sum is exact but for rounding over the step.
+    np.testing.assert_allclose(slopes["mocap_delay"], together, atol=1e-3 * np.abs(together).max())

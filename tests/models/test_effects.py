@@ -684,3 +684,20 @@ def test_a_corrected_vehicle_is_a_file(tmp_path):
 def test_impossible_effects_are_refused(kind, change, sentence):
     with pytest.raises(UserError, match=sentence):
         make_plant(kind, 1, dataclasses.replace(V, **change))
+
+
+def test_what_a_vehicle_has_already_it_may_have_less_of():
+    """A delay of 7 ms may be 7 ms shorter, and no more; without one it can only grow."""
+    effect = LIBRARY["thrust_delay"]
+    (alone,) = effect.beside(V).parameters
+    assert alone.possible == (0.0, alone.bounds[1])
+    late = V.changed(effects_thrust_delay=0.007)
+    (p,) = effect.beside(late).parameters
+    assert p.possible == (-0.007, p.bounds[1])
+    assert effect.apply(late, {"delay": p.possible[0]}) == V
+
+
+def test_a_variant_is_a_replaced_vehicle():
+    assert V.changed(body_mass=0.04) == dataclasses.replace(V, body_mass=0.04)
+    with pytest.raises(TypeError, match="no body_weight"):
+        V.changed(body_weight=1.0)
