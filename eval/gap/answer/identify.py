@@ -150,7 +150,8 @@ def _worth_having(problem: Problem, fit: Fitted, notes: list[str]) -> Fitted:
     error = np.sqrt(np.diag(local.fit(frozenset(fit.values))[1])) * local.unit
     slab = slabs(problem, local.columns)
     seen = {c.effect for c, sd, wide in zip(local.columns, error, slab) if sd < UNSEEN * wide}
-    kept = asked_for(problem, fit, frozenset(n for n in fit.values if LIBRARY[n].of_the_place))
+    places = frozenset(n for n in fit.values if LIBRARY[n].of_the_place)
+    kept = asked_for(problem, fit, places, rare=False)
     for name in fit.values:
         if name not in seen | kept:
             label = name.replace("_", " ")

@@ -37,6 +37,7 @@ MOVED = (0.15, 0.3, 0.5)  # s ago, of velocities
 TIME = "flight time"
 BINS = 8
 WORTH = 2.0  # squared error that is worth telling, in that of errors of negligible size
+FORM = 0.02  # share of the motion by which no formula is wrong enough to tell
 UNITS_OF = ("m/s2",) * 3 + ("rad/s2",) * 3
 LEAST = {"m/s2": 0.01, "rad/s2": 0.3}  # a function's expected size where the air is still
 
@@ -163,10 +164,13 @@ def assess(problem: Problem, found: Search, seed: int = 0) -> Remainder:
 
 
 def _tolerances(problem: Problem, found: Search) -> tuple[dict[str, float], dict[str, float]]:
-    """Squared error of every target that errors of negligible size make, and all that is left there."""
+    """Squared error of every target that errors of negligible size and form make, and all that is left."""
+    vehicle = problem.corrected(found.at)
+    moved = [f.whitening(f.cut(predict(f, vehicle))) for f in problem.flights]
     linear = problem.linearise(found.at, found.local.columns)
     weight = problem.weight / found.inflation
     spread = np.einsum("wckk,k,wc->c", linear.a, found.local.unit**2, weight, optimize=True)
+    spread += FORM**2 * (np.concatenate([(x**2).sum(axis=2) for x in moved]) * weight).sum(axis=0)
     left = (linear.c * weight).sum(axis=0)
     result = []
     for by_channel in (spread, left):

@@ -107,7 +107,7 @@ def regress(flights: Sequence[FlightLog], vehicle: Vehicle) -> dict[str, dict[st
     # The terms of a battery are about these; what is off there belongs to the thrust scale.
     about = {"PWM": vehicle.hover_pwm, "V": vehicle.effects_voltage_reference}
     for name in values:
-        if reference := LIBRARY[name].reference:
+        if (reference := LIBRARY[name].reference) and reference.unit in about:
             values[name][reference.name] = about[reference.unit]
     return values
 
