@@ -20,11 +20,14 @@ needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured flights 
 def test_gap_of_the_papers_interface_closes_on_flights_left_out():
     """Two flights of one day, each judged with the other fitted; at least 70 % of the gap closes."""
     logs = flights(DATA / "utias_fmpc", "utias_20250421_*.csv.gz")
-    d = diagnose(logs, load_vehicle(), curves=False)
+    vehicle = load_vehicle()
+    d = diagnose(logs, vehicle, curves=False)
     assert d.gap["analytic"].closed > 0.9
-    first = d.effects[0]
-    assert "thrust_scale" in first.members
-    assert 0.77 < d.values()["thrust_scale"]["scale"] < 0.82
+    assert "thrust_scale" in d.effects[0].members
+    # Of scale, bias and mass only the thrust in hover shows: 0.80, by 2 to 3 % with what goes with the flight.
+    c = d.apply(vehicle)
+    thrust = c.thrust_per_pwm * vehicle.hover_pwm + c.effects_thrust_bias
+    assert 0.76 < thrust / (c.body_mass * c.environment_gravity) < 0.83
 
 
 @needs_data
