@@ -151,7 +151,7 @@ def _worth_having(problem: Problem, fit: Fitted, notes: list[str]) -> Fitted:
     slab = slabs(problem, local.columns)
     seen = {c.effect for c, sd, wide in zip(local.columns, error, slab) if sd < UNSEEN * wide}
     places = frozenset(n for n in fit.values if LIBRARY[n].of_the_place)
-    kept = asked_for(problem, fit, places, rare=False)
+    kept = asked_for(problem, fit, places)
     for name in fit.values:
         if name not in seen | kept:
             label = name.replace("_", " ")

@@ -250,17 +250,14 @@ def _neighbours(problem: Problem, node: Node) -> list[Set]:
     return [frozenset(s) for s in result]
 
 
-def asked_for(
-    problem: Problem, fit: Fitted, always: Set = frozenset(), most: int | None = None, rare: bool = True
-) -> Set:
+def asked_for(problem: Problem, fit: Fitted, always: Set = frozenset(), most: int | None = None) -> Set:
     """What is left of effects fitted together when those without which the flights are more probable go.
 
-    One after the other, the others neutral; down to `most` of them. always: these stay. rare: nothing missing
-    is as probable beforehand as anything; else every effect is as likely there as not.
+    One after the other, the others neutral; down to `most` of them. always: these stay.
     """
 
     def score(names: Set) -> float:
-        return evidence_of(problem, fit, names) + (log_prior(problem, names) if rare else 0.0)
+        return evidence_of(problem, fit, names) + log_prior(problem, names)
 
     kept = always | {n for n in fit.values if np.any(problem.sizes(n, fit.values))}
     while kept - always:
