@@ -402,16 +402,17 @@ def advance(state, commands, ambient, vehicle, p, rate_loop, dt, substeps, push=
     """Advance every vehicle, and its time, in place by substeps * dt with RK4.
 
     state (n, 13) with the columns of `attitude.py`, commands (n, 4) held constant, ambient (n, 4) with
-    the columns time, voltage, inclination, present, vehicle from `pack`, p (n, 7) perturbations, rate_loop:
-    which attitude model, push (n, 6) further accelerations [m/s2] and torques [N m] in the world's axes.
+    the columns time, voltage, inclination, present, vehicle from `pack`, (1,) for all or (n,) with a record
+    for each, p (n, 7) perturbations, rate_loop: which attitude model, push (n, 6) further accelerations
+    [m/s2] and torques [N m] in the world's axes.
     With the kinematic model the body rates in the state are those of the first-order loops at the end of
     the step, and torques have no effect.
     """
-    v, size = vehicle[0], _SIZE if rate_loop else _RATES
+    each, size = len(vehicle) > 1, _SIZE if rate_loop else _RATES
     y, z, total = np.zeros(_SIZE), np.zeros(_SIZE), np.zeros(_SIZE)
     k, r, f = np.zeros(_SIZE), np.empty((3, 3)), np.zeros(5)
     for i in range(state.shape[0]):
-        s, u, around = state[i], commands[i], ambient[i]
+        s, u, around, v = state[i], commands[i], ambient[i], vehicle[i if each else 0]
         y[:9] = s[:9]
         y[_OMEGA] = s[LAG]
         y[_RATES], y[_RATES + 1], y[_RATES + 2] = euler_rates(s[ROLL], s[PITCH], s[WX], s[WY], s[WZ])

@@ -246,11 +246,17 @@ def test_rotor_speeds_are_continuous_and_zero_without_thrust():
 
 
 def test_vehicles_do_not_influence_each_other():
+    """Nor where each has a record of its own."""
     rng = np.random.default_rng(0)
     states = rng.uniform(-1, 1, (7, 13))
     commands = rng.uniform([0, -0.5, -0.5, -3], [60_000, 0.5, 0.5, 3], (7, 4))
-    together = states.copy()
-    around, packed = equations.free_air(7), equations.pack(V)
-    equations.advance(together, commands, around, packed, neutral(7), True, 0.004, 5)
-    for i in range(7):
-        np.testing.assert_array_equal(fly(states[i : i + 1], commands[i], 0.02, 5, True)[0], together[i])
+    others = [V.changed(body_mass=V.body_mass * (1 + 0.1 * i), effects_wind=(0.5 * i, 0.0)) for i in range(7)]
+    for vehicles, packed in (
+        ([V] * 7, equations.pack(V)),
+        (others, np.concatenate([equations.pack(v) for v in others])),
+    ):
+        together, around = states.copy(), equations.free_air(7)
+        equations.advance(together, commands, around, packed, neutral(7), True, 0.004, 5)
+        for i, v in enumerate(vehicles):
+            alone = fly(states[i : i + 1], commands[i], 0.02, 5, True, v)[0]
+            np.testing.assert_array_equal(alone, together[i])
