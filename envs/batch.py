@@ -9,6 +9,7 @@ import dataclasses
 
 import numpy as np
 
+from inclined_landing.envs.history import History
 from inclined_landing.envs.randomise import Ranges, deviate
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import Judgement, Moment, Start
@@ -41,7 +42,7 @@ def is_whole(value) -> bool:
 class Step:
     """The outcome of one control step of every vehicle; arrays are fresh."""
 
-    observation: np.ndarray  # (n, o) float32
+    observation: np.ndarray  # (n, o) float32, the task's history included
     reward: np.ndarray  # (n,)
     terminated: np.ndarray  # (n,) bool
     truncated: np.ndarray  # (n,) bool
@@ -71,6 +72,7 @@ class BatchEnv:
         self.touched = np.zeros(n, bool)
         self.held = np.zeros(n, int)
         self.commands = np.zeros((n, 4))
+        self.past = History(task, n)
         self._start = Start(
             np.zeros((n, plant.state.shape[1])),
             np.zeros(n),
@@ -103,10 +105,14 @@ class BatchEnv:
     def _records(self) -> dict[str, np.ndarray]:
         own = ("length", "total", "contact_steps", "touched", "held")
         start = {name: getattr(self._start, name) for name in _START}
-        return {name: getattr(self, name) for name in own} | start
+        past = {"past": self.past.steps} if self.task.history else {}
+        return {name: getattr(self, name) for name in own} | start | past
 
     def observe(self, ids=slice(None)) -> np.ndarray:
-        """Observations (k, o) of the vehicles `ids` as motion capture shows them now."""
+        """Observations (k, o) of the vehicles `ids` as motion capture shows them now, with their history."""
+        return self.past.behind(self._present(ids), ids)
+
+    def _present(self, ids=slice(None)) -> np.ndarray:
         return self.task.observe(Moment(self.plant.measurement[ids], self.plant.contacts[ids]))
 
     def reset(self, ids=None, state: np.ndarray | None = None) -> np.ndarray:
@@ -138,6 +144,7 @@ class BatchEnv:
         self.contact_steps[ids] = 0
         self.touched[ids] = False
         self.held[ids] = 0
+        self.past.begin(ids, self._present(ids))
         return self.observe(ids)
 
     def step(self, actions: np.ndarray) -> Step:
@@ -152,6 +159,8 @@ class BatchEnv:
             raise UserError("an action is NaN or infinite")
         actions = np.clip(actions, -1.0, 1.0)
         self.commands = self.task.commands(actions)
+        if self.task.history:
+            self.past.note(self._present(), actions)
         self.plant.step(self.commands)
         contacts = self.plant.contacts
         self.length += 1

@@ -8,7 +8,7 @@ reward. Options of both constructors:
 | `plant` | "mujoco" | "mujoco" or "analytic" |
 | `plant_options` | {} | arguments of the plant: `{"integrator": "implicitfast"}`, `{"unrest": 0}` ... |
 | `vehicle` | shipped | a `Vehicle`, or the path of a vehicle file |
-| others | | arguments of the task, such as `inclination` or `pwm_centre` |
+| others | | arguments of the task, such as `inclination`, `pwm_centre` or `history` |
 
 `reset(options={"state": array})` starts from given states, (13,) or (n, 13). What is not of these names,
 types and sizes is a UserError, a ValueError with one sentence.

@@ -20,6 +20,7 @@ import numba
 import numpy as np
 
 from inclined_landing.envs import weights
+from inclined_landing.envs.history import input_names
 from inclined_landing.envs.tasks import TASKS, Task, make_task, task_class
 from inclined_landing.envs.tasks.base import resolve_pwm_centre
 from inclined_landing.models import storage
@@ -79,7 +80,7 @@ class Policy:
         return self.path.stem
 
     def predict(self, observation: np.ndarray) -> np.ndarray:
-        """Actions (n, a) float32 in [-1, 1] for observations (n, o), or (a,) for (o,)."""
+        """Actions (n, a) float32 in [-1, 1] for observations (n, o), or (a,) for (o,), history included."""
         observation = np.asarray(observation)
         rows = np.ascontiguousarray(np.atleast_2d(observation), np.float64)
         if rows.ndim != 2 or rows.shape[1] != len(self.centre):
@@ -189,7 +190,7 @@ def load_policy(
     if task is None or isinstance(task, str):
         task = _build_task(trained or wanted, metadata, vehicle, inclination, path)
     policy = Policy(task=task, metadata=metadata, path=path, **network)
-    expected = len(task.observation_names), len(task.action_names)
+    expected = len(input_names(task)), len(task.action_names)
     found = len(policy.centre), len(policy.biases[-1])
     if found != expected:
         raise UserError(
@@ -201,9 +202,18 @@ def load_policy(
 
 def trained_for(path: str | Path) -> str | None:
     """The task that the stamp of a policy file, or of a shipped policy, names; None for a plain SB3 file."""
+    return _stamp_of(path).get("task")
+
+
+def history_of(path: str | Path) -> int:
+    """How many past steps a policy file, or a shipped policy, is given; 0 for a plain SB3 file."""
+    return _stamp_of(path).get("task_options", {}).get("history", 0)
+
+
+def _stamp_of(path: str | Path) -> dict:
     path = locate(path)
     with _open(path) as archive:
-        return _read_stamp(archive, path).get("task")
+        return _read_stamp(archive, path)
 
 
 def tensors(path: str | Path) -> dict[str, np.ndarray]:

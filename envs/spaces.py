@@ -3,11 +3,12 @@
 import numpy as np
 from gymnasium.spaces import Box
 
+from inclined_landing.envs.history import input_names
+
 
 def observation_space(task) -> Box:
-    """Unbounded Box (o,), float32: positions may leave the arena, where the reward says so."""
-    size = len(task.observation_names)
-    return Box(-np.inf, np.inf, (size,), np.float32)
+    """Unbounded Box, float32, of `input_names`: positions may leave the arena, where the reward says so."""
+    return Box(-np.inf, np.inf, (len(input_names(task)),), np.float32)
 
 
 def action_space(task) -> Box:

@@ -11,8 +11,9 @@ from typing import Annotated
 
 import tyro
 
+from inclined_landing.envs.policy import history_of, trained_for
 from inclined_landing.envs.tasks import TASKS, task_class
-from inclined_landing.envs.tasks.base import Training
+from inclined_landing.envs.tasks.base import LONGEST_HISTORY, Training
 from inclined_landing.eval.base.options import Range, Seed, check_ranges
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.plants import PLANTS
@@ -110,6 +111,9 @@ class TrainConfig:
     ] = None
     pwm_centre: str = "hover"
     """PWM at action 0: hover (of the equations) or paper (42 000)."""
+    history: Annotated[int | None, Range(0, LONGEST_HISTORY)] = None
+    """Past steps, observation and action each, that the policy is given besides the observation (default: as
+    many as the policy in --from, else 0)."""
 
     environments: Annotated[int, Range(1, 16_384)] = 64
     """Vehicles stepped together."""
@@ -163,6 +167,10 @@ class TrainConfig:
         out = Path(self.out or f"runs/{self.task}-{self.seed}")
         vehicle = None if self.vehicle is None else Path(self.vehicle)
         randomise = None if self.randomise is None else Path(self.randomise)
+        if self.history is None:
+            start = filled["start_from"]
+            same = start is not None and trained_for(start) == self.task
+            filled["history"] = history_of(start) if same else 0
         config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)
         samples = config.environments * config.rollout
         if samples == 1:

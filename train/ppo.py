@@ -12,6 +12,7 @@ from stable_baselines3 import PPO
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.features import ScaledObservation
+from inclined_landing.envs.history import input_centre, input_scale
 from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import Task, make_task
@@ -26,13 +27,16 @@ from inclined_landing.train.config import TrainConfig
 _NOT_SAVED = ("lr_schedule",)
 _MOST = 2**53  # of anything counted
 _SAMPLE, _VEHICLE = 100, 20_000  # bytes, measured: rollout buffer with its copies; engine and records
+_PAST = (
+    80  # bytes more for each past step in a sample: seven numbers, as many as in the buffer and its copies
+)
 _EVALUATION_SEED = 1_000_003  # apart from every training seed's stream
 
 
 def check_memory(config: TrainConfig) -> None:
     """Raise UserError when vehicles and rollout would not fit into the memory that is free."""
     samples = config.environments * config.rollout
-    needed = _SAMPLE * samples + _VEHICLE * config.environments
+    needed = (_SAMPLE + _PAST * config.history) * samples + _VEHICLE * config.environments
     free = psutil.virtual_memory().available
     if needed > free:
         raise UserError(
@@ -54,17 +58,17 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
 
 def build_task(config: TrainConfig) -> Task:
     """The task with the configured vehicle, platform and action map."""
-    vehicle, slope = load_vehicle(config.vehicle), {}
+    vehicle, options = load_vehicle(config.vehicle), {"history": config.history} if config.history else {}
     if config.inclination is not None:
         try:
-            slope["inclination"] = vehicle.check_inclination(math.radians(config.inclination))
+            options["inclination"] = vehicle.check_inclination(math.radians(config.inclination))
         except UserError as error:
             raise UserError(f"--inclination: {error}") from error
     if config.vehicle is None:
-        return make_task(config.task, pwm_centre=config.pwm_centre, **slope)
+        return make_task(config.task, pwm_centre=config.pwm_centre, **options)
     # A policy to go on from keeps the thrust at action 0 that it was trained with: the shipped vehicle's.
     centre = resolve_pwm_centre(config.pwm_centre, load_vehicle() if config.start_from else vehicle)
-    return make_task(config.task, vehicle, pwm_centre=centre, **slope)
+    return make_task(config.task, vehicle, pwm_centre=centre, **options)
 
 
 def evaluation_seed(config: TrainConfig) -> int:
@@ -94,8 +98,8 @@ def build_model(config: TrainConfig, env: BatchVecEnv) -> PPO:
             "log_std_init": config.log_std_init,
             "features_extractor_class": ScaledObservation,
             "features_extractor_kwargs": {
-                "centre": task.observation_centre.tolist(),
-                "scale": task.observation_scale.tolist(),
+                "centre": input_centre(task).tolist(),
+                "scale": input_scale(task).tolist(),
             },
             "optimizer_kwargs": {"fused": True},
         },

@@ -15,6 +15,7 @@ import torch
 from stable_baselines3 import PPO
 
 from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.history import input_centre, input_scale
 from inclined_landing.envs.policy import Policy, load_policy, tensors, trained_for
 from inclined_landing.envs.tasks import Moment, Task
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
@@ -44,26 +45,36 @@ def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy:
     any other policy.
     """
     wanted = task.name if trained_for(name) == task.name else task.training.start_from or task.name
-    return load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))
+    policy = load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))
+    if policy.task.history and wanted != task.name:
+        raise UserError(f"policy {policy.path} needs a history of observations; {task.name} begins without")
+    return policy
 
 
 def take_over(model: PPO, policy: Policy) -> None:
     """Copy a policy's weights into the model's actor; raises UserError if they do not fit.
 
-    Of a policy for the same task the exploration noise too, and the critic if it is in the file.
+    Of a policy for the same task the exploration noise too, and the critic if it is in the file. The model
+    may be given a longer history than the policy: what is new to it counts nothing at first.
     """
     actor = [layer for layer in model.policy.mlp_extractor.policy_net if isinstance(layer, torch.nn.Linear)]
     actor.append(model.policy.action_net)
     task = model.env.env.task
     shapes = [(layer.in_features, layer.out_features) for layer in actor]
-    if [w.shape for w in policy.weights] != shapes or policy.activation != "Tanh":
+    if policy.task.history > task.history:
+        raise UserError(f"policy {policy.path} goes on with --history {policy.task.history} or more")
+    known = len(policy.centre)
+    more = (task.history - policy.task.history) * (len(task.observation_names) + len(task.action_names))
+    first, *others = policy.weights
+    weights = [np.pad(first, ((0, more), (0, 0))), *others]
+    if [w.shape for w in weights] != shapes or policy.activation != "Tanh":
         raise UserError(f"policy {policy.path} has another network than training uses: {shapes} is needed")
-    same = np.array_equal(policy.centre, np.float32(task.observation_centre))
-    same &= np.array_equal(policy.scale, np.float32(task.observation_scale))
+    same = np.array_equal(policy.centre, np.float32(input_centre(task)[:known]))
+    same &= np.array_equal(policy.scale, np.float32(input_scale(task)[:known]))
     if not same or policy.task.pwm_centre != task.pwm_centre:
         raise UserError(f"policy {policy.path} was trained with another scaling of observations or thrust")
     with torch.no_grad():
-        for layer, weight, bias in zip(actor, policy.weights, policy.biases):
+        for layer, weight, bias in zip(actor, weights, policy.biases):
             layer.weight.copy_(torch.as_tensor(weight.T))
             layer.bias.copy_(torch.as_tensor(bias))
         if policy.task.name != task.name:
@@ -72,6 +83,8 @@ def take_over(model: PPO, policy: Policy) -> None:
         for name, own in model.policy.state_dict().items():
             if name == "log_std" or "value_net" in name:
                 value = torch.as_tensor(found[name]) if name in found else own
+                if name == "mlp_extractor.value_net.0.weight" and value.ndim == 2:
+                    value = torch.nn.functional.pad(value, (0, more))
                 if value.shape != own.shape:
                     raise UserError(f"policy {policy.path} has another {name} than training uses")
                 own.copy_(value)

@@ -34,6 +34,7 @@ from inclined_landing.models.plants import Contacts
 COLUMNS = {name: column for column, name in enumerate(STATE_NAMES)}  # of the state
 _COMMANDS = {"thrust": PWM, "roll": ROLL_COMMAND, "pitch": PITCH_COMMAND, "yaw rate": YAW_RATE_COMMAND}
 _UNKNOWN: Any = None
+LONGEST_HISTORY = 50  # steps
 
 
 @dataclasses.dataclass
@@ -113,8 +114,9 @@ class ScoreCurve:
 class Task(abc.ABC):
     """A task for vehicles of one kind. Everything but the first four and the two methods has a default.
 
-    `options` is what `make_task(name, **options)` needs to build the task again; `conditions` is what a
-    curriculum may ease, None where there is nothing to ease.
+    `options` is what `make_task(name, **options)` needs to build the task again; `history` is how many past
+    steps its policy is given besides the observation (`envs.history`); `conditions` is what a curriculum may
+    ease, None where there is nothing to ease.
     """
 
     name: str
@@ -139,10 +141,19 @@ class Task(abc.ABC):
     figure_starts: ClassVar[dict[str, tuple[float, ...]]] = {"trajectory": film_starts[0]}
     conditions: Any = None
 
-    def __init__(self, vehicle: Vehicle | None = None, *, pwm_centre: float | str = "paper"):
+    def __init__(
+        self, vehicle: Vehicle | None = None, *, pwm_centre: float | str = "paper", history: int = 0
+    ):
         self.vehicle = vehicle or load_vehicle()
         self.pwm_centre = resolve_pwm_centre(pwm_centre, self.vehicle)
+        whole = isinstance(history, (int, np.integer)) and not isinstance(history, bool)
+        if not (whole and 0 <= history <= LONGEST_HISTORY):
+            said = shown(repr(history), 40)
+            raise UserError(f"history must be a whole number from 0 to {LONGEST_HISTORY}, not {said}")
+        self.history = int(history)
         self.options: dict[str, Any] = {"pwm_centre": pwm_centre}
+        if self.history:
+            self.options["history"] = self.history
 
     # --- what every task must say ----------------------------------------------------------------
 

@@ -120,12 +120,13 @@ class InclinedLanding(Task):
         *,
         inclination: float | None = None,
         pwm_centre: float | str = "paper",
+        history: int = 0,
     ):
-        super().__init__(vehicle, pwm_centre=pwm_centre)
+        super().__init__(vehicle, pwm_centre=pwm_centre, history=history)
         v = self.vehicle
         given = v.platform_inclination if inclination is None else inclination
         self.inclination = v.check_inclination(given)
-        self.options = {"inclination": self.inclination, "pwm_centre": pwm_centre}
+        self.options = {"inclination": self.inclination, **self.options}
         self.conditions = Conditions()
         self._shapes = geometry.shapes_of(compile_scene(v))
 

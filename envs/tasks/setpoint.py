@@ -76,8 +76,10 @@ class Setpoint(Task):
         logarithmic=True,
     )
 
-    def __init__(self, vehicle: Vehicle | None = None, *, pwm_centre: float | str = "paper"):
-        super().__init__(vehicle, pwm_centre=pwm_centre)
+    def __init__(
+        self, vehicle: Vehicle | None = None, *, pwm_centre: float | str = "paper", history: int = 0
+    ):
+        super().__init__(vehicle, pwm_centre=pwm_centre, history=history)
         self.conditions = Conditions()
 
     @property

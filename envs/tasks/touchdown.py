@@ -115,8 +115,9 @@ class InclinedTouchdown(InclinedLanding):
         inclination: float | None = None,
         pwm_centre: float | str = "paper",
         observe_contact: bool = False,
+        history: int = 0,
     ):
-        super().__init__(vehicle, inclination=inclination, pwm_centre=pwm_centre)
+        super().__init__(vehicle, inclination=inclination, pwm_centre=pwm_centre, history=history)
         self.observe_contact = bool(observe_contact)
         self.options["observe_contact"] = self.observe_contact
         self.conditions = Conditions()

@@ -27,6 +27,7 @@ from rich.console import Console
 from rich.progress import track
 
 from inclined_landing.envs import starts as landing_starts
+from inclined_landing.envs.history import History
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import Moment
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
@@ -65,10 +66,14 @@ def land(policy: Policy, states: np.ndarray, friction: float, restitution: float
     plant.set_contact(np.arange(n), friction=friction, restitution=restitution, contact_time=CONTACT_TIME)
     recorder = Recorder(plant, states)
     cut, ended = np.zeros(n, bool), np.zeros(n, bool)
+    past = History(task, n)
+    past.begin(slice(None), task.observe(Moment(plant.state, plant.contacts)))
     held, last, time = np.zeros(n, int), np.full(n, task.max_steps), np.full(n, np.nan)
     for tick in range(1, task.max_steps + SETTLING + 1):
         observation = task.observe(Moment(plant.state, plant.contacts))
-        commands = task.commands(policy.predict(observation).astype(float))
+        actions = policy.predict(past.behind(observation)).astype(float)
+        past.note(observation, actions)
+        commands = task.commands(actions)
         if cutting:
             entered = ~cut & task.in_goal(plant.state, task.inclination, GOAL_SIZE)
             last[entered] = tick - 1 + SETTLING

@@ -83,6 +83,7 @@ KINDS = {
     "touchdown": {"task": "touchdown"},
     "landing analytic paper": {"task": "landing", "plant": "analytic", "curriculum": "paper"},
     "setpoint": {"task": "setpoint"},
+    "landing with a history": {"task": "landing", "history": 3},
 }
 
 
@@ -224,6 +225,25 @@ def test_a_run_goes_on_from_a_policy_of_its_own_task(task, tmp_path):
     assert not np.array_equal(after["value_net.weight"], np.float32(shipped["value_net.weight"]))
     again, _ = train(config(tmp_path / "b", task=task, start_from=str(folder / "final.zip"), steps=256))
     assert load_policy(again / "final.zip").task.name == task
+
+
+def test_a_run_goes_on_with_a_longer_history_that_counts_nothing_at_first(tmp_path):
+    """And with the same one where none is asked for; never with a shorter one."""
+    begun = Run(config(tmp_path / "a", start_from="landing", history=2, steps=256))
+    task = begun.env.env.task
+    assert task.history == 2 and begun._judge.task.options == task.options
+    given = np.random.default_rng(0).normal(0.0, 1.0, (20, 5 + 2 * 7)).astype(np.float32)
+    taken, _ = begun.model.predict(given, deterministic=True)
+    np.testing.assert_allclose(taken, load_policy("landing").predict(given[:, :5]), atol=1e-5)  # float32
+    begun.execute()
+    saved = str(tmp_path / "a" / "final.zip")
+    assert load_policy(saved).task.history == 2
+    again = Run(config(tmp_path / "b", start_from=saved, steps=256))
+    assert again.config.history == 2
+    with pytest.raises(UserError, match="goes on with --history 2 or more"):
+        Run(config(tmp_path / "c", start_from=saved, history=1))
+    with pytest.raises(UserError, match="touchdown begins without"):
+        Run(config(tmp_path / "d", task="touchdown", start_from=saved))
 
 
 def test_a_randomised_run_is_resumed_bit_for_bit_with_its_copy(tmp_path):

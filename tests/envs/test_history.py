@@ -1,0 +1,141 @@
+"""The task option `history`: what a policy is given besides the present observation."""
+
+import numpy as np
+import pytest
+
+from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.flights import record_flights
+from inclined_landing.envs.gym_env import InclinedLandingEnv, InclinedLandingVectorEnv  # type: ignore
+from inclined_landing.envs.history import input_centre, input_names, input_scale
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.sb3 import BatchVecEnv
+from inclined_landing.envs.tasks import TASKS, make_task
+from inclined_landing.eval.policies import touchdown
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants import make_plant
+
+K = 3
+
+
+def build(name="landing", n=4, plant="analytic", vehicle=None, history=K, **options) -> BatchEnv:
+    vehicle = vehicle or load_vehicle()
+    task = make_task(name, vehicle, pwm_centre="hover", history=history)
+    return BatchEnv(task, make_plant(plant, n, vehicle, **options), seed=0)
+
+
+def pilot(task, seed=0) -> Policy:
+    """A linear policy that hovers nearly, and answers to all that it is given."""
+    given = len(input_names(task))
+    weight = np.random.default_rng(seed).normal(0.0, 0.1, (given, len(task.action_names)))
+    bias = np.zeros(len(task.action_names))
+    centre, scale = input_centre(task), input_scale(task)
+    return Policy(task, {}, "pilot", centre, scale, 10.0, (weight,), (bias,), "Tanh")
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_past_is_stacked_as_a_list_of_steps_is(name):
+    """Against Python lists, one per vehicle; episodes begin at different times, the camera is late."""
+    late = LIBRARY["mocap_delay"].apply(load_vehicle(), {"delay": 0.04})
+    env = build(name, plant="mujoco", vehicle=late, threads=1)
+    plain = build(name, plant="mujoco", vehicle=late, threads=1, history=0)
+    rng = np.random.default_rng(1)
+    first = plain.reset()
+    idle = np.zeros(len(env.task.action_names))
+    lists = [[(row, idle)] * K for row in first]
+    given, seen = env.reset(), first
+    for k in range(12):
+        for i, row in enumerate(given):
+            past = [part for pair in lists[i][:K] for part in pair]
+            np.testing.assert_array_equal(row, np.concatenate([seen[i], *past]).astype(np.float32))
+        actions = rng.uniform(-1.5, 1.5, (env.n, len(idle)))
+        lists = [[(seen[i], np.clip(actions[i], -1, 1)), *lists[i]] for i in range(env.n)]
+        given, seen = env.step(actions).observation, plain.step(actions).observation
+        if k == 5:
+            ids = np.array([0, 2])
+            given[ids], seen[ids] = env.reset(ids), plain.reset(ids)
+            for i in ids:
+                lists[i] = [(seen[i], idle)] * K
+        np.testing.assert_array_equal(env.observe(), given)
+
+
+def test_names_say_what_is_where():
+    names = input_names(make_task("landing", history=2))
+    assert names[:7] == ("x", "z", "vx", "vz", "pitch", "x[-1]", "z[-1]")
+    assert names[10:12] == ("thrust command[-1]", "pitch command[-1]") and len(names) == 5 + 2 * 7
+    task = make_task("touchdown", history=2, observe_contact=True)
+    names = input_names(task)
+    assert len(set(names)) == len(names) == len(input_centre(task)) == len(input_scale(task)) == 6 + 2 * 8
+    assert input_names(make_task("setpoint")) == make_task("setpoint").observation_names
+
+
+def test_a_recorded_flight_gives_the_policy_its_history():
+    env = build(n=3)
+    policy = pilot(env.task)
+    states = env.task.sample(np.random.default_rng(2), 3).state
+    flights = record_flights(policy, make_plant("analytic", 3), states, steps=30)
+    observation = env.reset(state=states)
+    for k in range(30):
+        actions = policy.predict(observation)
+        for i, flight in enumerate(flights):
+            np.testing.assert_array_equal(flight.actions[k], actions[i])
+        observation = env.step(actions).observation
+    without = record_flights(
+        pilot(make_task("landing", history=0)), make_plant("analytic", 3), states, steps=2
+    )
+    assert not np.array_equal(without[0].actions, flights[0].actions[:3])
+
+
+def test_the_touchdown_table_gives_the_policy_its_history():
+    """Both fly the same actions: of the vehicle that the other loop recorded, and of this one."""
+    task = make_task("touchdown", pwm_centre="hover", history=K)
+    policy = pilot(task)
+    states = task.sample(np.random.default_rng(3), 2).state
+    given = []
+
+    class Watched(type(policy)):
+        def predict(self, observation):
+            given.append(observation.copy())
+            return super().predict(observation)
+
+    watched = Watched(**vars(policy))
+    touchdown.land(watched, states, 0.8, 0.0)
+    env = BatchEnv(task, make_plant("mujoco", 2, threads=1), seed=0)
+    env.plant.set_contact(np.arange(2), friction=0.8, restitution=0.0, contact_time=touchdown.CONTACT_TIME)
+    observation = env.reset(state=states)
+    for row in given[:40]:
+        np.testing.assert_allclose(row, observation, atol=1e-5)  # float32; two engines stepped alike
+        observation = env.step(policy.predict(observation)).observation
+
+
+def test_every_face_shows_it():
+    single = InclinedLandingEnv(plant="analytic", history=K)
+    several = InclinedLandingVectorEnv(5, plant="analytic", history=K)
+    sb3 = BatchVecEnv(build(n=5))
+    size = len(input_names(single.task))
+    assert single.observation_space.shape == several.single_observation_space.shape == (size,)
+    assert sb3.observation_space.shape == (size,) and sb3.reset().shape == (5, size)
+    first, _ = single.reset(seed=0)
+    second, *_ = single.step(np.array([0.5, -0.25], np.float32))
+    np.testing.assert_array_equal(second[5:10], first[:5])
+    np.testing.assert_array_equal(second[10:12], [0.5, -0.25])
+    assert several.reset(seed=0)[0].shape == (5, size)
+
+
+def test_an_episode_goes_on_from_its_record_with_its_history():
+    env, other = build(), build()
+    env.reset()
+    other.reset()
+    actions = np.random.default_rng(4).uniform(-1, 1, (2 * K, 4, 2))
+    for row in actions:
+        env.step(row)
+    other.plant.restore(env.plant.save())
+    other.restore_episodes(env.episode_state())
+    np.testing.assert_array_equal(other.observe(), env.observe())
+
+
+@pytest.mark.parametrize("wrong", [-1, 51, 1.5, True, "2"])
+def test_what_is_no_number_of_steps_is_refused(wrong):
+    with pytest.raises(UserError, match="history must be a whole number from 0 to 50"):
+        make_task("landing", history=wrong)
