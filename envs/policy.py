@@ -28,7 +28,14 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 STAMP = "inclined_landing.json"
-SHIPPED = tuple(task.name for task in TASKS.values() if task.shipped)
+_FOLDER = Path(str(resources.files("inclined_landing.envs") / "shipped"))
+# One of every shipping task, called like it; and more of them, called like their files.
+SHIPPED = tuple(
+    dict.fromkeys(
+        [task.name for task in TASKS.values() if task.shipped]
+        + sorted(file.stem for file in _FOLDER.glob("*.zip"))
+    )
+)
 _ACTIVATIONS = ("Tanh", "ReLU")  # index is the code in the compiled loop
 _LIMIT = 10.0  # of `features.ScaledObservation`
 _WEIGHTS = "policy.pth"  # member with the network
@@ -144,7 +151,7 @@ def stamp(path: str | Path, metadata: dict) -> None:
 def locate(name: str | Path) -> Path:
     """Path of a policy: a shipped one by name (see SHIPPED), otherwise a file."""
     if str(name) in SHIPPED:
-        path = Path(str(resources.files("inclined_landing.envs") / "shipped" / f"{name}.zip"))
+        path = _FOLDER / f"{name}.zip"
         if not path.is_file():
             raise UserError(f"no {name} policy is shipped with this installation ({path} is missing)")
         return path

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import tyro
 
-from inclined_landing.envs.policy import history_of, trained_for
+from inclined_landing.envs.policy import SHIPPED, history_of, trained_for
 from inclined_landing.envs.tasks import TASKS, task_class
 from inclined_landing.envs.tasks.base import LONGEST_HISTORY, Training
 from inclined_landing.eval.base.options import Range, Seed, check_ranges
@@ -77,7 +77,7 @@ class TrainConfig:
     start_from: Annotated[
         str | None,
         tyro.conf.arg(name="from", metavar="POLICY"),
-        _by_task("The policy to go on from, a file or a shipped one", "start_from"),
+        _by_task(f"The policy to go on from, a file or one of {', '.join(SHIPPED)}", "start_from"),
     ] = None
     inclination: Annotated[float | None, Range(-90, 90), tyro.conf.arg(metavar="DEG")] = None
     """Of the platform in degrees, where it differs from the vehicle file's."""

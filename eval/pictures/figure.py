@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from inclined_landing.eval.base.options import Flat, Flown, Folder, PolicyFile, Starts
+from inclined_landing.eval.base.options import Flat, Flown, Folder, Starts
+from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.pictures.figures import save_figure, trajectory_figure
 from inclined_landing.eval.pictures.flown import fly, points, report
 from inclined_landing.models import storage
 
 
-def command(policy: PolicyFile, /, out: Folder, start: Starts = (), flown: Flat[Flown] = Flown()) -> None:
+def command(policy: AnyPolicy, /, out: Folder, start: Starts = (), flown: Flat[Flown] = Flown()) -> None:
     """Stroboscopic trajectory with PWM and pitch over time, as PNG and PDF.
 
     Args:
-        policy: policy file, or the name of a shipped policy, such as landing.
+        policy: file, or the name of a shipped one.
         out: folder for the files.
         start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
             more figures. Default: the task's cases, for landing the paper's two, 1.5,1.8 and 0,2.

@@ -9,7 +9,8 @@ import tyro
 from PIL import Image
 
 from inclined_landing.envs.rendering import check_look
-from inclined_landing.eval.base.options import File, Flat, Flown, Look, PolicyFile
+from inclined_landing.eval.base.options import File, Flat, Flown, Look
+from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.base.style import make_folder
 from inclined_landing.eval.pictures.flown import fly, points, report
 from inclined_landing.eval.pictures.frames import strobe
@@ -18,7 +19,7 @@ from inclined_landing.models.errors import UserError
 
 
 def command(
-    policy: PolicyFile,
+    policy: AnyPolicy,
     /,
     out: File,
     start: Annotated[str | None, tyro.conf.arg(metavar="X,Z")] = None,
@@ -28,7 +29,7 @@ def command(
     """One picture of a whole flight: copies of the vehicle along its way.
 
     Args:
-        policy: policy file, or the name of a shipped policy, such as landing.
+        policy: file, or the name of a shipped one.
         out: .png file.
         start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z.
     """

@@ -15,7 +15,8 @@ from rich.progress import Progress
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering import check_look
-from inclined_landing.eval.base.options import File, Flag, Flat, Flown, Look, PolicyFile, Range, Starts
+from inclined_landing.eval.base.options import File, Flag, Flat, Flown, Look, Range, Starts
+from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.pictures.flown import fly, points, report
 from inclined_landing.eval.pictures.frames import FPS, render_flight, write_video
 from inclined_landing.eval.pictures.touch import STEP, Touchdown, watch
@@ -28,7 +29,7 @@ _REST = 0.6  # s that the last frame of a flight stays
 
 
 def command(
-    policy: PolicyFile,
+    policy: AnyPolicy,
     /,
     out: File,
     start: Starts = (),
@@ -41,7 +42,7 @@ def command(
     """Video of flights, one after the other.
 
     Args:
-        policy: policy file, or the name of a shipped policy, such as landing.
+        policy: file, or the name of a shipped one.
         out: .mp4 or .gif file.
         start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
             more flights.

@@ -29,7 +29,8 @@ from rich.progress import track
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.options import Flag, Flat, Flown, NewFolder, PolicyFile, Seed
+from inclined_landing.eval.base.options import Flag, Flat, Flown, NewFolder, Seed
+from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.policies import success_table
 from inclined_landing.eval.policies.judges import judge_of, report_of
 from inclined_landing.models.errors import UserError
@@ -57,7 +58,7 @@ def evaluate(
 
 
 def command(
-    policy: PolicyFile,
+    policy: AnyPolicy,
     /,
     flown: Flat[Flown] = Flown(),
     thrust_scale: Scales = (),
@@ -70,7 +71,7 @@ def command(
     """Success table of a policy: how often, how fast, how hard it reaches its goal.
 
     Args:
-        policy: policy file, or the name of a shipped policy, such as landing.
+        policy: file, or the name of a shipped one.
         thrust_scale: total thrust times this, one row for each value (default: 1).
         effects: one row for every physical effect of the library at a plausible size, which the policy
             knows nothing of; from the frozen grid only (four minutes).

@@ -1,26 +1,58 @@
 """The policies in the repository do what the README says of them."""
 
+import shutil
+import subprocess
+import sys
+
 import pytest
 
-from inclined_landing.envs.policy import SHIPPED, load_policy
+from inclined_landing.envs.policy import SHIPPED, load_policy, locate, trained_for
 from inclined_landing.eval.policies.success import evaluate
 
 FIRST_SEED = {"landing": 0, "setpoint": 0, "touchdown": 10}
+LANDING = [name for name in SHIPPED if trained_for(name) == "landing"]
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_stamp_says_how_it_was_made(name):
     metadata = load_policy(name).metadata
-    assert metadata["task"] == name and metadata["plant"] == "mujoco"
-    assert metadata["command"].startswith("landing-train") and metadata["seed"] == FIRST_SEED[name]
-    assert metadata["versions"]["mujoco"] == "4.0.0" and metadata["steps"] >= 1_000_000
+    assert name == metadata["task"] or name.startswith(f"{metadata['task']}-")
+    assert metadata["command"].startswith("landing-train")
+    assert name not in FIRST_SEED or metadata["seed"] == FIRST_SEED[name]
+    assert metadata["versions"]["mujoco"] == "4.0.0" and metadata["steps"] >= 500_000
 
 
-def test_landing_succeeds_on_the_frozen_grid():
-    report = evaluate(load_policy("landing"), thrust_scales=(1.0, 1.05, 0.95))
+def test_a_further_policy_is_found_by_its_file(tmp_path):
+    """In a process of its own: the names are read once."""
+    folder = shutil.copytree(locate("landing").parent, tmp_path / "shipped")
+    shutil.copy(folder / "landing.zip", folder / "landing-other.zip")
+    script = f"""
+import importlib.resources, pathlib
+files = importlib.resources.files
+importlib.resources.files = lambda p: pathlib.Path({str(tmp_path)!r}) if p.endswith(".envs") else files(p)
+from inclined_landing.envs.policy import SHIPPED, load_policy
+assert SHIPPED == ("landing", "setpoint", "touchdown", *[n for n in SHIPPED if "-" in n]), SHIPPED
+assert "landing-other" in SHIPPED and load_policy("landing-other").name == "landing-other"
+try:
+    load_policy("nothing")
+except ValueError as error:
+    assert "landing-other" in str(error)
+"""
+    subprocess.run([sys.executable, "-c", script], check=True)
+
+
+@pytest.mark.parametrize("name", LANDING)
+def test_landing_succeeds_on_the_frozen_grid(name):
+    report = evaluate(load_policy(name), thrust_scales=(1.0, 1.05, 0.95))
     nominal, *others = [condition["grid"] for condition in report["conditions"]]
     assert nominal["strict"]["of"] >= 200 and nominal["strict"]["share"] >= 0.99
     assert all(grid["success"]["share"] >= 0.95 for grid in others)
+
+
+@pytest.mark.parametrize("name", [name for name in LANDING if name.endswith("-robust")])
+def test_the_robust_policy_lands_with_another_thrust(name):
+    report = evaluate(load_policy(name), thrust_scales=(0.8, 0.9, 1.1))
+    assert min(condition["grid"]["strict"]["share"] for condition in report["conditions"]) >= 0.97
 
 
 def test_setpoint_is_reached():
