@@ -16,10 +16,12 @@ with optional():
 class ScaledObservation(BaseFeaturesExtractor):
     """(observation - centre) / scale, clipped to +-10."""
 
+    LIMIT = 10.0
+
     def __init__(self, observation_space: Box, centre: list[float], scale: list[float]):
         super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
         self.register_buffer("centre", torch.tensor(centre, dtype=torch.float32))
         self.register_buffer("scale", torch.tensor(scale, dtype=torch.float32))
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        return ((observations - self.centre) / self.scale).clamp(-10.0, 10.0)
+        return ((observations - self.centre) / self.scale).clamp(-self.LIMIT, self.LIMIT)

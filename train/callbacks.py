@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -41,9 +42,9 @@ class CurriculumCallback(BaseCallback):
         self._apply()
 
     def _on_step(self) -> bool:
-        for info in self.locals["infos"]:
-            if "episode" in info:
-                self.curriculum.episode(info["is_success"], info["episode"]["l"])
+        infos = self.locals["infos"]
+        for i in np.flatnonzero(self.locals["dones"]):
+            self.curriculum.episode(infos[i]["is_success"], infos[i]["episode"]["l"])
         return True
 
     def _on_rollout_end(self) -> None:

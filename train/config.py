@@ -25,6 +25,7 @@ _OF_THE_TASK = tuple(field.name for field in dataclasses.fields(Training))
 COPIED = {"vehicle": "vehicle.toml", "randomise": "randomise.toml"}
 # Those that say when a run ends: the first alone, or the others.
 ENDING = ("steps", "success", "min_steps", "max_steps")
+UPDATES = ("fast", "stock")
 
 _MANY = Range(1, 10**9)
 _INTERVAL = Range(0, 10**9)
@@ -139,6 +140,8 @@ class TrainConfig:
     ] = None
     entropy: Annotated[float, Range(0, 1)] = 0.0
     """Entropy bonus."""
+    update: str = "fast"
+    """fast (PPO compiled for these networks) or stock (Stable-Baselines3's own): the same loss and files."""
     reward_scale: Annotated[float, Range(0, 1000, open=True)] = 0.1
     """Rewards are multiplied by this before PPO sees them."""
 
@@ -158,6 +161,8 @@ class TrainConfig:
         if self.integrator not in (None, *INTEGRATORS):
             known = ", ".join(INTEGRATORS)
             raise UserError(f"unknown integrator {shown(self.integrator, 40)!r}; known are {known}")
+        if self.update not in UPDATES:
+            raise UserError(f"unknown update {shown(self.update, 40)!r}; known are {' and '.join(UPDATES)}")
         if self.inclination is not None and not task_class(self.task).has_platform:
             raise UserError(f"--inclination: the task {self.task} has no inclined platform")
         given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}

@@ -1,4 +1,4 @@
-"""Stock Stable-Baselines3 PPO on the batched environment: construction and checkpoints."""
+"""Stable-Baselines3's PPO, fast or stock, on the batched environment: construction and checkpoints."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import Snapshot, make_plant
 from inclined_landing.train.checkpoint import check_array, check_names, check_number
 from inclined_landing.train.config import TrainConfig
+from inclined_landing.train.fast.ppo import FastPPO
 
 # Saved policies must not drag training code along: the schedule is set anew by the callback.
-_NOT_SAVED = ("lr_schedule",)
+_NOT_SAVED = ("lr_schedule", "threads")
 _MOST = 2**53  # of anything counted
 _SAMPLE, _VEHICLE = 100, 20_000  # bytes, measured: rollout buffer with its copies; engine and records
 _PAST = (
@@ -80,7 +81,8 @@ def build_model(config: TrainConfig, env: BatchVecEnv) -> PPO:
     """A new PPO: 64x64 tanh, scaled observation, Adam."""
     set_torch_up()
     task = env.env.task
-    return PPO(
+    kind = FastPPO if config.update == "fast" else PPO
+    model = kind(
         "MlpPolicy",
         env,
         n_steps=config.rollout,
@@ -104,6 +106,9 @@ def build_model(config: TrainConfig, env: BatchVecEnv) -> PPO:
             "optimizer_kwargs": {"fused": True},
         },
     )
+    if config.threads == 1:
+        model.threads = 1
+    return model
 
 
 def set_torch_up() -> None:

@@ -1,0 +1,285 @@
+"""`FastPPO`: Stable-Baselines3's PPO with compiled rollouts and updates.
+
+Networks, optimizer, buffer, schedules, callbacks, logged values and files are SB3's, and so is the loss: on
+the same rollout and the same order of samples an update gives the same weights to rounding. A run may be
+begun with one of the two and go on with the other.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3 import PPO
+from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.utils import explained_variance
+
+from inclined_landing.envs.features import ScaledObservation
+from inclined_landing.models.errors import UserError
+from inclined_landing.train.fast import kernels
+
+_BUFFERED = ("observations", "actions", "values", "log_probs", "advantages", "returns")
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class _Network:
+    """One of the policy's networks as the kernels take it; the tensors stay torch's."""
+
+    def __init__(self, layers: list[torch.nn.Linear], log_std: torch.Tensor | None = None):
+        self.tensors = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
+        self.tensors += [] if log_std is None else [log_std]
+        self.widths = np.array([layers[0].in_features, *(layer.out_features for layer in layers)], np.uint64)
+        self.learns = any(tensor.requires_grad for tensor in self.tensors)
+        if self.learns != all(tensor.requires_grad for tensor in self.tensors):
+            raise UserError("the fast update takes networks that learn as a whole or not at all")
+        self.weights = gather(self.tensors)
+
+    def activations(self) -> np.ndarray:
+        """Room for one block of all layers' activations."""
+        return np.empty(int(self.widths.sum()) * kernels.BLOCK, np.float32)
+
+    def moments(self, optimizer: torch.optim.Adam) -> tuple[np.ndarray, np.ndarray]:
+        """Adam's two moments (2, w) and its steps (1,) until now."""
+        states = [optimizer.state.get(tensor) for tensor in self.tensors]
+        if not all(states):  # no gradient until now
+            return np.zeros((2, len(self.weights)), np.float32), np.zeros(1)
+        both = [gather([state[name] for state in states]) for name in ("exp_avg", "exp_avg_sq")]
+        return np.stack(both), np.array([float(states[0]["step"])])
+
+    def keep(self, optimizer: torch.optim.Adam, moments: np.ndarray, steps: np.ndarray) -> None:
+        """Hand weights, moments and steps back to torch."""
+        scatter(self.weights, self.tensors)
+        for tensor in self.tensors:
+            state = optimizer.state[tensor]
+            if not state:
+                state["step"] = torch.zeros((), dtype=torch.float32)
+                state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(tensor), torch.zeros_like(tensor)
+            state["step"].fill_(steps[0])
+        for name, vector in zip(("exp_avg", "exp_avg_sq"), moments):
+            scatter(vector, [optimizer.state[tensor][name] for tensor in self.tensors])
+
+
+def gather(tensors: list[torch.Tensor]) -> np.ndarray:
+    """All numbers in one new vector."""
+    return np.concatenate([tensor.detach().numpy().ravel() for tensor in tensors])
+
+
+def scatter(vector: np.ndarray, tensors: list[torch.Tensor]) -> None:
+    """Write a vector's numbers into the tensors in place."""
+    first = 0
+    for tensor in tensors:
+        tensor.detach().numpy()[...] = vector[first : first + tensor.numel()].reshape(tensor.shape)
+        first += tensor.numel()
+
+
+def both(work: Callable[[int], None], threads: int) -> None:
+    """work(0) and work(1), on two threads if there are two."""
+    if threads < 2:
+        work(0)
+        work(1)
+        return
+    other = threading.Thread(target=work, args=(1,))
+    other.start()
+    try:
+        work(0)
+    finally:
+        other.join()
+
+
+class FastPPO(PPO):
+    """PPO for two separate tanh networks, a normal distribution of actions and a CPU.
+
+    Raises UserError where the options ask for anything else. `threads` says how many cores compute it (one or
+    two; by default what there is), which changes no bit.
+    """
+
+    threads = min(
+        2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
+
+    def _setup_model(self) -> None:
+        super()._setup_model()
+        self._check()
+
+    def _check(self) -> None:
+        group = self.policy.optimizer.param_groups[0]
+        mlp = self.policy.mlp_extractor
+        chains = [list(net) for net in (mlp.policy_net, mlp.value_net)]
+        linear = all(isinstance(m, torch.nn.Linear) for chain in chains for m in chain[::2])
+        tanh = all(isinstance(m, torch.nn.Tanh) for chain in chains for m in chain[1::2])
+        adam = type(self.policy.optimizer) is torch.optim.Adam and not (
+            group["weight_decay"] or group["amsgrad"]
+        )
+        extractor = type(self.policy.features_extractor) in (ScaledObservation, FlattenExtractor)
+        spoken = {
+            "two tanh networks": linear and tanh and all(chain and len(chain) % 2 == 0 for chain in chains),
+            "actions of a box with a normal distribution": isinstance(self.action_space, spaces.Box)
+            and not self.use_sde
+            and not self.policy.squash_output,
+            "scaled or plain observations in float32": extractor
+            and self.policy.share_features_extractor
+            and self.observation_space.dtype == np.float32,
+            "plain Adam": adam and not (group["weight_decay"] or group["amsgrad"]),
+            "normalised advantages": self.normalize_advantage,
+            "values that are not clipped": self.clip_range_vf is None,
+            "updates that do not stop early": self.target_kl is None,
+            "the CPU": self.device.type == "cpu",
+            "no last minibatch of one sample": self.n_steps * self.n_envs % self.batch_size != 1,
+        }
+        for what, found in spoken.items():
+            if not found:
+                raise UserError(f"the fast update is for {what}; take stock PPO instead")
+
+    def _networks(self) -> tuple[_Network, _Network]:
+        """Actor and critic as they are."""
+        policy, mlp = self.policy, self.policy.mlp_extractor
+        actor = _Network([*list(mlp.policy_net)[::2], policy.action_net], policy.log_std)
+        return actor, _Network([*list(mlp.value_net)[::2], policy.value_net])
+
+    def _scaling(self) -> tuple[np.ndarray, np.ndarray, np.float32]:
+        """Centre and scale (o,) of the observations, and the limit of what that makes of them."""
+        extractor = self.policy.features_extractor
+        if isinstance(extractor, ScaledObservation):
+            return extractor.centre.numpy(), extractor.scale.numpy(), np.float32(ScaledObservation.LIMIT)
+        o = extractor.features_dim
+        return np.zeros(o, np.float32), np.ones(o, np.float32), np.float32(np.inf)
+
+    def collect_rollouts(self, env, callback, rollout_buffer, n_rollout_steps) -> bool:
+        """Fill the buffer with `n_rollout_steps` of every environment; False if the callback stopped it.
+
+        As in SB3, but for the values: nobody needs them before the end, and they are computed all at once.
+        """
+        self.policy.set_training_mode(False)
+        buffer, n = rollout_buffer, env.num_envs
+        buffer.reset()
+        callback.on_rollout_start()
+        actor, critic = self._networks()
+        scaling, room = self._scaling(), actor.activations()
+        low, high = self.action_space.low, self.action_space.high
+        noise = torch.randn((n_rollout_steps, n, len(low))).numpy()
+        cut, cut_at = [], []  # observations at which time ran out, and when and where
+        dones = self._last_episode_starts
+        n_steps = 0
+        while n_steps < n_rollout_steps:
+            t = n_steps
+            buffer.observations[t] = self._last_obs.reshape(n, -1)
+            buffer.episode_starts[t] = self._last_episode_starts
+            clipped_actions = np.empty_like(buffer.actions[t])
+            kernels.act(
+                actor.weights, actor.widths, *scaling, buffer.observations[t], noise[t], low, high, room,
+                buffer.actions[t], clipped_actions, buffer.log_probs[t],
+            )  # fmt: skip
+            new_obs, rewards, dones, infos = env.step(clipped_actions)
+            self.num_timesteps += n
+            callback.update_locals(locals())
+            if not callback.on_step():
+                return False
+            ended = np.flatnonzero(dones)
+            if len(ended):
+                self._update_info_buffer([infos[i] for i in ended], dones[ended])
+            for i in ended:
+                if infos[i].get("TimeLimit.truncated", False) and "terminal_observation" in infos[i]:
+                    cut.append(infos[i]["terminal_observation"])
+                    cut_at.append((t, i))
+            buffer.rewards[t] = rewards
+            self._last_obs, self._last_episode_starts = new_obs, dones
+            n_steps += 1
+        buffer.pos, buffer.full = n_steps, True
+
+        last_values = np.empty(n, np.float32)
+        self._evaluate(critic, buffer.observations.reshape(n_steps * n, -1), buffer.values.reshape(-1))
+        self._evaluate(critic, self._last_obs.reshape(n, -1), last_values)
+        if cut:
+            values = np.empty(len(cut), np.float32)
+            self._evaluate(critic, np.array(cut, np.float32).reshape(len(cut), -1), values)
+            buffer.rewards[tuple(np.transpose(cut_at))] += np.float32(self.gamma) * values
+        kernels.advantages(
+            buffer.rewards, buffer.values, buffer.episode_starts, last_values, dones,
+            buffer.gamma, buffer.gae_lambda, buffer.advantages,
+        )  # fmt: skip
+        buffer.returns = buffer.advantages + buffer.values
+        callback.update_locals(locals())
+        callback.on_rollout_end()
+        return True
+
+    def _evaluate(self, critic: _Network, observations: np.ndarray, values: np.ndarray) -> None:
+        """Write the critic's values (n,) of observations (n, o)."""
+        scaling = self._scaling()
+        middle = len(values) // (2 * kernels.BLOCK) * kernels.BLOCK
+
+        def part(k: int) -> None:
+            rows = slice(middle, None) if k else slice(0, middle)
+            kernels.evaluate(
+                critic.weights,
+                critic.widths,
+                *scaling,
+                observations[rows],
+                critic.activations(),
+                values[rows],
+            )
+
+        both(part, self.threads if middle else 1)
+
+    def train(self) -> None:
+        """SB3's update on the rollout in the buffer."""
+        self.policy.set_training_mode(True)
+        optimizer, buffer = self.policy.optimizer, self.rollout_buffer
+        self._update_learning_rate(optimizer)
+        clip_range = self.clip_range(self._current_progress_remaining)
+        group = optimizer.param_groups[0]
+        actor, critic = self._networks()
+        if not critic.learns:
+            raise UserError("the fast update is for critics that learn; take stock PPO instead")
+        if not buffer.generator_ready:
+            for name in _BUFFERED:
+                setattr(buffer, name, buffer.swap_and_flatten(getattr(buffer, name)))
+            buffer.generator_ready = True
+        names = ("observations", "actions", "log_probs", "advantages", "returns")
+        data = tuple(getattr(buffer, name).reshape(len(buffer.values), -1) for name in names[:2])
+        data += tuple(getattr(buffer, name).reshape(-1) for name in names[2:])
+        samples = len(buffer.values)
+        order = [np.random.permutation(samples) for _ in range(self.n_epochs)]  # noqa: NPY002 (as SB3 does)
+        batches = -(-samples // self.batch_size)
+        said = np.zeros((self.n_epochs * batches, len(kernels.STATISTICS)))
+        packed, moments = [], []
+        for network in (actor, critic):
+            moments.append(network.moments(optimizer))
+            room = (network.activations(), network.activations(), np.empty_like(network.weights))
+            packed.append((network.weights, network.widths, *moments[-1], *room))
+        shared = np.zeros(1, np.int64), np.zeros((2, 2))
+        rest = (
+            *packed, data, np.array(order, np.uint64), np.uint64(self.batch_size), self._scaling(),
+            actor.learns,
+            (clip_range, float(self.ent_coef), float(self.vf_coef), float(self.max_grad_norm)),
+            (float(group["lr"]), *map(float, group["betas"]), float(group["eps"])), said,
+        )  # fmt: skip
+        if self.threads < 2:
+            kernels.update(True, True, *shared, *rest)
+        else:
+            both(lambda k: kernels.update(k == 0, k == 1, *shared, *rest), self.threads)
+        for network, kept in zip((actor, critic), moments):
+            if network.learns:
+                network.keep(optimizer, *kept)
+        self._n_updates += self.n_epochs
+        self._record(said, batches, clip_range)
+
+    def _record(self, said: np.ndarray, batches: int, clip_range: float) -> None:
+        """Log what SB3 logs."""
+        policy_loss, value_loss, entropy, kl, clipped = said.T
+        loss = policy_loss[-1] + self.ent_coef * entropy[-1] + self.vf_coef * value_loss[-1]
+        buffer = self.rollout_buffer
+        record = self.logger.record
+        record("train/entropy_loss", np.mean(entropy))
+        record("train/policy_gradient_loss", np.mean(policy_loss))
+        record("train/value_loss", np.mean(value_loss))
+        record("train/approx_kl", np.mean(kl[-batches:]))
+        record("train/clip_fraction", np.mean(clipped))
+        record("train/loss", loss)
+        record("train/explained_variance", explained_variance(buffer.values.ravel(), buffer.returns.ravel()))
+        record("train/std", self.policy.log_std.detach().exp().mean().item())
+        record("train/n_updates", self._n_updates, exclude="tensorboard")
+        record("train/clip_range", clip_range)
