@@ -22,7 +22,7 @@ import numpy as np
 from inclined_landing.envs import weights
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.tasks import TASKS, Task, make_task, task_class
-from inclined_landing.envs.tasks.base import resolve_pwm_centre
+from inclined_landing.envs.tasks.base import resolve_pwm_centre, resolve_pwm_span
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -172,12 +172,13 @@ def load_policy(
 ) -> Policy:
     """Read a policy file, or a shipped policy by name.
 
-    task: the task it must be for, by name or as an object (which then is the policy's task as it
-        is); needed when the file has no stamp. By name, and by default, the task is built from the
-        stamp.
+    task: the task it must be for, by name or as an object, such as that of an environment (which then is
+        the policy's task as it is); needed when the file has no stamp. By name, and by default, the task is
+        built from the stamp.
     vehicle, inclination [rad]: of the task that is built, where they differ from the training's.
-        The thrust at action 0 stays what it was in training.
-    Raises UserError when the file is not such a policy or does not fit the task.
+        What PWM an action commands stays what it was in training.
+    Raises UserError when the file is not such a policy or does not fit the task: a task object must have the
+    PWM of the stamp and its inclination, or the one given.
     """
     path = locate(path)
     with _open(path) as archive:
@@ -196,6 +197,8 @@ def load_policy(
         )
     if task is None or isinstance(task, str):
         task = _build_task(trained or wanted, metadata, vehicle, inclination, path)
+    elif metadata:
+        _check_meets(task, metadata, inclination, path)
     policy = Policy(task=task, metadata=metadata, path=path, **network)
     expected = len(input_names(task)), len(task.action_names)
     found = len(policy.centre), len(policy.biases[-1])
@@ -230,6 +233,38 @@ def tensors(path: str | Path) -> dict[str, np.ndarray]:
         return _read_tensors(archive, path)
 
 
+def action_map(path: str | Path) -> tuple[float, float]:
+    """PWM at action 0 and span of a policy file, or of a shipped policy, as they were in training."""
+    path = locate(path)
+    with _open(path) as archive:
+        return _action_map(_read_stamp(archive, path).get("task_options", {}))
+
+
+def _action_map(options: dict) -> tuple[float, float]:
+    """Of the stamp's options. Words are those of training with the shipped vehicle; others stamp numbers."""
+    shipped = load_vehicle()
+    centre = resolve_pwm_centre(options.get("pwm_centre", "hover"), shipped)
+    return centre, resolve_pwm_span(options.get("pwm_span"), shipped)
+
+
+def _check_meets(task: Task, metadata: dict, inclination, path) -> None:
+    """Raise UserError where a task is not the stamped one in what a policy cannot see."""
+    options = metadata.get("task_options", {})
+    trained, own = _action_map(options), (task.pwm_centre, task.pwm_span)
+    if not np.allclose(trained, own, rtol=0.0, atol=1e-6):
+        raise UserError(
+            f"policy {path} was trained with PWM {trained[0]:.0f} +- {trained[1]:.0f} for its thrust action, "
+            f"and the {task.name} task here has {own[0]:.0f} +- {own[1]:.0f}; give it "
+            f"pwm_centre={trained[0]:.15g} and pwm_span={trained[1]:.15g}"
+        )
+    slope, here = options.get("inclination"), task.options.get("inclination")
+    if inclination is None and slope is not None and here is not None and abs(slope - here) > 1e-9:
+        raise UserError(
+            f"policy {path} was trained for a slope of {np.degrees(slope):.1f} deg, and the {task.name} task "
+            f"here has {np.degrees(here):.1f} deg; give inclination={here:.15g} too if that is meant"
+        )
+
+
 def _build_task(name, metadata, vehicle, inclination, path) -> Task:
     options = dict(metadata.get("task_options", {}))
     if inclination is not None:
@@ -238,7 +273,7 @@ def _build_task(name, metadata, vehicle, inclination, path) -> Task:
         options["inclination"] = inclination
     try:
         if vehicle is not None:
-            options["pwm_centre"] = resolve_pwm_centre(options.get("pwm_centre", "paper"), load_vehicle())
+            options["pwm_centre"], options["pwm_span"] = _action_map(options)
         return make_task(name, vehicle, **options)
     except UserError as error:
         raise UserError(f"policy {path}: {error}") from error

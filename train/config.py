@@ -11,11 +11,12 @@ from typing import Annotated
 
 import tyro
 
-from inclined_landing.envs.policy import SHIPPED, history_of, trained_for
+from inclined_landing.envs.policy import SHIPPED, action_map, history_of, trained_for
 from inclined_landing.envs.tasks import TASKS, task_class
 from inclined_landing.envs.tasks.base import LONGEST_HISTORY, Training
 from inclined_landing.eval.base.options import Range, Seed, check_ranges
 from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS
 from inclined_landing.models.scene import INTEGRATORS
 
@@ -110,8 +111,23 @@ class TrainConfig:
     curriculum: Annotated[
         str | None, _by_task(f"What eases the task at first; {_CURRICULA}", "curriculum")
     ] = None
-    pwm_centre: str = "hover"
-    """PWM at action 0: hover (of the equations) or paper (42 000)."""
+    pwm_centre: Annotated[
+        float | str | None,
+        tyro.conf.arg(
+            metavar="NUMBER|hover|paper", help_behavior_hint="(default: hover; with --from the policy's)"
+        ),
+    ] = None
+    """PWM at action 0: a number, hover (of the vehicle's equations) or paper (42 000). A policy to go on from
+    is rewritten where it has another."""
+    pwm_span: Annotated[
+        float | None,
+        Range(1, 65_535),
+        tyro.conf.arg(
+            metavar="NUMBER",
+            help_behavior_hint="(default: the vehicle file's, 16500; with --from the policy's)",
+        ),
+    ] = None
+    """PWM from action 0 to action 1: wider, for a vehicle whose motors have lost thrust."""
     history: Annotated[int | None, Range(0, LONGEST_HISTORY)] = None
     """Past steps, observation and action each, that the policy is given besides the observation (default: as
     many as the policy in --from, else 0)."""
@@ -176,6 +192,7 @@ class TrainConfig:
             start = filled["start_from"]
             same = start is not None and trained_for(start) == self.task
             filled["history"] = history_of(start) if same else 0
+        filled |= self._action_map(filled["start_from"])
         config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)
         samples = config.environments * config.rollout
         if samples == 1:
@@ -184,6 +201,16 @@ class TrainConfig:
         if samples % config.batch_size == 1:
             raise UserError("--batch-size leaves a last minibatch of one sample; choose another")
         return config
+
+    def _action_map(self, start_from: str | None) -> dict:
+        """What actions command, filled in: as in the policy to go on from, so that it flies as before."""
+        centre, span = self.pwm_centre, self.pwm_span
+        if start_from is not None and (centre is None or span is None):
+            own = action_map(start_from)
+            centre, span = (mine if given is None else given for mine, given in zip(own, (centre, span)))
+        if span is None:
+            span = load_vehicle(self.vehicle).command_pwm_span
+        return {"pwm_centre": "hover" if centre is None else centre, "pwm_span": span}
 
     def _ending(self, training: Training) -> dict:
         """When the run ends: the fields in ENDING, filled in."""

@@ -65,11 +65,9 @@ def build_task(config: TrainConfig) -> Task:
             options["inclination"] = vehicle.check_inclination(math.radians(config.inclination))
         except UserError as error:
             raise UserError(f"--inclination: {error}") from error
-    if config.vehicle is None:
-        return make_task(config.task, pwm_centre=config.pwm_centre, **options)
-    # A policy to go on from keeps the thrust at action 0 that it was trained with: the shipped vehicle's.
-    centre = resolve_pwm_centre(config.pwm_centre, load_vehicle() if config.start_from else vehicle)
-    return make_task(config.task, vehicle, pwm_centre=centre, **options)
+    # What a policy's actions command must not depend on the vehicle that it is flown with later.
+    centre = resolve_pwm_centre(config.pwm_centre, vehicle) if config.vehicle else config.pwm_centre
+    return make_task(config.task, vehicle, pwm_centre=centre, pwm_span=config.pwm_span, **options)
 
 
 def evaluation_seed(config: TrainConfig) -> int:

@@ -55,7 +55,9 @@ def take_over(model: PPO, policy: Policy) -> None:
     """Copy a policy's weights into the model's actor; raises UserError if they do not fit.
 
     Of a policy for the same task the exploration noise too, and the critic if it is in the file. The model
-    may be given a longer history than the policy: what is new to it counts nothing at first.
+    may be given a longer history than the policy: what is new to it counts nothing at first. Where the task
+    commands other thrust for an action, the last layer is rewritten: action a becomes gain a + offset, and
+    the same PWM. Only what was beyond the old span, and cut there, is then cut at the new one.
     """
     actor = [layer for layer in model.policy.mlp_extractor.policy_net if isinstance(layer, torch.nn.Linear)]
     actor.append(model.policy.action_net)
@@ -71,12 +73,19 @@ def take_over(model: PPO, policy: Policy) -> None:
         raise UserError(f"policy {policy.path} has another network than training uses: {shapes} is needed")
     same = np.array_equal(policy.centre, np.float32(input_centre(task)[:known]))
     same &= np.array_equal(policy.scale, np.float32(input_scale(task)[:known]))
-    if not same or policy.task.pwm_centre != task.pwm_centre:
-        raise UserError(f"policy {policy.path} was trained with another scaling of observations or thrust")
+    if not same:
+        raise UserError(f"policy {policy.path} was trained with another scaling of observations")
+    gain, offset = task.thrust_of(policy.task)
+    row = task.action_names.index("thrust") if (gain, offset) != (1.0, 0.0) else None
+    if row is not None and policy.task.history:
+        raise UserError(f"policy {policy.path} knows its past actions, and goes on with its own PWM only")
     with torch.no_grad():
         for layer, weight, bias in zip(actor, weights, policy.biases):
             layer.weight.copy_(torch.as_tensor(weight.T))
             layer.bias.copy_(torch.as_tensor(bias))
+        if row is not None:
+            actor[-1].weight[row] *= gain
+            actor[-1].bias[row] = gain * actor[-1].bias[row] + offset
         if policy.task.name != task.name:
             return
         found = tensors(policy.path)
@@ -88,6 +97,8 @@ def take_over(model: PPO, policy: Policy) -> None:
                 if value.shape != own.shape:
                     raise UserError(f"policy {policy.path} has another {name} than training uses")
                 own.copy_(value)
+        if row is not None:
+            model.policy.log_std[row] += np.log(gain)
 
 
 def lesson(state: np.ndarray, landing: Policy) -> np.ndarray:

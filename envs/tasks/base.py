@@ -142,16 +142,22 @@ class Task(abc.ABC):
     conditions: Any = None
 
     def __init__(
-        self, vehicle: Vehicle | None = None, *, pwm_centre: float | str = "paper", history: int = 0
+        self,
+        vehicle: Vehicle | None = None,
+        *,
+        pwm_centre: float | str = "hover",
+        pwm_span: float | None = None,
+        history: int = 0,
     ):
         self.vehicle = vehicle or load_vehicle()
         self.pwm_centre = resolve_pwm_centre(pwm_centre, self.vehicle)
+        self.pwm_span = resolve_pwm_span(pwm_span, self.vehicle)
         whole = isinstance(history, (int, np.integer)) and not isinstance(history, bool)
         if not (whole and 0 <= history <= LONGEST_HISTORY):
             said = shown(repr(history), 40)
             raise UserError(f"history must be a whole number from 0 to {LONGEST_HISTORY}, not {said}")
         self.history = int(history)
-        self.options: dict[str, Any] = {"pwm_centre": pwm_centre}
+        self.options: dict[str, Any] = {"pwm_centre": pwm_centre, "pwm_span": self.pwm_span}
         if self.history:
             self.options["history"] = self.history
 
@@ -181,11 +187,15 @@ class Task(abc.ABC):
         u = np.zeros((len(actions), 4))
         for name, action in zip(self.action_names, actions.T):
             if name == "thrust":
-                u[:, PWM] = np.clip(self.pwm_centre + v.command_pwm_span * action, *v.command_pwm_range)
+                u[:, PWM] = np.clip(self.pwm_centre + self.pwm_span * action, *v.command_pwm_range)
             else:
                 limit = v.command_yaw_rate_limit if name == "yaw rate" else v.command_angle_limit
                 u[:, _COMMANDS[name]] = limit * action
         return u
+
+    def thrust_of(self, other: Task) -> tuple[float, float]:
+        """Gain and offset that make a thrust action of `other` the one that commands the same PWM here."""
+        return other.pwm_span / self.pwm_span, (other.pwm_centre - self.pwm_centre) / self.pwm_span
 
     def observe(self, moment: Moment) -> np.ndarray:
         """Observations (n, o), float32: those of `observation_names` that the state has."""
@@ -289,6 +299,16 @@ def resolve_pwm_centre(centre, vehicle: Vehicle) -> float:
         return float(centre)
     said = shown(repr(centre), 40)
     raise UserError(f"pwm_centre must be 'paper', 'hover' or a PWM from {low:g} to {high:g}, not {said}")
+
+
+def resolve_pwm_span(span, vehicle: Vehicle) -> float:
+    """PWM between action 0 and 1: a number, or None for the vehicle file's (16 500)."""
+    if span is None:
+        return vehicle.command_pwm_span
+    high = vehicle.command_pwm_range[1]
+    if isinstance(span, (int, float)) and 1.0 <= span <= high:
+        return float(span)
+    raise UserError(f"pwm_span must be a PWM from 1 to {high:g}, not {shown(repr(span), 40)}")
 
 
 def hover_states(positions: np.ndarray, vehicle: Vehicle) -> np.ndarray:

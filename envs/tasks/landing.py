@@ -14,10 +14,12 @@ Action, float32, from -1 to 1; roll and yaw-rate commands are zero:
 
 | index | command | at action a | MuJoCo actuator |
 |---|---|---|---|
-| 0 | thrust | PWM = centre + 16500 a, cut to 10000 .. 60000 | `thrust` |
+| 0 | thrust | PWM = centre + span a, cut to 10000 .. 60000 | `thrust` |
 | 1 | pitch | 30 deg times a | `pitch` |
 
-The centre is 42000 as in the paper, or the true hover of the equations (`pwm_centre="hover"`).
+The centre is the true hover of the vehicle's equations, a number, or the paper's 42000
+(`pwm_centre="paper"`); the span is 16500 as in the paper, or `pwm_span`. A policy knows neither:
+`load_policy(POLICY, task)` refuses one that was trained with others.
 
 Goal s_g = [0, 1.25, 0, 0, inclination]; goal box |s - s_g| < [d, d, min(10d, 1.5), min(10d, 1.5),
 0.25d] with d from 0.25 (easiest) to 0.10 (the task).
@@ -119,10 +121,11 @@ class InclinedLanding(Task):
         vehicle: Vehicle | None = None,
         *,
         inclination: float | None = None,
-        pwm_centre: float | str = "paper",
+        pwm_centre: float | str = "hover",
+        pwm_span: float | None = None,
         history: int = 0,
     ):
-        super().__init__(vehicle, pwm_centre=pwm_centre, history=history)
+        super().__init__(vehicle, pwm_centre=pwm_centre, pwm_span=pwm_span, history=history)
         v = self.vehicle
         given = v.platform_inclination if inclination is None else inclination
         self.inclination = v.check_inclination(given)

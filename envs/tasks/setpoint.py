@@ -77,9 +77,14 @@ class Setpoint(Task):
     )
 
     def __init__(
-        self, vehicle: Vehicle | None = None, *, pwm_centre: float | str = "paper", history: int = 0
+        self,
+        vehicle: Vehicle | None = None,
+        *,
+        pwm_centre: float | str = "hover",
+        pwm_span: float | None = None,
+        history: int = 0,
     ):
-        super().__init__(vehicle, pwm_centre=pwm_centre, history=history)
+        super().__init__(vehicle, pwm_centre=pwm_centre, pwm_span=pwm_span, history=history)
         self.conditions = Conditions()
 
     @property

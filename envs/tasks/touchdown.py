@@ -42,7 +42,15 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.envs.tasks.base import Judgement, Moment, ScoreCurve, Start, Training, hover_states
+from inclined_landing.envs.tasks.base import (
+    Judgement,
+    Moment,
+    ScoreCurve,
+    Start,
+    Task,
+    Training,
+    hover_states,
+)
 from inclined_landing.envs.tasks.landing import START_CLEARANCE, InclinedLanding
 from inclined_landing.envs.tasks.landing import Conditions as LandingConditions
 from inclined_landing.models import geometry
@@ -113,11 +121,14 @@ class InclinedTouchdown(InclinedLanding):
         vehicle: Vehicle | None = None,
         *,
         inclination: float | None = None,
-        pwm_centre: float | str = "paper",
+        pwm_centre: float | str = "hover",
+        pwm_span: float | None = None,
         observe_contact: bool = False,
         history: int = 0,
     ):
-        super().__init__(vehicle, inclination=inclination, pwm_centre=pwm_centre, history=history)
+        super().__init__(
+            vehicle, inclination=inclination, pwm_centre=pwm_centre, pwm_span=pwm_span, history=history
+        )
         self.observe_contact = bool(observe_contact)
         self.options["observe_contact"] = self.observe_contact
         self.conditions = Conditions()
@@ -201,6 +212,14 @@ class InclinedTouchdown(InclinedLanding):
         state[:, PITCH] = inclination + far * rng.uniform(-_CLOSE_PITCH, _CLOSE_PITCH, k)
         state[:, LAG] = v.hover_lag * far * rng.uniform(*_CLOSE_THRUST, k)
         return state
+
+    def thrust_of(self, other: Task) -> tuple[float, float]:
+        """As they are; raises UserError where the PWM of an action differs, as idle is an action here."""
+        if (other.pwm_centre, other.pwm_span) != (self.pwm_centre, self.pwm_span):
+            raise UserError(
+                f"the {self.name} task goes on only from policies of its own pwm_centre and pwm_span"
+            )
+        return 1.0, 0.0
 
     def commands(self, actions: np.ndarray) -> np.ndarray:
         """Plant commands (n, 4) for actions (n, 2) in [-1, 1]."""

@@ -157,6 +157,13 @@ def test_action_map_centres(centre, at_zero):
     assert task.options["pwm_centre"] == centre  # as given, so that the task can be built again
 
 
+def test_action_map_span():
+    task = make_task("landing", pwm_span=20_000)
+    assert task.commands(np.array([[0.5, 0]]))[0, 0] == V.hover_pwm + 10_000
+    assert make_task("landing", **task.options).pwm_span == 20_000
+    assert make_task("landing").pwm_span == V.command_pwm_span
+
+
 def test_commands_stay_within_the_vehicles_bounds():
     for centre in ("paper", "hover", 10_000, 60_000):
         u = make_task("landing", pwm_centre=centre).commands(np.array([[1, 1], [-1, -1]]))
@@ -174,6 +181,8 @@ def test_the_paper_can_not_command_its_own_hover_less_than_needed():
     ({"pwm_centre": 9_999}, "not 9999"),
     ({"pwm_centre": math.nan}, "not nan"),
     ({"pwm_centre": None}, "not None"),
+    ({"pwm_span": 0}, "pwm_span must be a PWM from 1 to 60000, not 0"),
+    ({"pwm_span": math.nan}, "not nan"),
     ({"inclination": 1.0}, "outside the supported range"),
     ({"inclination": math.nan}, "outside the supported range"),
     ({"slope": 1.0}, "task landing: .*slope"),

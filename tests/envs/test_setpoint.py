@@ -67,9 +67,9 @@ def test_observation():
 
 def test_action_map():
     u = TASK.commands(np.array([[0, 1, -0.5], [1, 0, 0], [-1, 0, 0]]))
-    np.testing.assert_allclose(u[0], [42_000, math.radians(30), math.radians(-15), 0])
-    np.testing.assert_allclose(u[1:, 0], [58_500, 25_500])
-    assert make_task("setpoint", pwm_centre="hover").commands(np.zeros((1, 3)))[0, 0] == V.hover_pwm
+    np.testing.assert_allclose(u[0], [V.hover_pwm, math.radians(30), math.radians(-15), 0])
+    np.testing.assert_allclose(u[1:, 0], V.hover_pwm + np.array([16_500, -16_500]))
+    assert make_task("setpoint", pwm_centre="paper").commands(np.zeros((1, 3)))[0, 0] == 42_000
 
 
 def test_conditions_ease_the_effort_and_shorten_episodes():

@@ -1,5 +1,6 @@
 """Policy files: what is read is what SB3 would do, and what is wrong is said in one sentence."""
 
+import dataclasses
 import json
 import zipfile
 
@@ -95,8 +96,6 @@ def test_the_stamp_builds_the_task(tmp_path):
 
 
 def test_another_vehicle_keeps_the_action_map_of_training(tmp_path):
-    import dataclasses
-
     path = saved(tmp_path / "p.zip", model())
     heavy = dataclasses.replace(load_vehicle(), body_mass=0.04)
     loaded = policy.load_policy(path, vehicle=heavy)
@@ -127,6 +126,26 @@ def test_a_plain_sb3_file_needs_the_task(tmp_path):
     assert policy.load_policy(path, "landing").metadata == {}
     task = make_task("landing", pwm_centre="hover")
     assert policy.load_policy(path, task).task is task
+
+
+def test_a_policy_fits_the_default_environment_and_refuses_another_action_map_or_slope():
+    env = gym.make("inclined_landing.envs:InclinedLanding-v0", plant="analytic")
+    assert policy.load_policy("landing", env.unwrapped.task).task is env.unwrapped.task
+    for options in ({"pwm_centre": "paper"}, {"pwm_span": 20_000}):
+        with pytest.raises(
+            UserError, match=r"with PWM 34099 \+- 16500 .*; give it pwm_centre=34098\.\d+ and pwm_span"
+        ):
+            policy.load_policy("landing", make_task("landing", **options))
+    sloped = make_task("landing", inclination=-0.2)
+    with pytest.raises(UserError, match=r"slope of -25\.7 deg, and the landing task here has -11\.5 deg"):
+        policy.load_policy("landing", sloped)
+    assert policy.load_policy("landing", sloped, inclination=-0.2).task is sloped
+    heavy = dataclasses.replace(load_vehicle(), body_mass=0.04, command_pwm_span=9_000.0)
+    loaded = policy.load_policy("landing", vehicle=heavy).task
+    same = make_task("landing", heavy, **loaded.options)
+    assert policy.load_policy("landing", same).task.pwm_span == 16_500
+    with pytest.raises(UserError, match="PWM"):
+        policy.load_policy("landing", make_task("landing", heavy))
 
 
 def not_a_zip(path):

@@ -46,7 +46,7 @@ def test_a_short_run_is_reproducible_and_stamped(tmp_path, monkeypatch):
         train(TrainConfig(task="touchdown", steps=512, out=tmp_path / name, **TINY))[0] for name in "ab"
     ]
     a, b = (load_policy(folder / "final.zip") for folder in folders)
-    assert a.task.name == "touchdown" and a.metadata["task_options"]["pwm_centre"] == "hover"
+    assert a.task.name == "touchdown" and a.task.pwm_centre == a.task.vehicle.hover_pwm
     for left, right in zip(a.weights, b.weights):
         np.testing.assert_array_equal(left, right)
     started = load_policy("landing").weights
@@ -73,12 +73,14 @@ def test_curriculum():
         ({"task": "landing", "start_from": "setpoint"}, "trained for the task setpoint, not for landing"),
         ({"task": "landing", "start_from": "touchdown"}, "trained for the task touchdown, not for landing"),
         ({"task": "setpoint", "start_from": "landing"}, "trained for the task landing, not for setpoint"),
-        ({"start_from": "landing", "pwm_centre": "paper"}, "another scaling of observations or thrust"),
         ({"start_from": "none.zip"}, "policy none.zip does not exist"),
         ({"task": "touchdown", "start_from": "setpoint"}, "trained for the task setpoint, not for landing"),
         ({"task": "touchdown", "plant": "analytic"}, "needs the MuJoCo plant"),
         ({"task": "touchdown", "curriculum": "none"}, "it must be touchdown"),
-        ({"task": "touchdown", "pwm_centre": "paper"}, "another scaling of observations or thrust"),
+        (
+            {"task": "touchdown", "pwm_centre": "paper"},
+            "only from policies of its own pwm_centre and pwm_span",
+        ),
     ],
 )
 def test_wrong_input(tmp_path, options, sentence):

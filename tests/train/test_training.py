@@ -14,8 +14,9 @@ import pandas as pd
 import pytest
 from campaign.training import assert_same_policy, weights
 
+from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy, tensors
-from inclined_landing.envs.tasks import TASKS
+from inclined_landing.envs.tasks import TASKS, Moment
 from inclined_landing.models import perturbation
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
@@ -285,6 +286,36 @@ def test_a_policy_is_taken_to_another_slope_and_vehicle(tmp_path):
     begun = Run(config(tmp_path / "a", **options))
     assert begun.env.env.task.pwm_centre == load_policy("landing").task.pwm_centre
     assert begun.teacher.task.vehicle == heavy and begun.teacher.task.inclination == math.radians(10.0)
+
+
+def test_a_policy_is_carried_over_to_another_action_map(tmp_path):
+    """Same PWM and same noise in PWM, but for float32: 3e-7 of a span and of what adds up in 64 products."""
+    shipped = load_policy("landing")
+    begun = Run(config(tmp_path / "a", start_from="landing", pwm_centre=40_000.0, pwm_span=24_000.0))
+    begun.folder.mkdir()
+    own, path = begun.env.env.task, tmp_path / "carried.zip"
+    path.write_bytes(begun.policy_file())
+    carried = load_policy(path)
+    for task in (own, carried.task):
+        assert (task.pwm_centre, task.pwm_span) == (40_000, 24_000)
+    start = own.sample(np.random.default_rng(0), 400)
+    seen = own.observe(Moment(start.state))
+    before, after = shipped.predict(seen), carried.predict(seen)
+    within = (np.abs(before[:, 0]) < 1.0) & (np.abs(after[:, 0]) < 1.0)
+    assert within.sum() > 50
+    commands = [p.task.commands(action.astype(float)) for p, action in ((shipped, before), (carried, after))]
+    np.testing.assert_allclose(commands[0][within, 0], commands[1][within, 0], rtol=0, atol=1e-5 * 24_000)
+    np.testing.assert_array_equal(commands[0][:, 1:], commands[1][:, 1:])
+    noise = [np.exp(tensors(p.path)["log_std"]) * [p.task.pwm_span, 1.0] for p in (shipped, carried)]
+    np.testing.assert_allclose(*noise, rtol=1e-6)
+    same = 0
+    for a, b in zip(*(record_flights(p, "analytic", start.state[:40]) for p in (shipped, carried))):
+        if (np.abs(a.actions[:, 0]) < 1.0).all():
+            np.testing.assert_allclose(a.state, b.state, atol=1e-4)  # closed loop: errors do not grow
+            same += 1
+    assert same > 20
+    again = Run(config(tmp_path / "b", start_from=str(path)))
+    assert (again.env.env.task.pwm_centre, again.env.env.task.pwm_span) == (40_000, 24_000)
 
 
 @pytest.mark.parametrize(
