@@ -8,37 +8,50 @@ substep, shifted by the delay: it changes smoothly with the delay.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numba
 import numpy as np
 
-from inclined_landing.models.attitude import PWM, ROLL, STATE_SIZE, YAW, tilted
+from inclined_landing.models.attitude import ROLL, STATE_SIZE, YAW, tilted
 from inclined_landing.models.parameters import Vehicle
 
 
 class Delays:
-    """The histories that a vehicle's delays need, and nothing for those that are 0.
+    """The histories that the vehicles' delays need, and nothing for those that are 0.
 
+    vehicles: one for all, or those that `assign` chooses from; it is the first one until then.
     period: of the commands [s].
     After `reset` the past is as if the first command had always been given, and the vehicle had always
     been in its first state.
     """
 
-    def __init__(self, n: int, vehicle: Vehicle, period: float):
-        v = vehicle
+    def __init__(self, n: int, vehicles: Sequence[Vehicle], period: float):
         self.period = period
-        self._command = np.full(4, v.effects_attitude_delay)
-        self._command[PWM] = v.effects_thrust_delay
-        self._mocap, self._tilt = v.effects_mocap_delay, v.effects_mocap_tilt
-        self.of_commands = bool(self._command.any())
-        self.of_measurement = self._mocap > 0.0
-        longest = max(self._command)
+        self._of_each = {
+            "_command": np.array(
+                [[v.effects_thrust_delay, *(v.effects_attitude_delay,) * 3] for v in vehicles]
+            ),
+            "_mocap": np.array([v.effects_mocap_delay for v in vehicles]),
+            "_tilt": np.array([v.effects_mocap_tilt for v in vehicles]),
+        }
+        rows = 1 if len(vehicles) == 1 else n  # else what holds for all
+        self._command, self._mocap, self._tilt = (x[[0] * rows] for x in self._of_each.values())
+        longest, oldest = self._of_each["_command"].max(), self._of_each["_mocap"].max()
+        self.of_commands, self.of_measurement = bool(longest > 0.0), bool(oldest > 0.0)
+        self._tilts = bool(self._of_each["_tilt"].any())
         depth = math.ceil(longest / self.period) + 1 if self.of_commands else 0
         self.commands = np.zeros((n, depth, 4))
         self.fresh = np.ones(n, bool)  # no command since the reset
-        depth = math.floor(self._mocap / self.period) + 2 if self.of_measurement else 0
+        depth = math.floor(oldest / self.period) + 2 if self.of_measurement else 0
         self.states = np.zeros((n, depth, STATE_SIZE))
+        self._rows = np.arange(n)
         self._out = np.zeros((n, 4))
+
+    def assign(self, ids, choice: np.ndarray) -> None:
+        """Give the vehicles `ids` the delays of other ones of `vehicles`, by their numbers (k,)."""
+        for name, values in self._of_each.items():
+            getattr(self, name)[ids] = values[choice]
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Everything that a replay needs."""
@@ -71,31 +84,42 @@ class Delays:
 
     def measurement(self, state: np.ndarray) -> np.ndarray:
         """`state` (n, 13) as it was before the delay, interpolated linearly between control steps, tilted."""
-        if any(self._tilt):
-            state = self._late(state).copy()
-            tilted(state[:, ROLL : YAW + 1].copy(), *self._tilt, state[:, ROLL : YAW + 1])
-            return state
-        return self._late(state)
+        if self.of_measurement:
+            state = self._late(state)
+        if self._tilts:
+            attitude, state = state[:, ROLL : YAW + 1].copy(), state.copy()
+            _tilt(attitude, self._tilt, state[:, ROLL : YAW + 1])
+        return state
 
     def _late(self, state: np.ndarray) -> np.ndarray:
-        if not self.of_measurement:
-            return state
         steps = self._mocap / self.period
-        whole = math.floor(steps)
-        later, earlier = self.states[:, whole], self.states[:, whole + 1]
+        whole = np.floor(steps).astype(int)
+        later, earlier = self.states[self._rows, whole], self.states[self._rows, whole + 1]
         change = earlier - later
         angles = slice(ROLL, YAW + 1)
         change[:, angles] = (change[:, angles] + np.pi) % (2 * np.pi) - np.pi
-        return later + (steps - whole) * change
+        late = later + (steps - whole)[:, None] * change
+        return np.where((self._mocap > 0.0)[:, None], late, state)
+
+
+@numba.njit(cache=True)
+def _tilt(attitude, tilt, out):
+    for i in range(len(attitude)):
+        roll, pitch = tilt[i if len(tilt) > 1 else 0]
+        if roll != 0.0 or pitch != 0.0:
+            tilted(attitude[i : i + 1], roll, pitch, out[i : i + 1])
 
 
 @numba.njit(cache=True)
 def _average(commands, delays, period, start, length, out):
     n, depth, size = commands.shape
-    for column in range(size):
-        begin = start - delays[column]
-        for i in range(n):
-            total = 0.0
+    for i in range(n):
+        delay = delays[i if len(delays) > 1 else 0]
+        if not delay.any():
+            out[i] = commands[i, 0]
+            continue
+        for column in range(size):
+            begin, total = start - delay[column], 0.0
             for back in range(depth):
                 # This command was held from -back periods for one period; the oldest one for ever.
                 held_from = -back * period if back < depth - 1 else -math.inf

@@ -96,18 +96,19 @@ def _outline(kind: int, size: np.ndarray) -> tuple[np.ndarray, float]:
     raise ValueError(f"no outline for a collision geom of type {kind}")
 
 
-def platform_poses(inclination, present, vehicle: Vehicle):
+def platform_poses(inclination, present, vehicle: Vehicle, surface_height=None):
     """Poses of PLATFORM_BODIES for platforms of the given inclinations.
 
-    inclination (n,) [rad], present (n,) bool. Returns positions (n, 4, 3) [m] and quaternions
-    (n, 4, 4). The slab's top surface passes through (0, 0, surface_height); the walls stand under
-    its two edges, the core fills the space below the lower edge. Absent platforms are parked far
-    below the floor.
+    inclination (n,) [rad], present (n,) bool, surface_height (n,) [m] where it is not the vehicle's. Returns
+    positions (n, 4, 3) [m] and quaternions (n, 4, 4). The slab's top surface passes through
+    (0, 0, surface_height); the walls stand under its two edges, the core fills the space below the lower
+    edge. Absent platforms are parked far below the floor.
     """
     inclination = np.asarray(inclination, float)
     present = np.asarray(present, bool)
     n = len(inclination)
-    height, half = vehicle.platform_surface_height, vehicle.slab_half_length
+    height = vehicle.platform_surface_height if surface_height is None else surface_height
+    half = vehicle.slab_half_length
     underside = vehicle.platform_thickness / np.cos(inclination)  # measured vertically
     run, rise = half * np.cos(inclination), -half * np.sin(inclination)
     position = np.zeros((n, 4, 3))

@@ -40,12 +40,16 @@ def build_spec(
     timestep: float = ENGINE_STEP,
     integrator: str = "RK4",
     torque_limit: bool = True,
+    pooled: float | None = None,
 ) -> mujoco.MjSpec:
     """The scene as an MjSpec.
 
     visuals: keep the purely visual geoms (they cost time in simulation and change no physics).
     keep_out: zone around slab and base [m] in which contacts are reported without force.
     torque_limit: clamp the attitude torques to the vehicle's authority.
+    pooled: of a batch in which every simulation has a vehicle of its own: the longest delay of commands among
+        them [s]. Such scenes differ in numbers alone and compile ten times as fast: motion capture is left to
+        the plant, and textures have one pixel.
     Raises UserError for an unknown integrator or a negative zone or time step.
     """
     v = vehicle or load_vehicle()
@@ -58,21 +62,33 @@ def build_spec(
         raise UserError(f"timestep must be positive, not {timestep!r}")
     if not (math.isfinite(keep_out) and keep_out >= 0):
         raise UserError(f"keep_out must not be negative, it is {keep_out!r}")
-    with resources.as_file(resources.files("inclined_landing.models") / "mjcf") as folder:
-        spec = mujoco.MjSpec.from_file(str(folder / "landing.xml"))
+    spec = _as_drawn(visuals).copy()
     spec.option.timestep = timestep
     spec.option.integrator = INTEGRATORS[integrator]
     spec.option.gravity = [0, 0, -v.environment_gravity]
     spec.option.wind = [*v.effects_wind, 0]
     _fill_vehicle(spec, v, torque_limit)
     _place_rotors(spec, v)
-    _fill_delays(spec, v)
+    _fill_delays(spec, v, pooled)
+    if pooled is not None:
+        _add_numbers(spec, v)
+        for texture in spec.textures:
+            texture.width = texture.height = 1
     _fill_platform(spec, v, keep_out)
     for geom in list(spec.geoms):
         if geom.contype or geom.conaffinity:
             geom.friction[0] = v.contact_friction
             geom.solref[:2] = v.contact_solref
-        elif not visuals and geom.group in _VISUAL_GROUPS:
+    return spec
+
+
+@functools.cache
+def _as_drawn(visuals: bool) -> mujoco.MjSpec:
+    """The XML files, with or without the purely visual geoms; to be copied."""
+    with resources.as_file(resources.files("inclined_landing.models") / "mjcf") as folder:
+        spec = mujoco.MjSpec.from_file(str(folder / "landing.xml"))
+    for geom in [] if visuals else list(spec.geoms):
+        if not (geom.contype or geom.conaffinity) and geom.group in _VISUAL_GROUPS:
             spec.delete(geom)
     return spec
 
@@ -148,7 +164,15 @@ def _place_rotors(spec: mujoco.MjSpec, v: Vehicle) -> None:
             element.size[0] = v.rotor_radius
 
 
-def _fill_delays(spec: mujoco.MjSpec, v: Vehicle) -> None:
+def _add_numbers(spec: mujoco.MjSpec, v: Vehicle) -> None:
+    """The attributes of the plugins as custom numerics too, which may differ in a batch as text may not."""
+    for plugin in spec.plugins:
+        values = [getattr(v, field) for field in plugins.fields()[plugin.name].values()]
+        numbers = [float(x) for value in values for x in (value if isinstance(value, tuple) else (value,))]
+        spec.add_numeric(name=plugin.name, data=numbers, size=len(numbers))
+
+
+def _fill_delays(spec: mujoco.MjSpec, v: Vehicle, pooled: float | None) -> None:
     """Delays of the commands, and of what a motion capture system would report, as the engine has them.
 
     The plugins read a delayed command as held over the step (`plugin/README.md`). The sensors are there
@@ -156,9 +180,12 @@ def _fill_delays(spec: mujoco.MjSpec, v: Vehicle) -> None:
     """
     delays = dict.fromkeys(("roll", "pitch", "yaw_rate"), v.effects_attitude_delay)
     for name, delay in {"thrust": v.effects_thrust_delay, **delays}.items():
-        if delay > 0:
+        longest = delay if pooled is None else pooled
+        if longest > 0:
             spec.actuator(name).delay = delay
-            spec.actuator(name).nsample = _samples(delay, spec)
+            spec.actuator(name).nsample = _samples(longest, spec)
+    if pooled is not None:
+        return
     if v.effects_mocap_delay > 0 or any(v.effects_mocap_tilt):
         turn = np.array(quaternion(*v.effects_mocap_tilt, 0.0))
         spec.body("crazyflie").add_site(name="mocap", quat=turn, group=4, size=[0.002, 0, 0])
@@ -218,6 +245,7 @@ def compile_scene(
     timestep: float = ENGINE_STEP,
     integrator: str = "RK4",
     torque_limit: bool = True,
+    pooled: float | None = None,
 ) -> mujoco.MjModel:
     """The compiled scene for simulation, without visual geoms; one model per set of arguments."""
     return build_spec(
@@ -227,4 +255,5 @@ def compile_scene(
         timestep=timestep,
         integrator=integrator,
         torque_limit=torque_limit,
+        pooled=pooled,
     ).compile()

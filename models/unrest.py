@@ -9,6 +9,7 @@ the period's beginning. Both plants meet the same numbers under the same seed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numba
@@ -25,22 +26,34 @@ Seed: TypeAlias = int | np.random.Generator
 class Unrest:
     """The processes (n, 6) of n vehicles: accelerations along x, y, z of the world, angular ones of the body.
 
+    vehicles: one for all, or those that `assign` chooses from; it is the first one until then.
     period: of control [s]. seed: of everything drawn.
     Raises UserError for a negative seed.
     """
 
-    def __init__(self, n: int, vehicle: Vehicle, period: float, seed: Seed):
+    def __init__(self, n: int, vehicles: Sequence[Vehicle], period: float, seed: Seed):
         self._bits: Any = None
         self._random: Any = None
         self.seed(seed)
         self._stream = np.zeros(4, np.uint64)
-        self._size = np.array([*vehicle.unrest_acceleration, *vehicle.unrest_angular])
-        times = np.array([*vehicle.unrest_acceleration_time, *vehicle.unrest_angular_time])
-        self._keep = np.exp(-period / np.where(times > 0.0, times, np.inf))
-        self._fresh = self._size * np.sqrt(1.0 - self._keep**2)
-        self._inertia = np.array(vehicle.body_inertia)
+        size = np.array([(*v.unrest_acceleration, *v.unrest_angular) for v in vehicles])
+        times = np.array([(*v.unrest_acceleration_time, *v.unrest_angular_time) for v in vehicles])
+        keep = np.exp(-period / np.where(times > 0.0, times, np.inf))
+        self._of_each = {
+            "_size": size,
+            "_keep": keep,
+            "_fresh": size * np.sqrt(1.0 - keep**2),
+            "_inertia": np.array([v.body_inertia for v in vehicles]),
+        }
+        rows = 1 if len(vehicles) == 1 else n  # else what holds for all
+        self._size, self._keep, self._fresh, self._inertia = (x[[0] * rows] for x in self._of_each.values())
         self.now = np.zeros((n, 6))  # m/s2 along the world's axes, rad/s2 about the body's
         self._push = np.zeros((n, 6))
+
+    def assign(self, ids, choice: np.ndarray) -> None:
+        """Give the vehicles `ids` the unrest of other ones of `vehicles`, by their numbers (k,)."""
+        for name, values in self._of_each.items():
+            getattr(self, name)[ids] = values[choice]
 
     def seed(self, seed: Seed) -> None:
         """Restart everything drawn from now on."""
@@ -66,7 +79,7 @@ class Unrest:
 
     def reset(self, ids) -> None:
         """Begin anew, anywhere in the stationary distribution, for the vehicles `ids`."""
-        self.now[ids] = self._size * self._random.standard_normal(self.now[ids].shape)
+        self.now[ids] = self._own(self._size, ids) * self._random.standard_normal(self.now[ids].shape)
 
     def push(self, state: np.ndarray, torque: bool) -> np.ndarray:
         """What is held from now on: acceleration [m/s2] and torque [N m] (n, 6) in the world's axes.
@@ -79,16 +92,22 @@ class Unrest:
     def step(self, ids=slice(None)) -> None:
         """One control period on, for the vehicles `ids`."""
         now = self.now[ids]
-        self.now[ids] = self._keep * now + self._fresh * self._random.standard_normal(now.shape)
+        keep, fresh = self._own(self._keep, ids), self._own(self._fresh, ids)
+        self.now[ids] = keep * now + fresh * self._random.standard_normal(now.shape)
+
+    @staticmethod
+    def _own(values: np.ndarray, ids) -> np.ndarray:
+        return values[0] if len(values) == 1 else values[ids]
 
 
 @numba.njit(cache=True)
 def _push(now, state, inertia, torque, out):
+    each = len(inertia) > 1
     for i in range(len(now)):
         out[i, :3] = now[i, :3]
         out[i, 3:] = 0.0
         if torque:
-            r = rotation(state[i, ROLL], state[i, PITCH], state[i, YAW])
+            r, own = rotation(state[i, ROLL], state[i, PITCH], state[i, YAW]), inertia[i if each else 0]
             for k in range(3):
                 for j in range(3):
-                    out[i, 3 + k] += r[k, j] * inertia[j] * now[i, 3 + j]
+                    out[i, 3 + k] += r[k, j] * own[j] * now[i, 3 + j]

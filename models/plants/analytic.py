@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from inclined_landing.models import equations, geometry
@@ -17,6 +19,7 @@ class AnalyticPlant(Plant):
 
     substeps: RK4 steps per control period. The default of one is the paper's 0.02 s.
     unrest: seed of the vehicle's unrest of the air; None for still air.
+    pool: vehicles that `assign` chooses from.
     """
 
     kind = "analytic"
@@ -31,8 +34,9 @@ class AnalyticPlant(Plant):
         control_period: float | None = None,
         substeps: int = 1,
         unrest: Seed | None = None,
+        pool: Sequence[Vehicle] = (),
     ):
-        super().__init__(n, vehicle, attitude, keep_out, control_period, unrest)
+        super().__init__(n, vehicle, attitude, keep_out, control_period, unrest, pool)
         if substeps < 1:
             raise UserError(f"substeps must be at least 1, not {substeps}")
         self.substeps = substeps
@@ -54,9 +58,7 @@ class AnalyticPlant(Plant):
         """Platform inclination [rad] and presence of the vehicles `ids`."""
         self.inclination[ids] = inclination
         self.present[ids] = present
-        self._position[ids] = geometry.platform_poses(self.inclination[ids], self.present[ids], self.vehicle)[
-            0
-        ]
+        self._position[ids], _ = self._platform_poses(ids)
         self._ambient[ids, equations.INCLINATION], self._ambient[ids, equations.PRESENT] = (
             inclination,
             present,

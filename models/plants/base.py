@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
-from inclined_landing.models import equations, perturbation
+from inclined_landing.models import equations, geometry, perturbation
 from inclined_landing.models.attitude import STATE_SIZE
 from inclined_landing.models.delays import Delays
 from inclined_landing.models.errors import UserError
@@ -16,6 +17,17 @@ from inclined_landing.models.parameters import Vehicle, check_vehicle, load_vehi
 from inclined_landing.models.unrest import Seed, Unrest
 
 Attitude = Literal["rate_loop", "kinematic"]
+# What all vehicles of a plant have in common: other shapes are another scene, other commands another task.
+_SHARED = (
+    *("rotor_arm", "rotor_height", "rotor_radius", "slab_half_length", "platform_depth"),
+    *("platform_thickness", "platform_max_inclination", "command_control_period", "command_pwm_range"),
+    *("command_angle_limit", "command_yaw_rate_limit"),
+)
+
+
+def _differ(field: str, member: Vehicle, own: Vehicle) -> bool:
+    """By more than rounding."""
+    return not np.allclose(getattr(member, field), getattr(own, field), rtol=1e-9, atol=0.0)
 
 
 @dataclasses.dataclass
@@ -56,6 +68,9 @@ class Snapshot:
 class Plant:
     """What both plants share: platform poses, perturbations, unrest of the air, snapshots.
 
+    pool: vehicles that `assign` may give to single ones instead of the plant's own, which all are at first.
+        They have its shapes and commands.
+
     unrest: seed of the vehicle file's unrest, None for still air. It acts on every control period as
     acceleration and torque (`unrest.py`); with kinematic attitude the torque has no effect.
     """
@@ -68,6 +83,7 @@ class Plant:
         keep_out: float,
         control_period: float | None,
         unrest: Seed | None,
+        pool: Sequence[Vehicle] = (),
     ):
         if attitude not in ("rate_loop", "kinematic"):
             raise UserError(f"attitude must be 'rate_loop' or 'kinematic', not {attitude!r}")
@@ -79,7 +95,13 @@ class Plant:
             raise UserError(f"control_period must be positive, not {control_period!r}")
         self.n = n
         self.vehicle = vehicle or load_vehicle()
-        check_vehicle(self.vehicle)
+        self.pool = tuple(pool)
+        self._vehicles = (self.vehicle, *self.pool)
+        for member in self._vehicles:
+            check_vehicle(member)
+        if differing := [f for member in self.pool for f in _SHARED if _differ(f, member, self.vehicle)]:
+            table, _, entry = differing[0].partition("_")
+            raise UserError(f"{table}.{entry} cannot differ from vehicle to vehicle of one plant")
         self.attitude = attitude
         self.keep_out = keep_out
         self.control_period = control_period or self.vehicle.command_control_period
@@ -88,11 +110,17 @@ class Plant:
         self.inclination = np.full(n, self.vehicle.platform_inclination)
         self.present = np.ones(n, bool)
         self.perturbation = perturbation.neutral(n)
-        self.delays = Delays(n, self.vehicle, self.control_period)
-        self._constants = equations.pack(self.vehicle)
+        self.delays = Delays(n, self._vehicles, self.control_period)
+        self.choice = np.zeros(
+            n, int
+        )  # whose constants each has: 0 the plant's own, k those of the k-th of the pool
+        self._records = np.concatenate([equations.pack(member) for member in self._vehicles])
+        self._constants = self._records[self.choice] if self.pool else self._records  # (n,) or (1,)
+        self._height = np.full(n, self.vehicle.platform_surface_height)
+        self.tilt = np.zeros(n)  # by which a vehicle's platform is inclined more than the plant's own, rad
         self.unrest = None
         if unrest is not None:
-            self.unrest = Unrest(n, self.vehicle, self.control_period, unrest)
+            self.unrest = Unrest(n, self._vehicles, self.control_period, unrest)
 
     def _arrays(self) -> dict[str, np.ndarray]:
         c = self.contacts
@@ -104,6 +132,7 @@ class Plant:
             "inclination": self.inclination,
             "present": self.present,
             "perturbation": self.perturbation,
+            **({"choice": self.choice} if self.pool else {}),
             **self.delays.arrays(),
             **(self.unrest.arrays() if self.unrest else {}),
         }
@@ -126,7 +155,39 @@ class Plant:
             array[:] = snapshot.arrays[name]
         if self.unrest:
             self.unrest.resume()
+        if self.pool:
+            if not ((self.choice >= 0) & (self.choice <= len(self.pool))).all():
+                raise UserError("the snapshot belongs to a plant with another pool of vehicles")
+            self._apply_choice(np.arange(self.n))
         self._apply_perturbation()
+
+    def assign(self, ids, choice) -> None:
+        """Make of the vehicles `ids` (k,) those of the pool in `choice` (k,): 1 the first, 0 the plant's own.
+
+        Their platform and their state are to be set afterwards, by `set_platform` and `reset`.
+        Raises UserError where the pool has no such vehicle.
+        """
+        choice = np.asarray(choice, int)
+        if not ((choice >= 0) & (choice <= len(self.pool))).all():
+            raise UserError(f"the pool has vehicles 1 to {len(self.pool)}, and 0 is the plant's own")
+        self.choice[ids] = choice
+        self._apply_choice(np.asarray(ids))
+
+    def _apply_choice(self, ids: np.ndarray) -> None:
+        """Give the vehicles `ids` everything that their `choice` says."""
+        choice = self.choice[ids]
+        self._constants[ids] = self._records[choice]
+        own = self._records["platform"][choice]
+        self._height[ids] = own["surface_height"]
+        self.tilt[ids] = own["inclination"] - self.vehicle.platform_inclination
+        self.delays.assign(ids, choice)
+        if self.unrest:
+            self.unrest.assign(ids, choice)
+
+    def _platform_poses(self, ids) -> tuple[np.ndarray, np.ndarray]:
+        """See `geometry.platform_poses`; of the vehicles `ids`."""
+        where = self.inclination[ids], self.present[ids]
+        return geometry.platform_poses(*where, self.vehicle, self._height[ids])
 
     def perturb(self, **changes) -> None:
         """Set named deviations (see `perturbation.NAMES`) to a number or an (n,) array."""

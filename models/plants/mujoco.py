@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
+from operator import attrgetter
+from typing import Any
 
 import mujoco
 import mujoco.batch
@@ -28,7 +31,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.base import Attitude, Plant, Snapshot
 from inclined_landing.models.plausible import ENGINE_STEP
-from inclined_landing.models.scene import compile_scene
+from inclined_landing.models.scene import build_spec, compile_scene
 from inclined_landing.models.unrest import Seed, Unrest
 
 # The engine's warnings on which it silently resets a simulation.
@@ -47,6 +50,7 @@ class MujocoPlant(Plant):
     threads: 0 takes all cores.
     torque_needs_motors: a vehicle under PWM 0 has no attitude torque, as motors make it.
     unrest: seed of the vehicle's unrest of the air (`xfrc_applied`); None for still air.
+    pool: vehicles that `assign` chooses from; each is compiled once.
     """
 
     kind = "mujoco"
@@ -65,8 +69,9 @@ class MujocoPlant(Plant):
         torque_limit: bool = True,
         torque_needs_motors: bool = False,
         unrest: Seed | None = None,
+        pool: Sequence[Vehicle] = (),
     ):
-        super().__init__(n, vehicle, attitude, keep_out, control_period, unrest)
+        super().__init__(n, vehicle, attitude, keep_out, control_period, unrest, pool)
         if not (math.isfinite(timestep) and timestep > 0):
             raise UserError(f"timestep must be positive, not {timestep!r}")
         self.substeps = round(self.control_period / timestep)
@@ -75,13 +80,19 @@ class MujocoPlant(Plant):
                 f"the control period {self.control_period:g} s is not a whole number of "
                 f"time steps of {timestep:g} s"
             )
-        self.model = compile_scene(
-            self.vehicle,
-            integrator=integrator,
-            timestep=timestep,
-            keep_out=keep_out,
-            torque_limit=torque_limit,
-        )
+        options: Any = {
+            "integrator": integrator,
+            "timestep": timestep,
+            "keep_out": keep_out,
+            "torque_limit": torque_limit,
+        }
+        if self.pool:
+            options["pooled"] = max(
+                max(v.effects_thrust_delay, v.effects_attitude_delay) for v in self._vehicles
+            )
+        self.model = compile_scene(self.vehicle, **options)
+        others = [build_spec(v, visuals=False, **options).compile() for v in self.pool]
+        self._fields = _differing([self.model, *others])
         self.shapes = geometry.shapes_of(self.model)
         threads = min(threads or len(os.sched_getaffinity(0)), n)
         self.batch = mujoco.batch.Batch(self.model, n, threads)
@@ -100,10 +111,11 @@ class MujocoPlant(Plant):
         self._perturbed = self._contact_set = False
         self.torque_needs_motors = torque_needs_motors
         self._loops = np.array([self.model.actuator(name).id for name in ("roll", "pitch", "yaw_rate")])
-        v = self.vehicle
         self.foot_height = float(geometry.reach_below(self.shapes, part="feet"))
-        self._contact_default = np.array([v.contact_friction, *v.contact_solref, self.foot_height])
-        self._contact = np.tile(self._contact_default, (n, 1))
+        self._contact_of_each = np.array(
+            [[v.contact_friction, *v.contact_solref, self.foot_height] for v in self._vehicles]
+        )
+        self._contact = self._contact_of_each[self.choice]
         self.set_platform(np.arange(n), self.inclination)
         self.reset(np.arange(n), self.state)
 
@@ -115,6 +127,23 @@ class MujocoPlant(Plant):
         super().restore(snapshot)
         self._apply_contact()
         self._warning[:] = 0
+
+    def assign(self, ids, choice) -> None:
+        """See `Plant.assign`; the vehicles' contact becomes that of the pool's."""
+        super().assign(ids, choice)
+        self._contact[ids] = self._contact_of_each[choice]
+        self._apply_contact()
+        self._apply_perturbation()
+
+    def _apply_choice(self, ids: np.ndarray) -> None:
+        super()._apply_choice(ids)
+        for name, rows in self._fields.items():
+            self.batch.expand(name)[ids] = rows[self.choice[ids]]
+
+    def _given(self, field: str) -> np.ndarray:
+        """A field of the vehicles' own models, (n, ...), or (1, ...) where all have the same."""
+        rows = self._fields.get(field)
+        return getattr(self.model, field)[None] if rows is None else rows[self.choice]
 
     def set_contact(
         self, ids, *, friction=None, restitution=None, contact_time=None, solref=None, foot_height=None
@@ -147,7 +176,7 @@ class MujocoPlant(Plant):
         self._apply_contact()
 
     def _apply_contact(self) -> None:
-        if not self._contact_set and (self._contact == self._contact_default).all():
+        if not self._contact_set and (self._contact == self._contact_of_each[self.choice]).all():
             return
         self._contact_set = True
         model, c, expand = self.model, self._contact, self.batch.expand
@@ -163,7 +192,7 @@ class MujocoPlant(Plant):
         """Platform inclination [rad] and presence of the vehicles `ids`."""
         self.inclination[ids] = inclination
         self.present[ids] = present
-        position, quat = geometry.platform_poses(self.inclination[ids], self.present[ids], self.vehicle)
+        position, quat = self._platform_poses(ids)
         for k, mocap in enumerate(self._mocap):
             self._mocap_pos[ids, mocap] = position[:, k]
             self._mocap_quat[ids, mocap] = quat[:, k]
@@ -256,7 +285,7 @@ class MujocoPlant(Plant):
             running.all() and self.batch.expanded("actuator_forcerange") is None
         ):
             return
-        limits = self.model.actuator_forcerange[self._loops]
+        limits = self._given("actuator_forcerange")[:, self._loops]
         self.batch.expand("actuator_forcerange")[:, self._loops] = running[:, None, None] * limits
 
     def _apply_perturbation(self) -> None:
@@ -277,8 +306,23 @@ class MujocoPlant(Plant):
         if (p[:, perturbation.MASS_SCALE] != 1.0).any() or self.batch.expanded("body_mass") is not None:
             body = model.body("crazyflie").id
             mass = expand("body_mass")
-            mass[:, body] = model.body_mass[body] * p[:, perturbation.MASS_SCALE]
+            mass[:, body] = self._given("body_mass")[:, body] * p[:, perturbation.MASS_SCALE]
             self.batch.set_const()
+
+
+def _differing(models: Sequence[mujoco.MjModel]) -> dict[str, np.ndarray]:
+    """The fields of models of one layout in which they differ and a batch may, (m, ...) each.
+
+    Left out are names, keyframes and the text of plugins: beside it stand their numbers.
+    """
+    fields = {}
+    for name in sorted(mujoco.batch.MODEL_FIELDS if len(models) > 1 else ()):
+        if name.startswith(("name", "key_", "plugin_attr")):
+            continue
+        rows = np.stack([attrgetter(name)(model) for model in models])
+        if (rows != rows[0]).any():
+            fields[name] = rows
+    return fields
 
 
 def _held_histories(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:

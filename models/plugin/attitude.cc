@@ -154,7 +154,8 @@ bool CheckAxes(const mjModel* m, int instance, std::string* error) {
 int Init(const mjModel* m, mjData* d, int instance) {
   AttitudeAttributes config;
   std::string error;
-  if (!ReadAttributes(m, instance, kName, config.Table(), &error) || !CheckActuators(m, instance, kName, 0, &error) ||
+  if (!ReadAttributes(m, instance, kName, config.Table(), &error) ||
+      !CheckNumbers(m, instance, kName, config.Table(), &error) || !CheckActuators(m, instance, kName, 0, &error) ||
       !CheckAxes(m, instance, &error)) {
     mju_warning("%s", error.c_str());
     return -1;

@@ -51,6 +51,30 @@ bool ReadAttributes(const mjModel* m, int instance, const char* plugin,
   return true;
 }
 
+bool CheckNumbers(const mjModel* m, int instance, const char* plugin,
+                  const std::vector<Attribute>& table, std::string* error) {
+  int size = 0, count = 0;
+  const mjtNum* numbers = CustomNumbers(m, instance, &size);
+  if (!numbers) return true;
+  for (const Attribute& attribute : table) count += attribute.count;
+  if (size != count) {
+    *error = std::string(plugin) + ": the custom numeric '" + mj_id2name(m, mjOBJ_PLUGIN, instance) +
+             "' must hold the " + std::to_string(count) + " numbers of the attributes, it holds " +
+             std::to_string(size);
+    return false;
+  }
+  for (const Attribute& attribute : table) {
+    bool good = true;
+    for (int k = 0; k < attribute.count; ++k) good = good && std::isfinite(numbers[k]);
+    if (!good || (attribute.good && !attribute.good(numbers))) {
+      *error = Refusal(plugin, attribute.name, good ? attribute.rule : "finite");
+      return false;
+    }
+    numbers += attribute.count;
+  }
+  return true;
+}
+
 std::string Refusal(const char* plugin, const char* attribute, const char* rule) {
   return std::string(plugin) + ": attribute '" + attribute + "' must be " + rule;
 }

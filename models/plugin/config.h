@@ -16,6 +16,22 @@ namespace inclined_landing {
 bool ReadAttributes(const mjModel* m, int instance, const char* plugin,
                     const std::vector<Attribute>& table, std::string* error);
 
+// Where the custom numeric with the instance's name begins, null without one: all numbers of the
+// attributes in the order of their table, instead of those of the text. Unlike text it may differ between
+// the simulations of a `mujoco.batch`.
+inline const mjtNum* CustomNumbers(const mjModel* m, int instance, int* size) {
+  const char* name = m->nnumeric ? mj_id2name(m, mjOBJ_PLUGIN, instance) : nullptr;
+  const int numeric = name ? mj_name2id(m, mjOBJ_NUMERIC, name) : -1;
+  if (numeric < 0) return nullptr;
+  *size = m->numeric_size[numeric];
+  return m->numeric_data + m->numeric_adr[numeric];
+}
+
+// Checks these numbers, if there are any, as those of attributes.
+// On failure returns false and puts a sentence into `error`.
+bool CheckNumbers(const mjModel* m, int instance, const char* plugin,
+                  const std::vector<Attribute>& table, std::string* error);
+
 // "<plugin>: attribute '<attribute>' must be <rule>".
 std::string Refusal(const char* plugin, const char* attribute, const char* rule);
 
@@ -33,9 +49,10 @@ inline Text ConfigText(const mjModel* m, int instance) {
   return {m->plugin_attr + begin, end - begin};
 }
 
-// The parsed configuration of an instance, or null if the text is not valid.
+// The parsed configuration of an instance, or null if the text is not valid. It holds until the thread's
+// next call.
 //
-// `Config` needs a default constructor and `std::vector<Attribute> Table()`.
+// `Config` needs a default constructor, `std::vector<Attribute> Table()`, `kNumbers` and `Take`.
 // Each thread keeps its own few most recent texts. The key is the text itself, never a pointer, so
 // a model that reuses another's memory, or two models in one batch, cannot read a stale value.
 template <typename Config>
@@ -44,21 +61,31 @@ const Config* CachedConfig(const mjModel* m, int instance, const char* plugin) {
     std::vector<char> text;
     bool valid;
     Config config;
+    Config own;  // with the custom numbers of whom it was last asked for
   };
   constexpr std::size_t kCapacity = 16;
   thread_local std::vector<Entry> entries;
   thread_local std::size_t next = 0;
 
+  const auto read = [&](Entry& entry) -> const Config* {
+    if (!entry.valid) return nullptr;
+    int size = 0;
+    const mjtNum* numbers = CustomNumbers(m, instance, &size);
+    if (!numbers || size != Config::kNumbers) return &entry.config;
+    entry.own.Take(numbers);
+    return &entry.own;
+  };
   const Text text = ConfigText(m, instance);
-  for (const Entry& entry : entries) {
+  for (Entry& entry : entries) {
     if (entry.text.size() == text.size &&
         std::memcmp(entry.text.data(), text.data, text.size) == 0) {
-      return entry.valid ? &entry.config : nullptr;
+      return read(entry);
     }
   }
-  Entry entry{{text.data, text.data + text.size}, false, Config{}};
+  Entry entry{{text.data, text.data + text.size}, false, Config{}, Config{}};
   std::string error;
   entry.valid = ReadAttributes(m, instance, plugin, entry.config.Table(), &error);
+  entry.own = entry.config;
   if (entries.size() < kCapacity) {
     entries.reserve(kCapacity);
     entries.push_back(std::move(entry));
@@ -67,7 +94,7 @@ const Config* CachedConfig(const mjModel* m, int instance, const char* plugin) {
     next = (next + 1) % kCapacity;
     entries[next] = std::move(entry);
   }
-  return entries[next].valid ? &entries[next].config : nullptr;
+  return read(entries[next]);
 }
 
 // Whether the engine lets this actuator act (actuation enabled, its group not disabled).

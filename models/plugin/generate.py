@@ -4,6 +4,7 @@ usage: generate.py build MUJOCO_VERSION OUTPUT_FOLDER   write attributes.h and _
        generate.py manual                               rewrite the attribute tables of README.md
 """
 
+import itertools
 import json
 import re
 import sys
@@ -61,6 +62,13 @@ class Attribute:
             return f"  double {self.name} = {numbers};  // {self.unit}: {self.meaning}"
         return f"  double {self.name}[{len(self.values)}] = {{{numbers}}};  // {self.unit}: {self.meaning}"
 
+    def taken(self, begin: int) -> list[str]:
+        """C++ that takes its numbers from `x`, where they begin at `begin`."""
+        places = (
+            [self.name] if len(self.values) == 1 else [f"{self.name}[{k}]" for k in range(len(self.values))]
+        )
+        return [f"    {place} = x[{begin + k}];" for k, place in enumerate(places)]
+
     def line(self) -> str:
         """Of the C++ table."""
         if self.names:
@@ -102,6 +110,7 @@ def header(plugins: dict[str, list[Attribute]]) -> str:
     ]
     for plugin, table in plugins.items():
         names = ", ".join(f'"{a.name}"' for a in table)
+        begins = [0, *itertools.accumulate(len(a.values) for a in table)]
         lines += [
             "",
             f"struct {plugin.title()}Attributes {{",
@@ -112,6 +121,12 @@ def header(plugins: dict[str, list[Attribute]]) -> str:
             "    return {",
             *(a.line() for a in table),
             "    };",
+            "  }",
+            "",
+            "  // All numbers, in the order of the table.",
+            f"  static constexpr int kNumbers = {begins[-1]};",
+            "  void Take(const double* x) {",
+            *(line for a, begin in zip(table, begins) for line in a.taken(begin)),
             "  }",
             "};",
         ]

@@ -197,7 +197,8 @@ bool CheckSurfaces(const mjModel* m, const RotorsConfig& config, std::string* er
 int Init(const mjModel* m, mjData* d, int instance) {
   RotorsConfig config;
   std::string error;
-  if (!ReadAttributes(m, instance, kName, config.Table(), &error) || !CheckActuators(m, instance, kName, 1, &error) ||
+  if (!ReadAttributes(m, instance, kName, config.Table(), &error) ||
+      !CheckNumbers(m, instance, kName, config.Table(), &error) || !CheckActuators(m, instance, kName, 1, &error) ||
       !CheckSurfaces(m, config, &error)) {
     mju_warning("%s", error.c_str());
     return -1;

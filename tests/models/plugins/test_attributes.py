@@ -4,6 +4,7 @@ import dataclasses
 import importlib.util
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -85,6 +86,41 @@ def test_what_is_no_number_or_one_too_many_is_refused(build, plugin, name):
     for text in ("fast", "nan", " ".join(["1"] * (count + 1))):
         with pytest.raises(ValueError, match=rf"{plugin}: attribute '{name}' must be {count} finite number"):
             build(**{plugin: {name: text}})
+
+
+@pytest.mark.parametrize("plugin, name", ATTRIBUTES, ids=lambda x: x)
+def test_custom_numbers_stand_for_the_text(plugin, name):
+    """The changed value by the numeric alone, and by the text alone, bit for bit; and unlike neither."""
+    ends = []
+    for vehicle, given in ((V, V), (V, changed(plugin, name)), (changed(plugin, name), None)):
+        spec = build_spec(vehicle, visuals=False, pooled=None if given is None else 0.0)
+        if given is not None:
+            numbers = [np.atleast_1d(getattr(given, f)) for f in plugins.fields()[plugin].values()]
+            spec.numeric(plugin).data = np.concatenate(numbers)
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        data.qpos[:3], data.qvel[:] = (
+            (0.05, 0, V.platform_surface_height + 0.1),
+            (0.3, -0.2, -0.5, 1, -1, 0.5),
+        )
+        data.act[:], data.ctrl[:] = 1.2 * V.hover_lag, (0.8 * V.hover_pwm, 0.2, -0.1, 1.0)
+        mujoco.mj_step(model, data, nstep=10)
+        ends.append(np.concatenate([data.qpos, data.qvel, data.act]))
+    np.testing.assert_array_equal(ends[1], ends[2])
+    assert (ends[0] != ends[1]).any()
+
+
+@pytest.mark.parametrize("plugin", plugins.fields())
+def test_wrong_custom_numbers_are_refused(build, plugin):
+    count = sum(np.size(getattr(V, field)) for field in plugins.fields()[plugin].values())
+    for numbers, sentence in (
+        ([1.0] * (count - 1), f"'{plugin}' must hold the {count} numbers .* holds {count - 1}"),
+        ([np.nan] * count, "must be finite"),
+        ([-1.0] * count, "must be greater than 0"),
+    ):
+        text = f'<custom><numeric name="{plugin}" data="{" ".join(map(str, numbers))}"/></custom></mujoco>'
+        with pytest.raises(ValueError, match=sentence):
+            mujoco.MjModel.from_xml_string(build.xml().replace("</mujoco>", text))
 
 
 def test_the_manual_is_current():

@@ -1,0 +1,167 @@
+"""A plant with a pool of vehicles: each flies as in a plant of its own."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from inclined_landing.models.attitude import LAG, Z
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants import make_plant
+
+V = load_vehicle()
+EFFECTS = {name: effect.apply(V, effect.plausible) for name, effect in LIBRARY.items()}
+FIELDS = {
+    "mass": V.changed(body_mass=0.028),
+    "inertia": V.changed(body_inertia=(2e-5, 1.5e-5, 3e-5)),
+    "gravity": V.changed(environment_gravity=9.0),
+    "friction": V.changed(contact_friction=0.2),
+    "spring": V.changed(contact_solref=(-2e4, -60.0)),
+    "torque limits": V.changed(attitude_torque_limit=1e-3, attitude_yaw_torque_limit=1e-4),
+    "bandwidth": V.changed(attitude_bandwidth=30.0, attitude_yaw_bandwidth=5.0),
+    "motor maps": V.changed(motor_pwm_to_force=(1e-11, 2e-6, 1e-4), motor_pwm_to_speed=(0.05, 300.0)),
+    "drag": V.changed(drag_coefficients=(-2e-6, -1e-6, -3e-6)),
+    "unrest": V.changed(unrest_acceleration=(0.5, 0.1, 0.2), unrest_acceleration_time=(0.3, 0.3, 0.3)),
+    "two delays": V.changed(effects_thrust_delay=0.013, effects_attitude_delay=0.047),
+    "all at once": functools.reduce(lambda v, e: e.apply(v, e.plausible), LIBRARY.values(), V),
+}
+POOL = {**EFFECTS, **FIELDS}
+STEPS = 50
+ANALYTIC = pytest.param("analytic", {}, id="analytic")
+LOOP = pytest.param("analytic", {"attitude": "rate_loop"}, id="analytic rate_loop")
+MUJOCO = pytest.param("mujoco", {}, id="mujoco")
+KINEMATIC = pytest.param("mujoco", {"attitude": "kinematic"}, id="mujoco kinematic")
+
+
+def starts(n):
+    """A little above the slab's middle, so that most of them touch it before long."""
+    state = np.zeros((n, 13))
+    state[:, Z], state[:, LAG] = 1.3, V.hover_lag
+    return state
+
+
+def begin(plant, choice):
+    ids = np.arange(plant.n)
+    plant.assign(ids, choice)
+    plant.set_platform(ids, V.platform_inclination + plant.tilt)
+    plant.reset(ids, starts(plant.n))
+    return plant
+
+
+def flight(plant, commands):
+    """Everything that is seen of each vehicle: (n, ...)."""
+    rows = []
+    for u in commands:
+        plant.step(np.broadcast_to(u, (plant.n, 4)))
+        seen = plant.state, plant.measurement, plant.contacts.touch, plant.contacts.force
+        rows.append(np.concatenate([x.reshape(plant.n, -1) for x in seen], axis=1))
+    return np.stack(rows, axis=1)
+
+
+def commands(steps=STEPS, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform([15_000, -0.5, -0.5, -3], [45_000, 0.5, 0.5, 3], (steps, 4))
+
+
+@pytest.mark.parametrize("kind, options", [ANALYTIC, LOOP, MUJOCO, KINEMATIC])
+def test_each_flies_as_in_a_plant_of_its_own(kind, options):
+    """Bit for bit: equations, engine's model and command histories are the same numbers."""
+    pool = list(POOL.values())
+    together = begin(make_plant(kind, len(pool), V, pool=pool, **options), np.arange(1, len(pool) + 1))
+    found = flight(together, commands())
+    for k, vehicle in enumerate(pool):
+        alone = make_plant(kind, 1, vehicle, **options)
+        alone.set_platform(np.arange(1), alone.inclination)
+        alone.reset(np.arange(1), starts(1))
+        expected = flight(alone, commands())[0]
+        np.testing.assert_array_equal(found[k], expected, err_msg=list(POOL)[k])
+    touched = found[:, :, 26 : 26 + 9].any(axis=(1, 2))
+    assert touched.mean() > 0.25
+
+
+@pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO])
+def test_whoever_is_not_assigned_is_the_plants_own(kind, options):
+    pool = list(POOL.values())
+    plain, pooled = make_plant(kind, 3, V, **options), make_plant(kind, 3, V, pool=pool, **options)
+    for plant in (plain, pooled):
+        plant.set_platform(np.arange(3), V.platform_inclination)
+        plant.reset(np.arange(3), starts(3))
+    np.testing.assert_array_equal(flight(plain, commands()), flight(pooled, commands()))
+
+
+@pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO])
+def test_others_fly_on_while_some_become_another(kind, options):
+    pool = list(POOL.values())
+    flights = []
+    for others_change in (False, True):
+        plant = begin(make_plant(kind, 4, V, pool=pool, **options), [3, 8, 20, 30])
+        rows = [flight(plant, commands(20))[:2]]
+        if others_change:
+            ids = np.array([2, 3])
+            plant.assign(ids, [40, 1])
+            plant.set_platform(ids, V.platform_inclination + plant.tilt[ids])
+            plant.reset(ids, starts(2))
+        rows.append(flight(plant, commands(20, seed=1))[:2])
+        flights.append(np.concatenate(rows, axis=1))
+        if others_change:  # and nothing of what they were before is left
+            new = begin(make_plant(kind, 4, V, pool=pool, **options), [3, 8, 40, 1])
+            expected = flight(new, commands(20, seed=1))[2:, -1]
+            np.testing.assert_array_equal(plant.state[2:], expected[:, :13])
+    np.testing.assert_array_equal(*flights)
+
+
+@pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO])
+def test_restore_replays_bit_for_bit(kind, options):
+    pool, n = list(POOL.values()), 8
+    plant = begin(make_plant(kind, n, V, pool=pool, unrest=3, **options), np.arange(n) * 5)
+    plant.perturb(mass_scale=1.1, thrust_scale=0.9)
+    if kind == "mujoco":
+        plant.set_contact(np.arange(0, n, 2), friction=0.3)
+    flight(plant, commands(15))
+    snapshot = plant.save()
+    first = flight(plant, commands(20, seed=1))
+    plant.perturb(mass_scale=1.0)
+    begin(plant, np.arange(n)[::-1])
+    plant.restore(snapshot)
+    np.testing.assert_array_equal(flight(plant, commands(20, seed=1)), first)
+    other = make_plant(kind, n, V, pool=pool, unrest=0, **options)
+    other.restore(snapshot)
+    np.testing.assert_array_equal(flight(other, commands(20, seed=1)), first)
+
+
+def test_deviations_act_on_top_of_the_pools():
+    """The perturbed mass of a vehicle of the pool is that of a plant of its own perturbed alike."""
+    pooled = begin(make_plant("mujoco", 2, V, pool=[FIELDS["mass"]]), [0, 1])
+    pooled.perturb(mass_scale=1.2)
+    for i, vehicle in enumerate((V, FIELDS["mass"])):
+        alone = make_plant("mujoco", 1, vehicle)
+        alone.set_platform(np.arange(1), alone.inclination)
+        alone.reset(np.arange(1), starts(1))
+        alone.perturb(mass_scale=1.2)
+        mass = (plant.batch.expanded("body_mass")[k] for plant, k in ((pooled, i), (alone, 0)))
+        np.testing.assert_array_equal(*mass)
+
+
+@pytest.mark.parametrize("changed, sentence", [
+    ({"rotor_arm": 0.04}, "rotor.arm cannot differ from vehicle to vehicle"),
+    ({"platform_width": 1.0}, "slab.half_length cannot differ"),
+    ({"command_pwm_range": (0.0, 60_000.0)}, "command.pwm_range cannot differ"),
+    ({"body_mass": -1.0}, "body.mass is -1 kg"),
+])  # fmt: skip
+def test_vehicles_that_do_not_go_together_are_refused(changed, sentence):
+    with pytest.raises(UserError, match=sentence):
+        make_plant("analytic", 2, V, pool=[V, V.changed(**changed)])
+
+
+def test_vehicles_that_are_not_there_are_refused():
+    plant = make_plant("analytic", 2, V, pool=[V])
+    for wrong in (2, -1):
+        with pytest.raises(UserError, match="vehicles 1 to 1, and 0 is the plant's own"):
+            plant.assign(np.arange(2), [0, wrong])
+    assert not plant.choice.any()
+    snapshot = make_plant("analytic", 2, V, pool=[V, V])
+    snapshot.assign(np.arange(2), [2, 2])
+    with pytest.raises(UserError, match="another pool"):
+        plant.restore(snapshot.save())
