@@ -24,6 +24,10 @@ COMMANDS = {
         "Success table of a policy: how often, how fast, how hard it reaches its goal.",
     ),
     "touchdown": ("policies", "Touchdown policy beside a landing policy whose motors are cut (minutes)."),
+    "robustness": (
+        "policies",
+        "Landing policies over thrust and under every effect of the library: curve, matrix, page (minutes).",
+    ),
     "figure": ("pictures", "Stroboscopic trajectory with PWM and pitch over time, as PNG and PDF."),
     "video": ("pictures", "Video of flights, one after the other."),
     "picture": ("pictures", "One picture of a whole flight: copies of the vehicle along its way."),

@@ -112,10 +112,13 @@ class Landings(Flights):
         return condition
 
     def effect(self, task, flights: Sequence[Flight], vehicle: Vehicle, inclination: float) -> dict:
-        """The frozen grid, and how many are at rest after their motors were cut."""
+        """The frozen grid; how many rest after their motors were cut, and how fast they touched [m/s]."""
         arrived = [f.state[-1] for f in flights if f.success]
-        rest = cut_motors(np.array(arrived), inclination, vehicle).at_rest.sum() if arrived else 0
-        return self.summary(task, flights) | {"at_rest_on_feet": proportion(rest, len(flights))}
+        after = cut_motors(np.array(arrived), inclination, vehicle) if arrived else None
+        return self.summary(task, flights) | {
+            "at_rest_on_feet": proportion(after.at_rest.sum() if after else 0, len(flights)),
+            "normal_speed": spread(after.normal_speed if after else []),
+        }
 
     def headline(self, condition: dict) -> dict:
         """The frozen grid and the entry into the goal box."""

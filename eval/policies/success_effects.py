@@ -7,15 +7,17 @@ frozen grid, and where they arrive their motors are cut; set-point policies fly 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from inclined_landing.envs.flights import record_flights
+from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
-from inclined_landing.eval.policies.judges import Flights, judge_of, report_of
+from inclined_landing.eval.policies.judges import judge_of, report_of
 from inclined_landing.models.attitude import LAG
-from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import make_plant
@@ -33,23 +35,34 @@ def evaluate(policy: Policy, *, plant: str = "mujoco", seed: int = 0) -> dict:
     for effect, values in track(cases, "flying", console=Console(stderr=True), transient=True):
         name = "none" if effect is None else effect.name
         vehicle = policy.task.vehicle if effect is None else effect.apply(policy.task.vehicle, values)
-        units = {} if effect is None else {p.name: p.unit for p in effect.parameters}
         try:
-            outcome = _outcome(judge, policy, plant, vehicle, starts)
+            flights, inclination = fly(policy, plant, vehicle, starts)
         except FloatingPointError as error:
             raise UserError(f"effect {name}: {error}") from error
-        parameters = {key: {"value": value, "unit": units[key]} for key, value in values.items()}
-        rows.append({"effect": name, "parameters": parameters, **outcome})
+        outcome = judge.effect(policy.task, flights, vehicle, inclination)
+        rows.append(
+            {"effect": name, "parameters": {} if effect is None else sizes(effect, values), **outcome}
+        )
     return report_of("success --effects", policy, plant, seed) | {"effects": rows}
 
 
-def _outcome(judge: Flights, policy: Policy, plant: str, vehicle: Vehicle, starts: np.ndarray) -> dict:
+def sizes(effect: Effect, values: Mapping[str, float]) -> dict:
+    """Values of an effect's parameters with their units, for a report."""
+    units = {p.name: p.unit for p in effect.parameters}
+    return {name: {"value": value, "unit": units[name]} for name, value in values.items()}
+
+
+def fly(policy: Policy, plant: str, vehicle: Vehicle, starts: np.ndarray) -> tuple[list[Flight], float]:
+    """Flights of `vehicle`, of which the policy knows nothing, from `starts` (n, 13) of its own vehicle.
+
+    With them the inclination of the platform there [rad]; 0 without one.
+    """
     task, starts = policy.task, starts.copy()
     starts[:, LAG] *= task.vehicle.thrust_lag_rate / vehicle.thrust_lag_rate  # the same load
     tilt = vehicle.platform_inclination - task.vehicle.platform_inclination
     fleet = make_plant(plant, len(starts), vehicle)
     flights = record_flights(policy, _Tilted(fleet, tilt) if tilt else fleet, starts, steps=task.judged_steps)
-    return judge.effect(task, flights, vehicle, task.options.get("inclination", 0.0) + tilt)
+    return flights, task.options.get("inclination", 0.0) + tilt
 
 
 class _Tilted:

@@ -59,7 +59,7 @@ def show(report: dict) -> None:
     kind = TASKS[report["task"]].table
     if "effects" in report:
         labels = ("effect", "size")
-        rows = [((row["effect"], _size(row["parameters"])), row) for row in report["effects"]]
+        rows = [((row["effect"], size_words(row["parameters"])), row) for row in report["effects"]]
         blocks = [rows[:1], rows[1:]]
     elif "grid" in report["conditions"][0]:
         labels = ("starts", "thrust")
@@ -102,7 +102,7 @@ def _thrust(condition: dict) -> str:
     return f"x {condition['thrust_scale']:g}"
 
 
-def _size(parameters: dict) -> str:
+def size_words(parameters: dict) -> str:
     """Parameter values with their units: "x 0.5, y -0.3 m/s"."""
     units = {p["unit"] for p in parameters.values()}
     common = units.pop() if len(units) == 1 else None

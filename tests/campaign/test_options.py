@@ -18,6 +18,7 @@ from inclined_landing.eval import cli
 NEEDED = {
     "success": ("landing",),
     "touchdown": ("touchdown",),
+    "robustness": ("landing", "--out", "{place}/out"),
     "figure": ("landing", "--out", "{place}/out"),
     "video": ("landing", "--out", "{place}/out.mp4"),
     "picture": ("landing", "--out", "{place}/out.png"),

@@ -1,0 +1,1 @@
+"""`landing-eval robustness`: what landing policies survive of what the model may lack."""
