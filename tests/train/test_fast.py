@@ -4,6 +4,7 @@ import copy
 
 import numpy as np
 import pytest
+import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
@@ -12,7 +13,10 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import make_task
+from inclined_landing.envs.tasks.landing import Conditions
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import make_plant
+from inclined_landing.train.fast import kernels
 from inclined_landing.train.fast.ppo import FastPPO
 
 N, STEPS = 8, 100
@@ -124,3 +128,142 @@ def test_an_update_is_that_of_sb3(case, frozen):
         assert set(said) == set(expected)
         for name, value in expected.items():
             assert said[name] == pytest.approx(value, rel=1e-4, abs=1e-5), name
+
+
+class Stop(BaseCallback):
+    def _on_step(self) -> bool:
+        return self.num_timesteps < 5 * N
+
+
+def easy(task) -> None:
+    """Episodes that end within a hundred steps, some of them in a large goal box."""
+    task.conditions = Conditions(start_reach=0.6, tilt=0.0, goal_size=0.3, platform=0.0)
+    task.max_steps = 40
+
+
+def test_a_rollout_is_that_of_sb3(monkeypatch):
+    """SB3's own `collect_rollouts`, made to take the same actions, fills the same buffer.
+
+    Values, log-probabilities and what is made of them to 1e-5: networks of this size in float32 are exact to
+    about 1e-6. What comes from the environment is equal.
+    """
+    fast = model(FastPPO, n=32)
+    easy(fast.env.env.task)
+    keep = rollout(fast)
+    assert keep.ended > keep.truncated > 0
+    own = fast.rollout_buffer
+    stock = model(PPO, n=32)
+    easy(stock.env.env.task)
+    stock.policy.load_state_dict(fast.policy.state_dict())
+    taken = iter(own.actions)
+
+    def forward(observation):
+        actions = torch.as_tensor(next(taken))
+        values, log_prob, _ = stock.policy.evaluate_actions(observation, actions)
+        return actions, values, log_prob
+
+    monkeypatch.setattr(stock.policy, "forward", forward)
+    again = rollout(stock)
+    expected = stock.rollout_buffer
+    assert own.full and own.pos == expected.pos
+    for name in ("observations", "actions", "episode_starts"):
+        np.testing.assert_array_equal(getattr(own, name), getattr(expected, name), err_msg=name)
+    for name in ("values", "log_probs", "rewards", "advantages", "returns"):
+        np.testing.assert_allclose(getattr(own, name), getattr(expected, name), rtol=1e-5, atol=1e-5)
+    assert (keep.ended, keep.truncated) == (again.ended, again.truncated)
+    assert [(e["r"], e["l"]) for e in fast.ep_info_buffer] == [(e["r"], e["l"]) for e in stock.ep_info_buffer]
+    assert fast.ep_success_buffer == stock.ep_success_buffer
+    np.testing.assert_array_equal(fast._last_obs, stock._last_obs)
+    np.testing.assert_array_equal(fast._last_episode_starts, stock._last_episode_starts)
+
+
+def test_actions_are_drawn_around_the_actors_mean():
+    """Means and standard deviations of 51 200 draws within 5 standard errors of what torch says."""
+    fast = model(FastPPO, n=512)
+    rollout(fast)
+    buffer = fast.rollout_buffer
+    with torch.no_grad():
+        observations = torch.as_tensor(buffer.observations.reshape(-1, buffer.observations.shape[-1]))
+        mean = fast.policy.get_distribution(observations).distribution.mean.numpy()
+        std = fast.policy.log_std.exp().numpy()
+    noise = (buffer.actions.reshape(mean.shape) - mean) / std
+    error = 5 / np.sqrt(len(noise))
+    np.testing.assert_allclose(noise.mean(axis=0), 0, atol=error)
+    np.testing.assert_allclose(noise.std(axis=0), 1, atol=error)
+    assert abs(np.corrcoef(noise.T)[0, 1]) < error
+
+
+def test_a_callback_stops_a_rollout():
+    fast = model(FastPPO)
+    _, callback = fast._setup_learn(10**6, Stop())
+    assert not fast.collect_rollouts(fast.env, callback, fast.rollout_buffer, fast.n_steps)
+    assert fast.num_timesteps == 5 * N
+
+
+def test_one_thread_or_two_change_no_bit():
+    """Of a rollout whose values are computed in two parts, and of updates."""
+    made = []
+    for threads in (1, 2):
+        made.append(model(FastPPO, n=16))
+        made[-1].threads = threads
+        made[-1].learn(3 * 16 * STEPS)
+    one, two = (weights(fast) for fast in made)
+    for name in one:
+        np.testing.assert_array_equal(one[name], two[name], err_msg=name)
+    np.testing.assert_array_equal(made[0].rollout_buffer.values, made[1].rollout_buffer.values)
+
+
+def test_files_go_from_one_to_the_other(tmp_path):
+    """What one has saved the other goes on with, moments of the optimizer included."""
+    fast = model(FastPPO)
+    fast.learn(2 * N * STEPS)
+    fast.save(tmp_path / "fast", exclude=("lr_schedule",))
+    stock = PPO.load(tmp_path / "fast", environment(), device="cpu")
+    for a, b in zip(fast.policy.optimizer.state.values(), stock.policy.optimizer.state.values()):
+        assert all(torch.equal(a[name], b[name]) for name in ("step", "exp_avg", "exp_avg_sq"))
+        assert a["step"] == 2 * 3 * 4
+    stock.learn(N * STEPS, reset_num_timesteps=False)
+    stock.save(tmp_path / "stock")
+    again = FastPPO.load(tmp_path / "stock", environment(), device="cpu")
+    again.learn(N * STEPS, reset_num_timesteps=False)
+    assert all(np.isfinite(tensor).all() for tensor in weights(again).values())
+    assert all(state["step"] == 4 * 3 * 4 for state in again.policy.optimizer.state.values())
+
+
+def test_a_network_that_diverges_is_not_hidden():
+    """What is not finite stays so: nothing limits it back to a number."""
+    fast = model(FastPPO)
+    rollout(fast)
+    fast.rollout_buffer.returns[3, 3] = np.nan
+    fast.rollout_buffer.advantages[3, 3] = np.nan
+    update(fast)
+    assert all(
+        np.isnan(tensor).any() for name, tensor in weights(fast).items() if name[-4:] in ("ight", "bias")
+    )
+
+
+REFUSED = {
+    "tanh": {"activation_fn": torch.nn.ReLU},
+    "clipped": {"clip_range_vf": 0.2},
+    "early": {"target_kl": 0.01},
+    "normal": {"use_sde": True},
+    "one sample": {"batch_size": 3, "n_steps": 2},
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_it_is_not_for_is_refused(what):
+    options = dict(REFUSED[what])
+    kwargs = {"activation_fn": options.pop("activation_fn")} if "activation_fn" in options else None
+    with pytest.raises(UserError, match=what):
+        FastPPO("MlpPolicy", environment(), device="cpu", policy_kwargs=kwargs, **options)
+
+
+def test_tanh_is_exact_to_float32():
+    """Relative error at most 4e-7, some units in the last place, and not a number stays none."""
+    x = np.concatenate([np.linspace(-12, 12, 100_001), 10.0 ** -np.arange(1, 30)]).astype(np.float32)
+    found = np.append(x, [np.nan, np.inf, -np.inf]).astype(np.float32)
+    kernels._tanh(found, np.uint64(0), np.uint64(len(found)))
+    np.testing.assert_allclose(found[: len(x)], np.tanh(x.astype(float)), rtol=4e-7, atol=1e-37)
+    assert np.isnan(found[-3]) and found[-2] == -found[-1] == pytest.approx(1, abs=4e-7)
+    assert np.abs(found[: len(x)]).max() <= 1

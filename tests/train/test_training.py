@@ -467,6 +467,7 @@ def test_evaluation_starts_are_neither_training_starts_nor_another_seeds(tmp_pat
 WRONG = {
     "hover": "unknown task 'hover'; known are landing, setpoint, touchdown",
     "--plant gazebo": "unknown plant 'gazebo'; known are mujoco and analytic",
+    "--update slow": "unknown update 'slow'; known are fast and stock",
     "--integrator rk4": "unknown integrator 'rk4'; known are RK4, implicitfast, Euler",
     "--environments 1 --rollout 1 --batch-size 2": "must give more than one sample",
     "--environments 3 --rollout 11 --batch-size 32": "leaves a last minibatch of one sample",

@@ -224,10 +224,9 @@ def _backward(w, widths, a, d, row, g):
 
 
 @_compiled
-def _log_density(action, mean, log_std):
-    """Of a normal distribution, float32; and the deviation in standard deviations."""
-    deviation = (action - mean) * np.exp(-log_std)
-    return np.float32(-0.5) * deviation * deviation - log_std - np.float32(_HALF_LOG_TWO_PI), deviation
+def _log_density(deviation, log_std):
+    """Of a normal distribution at a deviation in standard deviations."""
+    return np.float32(-0.5) * deviation * deviation - log_std - np.float32(_HALF_LOG_TWO_PI)
 
 
 @_compiled
@@ -235,6 +234,7 @@ def act(w, widths, centre, scale, limit, observations, noise, low, high, a, acti
     """Actions (n, a) drawn with standard normal `noise` (n, a), clipped ones, and log_prob (n,)."""
     n, size = np.uint64(len(observations)), widths[-1]
     log_std = np.uint64(len(w)) - size
+    std = np.exp(w[log_std:])
     rows = np.arange(len(observations)).astype(np.uint64)
     for first in range(_0, n, _B):
         count = min(_B, n - first)
@@ -244,9 +244,8 @@ def act(w, widths, centre, scale, limit, observations, noise, low, high, a, acti
             total = np.float32(0)
             for k in range(size):
                 mean = a[(out + k) * _B + s]
-                action = mean + np.exp(w[log_std + k]) * noise[first + s, k]
-                density, _ = _log_density(action, mean, w[log_std + k])
-                total += density
+                action = mean + std[k] * noise[first + s, k]
+                total += _log_density((action - mean) / std[k], w[log_std + k])
                 actions[first + s, k] = action
                 action = low[k] if action < low[k] else action
                 clipped[first + s, k] = high[k] if action > high[k] else action
@@ -299,7 +298,7 @@ def _actor_gradient(
     std = math.sqrt(squares / (samples - _1))
     loss, kl, clipped = 0.0, 0.0, 0.0
     low, high = np.float32(1) - clip, np.float32(1) + clip
-    deviations = np.empty(size, np.float32)
+    per_std, deviations = np.float32(1) / np.exp(w[log_std:]), np.empty(size, np.float32)
     for begin in range(first, last, _B):
         count = min(_B, last - begin)
         _load(observations, rows, begin, count, centre, scale, limit, a)
@@ -310,8 +309,8 @@ def _actor_gradient(
             row = rows[begin + s]
             density = np.float32(0)
             for k in range(size):
-                part, deviations[k] = _log_density(actions[row, k], a[(out + k) * _B + s], w[log_std + k])
-                density += part
+                deviations[k] = (actions[row, k] - a[(out + k) * _B + s]) * per_std[k]
+                density += _log_density(deviations[k], w[log_std + k])
             gain = np.float32((gains[row] - np.float32(mean)) / (np.float32(std) + np.float32(1e-8)))
             log_ratio = density - before[row]
             ratio = np.exp(log_ratio)
@@ -323,7 +322,7 @@ def _actor_gradient(
             clipped += abs(ratio - np.float32(1)) > clip
             slope = np.float32(0) if flat else -gain * ratio / np.float32(samples)
             for k in range(size):
-                d[(out + k) * _B + s] = slope * deviations[k] * np.exp(-w[log_std + k])
+                d[(out + k) * _B + s] = slope * deviations[k] * per_std[k]
                 g[log_std + k] += slope * (deviations[k] * deviations[k] - np.float32(1))
         if learns:
             _backward(w, widths, a, d, out, g)
