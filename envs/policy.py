@@ -21,7 +21,7 @@ import numpy as np
 
 from inclined_landing.envs import weights
 from inclined_landing.envs.history import input_names
-from inclined_landing.envs.tasks import TASKS, Task, make_task, task_class
+from inclined_landing.envs.tasks import TASKS, Task, known, make_task, task_class
 from inclined_landing.envs.tasks.base import resolve_pwm_centre, resolve_pwm_span
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
@@ -186,8 +186,8 @@ def load_policy(
         data = _read_table(archive, "data", path)
         network = _actor(_read_tensors(archive, path), data, path)
     wanted = task if task is None or isinstance(task, str) else task.name
-    if wanted is not None and wanted not in TASKS:
-        raise UserError(f"unknown task {wanted!r}; known are {' and '.join(TASKS)}")
+    if isinstance(task, str):
+        task_class(task)  # is there one of this name
     trained = metadata.get("task")
     if wanted and trained and wanted != trained:
         raise UserError(f"policy {path} was trained for the task {trained}, not for {wanted}")
@@ -195,6 +195,8 @@ def load_policy(
         raise UserError(
             f"policy {path} does not say which task it was trained for; name the task ({' or '.join(TASKS)})"
         )
+    if trained and task is None and not known(trained):
+        raise _unknown_task(metadata, path)
     if task is None or isinstance(task, str):
         task = _build_task(trained or wanted, metadata, vehicle, inclination, path)
     elif metadata:
@@ -226,18 +228,16 @@ def _stamp_of(path: str | Path) -> dict:
         return _read_stamp(archive, path)
 
 
+def action_map(path: str | Path) -> tuple[float, float]:
+    """PWM at action 0 and span of a policy file, or of a shipped policy, as they were in training."""
+    return _action_map(_stamp_of(path).get("task_options", {}))
+
+
 def tensors(path: str | Path) -> dict[str, np.ndarray]:
     """All of a policy file's network by SB3's names, the critic and the exploration noise included."""
     path = locate(path)
     with _open(path) as archive:
         return _read_tensors(archive, path)
-
-
-def action_map(path: str | Path) -> tuple[float, float]:
-    """PWM at action 0 and span of a policy file, or of a shipped policy, as they were in training."""
-    path = locate(path)
-    with _open(path) as archive:
-        return _action_map(_read_stamp(archive, path).get("task_options", {}))
 
 
 def _action_map(options: dict) -> tuple[float, float]:
@@ -305,11 +305,8 @@ def _read_stamp(archive: zipfile.ZipFile, path: Path) -> dict:
     if not _shallow(metadata, 5):
         raise UserError(f"policy {path}: {STAMP} in it is nested too deeply")
     name, options = metadata.get("task"), metadata.get("task_options", {})
-    if name is not None and not (isinstance(name, str) and name in TASKS):
-        raise UserError(
-            f"policy {path}: {STAMP} in it names an unknown task, {shown(name, 40)}; "
-            f"known are {' and '.join(TASKS)}"
-        )
+    if name is not None and not (isinstance(name, str) and len(name) < 100):
+        raise _unknown_task(metadata, path)
     if not isinstance(options, dict):
         raise UserError(f"policy {path}: task_options in its {STAMP} is not a table")
     for option, value in options.items():
@@ -320,6 +317,20 @@ def _read_stamp(archive: zipfile.ZipFile, path: Path) -> dict:
                 f"not {shown(value, 40)}"
             )
     return metadata
+
+
+def _unknown_task(metadata: dict, path: Path) -> UserError:
+    """The sentence for a task that is not known, and was perhaps imported; a file never has it imported."""
+    name, source = metadata.get("task"), metadata.get("task_from")
+    if source is not None:
+        return UserError(
+            f"policy {path} was trained for {shown(name, 40)}, a task of {shown(source, 60)}; if you trust "
+            f"that code, name it: --task {shown(source, 60)}"
+        )
+    return UserError(
+        f"policy {path}: {STAMP} in it names an unknown task, {shown(name, 40)}; "
+        f"known are {' and '.join(TASKS)}"
+    )
 
 
 def _shallow(value, levels: int) -> bool:

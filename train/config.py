@@ -12,7 +12,7 @@ from typing import Annotated
 import tyro
 
 from inclined_landing.envs.policy import SHIPPED, action_map, history_of, trained_for
-from inclined_landing.envs.tasks import TASKS, task_class
+from inclined_landing.envs.tasks import TASKS, import_task, is_path, task_class
 from inclined_landing.envs.tasks.base import LONGEST_HISTORY, Training
 from inclined_landing.eval.base.options import Range, Seed, check_ranges
 from inclined_landing.models.errors import UserError, shown
@@ -47,6 +47,7 @@ def _by_success(text: str, name: str):
     )
 
 
+_TASK = tyro.conf.arg(help=f"{', '.join(TASKS)}, or one of your own: module:Class or file.py:Class.")
 _CURRICULA = "; ".join(f"{name}: {', '.join(task.curricula)}" for name, task in TASKS.items())
 
 
@@ -59,7 +60,7 @@ class TrainConfig:
     wrong input with 2.
     """
 
-    task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(help=f"{', '.join(TASKS)}.")] = "landing"
+    task: Annotated[tyro.conf.Positional[str], _TASK] = "landing"
     out: Path | None = None
     """Run folder (default: runs/TASK-seed)."""
     seed: Seed = 0
@@ -171,7 +172,8 @@ class TrainConfig:
     def resolved(self) -> TrainConfig:
         """A copy with every default filled in and every value checked; raises UserError."""
         self._check_types()
-        training = task_class(self.task).training
+        kind = import_task(self.task) if is_path(self.task) else task_class(self.task)
+        training = kind.training
         if self.plant not in PLANTS:
             raise UserError(f"unknown plant {shown(self.plant, 40)!r}; known are {' and '.join(PLANTS)}")
         if self.integrator not in (None, *INTEGRATORS):
@@ -179,18 +181,18 @@ class TrainConfig:
             raise UserError(f"unknown integrator {shown(self.integrator, 40)!r}; known are {known}")
         if self.update not in UPDATES:
             raise UserError(f"unknown update {shown(self.update, 40)!r}; known are {' and '.join(UPDATES)}")
-        if self.inclination is not None and not task_class(self.task).has_platform:
-            raise UserError(f"--inclination: the task {self.task} has no inclined platform")
+        if self.inclination is not None and not kind.has_platform:
+            raise UserError(f"--inclination: the task {kind.name} has no inclined platform")
         given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}
         filled = {k: getattr(training, k) if value is None else value for k, value in given.items()}
         check_ranges(self)
         filled |= self._ending(training)
-        out = Path(self.out or f"runs/{self.task}-{self.seed}")
+        out = Path(self.out or f"runs/{kind.name}-{self.seed}")
         vehicle = None if self.vehicle is None else Path(self.vehicle)
         randomise = None if self.randomise is None else Path(self.randomise)
         if self.history is None:
             start = filled["start_from"]
-            same = start is not None and trained_for(start) == self.task
+            same = start is not None and trained_for(start) == kind.name
             filled["history"] = history_of(start) if same else 0
         filled |= self._action_map(filled["start_from"])
         config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)

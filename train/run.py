@@ -33,6 +33,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from inclined_landing.envs.flights import record_flight, record_flights
 from inclined_landing.envs.policy import Policy, load_policy, stamp
+from inclined_landing.envs.tasks import is_path
 from inclined_landing.eval.base import runs
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
@@ -253,7 +254,8 @@ class Run:
         """What a policy file says of itself."""
         config = self.config
         return {
-            "task": config.task,
+            "task": self.env.env.task.name,
+            **({"task_from": config.task} if is_path(config.task) else {}),
             "task_options": self.env.env.task.options,
             "plant": config.plant,
             "curriculum": self.curriculum.name,
@@ -373,7 +375,7 @@ class Run:
             if (saved.best is None) != (not self.evaluations):
                 raise UserError("best.zip and evaluations do not belong together")
             if saved.best is not None:
-                _check_policy(saved.best, self.config.task)
+                _check_policy(saved.best, self.env.env.task.name)
         except UserError as error:
             raise checkpoint.refused(self.folder / CHECKPOINT, f"cannot be continued: {error}") from error
         self.best = saved.best
@@ -520,8 +522,11 @@ def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
             if then != now:
                 raise UserError(f"it was begun with {package} {then}, and {now} would go on otherwise")
         given = TrainConfig(**record["config"])
+        _check_named(config, given)
         if given.resolved().as_json() != record["config"]:
             raise UserError("its configuration is not as it was written")
+    except _NotNamed:
+        raise
     except UserError as error:
         raise _refused(path, error) from error
     _check_same(config, given)
@@ -531,6 +536,19 @@ def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
         if first is not None:  # its copy, unless the run was stopped before it was made
             setattr(given, name, copy if copy.is_file() else Path(first))
     return given, record
+
+
+class _NotNamed(UserError):
+    """A run folder alone does not have code imported."""
+
+
+def _check_named(config: TrainConfig, begun: TrainConfig) -> None:
+    if is_path(begun.task) and begun.task != config.task:
+        task, out = shlex.quote(shown(begun.task, 60)), shlex.quote(str(config.out))
+        raise _NotNamed(
+            f"{config.out} trains the task {task}; if you trust that code, name it: "
+            f"landing-train {task} --resume --out {out}"
+        )
 
 
 def _check_same(config: TrainConfig, begun: TrainConfig) -> None:

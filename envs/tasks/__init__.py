@@ -1,21 +1,56 @@
 """The tasks, by name: the one place that lists them. Their Gymnasium ids and environments follow."""
 
-from inclined_landing.envs.tasks.base import Moment, Task
+from inclined_landing.envs.tasks.base import Judgement, Moment, Start, Task, Training, hover_states
 from inclined_landing.envs.tasks.landing import InclinedLanding
+from inclined_landing.envs.tasks.own import import_class, is_path
 from inclined_landing.envs.tasks.setpoint import Setpoint
 from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 TASKS: dict[str, type[Task]] = {task.name: task for task in (InclinedLanding, Setpoint, InclinedTouchdown)}
+_OWN: dict[str, type[Task]] = {}  # imported with `import_task`, by path and by name
 
-__all__ = ["TASKS", "InclinedLanding", "InclinedTouchdown", "Moment", "Setpoint", "Task", "make_task"]
+__all__ = [
+    "TASKS",
+    "InclinedLanding",
+    "InclinedTouchdown",
+    "Judgement",
+    "Moment",
+    "Setpoint",
+    "Start",
+    "Task",
+    "Training",
+    "hover_states",
+    "import_task",
+    "is_path",
+    "make_task",
+]
+
+
+def known(name) -> bool:
+    """Is there a task of this name, or has one been imported by this name or path."""
+    return isinstance(name, str) and (name in TASKS or name in _OWN)
 
 
 def task_class(name: str) -> type[Task]:
-    """The class of a task by name; raises UserError for an unknown one."""
-    if not isinstance(name, str) or name not in TASKS:
-        raise UserError(f"unknown task {name!r}; known are {', '.join(TASKS)}")
-    return TASKS[name]
+    """The class of a task by name, or by the path it was imported by; raises UserError for an unknown one."""
+    if not known(name):
+        raise UserError(f"unknown task {shown(repr(name), 60)}; known are {', '.join(TASKS)}")
+    return TASKS[name] if name in TASKS else _OWN[name]
+
+
+def import_task(path: str) -> type[Task]:
+    """Import a task of one's own, `module:Class` or `file.py:Class`; it is then known like any other.
+
+    As with modules, a second import of the same path is the first.
+    """
+    if path in _OWN:
+        return _OWN[path]
+    kind = import_class(path)
+    if kind.name in TASKS:
+        raise UserError(f"task {shown(path, 60)} is called {kind.name}, as one of this package; rename it")
+    _OWN[path] = _OWN[kind.name] = kind
+    return kind
 
 
 def make_task(name: str, vehicle=None, **options) -> Task:

@@ -3,9 +3,10 @@
 A task holds no vehicle state and steps nothing. `BatchEnv` owns the plant and the episodes and asks
 the task; every function here takes and returns arrays whose first axis is the vehicle.
 
-A new task is a file beside this one with a class derived from `Task`, and its entry in `TASKS`. It must
-have `name`, the names and scale of its observations, `action_names`, `sample` and `judge`; everything
-else has a default: it can then be trained, evaluated, filmed and pictured.
+A new task is a class derived from `Task`: in a file beside this one with its entry in `TASKS`, or anywhere
+and named as `module:Class` or `file.py:Class` (`envs.tasks.own`). It must have `name`, the names and scale of
+its observations, `action_names`, `sample` and `judge`; everything else has a default: it can then be trained,
+evaluated, filmed and pictured.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import Contacts
 
 COLUMNS = {name: column for column, name in enumerate(STATE_NAMES)}  # of the state
-_COMMANDS = {"thrust": PWM, "roll": ROLL_COMMAND, "pitch": PITCH_COMMAND, "yaw rate": YAW_RATE_COMMAND}
+ACTIONS = {"thrust": PWM, "roll": ROLL_COMMAND, "pitch": PITCH_COMMAND, "yaw rate": YAW_RATE_COMMAND}
 _UNKNOWN: Any = None
 LONGEST_HISTORY = 50  # steps
 
@@ -190,7 +191,7 @@ class Task(abc.ABC):
                 u[:, PWM] = np.clip(self.pwm_centre + self.pwm_span * action, *v.command_pwm_range)
             else:
                 limit = v.command_yaw_rate_limit if name == "yaw rate" else v.command_angle_limit
-                u[:, _COMMANDS[name]] = limit * action
+                u[:, ACTIONS[name]] = limit * action
         return u
 
     def thrust_of(self, other: Task) -> tuple[float, float]:

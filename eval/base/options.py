@@ -58,7 +58,8 @@ class Flown:
     """What a policy is flown in.
 
     Args:
-        task: the task the policy must be for; needed for a plain Stable-Baselines3 file.
+        task: the task the policy must be for; needed for a plain Stable-Baselines3 file, and for a task of
+            your own, written module:Class or file.py:Class, which is then imported.
         plant: the physics to fly in.
         inclination: of the platform in degrees, where it differs from the training's.
         vehicle: vehicle file (TOML), where it differs from the shipped one.
@@ -72,6 +73,7 @@ class Flown:
     def load(self, policy: str) -> Policy:
         """The policy for this vehicle and platform. Raises UserError when any of it is unknown or wrong."""
         from inclined_landing.envs.policy import load_policy
+        from inclined_landing.envs.tasks import import_task, is_path
         from inclined_landing.models.parameters import load_vehicle
         from inclined_landing.models.plants import PLANTS
 
@@ -81,7 +83,8 @@ class Flown:
         angle = None if self.inclination is None else math.radians(self.inclination)
         if angle is not None:
             (vehicle or load_vehicle()).check_inclination(angle)
-        return load_policy(policy, self.task, vehicle=vehicle, inclination=angle)
+        task = import_task(self.task).name if is_path(self.task) else self.task
+        return load_policy(policy, task, vehicle=vehicle, inclination=angle)
 
 
 @dataclasses.dataclass(frozen=True)

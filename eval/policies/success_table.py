@@ -6,7 +6,7 @@ import math
 
 from rich.table import Table
 
-from inclined_landing.envs.tasks import TASKS
+from inclined_landing.envs.tasks import task_class
 from inclined_landing.eval.base.tables import new_table, printer, share_cell, spread_cell
 
 _GROUPS = {
@@ -56,7 +56,7 @@ _CAPTIONS = {
 def show(report: dict) -> None:
     """Print the report of `success.evaluate` or of `success_effects.evaluate`."""
     console = printer()
-    kind = TASKS[report["task"]].table
+    kind = task_class(report["task"]).table
     if "effects" in report:
         labels = ("effect", "size")
         rows = [((row["effect"], size_words(row["parameters"])), row) for row in report["effects"]]

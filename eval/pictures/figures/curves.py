@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from inclined_landing.envs.tasks import task_class
+from inclined_landing.envs.tasks import is_path, known, task_class
 from inclined_landing.envs.tasks.base import ScoreCurve
 from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, styled
 from inclined_landing.models import storage
@@ -39,7 +39,7 @@ def read_run(folder: str | Path) -> tuple[str, dict[str, pd.DataFrame]]:
     record = storage.read_json(folder / "run.json", "run")
     try:
         task = record["config"]["task"]
-        drawn = {"learning": _LEARNING, "evaluations": (task_class(task).score_curve,)}
+        drawn = {"learning": _LEARNING, "evaluations": (_score_curve(task),)}
     except (TypeError, KeyError, UserError) as error:
         raise UserError(f"{folder / 'run.json'} does not say which task was trained") from error
     tables = {
@@ -49,6 +49,11 @@ def read_run(folder: str | Path) -> tuple[str, dict[str, pd.DataFrame]]:
     if tables["learning"].empty:
         raise UserError(f"{folder / 'learning.csv'} holds no rows yet: the run has not learned anything")
     return task, tables
+
+
+def _score_curve(task: str) -> ScoreCurve:
+    """The task's; of a task of one's own that was not imported what every task has."""
+    return ScoreCurve() if is_path(task) and not known(task) else task_class(task).score_curve
 
 
 def _table(path: Path, columns: list[str]) -> pd.DataFrame:
@@ -91,7 +96,7 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
     tasks = sorted(set(named))
     if len(tasks) > 1:
         raise UserError(f"the runs are of different tasks ({' and '.join(tasks)}); choose runs of one")
-    curves = [("evaluations", task_class(tasks[0]).score_curve, BLUE)]
+    curves = [("evaluations", _score_curve(tasks[0]), BLUE)]
     for curve, colour in _LEARNING.items():
         if curve is _REWARD or any(run["learning"][curve.column].nunique() > 1 for run in read):
             curves.append(("learning", curve, colour))

@@ -1,0 +1,80 @@
+"""Tasks of one's own: a class derived from `Task`, named as `module:Class` or `file.py:Class`.
+
+Naming one imports and so runs it. That happens only where a person names it, never because a policy file or
+a run folder does.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from inclined_landing.envs.tasks.base import ACTIONS, Task
+from inclined_landing.models.errors import UserError, shown
+
+_NAME = re.compile("[a-z][a-z0-9_-]{0,40}")
+_NEEDED = ("name", "observation_names", "observation_scale", "action_names")
+
+
+def is_path(name) -> bool:
+    """Does `name` say where a class is, rather than what a task of this package is called."""
+    return isinstance(name, str) and ":" in name
+
+
+def import_class(path: str) -> type[Task]:
+    """The class that `path` names, imported and checked; raises UserError if it is none."""
+    source, _, name = path.rpartition(":")
+    if not source or not name.isidentifier():
+        raise UserError(f"a task of your own is written module:Class or file.py:Class, not {shown(path, 60)}")
+    what = f"task {shown(path, 60)}"
+    try:
+        module = _from_file(Path(source)) if source.endswith(".py") else _from_module(source)
+    except (Exception, SystemExit) as error:  # whatever the code does
+        raise UserError(f"{what} cannot be imported: {type(error).__name__}: {shown(error, 120)}") from error
+    kind = getattr(module, name, None)
+    if not (isinstance(kind, type) and issubclass(kind, Task)):
+        raise UserError(f"{what}: {source} has no class {name} derived from inclined_landing.envs.tasks.Task")
+    _check(kind, what)
+    return kind
+
+
+def _from_file(path: Path) -> ModuleType:
+    name = f"_task_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path.resolve(strict=True))
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look themselves up there
+    spec.loader.exec_module(module)
+    return module
+
+
+def _from_module(name: str) -> ModuleType:
+    here = str(Path.cwd())
+    if here not in sys.path:  # as python -m has it
+        sys.path.insert(0, here)
+    return importlib.import_module(name)
+
+
+def _check(kind: type[Task], what: str) -> None:
+    """Raise UserError unless the class says what every task must say."""
+    if inspect.isabstract(kind):
+        raise UserError(f"{what} lacks {' and '.join(sorted(kind.__abstractmethods__))}")
+    missing = [name for name in _NEEDED if not hasattr(kind, name)]
+    if missing:
+        raise UserError(f"{what} lacks {' and '.join(missing)}")
+    if not (isinstance(kind.name, str) and _NAME.fullmatch(kind.name)):
+        raise UserError(
+            f"{what} has the name {shown(repr(kind.name), 40)}; it takes small letters and digits"
+        )
+    if not kind.action_names or not set(kind.action_names) <= set(ACTIONS):
+        raise UserError(f"{what} has actions {tuple(kind.action_names)}; known are {', '.join(ACTIONS)}")
+    if np.shape(kind.observation_scale) != (len(kind.observation_names),):
+        raise UserError(f"{what} has not one observation_scale for each of its observation_names")
