@@ -45,7 +45,7 @@ class Flight:
 def record_flights(policy: Policy, plant, states: np.ndarray, *, steps: int | None = None) -> list[Flight]:
     """Fly the deterministic policy from each of `states` (n, 13), all at once.
 
-    plant: of n vehicles, or a name ("mujoco", "analytic") for a plain one of the task's vehicle.
+    plant: of n vehicles, or a name ("mujoco", "hybrid", "analytic") for a plain one of the task's vehicle.
     steps: fly at most this many control steps (default: the task's limit).
     Raises UserError when the number of states is not the plant's.
     """

@@ -5,7 +5,7 @@ reward. Options of both constructors:
 
 | option | default | meaning |
 |---|---|---|
-| `plant` | "mujoco" | "mujoco" or "analytic" |
+| `plant` | "mujoco" | "mujoco", "hybrid" or "analytic" |
 | `plant_options` | {} | arguments of the plant: `{"integrator": "implicitfast"}`, `{"unrest": 0}` ... |
 | `vehicle` | shipped | a `Vehicle`, or the path of a vehicle file |
 | others | | arguments of the task, such as `inclination`, `pwm_centre` or `history` |
@@ -58,7 +58,7 @@ def _batch(task: str, n: int, plant: str, plant_options, vehicle, options) -> Ba
     if not isinstance(vehicle, Vehicle):
         raise UserError(f"vehicle must be a Vehicle or the path of a file, not {shown(repr(vehicle), 40)}")
     if not isinstance(plant, str) or plant not in PLANTS:
-        raise UserError(f"unknown plant {shown(repr(plant), 40)}; known are {' and '.join(PLANTS)}")
+        raise UserError(f"unknown plant {shown(repr(plant), 40)}; known are {', '.join(PLANTS)}")
     if not isinstance(plant_options or {}, dict):
         raise UserError(f"plant_options must be a dictionary, not {shown(repr(plant_options), 40)}")
     _check_options(plant_options or {}, PLANTS[plant], f"the {plant} plant")

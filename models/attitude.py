@@ -53,6 +53,21 @@ def body_rates(roll, pitch, roll_rate, pitch_rate, yaw_rate):
 
 
 @numba.njit(cache=True, inline="always")
+def body_accelerations(roll, pitch, roll_rate, pitch_rate, yaw_rate, roll_acc, pitch_acc, yaw_acc):
+    """Time derivative [rad/s2] of `body_rates` at Euler rates [rad/s] and Euler accelerations [rad/s2]."""
+    sr, cr = math.sin(roll), math.cos(roll)
+    sp, cp = math.sin(pitch), math.cos(pitch)
+    horizontal = yaw_acc * cr - yaw_rate * roll_rate * sr
+    radial = pitch_rate * yaw_rate * cr
+    cross = roll_rate * pitch_rate
+    return (
+        roll_acc * cp - cross * sp - horizontal * sp - radial * cp,
+        pitch_acc + yaw_acc * sr + yaw_rate * roll_rate * cr,
+        roll_acc * sp + cross * cp + horizontal * cp - radial * sp,
+    )
+
+
+@numba.njit(cache=True, inline="always")
 def quaternion(roll, pitch, yaw):
     """Unit quaternion (w, x, y, z) of Rz(yaw) Rx(roll) Ry(pitch)."""
     cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)

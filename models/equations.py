@@ -34,6 +34,7 @@ from inclined_landing.models.attitude import (
     WY,
     WZ,
     YAW_RATE_COMMAND,
+    body_accelerations,
     body_rates,
     euler_rates,
 )
@@ -344,11 +345,33 @@ def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
     out[2] += thrust
 
 
+@numba.njit(cache=True, inline="always")
+def _over(torque, limit):
+    """What must be added to a torque so that it is within +-limit."""
+    return min(limit, max(-limit, torque)) - torque
+
+
+@numba.njit(cache=True, inline="always")
+def _beyond_limits(y, dy, v, limits):
+    """Body torque (x, y, z) [N m] that limits (3,) [N m] add to those which the loops ask for in dy."""
+    j = v.body.inertia
+    wx, wy, wz = body_rates(y[_PHI], y[_THETA], y[_RATES], y[_RATES + 1], y[_RATES + 2])
+    ax, ay, az = body_accelerations(
+        y[_PHI], y[_THETA], y[_RATES], y[_RATES + 1], y[_RATES + 2], dy[_RATES], dy[_RATES + 1], dy[_RATES + 2]
+    )
+    return (
+        _over(j[0] * ax + (j[2] - j[1]) * wy * wz, limits[0]),
+        _over(j[1] * ay + (j[0] - j[2]) * wz * wx, limits[1]),
+        _over(j[2] * az + (j[1] - j[0]) * wx * wy, limits[2]),
+    )
+
+
 @numba.njit(cache=True)
-def _derivative(y, u, ambient, push, i, v, p, rate_loop, r, f, dy):
+def _derivative(y, u, ambient, push, i, limits, v, p, rate_loop, r, f, dy):
     """dy/dt of the integrated vector y (13,) under command u (4,); r (3, 3) and f (5,) are scratch.
 
     push (n, 6), or None: of it row i is further acceleration [m/s2] and torque [N m] in the world's axes.
+    limits (3,), or None: of the rate loops' torques about the body's axes [N m].
     """
     sr, cr = math.sin(y[_PHI]), math.cos(y[_PHI])
     sp, cp = math.sin(y[_THETA]), math.cos(y[_THETA])
@@ -376,6 +399,9 @@ def _derivative(y, u, ambient, push, i, v, p, rate_loop, r, f, dy):
         dy[_RATES + 1] = rate_loop_acceleration(pitch_wanted, thetad, bandwidth, tau, damping)
         dy[_RATES + 2] = v.attitude.yaw_bandwidth * (yaw_wanted - psid)
         tx, ty, tz = f[3], f[4], 0.0
+        if limits is not None:
+            beyond_x, beyond_y, beyond_z = _beyond_limits(y, dy, v, limits)
+            tx, ty, tz = tx + beyond_x, ty + beyond_y, tz + beyond_z
         if push is not None:
             tx += r[0, 0] * push[i, 3] + r[1, 0] * push[i, 4] + r[2, 0] * push[i, 5]
             ty += r[0, 1] * push[i, 3] + r[1, 1] * push[i, 4] + r[2, 1] * push[i, 5]
@@ -398,6 +424,55 @@ def free_air(n: int) -> np.ndarray:
 
 
 @numba.njit(cache=True)
+def scratch():
+    """Working memory of `rk4`."""
+    return np.zeros(_SIZE), np.zeros(_SIZE), np.zeros(_SIZE), np.empty((3, 3)), np.zeros(5)
+
+
+@numba.njit(cache=True, inline="always")
+def take(s, y):
+    """A state s (13,) with the columns of `attitude.py` as the integrated vector y (13,)."""
+    y[:9] = s[:9]
+    y[_OMEGA] = s[LAG]
+    y[_RATES], y[_RATES + 1], y[_RATES + 2] = euler_rates(s[ROLL], s[PITCH], s[WX], s[WY], s[WZ])
+
+
+@numba.njit(cache=True, inline="always")
+def give(y, s):
+    """The inverse of `take`."""
+    s[:9] = y[:9]
+    s[LAG] = y[_OMEGA]
+    s[WX], s[WY], s[WZ] = body_rates(y[_PHI], y[_THETA], y[_RATES], y[_RATES + 1], y[_RATES + 2])
+
+
+@numba.njit(cache=True)
+def rk4(y, u, around, push, i, limits, v, p, rate_loop, dt, work):
+    """One step of `dt` [s] of an integrated vector y (13,) and its time, in place; see `_derivative`.
+
+    around (AMBIENT_SIZE,): what the vehicle meets; work: `scratch()`.
+    """
+    z, total, k, r, f = work
+    size = _SIZE if rate_loop else _RATES
+    _derivative(y, u, around, push, i, limits, v, p, rate_loop, r, f, k)
+    for j in range(size):
+        total[j] = k[j]
+        z[j] = y[j] + 0.5 * dt * k[j]
+    around[TIME] += 0.5 * dt
+    _derivative(z, u, around, push, i, limits, v, p, rate_loop, r, f, k)
+    for j in range(size):
+        total[j] += 2.0 * k[j]
+        z[j] = y[j] + 0.5 * dt * k[j]
+    _derivative(z, u, around, push, i, limits, v, p, rate_loop, r, f, k)
+    for j in range(size):
+        total[j] += 2.0 * k[j]
+        z[j] = y[j] + dt * k[j]
+    around[TIME] += 0.5 * dt
+    _derivative(z, u, around, push, i, limits, v, p, rate_loop, r, f, k)
+    for j in range(size):
+        y[j] += dt / 6.0 * (total[j] + k[j])
+
+
+@numba.njit(cache=True)
 def advance(state, commands, ambient, vehicle, p, rate_loop, dt, substeps, push=None):
     """Advance every vehicle, and its time, in place by substeps * dt with RK4.
 
@@ -408,38 +483,16 @@ def advance(state, commands, ambient, vehicle, p, rate_loop, dt, substeps, push=
     With the kinematic model the body rates in the state are those of the first-order loops at the end of
     the step, and torques have no effect.
     """
-    each, size = len(vehicle) > 1, _SIZE if rate_loop else _RATES
-    y, z, total = np.zeros(_SIZE), np.zeros(_SIZE), np.zeros(_SIZE)
-    k, r, f = np.zeros(_SIZE), np.empty((3, 3)), np.zeros(5)
+    each, y, work = len(vehicle) > 1, np.zeros(_SIZE), scratch()
     for i in range(state.shape[0]):
         s, u, around, v = state[i], commands[i], ambient[i], vehicle[i if each else 0]
-        y[:9] = s[:9]
-        y[_OMEGA] = s[LAG]
-        y[_RATES], y[_RATES + 1], y[_RATES + 2] = euler_rates(s[ROLL], s[PITCH], s[WX], s[WY], s[WZ])
+        take(s, y)
         for _ in range(substeps):
-            _derivative(y, u, around, push, i, v, p[i], rate_loop, r, f, k)
-            for j in range(size):
-                total[j] = k[j]
-                z[j] = y[j] + 0.5 * dt * k[j]
-            around[TIME] += 0.5 * dt
-            _derivative(z, u, around, push, i, v, p[i], rate_loop, r, f, k)
-            for j in range(size):
-                total[j] += 2.0 * k[j]
-                z[j] = y[j] + 0.5 * dt * k[j]
-            _derivative(z, u, around, push, i, v, p[i], rate_loop, r, f, k)
-            for j in range(size):
-                total[j] += 2.0 * k[j]
-                z[j] = y[j] + dt * k[j]
-            around[TIME] += 0.5 * dt
-            _derivative(z, u, around, push, i, v, p[i], rate_loop, r, f, k)
-            for j in range(size):
-                y[j] += dt / 6.0 * (total[j] + k[j])
-        s[:9] = y[:9]
-        s[LAG] = y[_OMEGA]
+            rk4(y, u, around, push, i, None, v, p[i], rate_loop, dt, work)
         if not rate_loop:
             roll, pitch = held_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
             y[_RATES], y[_RATES + 1], y[_RATES + 2] = loop_rates(roll, pitch, u, v, p[i])
-        s[WX], s[WY], s[WZ] = body_rates(y[_PHI], y[_THETA], y[_RATES], y[_RATES + 1], y[_RATES + 2])
+        give(y, s)
 
 
 def derivative(state: np.ndarray, command: np.ndarray, vehicle: Vehicle, rate_loop=False):
@@ -452,7 +505,7 @@ def derivative(state: np.ndarray, command: np.ndarray, vehicle: Vehicle, rate_lo
     y[:9], y[_OMEGA] = state[:9], state[LAG]
     y[_RATES:] = euler_rates(state[ROLL], state[PITCH], state[WX], state[WY], state[WZ])
     v, p, command = pack(vehicle)[0], np.array(NEUTRAL), np.asarray(command, float)
-    still = free_air(1)[0], None, 0
+    still = free_air(1)[0], None, 0, None
     _derivative(y, command, *still, v, p, rate_loop, np.empty((3, 3)), np.zeros(5), dy)
     result = {
         "acceleration": dy[VX : VZ + 1].copy(),

@@ -123,6 +123,30 @@ def platform_poses(inclination, present, vehicle: Vehicle, surface_height=None):
     return position, quaternion
 
 
+@numba.njit(cache=True, inline="always")
+def box_distance(x, y, z, position, tilt, centre, size):
+    """Signed distance [m] of a point to a box of the platform, negative inside.
+
+    position (3,) of its body, tilt (sine, cosine) of its inclination, centre and half size (3,) in the body.
+    """
+    dx, dy, dz = x - position[0], y - position[1], z - position[2]
+    dx, dz = tilt[1] * dx - tilt[0] * dz, tilt[0] * dx + tilt[1] * dz
+    dx, dy, dz = abs(dx - centre[0]) - size[0], abs(dy - centre[1]) - size[1], abs(dz - centre[2]) - size[2]
+    outside = math.sqrt(max(dx, 0.0) ** 2 + max(dy, 0.0) ** 2 + max(dz, 0.0) ** 2)
+    return outside + min(max(dx, dy, dz), 0.0)
+
+
+@numba.njit(cache=True)
+def platform_distance(point, inclination, position, boxes, sizes):
+    """Signed distance [m] of a point (3,) to the platform; position (4, 3) from `platform_poses`."""
+    x, y, z = point[0], point[1], point[2]
+    tilt = math.sin(inclination), math.cos(inclination)
+    nearest = box_distance(x, y, z, position[0], tilt, boxes[0], sizes[0])
+    for b in range(1, len(sizes)):  # only the slab is tilted
+        nearest = min(nearest, box_distance(x, y, z, position[b], (0.0, 1.0), boxes[b], sizes[b]))
+    return nearest
+
+
 @numba.njit(cache=True)
 def _clearances(state, inclination, position, centres, radii, parts, boxes, sizes, reach, out):
     """Smallest distance (n, 3 surfaces, 3 parts) of the vehicle's shapes to the scene [m]."""
@@ -131,7 +155,7 @@ def _clearances(state, inclination, position, centres, radii, parts, boxes, size
         out[i, :, :] = np.inf
         r = rotation(state[i, 6], state[i, 7], state[i, 8])
         near_floor = state[i, 2] < 2.0 * reach
-        si, ci = math.sin(inclination[i]), math.cos(inclination[i])
+        tilt = math.sin(inclination[i]), math.cos(inclination[i])
         for k in range(centres.shape[0]):
             for a in range(3):
                 rotated[a] = state[i, a] + (
@@ -141,16 +165,9 @@ def _clearances(state, inclination, position, centres, radii, parts, boxes, size
             if near_floor:
                 out[i, 2, part] = min(out[i, 2, part], rotated[2] - radii[k])
             for b in range(sizes.shape[0]):
-                dx = rotated[0] - position[i, b, 0]
-                dy = rotated[1] - position[i, b, 1]
-                dz = rotated[2] - position[i, b, 2]
-                if b == 0:  # only the slab is tilted
-                    dx, dz = ci * dx - si * dz, si * dx + ci * dz
-                dx = abs(dx - boxes[b, 0]) - sizes[b, 0]
-                dy = abs(dy - boxes[b, 1]) - sizes[b, 1]
-                dz = abs(dz - boxes[b, 2]) - sizes[b, 2]
-                outside = math.sqrt(max(dx, 0.0) ** 2 + max(dy, 0.0) ** 2 + max(dz, 0.0) ** 2)
-                distance = outside + min(max(dx, dy, dz), 0.0) - radii[k]
+                own = tilt if b == 0 else (0.0, 1.0)  # only the slab is tilted
+                x, y, z = rotated[0], rotated[1], rotated[2]
+                distance = box_distance(x, y, z, position[i, b], own, boxes[b], sizes[b]) - radii[k]
                 surface = 0 if b == 0 else 1
                 out[i, surface, part] = min(out[i, surface, part], distance)
 

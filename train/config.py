@@ -96,10 +96,10 @@ class TrainConfig:
     report: bool = True
     """After training: success table, learning curves, figures and the landing video."""
 
-    plant: str = "mujoco"
-    """mujoco or analytic."""
+    plant: str = "hybrid"
+    """mujoco; hybrid: the same with the equations in free flight; or analytic."""
     integrator: Annotated[
-        str | None, _by_task("Of the MuJoCo plant in training, 4 ms steps; evaluation uses RK4", "integrator")
+        str | None, _by_task("Of the engine in training, 4 ms steps; evaluation uses RK4", "integrator")
     ] = None
     keep_out: Annotated[
         float | None,
@@ -175,7 +175,7 @@ class TrainConfig:
         kind = import_task(self.task) if is_path(self.task) else task_class(self.task)
         training = kind.training
         if self.plant not in PLANTS:
-            raise UserError(f"unknown plant {shown(self.plant, 40)!r}; known are {' and '.join(PLANTS)}")
+            raise UserError(f"unknown plant {shown(self.plant, 40)!r}; known are {', '.join(PLANTS)}")
         if self.integrator not in (None, *INTEGRATORS):
             known = ", ".join(INTEGRATORS)
             raise UserError(f"unknown integrator {shown(self.integrator, 40)!r}; known are {known}")

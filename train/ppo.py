@@ -49,7 +49,7 @@ def check_memory(config: TrainConfig) -> None:
 def training_environment(config: TrainConfig) -> BatchVecEnv:
     """The vehicles a run trains on, in the plant the configuration names."""
     options = {"keep_out": config.keep_out}
-    if config.plant == "mujoco":
+    if config.plant != "analytic":
         options |= {"integrator": config.integrator, "threads": config.threads}
     task = build_task(config)
     plant = make_plant(config.plant, config.environments, task.vehicle, **options)

@@ -444,7 +444,7 @@ class Run:
 
 
 class _Judge:
-    """Periodic evaluation: random starts of a stream of its own, plain MuJoCo plant, RK4."""
+    """Periodic evaluation: random starts of a stream of its own, plain hybrid plant, RK4."""
 
     def __init__(self, config: TrainConfig, vehicle):
         self.task = ppo.build_task(config)
@@ -452,7 +452,7 @@ class _Judge:
         count = EVALUATION_STARTS if config.success is None else ENDING_STARTS
         start = self.task.evaluation_starts(rng, count)
         self.starts = start.state
-        self.plant = make_plant("mujoco", count, vehicle, threads=config.threads)
+        self.plant = make_plant("hybrid", count, vehicle, threads=config.threads)
         if start.contact is not None:
             self.plant.set_contact(np.arange(count), **start.contact)
         self.film_start = self.task.states_at(self.task.film_starts[:1])

@@ -42,7 +42,7 @@ Pixels = Annotated[int, Range(16, 4096)]
 Flag = tyro.conf.FlagCreatePairsOff[bool]
 PolicyFile = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
 PolicyName = Annotated[str, tyro.conf.arg(metavar="POLICY")]
-PlantName = Annotated[str, tyro.conf.arg(metavar="{mujoco,analytic}")]
+PlantName = Annotated[str, tyro.conf.arg(metavar="{mujoco,hybrid,analytic}")]
 TaskName = Annotated[str | None, tyro.conf.arg(metavar="TASK")]
 Degrees = Annotated[float | None, tyro.conf.arg(metavar="DEG")]
 Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
@@ -78,7 +78,7 @@ class Flown:
         from inclined_landing.models.plants import PLANTS
 
         if self.plant not in PLANTS:
-            raise UserError(f"unknown plant {self.plant!r}; known are {' and '.join(PLANTS)}")
+            raise UserError(f"unknown plant {self.plant!r}; known are {', '.join(PLANTS)}")
         vehicle = load_vehicle(self.vehicle) if self.vehicle is not None else None
         angle = None if self.inclination is None else math.radians(self.inclination)
         if angle is not None:

@@ -62,7 +62,7 @@ def command(
     loaded = flown.load(policy)
     if forces and not loaded.task.has_platform:
         raise UserError(f"--forces is for tasks with a platform: a {loaded.task.name} flight touches nothing")
-    if forces and flown.plant != "mujoco":
+    if forces and flown.plant == "analytic":
         raise UserError("--forces needs the MuJoCo plant: in the analytic one nothing is felt")
     if look.camera == "touch" and not forces:
         raise UserError("--camera touch looks at a touchdown: it needs --forces")

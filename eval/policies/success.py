@@ -51,7 +51,7 @@ def evaluate(
 ) -> dict:
     """The success report of a policy, as plain numbers; one entry of `conditions` per thrust scale.
 
-    plant: "mujoco" or "analytic", always the plain one (no keep-out zone, RK4 at 4 ms).
+    plant: "mujoco", "hybrid" or "analytic", always the plain one (no keep-out zone, RK4 at 4 ms).
     unrest: fly in that of the task's vehicle, always the same. seed: of the random starts.
     """
     return _evaluate(policy, plant, thrust_scales, unrest, seed)[0]

@@ -26,7 +26,7 @@ from inclined_landing.models.plants import make_plant
 def evaluate(policy: Policy, *, plant: str = "mujoco", seed: int = 0) -> dict:
     """The report, as plain numbers; one entry of `effects` per effect, the first without any.
 
-    plant: "mujoco" or "analytic". seed: of the random starts of a set-point policy.
+    plant: "mujoco", "hybrid" or "analytic". seed: of the random starts of a set-point policy.
     """
     cases = [(None, {}), *((effect, effect.plausible) for effect in LIBRARY.values())]
     judge = judge_of(policy.task)

@@ -90,7 +90,7 @@ def show(report: dict) -> None:
 
 
 def _title(report: dict) -> str:
-    plant = {"mujoco": "MuJoCo", "analytic": "analytic"}[report["plant"]]
+    plant = {"mujoco": "MuJoCo"}.get(report["plant"], report["plant"])
     effects = " with one effect each" if "effects" in report else ""
     title = f"{report['policy']}: {report['task']}{effects}, {plant} plant, seed {report['seed']}"
     if "inclination" in report["task_options"]:

@@ -104,7 +104,7 @@ class MujocoPlant(Plant):
         self._warning = self.batch.warning
         self._history = bind("history") if self.model.nhistory else None
         self._held = _held_histories(self.model) if self.model.nhistory else None
-        self._seen = {"sensordata": np.zeros((n, self.substeps, self.model.nsensordata))}
+        self._seen = np.zeros((n, self.substeps, self.model.nsensordata))
         self.contact_sensors = contact_sensors(self.model)
         self._everyone = np.arange(n)
         self._applied = bind("xfrc_applied")[:, self.model.body("crazyflie").id]
@@ -221,7 +221,7 @@ class MujocoPlant(Plant):
 
     def check(self) -> None:
         """Raise FloatingPointError, naming the vehicles, if the engine has diverged since their reset."""
-        if self._warning[:, _DIVERGED, 1].any() or not np.isfinite(self.state).all():
+        if not _all_well(self._warning, self.state):
             bad = np.flatnonzero(self.diverged)[:5]
             raise FloatingPointError(f"the engine diverged for vehicles {bad.tolist()}")
 
@@ -236,40 +236,55 @@ class MujocoPlant(Plant):
         """`step` without its check, for the vehicles `ids` (k,) alone; the others stand still.
 
         ids: sorted, unique; None takes all. Commands are (n, 4) in any case.
-        record: fields of the engine's data. Returns them after every engine step, (k, substeps, ...), and
-        "sensordata", which belongs to the step's beginning.
+        record: fields of the engine's data. Returns them after every engine step, (k, substeps, ...), with
+        "sensordata", which belongs to the step's beginning; nothing where nothing is asked for.
         """
         commands = np.asarray(commands, float)
         own = slice(None) if ids is None else ids
+        self._give(commands, own)
+        if self.attitude == "kinematic":
+            self._synchronise(own)
+        seen = self._roll(ids, record)
+        self.delays.push_state(self.state, own)
+        return seen
+
+    def _give(self, commands: np.ndarray, own) -> np.ndarray | None:
+        """What holds for the control period that begins for the vehicles `own`: commands (n, 4), unrest.
+
+        Returns the unrest's push (n, 6), see `Unrest.push`, or None in still air.
+        """
         self._ctrl[:] = commands
-        fresh = np.flatnonzero(self.delays.fresh)
-        if self._history is not None and self._held is not None and len(fresh):
+        if self._history is not None and self._held is not None and self.delays.fresh.any():
+            fresh = np.flatnonzero(self.delays.fresh)
             empty, held = self._held
             self._history[fresh] = empty + commands[fresh] @ held
         self.delays.push_commands(commands, own)
         self.allow_torque(commands)
-        if self.unrest:
-            self._disturb(self.unrest, own)
-        if self.attitude == "kinematic":
-            kept = np.ones(self.n, bool)
-            kept[own] = self.contacts.touch[own].any(axis=(1, 2))
-            wanted = self._ctrl
-            if self.delays.of_commands:
-                wanted = self.delays.acting(0.0, self.control_period / self.substeps)
-            _synchronise_rates(self._qpos, self._qvel, wanted, self._constants, self.perturbation, kept)
-        if ids is None and not record:
-            seen = self._seen
-            self.batch.rollout(self.substeps, record=("sensordata",), out=seen)
-        else:
-            seen = self.batch.rollout(self.substeps, record=("sensordata", *record), ids=ids)
-        c, stepped = self.contacts, self._everyone if ids is None else ids
-        zone = self.keep_out > 0.0
-        _read_contacts(seen["sensordata"], stepped, self.contact_sensors, zone, c.near, c.touch, c.force)
-        _read_state(self._qpos, self._qvel, self._act, self.state)
-        self.delays.push_state(self.state, own)
-        return seen
+        return self._disturb(self.unrest, own) if self.unrest else None
 
-    def _disturb(self, unrest: Unrest, own) -> None:
+    def _synchronise(self, own) -> None:
+        """Give the vehicles `own` that touch nothing the body rates of the first-order loops."""
+        kept = np.ones(self.n, bool)
+        kept[own] = self.contacts.touch[own].any(axis=(1, 2))
+        wanted = self._ctrl
+        if self.delays.of_commands:
+            wanted = self.delays.acting(0.0, self.control_period / self.substeps)
+        _synchronise_rates(self._qpos, self._qvel, wanted, self._constants, self.perturbation, kept)
+
+    def _roll(self, ids: np.ndarray | None, record: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+        """The engine's steps of one control period of the vehicles `ids`, read back; see `advance`."""
+        stepped = self._everyone if ids is None else ids
+        seen = {"sensordata": self._seen[: len(stepped)]}
+        if record:
+            seen = self.batch.rollout(self.substeps, record=("sensordata", *record), ids=ids)
+        else:
+            self.batch.rollout(self.substeps, record=("sensordata",), ids=ids, out=seen)
+        c, zone = self.contacts, self.keep_out > 0.0
+        _read_contacts(seen["sensordata"], stepped, self.contact_sensors, zone, c.near, c.touch, c.force)
+        _read_state(stepped, self._qpos, self._qvel, self._act, self.state)
+        return seen if record else {}
+
+    def _disturb(self, unrest: Unrest, own) -> np.ndarray:
         """Force and torque of the unrest on the vehicles `own` for one control period, which then goes on."""
         body, masses = self.model.body("crazyflie").id, self.batch.expanded("body_mass")
         mass = self.model.body_mass[body] if masses is None else masses[:, body, None]
@@ -277,6 +292,7 @@ class MujocoPlant(Plant):
         self._applied[own, :3] = (push[:, :3] * mass)[own]
         self._applied[own, 3:] = push[own, 3:]
         unrest.step(own)
+        return push
 
     def allow_torque(self, commands: np.ndarray) -> None:
         """Attitude torques as motors under commands (n, 4) can make them; every step sees to it itself."""
@@ -350,14 +366,27 @@ def _write_state(ids, state, qpos, qvel, act):
 
 
 @numba.njit(cache=True)
-def _read_state(qpos, qvel, act, state):
-    for i in range(state.shape[0]):
+def _read_state(ids, qpos, qvel, act, state):
+    for i in ids:
         q, s = qpos[i], state[i]
         s[:3] = q[:3]
         s[VX : VX + 3] = qvel[i, :3]
         s[ROLL], s[PITCH], s[YAW] = euler_angles(q[3], q[4], q[5], q[6])
         s[WX : WZ + 1] = qvel[i, 3:6]
         s[LAG] = act[i, 0]
+
+
+@numba.njit(cache=True)
+def _all_well(warning, state):
+    """Has no engine diverged, and is every state finite?"""
+    for i in range(len(state)):
+        for k in range(_DIVERGED.start, _DIVERGED.stop):
+            if warning[i, k, 1]:
+                return False
+        for x in state[i]:
+            if not math.isfinite(x):
+                return False
+    return True
 
 
 @numba.njit(cache=True)
@@ -374,6 +403,16 @@ def _synchronise_rates(qpos, qvel, ctrl, vehicle, p, kept):
 
 
 @numba.njit(cache=True)
+def _meets(row, addresses):
+    """Has any contact sensor in `row` (s,) found a contact?"""
+    for geom in range(addresses.shape[0]):
+        for part in range(addresses.shape[1]):
+            if row[addresses[geom, part]] > 0.0:
+                return True
+    return False
+
+
+@numba.njit(cache=True)
 def _read_contacts(sensors, ids, addresses, zone, near, touch, force):
     """Fold contact sensors (k, substeps, s) into the rows `ids` of (n, 3, 3) arrays, maximum over substeps.
 
@@ -387,6 +426,8 @@ def _read_contacts(sensors, ids, addresses, zone, near, touch, force):
         force[own] = 0.0
         for s in range(sensors.shape[1]):
             row = sensors[i, s]
+            if not _meets(row, addresses):
+                continue
             for surface in range(3):
                 for part in range(3):
                     found = False

@@ -137,7 +137,7 @@ def simulate(
         state[:, :LAG] += disturbance
     ambient = starts.gather([f.ambient for f in starts.flights])
     if plant not in PLANTS:
-        raise UserError(f"unknown plant {plant!r}; known are {' and '.join(PLANTS)}")
+        raise UserError(f"unknown plant {plant!r}; known are {', '.join(PLANTS)}")
     if plant == "analytic":
         pose = _analytic(starts, vehicle, state, commands, ambient)
     else:
