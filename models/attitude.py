@@ -53,8 +53,10 @@ def body_rates(roll, pitch, roll_rate, pitch_rate, yaw_rate):
 
 
 @numba.njit(cache=True, inline="always")
-def body_accelerations(roll, pitch, roll_rate, pitch_rate, yaw_rate, roll_acc, pitch_acc, yaw_acc):
-    """Time derivative [rad/s2] of `body_rates` at Euler rates [rad/s] and Euler accelerations [rad/s2]."""
+def body_accelerations(roll, pitch, rates, accelerations):
+    """Time derivative [rad/s2] of `body_rates` at Euler rates and accelerations (3,) each [rad/s, rad/s2]."""
+    roll_rate, pitch_rate, yaw_rate = rates
+    roll_acc, pitch_acc, yaw_acc = accelerations
     sr, cr = math.sin(roll), math.cos(roll)
     sp, cp = math.sin(pitch), math.cos(pitch)
     horizontal = yaw_acc * cr - yaw_rate * roll_rate * sr

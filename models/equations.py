@@ -354,11 +354,11 @@ def _over(torque, limit):
 @numba.njit(cache=True, inline="always")
 def _beyond_limits(y, dy, v, limits):
     """Body torque (x, y, z) [N m] that limits (3,) [N m] add to those which the loops ask for in dy."""
-    j = v.body.inertia
-    wx, wy, wz = body_rates(y[_PHI], y[_THETA], y[_RATES], y[_RATES + 1], y[_RATES + 2])
-    ax, ay, az = body_accelerations(
-        y[_PHI], y[_THETA], y[_RATES], y[_RATES + 1], y[_RATES + 2], dy[_RATES], dy[_RATES + 1], dy[_RATES + 2]
-    )
+    j, roll, pitch = v.body.inertia, y[_PHI], y[_THETA]
+    rates = y[_RATES], y[_RATES + 1], y[_RATES + 2]
+    wanted = dy[_RATES], dy[_RATES + 1], dy[_RATES + 2]
+    wx, wy, wz = body_rates(roll, pitch, rates[0], rates[1], rates[2])
+    ax, ay, az = body_accelerations(roll, pitch, rates, wanted)
     return (
         _over(j[0] * ax + (j[2] - j[1]) * wy * wz, limits[0]),
         _over(j[1] * ay + (j[0] - j[2]) * wz * wx, limits[1]),

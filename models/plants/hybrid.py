@@ -91,12 +91,13 @@ class HybridPlant(MujocoPlant):
 def _fly(
     ids, acting, ranges, push, limited, needs_motors, vehicle, p, dt, substeps,
     inclination, present, mocap, boxes, sizes, bodies, above_feet, nominal, contact, zone,
-    state, qpos, qvel, act, ctrl, time, warmstart, history, samples, addresses, near, touch, force, in_engine, left,
+    state, qpos, qvel, act, ctrl, time, warmstart, history, samples, addresses,
+    near, touch, force, in_engine, left,
 ):  # fmt: skip
-    """Fly those of the vehicles `ids` by the equations that stay out of reach; how many are left to the engine.
+    """Fly those of the vehicles `ids` by the equations that stay out of reach.
 
-    Their numbers are put into `left`. Vehicles that have flown are in the engine's arrays what the engine
-    would have made of them, without a warm start of its solver, which has had no contact.
+    Returns how many are left to the engine; their numbers are put into `left`. The engine's arrays of the
+    others are what it would have made of them, without a warm start of its solver, which had no contact.
     """
     each, held, work = len(vehicle) > 1, len(acting) == 1, equations.scratch()
     y, u, around = np.zeros(13), np.empty(4), np.empty(equations.AMBIENT_SIZE)

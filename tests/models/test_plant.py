@@ -71,7 +71,7 @@ def assert_same(a, b):
         np.testing.assert_array_equal(x, y)
 
 
-@pytest.fixture(params=["mujoco", "mujoco kinematic", "analytic", "analytic rate_loop"])
+@pytest.fixture(params=["mujoco", "mujoco kinematic", "hybrid", "analytic", "analytic rate_loop"])
 def build(request):
     kind, _, attitude = request.param.partition(" ")
     options = {"attitude": attitude} if attitude else {}
@@ -337,7 +337,7 @@ def test_flying_into_the_base_touches_the_base():
         assert plant.contacts.touch[0, BASE].any() and not plant.contacts.touch[0, [SLAB, FLOOR]].any()
 
 
-@pytest.mark.parametrize("kind", ["mujoco", "analytic"])
+@pytest.mark.parametrize("kind", ["mujoco", "hybrid", "analytic"])
 def test_an_absent_platform_is_never_touched(kind):
     plant = make_plant(kind, 2)
     plant.set_platform(np.arange(2), V.platform_inclination, [False, True])
@@ -380,7 +380,7 @@ def test_geometric_and_physical_detection_agree(approach, degrees):
     assert first["mujoco"] > 2 and abs(first["mujoco"] - first["analytic"]) <= 1, first
 
 
-@pytest.mark.parametrize("kind", ["mujoco", "analytic"])
+@pytest.mark.parametrize("kind", ["mujoco", "hybrid", "analytic"])
 def test_the_keep_out_zone_is_near_but_not_touch(kind):
     plant = make_plant(kind, 3, keep_out=0.04)
     states = np.concatenate([on_slab(h) for h in (0.001, 0.03, 0.06)])
@@ -455,7 +455,7 @@ def test_wrong_options_of_the_analytic_plant(options, sentence):
 
 
 def test_an_unknown_plant_is_refused():
-    with pytest.raises(UserError, match="unknown plant 'gazebo'; known are mujoco and analytic"):
+    with pytest.raises(UserError, match="unknown plant 'gazebo'; known are mujoco, hybrid, analytic"):
         make_plant("gazebo", 1)
 
 

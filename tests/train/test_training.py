@@ -179,7 +179,7 @@ def test_stock_sb3_loads_the_policy_too(landing_run):
 
 def test_the_stamp_says_what_the_policy_was_trained_for(landing_run):
     stamp = load_policy(landing_run[0] / "final.zip").metadata
-    assert stamp["task"] == "landing" and stamp["plant"] == "mujoco" and stamp["curriculum"] == "adaptive"
+    assert stamp["task"] == "landing" and stamp["plant"] == "hybrid" and stamp["curriculum"] == "adaptive"
     assert stamp["seed"] == 3 and stamp["steps"] == 512
     assert stamp["task_options"]["pwm_centre"] == "hover"
     assert stamp["command"].startswith("landing-train") and stamp["versions"]["mujoco"] == "4.0.0"
@@ -342,7 +342,7 @@ def test_training_applies_the_curriculum_and_evaluation_does_not(tmp_path):
     assert not begun.env.env.task.conditions.platform
     assert begun._judge.task.conditions == type(begun._judge.task.conditions)()
     plant = begun._judge.plant
-    assert plant.keep_out == 0.0 and plant.kind == "mujoco" and plant.attitude == "rate_loop"
+    assert plant.keep_out == 0.0 and plant.kind == "hybrid" and plant.attitude == "rate_loop"
     assert begun.env.env.plant.keep_out == 0.04
 
 
@@ -466,7 +466,7 @@ def test_evaluation_starts_are_neither_training_starts_nor_another_seeds(tmp_pat
 
 WRONG = {
     "hover": "unknown task 'hover'; known are landing, setpoint, touchdown",
-    "--plant gazebo": "unknown plant 'gazebo'; known are mujoco and analytic",
+    "--plant gazebo": "unknown plant 'gazebo'; known are mujoco, hybrid, analytic",
     "--update slow": "unknown update 'slow'; known are fast and stock",
     "--integrator rk4": "unknown integrator 'rk4'; known are RK4, implicitfast, Euler",
     "--environments 1 --rollout 1 --batch-size 2": "must give more than one sample",
