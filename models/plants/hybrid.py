@@ -50,7 +50,6 @@ class HybridPlant(MujocoPlant):
 
     kind = "hybrid"
 
-    @functools.wraps(MujocoPlant.__init__)
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
         self.in_engine = np.ones(self.n, bool)
@@ -85,6 +84,9 @@ class HybridPlant(MujocoPlant):
             self._roll(None if len(near) == self.n else near)
         self.delays.push_state(self.state, own)
         return {}
+
+
+functools.update_wrapper(HybridPlant.__init__, MujocoPlant.__init__)  # with its options by name
 
 
 @numba.njit(cache=True)

@@ -78,6 +78,7 @@ CASES = {
     "perturbed": {"perturb": True},
     "effects": {"vehicle": many_effects(delays=False), "unrest": 5},
     "delays": {"vehicle": many_effects(delays=True), "unrest": 5},
+    "pool": {"pool": [many_effects(delays=False), many_effects(delays=True)], "unrest": 5},
     "motors off": {"torque_needs_motors": True, "off": 0.3},
     "low feet": {"foot_height": 0.03},
     "implicitfast": {"integrator": "implicitfast"},
@@ -99,6 +100,8 @@ def test_every_control_step_is_the_engines(case, seed):
     n, steps = 96, 40
     hybrid, engine = HybridPlant(n, **options), MujocoPlant(n, **options)
     rng = np.random.default_rng(seed)
+    if hybrid.pool:
+        hybrid.assign(np.arange(n), rng.integers(0, 3, n))
     hybrid.set_platform(np.arange(n), rng.uniform(-0.8, 0.8, n), rng.uniform(size=n) < present)
     if perturbed:
         hybrid.perturb(thrust_scale=rng.uniform(0.8, 1.2, n), mass_scale=rng.uniform(0.9, 1.1, n))
