@@ -1,6 +1,8 @@
 """The fast update and rollout against Stable-Baselines3's own."""
 
 import copy
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -110,8 +112,7 @@ def test_an_update_is_that_of_sb3(case, frozen):
     """Weights after all epochs within 1e-5, what is logged within 1e-4 of its size.
 
     A step of Adam is about the learning rate, 1e-3, whatever the gradient's size, and float32 gives the
-    gradient to some 1e-6 of it: some 1e-9 a step, grown by what the steps do to each other. Gradients that
-    cancel are worse, but Adam's epsilon, 1e-5, keeps the smallest still.
+    gradient to some 1e-6 of it: some 1e-9 a step. Gradients that nearly cancel are worse, and steps add up.
     """
     options = CASES[case]
     fast = model(FastPPO, **options)
@@ -240,6 +241,20 @@ def test_a_network_that_diverges_is_not_hidden():
     assert all(
         np.isnan(tensor).any() for name, tensor in weights(fast).items() if name[-4:] in ("ight", "bias")
     )
+
+
+def test_making_saving_and_loading_one_loads_no_compiler(tmp_path):
+    """torch._dynamo takes two seconds to import; the compiled update has no use for it."""
+    code = """
+import sys, gymnasium
+from inclined_landing.train.fast.ppo import FastPPO
+made = FastPPO("MlpPolicy", gymnasium.make("MountainCarContinuous-v0"), n_steps=64, device="cpu")
+made.learn(64)
+made.save(sys.argv[1])
+FastPPO.load(sys.argv[1], device="cpu").policy.optimizer.param_groups[0]["eps"] == 1e-5 or sys.exit("epsilon")
+sys.exit("torch._dynamo" in sys.modules)
+"""
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "policy")], check=True)
 
 
 REFUSED = {

@@ -7,6 +7,7 @@ begun with one of the two and go on with the other.
 
 from __future__ import annotations
 
+import inspect
 import os
 import threading
 from collections.abc import Callable
@@ -63,6 +64,14 @@ class _Network:
             scatter(vector, [optimizer.state[tensor][name] for tensor in self.tensors])
 
 
+class Adam(torch.optim.Adam):
+    """torch's own. Its methods load a compiler, two seconds, only to keep it off; here they go without."""
+
+    add_param_group = inspect.unwrap(torch.optim.Optimizer.add_param_group)
+    state_dict = inspect.unwrap(torch.optim.Optimizer.state_dict)
+    load_state_dict = inspect.unwrap(torch.optim.Optimizer.load_state_dict)
+
+
 def gather(tensors: list[torch.Tensor]) -> np.ndarray:
     """All numbers in one new vector."""
     return np.concatenate([tensor.detach().numpy().ravel() for tensor in tensors])
@@ -102,7 +111,11 @@ class FastPPO(PPO):
     )
 
     def _setup_model(self) -> None:
+        given = self.policy_kwargs
+        own = {"optimizer_class": Adam, "optimizer_kwargs": {"eps": 1e-5}}  # SB3's default epsilon
+        self.policy_kwargs = {**own, **given}
         super()._setup_model()
+        self.policy_kwargs = given  # files name nothing of this module
         self._check()
 
     def _check(self) -> None:
@@ -111,9 +124,7 @@ class FastPPO(PPO):
         chains = [list(net) for net in (mlp.policy_net, mlp.value_net)]
         linear = all(isinstance(m, torch.nn.Linear) for chain in chains for m in chain[::2])
         tanh = all(isinstance(m, torch.nn.Tanh) for chain in chains for m in chain[1::2])
-        adam = type(self.policy.optimizer) is torch.optim.Adam and not (
-            group["weight_decay"] or group["amsgrad"]
-        )
+        adam = type(self.policy.optimizer) in (Adam, torch.optim.Adam)
         extractor = type(self.policy.features_extractor) in (ScaledObservation, FlattenExtractor)
         spoken = {
             "two tanh networks": linear and tanh and all(chain and len(chain) % 2 == 0 for chain in chains),
