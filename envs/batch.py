@@ -10,9 +10,9 @@ import dataclasses
 import numpy as np
 
 from inclined_landing.envs.history import History
-from inclined_landing.envs.randomise import Ranges, deviate
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import Judgement, Moment, Start
+from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError, shown
 
 FARTHEST = 1e4  # of any entry of a start state, SI units: no flight is there, and the engine diverges
@@ -58,12 +58,13 @@ class BatchEnv:
     (did any part touch the platform so far), `held` (steps in a row up to now that the task counts as
     held).
 
-    ranges: deviations of the vehicles from the vehicle file, drawn for every episode; none by default.
+    nominal: share of the random episodes that have the plant's own vehicle; the others have one of its pool,
+        drawn anew and hovering at first. None: the vehicles stay what the plant assigned.
     """
 
-    def __init__(self, task: Task, plant, seed: int | None = None, ranges: Ranges | None = None):
+    def __init__(self, task: Task, plant, seed: int | None = None, nominal: float | None = None):
         self.task, self.plant, self.n = task, plant, plant.n
-        self.ranges = ranges or {}
+        self.nominal = nominal
         self.seed(seed)
         n = self.n
         self.length = np.zeros(n, int)
@@ -130,12 +131,15 @@ class BatchEnv:
                 )
             if not (np.abs(state) <= FARTHEST).all():
                 raise UserError(f"a start state holds NaN or a number beyond {FARTHEST:g}")
-        if self.ranges:
-            deviate(self.plant, ids, self.ranges, self.rng)
-        start = self.task.sample(self.rng, len(ids)) if state is None else self.task.start(state)
+        if state is None:
+            self._draw_vehicles(ids)
+            start = self.task.sample(self.rng, len(ids))
+            start.state[:, LAG] *= self.plant.hover_share[ids]
+        else:
+            start = self.task.start(state)
         for name in _START:
             getattr(self._start, name)[ids] = getattr(start, name)
-        self.plant.set_platform(ids, start.inclination, start.present)
+        self.plant.set_platform(ids, start.inclination + self.plant.tilt[ids], start.present)
         if start.contact is not None:
             self.plant.set_contact(ids, **start.contact)
         self.plant.reset(ids, start.state)
@@ -146,6 +150,13 @@ class BatchEnv:
         self.held[ids] = 0
         self.past.begin(ids, self._present(ids))
         return self.observe(ids)
+
+    def _draw_vehicles(self, ids: np.ndarray) -> None:
+        if self.nominal is None or not self.plant.pool:
+            return
+        drawn = self.rng.integers(1, len(self.plant.pool) + 1, len(ids))
+        drawn[self.rng.random(len(ids)) < self.nominal] = 0
+        self.plant.assign(ids, drawn)
 
     def step(self, actions: np.ndarray) -> Step:
         """Apply actions (n, a), clipped to [-1, 1], for one control period.

@@ -1,58 +1,189 @@
-"""Ranges from which vehicles deviate from the vehicle file, drawn anew for every episode.
+"""Vehicles of which every episode may have another: a file of ranges, and the pool that is drawn from it.
 
-A file of ranges is TOML, one line for each deviation, lowest and highest value:
+A file of ranges is TOML. Every range is [lowest, highest], equal ones fix the number:
 
-    thrust_scale = [0.8, 1.1]  # uniform between the two; equal ones fix it
+    nominal = 0.1               # share of episodes with the vehicle file as it is; 0 where it is not said
+    probability = 0.5           # that a vehicle has an effect; 1 where it is not said
 
-The names are those of `models.perturbation`: what both plants can change of single vehicles without compiling
-the scene again.
+    [effects.thrust_scale]      # an effect of the library by name, with its parameters; others are neutral
+    scale = [0.8, 1.1]
+    probability = 1             # of this one
+
+    [effects.wind]
+    x = [-1, 1]
+    y = [-1, 1]
+
+    [body]                      # tables and entries of the vehicle file, in its units
+    mass = [0.027, 0.032]
+    inertia = [[1.5e-5, 1.8e-5], [1.5e-5, 1.8e-5], [2.6e-5, 3.2e-5]]
+
+Entries are set first and effects applied on top, in their order. Every number of a pool is spread evenly over
+its range, independent of the others. What all vehicles of a plant have in common has no range: commands,
+arena, shapes, and the platform but for its surface_height (the effects platform_height and platform_tilt move
+it).
+
+`landing-train --randomise FILE` reads it. `robust` is shipped: the whole library of effects, as far as a real
+vehicle may well have them.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from inclined_landing.models import storage
+from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.perturbation import NAMES
+from inclined_landing.models.parameters import Constant, Vehicle, check_vehicle, constants
 
-Ranges = dict[str, tuple[float, float]]
+Range = tuple[float, float]
 
-_SCALE = (0.1, 10.0)
-_LIMITS = {"thrust_bias": (-1.0, 1.0), "drag_change": (-1.0, 10.0)}  # N, and relative
-
-
-def read_ranges(path: str | Path) -> Ranges:
-    """The ranges in a file; raises UserError for what is none, or cannot differ from vehicle to vehicle."""
-    what = f"randomise file {path}"
-    table = storage.read_toml(path, "randomise file")
-    if not table:
-        raise UserError(f"{what} is empty; it should hold ranges of {', '.join(NAMES)}")
-    return {name: _checked(name, value, what) for name, value in table.items()}
+POOL = 256  # vehicles that a run draws
+_FOLDER = Path(str(resources.files("inclined_landing.envs") / "shipped"))
+_SAME = ("command", "arena", "rotor", "platform")  # tables
+_BUT = "platform.surface_height"
+_STREAM = 7_000_003  # of random numbers, beside those that starts come from
 
 
-def _checked(name: str, value, what: str) -> tuple[float, float]:
-    if name not in NAMES:
+@dataclasses.dataclass(frozen=True)
+class Ranges:
+    """What a file of ranges says."""
+
+    given: dict[str, Any]  # as it stands there
+    nominal: float  # share of the episodes
+    fields: dict[str, tuple[Range, ...]]  # field of Vehicle -> of each of its numbers
+    effects: dict[str, dict[str, Range]]  # effect -> parameter -> range
+    probability: dict[str, float]  # of each of these effects
+    what: str  # in sentences
+
+    def draw(self, vehicle: Vehicle, seed: int, count: int = POOL) -> list[Vehicle]:
+        """`count` vehicles, all of the same seed alike; raises UserError where one of them cannot be."""
+        rng = np.random.default_rng([_STREAM, seed])
+
+        def spread(low: float, high: float) -> np.ndarray:
+            return low + (high - low) * (rng.permutation(count) + rng.random(count)) / count
+
+        entries = {f: np.stack([spread(*r) for r in ranges], axis=1) for f, ranges in self.fields.items()}
+        present = {name: spread(0.0, 1.0) < chance for name, chance in self.probability.items()}
+        sizes = {
+            name: {parameter: spread(*r) for parameter, r in ranges.items()}
+            for name, ranges in self.effects.items()
+        }
+        drawn = []
+        for k in range(count):
+            own = {f: rows[k].tolist() for f, rows in entries.items()}
+            single = {f: not isinstance(getattr(vehicle, f), tuple) for f in own}
+            member = vehicle.changed(**{f: x[0] if single[f] else tuple(x) for f, x in own.items()})
+            for name, values in sizes.items():
+                if present[name][k]:
+                    of = {parameter: float(numbers[k]) for parameter, numbers in values.items()}
+                    member = LIBRARY[name].apply(member, of)
+            try:
+                check_vehicle(member)
+            except UserError as error:
+                raise UserError(f"{self.what} gives vehicles that cannot be: {error}") from error
+            drawn.append(member)
+        return drawn
+
+
+def shipped() -> list[str]:
+    """Names of the shipped files."""
+    return sorted(path.stem for path in _FOLDER.glob("*.toml"))
+
+
+def locate(name: str | Path) -> Path:
+    """Path of a file of ranges: a shipped one by name, otherwise a file."""
+    return _FOLDER / f"{name}.toml" if str(name) in shipped() else Path(name)
+
+
+def read_ranges(name: str | Path) -> Ranges:
+    """The ranges in a file, or in a shipped one by name.
+
+    Raises UserError for what is none, or cannot differ from vehicle to vehicle.
+    """
+    what = f"randomise file {name}"
+    given = storage.read_toml(locate(name), "randomise file")
+    tables = {key: value for key, value in given.items() if key not in ("nominal", "probability")}
+    usual = _share(given.get("probability", 1), "probability", what)
+    entries = {constant.field: constant for constant in constants()}
+    fields, effects, probability = {}, {}, {}
+    for table, lines in tables.items():
+        if not isinstance(lines, dict):
+            raise UserError(f"{what}: {shown(table, 40)} stands outside any table")
+        for key, value in lines.items():
+            label = f"{table}.{key}"
+            if table == "effects" and isinstance(value, dict):
+                chance = value.get("probability", usual)
+                probability[key] = _share(chance, f"{shown(label, 60)}.probability", what)
+                effects[key] = _of_effect(key, value, what)
+            else:
+                entry = entries.get(f"{table}_{key}")
+                if entry is None or entry.label != label:
+                    raise UserError(f"{what}: {shown(label, 60)} is {_UNKNOWN[table == 'effects']}")
+                if table in _SAME and label != _BUT:
+                    raise UserError(f"{what}: {label} cannot differ from vehicle to vehicle")
+                fields[entry.field] = _of_entry(entry, value, what)
+    if not (fields or effects):
+        raise UserError(f"{what} has no range, like [effects.thrust_scale] with scale = [0.8, 1.1]")
+    return Ranges(given, _share(given.get("nominal", 0), "nominal", what), fields, effects, probability, what)
+
+
+_UNKNOWN = {
+    False: "no entry of the vehicle file",
+    True: "neither an effect with parameters, like [effects.thrust_scale], nor an entry of the vehicle file",
+}
+
+
+def _of_effect(name: str, lines: dict, what: str) -> dict[str, Range]:
+    if name not in LIBRARY:
+        raise UserError(f"{what}: unknown effect {shown(name, 40)}; known are {', '.join(LIBRARY)}")
+    known = {p.name: p for p in LIBRARY[name].parameters}
+    ranges = {key: value for key, value in lines.items() if key != "probability"}
+    for key in ranges:
+        if key not in known:
+            raise UserError(
+                f"{what}: effect {name} has no parameter {shown(key, 40)}; it has {', '.join(known)}"
+            )
+    if not ranges:
+        raise UserError(f"{what}: effect {name} has no range; its parameters are {', '.join(known)}")
+    return {
+        key: _range(value, known[key].bounds, f"effects.{name}.{key}", known[key].unit, what)
+        for key, value in ranges.items()
+    }
+
+
+def _of_entry(entry: Constant, value, what: str) -> tuple[Range, ...]:
+    units, count = entry.unit.split(", "), len(entry.range)
+    if not isinstance(entry.value, tuple):
+        return (_range(value, entry.range[0], entry.label, units[0], what),)
+    if not isinstance(value, list) or len(value) != count or not all(isinstance(x, list) for x in value):
         raise UserError(
-            f"{what}: {shown(name, 40)} cannot differ from vehicle to vehicle; {', '.join(NAMES)} can"
+            f"{what}: {entry.label} must be {count} ranges of two numbers, not {shown(repr(value), 40)}"
         )
-    low, high = _LIMITS.get(name, _SCALE)
+    return tuple(
+        _range(x, limits, entry.label, units[k % len(units)], what)
+        for k, (x, limits) in enumerate(zip(value, entry.range))
+    )
+
+
+def _range(value, limits: Range, label: str, unit: str, what: str) -> Range:
+    low, high = limits
     numbers: list = value if isinstance(value, list) and len(value) == 2 else [None]
     if not all(type(x) in (int, float) and low <= x <= high for x in numbers):
+        of = "" if unit == "1" else f" {unit}"
         raise UserError(
-            f"{what}: {name} must be two numbers from {low:g} to {high:g}, not {shown(repr(value), 40)}"
+            f"{what}: {label} must be two numbers from {low:g} to {high:g}{of}, not {shown(repr(value), 40)}"
         )
     if numbers[0] > numbers[1]:
-        raise UserError(f"{what}: {name} begins at {numbers[0]:g} and ends below it, at {numbers[1]:g}")
+        raise UserError(f"{what}: {label} begins at {numbers[0]:g} and ends below it, at {numbers[1]:g}")
     return float(numbers[0]), float(numbers[1])
 
 
-def deviate(plant, ids: np.ndarray, ranges: Ranges, rng: np.random.Generator) -> None:
-    """Draw the deviations of the vehicles `ids` (k,) of a plant; the others keep theirs."""
-    changes = {}
-    for name, (low, high) in ranges.items():
-        changes[name] = plant.perturbation[:, NAMES.index(name)].copy()
-        changes[name][ids] = rng.uniform(low, high, len(ids))
-    plant.perturb(**changes)
+def _share(value, name: str, what: str) -> float:
+    if type(value) not in (int, float) or not 0 <= value <= 1:
+        raise UserError(f"{what}: {name} must be a number from 0 to 1, not {shown(repr(value), 40)}")
+    return float(value)

@@ -12,6 +12,7 @@ from typing import Annotated
 import tyro
 
 from inclined_landing.envs.policy import SHIPPED, action_map, history_of, trained_for
+from inclined_landing.envs.randomise import locate
 from inclined_landing.envs.tasks import TASKS, import_task, is_path, task_class
 from inclined_landing.envs.tasks.base import LONGEST_HISTORY, Training
 from inclined_landing.eval.base.options import Range, Seed, check_ranges
@@ -87,8 +88,9 @@ class TrainConfig:
     vehicle: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Vehicle file (TOML), where it differs from the shipped one; the run keeps a copy."""
     randomise: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Ranges (TOML) from which thrust, lag, drag, attitude and mass of every training episode are drawn, like
-    thrust_scale = [0.8, 1.1]; the run keeps a copy. Evaluations fly the vehicle as it is."""
+    """Ranges (TOML) of effects and of entries of the vehicle file, like [effects.thrust_scale] with
+    scale = [0.8, 1.1] or [body] with mass = [0.027, 0.032]; each training episode has a vehicle from them. Or
+    `robust`, which is shipped. Half of the evaluated flights have such vehicles too. The run keeps a copy."""
     max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
     """Stop at this wall time; the checkpoint allows to resume."""
     resume: bool = False
@@ -238,6 +240,11 @@ class TrainConfig:
             "min_steps": min(training.min_steps, high or training.min_steps) if low is None else low,
             "max_steps": max(training.max_steps, low or 0) if high is None else high,
         }
+
+    def copied(self) -> dict[str, Path]:
+        """Of what the run keeps a copy, by the copy's name."""
+        given = {"vehicle": self.vehicle, "randomise": self.randomise and locate(self.randomise)}
+        return {COPIED[name]: path for name, path in given.items() if path is not None}
 
     def most_steps(self) -> int:
         """Environment steps after which the run ends in any case; of a resolved configuration."""

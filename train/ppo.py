@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Any
 
 import numpy as np
 import psutil
@@ -13,12 +14,12 @@ from stable_baselines3 import PPO
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.envs.history import input_centre, input_scale
-from inclined_landing.envs.randomise import read_ranges
+from inclined_landing.envs.randomise import POOL, read_ranges
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import Task, make_task
 from inclined_landing.envs.tasks.base import resolve_pwm_centre
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import Snapshot, make_plant
 from inclined_landing.train.checkpoint import check_array, check_names, check_number
 from inclined_landing.train.config import TrainConfig
@@ -52,9 +53,19 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
     if config.plant != "analytic":
         options |= {"integrator": config.integrator, "threads": config.threads}
     task = build_task(config)
+    options |= drawn(config, task.vehicle, config.seed)
     plant = make_plant(config.plant, config.environments, task.vehicle, **options)
-    ranges = None if config.randomise is None else read_ranges(config.randomise)
-    return BatchVecEnv(BatchEnv(task, plant, config.seed, ranges), reward_scale=config.reward_scale)
+    nominal = None if config.randomise is None else read_ranges(config.randomise).nominal
+    return BatchVecEnv(BatchEnv(task, plant, config.seed, nominal), reward_scale=config.reward_scale)
+
+
+def drawn(config: TrainConfig, vehicle: Vehicle, seed: int, count: int = POOL) -> dict[str, Any]:
+    """Options of a plant with `count` vehicles that a randomised run draws from `seed`; {} for other runs."""
+    if config.randomise is None:
+        return {}
+    pool = read_ranges(config.randomise).draw(vehicle, seed, count)
+    moved = any(any(v.unrest_acceleration) or any(v.unrest_angular) for v in pool)
+    return {"pool": pool} | ({"unrest": seed} if moved else {})
 
 
 def build_task(config: TrainConfig) -> Task:

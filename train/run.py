@@ -33,9 +33,11 @@ from torch.utils.tensorboard import SummaryWriter
 
 from inclined_landing.envs.flights import record_flight, record_flights
 from inclined_landing.envs.policy import Policy, load_policy, stamp
+from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.tasks import is_path
 from inclined_landing.eval.base import runs
 from inclined_landing.models import storage
+from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
@@ -126,10 +128,9 @@ class Run:
         """From the beginning, perhaps of a run that was stopped before its first checkpoint."""
         if not self.resumed:
             storage.write_json(self.folder / RECORD, self.record)
-        for name, file in COPIED.items():
-            given, copy = getattr(self.config, name), self.folder / file
-            if given not in (None, copy):
-                storage.write_text(copy, given.read_text("utf-8"))
+        for file, given in self.config.copied().items():
+            if given != self.folder / file:
+                storage.write_text(self.folder / file, given.read_text("utf-8"))
         shutil.rmtree(self.folder / "tensorboard", ignore_errors=True)
         if self.teacher is not None:
             warm_start.teach(self.model, self.env.env, self.teacher, self.config.seed)
@@ -272,8 +273,8 @@ class Run:
         return json.loads(storage.to_json({k: value for k, value in own.items() if value != shipped[k]}))
 
     def _ranges(self) -> dict:
-        """What differs from episode to episode, JSON types only."""
-        return {name: list(range_) for name, range_ in self.env.env.ranges.items()}
+        """What differs from episode to episode, as the file says it."""
+        return {} if self.config.randomise is None else read_ranges(self.config.randomise).given
 
     def _evaluate_or_end(self, iteration: int) -> None:
         self.evaluate(iteration)
@@ -444,7 +445,11 @@ class Run:
 
 
 class _Judge:
-    """Periodic evaluation: random starts of a stream of its own, plain hybrid plant, RK4."""
+    """Periodic evaluation: random starts of a stream of its own, plain hybrid plant, RK4.
+
+    Of a randomised run every other flight has a vehicle of a pool of its own, hovering at first: the score is
+    that of all flights, and beside it stands that of either half.
+    """
 
     def __init__(self, config: TrainConfig, vehicle):
         self.task = ppo.build_task(config)
@@ -452,14 +457,23 @@ class _Judge:
         count = EVALUATION_STARTS if config.success is None else ENDING_STARTS
         start = self.task.evaluation_starts(rng, count)
         self.starts = start.state
-        self.plant = make_plant("hybrid", count, vehicle, threads=config.threads)
+        drawn = ppo.drawn(config, vehicle, ppo.evaluation_seed(config), count // 2)
+        self.plant = make_plant("hybrid", count, vehicle, threads=config.threads, **drawn)
+        if self.plant.pool:
+            others = np.arange(1, count, 2)
+            self.plant.assign(others, 1 + np.arange(len(others)))
+            self.starts[:, LAG] *= self.plant.hover_share
         if start.contact is not None:
             self.plant.set_contact(np.arange(count), **start.contact)
         self.film_start = self.task.states_at(self.task.film_starts[:1])
 
     def __call__(self, policy: Policy) -> dict:
         flights = record_flights(policy, self.plant, self.starts, steps=self.task.judged_steps)
-        return self.task.score(flights)
+        score = self.task.score(flights)
+        if self.plant.pool:
+            halves = {"score_nominal": flights[::2], "score_drawn": flights[1::2]}
+            score |= {name: self.task.score(half)["score"] for name, half in halves.items()}
+        return score
 
 
 class _History(BaseCallback):

@@ -115,8 +115,10 @@ class Plant:
             n, int
         )  # whose constants each has: 0 the plant's own, k those of the k-th of the pool
         self._records = np.concatenate([equations.pack(member) for member in self._vehicles])
+        self._hover_shares = np.array([v.hover_lag for v in self._vehicles]) / self.vehicle.hover_lag
         self._constants = self._records[self.choice] if self.pool else self._records  # (n,) or (1,)
         self._height = np.full(n, self.vehicle.platform_surface_height)
+        self.hover_share = np.ones(n)  # lag of each vehicle in hover over that of the plant's own
         self.tilt = np.zeros(n)  # by which a vehicle's platform is inclined more than the plant's own, rad
         self.unrest = None
         if unrest is not None:
@@ -180,6 +182,7 @@ class Plant:
         own = self._records["platform"][choice]
         self._height[ids] = own["surface_height"]
         self.tilt[ids] = own["inclination"] - self.vehicle.platform_inclination
+        self.hover_share[ids] = self._hover_shares[choice]
         self.delays.assign(ids, choice)
         if self.unrest:
             self.unrest.assign(ids, choice)

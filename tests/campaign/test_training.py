@@ -16,6 +16,7 @@ import torch
 
 from campaign.judge import EVIL, Case, command, judge, mutations, parametrised, write
 from inclined_landing.envs.randomise import read_ranges
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.train import run
 from inclined_landing.train.checkpoint import read
 from inclined_landing.train.checkpoint import write as write_checkpoint
@@ -191,7 +192,7 @@ def mutate(path, number):
     write(path, dict(mutations(content, number + 1, seed=number)).popitem()[1])
 
 
-RANGES = b"thrust_scale = [0.8, 1.1]\nthrust_bias = [0, 0]\n"
+RANGES = b"nominal = 0.1\n[effects.mass]\nscale = [0.8, 1.1]\n[effects]\nwind = [[0, 1], [0, 0]]\n"
 
 
 def ranges_cases():
@@ -200,8 +201,10 @@ def ranges_cases():
     for k, content in mutations(RANGES, 200):
         yield ranges_case(f"ranges mutated {k}", functools.partial(write, content=content))
     for kind, value in EVIL.items():
-        lines = {"range": f"thrust_scale = {value!r}", "end": f"thrust_scale = [{value!r}, 1.1]",
-                 "name": f"{value!r} = [1, 1]"}  # fmt: skip
+        lines = {"range": f"effects.mass.scale = {value!r}", "end": f"effects.mass.scale = [{value!r}, 1.1]",
+                 "entry": f"body.mass = {value!r}", "name": f"{value!r} = [1, 1]",
+                 "parameter": f"effects.mass.{value!r} = [1, 1]",
+                 "share": f"nominal = {value!r}"}  # fmt: skip
         for what, line in lines.items():
             content = line.encode("utf-8", "replace")
             yield ranges_case(f"ranges {what} {kind}", functools.partial(write, content=content))
@@ -214,7 +217,7 @@ def ranges_case(name, change):
         change(path)
         return path
 
-    return Case(name, make=make, take=read_ranges)
+    return Case(name, make=make, take=lambda path: read_ranges(path).draw(load_vehicle(), 0, 3))
 
 
 @parametrised(ranges_cases(), sample=40)

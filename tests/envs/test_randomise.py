@@ -1,70 +1,149 @@
-"""Deviations that are drawn for every episode: their file, their ranges, and whom they reach."""
+"""Vehicles that are drawn for every episode: their file, their pool, and whom they reach."""
+
+import functools
 
 import numpy as np
 import pytest
 
+from inclined_landing.envs import randomise
 from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.flights import record_flights
+from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.models import perturbation
+from inclined_landing.models.attitude import LAG
+from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.plants import PLANTS, make_plant
+from inclined_landing.models.parameters import constants, load_vehicle
+from inclined_landing.models.plants import make_plant
 
-RANGES = {"thrust_scale": (0.8, 1.1), "mass_scale": (0.9, 1.2), "drag_change": (0.5, 0.5)}
-COLUMNS = [perturbation.NAMES.index(name) for name in RANGES]
+V = load_vehicle()
+PLANTS = "mujoco", "analytic"
+FILE = """
+nominal = 0.25
+probability = 0.5
+[effects.thrust_scale]
+scale = [0.8, 1.1]  # worn propellers
+probability = 1
+[effects.attitude_delay]
+delay = [0.01, 0.03]
+[effects.platform_tilt]
+offset = [0.04, 0.05]
+[effects]
+wind = [[-1, 1], [0.5, 0.5]]
+[body]
+mass = [0.03, 0.04]
+"""
 
 
-def environment(plant, n, ranges=RANGES, seed=0):
-    return BatchEnv(make_task("landing"), make_plant(plant, n), seed, ranges)
+def written(folder, text=FILE):
+    path = folder / "ranges.toml"
+    path.write_text(text, "utf-8")
+    return read_ranges(path)
+
+
+@functools.cache
+def robust():
+    return tuple(read_ranges("robust").draw(V, 0))
+
+
+def environment(plant, n, pool=(), nominal=None, seed=0):
+    return BatchEnv(make_task("landing"), make_plant(plant, n, pool=pool), seed, nominal)
 
 
 def test_a_file_of_ranges(tmp_path):
-    path = tmp_path / "ranges.toml"
-    path.write_text("thrust_scale = [0.8, 1.1]  # of the battery\nthrust_bias = [0, 0]\n", "utf-8")
-    assert read_ranges(path) == {"thrust_scale": (0.8, 1.1), "thrust_bias": (0.0, 0.0)}
+    ranges = written(tmp_path)
+    assert ranges.nominal == 0.25
+    assert ranges.fields == {"effects_wind": ((-1.0, 1.0), (0.5, 0.5)), "body_mass": ((0.03, 0.04),)}
+    assert ranges.effects == {
+        "thrust_scale": {"scale": (0.8, 1.1)},
+        "attitude_delay": {"delay": (0.01, 0.03)},
+        "platform_tilt": {"offset": (0.04, 0.05)},
+    }
+    assert ranges.probability == {"thrust_scale": 1.0, "attitude_delay": 0.5, "platform_tilt": 0.5}
 
 
 @pytest.mark.parametrize("text, sentence", [
-    ("", "is empty; it should hold ranges of thrust_scale, "),
-    ("body_mass = [0.03, 0.04]", "body_mass cannot differ from vehicle to vehicle; thrust_scale, .* can"),
-    ("[thrust]\nscale = [1, 2]", "thrust cannot differ from vehicle to vehicle"),
-    ("mass_scale = 1.2", r"mass_scale must be two numbers from 0.1 to 10, not 1.2"),
-    ("mass_scale = [1.2]", r"mass_scale must be two numbers from 0.1 to 10"),
-    ("mass_scale = [0, 1]", r"mass_scale must be two numbers from 0.1 to 10, not \[0, 1\]"),
-    ("mass_scale = [true, 1]", "mass_scale must be two numbers"),
-    ("thrust_bias = [-inf, nan]", "thrust_bias must be two numbers from -1 to 1"),
-    ("gain_scale = [1.1, 0.9]", "gain_scale begins at 1.1 and ends below it, at 0.9"),
-    ("gain_scale = [", "is not TOML"),
+    ("", r"has no range, like \[effects.thrust_scale\] with scale = \[0.8, 1.1\]"),
+    ("nominal = 0.5", "has no range"),
+    ("thrust_scale = [0.8, 1.1]", "thrust_scale stands outside any table"),
+    ("[effects.thrust]\nscale = [1, 2]", "unknown effect thrust; known are thrust_scale, "),
+    ("[effects.mass]\nfactor = [1, 2]", "effect mass has no parameter factor; it has scale"),
+    ("[effects.mass]\nprobability = 1", "effect mass has no range; its parameters are scale"),
+    ("[effects]\nthrust = [1, 2]", "effects.thrust is neither an effect with parameters, .* nor an entry"),
+    ("[body]\nweight = [1, 2]", "body.weight is no entry of the vehicle file"),
+    ("[effects.mass]\nscale = 1.2", r"effects.mass.scale must be two numbers from 0.6 to 1.8, not 1.2"),
+    ("[effects.mass]\nscale = [1.2]", r"effects.mass.scale must be two numbers"),
+    ("[effects.mass]\nscale = [0, 1]", r"must be two numbers from 0.6 to 1.8, not \[0, 1\]"),
+    ("[effects.mass]\nscale = [true, 1]", "must be two numbers"),
+    ("[effects.thrust_delay]\ndelay = [0, inf]", "must be two numbers from 0 to 0.15 s, not "),
+    ("[effects.mass]\nscale = [1.1, 0.9]", "effects.mass.scale begins at 1.1 and ends below it, at 0.9"),
+    ("[effects.mass]\nscale = [1, 1]\nprobability = 2", "mass.probability must be a number from 0 to 1"),
+    ("probability = '1'\n[effects.mass]\nscale = [1, 1]", "probability must be a number from 0 to 1"),
+    ("nominal = [1]\n[effects.mass]\nscale = [1, 1]", r"nominal must be a number from 0 to 1, not \[1\]"),
+    ("[body]\nmass = [0, 1]", "body.mass must be two numbers from 0.001 to 20 kg"),
+    ("[body]\nmass = [nan, 1]", "body.mass must be two numbers from 0.001 to 20 kg"),
+    ("[body]\ninertia = [1e-5, 2e-5]", "body.inertia must be 3 ranges of two numbers"),
+    ("[body]\ninertia = [[1e-5, 2e-5]]", "body.inertia must be 3 ranges of two numbers"),
+    ("[command]\npwm_centre = [1, 2]", "command.pwm_centre cannot differ from vehicle to vehicle"),
+    ("[rotor]\narm = [0.03, 0.04]", "rotor.arm cannot differ from vehicle to vehicle"),
+    ("[platform]\nwidth = [0.7, 0.8]", "platform.width cannot differ from vehicle to vehicle"),
+    ("[effects.mass]\nscale = [", "is not TOML"),
 ])  # fmt: skip
 def test_wrong_files_are_refused(text, sentence, tmp_path):
-    path = tmp_path / "ranges.toml"
-    path.write_text(text, "utf-8")
     with pytest.raises(UserError, match=sentence) as refused:
-        read_ranges(path)
-    assert str(refused.value).startswith(f"randomise file {path}")
+        written(tmp_path, text)
+    assert str(refused.value).startswith(f"randomise file {tmp_path}")
+
+
+def test_ranges_of_vehicles_that_cannot_be_are_refused(tmp_path):
+    ranges = written(tmp_path, "[body]\nmass = [0.03, 19]")
+    with pytest.raises(UserError, match=r"ranges.toml gives vehicles that cannot be: .*"):
+        ranges.draw(V, 0)
+
+
+def test_a_pool_fills_its_ranges(tmp_path):
+    """Evenly: of 100 numbers one in every hundredth; and half of the vehicles have what half have."""
+    ranges, count = written(tmp_path), 100
+    pool = ranges.draw(V, 0, count)
+    assert pool == ranges.draw(V, 0, count) and pool != ranges.draw(V, 1, count)
+    mass = np.sort([v.body_mass for v in pool])
+    scale = np.sort([v.thrust_state_gain / V.thrust_state_gain for v in pool])
+    for found, (low, high) in ((mass, (0.03, 0.04)), (scale, (0.8, 1.1))):
+        edges = np.linspace(low, high, count + 1)
+        assert (edges[:-1] - 1e-12 <= found).all() and (found <= edges[1:] + 1e-12).all()
+    delays = np.array([v.effects_attitude_delay for v in pool])
+    assert (delays > 0).sum() == 50 and delays[delays > 0].min() >= 0.01 and delays.max() <= 0.03
+    assert {v.effects_wind[1] for v in pool} == {0.5}
+    assert all(v.changed(body_mass=V.body_mass) != v for v in pool)
 
 
 @pytest.mark.parametrize("plant", PLANTS)
-def test_every_episode_draws_within_its_ranges(plant):
-    env = environment(plant, 200)
+def test_every_episode_draws_its_vehicle(plant, tmp_path):
+    ranges = written(tmp_path)
+    pool = ranges.draw(V, 0)
+    env = environment(plant, 200, pool, ranges.nominal)
     env.reset()
-    first = env.plant.perturbation.copy()
-    for (low, high), column in zip(RANGES.values(), COLUMNS):
-        assert (first[:, column] >= low).all() and (first[:, column] <= high).all()
-        # of 200 uniform numbers, all within the inner nine tenths: probability 0.9**200 < 1e-9
-        assert np.ptp(first[:, column]) >= 0.85 * (high - low)
-    untouched = np.setdiff1d(np.arange(len(perturbation.NAMES)), COLUMNS)
-    assert (first[:, untouched] == np.array(perturbation.NEUTRAL)[untouched]).all()
+    first, vehicles = env.plant.choice.copy(), (V, *pool)
+    # 200 draws with a share of 0.25: within 5 standard deviations
+    assert abs((first == 0).mean() - 0.25) < 5 * np.sqrt(0.25 * 0.75 / 200)
+    assert len(set(first[first > 0])) > 50
+    lags = [vehicles[k].hover_lag for k in first]
+    np.testing.assert_allclose(env.plant.state[:, LAG], lags, rtol=1e-12)
+    tilts = np.array([vehicles[k].platform_inclination for k in first])
+    np.testing.assert_allclose(env.plant.inclination, tilts, atol=1e-15)
     env.reset(np.array([3, 7]))
-    changed = np.flatnonzero((env.plant.perturbation != first).any(axis=1))
-    assert changed.tolist() == [3, 7]
+    assert set(np.flatnonzero(env.plant.choice != first)) <= {3, 7}
+    kept = env.plant.choice.copy()
+    env.reset(np.arange(5), np.tile(env.plant.state[0], (5, 1)))  # given starts are flown as they are
+    np.testing.assert_array_equal(env.plant.choice, kept)
 
 
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_flight_goes_on_as_it_was_while_others_begin_anew(plant):
     flights = []
     for others_begin in (False, True):
-        env = environment(plant, 3)
+        env = environment(plant, 3, robust(), 0.0)
         env.reset()
         for k in range(30):
             if others_begin and k % 5 == 4:
@@ -74,23 +153,64 @@ def test_a_flight_goes_on_as_it_was_while_others_begin_anew(plant):
     np.testing.assert_array_equal(*flights)
 
 
-def test_what_is_drawn_acts():
-    """Free flight at full thrust: the heavier vehicle is lower."""
-    env = environment("mujoco", 2, {"mass_scale": (0.8, 1.3)})
-    state = make_task("landing").states_at([(1.5, 1.5)] * 2)
-    env.reset(state=state)
-    for _ in range(10):
-        env.step(np.array([[0.3, 0.0]] * 2))
-    mass = env.plant.perturbation[:, perturbation.MASS_SCALE]
-    assert (env.plant.state[:, 2][np.argsort(mass)][0]) > env.plant.state[:, 2][np.argsort(mass)][1]
-
-
 @pytest.mark.parametrize("plant", PLANTS)
 def test_without_ranges_nothing_is_drawn(plant):
+    """And a pool of which none are taken changes no bit."""
     states = []
-    for ranges in (None, {}):
-        env = environment(plant, 4, ranges)
+    for pool, nominal in (((), None), ((), 0.5), (robust()[:5], None)):
+        env = environment(plant, 4, pool, nominal)
         env.reset()
+        for _ in range(5):
+            env.step(np.full((4, 2), 0.2))
+        assert not env.plant.choice.any()
         states.append(env.plant.state.copy())
-        assert (env.plant.perturbation == perturbation.NEUTRAL).all()
-    np.testing.assert_array_equal(*states)
+    np.testing.assert_array_equal(states[0], states[1])
+    np.testing.assert_array_equal(states[0], states[2])
+
+
+def test_policies_fly_the_assigned_vehicles():
+    """As in a plant of their own; the platform's tilt is the vehicle's, the goal the task's."""
+    policy = load_policy("landing")
+    pool = [LIBRARY[name].apply(V, LIBRARY[name].plausible) for name in ("platform_tilt", "thrust_scale")]
+    starts = policy.task.states_at([(1.0, 2.0)] * 3)
+    plant = make_plant("mujoco", 3, policy.task.vehicle, pool=pool)
+    plant.assign(np.arange(3), [1, 2, 0])
+    flights = record_flights(policy, plant, starts)
+    for flight, vehicle in zip(flights, (*pool, V)):
+        assert flight.inclination == pytest.approx(vehicle.platform_inclination, abs=1e-15)
+    alone = record_flights(policy, make_plant("mujoco", 1, pool[1]), starts[:1])[0]
+    np.testing.assert_array_equal(flights[1].state, alone.state)
+
+
+def test_robust_spans_the_library():
+    """Every effect at its plausible size lies in its ranges, thrust from 0.78 to 1.12; seeds can be drawn."""
+    ranges = read_ranges("robust")
+    assert list(ranges.effects) == list(LIBRARY) and "robust" in randomise.shipped()
+    for name, effect in LIBRARY.items():
+        for parameter in effect.parameters:
+            low, high = ranges.effects[name][parameter.name]
+            assert low <= parameter.plausible <= high, (name, parameter.name)
+            assert parameter.is_reference or low <= parameter.neutral <= high, (name, parameter.name)
+    assert ranges.effects["thrust_scale"]["scale"] == (0.78, 1.12)
+    for seed in range(5):
+        assert len(ranges.draw(V, seed)) == randomise.POOL
+
+
+def test_every_entry_is_taken_or_cannot_differ(tmp_path):
+    """A range that holds the vehicle file's own value gives it back, bit for bit, whichever entry it is."""
+    taken = set()
+    for entry in constants():
+        values = entry.value if isinstance(entry.value, tuple) else (entry.value,)
+        ranges = [[float(x), float(x)] for x in values]
+        text = f"[{entry.section}]\n{entry.name} = {ranges if isinstance(entry.value, tuple) else ranges[0]}"
+        try:
+            pool = written(tmp_path, text).draw(V, 0, 2)
+        except UserError as error:
+            assert "cannot differ from vehicle to vehicle" in str(error)
+            continue
+        taken.add(entry.section)
+        assert pool == [V, V]
+    assert taken == {
+        *("body", "environment", "thrust", "motor", "drag", "attitude", "platform", "contact"),
+        *("unrest", "effects"),
+    }

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import typing
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -16,8 +17,9 @@ from campaign.training import assert_same_policy, weights
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy, tensors
+from inclined_landing.envs.randomise import POOL, locate
 from inclined_landing.envs.tasks import TASKS, Moment
-from inclined_landing.models import perturbation
+from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.train import cli, run, warm_start
@@ -247,34 +249,65 @@ def test_a_run_goes_on_with_a_longer_history_that_counts_nothing_at_first(tmp_pa
         Run(config(tmp_path / "d", task="touchdown", start_from=saved))
 
 
-def test_a_randomised_run_is_resumed_bit_for_bit_with_its_copy(tmp_path):
+DRAWN = """
+nominal = 0.2
+[effects.thrust_scale]
+scale = [0.8, 1.1]
+[effects.attitude_delay]
+delay = [0, 0.03]
+probability = 0.5
+[effects.mocap_delay]
+delay = [0, 0.03]
+[body]
+mass = [0.03, 0.04]
+[unrest]
+acceleration = [[0, 0.1], [0, 0.1], [0, 0.1]]
+acceleration_time = [[0.3, 0.3], [0.3, 0.3], [0.3, 0.3]]
+"""
+
+
+@pytest.mark.parametrize("plant", ["mujoco", "analytic"])
+def test_a_randomised_run_is_resumed_bit_for_bit_with_its_copy(plant, tmp_path):
     ranges = tmp_path / "ranges.toml"
-    ranges.write_text("thrust_scale = [0.8, 1.1]\nmass_scale = [1, 1.2]\n", "utf-8")
+    ranges.write_text(DRAWN, "utf-8")
     # 384 steps of each vehicle, so that every episode ends once at least
-    whole, _ = train(config(tmp_path / "whole", randomise=ranges, steps=128 * 24))
+    options = {"randomise": ranges, "plant": plant, "steps": 128 * 24}
+    whole, _ = train(config(tmp_path / "whole", **options))
     out = tmp_path / "cut"
-    train(config(out, randomise=ranges, steps=128 * 24, max_seconds=0.5))
+    train(config(out, **options, max_seconds=0.5))
     ranges.unlink()  # the run has its own
     resumed = Run(TrainConfig(out=out, resume=True))
-    assert resumed.env.env.ranges == {"thrust_scale": (0.8, 1.1), "mass_scale": (1.0, 1.2)}
+    assert resumed.env.env.nominal == 0.2 and len(resumed.env.env.plant.pool) == POOL
     resumed.execute()
     assert_same_policy(whole / "final.zip", out / "final.zip")
-    assert (resumed._judge.plant.perturbation == perturbation.NEUTRAL).all()
-    assert load_policy(out / "final.zip").metadata["ranges"] == {
-        "thrust_scale": [0.8, 1.1],
-        "mass_scale": [1.0, 1.2],
-    }
-    plain, _ = train(config(tmp_path / "plain", steps=256))
-    other, _ = train(config(tmp_path / "other", steps=256, randomise=whole / "randomise.toml"))
+    assert load_policy(out / "final.zip").metadata["ranges"]["body"] == {"mass": [0.03, 0.04]}
+    plain, _ = train(config(tmp_path / "plain", plant=plant, steps=256))
+    other, _ = train(
+        config(tmp_path / "other", **options | {"steps": 256, "randomise": whole / "randomise.toml"})
+    )
     a, b = weights(plain / "final.zip"), weights(other / "final.zip")
     assert not np.array_equal(a["action_net.weight"], b["action_net.weight"])
 
 
+def test_half_of_the_evaluated_flights_have_drawn_vehicles(tmp_path):
+    """Others than the training's; a shipped file goes by its name."""
+    begun = Run(config(tmp_path / "run", randomise=Path("robust"), steps=256, evaluate_every=1))
+    plant = begun._judge.plant
+    assert (plant.choice[::2] == 0).all() and len(set(plant.choice[1::2])) == plant.n // 2
+    assert not set(plant.pool) & set(begun.env.env.plant.pool)
+    np.testing.assert_allclose(begun._judge.starts[:, LAG], plant.hover_share * plant.vehicle.hover_lag)
+    begun.execute()
+    last = begun.evaluations[-1]
+    assert last["score"] == pytest.approx((last["score_nominal"] + last["score_drawn"]) / 2)
+    assert (tmp_path / "run" / "randomise.toml").read_text("utf-8") == locate("robust").read_text("utf-8")
+    assert Run(TrainConfig(out=tmp_path / "run", resume=True)).metrics is not None
+
+
 def test_a_run_is_not_resumed_with_other_ranges(tmp_path):
     ranges = tmp_path / "ranges.toml"
-    ranges.write_text("thrust_scale = [0.8, 1.1]\n", "utf-8")
+    ranges.write_text("[effects.mass]\nscale = [0.8, 1.1]\n", "utf-8")
     train(config(tmp_path / "run", randomise=ranges, max_seconds=1e-6))
-    (tmp_path / "run" / "randomise.toml").write_text("thrust_scale = [0.8, 1.2]\n", "utf-8")
+    (tmp_path / "run" / "randomise.toml").write_text("[effects.mass]\nscale = [0.8, 1.2]\n", "utf-8")
     with pytest.raises(UserError, match=r"belongs to other ranges than randomise\.toml"):
         Run(TrainConfig(out=tmp_path / "run", resume=True))
 
