@@ -18,7 +18,7 @@ from inclined_landing.models.parameters import constants, load_vehicle
 from inclined_landing.models.plants import make_plant
 
 V = load_vehicle()
-PLANTS = "mujoco", "analytic"
+PLANTS = "mujoco", "analytic", "hybrid"
 FILE = """
 nominal = 0.25
 probability = 0.5
