@@ -10,6 +10,9 @@ unless another is given), and shows
 - `reset(ids, state)`: full state, lag included; `save()` / `restore()`: everything that a replay needs;
 - `set_platform(ids, inclination, present)` and `perturb(**changes)`, per vehicle, no recompiling.
 
+With `pool=VEHICLES` single vehicles may be others than the plant's own: `assign(ids, choice)` says which, and
+they fly as in a plant of their own, bit for bit.
+
 With `unrest=SEED` all meet the vehicle file's unrest of the air, the same under the same seed (`unrest.py`);
 without it the air is still.
 

@@ -32,6 +32,7 @@ STEPS = 50
 ANALYTIC = pytest.param("analytic", {}, id="analytic")
 LOOP = pytest.param("analytic", {"attitude": "rate_loop"}, id="analytic rate_loop")
 MUJOCO = pytest.param("mujoco", {}, id="mujoco")
+HYBRID = pytest.param("hybrid", {}, id="hybrid")
 KINEMATIC = pytest.param("mujoco", {"attitude": "kinematic"}, id="mujoco kinematic")
 
 
@@ -65,7 +66,7 @@ def commands(steps=STEPS, seed=0):
     return rng.uniform([15_000, -0.5, -0.5, -3], [45_000, 0.5, 0.5, 3], (steps, 4))
 
 
-@pytest.mark.parametrize("kind, options", [ANALYTIC, LOOP, MUJOCO, KINEMATIC])
+@pytest.mark.parametrize("kind, options", [ANALYTIC, LOOP, MUJOCO, KINEMATIC, HYBRID])
 def test_each_flies_as_in_a_plant_of_its_own(kind, options):
     """Bit for bit: equations, engine's model and command histories are the same numbers."""
     pool = list(POOL.values())
@@ -81,7 +82,7 @@ def test_each_flies_as_in_a_plant_of_its_own(kind, options):
     assert touched.mean() > 0.25
 
 
-@pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO])
+@pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO, HYBRID])
 def test_whoever_is_not_assigned_is_the_plants_own(kind, options):
     pool = list(POOL.values())
     plain, pooled = make_plant(kind, 3, V, **options), make_plant(kind, 3, V, pool=pool, **options)
@@ -91,7 +92,7 @@ def test_whoever_is_not_assigned_is_the_plants_own(kind, options):
     np.testing.assert_array_equal(flight(plain, commands()), flight(pooled, commands()))
 
 
-@pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO])
+@pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO, HYBRID])
 def test_others_fly_on_while_some_become_another(kind, options):
     pool = list(POOL.values())
     flights = []
@@ -112,12 +113,12 @@ def test_others_fly_on_while_some_become_another(kind, options):
     np.testing.assert_array_equal(*flights)
 
 
-@pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO])
+@pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO, HYBRID])
 def test_restore_replays_bit_for_bit(kind, options):
     pool, n = list(POOL.values()), 8
     plant = begin(make_plant(kind, n, V, pool=pool, unrest=3, **options), np.arange(n) * 5)
     plant.perturb(mass_scale=1.1, thrust_scale=0.9)
-    if kind == "mujoco":
+    if kind != "analytic":
         plant.set_contact(np.arange(0, n, 2), friction=0.3)
     flight(plant, commands(15))
     snapshot = plant.save()
