@@ -38,6 +38,8 @@ _BLOCK = 25  # control steps in one timed block
 _PLANTS = (
     ("mujoco RK4", "mujoco", {}),
     ("mujoco implicitfast", "mujoco", {"integrator": "implicitfast"}),
+    ("hybrid", "hybrid", {}),
+    ("hybrid implicitfast", "hybrid", {"integrator": "implicitfast"}),
     ("analytic", "analytic", {}),
 )
 _PICTURE = {"width": 640, "height": 480, "camera": "hero"}
@@ -99,7 +101,8 @@ def environments(repeats: int, seed: int, vehicle: Vehicle | None = None) -> lis
 
     The environment is `BatchVecEnv` (task, reward, resets, episode statistics) under random actions.
     Each of its blocks is replayed at once, from the same states with the same commands, by the bare
-    plant: for MuJoCo `mujoco.batch.Batch.step` and nothing else.
+    plant: for MuJoCo `mujoco.batch.Batch.step` and nothing else. `in_engine` is the share of vehicle steps
+    that MuJoCo made.
     """
     return [_environment(*plant, repeats, seed, vehicle) for plant in _PLANTS]
 
@@ -112,14 +115,16 @@ def _environment(label: str, kind: str, options: dict, repeats: int, seed: int, 
     face = BatchVecEnv(env)
     face.reset()
     env.length[:] = rng.integers(0, task.max_steps, VEHICLES)  # so that resets spread evenly
-    whole, physics, contact = [], [], []
+    whole, physics, contact, engine = [], [], [], []
     for repeat in range(repeats + 2):
         actions = rng.uniform(-1, 1, (_BLOCK, VEHICLES, len(task.action_names)))
         commands = [task.commands(a) for a in actions]
         before = plant.save()
+        flown_by_engine = np.zeros(_BLOCK)
         began = time.perf_counter()
-        for a in actions:
+        for k, a in enumerate(actions):
             face.step(a)
+            flown_by_engine[k] = _in_engine(plant)
         between = time.perf_counter()
         bare.restore(before)
         advance = _bare(bare)
@@ -131,6 +136,7 @@ def _environment(label: str, kind: str, options: dict, repeats: int, seed: int, 
             whole.append(between - began)
             physics.append(ended - middle)
             contact.append(float(plant.contacts.touch.any(axis=(1, 2)).mean()))
+            engine.append(flown_by_engine.mean())
     steps = _BLOCK * VEHICLES
     whole, physics = np.array(whole), np.array(physics)
     return {
@@ -140,12 +146,20 @@ def _environment(label: str, kind: str, options: dict, repeats: int, seed: int, 
         "bare_steps_per_second": spread(steps / physics),
         "overhead": spread(whole / physics - 1.0),
         "in_contact": float(np.mean(contact)),
+        "in_engine": float(np.mean(engine)),
     }
+
+
+def _in_engine(plant) -> float:
+    """The share of the vehicles that MuJoCo flew in the last control step."""
+    if plant.kind == "hybrid":
+        return plant.in_engine.mean()
+    return float(plant.kind == "mujoco")
 
 
 def _bare(plant) -> Callable[[np.ndarray], None]:
     """The cheapest way to advance this plant by one control step under commands (n, 4)."""
-    if plant.kind == "analytic":
+    if plant.kind != "mujoco":
         return plant.step
     batch, substeps = plant.batch, plant.substeps
     ctrl = batch.bind("ctrl")

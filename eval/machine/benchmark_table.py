@@ -24,12 +24,19 @@ def _environments(report: dict) -> Table:
     rows = report["environments"]
     table = new_table(
         f"Control steps per second, {rows[0]['vehicles']} vehicles",
-        *("plant", "environment", "bare stepping", "task, reward, resets [%]", "in contact [%]"),
+        *(
+            "plant",
+            "environment",
+            "bare stepping",
+            "task, reward, resets [%]",
+            "by MuJoCo [%]",
+            "in contact [%]",
+        ),
     )
     for row in rows:
         rates = [_range(row[key], 0) for key in ("steps_per_second", "bare_steps_per_second")]
-        overhead, contact = _range(row["overhead"], factor=100), f"{100 * row['in_contact']:.0f}"
-        table.add_row(row["plant"], *rates, overhead, contact)
+        shares = (f"{100 * row[key]:.{digits}f}" for key, digits in (("in_engine", 1), ("in_contact", 0)))
+        table.add_row(row["plant"], *rates, _range(row["overhead"], factor=100), *shares)
     return table
 
 
