@@ -16,10 +16,7 @@ types and sizes is a UserError, a ValueError with one sentence.
 
 from __future__ import annotations
 
-import inspect
 import sys
-import typing
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -27,83 +24,16 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from inclined_landing.envs.batch import BatchEnv, check_seed, is_whole, numbers
+from inclined_landing.envs.batch import check_seed, numbers
+from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.spaces import action_space, observation_space
-from inclined_landing.envs.tasks import TASKS, Task, make_task, task_class
+from inclined_landing.envs.tasks import TASKS, Task
 from inclined_landing.models import geometry
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle, load_vehicle
-from inclined_landing.models.plants import PLANTS, make_plant
 
 _HISTORY = "\nVersion history: v0.\n"
 _RESET = ("state", "reset_mask")  # options of the vector environment's reset
 _METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}
-
-
-MOST_VEHICLES = 100_000  # of one environment
-# What numbers among the options of a plant may be.
-_PLANT_LIMITS = {
-    **{"threads": (0, 1024), "substeps": (1, 1000), "keep_out": (0.0, 1.0)},
-    **{"timestep": (1e-5, 1.0), "control_period": (1e-5, 1.0)},
-}
-
-
-def _batch(task: str, n: int, plant: str, plant_options, vehicle, options) -> BatchEnv:
-    if not (is_whole(n) and 1 <= n <= MOST_VEHICLES):
-        raise UserError(
-            f"num_envs must be a whole number from 1 to {MOST_VEHICLES}, not {shown(repr(n), 40)}"
-        )
-    if vehicle is None or isinstance(vehicle, (str, Path)):
-        vehicle = load_vehicle(vehicle)
-    if not isinstance(vehicle, Vehicle):
-        raise UserError(f"vehicle must be a Vehicle or the path of a file, not {shown(repr(vehicle), 40)}")
-    if not isinstance(plant, str) or plant not in PLANTS:
-        raise UserError(f"unknown plant {shown(repr(plant), 40)}; known are {', '.join(PLANTS)}")
-    if not isinstance(plant_options or {}, dict):
-        raise UserError(f"plant_options must be a dictionary, not {shown(repr(plant_options), 40)}")
-    _check_options(plant_options or {}, PLANTS[plant], f"the {plant} plant")
-    for name, (low, high) in _PLANT_LIMITS.items():
-        value = (plant_options or {}).get(name)
-        if value is not None and not low <= value <= high:
-            raise UserError(
-                f"{name} of the {plant} plant must be from {low:g} to {high:g}, not {shown(repr(value), 40)}"
-            )
-    _check_options(options, task_class(task), f"the task {task}")
-    built = make_task(task, vehicle, **options)
-    return BatchEnv(built, make_plant(plant, n, vehicle, **(plant_options or {})))
-
-
-def _check_options(given: dict, kind: Any, what: str) -> None:
-    """Raise UserError for an option that the constructor of `kind` lacks, or that is of another type."""
-    parameters = inspect.signature(kind).parameters.values()
-    known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
-    types = typing.get_type_hints(kind.__init__)
-    for name, value in given.items():
-        if name not in known:
-            raise UserError(f"{what} has no option {shown(repr(name), 40)}; it has {', '.join(known)}")
-        if not _fits(value, types[name]):
-            raise UserError(f"{name} of {what} must be {_words(types[name])}, not {shown(repr(value), 40)}")
-
-
-def _fits(value, kind) -> bool:
-    if typing.get_origin(kind) is typing.Literal:
-        return value in typing.get_args(kind)
-    if typing.get_args(kind):
-        return any(_fits(value, one) for one in typing.get_args(kind))
-    if kind is float:
-        return (is_whole(value) and abs(value) < 2**63) or isinstance(value, (float, np.floating))
-    return is_whole(value) if kind is int else isinstance(value, kind)
-
-
-def _words(kind) -> str:
-    names = {
-        float: "a number",
-        int: "a whole number",
-        str: "a text",
-        bool: "True or False",
-        type(None): "None",
-    }
-    return " or ".join(names.get(one, repr(one)) for one in typing.get_args(kind) or (kind,))
 
 
 def _reset_option(options, name: str, known: tuple[str, ...]):
@@ -141,7 +71,9 @@ class TaskEnv(gym.Env):
             from inclined_landing.envs.rendering import check_look
 
             check_look(width, height, camera, render_backend)
-        self.batch = _batch(self.task_name, 1, plant, plant_options, vehicle, task_options)
+        self.batch = make_batch(
+            self.task_name, 1, plant=plant, plant_options=plant_options, vehicle=vehicle, **task_options
+        )
         self.task = self.batch.task
         self.observation_space = observation_space(self.task)
         self.action_space = action_space(self.task)
@@ -214,7 +146,14 @@ class TaskVectorEnv(VectorEnv):
     ):
         if render_mode is not None:
             raise UserError("the vector environment does not render; record a single one")
-        self.batch = _batch(self.task_name, num_envs, plant, plant_options, vehicle, task_options)
+        self.batch = make_batch(
+            self.task_name,
+            num_envs,
+            plant=plant,
+            plant_options=plant_options,
+            vehicle=vehicle,
+            **task_options,
+        )
         self.num_envs = num_envs
         self.render_mode = None
         self.task = self.batch.task

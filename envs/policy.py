@@ -57,6 +57,8 @@ class Policy:
     weights: tuple[np.ndarray, ...]  # (inputs, outputs) of each layer
     biases: tuple[np.ndarray, ...]  # (outputs,)
     activation: str
+    squashed: bool = False  # is tanh taken of the last layer, as SAC and TD3 do
+    bound: float = np.inf  # and of what is beyond this before, no more
 
     def __post_init__(self):
         """Raise UserError unless the arrays are those of one network with finite numbers."""
@@ -97,13 +99,13 @@ class Policy:
             )
         action = _forward(
             rows, self.centre, self.scale, self.limit, self.weights, self.biases,
-            _ACTIVATIONS.index(self.activation),
+            _ACTIVATIONS.index(self.activation), self.squashed, self.bound,
         )  # fmt: skip
         return action[0] if observation.ndim == 1 else action
 
 
 @numba.njit(cache=True)
-def _forward(rows, centre, scale, limit, weights, biases, activation):
+def _forward(rows, centre, scale, limit, weights, biases, activation, squashed, bound):
     widest = len(centre)
     for bias in biases:
         widest = max(widest, len(bias))
@@ -123,6 +125,8 @@ def _forward(rows, centre, scale, limit, weights, biases, activation):
                     y[j] = np.tanh(y[j]) if activation == 0 else max(y[j], 0.0)
             x, y = y, x
         for j in range(result.shape[1]):
+            if squashed:
+                x[j] = np.tanh(min(bound, max(-bound, x[j])))
             result[r, j] = min(1.0, max(-1.0, x[j]))
     return result
 
@@ -350,34 +354,56 @@ def _read_tensors(archive: zipfile.ZipFile, path: Path) -> dict[str, np.ndarray]
     return tensors
 
 
+# Which tensors make up the actor that answers without noise: of PPO and A2C, of SAC, of TD3 and DDPG.
+_KINDS = (
+    # marker, extractor, hidden layers, output, activation by default, squashed
+    ("log_std", "features_extractor.", "mlp_extractor.policy_net.", "action_net", "Tanh", False),
+    ("actor.latent_pi.0.weight", "actor.features_extractor.", "actor.latent_pi.", "actor.mu", "ReLU", True),
+    ("actor.mu.0.weight", "actor.features_extractor.", "actor.mu.", None, "ReLU", True),
+)
+_HARD_LIMIT = 2.0  # of SAC's mean with state-dependent exploration, before tanh
+
+
 def _actor(tensors: dict[str, np.ndarray], data: dict, path: Path) -> dict:
     """The fields of `Policy` that make up the network."""
-    prefix = "mlp_extractor.policy_net."
-    numbers = {name.removeprefix(prefix).split(".")[0] for name in tensors if name.startswith(prefix)}
-    extractor = {name.split(".", 1)[1] for name in tensors if name.startswith("features_extractor.")}
+    refused = UserError(
+        f"policy {path} is not a PPO, SAC or TD3 policy with a plain network and continuous actions"
+    )
+    kind = next((kind for kind in _KINDS if kind[0] in tensors), None)
+    if kind is None:
+        raise refused
+    _, scaling, hidden, output, activation, squashed = kind
+    bound = np.inf
+    if output is not None and f"{output}.0.weight" in tensors:
+        output, bound = f"{output}.0", _HARD_LIMIT
+    numbers = {name.removeprefix(hidden).split(".")[0] for name in tensors if name.startswith(hidden)}
+    extractor = {name.removeprefix(scaling) for name in tensors if name.startswith(scaling)}
     plain = all(re.fullmatch("[0-9]{1,3}", number) for number in numbers)
-    layers = [*(f"{prefix}{k}" for k in sorted(numbers, key=int)), "action_net"] if plain else []
+    layers = [f"{hidden}{k}" for k in sorted(numbers, key=int)] if plain else []
+    layers += [output] if output is not None and plain else []
     complete = plain and all(f"{layer}.{part}" in tensors for layer in layers for part in ("weight", "bias"))
-    if not complete or "log_std" not in tensors or extractor not in (set(), {"centre", "scale"}):
-        raise UserError(f"policy {path} is not a PPO policy with a plain network and continuous actions")
+    if not complete or extractor not in (set(), {"centre", "scale"}):
+        raise refused
     matrices = tuple(np.ascontiguousarray(tensors[f"{layer}.weight"].T) for layer in layers)
     inputs, scaled = len(matrices[0]) if matrices[0].ndim else 0, bool(extractor)
     return {
-        "centre": tensors["features_extractor.centre"] if scaled else np.zeros(inputs),
-        "scale": tensors["features_extractor.scale"] if scaled else np.ones(inputs),
+        "centre": tensors[f"{scaling}centre"] if scaled else np.zeros(inputs),
+        "scale": tensors[f"{scaling}scale"] if scaled else np.ones(inputs),
         "limit": _LIMIT if scaled else np.inf,
         "weights": matrices,
         "biases": tuple(tensors[f"{layer}.bias"] for layer in layers),
-        "activation": _activation(data, path),
+        "activation": _activation(data, path, activation),
+        "squashed": squashed,
+        "bound": bound,
     }
 
 
-def _activation(data: dict, path: Path) -> str:
+def _activation(data: dict, path: Path, usual: str) -> str:
     """The activation that SB3's header names, one of those that `Policy` evaluates."""
     options = data.get("policy_kwargs") or {}
-    activation = options.get("activation_fn", "Tanh") if isinstance(options, dict) else None
+    activation = options.get("activation_fn", usual) if isinstance(options, dict) else None
     if not isinstance(activation, str):
-        raise UserError(f"policy {path}: policy_kwargs in its data are not those of a PPO policy")
+        raise UserError(f"policy {path}: policy_kwargs in its data are not those of a policy")
     activation = activation.rstrip("'>").rpartition(".")[2]
     if activation not in _ACTIVATIONS or options.get("squash_output") in (True, "True"):
         raise UserError(

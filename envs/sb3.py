@@ -4,16 +4,35 @@ from __future__ import annotations
 
 import math
 import time
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 
 from inclined_landing.envs.batch import BatchEnv, check_seed
+from inclined_landing.envs.policy import stamp
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.models.errors import UserError, optional, shown
 
 with optional():
     from stable_baselines3.common.vec_env import VecEnv
+
+
+def save_policy(model, path: str | Path) -> None:
+    """Save a Stable-Baselines3 model that learned on a `BatchVecEnv`, with the stamp for `load_policy`."""
+    task = model.get_env().env.task
+    model.save(path, exclude=["lr_schedule"])  # perhaps of a callback, and not needed
+    action_map = {"pwm_centre": task.pwm_centre, "pwm_span": task.pwm_span}
+    stamp(
+        Path(path).with_suffix(".zip"),
+        {
+            "task": task.name,
+            "task_options": task.options | action_map,
+            "algorithm": type(model).__name__,
+            "seed": model.seed,
+            "steps": int(model.num_timesteps),
+        },
+    )
 
 
 class BatchVecEnv(VecEnv):

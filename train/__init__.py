@@ -1,1 +1,42 @@
-"""PPO configuration, curriculum, callbacks and the `landing-train` command."""
+"""PPO configuration, curriculum, callbacks and the `landing-train` command.
+
+Public, for trainings of one's own with Stable-Baselines3 (examples/): `ppo_kwargs`, `scaled_observation`,
+`AdaptiveCurriculum`, `CurriculumCallback`, `FastPPO`; and `TrainConfig` with `train`, which landing-train is.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from inclined_landing.train.callbacks import CurriculumCallback
+    from inclined_landing.train.config import TrainConfig
+    from inclined_landing.train.curriculum import AdaptiveCurriculum
+    from inclined_landing.train.fast.ppo import FastPPO
+    from inclined_landing.train.ppo import ppo_kwargs, scaled_observation
+    from inclined_landing.train.run import train
+
+__all__ = [
+    "AdaptiveCurriculum",
+    "CurriculumCallback",
+    "FastPPO",
+    "TrainConfig",
+    "ppo_kwargs",
+    "scaled_observation",
+    "train",
+]
+
+_AT_FIRST_USE = {  # torch takes seconds to import
+    "AdaptiveCurriculum": "curriculum",
+    "CurriculumCallback": "callbacks",
+    "FastPPO": "fast.ppo",
+    "TrainConfig": "config",
+    "ppo_kwargs": "ppo",
+    "scaled_observation": "ppo",
+    "train": "run",
+}
+
+
+def __getattr__(name: str):
+    if name not in _AT_FIRST_USE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_AT_FIRST_USE[name]}"), name)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from inclined_landing.train.curriculum import Curriculum
 
@@ -58,7 +59,9 @@ class CurriculumCallback(BaseCallback):
         if conditions is not None:
             self.training_env.env.task.conditions = conditions
         gamma = self.curriculum.gamma()
-        self.model.gamma = self.model.rollout_buffer.gamma = gamma
+        self.model.gamma = gamma
+        if isinstance(self.model, OnPolicyAlgorithm):
+            self.model.rollout_buffer.gamma = gamma
         share = self.curriculum.learning_rate_share(self.num_timesteps, self.total)
         rate = max(self.rate * share, 1e-3 * self.rate)
         self.model.lr_schedule = lambda _: rate

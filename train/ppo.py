@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import deque
 from typing import Any
@@ -89,35 +90,47 @@ def evaluation_seed(config: TrainConfig) -> int:
 def build_model(config: TrainConfig, env: BatchVecEnv) -> PPO:
     """A new PPO: 64x64 tanh, scaled observation, Adam."""
     set_torch_up()
-    task = env.env.task
     kind = FastPPO if config.update == "fast" else PPO
-    model = kind(
-        "MlpPolicy",
-        env,
-        n_steps=config.rollout,
-        batch_size=config.batch_size,
-        n_epochs=config.epochs,
-        learning_rate=config.learning_rate,
-        gamma=config.gamma,
-        gae_lambda=config.gae_lambda,
-        ent_coef=config.entropy,
-        seed=config.seed,
-        device="cpu",
-        policy_kwargs={
-            "net_arch": [64, 64],
-            "activation_fn": torch.nn.Tanh,
-            "log_std_init": config.log_std_init,
-            "features_extractor_class": ScaledObservation,
-            "features_extractor_kwargs": {
-                "centre": input_centre(task).tolist(),
-                "scale": input_scale(task).tolist(),
-            },
-            "optimizer_kwargs": {"fused": True},
-        },
-    )
+    model = kind("MlpPolicy", env, seed=config.seed, **_arguments(config, env.env.task))
     if config.threads == 1:
         model.threads = 1
     return model
+
+
+def ppo_kwargs(task: Task) -> dict:
+    """What `landing-train` gives to Stable-Baselines3's PPO for a task, for 64 environments.
+
+    `PPO("MlpPolicy", env, **ppo_kwargs(task))`; rewards are scaled by 0.1, in the environment.
+    """
+    of_the_task = {f.name for f in dataclasses.fields(TrainConfig)} & set(vars(task.training))
+    config = TrainConfig(**{name: getattr(task.training, name) for name in of_the_task})
+    return _arguments(config, task)
+
+
+def scaled_observation(task: Task) -> dict:
+    """The part of `policy_kwargs` that has observations scaled inside the network, of PPO, SAC or TD3."""
+    scaling = {"centre": input_centre(task).tolist(), "scale": input_scale(task).tolist()}
+    return {"features_extractor_class": ScaledObservation, "features_extractor_kwargs": scaling}
+
+
+def _arguments(config: TrainConfig, task: Task) -> dict:
+    return {
+        "n_steps": config.rollout,
+        "batch_size": config.batch_size,
+        "n_epochs": config.epochs,
+        "learning_rate": config.learning_rate,
+        "gamma": config.gamma,
+        "gae_lambda": config.gae_lambda,
+        "ent_coef": config.entropy,
+        "device": "cpu",
+        "policy_kwargs": {
+            "net_arch": [64, 64],
+            "activation_fn": torch.nn.Tanh,
+            "log_std_init": config.log_std_init,
+            **scaled_observation(task),
+            "optimizer_kwargs": {"fused": True},
+        },
+    }
 
 
 def set_torch_up() -> None:

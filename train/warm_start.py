@@ -69,7 +69,7 @@ def take_over(model: PPO, policy: Policy) -> None:
     more = (task.history - policy.task.history) * (len(task.observation_names) + len(task.action_names))
     first, *others = policy.weights
     weights = [np.pad(first, ((0, more), (0, 0))), *others]
-    if [w.shape for w in weights] != shapes or policy.activation != "Tanh":
+    if [w.shape for w in weights] != shapes or policy.activation != "Tanh" or policy.squashed:
         raise UserError(f"policy {policy.path} has another network than training uses: {shapes} is needed")
     same = np.array_equal(policy.centre, np.float32(input_centre(task)[:known]))
     same &= np.array_equal(policy.scale, np.float32(input_scale(task)[:known]))

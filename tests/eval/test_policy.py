@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import PPO
+from stable_baselines3 import PPO, SAC, TD3
 
 from inclined_landing.envs import policy
 from inclined_landing.envs.features import ScaledObservation
@@ -65,6 +65,32 @@ def test_predict_is_sb3s(tmp_path, options):
     assert np.abs(wanted).max() == 1.0
     # SB3 sums in float32: 64 terms of size 1 at 6e-8 each, before a gain of about 3
     np.testing.assert_allclose(loaded.predict(rows), wanted, atol=3e-5)
+
+
+@pytest.mark.parametrize("kind", [SAC, TD3])
+@pytest.mark.parametrize(
+    "options", [{}, SCALED, {"activation_fn": torch.nn.Tanh}], ids=["plain", "scaled", "tanh"]
+)
+def test_predict_is_that_of_sac_and_td3(tmp_path, kind, options):
+    network = kind("MlpPolicy", Spaces(5, 2), seed=0, device="cpu", buffer_size=1,
+                   policy_kwargs={"net_arch": [32, 16], **options})  # fmt: skip
+    assert_same_actions(network, saved(tmp_path / "p.zip", network))
+
+
+def test_predict_is_that_of_sac_with_state_dependent_exploration(tmp_path):
+    network = SAC("MlpPolicy", Spaces(5, 2), seed=0, device="cpu", buffer_size=1, use_sde=True)
+    with torch.no_grad():  # means beyond the hard limit of 2
+        network.actor.mu[0].weight.mul_(100.0)
+    actions = assert_same_actions(network, saved(tmp_path / "p.zip", network))
+    assert abs(actions).max() == pytest.approx(np.tanh(2.0))
+
+
+def assert_same_actions(network, path):
+    """float32 sums: 256 terms at 6e-8, before a gain below 10."""
+    rows = np.random.default_rng(1).normal(scale=3.0, size=(300, 5)).astype(np.float32)
+    wanted, _ = network.predict(rows, deterministic=True)
+    np.testing.assert_allclose(policy.load_policy(path).predict(rows), wanted, atol=1e-4)
+    return wanted
 
 
 def test_an_action_does_not_depend_on_its_neighbours(tmp_path):
@@ -219,7 +245,7 @@ def unknown_option(path):
         (nan_weights, "NaN or infinite"),
         (cut_short, "is not a "),
         (damaged, "policy.pth in it is not a zip file"),
-        (discrete_actions, "not a PPO policy"),
+        (discrete_actions, "not a PPO, SAC or TD3 policy"),
         (other_activation, "SiLU"),
         (damaged_stamp, "inclined_landing.json in it is not JSON"),
         (unknown_option, "colour"),

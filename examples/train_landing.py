@@ -1,0 +1,36 @@
+"""Train the landing with Stable-Baselines3's PPO.
+
+To run it, and to judge the policy:
+
+    python examples/train_landing.py [SEED [STEPS [POLICY.zip]]]
+    landing-eval success landing-ppo-0.zip
+"""
+
+import sys
+
+import torch
+from stable_baselines3 import PPO
+
+from inclined_landing.envs import BatchVecEnv, make_batch, save_policy
+from inclined_landing.train import AdaptiveCurriculum, CurriculumCallback, ppo_kwargs
+
+seed, steps = (int(word) for word in (sys.argv[1:3] + ["0", "1_200_000"][len(sys.argv[1:3]) :]))
+path = sys.argv[3] if len(sys.argv) > 3 else f"landing-ppo-{seed}.zip"
+torch.set_num_threads(1)  # small networks: one thread is faster than two
+
+# Training flies a quick integrator, with a zone of 4 cm around the platform in which contact is felt. What
+# judges policies is the plain plant.
+batch = make_batch("landing", 64, seed=seed, plant_options={"integrator": "implicitfast", "keep_out": 0.04})
+env = BatchVecEnv(batch, reward_scale=0.1)
+
+# The recipe of landing-train; every argument is Stable-Baselines3's own and may be changed.
+arguments = ppo_kwargs(batch.task)
+model = PPO("MlpPolicy", env, seed=seed, **arguments)
+
+# One difficulty, raised when the measured success allows it; the learning rate falls from there.
+curriculum = AdaptiveCurriculum(arguments["gamma"])
+callback = CurriculumCallback(curriculum, steps, arguments["learning_rate"])
+
+model.learn(steps, callback, progress_bar=sys.stdout.isatty())
+save_policy(model, path)
+print(f"level {curriculum.level:.2f} of the curriculum after {model.num_timesteps} steps: {path}")

@@ -1,0 +1,36 @@
+"""The examples run, shortened, and the policies they leave are read and flown."""
+
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from inclined_landing import envs, train
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+@pytest.mark.parametrize(
+    ("name", "task", "steps"), [("train_landing", "landing", 8192), ("train_setpoint_sac", "setpoint", 5100)]
+)
+def test_example(name, task, steps, tmp_path, monkeypatch, capsys):
+    threads = torch.get_num_threads()
+    path = tmp_path / "policy.zip"
+    monkeypatch.setattr(sys, "argv", [name, "3", str(steps), str(path)])
+    runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    torch.set_num_threads(threads)
+    policy = envs.load_policy(path)
+    assert policy.task.name == task and policy.metadata["seed"] == 3 and policy.metadata["steps"] >= steps
+    start = policy.task.sample(np.random.default_rng(0), 3).state
+    assert len(envs.record_flights(policy, "analytic", start, steps=5)) == 3
+    assert str(path) in capsys.readouterr().out
+
+
+def test_every_public_name_is_there():
+    for package in (envs, train):
+        assert all(getattr(package, name).__doc__ for name in package.__all__)
+        with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+            package.nothing  # noqa: B018
