@@ -1,7 +1,8 @@
 """What becomes of a vehicle whose motors are cut where the policy hands over: the real landing.
 
 From each given state the vehicle flies on in the MuJoCo plant with PWM 0 and no attitude torque (the
-torques come from the motors too) for two seconds, watched at every engine step.
+torques come from the motors too) for two seconds, watched at every engine step. It is not flown on where
+the end is known: once on the floor, or as good as standing still for 0.3 s.
 """
 
 from __future__ import annotations
@@ -10,11 +11,17 @@ import dataclasses
 
 import numpy as np
 
+from inclined_landing.models.attitude import VX, VZ, WX, WZ
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
-from inclined_landing.models.plants.recorder import STEP, Recorder
+from inclined_landing.models.plants.recorder import REST_RATE, REST_SPEED, STEP, Recorder
 
 DURATION = 2.0  # s
+_STILL = 0.3  # s
+# Of the speeds of rest: what slides away at constant acceleration, and is slower for _STILL, has not reached
+# them after DURATION, as (1 + DURATION / _STILL) / 8 < 1.
+_SLOW = 1 / 8
+_LOOK = 5  # engine steps
 
 
 @dataclasses.dataclass
@@ -39,6 +46,18 @@ def cut_motors(
     plant.set_platform(np.arange(n), inclination)
     plant.perturb(thrust_scale=thrust_scale)
     recorder = Recorder(plant, states)
-    for _ in range(round(DURATION / STEP)):
-        recorder.step(np.zeros((n, 4)))
+    held, flying = np.zeros(n), np.arange(n)
+    for tick in range(1, round(DURATION / STEP) + 1):
+        recorder.step(np.zeros((n, 4)), flying)
+        if tick % _LOOK == 0:
+            held = np.where(recorder.at_rest() & _slow(plant.state), held + _LOOK * STEP, 0.0)
+            flying = np.flatnonzero((held < _STILL) & ~plant.contacts.touch[:, 2].any(axis=1))
+            if not len(flying):
+                break
     return Aftermath(recorder.touched, *recorder.touch_speeds(), recorder.at_rest())
+
+
+def _slow(state: np.ndarray) -> np.ndarray:
+    """(n,) bool: so slow that it will not be faster than at rest."""
+    speed = np.linalg.norm(state[:, VX : VZ + 1], axis=1)
+    return (speed < _SLOW * REST_SPEED) & (np.linalg.norm(state[:, WX : WZ + 1], axis=1) < _SLOW * REST_RATE)

@@ -174,6 +174,22 @@ def test_cut_motors_slide_on_a_slippery_slope(landing):
     assert after.touched[0] and not after.at_rest[0]
 
 
+def test_what_is_not_flown_on_ends_as_it_would(landing, monkeypatch):
+    """From the goal box in many motions: at, above and below the friction that holds the slope."""
+    rng = np.random.default_rng(0)
+    states = np.repeat(pose(landing.goal_position[1]), 24, axis=0)
+    states[:, [VX, VZ]] += rng.uniform(-1.0, 1.0, (24, 2))
+    for friction in (0.3, 0.47, 0.49, 0.55, 0.8):
+        vehicle = dataclasses.replace(load_vehicle(), contact_friction=friction)
+        early = motors_cut.cut_motors(states, ALPHA, vehicle)
+        with monkeypatch.context() as patch:
+            patch.setattr(motors_cut, "_LOOK", 1000)
+            whole = motors_cut.cut_motors(states, ALPHA, vehicle)
+        np.testing.assert_array_equal(early.at_rest, whole.at_rest)
+        np.testing.assert_array_equal(early.touched, whole.touched)
+        np.testing.assert_array_equal(early.normal_speed, whole.normal_speed)
+
+
 def test_cut_motors_beside_the_platform_never_land():
     state = hover_states(np.array([[2.0, 0.0, 1.5]]), load_vehicle())
     after = motors_cut.cut_motors(state, ALPHA, load_vehicle())
