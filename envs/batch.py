@@ -158,9 +158,10 @@ class BatchEnv:
         drawn[self.rng.random(len(ids)) < self.nominal] = 0
         self.plant.assign(ids, drawn)
 
-    def step(self, actions: np.ndarray) -> Step:
+    def step(self, actions: np.ndarray, wanted: np.ndarray | None = None) -> Step:
         """Apply actions (n, a), clipped to [-1, 1], for one control period.
 
+        wanted: (n,) bool, vehicles that somebody looks at; the plant may let the others stand still.
         Raises UserError when an action has the wrong shape or is not finite.
         """
         actions = numbers(actions, "the action")
@@ -172,7 +173,7 @@ class BatchEnv:
         self.commands = self.task.commands(actions)
         if self.task.history:
             self.past.note(self._present(), actions)
-        self.plant.step(self.commands)
+        self.plant.step(self.commands, wanted)
         contacts = self.plant.contacts
         self.length += 1
         self.contact_steps += contacts.platform_near

@@ -69,7 +69,7 @@ def record_flights(policy: Policy, plant, states: np.ndarray, *, steps: int | No
     last = 0
     while last < limit and not ended.all():
         actions[last] = policy.predict(observation)
-        step = env.step(actions[last])
+        step = env.step(actions[last], ended == 0)
         observation = step.observation
         commands[last] = env.commands
         last += 1

@@ -69,8 +69,8 @@ class AnalyticPlant(Plant):
         self._begin(ids, state)
         self._ambient[ids, equations.TIME] = 0.0
 
-    def step(self, commands: np.ndarray) -> None:
-        """Advance every vehicle by one control period under commands (n, 4)."""
+    def step(self, commands: np.ndarray, wanted: np.ndarray | None = None) -> None:
+        """Advance every vehicle by one control period under commands (n, 4), whichever are wanted."""
         commands = np.ascontiguousarray(commands, dtype=float)
         dt = self.control_period / self.substeps
         push = None if self.unrest is None else self.unrest.push(self.state, self.attitude == "rate_loop")

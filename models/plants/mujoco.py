@@ -210,13 +210,17 @@ class MujocoPlant(Plant):
         self._warning[ids] = 0
         self._begin(ids, state)
 
-    def step(self, commands: np.ndarray) -> None:
+    def step(self, commands: np.ndarray, wanted: np.ndarray | None = None) -> None:
         """Advance every vehicle by one control period under commands (n, 4).
+
+        wanted: (n,) bool, vehicles that somebody looks at; the others stand still, unless there is unrest, of
+        which all draw from one stream.
 
         Contacts are the maximum over the control step's substeps, each seen at its beginning.
         Raises FloatingPointError, naming the vehicles, when the engine diverges; reset them to go on.
         """
-        self.advance(commands)
+        some = wanted is not None and not self.unrest and not wanted.all()
+        self.advance(commands, np.flatnonzero(wanted) if some else None)
         self.check()
 
     def check(self) -> None:
