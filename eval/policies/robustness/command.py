@@ -44,7 +44,7 @@ def command(
     policies: Policies,
     /,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
-    plant: PlantName = "mujoco",
+    plant: PlantName = "hybrid",
     every: Annotated[int, Range(1, 250)] = 1,
     thrust: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X [X ...]")] = THRUSTS,
     effect: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = tuple(LIBRARY),
@@ -55,7 +55,7 @@ def command(
     Args:
         policies: landing policies.
         out: new folder for index.html, results.md, robustness.json, conditions.csv and the pictures.
-        plant: the physics to fly in.
+        plant: the physics to fly in; hybrid is MuJoCo near surfaces and the equations elsewhere.
         every: fly from each of so many starts of the frozen grid only.
         thrust: of the plant, times what the policies know.
         effect: of the library.

@@ -16,13 +16,13 @@ ENOUGH, ENOUGH_MEDIUM = 0.97, 0.95  # shares from which a thrust, and a medium e
 
 def summary(report: dict) -> dict[str, tuple]:
     """Heads and one row for each policy: no effect, thrusts survived, means over effects, the worst one."""
-    heads = ("policy", "randomised", "history", "no effect [%]", f"thrusts with {100 * ENOUGH:.0f} %")
+    heads = ("policy", "trained", "no effect [%]", f"thrusts with {100 * ENOUGH:.0f} %")
     heads += (*(f"{size} [%]" for size in SIZES), f"medium with {100 * ENOUGH_MEDIUM:.0f} %", "worst medium")
     rows = []
     for k, policy in enumerate(report["policies"]):
         low, high = survived(report, k)
         row = [
-            *(policy["name"], "yes" if policy["randomised"] else "no", f"{policy['history']}"),
+            *(policy["name"], _trained(policy)),
             share_cell(_nominal(report)["outcomes"][k]["strict"]),
             "-" if math.isnan(low) else f"{low:g} to {high:g}",
         ]
@@ -36,6 +36,12 @@ def summary(report: dict) -> dict[str, tuple]:
         row.append(f"{worst} {100 * medium[worst]:.1f}")
         rows.append(tuple(row))
     return {"heads": heads, "rows": tuple(rows)}
+
+
+def _trained(policy: dict) -> str:
+    """What the policy's training had beyond the task as it is."""
+    kind = "randomised" if policy["randomised"] else "nominal"
+    return f"{kind}, history {policy['history']}" if policy["history"] else kind
 
 
 def thrust(report: dict) -> dict[str, tuple]:
