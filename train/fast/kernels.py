@@ -25,6 +25,7 @@ STATISTICS = ("policy_loss", "value_loss", "entropy", "kl", "clipped")  # of a m
 _B = np.uint64(BLOCK)
 _0, _1, _2, _3, _4 = (np.uint64(k) for k in range(5))
 _HALF_LOG_TWO_PI = 0.5 * math.log(2 * math.pi)
+NOBODY = 2**62  # in the counter: no thread is to be waited for
 _SPINS = 4000  # looks at the other core before it may work for somebody else
 
 # tanh(x) = x P(x^2) / Q(x^2) for |x| <= 8: relative error 6.5e-9 before rounding, 3.1e-7 in float32; from
@@ -432,7 +433,8 @@ def update(
     Two threads may share it, one for each network: they meet once per minibatch, to add the squares of their
     gradients. Whichever way, the same numbers are computed in the same order.
 
-    counter (1,) int64, 0 at first; norms (2, 2), of even and odd minibatches.
+    counter (1,) int64, 0 at first, NOBODY if the other thread has failed.
+    norms (2, 2) float64, of even and odd minibatches.
     actor, critic: (weights, widths, moments (2, w), steps (1,), activations, their derivatives, gradient).
     data: observations (N, o), actions (N, a), log-probabilities, advantages and returns (N,), all float32.
     order: (epochs, N) uint64, which samples; batch: how many in a minibatch.

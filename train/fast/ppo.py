@@ -85,18 +85,38 @@ def scatter(vector: np.ndarray, tensors: list[torch.Tensor]) -> None:
         first += tensor.numel()
 
 
-def both(work: Callable[[int], None], threads: int) -> None:
-    """work(0) and work(1), on two threads if there are two."""
+def both(work: Callable[[int], None], threads: int, let_go: Callable[[], None] | None = None) -> None:
+    """work(0) and work(1), on two threads if there are two.
+
+    When one of them fails or is interrupted, `let_go` must keep the other from waiting for it.
+    """
     if threads < 2:
         work(0)
         work(1)
         return
-    other = threading.Thread(target=work, args=(1,))
-    other.start()
+    failures: list[BaseException] = []
+
+    def beside() -> None:
+        try:
+            work(1)
+        except BaseException as error:
+            failures.append(error)
+            if let_go is not None:
+                let_go()
+
+    other = threading.Thread(target=beside)
     try:
+        other.start()
         work(0)
+    except BaseException:
+        if let_go is not None:
+            let_go()
+        raise
     finally:
-        other.join()
+        if other.ident is not None:
+            other.join()
+    if failures:
+        raise failures[0]
 
 
 class FastPPO(PPO):
@@ -132,6 +152,7 @@ class FastPPO(PPO):
             and not self.use_sde
             and not self.policy.squash_output,
             "scaled or plain observations in float32": extractor
+            and len(self.observation_space.shape) == 1
             and self.policy.share_features_extractor
             and self.observation_space.dtype == np.float32,
             "plain Adam": adam and not (group["weight_decay"] or group["amsgrad"]),
@@ -261,7 +282,7 @@ class FastPPO(PPO):
             moments.append(network.moments(optimizer))
             room = (network.activations(), network.activations(), np.empty_like(network.weights))
             packed.append((network.weights, network.widths, *moments[-1], *room))
-        shared = np.zeros(1, np.int64), np.zeros((2, 2))
+        counter, norms = np.zeros(1, np.int64), np.zeros((2, 2))
         rest = (
             *packed, data, np.array(order, np.uint64), np.uint64(self.batch_size), self._scaling(),
             actor.learns,
@@ -269,9 +290,13 @@ class FastPPO(PPO):
             (float(group["lr"]), *map(float, group["betas"]), float(group["eps"])), said,
         )  # fmt: skip
         if self.threads < 2:
-            kernels.update(True, True, *shared, *rest)
+            kernels.update(True, True, counter, norms, *rest)
         else:
-            both(lambda k: kernels.update(k == 0, k == 1, *shared, *rest), self.threads)
+            both(
+                lambda k: kernels.update(k == 0, k == 1, counter, norms, *rest),
+                self.threads,
+                let_go=lambda: counter.fill(kernels.NOBODY),
+            )
         for network, kept in zip((actor, critic), moments):
             if network.learns:
                 network.keep(optimizer, *kept)
