@@ -29,6 +29,8 @@ COPIED = {"vehicle": "vehicle.toml", "randomise": "randomise.toml"}
 ENDING = ("steps", "success", "min_steps", "max_steps")
 UPDATES = ("fast", "stock")
 
+CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its own task
+
 _MANY = Range(1, 10**9)
 _INTERVAL = Range(0, 10**9)
 
@@ -188,13 +190,13 @@ class TrainConfig:
         given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}
         filled = {k: getattr(training, k) if value is None else value for k, value in given.items()}
         check_ranges(self)
-        filled |= self._ending(training)
+        start = filled["start_from"]
+        same = start is not None and trained_for(start) == kind.name
+        filled |= self._ending(training, CARRIED_ON if same else training.min_steps)
         out = Path(self.out or f"runs/{kind.name}-{self.seed}")
         vehicle = None if self.vehicle is None else Path(self.vehicle)
         randomise = None if self.randomise is None else Path(self.randomise)
         if self.history is None:
-            start = filled["start_from"]
-            same = start is not None and trained_for(start) == kind.name
             filled["history"] = history_of(start) if same else 0
         filled |= self._action_map(filled["start_from"])
         config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)
@@ -216,8 +218,8 @@ class TrainConfig:
             span = load_vehicle(self.vehicle).command_pwm_span
         return {"pwm_centre": "hover" if centre is None else centre, "pwm_span": span}
 
-    def _ending(self, training: Training) -> dict:
-        """When the run ends: the fields in ENDING, filled in."""
+    def _ending(self, training: Training, least: int) -> dict:
+        """When the run ends: the fields in ENDING, filled in; `least`: the usual min_steps."""
         given = [option(name) for name in ENDING[1:] if getattr(self, name) is not None]
         if self.steps is not None:
             if given:
@@ -237,7 +239,7 @@ class TrainConfig:
             raise UserError(f"--min-steps {low} is more than --max-steps {high}")
         return {
             "success": training.success if self.success is None else self.success,
-            "min_steps": min(training.min_steps, high or training.min_steps) if low is None else low,
+            "min_steps": min(least, high or least) if low is None else low,
             "max_steps": max(training.max_steps, low or 0) if high is None else high,
         }
 

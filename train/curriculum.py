@@ -42,6 +42,9 @@ class Curriculum(Protocol):
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         """Share of the initial learning rate at `steps` of `total`; None: the run ends when it succeeds."""
 
+    def skip(self) -> None:
+        """Training goes on from a policy of the task: a curriculum that follows success begins at its end."""
+
     def gamma(self) -> float:
         """Discount factor of the next rollout."""
 
@@ -83,6 +86,9 @@ class NoCurriculum:
         return
 
     def advance(self, steps: int) -> None:
+        return
+
+    def skip(self) -> None:
         return
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
@@ -179,6 +185,9 @@ class AdaptiveCurriculum:
         if self.level >= 1.0:
             self._full_at = steps
 
+    def skip(self) -> None:
+        self.level, self._full_at = 1.0, 0
+
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         if self._full_at is None:
             return 1.0
@@ -260,6 +269,9 @@ class PaperCurriculum:
 
     def advance(self, steps: int) -> None:
         self.steps = steps
+
+    def skip(self) -> None:
+        return
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         return 1.0

@@ -101,6 +101,8 @@ class Run:
         self.model = ppo.build_model(config, self.env)
         if self.teacher is not None:
             warm_start.take_over(self.model, self.teacher)
+            if self.teacher.task.name == self.env.env.task.name:
+                self.curriculum.skip()
         self.history: list[dict] = []
         self.evaluations: list[dict] = []
         self.best: bytes | None = None  # the policy file of the best evaluation

@@ -23,7 +23,8 @@ from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.train import cli, run, warm_start
-from inclined_landing.train.config import ENDING, Range, TrainConfig
+from inclined_landing.train.config import CARRIED_ON, ENDING, Range, TrainConfig
+from inclined_landing.train.curriculum import SETTLING
 from inclined_landing.train.run import CHECKPOINT, Run, train
 
 TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "steps": 512, "threads": 1,
@@ -228,6 +229,16 @@ def test_a_run_goes_on_from_a_policy_of_its_own_task(task, tmp_path):
     assert not np.array_equal(after["value_net.weight"], np.float32(shipped["value_net.weight"]))
     again, _ = train(config(tmp_path / "b", task=task, start_from=str(folder / "final.zip"), steps=256))
     assert load_policy(again / "final.zip").task.name == task
+
+
+def test_a_landing_run_that_goes_on_begins_at_the_end_of_its_curriculum(tmp_path):
+    """And may end after the steps in which the critic comes first, and some; a new run has more."""
+    begun = Run(TrainConfig(out=tmp_path / "a", start_from="landing"))
+    assert begun.curriculum.level == 1.0 and begun.config.min_steps == CARRIED_ON > warm_start.CRITIC_FIRST
+    assert begun.curriculum.learning_rate_share(0, None) == 1.0
+    assert begun.curriculum.learning_rate_share(SETTLING // 2, None) == pytest.approx(0.5)
+    new = Run(TrainConfig(out=tmp_path / "b"))
+    assert new.curriculum.level == 0.0 and new.config.min_steps == new.env.env.task.training.min_steps
 
 
 def test_a_run_goes_on_with_a_longer_history_that_counts_nothing_at_first(tmp_path):
