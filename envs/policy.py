@@ -252,8 +252,14 @@ def _action_map(options: dict) -> tuple[float, float]:
 
 
 def _check_meets(task: Task, metadata: dict, inclination, path) -> None:
-    """Raise UserError where a task is not the stamped one in what a policy cannot see."""
+    """Raise UserError where a task is not the stamped one in what a policy cannot see, or in its history."""
     options = metadata.get("task_options", {})
+    past = options.get("history", 0)
+    if past != task.history:
+        raise UserError(
+            f"policy {path} is given {past} past steps, and the {task.name} task here has {task.history}; "
+            f"give it history={past}"
+        )
     trained, own = _action_map(options), (task.pwm_centre, task.pwm_span)
     if not np.allclose(trained, own, rtol=0.0, atol=1e-6):
         raise UserError(

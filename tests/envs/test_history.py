@@ -1,5 +1,7 @@
 """The task option `history`: what a policy is given besides the present observation."""
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.gym_env import InclinedLandingEnv, InclinedLandingVectorEnv  # type: ignore
 from inclined_landing.envs.history import input_centre, input_names, input_scale
-from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.policy import Policy, history_of, load_policy, locate, stamp, trained_for
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.eval.policies import touchdown
@@ -133,6 +135,20 @@ def test_an_episode_goes_on_from_its_record_with_its_history():
     other.plant.restore(env.plant.save())
     other.restore_episodes(env.episode_state())
     np.testing.assert_array_equal(other.observe(), env.observe())
+
+
+def test_a_policy_is_not_flown_without_its_history(tmp_path):
+    path = shutil.copy(locate("landing"), tmp_path / "h.zip")
+    stamp(path, {"task": "landing", "task_options": {"pwm_centre": "hover", "history": 2}})
+    assert history_of(path) == 2 and trained_for(path) == "landing"
+    with pytest.raises(
+        UserError, match=r"is given 2 past steps, and the landing task here has 0; .*history=2"
+    ):
+        load_policy(path, make_task("landing"))
+    with pytest.raises(
+        UserError, match="takes 5 observations and gives 2 actions, but the task landing has 19"
+    ):
+        load_policy(path)
 
 
 @pytest.mark.parametrize("wrong", [-1, 51, 1.5, True, "2"])
