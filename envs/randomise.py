@@ -22,8 +22,8 @@ its range, independent of the others. What all vehicles of a plant have in commo
 arena, shapes, and the platform but for its surface_height (the effects platform_height and platform_tilt move
 it).
 
-`landing-train --randomise FILE` reads it. `robust` is shipped: the whole library of effects, as far as a real
-vehicle may well have them.
+`landing-train --randomise FILE` reads it. `robust` is shipped: the whole library of effects, a little farther
+than a real vehicle may well have them.
 """
 
 from __future__ import annotations
