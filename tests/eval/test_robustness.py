@@ -9,7 +9,7 @@ from PIL import Image
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.statistics import mean, proportion, spread
-from inclined_landing.eval.policies.robustness import figures, study, words
+from inclined_landing.eval.policies.robustness import command, figures, study, words
 from inclined_landing.eval.policies.success_effects import sizes
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -96,6 +96,14 @@ def flown(tmp_path_factory):
     options = "--every 60 --thrust 0.7 --effect friction mocap_delay"
     assert cli.main(["robustness", "landing", str(copy), "--out", str(out), *options.split()]) == 0
     return out
+
+
+def test_the_terminal_shows_every_policy_whole(capsys):
+    command.show(made_report(by_thrust, names=("landing", "landing-robust", "landing-history")))
+    printed = capsys.readouterr().out
+    assert "…" not in printed and max(map(len, printed.splitlines())) <= 120
+    for name in ("landing-robust", "randomised, history 4", "second_order_attitude", "x 1.15"):
+        assert name in printed
 
 
 def test_the_folder_has_everything(flown):

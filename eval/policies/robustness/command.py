@@ -131,15 +131,18 @@ def show(report: dict) -> None:
     """Print the report of `evaluate`."""
     console = printer()
     title = f"Strict success, {report['starts']} starts, {report['plant']} plant"
+    summary = words.summary(report)
+    across = tuple(zip(summary["heads"], *summary["rows"]))  # a column for each policy
+    few = 1 + len(report["policies"])  # columns: what strict success is of each effect
     tables = {
-        title: words.summary(report),
-        "Over thrust": words.thrust(report),
-        "Effects: weak / medium / strong": words.effects(report),
+        title: ({"heads": across[0], "rows": across[1:]}, None),
+        "Over thrust": (words.thrust(report, brief=True), None),
+        "Effects: weak / medium / strong": (words.effects(report), few),
     }
-    for name, found in tables.items():
-        printed = new_table(name, *found["heads"])
+    for name, (found, columns) in tables.items():
+        printed = new_table(name, *found["heads"][:columns])
         for row in found["rows"]:
-            printed.add_row(*row)
+            printed.add_row(*row[:columns])
         console.print(printed)
     for sentence in words.sentences(report):
         console.print(sentence)

@@ -44,15 +44,22 @@ def _trained(policy: dict) -> str:
     return f"{kind}, history {policy['history']}" if policy["history"] else kind
 
 
-def thrust(report: dict) -> dict[str, tuple]:
-    """Heads and one row for each thrust: strict success, rest and touchdown speed of every policy."""
+def thrust(report: dict, brief: bool = False) -> dict[str, tuple]:
+    """Heads and one row for each thrust: strict success, rest and touchdown speed of every policy.
+
+    brief: strict success and rest without their intervals, in one cell.
+    """
     names = [policy["name"] for policy in report["policies"]]
-    parts = ("strict [%]", "at rest [%]", "touch [m/s]")
+    parts = ("strict, at rest [%]",) if brief else ("strict [%]", "at rest [%]", "touch [m/s]")
     heads = ("thrust", *(f"{name}: {part}" for name in names for part in parts))
     rows = []
     for row in report["thrust"]:
         cells = [f"x {row['parameters']['scale']['value']:g}"]
         for outcome in row["outcomes"]:
+            if brief:
+                shares = (outcome[key]["share"] for key in ("strict", "at_rest_on_feet"))
+                cells.append(", ".join(f"{100 * share:.1f}" for share in shares))
+                continue
             speed = outcome["normal_speed"]["median"]
             cells += [share_cell(outcome["strict"]), share_cell(outcome["at_rest_on_feet"])]
             cells.append("-" if speed is None else f"{speed:.2f}")
@@ -143,7 +150,7 @@ def _nominal(report: dict) -> dict:
 
 def markdown(report: dict) -> str:
     """The report for a page of the documents: sentences, pictures, tables."""
-    lines = [*sentences(report), ""]
+    lines = [*(f"- {sentence}" for sentence in sentences(report)), ""]
     lines += [
         "![Shares over thrust](robustness_thrust.png)",
         "",
