@@ -45,7 +45,6 @@ class Delays:
         self.fresh = np.ones(n, bool)  # no command since the reset
         depth = math.floor(oldest / self.period) + 2 if self.of_measurement else 0
         self.states = np.zeros((n, depth, STATE_SIZE))
-        self._rows = np.arange(n)
         self._out = np.zeros((n, 4))
 
     def assign(self, ids, choice: np.ndarray) -> None:
@@ -85,21 +84,28 @@ class Delays:
     def measurement(self, state: np.ndarray) -> np.ndarray:
         """`state` (n, 13) as it was before the delay, interpolated linearly between control steps, tilted."""
         if self.of_measurement:
-            state = self._late(state)
+            state = _late(self.states, self._mocap, self.period, state)
         if self._tilts:
             attitude, state = state[:, ROLL : YAW + 1].copy(), state.copy()
             _tilt(attitude, self._tilt, state[:, ROLL : YAW + 1])
         return state
 
-    def _late(self, state: np.ndarray) -> np.ndarray:
-        steps = self._mocap / self.period
-        whole = np.floor(steps).astype(int)
-        later, earlier = self.states[self._rows, whole], self.states[self._rows, whole + 1]
-        change = earlier - later
-        angles = slice(ROLL, YAW + 1)
-        change[:, angles] = (change[:, angles] + np.pi) % (2 * np.pi) - np.pi
-        late = later + (steps - whole)[:, None] * change
-        return np.where((self._mocap > 0.0)[:, None], late, state)
+
+@numba.njit(cache=True)
+def _late(states, delays, period, state):
+    """State (n, 13) before delays [s] (n,) or (1,), between past ones (n, depth, 13), newest first."""
+    out = state.copy()
+    for i in range(len(state)):
+        steps = delays[i if len(delays) > 1 else 0] / period
+        if steps > 0.0:
+            whole = int(steps)
+            for k in range(state.shape[1]):
+                later = states[i, whole, k]
+                change = states[i, whole + 1, k] - later
+                if ROLL <= k <= YAW:
+                    change = (change + math.pi) % (2 * math.pi) - math.pi
+                out[i, k] = later + (steps - whole) * change
+    return out
 
 
 @numba.njit(cache=True)
