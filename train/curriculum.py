@@ -174,6 +174,9 @@ class AdaptiveCurriculum:
 
     def advance(self, steps: int) -> None:
         if self.level >= 1.0:
+            full = len(self._recent) == self._recent.maxlen
+            if self._full_at is None and full and self.success > self.gate:
+                self._full_at = steps
             return
         if len(self._recent) == self._recent.maxlen and self.success > self.gate:
             self.level = min(1.0, self.level + self.step)
@@ -186,7 +189,7 @@ class AdaptiveCurriculum:
             self._full_at = steps
 
     def skip(self) -> None:
-        self.level, self._full_at = 1.0, 0
+        self.level = 1.0  # at the full learning rate, until success on this vehicle passes the gate
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         if self._full_at is None:

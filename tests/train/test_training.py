@@ -236,7 +236,12 @@ def test_a_landing_run_that_goes_on_begins_at_the_end_of_its_curriculum(tmp_path
     begun = Run(TrainConfig(out=tmp_path / "a", start_from="landing"))
     assert begun.curriculum.level == 1.0 and begun.config.min_steps == CARRIED_ON > warm_start.CRITIC_FIRST
     assert begun.curriculum.learning_rate_share(0, None) == 1.0
-    assert begun.curriculum.learning_rate_share(SETTLING // 2, None) == pytest.approx(0.5)
+    begun.curriculum.advance(8192)
+    assert begun.curriculum.learning_rate_share(SETTLING, None) == 1.0  # it does not succeed yet
+    for _ in range(60):
+        begun.curriculum.episode(success=True, length=50)
+    begun.curriculum.advance(8192)
+    assert begun.curriculum.learning_rate_share(8192 + SETTLING // 2, None) == pytest.approx(0.5)
     new = Run(TrainConfig(out=tmp_path / "b"))
     assert new.curriculum.level == 0.0 and new.config.min_steps == new.env.env.task.training.min_steps
 

@@ -1,0 +1,125 @@
+"""The table of from_logs_to_policy.md: flight logs, the two commands, and what the policies are worth.
+
+    python docs/from_logs_to_policy.py DIR [CASE ...]
+
+Every case is a cause hidden in an independent simulator, which shares no code with the models: ten flights of
+20 s, as CSV. The two commands of the page are run as a user runs them, and timed. Then the shipped policy and
+the corrected one fly the frozen grid in the hybrid plant, RK4: on the corrected vehicle, and on the one
+that the logs do not tell, the shipped vehicle with the hidden effect at its hidden size.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from inclined_landing.envs import load_policy, record_flights, starts
+from inclined_landing.eval.base.statistics import proportion
+from inclined_landing.eval.proof.gap_blind.causes import Drawn, draw
+from inclined_landing.eval.proof.gap_blind.generate import fly_all, write_csv
+from inclined_landing.eval.proof.simulator import reference
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+
+FLIGHTS, SEED = 10, 7
+# The paper's own gap; a battery with which the thrust is right at 4 V, where the vehicle file's has 3.7 V in
+# hover (thrust goes with the square of the voltage); two causes at the hidden-effect sets' largest size.
+CASES = {
+    "thrust_scale": Drawn({"thrust_scale": 0.88}, {"scale": 0.88}),
+    "battery_voltage": Drawn(
+        {"battery_reference": 4.0},
+        {"sensitivity": 0.5, "reference": 4.0},
+        voltage=True,
+        spread={"battery_voltage": (-0.2, 0.1)},
+    ),
+    "attitude_delay": None,
+    "com_offset": None,
+}
+
+# Causes whose size the library says otherwise than the simulator: an offset of the centre of mass shows over
+# the stiffness of the attitude loop, and the simulator's loop is another one.
+SIZED_OTHERWISE = ("com_offset",)
+
+
+def run(name: str, number: int, folder: Path) -> dict:
+    """One case from its logs to the shares of strict landings."""
+    rng = np.random.default_rng((SEED, number))
+    hidden = CASES[name] or draw(name, "strong", rng, reference())
+    assert set(hidden.parameters) <= {parameter.name for parameter in LIBRARY[name].parameters}
+    (folder / "logs").mkdir(parents=True)
+    for k, recording in enumerate(fly_all(hidden, rng, count=FLIGHTS)):
+        write_csv(recording, folder / "logs" / f"flight_{k:02d}.csv", voltage=hidden.voltage)
+    logs = sorted(map(str, (folder / "logs").glob("*.csv")))
+    report, policy = folder / "report", folder / "policy"
+    seconds = [
+        timed("landing-eval", "gap", *logs, "--out", str(report)),
+        timed(
+            *("landing-train", "landing", "--vehicle", str(report / "vehicle.toml"), "--from", "landing"),
+            *("--seed", str(number), "--out", str(policy), "--no-report"),
+        ),
+    ]
+    diagnosis = json.loads((report / "report.json").read_text("utf-8"))
+    trained = json.loads((policy / "metrics.json").read_text("utf-8"))
+    flown = {"corrected": load_vehicle(report / "vehicle.toml")}
+    if name not in SIZED_OTHERWISE:
+        flown["true"] = LIBRARY[name].apply(load_vehicle(), hidden.parameters)
+    policies = {"before": "landing", "after": policy / "final.zip"}
+    return {
+        "case": name,
+        "hidden": hidden.parameters,
+        "named": {effect["name"]: effect["probability"] for effect in diagnosis["effects"]},
+        "seconds": seconds,
+        "steps": trained["steps"],
+        "ended": trained["ended"],
+        "strict": {
+            where: {when: strict(file, vehicle) for when, file in policies.items()}
+            for where, vehicle in flown.items()
+        },
+    }
+
+
+def timed(command: str, *arguments: str) -> float:
+    """Seconds of a command of this installation; what it says goes to the terminal."""
+    began = time.monotonic()
+    subprocess.run([str(Path(sys.executable).parent / command), *arguments], check=False)
+    return time.monotonic() - began
+
+
+def strict(policy: str | Path, vehicle: Vehicle) -> dict:
+    """Strict landings of a policy from the frozen grid, flown by `vehicle`."""
+    loaded = load_policy(policy, vehicle=vehicle)
+    flights = record_flights(
+        loaded, "hybrid", starts.at_rest(loaded.task, starts.clear(loaded.task, starts.grid()))
+    )
+    return proportion(sum(flight.strict for flight in flights), len(flights))
+
+
+def row(result: dict) -> str:
+    """A line of the page's table."""
+    size = ", ".join(f"{key} {value:.3g}" for key, value in result["hidden"].items())
+    shares = [
+        f"{counts['before']['count']}, {counts['after']['count']}" if counts else ""
+        for counts in (result["strict"].get(where) for where in ("corrected", "true"))
+    ]
+    gap, train = result["seconds"]
+    cells = [result["case"].replace("_", " "), size, ", ".join(result["named"]), *shares]
+    return f"| {' | '.join(cells)} | {gap:.0f} + {train:.0f} s | {result['steps'] / 1000:.0f} k |"
+
+
+def main() -> None:
+    """Write results.json and the rows of the table."""
+    out, names = Path(sys.argv[1]), sys.argv[2:] or list(CASES)
+    out.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        result = run(name, list(CASES).index(name), out / name)
+        (out / f"{name}.json").write_text(json.dumps(result, indent=2), "utf-8")
+        print(row(result), flush=True)
+
+
+if __name__ == "__main__":
+    main()
