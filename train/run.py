@@ -51,6 +51,7 @@ CHECKPOINT = "checkpoint.pt"
 VEHICLE = COPIED["vehicle"]
 EVALUATION_STARTS = 64
 ENDING_STARTS = 256  # of evaluations that end a run
+COMPLETE = 1.0 - 1e-9  # level of a curriculum that is
 NOT_REACHED = 3  # exit code
 TARGET = 0.99  # success that "time to 99 %" means
 _FREE = ("out", "max_seconds", "report", "threads")  # options that may differ from a checkpoint's
@@ -218,7 +219,7 @@ class Run:
         config, last = self.config, self.evaluations[-2:]
         if config.success is None or len(last) < 2 or self.model.num_timesteps < config.min_steps:
             return False
-        complete = {row["steps"] for row in self.history if row["level"] >= 1.0 - 1e-9}
+        complete = {row["steps"] for row in self.history if row["level"] >= COMPLETE}
         return all(e["steps"] in complete and e["score"] >= config.success for e in last)
 
     def _ended(self) -> str:
@@ -279,6 +280,8 @@ class Run:
         return {} if self.config.randomise is None else read_ranges(self.config.randomise).given
 
     def _evaluate_or_end(self, iteration: int) -> None:
+        if self.config.success is not None and self.curriculum.level < COMPLETE:
+            return  # policies that have not seen the whole task fail at it, at length
         self.evaluate(iteration)
         if self._reached():
             raise _Reached

@@ -91,8 +91,8 @@ class Conditions:
 # A real contact upsets the vehicle, which then lies on the slab for the rest of the episode, and one that
 # leaves the arena rarely comes back; neither teaches anything. Cut without a price, a fall to the floor would
 # cost what the critic says of states that it never saw anything follow: a policy may then go on falling past
-# the goal from half of the starts. The price is that of staying there, 2 a step at a discount of 0.97.
-AIDED = Conditions(contact_limit=8, leave_limit=0.3, departure=66.0, goal_while_touching=False)
+# the goal from half of the starts. The price is that of staying there, 2 a step at a discount of 0.98.
+AIDED = Conditions(contact_limit=8, leave_limit=0.3, departure=100.0, goal_while_touching=False)
 
 
 class InclinedLanding(Task):
