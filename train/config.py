@@ -139,10 +139,14 @@ class TrainConfig:
 
     environments: Annotated[int, Range(1, 16_384)] = 64
     """Vehicles stepped together."""
-    rollout: Annotated[int, Range(1, 65_536)] = 128
-    """Steps of each vehicle between updates."""
-    batch_size: Annotated[int, Range(2, 10**9)] = 512
-    """Samples in a minibatch, at most a whole rollout of all vehicles."""
+    rollout: Annotated[
+        int | None, Range(1, 65_536), _by_task("Steps of each vehicle between updates", "rollout")
+    ] = None
+    batch_size: Annotated[
+        int | None,
+        Range(2, 10**9),
+        _by_task("Samples in a minibatch, at most a whole rollout of all vehicles", "batch_size"),
+    ] = None
     epochs: Annotated[int | None, Range(1, 1000), _by_task("Passes over each rollout", "epochs")] = None
     learning_rate: Annotated[
         float | None,
@@ -166,12 +170,12 @@ class TrainConfig:
     reward_scale: Annotated[float, Range(0, 1000, open=True)] = 0.1
     """Rewards are multiplied by this before PPO sees them."""
 
-    evaluate_every: Annotated[int, _INTERVAL] = 20
+    evaluate_every: Annotated[int, _INTERVAL] = 16
     """Iterations between evaluations in the plain plant (0: never)."""
     checkpoint_every: Annotated[int, _MANY] = 20
     """Iterations between checkpoints."""
-    video_every: Annotated[int, _INTERVAL] = 50
-    """Iterations between videos of one flight, as in the paper (0: never)."""
+    video_every: Annotated[int, _INTERVAL] = 0
+    """Iterations between videos of one flight (0: never); each takes as long as some 100 000 steps."""
 
     def resolved(self) -> TrainConfig:
         """A copy with every default filled in and every value checked; raises UserError."""

@@ -120,26 +120,28 @@ class AdaptiveCurriculum:
     0.25 to 0.10 from l = 0.4 on.
 
     Rule, once per rollout: if the success rate of the last `window` episodes exceeds `gate`, l rises by
-    `step` and the window is emptied; above `floor`, l creeps up by `creep`; below `retreat` it creeps
-    down. Episodes solved within two steps do not count. The learning rate stays constant until l = 1
-    and then falls linearly to zero at the end of the run (or is `settling`).
+    `step` and the window is emptied; above `floor`, l creeps up by `creep`; in a full window at or below
+    it, l goes back by `back`, as far as it takes: a policy that has learned to keep away from the platform
+    has to meet the goal without one again. Episodes solved within two steps do not count. The learning rate
+    stays constant until success at l = 1 exceeds the gate and then falls linearly to zero at the end of the
+    run (or is `settling`).
     """
 
     name = "adaptive"
 
     def __init__(
         self,
-        gamma: float = 0.99,
+        gamma: float = 0.98,
         *,
         window: int = 60,
         gate: float = 0.7,
         floor: float = 0.4,
-        step: float = 0.06,
+        step: float = 0.08,
         creep: float = 0.003,
-        retreat: float = 0.15,
+        back: float = 0.01,
     ):
-        self._gamma, self.gate, self.floor, self.step = gamma, gate, floor, step
-        self.creep, self.retreat = creep, retreat
+        self._gamma, self.gate, self.floor = gamma, gate, floor
+        self.step, self.creep, self.back = step, creep, back
         self.level = 0.0
         self._recent: deque[bool] = deque(maxlen=window)
         self._full_at: int | None = None
@@ -173,20 +175,17 @@ class AdaptiveCurriculum:
             self._recent.append(bool(success))
 
     def advance(self, steps: int) -> None:
-        if self.level >= 1.0:
-            full = len(self._recent) == self._recent.maxlen
-            if self._full_at is None and full and self.success > self.gate:
-                self._full_at = steps
-            return
-        if len(self._recent) == self._recent.maxlen and self.success > self.gate:
+        full = len(self._recent) == self._recent.maxlen
+        passed = full and self.success > self.gate
+        if self.level >= 1.0 and passed:
+            self._full_at = steps if self._full_at is None else self._full_at
+        elif passed:
             self.level = min(1.0, self.level + self.step)
             self._recent.clear()
         elif self.success > self.floor:
             self.level = min(1.0, self.level + self.creep)
-        elif len(self._recent) == self._recent.maxlen and self.success < self.retreat:
-            self.level = max(0.0, self.level - self.creep)
-        if self.level >= 1.0:
-            self._full_at = steps
+        elif full:
+            self.level, self._full_at = max(0.0, self.level - self.back), None
 
     def skip(self) -> None:
         self.level = 1.0  # at the full learning rate, until success on this vehicle passes the gate

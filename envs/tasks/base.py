@@ -91,6 +91,8 @@ class Training:
     min_steps: int = 300_000  # such a run has
     max_steps: int = 3_000_000
     curriculum: str = "none"
+    rollout: int = 128
+    batch_size: int = 512
     epochs: int = 5
     gamma: float = 0.99
     integrator: str = "implicitfast"

@@ -107,7 +107,14 @@ class InclinedLanding(Task):
     cut_at_success = True
     shipped = True
     table = "goal_box"
-    training = Training(steps=None, success=0.99, curriculum="adaptive")
+    training = Training(
+        *(None, 0.99),
+        curriculum="adaptive",
+        gamma=0.98,
+        learning_rate=2e-3,
+        rollout=64,
+        batch_size=256,
+    )
     curricula: tuple[str, ...] = ("adaptive", "paper", "none")
     training_conditions: Any = AIDED
     score_curve = ScoreCurve(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from inclined_landing.envs.tasks import InclinedLanding, Moment, landing, make_task
 from inclined_landing.envs.tasks.base import Start, hover_states
-from inclined_landing.envs.tasks.landing import Conditions
+from inclined_landing.envs.tasks.landing import AIDED, Conditions
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, X, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -274,6 +274,19 @@ def test_the_papers_starts_are_clear(x, z):
 
 def test_the_task_has_no_training_aids():
     assert Conditions().contact_limit == 0 and Conditions().goal_while_touching
+
+
+def test_with_a_price_whoever_falls_or_leaves_is_out_and_has_paid_for_ever():
+    far, fallen = at(3.8, 1.5), at(1.0, 0.03)
+    kept = judge(fallen, far, conditions=Conditions(leave_limit=0.3))
+    assert kept.cut.tolist() == [False, True] and not kept.terminated.any()
+    priced = judge(far, GOAL, at(1, 1.8), conditions=AIDED)
+    assert priced.terminated.tolist() == [True, True, False] and not priced.cut.any()
+    assert priced.success.tolist() == [False, True, False]
+    assert priced.terms["departure"].tolist() == [-AIDED.departure, 0, 0]
+    assert judge(fallen, near=True, surface=2, conditions=AIDED).terminated.all()  # on the floor
+    # as much as staying there costs at the discount of training
+    assert pytest.approx(-judge(far).reward[0] / (1 - InclinedLanding.training.gamma)) == AIDED.departure
 
 
 def test_contact_limit_cuts_but_never_a_success():

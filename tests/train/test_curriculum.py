@@ -31,6 +31,7 @@ def as_task(conditions: landing.Conditions) -> landing.Conditions:
         conditions,
         contact_limit=TASK.contact_limit,
         leave_limit=TASK.leave_limit,
+        departure=TASK.departure,
         goal_while_touching=TASK.goal_while_touching,
         start_reach_z=TASK.start_reach_z,
     )
@@ -94,7 +95,7 @@ def test_at_the_gate_itself_it_only_creeps():
     assert c.level == 0.003
 
 
-@pytest.mark.parametrize("successes, level", [(0, 0.0), (24, 0.0), (25, 0.003), (42, 0.003), (43, 0.06)])
+@pytest.mark.parametrize("successes, level", [(0, 0.0), (24, 0.0), (25, 0.003), (42, 0.003), (43, 0.08)])
 def test_floor_creep_and_gate(successes, level):
     c = AdaptiveCurriculum()
     episodes(c, successes, 60 - successes)
@@ -102,17 +103,29 @@ def test_floor_creep_and_gate(successes, level):
     assert c.level == pytest.approx(level)
 
 
-def test_a_failing_policy_is_never_pushed_but_led_back():
+def test_a_failing_policy_is_led_back_as_far_as_it_takes():
     c = AdaptiveCurriculum()
     c.level = 0.5
-    episodes(c, 10, 50)  # 17 %: between retreat and floor
+    episodes(c, 24, 36)  # 40 %: the floor itself
     c.advance(0)
-    assert c.level == 0.5
-    for k in range(100):
+    assert c.level == pytest.approx(0.49)
+    for k in range(10):
         episodes(c, 0, 20)
         c.advance(k)
-    # 100 rollouts of 0.003 down, but for the two whose window still holds ten successes or more than 15 %
-    assert 0.199 <= c.level <= 0.5 - 97 * 0.003
+    assert c.level == pytest.approx(0.39)
+    for k in range(100):
+        c.advance(k)
+    assert c.level == 0.0
+
+
+def test_a_policy_that_loses_the_task_is_led_back_from_it():
+    """As one that begins at the end, on a vehicle on which it fails."""
+    c = AdaptiveCurriculum()
+    c.skip()
+    assert c.learning_rate_share(10_000, None) == 1.0
+    episodes(c, 0, 60)
+    c.advance(10_000)
+    assert c.level == pytest.approx(0.99) and c.learning_rate_share(10**9, None) == 1.0
 
 
 def test_episodes_solved_within_two_steps_do_not_count():
@@ -122,7 +135,7 @@ def test_episodes_solved_within_two_steps_do_not_count():
     assert c.level == 0.0 and c.success == 0.0
     episodes(c, 60, length=3)
     c.advance(2)
-    assert c.level == pytest.approx(0.06)
+    assert c.level == pytest.approx(0.08)
     c = AdaptiveCurriculum()
     episodes(c, 0, 10, length=2)  # failures of two steps do
     episodes(c, 10)
@@ -136,8 +149,10 @@ def test_the_level_stops_at_one_and_the_learning_rate_falls_from_there():
         assert c.learning_rate_share(100 * k, total) == 1.0
         episodes(c, 60)
         c.advance(100 * k)
-    assert c.level == 1.0
-    assert c.learning_rate_share(200, total) == 1.0  # full difficulty was reached at 200 steps
+    assert c.level == 1.0 and c.learning_rate_share(200, total) == 1.0
+    episodes(c, 60)
+    c.advance(200)  # success at full difficulty
+    assert c.learning_rate_share(200, total) == 1.0
     assert c.learning_rate_share(600, total) == pytest.approx(0.5)
     assert c.learning_rate_share(1000, total) == 0.0
     assert c.learning_rate_share(1100, total) == 0.0
@@ -152,8 +167,9 @@ def test_a_run_that_ends_before_full_difficulty_keeps_its_learning_rate():
 def test_in_a_run_that_ends_by_success_the_learning_rate_settles_at_a_tenth():
     c = AdaptiveCurriculum(step=1.0)
     assert c.learning_rate_share(5_000_000, None) == 1.0
-    episodes(c, 60)
-    c.advance(100_000)
+    for _ in range(2):  # to full difficulty, and success there
+        episodes(c, 60)
+        c.advance(100_000)
     shares = [c.learning_rate_share(100_000 + k * SETTLING, None) for k in (0, 0.5, 1, 10)]
     assert shares == pytest.approx([1.0, 0.5, 0.1, 0.1])
     assert NoCurriculum(0.97).learning_rate_share(SETTLING // 2, None) == pytest.approx(0.5)
