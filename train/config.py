@@ -98,7 +98,7 @@ class TrainConfig:
     resume: bool = False
     """Continue the run in --out from its last checkpoint; task and all else are those of the run."""
     report: bool = True
-    """After training: success table, learning curves, figures and the landing video."""
+    """After training: success table, learning curves, figures, a picture and a video of one flight."""
 
     plant: str = "hybrid"
     """mujoco; hybrid: the same with the equations in free flight; or analytic."""

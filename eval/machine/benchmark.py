@@ -61,7 +61,7 @@ def command(
         policy: landing policy for the latency (default: an untrained one of the usual size).
         runs: finished landing-train folders, for the time to 99 % success.
         quick: fewer repeats, under a minute.
-        training: measure training speed against SB3's defaults on one plain environment.
+        training: measure training speed against SB3's own update and its defaults on one plain environment.
         vehicle: vehicle file (TOML), where it differs from the shipped one.
         seed: of actions and trainings.
         json: print JSON, and nothing else, on standard output.
@@ -252,25 +252,31 @@ def training_speed(
     notice: Callable[[str], None],
     vehicle: Path | None = None,
 ) -> dict:
-    """Training steps per second, in turns: this package's configuration and the plain baseline.
+    """Training steps per second, in turns: as by default, with `--update stock`, and the plain baseline.
 
-    Both sides run in processes of their own and count from the first environment step to the last
-    update, without start-up, evaluation and reports.
+    Each runs in a process of its own and counts from the first environment step to the last update, without
+    start-up, evaluation and reports. ratio: to the plain baseline, SB3's PPO with its defaults on one plain
+    environment; ratio_to_stock: to this package's vehicles and settings with SB3's own rollout and update.
     """
-    ours, plain = [], []
-    options = ("--vehicle", str(vehicle)) if vehicle is not None else ()
+    given = ("--vehicle", str(vehicle)) if vehicle is not None else ()
+    sides = {  # by the beginning of its keys
+        "": ("landing-train", _landing_train, steps, given),
+        "stock_": ("landing-train --update stock", _landing_train, steps, (*given, "--update", "stock")),
+        "plain_": ("plain baseline", _plain, plain_steps, given),
+    }
+    measured: dict[str, list[float]] = {side: [] for side in sides}
     for k in range(repeats):
-        notice(f"training, landing-train, {k + 1} of {repeats}")
-        ours.append(_landing_train("--steps", str(steps), "--seed", str(seed + k), *options))
-        notice(f"training, plain baseline, {k + 1} of {repeats}")
-        plain.append(_plain("--steps", str(plain_steps), "--seed", str(seed + k), *options))
+        for side, (words, measure, count, options) in sides.items():
+            notice(f"training, {words}, {k + 1} of {repeats}")
+            measured[side].append(measure("--steps", str(count), "--seed", str(seed + k), *options))
+    rates = {side: np.array(values) for side, values in measured.items()}
     return {
         "steps": steps,
         "plain_steps": plain_steps,
         "seeds": [seed + k for k in range(repeats)],
-        "steps_per_second": spread(ours),
-        "plain_steps_per_second": spread(plain),
-        "ratio": spread(np.array(ours) / np.array(plain)),
+        **{f"{side}steps_per_second": spread(rate) for side, rate in rates.items()},
+        "ratio": spread(rates[""] / rates["plain_"]),
+        "ratio_to_stock": spread(rates[""] / rates["stock_"]),
     }
 
 

@@ -56,10 +56,14 @@ def _single(report: dict) -> Table:
             table.add_row(f"{label}, CPU [ms]", _range(row["cpu_ms"]))
     if training := report.get("training"):
         table.add_section()
-        rate, plain = training["steps_per_second"], training["plain_steps_per_second"]
-        table.add_row("training, landing-train [steps/s]", _range(rate, 0))
-        table.add_row("training, SB3 defaults, one plain environment [steps/s]", _range(plain, 0))
-        table.add_row("ratio", _range(training["ratio"]))
+        for side, words in (
+            ("", "landing-train"),
+            ("stock_", "landing-train --update stock"),
+            ("plain_", "SB3 defaults, one plain environment"),
+        ):
+            table.add_row(f"training, {words} [steps/s]", _range(training[f"{side}steps_per_second"], 0))
+        table.add_row("ratio to --update stock", _range(training["ratio_to_stock"]))
+        table.add_row("ratio to SB3 defaults, one plain environment", _range(training["ratio"]))
     if reached := report["time_to_99_percent"]:
         table.add_section()
         table.add_row("runs that reached 99 %", f"{reached['reached']} of {len(reached['runs'])}")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import pathlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
+from PIL import Image
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering import Ghost, Pose, make_renderer, qpos_of_state
@@ -14,6 +17,7 @@ from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 FPS = 50.0  # one frame for every control step
+_CODECS = {".mp4": "h264", ".gif": "gif"}
 _SPACING = 0.13  # m; copies in a strobe picture are at least this apart
 _EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # along a strobe picture
 
@@ -91,6 +95,14 @@ def strobe(
         )
 
 
+def write_picture(path: pathlib.Path, picture: np.ndarray) -> pathlib.Path:
+    """Write a picture (h, w, 3) uint8 to a .png file, whole or not at all; returns its path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with storage.atomic(path) as part:
+        Image.fromarray(picture).save(part)
+    return path
+
+
 def write_video(path, frames, fps: float = FPS) -> pathlib.Path:
     """Write frames (h, w, 3) uint8 to an .mp4 or .gif file; returns its path.
 
@@ -98,24 +110,33 @@ def write_video(path, frames, fps: float = FPS) -> pathlib.Path:
     no frames.
     """
     path = pathlib.Path(path)
-    codec = {".mp4": "h264", ".gif": "gif"}.get(path.suffix.lower())
-    if codec is None:
-        raise UserError(f"a video is an .mp4 or .gif file, not {path.name!r}")
+    write_videos({path: 1}, frames, fps)
+    return path
+
+
+def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) -> None:
+    """The same in several files, as long as each other: by file, every how many-th of the frames it has."""
+    codecs = [_CODECS.get(path.suffix.lower()) for path in every]
+    for path, codec in zip(every, codecs):
+        if codec is None:
+            raise UserError(f"a video is an .mp4 or .gif file, not {path.name!r}")
     frames = iter(frames)
     first = next(frames, None)
     if first is None:
-        raise UserError(f"no frames for {path.name}")
+        raise UserError(f"no frames for {' and '.join(path.name for path in every)}")
     import imageio_ffmpeg
     import mediapy
 
     mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
-    path.parent.mkdir(parents=True, exist_ok=True)
-    quality = {"qp": 20} if codec == "h264" else {}
-    with (
-        storage.atomic(path) as part,
-        mediapy.VideoWriter(part, first.shape[:2], fps=fps, codec=codec, **quality) as writer,
-    ):
-        writer.add_image(first)
-        for frame in frames:
-            writer.add_image(frame)
-    return path
+    with contextlib.ExitStack() as opened:
+        writers = []
+        for (path, step), codec in zip(every.items(), codecs):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            part = opened.enter_context(storage.atomic(path))
+            quality = {"qp": 20} if codec == "h264" else {}
+            writer = mediapy.VideoWriter(part, first.shape[:2], fps=fps / step, codec=codec, **quality)
+            writers.append((opened.enter_context(writer), step))
+        for k, frame in enumerate(itertools.chain([first], frames)):
+            for writer, step in writers:
+                if k % step == 0:
+                    writer.add_image(frame)

@@ -6,14 +6,13 @@ import dataclasses
 from typing import Annotated
 
 import tyro
-from PIL import Image
 
 from inclined_landing.envs.rendering import check_look
 from inclined_landing.eval.base.options import File, Flat, Flown, Look
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.base.style import make_folder
 from inclined_landing.eval.pictures.flown import fly, points, report
-from inclined_landing.eval.pictures.frames import strobe
+from inclined_landing.eval.pictures.frames import strobe, write_picture
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
@@ -41,7 +40,6 @@ def command(
     flight = fly(loaded, points([] if start is None else [start], loaded.task), flown.plant)[0]
     drawn = strobe(flight, **dataclasses.asdict(look))
     make_folder(out.parent)
-    with storage.atomic(out) as part:
-        Image.fromarray(drawn).save(part)
+    write_picture(out, drawn)
     report(flight, out.name)
     print(out)

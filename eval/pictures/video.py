@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +18,7 @@ from inclined_landing.envs.rendering import check_look
 from inclined_landing.eval.base.options import File, Flag, Flat, Flown, Look, Range, Starts
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.pictures.flown import fly, points, report
-from inclined_landing.eval.pictures.frames import FPS, render_flight, write_video
+from inclined_landing.eval.pictures.frames import FPS, render_flight, write_videos
 from inclined_landing.eval.pictures.touch import STEP, Touchdown, watch
 from inclined_landing.eval.pictures.touch_video import render_touchdowns
 from inclined_landing.models import storage
@@ -71,12 +71,16 @@ def command(
     flights = fly(loaded, points(start, loaded.task), flown.plant)
     shown = dataclasses.asdict(look)
     touchdowns = [watch(flight) for flight in flights] if forces else []
-    for path in [out] + ([out.with_suffix(".gif")] if gif and out.suffix.lower() != ".gif" else []):
-        if forces:
-            _write(path, *film_touchdowns(touchdowns, slow, **shown))
-        else:
-            most = GIF_FPS if path.suffix.lower() == ".gif" else FPS
-            _write(path, *film(flights, min(FPS, most * slow), slow, **shown))  # there are no more states
+    if forces:
+        frames, total, rate = film_touchdowns(touchdowns, slow, **shown)
+    else:
+        most = GIF_FPS if out.suffix.lower() == ".gif" else FPS
+        frames, total, rate = film(flights, min(FPS, most * slow), slow, **shown)  # there are no more states
+    files = {out: 1}
+    if gif and out.suffix.lower() != ".gif":
+        files[out.with_suffix(".gif")] = math.ceil(rate / GIF_FPS - 1e-9)
+    _write(files, frames, total, rate)
+    for path in files:
         print(path)
     for k, flight in enumerate(flights):
         report(flight, f"flight {k + 1}")
@@ -116,10 +120,11 @@ def film_touchdowns(
     return frames(), sum(len(range(0, len(x.t), every)) + rest for x in touchdowns), rate
 
 
-def _write(path: Path, frames: Iterator[np.ndarray], total: int, rate: float) -> None:
-    """Write the video, with a progress bar on stderr."""
+def _write(files: Mapping[Path, int], frames: Iterator[np.ndarray], total: int, rate: float) -> None:
+    """Write the videos, each of every so many-th frame, with a progress bar on stderr."""
+    names = " and ".join(str(path) for path in files)
     with Progress(console=Console(stderr=True), transient=True) as progress:
         try:
-            write_video(path, progress.track(frames, total=total, description=path.name), fps=rate)
+            write_videos(files, progress.track(frames, total=total, description=names), fps=rate)
         except OSError as error:
-            raise UserError(f"cannot write {path}: {(error.strerror or str(error)).lower()}") from error
+            raise UserError(f"cannot write {names}: {(error.strerror or str(error)).lower()}") from error
