@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
 from inclined_landing.envs.policy import Policy, load_policy
-from inclined_landing.eval.base.options import Flown
+from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.eval.pictures import figure, video
 from inclined_landing.eval.pictures.figures import curriculum_figure, learning_curves, save_figure
 from inclined_landing.eval.pictures.flown import fly
@@ -20,7 +21,7 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.train.curriculum import make_curriculum
 from inclined_landing.train.run import VEHICLE
 
-_FILM = {"width": 960, "height": 540}
+_LOOK = {"width": 960, "height": 540}  # of video and picture
 _FILM_FPS = 25.0  # half as many as `landing-eval video` shows
 
 
@@ -36,22 +37,34 @@ def report(folder: Path, metrics: dict) -> None:
     def load(policy: str | Path) -> Policy:
         return load_policy(policy, vehicle=None if vehicle is None else load_vehicle(vehicle))
 
-    file = folder / "final.zip"
-    final = load(file)
+    final = load(folder / "final.zip")
     task = final.task
-    show = _TABLES.get(task.table, _success)(folder, metrics, load)
-    save_figure(learning_curves([folder]), folder / "learning_curves.png")
-    stages = make_curriculum(config["curriculum"], task.name, config["gamma"]).stages()
-    if stages:
-        save_figure(curriculum_figure(stages, task=task), folder / "curriculum.png")
-    figure.command(str(file), folder, flown=Flown(vehicle=vehicle))
-    flight = fly(final, task.film_starts[:1], "mujoco")[0]
-    frames, _, rate = video.film([flight], _FILM_FPS, 1.0, **_FILM)
-    print(write_video(folder / f"{task.name}.mp4", frames, fps=rate))
-    print(write_picture(folder / "picture.png", strobe(flight)))
+    with ThreadPoolExecutor(1) as beside:  # of the table, whose time is the engine's
+        pictures = beside.submit(_draw, folder, config, final)
+        show = _TABLES.get(task.table, _success)(folder, metrics, load)
+        for path in pictures.result():
+            print(path)
     storage.write_json(folder / "metrics.json", metrics)  # last: it says that the report is whole
     show()
     print(f"everything about this run is in {folder}")
+
+
+def _draw(folder: Path, config: dict, policy: Policy) -> list[Path]:
+    """Curves, figures, a video and a picture; returns their files."""
+    task = policy.task
+    files = [save_figure(learning_curves([folder]), folder / "learning_curves.png")]
+    stages = make_curriculum(config["curriculum"], task.name, config["gamma"]).stages()
+    if stages:
+        files.append(save_figure(curriculum_figure(stages, task=task), folder / "curriculum.png"))
+    flights = fly(policy, list(task.figure_starts.values()), "mujoco", task.judged_steps)
+    for name, flight in zip(task.figure_starts, flights):
+        files += figure.draw(flight, folder, name)
+    filmed = fly(policy, task.film_starts[:1], "mujoco")[0]
+    with make_renderer(**_LOOK, vehicle=task.vehicle) as renderer:
+        frames, _, rate = video.film([filmed], _FILM_FPS, 1.0, renderer=renderer)
+        files.append(write_video(folder / f"{task.name}.mp4", frames, fps=rate))
+        files.append(write_picture(folder / "picture.png", strobe(filmed, renderer=renderer)))
+    return files
 
 
 def _success(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:

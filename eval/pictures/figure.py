@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from inclined_landing.envs.flights import Flight
 from inclined_landing.eval.base.options import Flat, Flown, Folder, Starts
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.pictures.figures import save_figure, trajectory_figure
@@ -27,7 +30,12 @@ def command(policy: AnyPolicy, /, out: Folder, start: Starts = (), flown: Flat[F
         cases = dict(zip(names, points(start, task)))
     flights = fly(loaded, list(cases.values()), flown.plant, task.judged_steps)
     for name, flight in zip(cases, flights):
-        drawn = trajectory_figure(flight)
-        for suffix in (".png", ".pdf"):
-            print(save_figure(drawn, out / f"{name}{suffix}"))
+        for path in draw(flight, out, name):
+            print(path)
         report(flight, name)
+
+
+def draw(flight: Flight, out: Path, name: str) -> list[Path]:
+    """The figure of one flight in the folder `out`; returns its files."""
+    drawn = trajectory_figure(flight)
+    return [save_figure(drawn, out / f"{name}{suffix}") for suffix in (".png", ".pdf")]

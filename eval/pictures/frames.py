@@ -6,6 +6,7 @@ import contextlib
 import itertools
 import pathlib
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -48,22 +49,33 @@ def render_flight(
     height: int = 480,
     backend: str = "auto",
     fps: float = FPS,
+    renderer: Any = None,
 ) -> Iterator[np.ndarray]:
-    """Frames (height, width, 3) uint8, `fps` of them for a second of flight."""
+    """Frames (height, width, 3) uint8, `fps` of them for a second of flight.
+
+    renderer: draw with this one, made for the same look, and leave it open: it keeps its background.
+    """
     times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
     frames = np.minimum(np.searchsorted(flight.t, times - 1e-9), len(flight.t) - 1)
     goal = flight.task.goal_state
     close = camera in ("closeup", "onboard")
     ghosts = [] if goal is None or close else [Ghost(qpos_of_state(goal))]
-    with make_renderer(width, height, camera, backend, vehicle=flight.task.vehicle) as renderer:
+    with _opened(renderer, flight, width, height, camera, backend) as drawing:
         for k in frames:
-            yield renderer.render(
+            yield drawing.render(
                 scene_of(flight, k),
                 inclination=flight.inclination,
                 trail=None if close else flight.state[: k + 1],
                 ghosts=ghosts,
                 caption=caption_of(flight, k),
             )
+
+
+def _opened(renderer, flight: Flight, *look):
+    """Context of a renderer: of the given one, which stays open, or of a new one for this look."""
+    if renderer is not None:
+        return contextlib.nullcontext(renderer)
+    return make_renderer(*look, vehicle=flight.task.vehicle)
 
 
 def strobe(
@@ -74,10 +86,12 @@ def strobe(
     height: int = 720,
     copies: int = 10,
     backend: str = "auto",
+    renderer: Any = None,
 ) -> np.ndarray:
     """One picture of the whole flight: copies of the vehicle along its way, the last one solid.
 
-    At most `copies` before the last, coloured from early (violet) to late (orange).
+    At most `copies` before the last, coloured from early (violet) to late (orange). renderer: as in
+    `render_flight`.
     """
     chosen = spread_copies(flight.state, copies + 1, _SPACING)[:-1]
     colours = _EARLY + progress(flight.state)[:, None] * (_LATE - _EARLY)
@@ -85,8 +99,8 @@ def strobe(
         Ghost(qpos_of_state(flight.state[k]), tuple(colours[k]), alpha=0.8, tint=0.7, shadow=True)
         for k in chosen
     ]
-    with make_renderer(width, height, camera, backend, vehicle=flight.task.vehicle) as renderer:
-        return renderer.render(
+    with _opened(renderer, flight, width, height, camera, backend) as drawing:
+        return drawing.render(
             scene_of(flight, -1),
             inclination=flight.inclination,
             trail=flight.state,
