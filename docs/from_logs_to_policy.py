@@ -20,26 +20,29 @@ import numpy as np
 
 from inclined_landing.envs import load_policy, record_flights, starts
 from inclined_landing.eval.base.statistics import proportion
-from inclined_landing.eval.proof.gap_blind.causes import Drawn, draw
+from inclined_landing.eval.proof.gap_blind.causes import Drawn
 from inclined_landing.eval.proof.gap_blind.generate import fly_all, write_csv
-from inclined_landing.eval.proof.simulator import reference
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 FLIGHTS, SEED = 10, 7
-# The paper's own gap; a battery with which the thrust is right at 4 V, where the vehicle file's has 3.7 V in
-# hover (thrust goes with the square of the voltage); two causes at the hidden-effect sets' largest size.
+# Sizes at which the shipped policy fails, of vehicles that there are: the paper's own gap; the delay of the
+# measured utias flights; three grams at the end of an arm; a battery with which the thrust is right at 3.9 V,
+# where the vehicle file's has 3.7 V in hover (thrust goes with the square of the voltage).
 CASES = {
     "thrust_scale": Drawn({"thrust_scale": 0.88}, {"scale": 0.88}),
+    "attitude_delay": Drawn({"attitude_delay": 0.06}, {"delay": 0.06}),
+    "com_offset": Drawn({"com_x": -0.005}, {"x": -0.005}),
     "battery_voltage": Drawn(
-        {"battery_reference": 4.0},
-        {"sensitivity": 0.5, "reference": 4.0},
+        {"battery_reference": 3.9},
+        {"sensitivity": 0.5, "reference": 3.9},
         voltage=True,
         spread={"battery_voltage": (-0.2, 0.1)},
     ),
-    "attitude_delay": None,
-    "com_offset": None,
 }
+
+# Where the policy's actions command too little thrust they are centred on the hover of the corrected vehicle.
+OPTIONS = {"battery_voltage": ("--pwm-centre", "hover")}
 
 # Causes whose size the library says otherwise than the simulator: an offset of the centre of mass shows over
 # the stiffness of the attitude loop, and the simulator's loop is another one.
@@ -49,7 +52,7 @@ SIZED_OTHERWISE = ("com_offset",)
 def run(name: str, number: int, folder: Path) -> dict:
     """One case from its logs to the shares of strict landings."""
     rng = np.random.default_rng((SEED, number))
-    hidden = CASES[name] or draw(name, "strong", rng, reference())
+    hidden = CASES[name]
     assert set(hidden.parameters) <= {parameter.name for parameter in LIBRARY[name].parameters}
     (folder / "logs").mkdir(parents=True)
     for k, recording in enumerate(fly_all(hidden, rng, count=FLIGHTS)):
@@ -60,7 +63,7 @@ def run(name: str, number: int, folder: Path) -> dict:
         timed("landing-eval", "gap", *logs, "--out", str(report)),
         timed(
             *("landing-train", "landing", "--vehicle", str(report / "vehicle.toml"), "--from", "landing"),
-            *("--seed", str(number), "--out", str(policy), "--no-report"),
+            *("--seed", str(number), "--out", str(policy), "--no-report", *OPTIONS.get(name, ())),
         ),
     ]
     diagnosis = json.loads((report / "report.json").read_text("utf-8"))
@@ -75,6 +78,7 @@ def run(name: str, number: int, folder: Path) -> dict:
         "named": {effect["name"]: effect["probability"] for effect in diagnosis["effects"]},
         "seconds": seconds,
         "steps": trained["steps"],
+        "learning": trained["seconds"]["training"],
         "ended": trained["ended"],
         "strict": {
             where: {when: strict(file, vehicle) for when, file in policies.items()}
@@ -108,7 +112,8 @@ def row(result: dict) -> str:
     ]
     gap, train = result["seconds"]
     cells = [result["case"].replace("_", " "), size, ", ".join(result["named"]), *shares]
-    return f"| {' | '.join(cells)} | {gap:.0f} + {train:.0f} s | {result['steps'] / 1000:.0f} k |"
+    learned = f"{result['steps'] / 1000:.0f} k, {result['learning']:.0f} s"
+    return f"| {' | '.join(cells)} | {gap:.0f} + {train:.0f} s | {learned} |"
 
 
 def main() -> None:

@@ -11,23 +11,25 @@ import sys
 import torch
 from stable_baselines3 import PPO
 
-from inclined_landing.envs import BatchVecEnv, make_batch, save_policy
+from inclined_landing.envs import BatchVecEnv, make_batch, make_task, save_policy
 from inclined_landing.train import AdaptiveCurriculum, CurriculumCallback, ppo_kwargs
 
-seed, steps = (int(word) for word in (sys.argv[1:3] + ["0", "1_200_000"][len(sys.argv[1:3]) :]))
+seed, steps = (int(word) for word in (sys.argv[1:3] + ["0", "500_000"][len(sys.argv[1:3]) :]))
 path = sys.argv[3] if len(sys.argv) > 3 else f"landing-ppo-{seed}.zip"
 torch.set_num_threads(1)  # small networks: one thread is faster than two
 
-# Training flies a quick integrator, with a zone of 4 cm around the platform in which contact is felt. What
-# judges policies is the plain plant.
-batch = make_batch("landing", 64, seed=seed, plant_options={"integrator": "implicitfast", "keep_out": 0.04})
+# The recipe of landing-train. Training flies a quick integrator, with a zone of some centimetres around the
+# platform in which contact is felt. What judges policies is the plain plant.
+task = make_task("landing")
+engine = {"integrator": task.training.integrator, "keep_out": task.training.keep_out}
+batch = make_batch("landing", 64, seed=seed, plant="hybrid", plant_options=engine)
 env = BatchVecEnv(batch, reward_scale=0.1)
 
-# The recipe of landing-train; every argument is Stable-Baselines3's own and may be changed.
-arguments = ppo_kwargs(batch.task)
+# Every argument is Stable-Baselines3's own and may be changed.
+arguments = ppo_kwargs(task)
 model = PPO("MlpPolicy", env, seed=seed, **arguments)
 
-# One difficulty, raised when the measured success allows it; the learning rate falls from there.
+# One difficulty that follows the measured success; at its end the learning rate falls.
 curriculum = AdaptiveCurriculum(arguments["gamma"])
 callback = CurriculumCallback(curriculum, steps, arguments["learning_rate"])
 

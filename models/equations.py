@@ -249,6 +249,33 @@ def powered_thrust(thrust, lag, time, voltage, v):
     return (thrust + v.effects.thrust_bias) * fade(time, v) * sag * supply(voltage, lag, time, v)
 
 
+@numba.njit(cache=True)
+def _carrying(low, high, vehicle, p):
+    """The PWM between two bounds whose settled thrust carries the weight; the upper one where none does."""
+    v = vehicle[0]
+    weight = v.body.mass * v.environment.gravity
+    for _ in range(60):  # halves: to 1e-13 of what lies between
+        pwm = 0.5 * (low + high)
+        lag = pwm / v.thrust.lag_rate
+        if powered_thrust(total_thrust(lag, pwm, v, p), lag, 0.0, math.nan, v) < weight:
+            low = pwm
+        else:
+            high = pwm
+    return high
+
+
+def settled_hover(vehicle: Vehicle) -> float:
+    """PWM that holds the vehicle in the air at time 0 with its effects on the thrust: bias, sag, voltage.
+
+    `Vehicle.hover_pwm` where there are none; the highest command where no command carries the weight.
+    """
+    packed = pack(vehicle)
+    if not packed["any_effect"][0]:
+        return vehicle.hover_pwm
+    high = max(vehicle.hover_pwm, vehicle.command_pwm_range[1])
+    return _carrying(0.0, high, packed, NEUTRAL)
+
+
 @numba.njit(cache=True, inline="always")
 def disc_inside(distance, radius):
     """Share of a disc on the inner side of a straight edge, its centre `distance` within."""

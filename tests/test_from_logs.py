@@ -3,11 +3,9 @@
 import runpy
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from inclined_landing.eval.proof.gap_blind.causes import draw
-from inclined_landing.eval.proof.simulator import World, reference
+from inclined_landing.eval.proof.simulator import World
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 
@@ -17,7 +15,7 @@ PROOF = runpy.run_path(str(DOCS / "from_logs_to_policy.py"))
 
 @pytest.mark.parametrize("name", PROOF["CASES"])
 def test_a_case_is_hidden_in_the_simulator_and_known_to_the_library(name):
-    hidden = PROOF["CASES"][name] or draw(name, "strong", np.random.default_rng(0), reference())
+    hidden = PROOF["CASES"][name]
     assert set(hidden.world) <= set(World._fields)
     assert LIBRARY[name].apply(load_vehicle(), hidden.parameters) != load_vehicle()
     assert f"| {name.replace('_', ' ')} |" in (DOCS / "from_logs_to_policy.md").read_text("utf-8")

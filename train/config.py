@@ -122,8 +122,8 @@ class TrainConfig:
             metavar="NUMBER|hover|paper", help_behavior_hint="(default: hover; with --from the policy's)"
         ),
     ] = None
-    """PWM at action 0: a number, hover (of the vehicle's equations) or paper (42 000). A policy to go on from
-    is rewritten where it has another."""
+    """PWM at action 0: a number, hover (of the vehicle with its effects) or paper (42 000). A policy to go on
+    from is rewritten where it has another."""
     pwm_span: Annotated[
         float | None,
         Range(1, 65_535),

@@ -28,6 +28,7 @@ from inclined_landing.models.attitude import (
     STATE_SIZE,
     YAW_RATE_COMMAND,
 )
+from inclined_landing.models.equations import settled_hover
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import Contacts
@@ -292,11 +293,11 @@ class Task(abc.ABC):
 
 
 def resolve_pwm_centre(centre, vehicle: Vehicle) -> float:
-    """PWM at action 0: a number, "paper" (42 000) or "hover" (the true hover of the equations)."""
+    """PWM at action 0: a number, "paper" (42 000) or "hover" (`equations.settled_hover`)."""
     if isinstance(centre, str) and centre == "paper":
         return vehicle.command_pwm_centre
     if isinstance(centre, str) and centre == "hover":
-        return vehicle.hover_pwm
+        return settled_hover(vehicle)
     low, high = vehicle.command_pwm_range
     if isinstance(centre, (int, float)) and low <= centre <= high:
         return float(centre)

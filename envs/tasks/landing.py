@@ -17,7 +17,7 @@ Action, float32, from -1 to 1; roll and yaw-rate commands are zero:
 | 0 | thrust | PWM = centre + span a, cut to 10000 .. 60000 | `thrust` |
 | 1 | pitch | 30 deg times a | `pitch` |
 
-The centre is the true hover of the vehicle's equations, a number, or the paper's 42000
+The centre is the hover of the vehicle with its effects on the thrust, a number, or the paper's 42000
 (`pwm_centre="paper"`); the span is 16500 as in the paper, or `pwm_span`. A policy knows neither:
 `load_policy(POLICY, task)` refuses one that was trained with others.
 

@@ -14,7 +14,7 @@ from inclined_landing.envs.tasks.landing import AIDED, Conditions
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, X, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants import Contacts
+from inclined_landing.models.plants import Contacts, make_plant
 
 V = load_vehicle()
 TASK = InclinedLanding()
@@ -155,6 +155,28 @@ def test_action_map_centres(centre, at_zero):
     np.testing.assert_allclose(u[:, 2], np.radians([0, 30, -30]))
     assert not u[:, [1, 3]].any()
     assert task.options["pwm_centre"] == centre  # as given, so that the task can be built again
+
+
+@pytest.mark.parametrize("effects", [
+    {"effects_thrust_bias": -0.03}, {"effects_battery_sag": 0.15, "effects_battery_reference": 20_000.0},
+    {"effects_voltage_sensitivity": 0.5, "effects_voltage_reference": 4.0}, {"effects_wind": (1.0, 0.0)},
+])  # fmt: skip
+def test_hover_holds_a_vehicle_whose_thrust_has_effects(effects):
+    vehicle = V.changed(**effects)
+    task = make_task("landing", vehicle, pwm_centre="hover")
+    state = hover_states(np.array([[0.0, 0.0, 2.0]]), vehicle)
+    state[:, LAG] = task.pwm_centre / vehicle.thrust_lag_rate
+    plant = make_plant("analytic", 1, vehicle)
+    plant.reset(np.arange(1), state)
+    for _ in range(10):
+        plant.step(task.commands(np.zeros((1, 2))))
+    # The voltage falls by 0.003 V/s: g 0.5/V 0.003 V/s t^2/2 / 0.76 = 3.9e-4 m/s after 0.2 s.
+    assert abs(plant.state[0, VZ]) < 5e-4
+
+
+def test_a_vehicle_that_nothing_holds_hovers_at_the_highest_command():
+    weak = V.changed(effects_thrust_bias=-10.0)
+    assert make_task("landing", weak, pwm_centre="hover").pwm_centre == V.command_pwm_range[1]
 
 
 def test_action_map_span():
