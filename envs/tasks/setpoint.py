@@ -66,7 +66,9 @@ class Setpoint(Task):
     judged_after = 3.0
     shipped = True
     table = "error"
-    training = Training(curriculum="effort", epochs=8, gamma=0.97)
+    training = Training(
+        curriculum="effort", epochs=8, gamma=0.97, learning_rate=2e-3, rollout=64, batch_size=256
+    )
     curricula = ("effort", "none")
     score_curve = ScoreCurve(
         "mean_error",

@@ -107,7 +107,8 @@ def sentences(report: dict) -> list[str]:
             f"{_points(difference['none'])} points without an effect; on average by {sizes} ones."
         )
         if policy["randomised"]:
-            signs = _sign(difference["none"]), _sign(difference["medium"])
+            differing = _sign(difference["medium"]) or _sign(difference["strong"])
+            signs = _sign(difference["none"]), differing
             verdicts.setdefault(signs, []).append(policy["name"])
     for signs, names in verdicts.items():
         paper = f'The paper says of randomisation that it "{REMARK}".'
@@ -115,8 +116,8 @@ def sentences(report: dict) -> list[str]:
     return said
 
 
-def _answer(plain: int, medium: int) -> str:
-    """What randomisation does, as 1, 0 or -1, on the known vehicle and under medium effects."""
+def _answer(plain: int, differing: int) -> str:
+    """What randomisation does, as 1, 0 or -1, on the known vehicle and on those that differ from it."""
     here = {
         1: "it does improve it",
         0: "that is so: no difference can be told",
@@ -126,8 +127,8 @@ def _answer(plain: int, medium: int) -> str:
         1: "where the vehicle differs from the model it improves it",
         0: "where the vehicle differs from the model no difference can be told",
         -1: "where the vehicle differs from the model it makes it worse",
-    }[medium]
-    return f"{here}; {'but ' if medium != plain and medium else ''}{there}"
+    }[differing]
+    return f"{here}; {'but ' if differing != plain and differing else ''}{there}"
 
 
 def _points(value: dict) -> str:
