@@ -104,7 +104,7 @@ BAD = [
     (["success", "none.zip"], "none.zip does not exist"),
     (["success", "{policy}", "--task", "setpoint"], "trained for the task landing, not for setpoint"),
     (["success", "{policy}", "--task", "hover"], "unknown task 'hover'"),
-    (["success", "{policy}", "--plant", "moon"], "unknown plant 'moon'; known are mujoco and"),
+    (["success", "{policy}", "--plant", "moon"], "unknown plant 'moon'; known are mujoco, hybrid, analytic"),
     (["success", "{policy}", "--inclination", "80"], "outside the supported range of -50 to 50 deg"),
     (["success", "{policy}", "--inclination", "nan"], "outside the supported range"),
     (["success", "{policy}", "--thrust-scale", "0"], "--thrust-scale must be above 0"),
@@ -136,7 +136,7 @@ def test_wrong_input(landing_policy, tmp_path, monkeypatch, capsys, arguments, s
 def test_a_diverging_simulation_is_one_sentence(landing_policy, monkeypatch, capsys):
     from inclined_landing.models.plants import AnalyticPlant
 
-    def diverge(self, commands):
+    def diverge(self, commands, wanted=None):
         raise FloatingPointError("the engine diverged for vehicles [0]")
 
     monkeypatch.setattr(AnalyticPlant, "step", diverge)
@@ -196,7 +196,7 @@ def test_doctor_finds_a_missing_package(monkeypatch):
 
 def test_the_plain_environment_is_the_same_task():
     """Bit for bit: the baseline solves neither an easier nor another problem."""
-    task = make_task("landing")
+    task = make_task("landing", pwm_centre="paper")
     batch, plain = BatchEnv(task, make_plant("mujoco", 1)), PlainLandingEnv()
     rng, rewards = np.random.default_rng(0), set()
     for x, z in [(0.0, 1.5), (0.8, 1.3), (-3.2, 2.2), (0.0, 1.25)]:

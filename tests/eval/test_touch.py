@@ -92,10 +92,10 @@ def test_arrows_and_gauge_are_drawn(touchdown):
 def test_the_command_films_every_engine_step(tmp_path, monkeypatch):
     seen = {}
 
-    def write(path, frames, fps):
+    def write(paths, frames, fps):
         seen.update(frames=sum(1 for _ in frames), fps=fps)
 
-    monkeypatch.setattr(video, "write_video", write)
+    monkeypatch.setattr(video, "write_videos", write)
     options = ["--forces", "--slow", "16", "--camera", "touch", "--width", "160", "--height", "90"]
     assert main(["video", "touchdown", *options, "--out", str(tmp_path / "x.mp4")]) == 0
     assert seen["fps"] == pytest.approx(1 / (STEP * 16))

@@ -17,7 +17,7 @@ import tyro
 
 from inclined_landing.envs.policy import SHIPPED, load_policy
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.options import Flag, PlantName, Range
+from inclined_landing.eval.base.options import Flag, PlantName, Range, VehicleFile
 from inclined_landing.eval.base.page import embedded, png, render
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.base.tables import new_table, printer
@@ -27,6 +27,7 @@ from inclined_landing.eval.policies.robustness.study import THRUSTS, evaluate
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS
 
 Policies = Annotated[
@@ -48,6 +49,7 @@ def command(
     every: Annotated[int, Range(1, 250)] = 1,
     thrust: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X [X ...]")] = THRUSTS,
     effect: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = tuple(LIBRARY),
+    vehicle: VehicleFile = None,
     json: Flag = False,
 ) -> None:
     """Landing policies over thrust and under every effect of the library: curve, matrix, page (minutes).
@@ -59,6 +61,7 @@ def command(
         every: fly from each of so many starts of the frozen grid only.
         thrust: of the plant, times what the policies know.
         effect: of the library.
+        vehicle: vehicle file (TOML) that thrust and effects change, where it differs from the shipped one.
         json: print JSON, and nothing else, on standard output.
     """
     if not (policies and thrust and effect):
@@ -70,9 +73,10 @@ def command(
         if not 0 < scale <= 3:
             raise UserError(f"--thrust must be above 0 and at most 3, not {scale:g}")
     if plant not in PLANTS:
-        raise UserError(f"unknown plant {shown(plant, 40)!r}; known are {' and '.join(PLANTS)}")
+        raise UserError(f"unknown plant {shown(plant, 40)!r}; known are {', '.join(PLANTS)}")
     runs.check_new_run(out)
-    loaded = [load_policy(policy) for policy in policies]
+    known = None if vehicle is None else load_vehicle(vehicle)
+    loaded = [load_policy(policy, vehicle=known) for policy in policies]
     report = evaluate(loaded, plant=plant, every=every, thrusts=thrust, effects=tuple(dict.fromkeys(effect)))
     made = f"{shlex.join(['landing-eval', *sys.argv[1:]])} · {plant} plant, {report['starts']} starts"
     with runs.staged_run(out) as folder:
