@@ -126,9 +126,7 @@ class FastPPO(PPO):
     two; by default what there is), which changes no bit.
     """
 
-    threads = min(
-        2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
+    threads = min(2, CORES)
 
     def _setup_model(self) -> None:
         given = self.policy_kwargs
