@@ -171,7 +171,7 @@ class TrainConfig:
     """Rewards are multiplied by this before PPO sees them."""
 
     evaluate_every: Annotated[int, _INTERVAL] = 16
-    """Iterations between evaluations in the plain plant (0: never)."""
+    """Iterations between evaluations in the hybrid plant, without training aids (0: never)."""
     checkpoint_every: Annotated[int, _MANY] = 20
     """Iterations between checkpoints."""
     video_every: Annotated[int, _INTERVAL] = 0

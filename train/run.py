@@ -4,7 +4,7 @@ run.json         resolved configuration, command, versions
 vehicle.toml     the vehicle file, if one was given
 randomise.toml   the file of ranges, if one was given
 learning.csv     one row per iteration; the same curves stand in tensorboard/
-evaluations.csv  one row per periodic evaluation, in the plain plant, on starts of its own
+evaluations.csv  one row per periodic evaluation, hybrid plant, no training aids, own starts
 checkpoint.pt    for --resume: policy, optimizer, vehicles, random states, histories
 best.zip         the policy of the best periodic evaluation
 final.zip        the policy at the end; this is the result
@@ -287,7 +287,7 @@ class Run:
             raise _Reached
 
     def evaluate(self, iteration: int) -> None:
-        """Fly the deterministic policy in the plain plant from the run's own evaluation starts."""
+        """Fly the deterministic policy from the run's own starts: hybrid plant, no training aids."""
         self.clock.switch("evaluation")
         result = self._judge(self._policy())
         row = {
@@ -450,7 +450,7 @@ class Run:
 
 
 class _Judge:
-    """Periodic evaluation: random starts of a stream of its own, plain hybrid plant, RK4.
+    """Periodic evaluation: random starts of a stream of its own, hybrid plant in RK4, no training aids.
 
     Of a randomised run every other flight has a vehicle of a pool of its own, hovering at first: the score is
     that of all flights, and beside it stands that of either half.
