@@ -1,0 +1,1 @@
+"""Crazyflies flown: the pilot, and the simulated vehicle that answers the same calls."""

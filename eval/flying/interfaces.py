@@ -1,0 +1,45 @@
+"""What a pilot knows of the world besides cflib: a clock, and a motion capture.
+
+Each has two sides: the real clock sleeps and real cameras stream; the simulated clock advances the simulated
+vehicle, and its motion capture shows that one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Protocol
+
+import numpy as np
+
+
+class Clock(Protocol):
+    """Time [s] that only rises, from an origin of its own."""
+
+    def now(self) -> float:
+        """The present time [s]."""
+        ...
+
+    def wait_until(self, time: float) -> None:
+        """Return at `time` [s], at once where it has passed.
+
+        The simulated clock calls cflib's callbacks meanwhile, in the caller's thread; with the real one
+        they come from cflib's own thread.
+        """
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Pose:
+    """Where motion capture saw the vehicle, in the frame of the arena: x, y, z up."""
+
+    time: float  # s of the clock at which it was taken: arrival less the system's known latency
+    position: np.ndarray  # (3,) m
+    attitude: np.ndarray | None = None  # (4,) unit quaternion w, x, y, z; None where only a point is seen
+
+
+class MotionCapture(Protocol):
+    """A source of poses; one that sees nothing goes on showing its last one, whose time tells."""
+
+    def latest(self) -> Pose | None:
+        """The newest pose; None before the first one."""
+        ...
