@@ -61,7 +61,7 @@ class TaskEnv(gym.Env):
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
-        camera: str = "hero",
+        camera: str = "arena",
         render_backend: str = "auto",
         **task_options,
     ):

@@ -313,7 +313,7 @@ class Run:
         plant = make_plant("mujoco", 1, policy.task.vehicle)
         flight = record_flight(policy, plant, self._judge.film_start)
         (self.folder / "videos").mkdir(exist_ok=True)
-        frames = render_flight(flight, camera="hero")
+        frames = render_flight(flight, camera="arena")
         write_video(self.folder / "videos" / f"iteration_{iteration:04d}.mp4", frames)
         self.clock.switch("training")
 

@@ -1,6 +1,6 @@
 """Pictures of the landing scene.
 
-    renderer = make_renderer(640, 480, camera="hero")
+    renderer = make_renderer(640, 480, camera="arena")
     frame = renderer.render(data, trail=states, ghosts=[goal], caption="t 1.10 s")
 
 Two backends draw the same scene: "ray" casts rays with MuJoCo and needs no OpenGL, "gl" is MuJoCo's
@@ -19,7 +19,7 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle
 
 BACKENDS = ("auto", "gl", "ray")
-CAMERAS = ("side", "hero", "pad", "track", "chase", "closeup", "onboard")
+CAMERAS = ("arena", "side", "hero", "pad", "track", "chase", "closeup", "onboard")
 
 __all__ = [
     "BACKENDS",
@@ -53,7 +53,7 @@ def check_look(width: int, height: int, camera: str | View, backend: str) -> Non
 def make_renderer(
     width: int = 640,
     height: int = 480,
-    camera: str | View = "hero",
+    camera: str | View = "arena",
     backend: str = "auto",
     *,
     vehicle: Vehicle | None = None,
@@ -61,8 +61,9 @@ def make_renderer(
 ):
     """A renderer with `render(scene, ...) -> (height, width, 3) uint8` and `close()`.
 
-    camera: one of CAMERAS or, for rays, a `View`. scale: size of the drawn vehicle, by default 3
-    (it is a few pixels wide otherwise; the caption says so) and 1 for cameras close to it.
+    camera: one of CAMERAS, the first of which has the whole arena in its picture, or, for rays, a
+    `View`. scale: size of the drawn vehicle, by default 3 (it is a few pixels wide otherwise; the
+    caption says so) and 1 for cameras close to it.
     Raises UserError for an unknown backend or camera, and for "gl" where OpenGL is missing.
     """
     check_look(width, height, camera, backend)

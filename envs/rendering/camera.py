@@ -100,3 +100,22 @@ def look_at(
     axes = np.stack([right, np.cross(right, forward), forward])
     size = 2.0 * np.tan(0.5 * np.radians(fovy)) if extent is None else extent
     return View(position, axes, size, extent is not None, width, height)
+
+
+def framing(points: np.ndarray, axes: np.ndarray, half_width: float, half_height: float) -> np.ndarray:
+    """The nearest position (3,) from which a perspective camera of given orientation sees all points (n, 3).
+
+    axes (3, 3): rows right, up, forward. half_width, half_height: of what it may fill, in units of the
+    distance. Every point bounds the position by planes, two across and two up; what one of the directions
+    leaves free is centred.
+    """
+    local = np.stack([dot(np.asarray(points, float), axis) for axis in axes], axis=1)
+    position = np.zeros(3)
+    depth = []
+    for k, half in enumerate((half_width, half_height)):
+        right = (local[:, k] - half * local[:, 2]).max()
+        left = (-local[:, k] - half * local[:, 2]).max()
+        position[k] = 0.5 * (right - left)
+        depth.append(-0.5 * (right + left) / half)
+    position[2] = min(depth)
+    return position @ axes

@@ -122,7 +122,7 @@ class GLRenderer(Stage):
         vehicle: Vehicle | None = None,
         width: int = 640,
         height: int = 480,
-        camera: str | View = "hero",
+        camera: str | View = "arena",
         scale: float | None = None,
     ):
         if isinstance(camera, View):

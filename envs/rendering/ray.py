@@ -247,7 +247,7 @@ class RayRenderer(Stage):
         vehicle: Vehicle | None = None,
         width: int = 640,
         height: int = 480,
-        camera: str | View = "hero",
+        camera: str | View = "arena",
         scale: float | None = None,
     ):
         self._background_of: tuple = (None, None)

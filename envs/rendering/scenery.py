@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from inclined_landing.envs.rendering.camera import framing, look_at
 from inclined_landing.envs.rendering.pose import qpos_of_state
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.scene import build_spec
@@ -15,7 +16,12 @@ _HIDDEN_GROUP = 3  # collision shapes
 _CLOSE_CAMERAS = ("closeup", "onboard")
 _BASE_GEOMS = ("wall_left", "wall_right", "core")
 _FRAME_RADIUS = 0.006  # m
-
+# The camera `arena` looks along this line, and the arena fills this share of its picture: the caption and the
+# drawn size of a vehicle at the edge need the rest.
+_ALONG = (0.30, 0.95, -0.22)
+_FOVY = 32.0  # deg
+_FILLED = (0.96, 0.86)  # of width and height
+_FAR_FRAME_RADIUS = 0.011  # m; thinner bars would be less than a pixel wide from there
 _UPPER_FRONT = (1, 4)  # the bar along x at the lowest y and the highest z
 
 
@@ -29,16 +35,25 @@ def scale_note(scale: float) -> str:
     return "" if scale == 1.0 else f"vehicle drawn {scale:g}x"
 
 
-def rendering_model(vehicle: Vehicle | None = None, *, platform=None, scale: float = SCALE) -> mujoco.MjModel:
-    """The model that the renderers draw: visuals only, a closed base, the arena's edges.
+def rendering_model(
+    vehicle: Vehicle | None = None,
+    *,
+    platform=None,
+    scale: float = SCALE,
+    aspect: float = 4 / 3,
+    far: bool = False,
+) -> mujoco.MjModel:
+    """The model that the renderers draw: visuals only, a closed base, the arena's edges, the camera `arena`.
 
+    aspect: width over height of the picture. far: draw the edges for a camera that sees all of them.
     platform: (position (3,), quaternion (4,)) of the slab, (None, None) for an arena without one;
     default: as in the vehicle file. scale: size of the drawn vehicle, see `scale_vehicle`.
     """
     vehicle = vehicle or load_vehicle()
     spec = build_spec(vehicle)
     strip_physics(spec)
-    add_frame(spec, vehicle)
+    add_frame(spec, vehicle, _FAR_FRAME_RADIUS if far else _FRAME_RADIUS)
+    add_arena_camera(spec, vehicle, aspect)
     scale_vehicle(spec, scale)
     body = spec.body("platform")
     position, quaternion = (body.pos, body.quat) if platform is None else platform
@@ -124,15 +139,32 @@ def add_prism(spec: mujoco.MjSpec, position, quaternion) -> None:
         spec.geom(name).group = _HIDDEN_GROUP
 
 
-def add_frame(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
-    """The edges of the arena as thin bars, but for the upper front one: cameras look past it."""
+def arena_corners(vehicle: Vehicle) -> np.ndarray:
+    """Corners (8, 3) of the arena [m]; bits 4, 2, 1 of the row: upper bound in x, y, z."""
     x, y, z = vehicle.arena_x, vehicle.arena_y, vehicle.arena_z
-    corners = np.array([(a, b, c) for a in x for b in y for c in z])
+    return np.array([(a, b, c) for a in x for b in y for c in z])
+
+
+def add_arena_camera(spec: mujoco.MjSpec, vehicle: Vehicle, aspect: float) -> None:
+    """The camera `arena`, which has all of the arena in its picture, whatever the picture's shape."""
+    axes = look_at((0, 0, 0), _ALONG, 1, 1).axes
+    half = np.tan(0.5 * np.radians(_FOVY))
+    filled = aspect * half * _FILLED[0], half * _FILLED[1]
+    right, up, forward = axes
+    position = framing(arena_corners(vehicle), axes, *filled)
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.column_stack([right, up, -forward]).ravel())
+    spec.worldbody.add_camera(name="arena", pos=position, quat=quat, fovy=_FOVY)
+
+
+def add_frame(spec: mujoco.MjSpec, vehicle: Vehicle, radius: float = _FRAME_RADIUS) -> None:
+    """The edges of the arena as thin bars, but for the upper front one: cameras look past it."""
+    corners = arena_corners(vehicle)
     for i in range(8):
         for bit in (1, 2, 4):
             if not i & bit and (i, bit) != _UPPER_FRONT:
                 spec.worldbody.add_geom(
                     name=f"frame_{i}_{bit}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, group=1,
-                    contype=0, conaffinity=0, size=[_FRAME_RADIUS, 0, 0], material="frame",
+                    contype=0, conaffinity=0, size=[radius, 0, 0], material="frame",
                     fromto=[*corners[i], *corners[i | bit]],
                 )  # fmt: skip

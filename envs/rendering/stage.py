@@ -36,7 +36,13 @@ class Stage:
             return
         absent = pose.platform_key is None
         platform = (None, None) if absent else (pose.platform_pos, pose.platform_quat)
-        model = scenery.rendering_model(self.vehicle, platform=platform, scale=self.scale)
+        model = scenery.rendering_model(
+            self.vehicle,
+            platform=platform,
+            scale=self.scale,
+            aspect=self.width / self.height,
+            far=self.camera == "arena",
+        )
         if isinstance(self.camera, str):
             names = [model.camera(k).name for k in range(model.ncam)]
             if self.camera not in names:

@@ -98,7 +98,9 @@ class Look:
         backend: OpenGL, ray casting, or OpenGL only where it runs on hardware.
     """
 
-    camera: Annotated[str, tyro.conf.arg(metavar="{side,hero,pad,track,chase,closeup,onboard}")] = "hero"
+    camera: Annotated[str, tyro.conf.arg(metavar="{arena,side,hero,pad,track,chase,closeup,onboard}")] = (
+        "hero"
+    )
     width: Pixels = 1280
     height: Pixels = 720
     backend: Annotated[str, tyro.conf.arg(metavar="{auto,ray,gl}")] = "auto"

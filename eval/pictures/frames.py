@@ -44,7 +44,7 @@ def caption_of(flight: Flight, k: int) -> str:
 def render_flight(
     flight: Flight,
     *,
-    camera: str = "hero",
+    camera: str = "arena",
     width: int = 640,
     height: int = 480,
     backend: str = "auto",

@@ -33,7 +33,7 @@ def command(
     /,
     out: File,
     start: Starts = (),
-    look: Flat[Look] = Look(width=960, height=540),
+    look: Flat[Look] = Look(camera="arena", width=960, height=540),
     gif: Flag = False,
     slow: Annotated[float, Range(0.1, 20)] = 1.0,
     forces: Flag = False,

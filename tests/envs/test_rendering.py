@@ -7,13 +7,17 @@ import mujoco
 import numpy as np
 import pytest
 
+from inclined_landing.envs import starts
 from inclined_landing.envs.rendering import Ghost, Pose, contact_arrows, look_at, make_renderer
 from inclined_landing.envs.rendering import gl as gl_backend
+from inclined_landing.envs.rendering.camera import framing
 from inclined_landing.envs.rendering.overlay import caption_height
 from inclined_landing.envs.rendering.pose import qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
 from inclined_landing.envs.rendering.scenery import drawn_centres, drawn_points, rendering_model
+from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.geometry import shapes_of
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.scene import build_spec
 
@@ -53,7 +57,7 @@ def test_kept_background_equals_a_fresh_picture_bit_for_bit(hero):
     goal = Ghost(qpos_of_state(hovering(0.0, 1.2, -0.4)))
     for k in (3, 10, 19):
         kept = hero.render(trail[k], trail=trail[: k + 1], ghosts=[goal], caption="x")
-        fresh = RayRenderer(width=W, height=H).render(
+        fresh = RayRenderer(width=W, height=H, camera="hero").render(
             trail[k], trail=trail[: k + 1], ghosts=[goal], caption="x"
         )
         np.testing.assert_array_equal(kept, fresh)
@@ -137,6 +141,37 @@ def test_shadow_falls_where_the_light_says():
         # the vehicle is 11 pixels wide; its shadow's centroid lies within one pixel
         middle = np.array([columns[apart].mean() + 0.5, rows[apart].mean() + 0.5])
         assert np.hypot(*(middle - place)) < 1.0
+
+
+@pytest.mark.parametrize("width, height", [(640, 480), (960, 540), (480, 640), (1000, 200)])
+def test_the_default_camera_sees_every_start(width, height):
+    """All of the vehicle as it is drawn, above the caption: the frozen grid, random starts of all tasks."""
+    with make_renderer(width, height, backend="ray") as renderer:
+        reach = renderer.scale * shapes_of(build_spec().compile()).reach
+        view = renderer.view(hovering())
+        corners = reach * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+        positions = [starts.grid()[:, [0, 0, 1]] * [1, 0, 1]]
+        rng = np.random.default_rng(width)
+        positions += [make_task(name).sample(rng, 500).state[:, :3] for name in TASKS]
+        pixels, depth = view.project(np.concatenate([p + corner for p in positions for corner in corners]))
+    assert (depth > 0).all()
+    assert (pixels >= 0).all() and (pixels <= [width, height - caption_height(height)]).all()
+
+
+def test_framing_is_as_near_as_can_be():
+    """Every point is within the given part, and at least two opposite sides of it are reached."""
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        points, forward = rng.normal(size=(9, 3)), rng.normal(size=3)
+        axes = look_at((0, 0, 0), forward, 1, 1).axes
+        halves = rng.uniform(0.2, 1.0, 2)
+        local = (points - framing(points, axes, *halves)) @ axes.T
+        share = local[:, :2] / (local[:, 2:] * halves)
+        assert (local[:, 2] > 0).all() and np.abs(share).max() < 1 + 1e-9  # rounding
+        reached = np.isclose(share.max(axis=0), 1.0) & np.isclose(share.min(axis=0), -1.0)
+        assert reached.any()
+        free = np.abs(local[:, :2]) - halves * local[:, 2:]
+        assert free.max() > -1e-9
 
 
 def test_ghost_is_translucent(hero):
