@@ -233,11 +233,17 @@ def fade(time, v):
 
 
 @numba.njit(cache=True, inline="always")
+def battery_voltage(lag, time, v):
+    """Voltage [V] of the vehicle file's battery under the load of a lag state, after a flight time [s]."""
+    load = v.thrust.lag_rate * lag
+    return v.effects.voltage_open - v.effects.voltage_drop * load - v.effects.voltage_discharge * time
+
+
+@numba.njit(cache=True, inline="always")
 def supply(voltage, lag, time, v):
     """Thrust times this, under the battery's voltage [V]; NaN: that of the vehicle file under this load."""
     if math.isnan(voltage):
-        load = v.thrust.lag_rate * lag
-        voltage = v.effects.voltage_open - v.effects.voltage_drop * load - v.effects.voltage_discharge * time
+        voltage = battery_voltage(lag, time, v)
     return 1.0 + v.effects.voltage_sensitivity * (voltage - v.effects.voltage_reference)
 
 

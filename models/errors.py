@@ -10,6 +10,7 @@ from collections.abc import Iterator
 _EXTRAS = {
     "train": ("stable_baselines3", "torch", "tensorboard", "psutil"),
     "ray": ("ray",),
+    "fly": ("cflib",),
     "baselines": ("pysindy",),
 }
 LONGEST = 2000  # characters of a sentence; beyond, its middle is left out

@@ -1,0 +1,159 @@
+"""The vehicle itself: MuJoCo's plant in steps of 4 ms, and what its sensors show.
+
+Axes here are the project's: body x forward, y left, z up, R = Rz(yaw) Rx(roll) Ry(pitch), positive pitch
+leans towards +x. The firmware's are others, and only `firmware_attitude` and `plant_command` know of them:
+
+- its angles are those of Rz(yaw) Ry(pitch) Rx(roll);
+- its pitch is inverted, in set-points and in logs ("legacy CF2 body coordinate system", `kalman_core.c`,
+  `estimator_complementary.c`); cflib's `Commander.send_setpoint` inverts what it is given once more.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from inclined_landing.eval.flying.simulated.firmware import Setpoint
+from inclined_landing.models import equations
+from inclined_landing.models.attitude import LAG, ROLL, VX, YAW, quaternion, rotation, tilted
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.plausible import ENGINE_STEP
+
+FLOOR = 2  # index of the floor in geometry.SURFACES
+_SETTLING = 1e-4  # m by which the feet are set into the floor
+
+
+class Body:
+    """One vehicle beside the platform, at first on the floor with its motors off.
+
+    start: x, y [m] on the floor; heading [rad]; inclination of the platform [rad], None for the vehicle
+    file's; seed of the unrest of the air.
+    Raises UserError for a start outside the arena or under the platform.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        *,
+        start: tuple[float, float],
+        heading: float = 0.0,
+        inclination: float | None = None,
+        seed: int = 0,
+    ):
+        self.vehicle = vehicle
+        self._constants = equations.pack(vehicle)[0]
+        self.step_length = ENGINE_STEP
+        self.time = 0.0
+        self.plant = MujocoPlant(
+            1, vehicle, control_period=ENGINE_STEP, torque_needs_motors=True, unrest=seed, threads=1
+        )
+        if inclination is not None:
+            self.plant.set_platform([0], vehicle.check_inclination(inclination))
+        _check_start(start, vehicle)
+        state = np.zeros((1, 13))
+        state[0, :2], state[0, 2], state[0, YAW] = start, self.plant.foot_height - _SETTLING, heading
+        self.plant.reset([0], state)
+        self._command = np.zeros((1, 4))
+        self._before = self._now = self._seen(self.plant.state)
+        self._shown = self._seen(self.plant.measurement)
+        self._shown_before = self._shown
+        self._felt = np.array([0.0, 0.0, 1.0])
+        self.drained = 0.0  # V by which the battery is emptier than the vehicle file says
+
+    @staticmethod
+    def _seen(state: np.ndarray) -> np.ndarray:
+        return state[0].copy()
+
+    @property
+    def state(self) -> np.ndarray:
+        """(13,) at `time`, columns of `models.attitude`."""
+        return self._now
+
+    @property
+    def felt(self) -> np.ndarray:
+        """(3,) what an accelerometer shows along the body's axes [g], mean over the last step."""
+        return self._felt
+
+    @property
+    def touching(self) -> np.ndarray:
+        """(3,) bool: slab, base, floor, in the last step."""
+        return self.plant.contacts.touch[0].any(axis=1)
+
+    def step(self, setpoint: Setpoint) -> None:
+        """One engine step on, under what the firmware wants."""
+        self._command[0] = plant_command(setpoint)
+        self.plant.step(self._command)
+        self.time += self.step_length
+        self._before, self._now = self._now, self._seen(self.plant.state)
+        self._shown_before, self._shown = self._shown, self._seen(self.plant.measurement)
+        change = (self._now[VX : VX + 3] - self._before[VX : VX + 3]) / self.step_length
+        change[2] += self.vehicle.environment_gravity
+        self._felt = rotation(*self._now[ROLL : YAW + 1]).T @ change / self.vehicle.environment_gravity
+
+    def weaken(self, share: float) -> None:
+        """Thrust from now on as a share of the vehicle file's."""
+        self.plant.perturb(thrust_scale=share)
+
+    def state_at(self, time: float) -> np.ndarray:
+        """The state (13,) at a time within the last step."""
+        return _between(self._before, self._now, (time - self.time) / self.step_length + 1.0)
+
+    def pose_at(self, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """Position (3,) [m] and quaternion (4,) that cameras see at a time within the last step."""
+        seen = _between(self._shown_before, self._shown, (time - self.time) / self.step_length + 1.0)
+        return seen[:3], np.array(quaternion(*seen[ROLL : YAW + 1]))
+
+    def estimate_at(self, time: float) -> np.ndarray:
+        """Roll, pitch, yaw (3,) [rad] of the onboard estimate, as the vehicle file has it lean and tilt."""
+        state = self.state_at(time)
+        angles = state[ROLL : YAW + 1].copy()
+        angles[:2] = equations.held_angles(*angles, *state[VX : VX + 3], self._constants)
+        turned = angles[None].copy()
+        tilted(angles[None], *self.vehicle.effects_mocap_tilt, turned)
+        return turned[0]
+
+    @property
+    def voltage(self) -> float:
+        """Of the battery under its present load [V]."""
+        return equations.battery_voltage(self._now[LAG], self.time, self._constants) - self.drained
+
+
+def firmware_attitude(roll: float, pitch: float, yaw: float) -> tuple[float, float, float]:
+    """Roll, pitch, yaw [deg] as the firmware logs them, of an attitude in the project's angles [rad]."""
+    r = rotation(roll, pitch, yaw)
+    forward = math.asin(min(1.0, max(-1.0, -r[2, 0])))
+    return (
+        math.degrees(math.atan2(r[2, 1], r[2, 2])),
+        -math.degrees(forward),
+        math.degrees(math.atan2(r[1, 0], r[0, 0])),
+    )
+
+
+def plant_command(setpoint: Setpoint) -> tuple[float, float, float, float]:
+    """PWM, roll, pitch [rad], yaw rate [rad/s] of the plant for a set-point of the firmware.
+
+    The rotors' axis is the same in both conventions: (sin p cos r, -sin r, cos p cos r) for the firmware's r
+    and p.
+    """
+    r, p = math.radians(setpoint.roll), -math.radians(setpoint.pitch)
+    x, y, z = math.sin(p) * math.cos(r), -math.sin(r), math.cos(p) * math.cos(r)
+    return setpoint.thrust, math.atan2(-y, z), math.asin(x), math.radians(setpoint.yaw_rate)
+
+
+def _between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
+    change = after - before
+    change[ROLL : YAW + 1] = (change[ROLL : YAW + 1] + math.pi) % (2 * math.pi) - math.pi
+    return before + share * change
+
+
+def _check_start(start: tuple[float, float], v: Vehicle) -> None:
+    (x, y), room = start, 0.1
+    if not (all(map(math.isfinite, start)) and abs(x) < 1e3 and abs(y) < 1e3):
+        raise UserError(f"the start on the floor must be X,Y in metres, not {x},{y}")
+    if not (v.arena_x[0] < x < v.arena_x[1] and v.arena_y[0] < y < v.arena_y[1]):
+        raise UserError(f"the start {x:g},{y:g} on the floor lies outside the arena")
+    if abs(x) < v.slab_half_length + room and abs(y) < v.platform_depth / 2 + room:
+        raise UserError(f"the start {x:g},{y:g} on the floor lies under the platform")

@@ -1,0 +1,73 @@
+"""Motion capture of the simulated vehicle: late, noisy, and sometimes blind."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+
+from inclined_landing.eval.flying.interfaces import Pose
+
+
+@dataclasses.dataclass(frozen=True)
+class Cameras:
+    """How good the motion capture is. Estimates of what halls with eight and more cameras reach."""
+
+    rate: float = 120.0  # Hz
+    latency: float = 0.008  # s from exposure to arrival
+    jitter: float = 0.001  # s, mean of an exponential on top
+    noise: float = 0.0005  # m, standard deviation per axis
+    angle_noise: float = 0.004  # rad, standard deviation per axis
+    dropouts: float = 0.5  # 1/s, how often the markers are lost from sight
+    dropout_length: float = 0.03  # s, mean of an exponential
+
+
+class MarkerView:
+    """What the cameras make of where the vehicle is; `MotionCapture` for a pilot.
+
+    blind: no pose; frozen: the last one again and again, with new times; shift (3,) [m]: another marker taken
+    for the vehicle's; turned: the attitude shown the wrong way round.
+    """
+
+    def __init__(self, cameras: Cameras, random: np.random.Generator):
+        self.cameras = cameras
+        self.blind = self.frozen = self.turned = False
+        self.shift = np.zeros(3)
+        self._random = random
+        self._hidden_until = 0.0
+        self._frame: tuple[np.ndarray, np.ndarray] | None = None
+        self._pose: Pose | None = None
+
+    def latest(self) -> Pose | None:
+        """The newest pose that has arrived."""
+        return self._pose
+
+    def expose(self, time: float, position: np.ndarray, attitude: np.ndarray) -> tuple[float, Pose] | None:
+        """A frame at `time` [s]: when its pose arrives, and the pose; None where nothing is seen."""
+        c, random = self.cameras, self._random
+        delay = c.latency + random.exponential(c.jitter)
+        noise, angles = random.normal(0.0, c.noise, 3), random.normal(0.0, c.angle_noise, 3)
+        if random.random() < c.dropouts / c.rate:
+            self._hidden_until = time + random.exponential(c.dropout_length)
+        if self.blind or time < self._hidden_until:
+            return None
+        if not self.frozen or self._frame is None:
+            seen = _multiplied(attitude, np.array([1.0, *(angles / 2)]))
+            if self.turned:  # half a turn about z
+                seen = _multiplied(seen, np.array([0.0, 0.0, 0.0, 1.0]))
+            self._frame = position + noise + self.shift, seen
+        # A system knows its latency, and not how late a single packet is.
+        return time + delay, Pose(time + delay - c.latency, *self._frame)
+
+    def arrive(self, pose: Pose) -> None:
+        """From now on this is the newest pose, unless there is a newer one."""
+        if self._pose is None or pose.time >= self._pose.time:
+            self._pose = pose
+
+
+def _multiplied(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Product of two quaternions (4,), as a unit one."""
+    product = np.empty(4)
+    mujoco.mju_mulQuat(product, a, b)
+    return product / np.linalg.norm(product)

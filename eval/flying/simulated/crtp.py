@@ -1,0 +1,300 @@
+"""The services behind the ports of CRTP, the radio protocol of the Crazyflie, as cflib asks for them.
+
+Protocol version 12, as in bitcraze/crazyflie-firmware at 2a18fc2: `crtpservice.c`, `platformservice.c`,
+`crtp_supervisor.c`, `log.c`, `param_logic.c`, `crtp_commander*.c`, and `crtp_localization_service.c` for its
+emergency stops. There are no memories, no decks and no high-level commander. A packet is (header, data): port
+and channel in one byte, and up to 30 bytes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import struct
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+
+from inclined_landing.eval.flying.simulated.firmware import Firmware
+
+Packet = tuple[int, bytes]
+
+CONSOLE, PARAM, COMMANDER, MEM, LOG, LOCALIZATION, GENERIC, SUPERVISOR = 0, 2, 3, 4, 5, 6, 7, 9
+PLATFORM, LINK = 13, 15
+PROTOCOL_VERSION = 12
+LARGEST = 30  # bytes of data
+
+TYPES = {"uint8_t": (1, "<B"), "uint16_t": (2, "<H"), "uint32_t": (3, "<L"), "float": (7, "<f")}
+_FETCHED = {1: "<B", 2: "<H", 3: "<L", 4: "<b", 5: "<h", 6: "<i", 7: "<f", 8: "<e"}
+# Log variables of the table of contents: type, and what it is.
+LOGGED = {
+    "stateEstimate.roll": ("float", "deg"),
+    "stateEstimate.pitch": ("float", "deg, inverted"),
+    "stateEstimate.yaw": ("float", "deg"),
+    "stabilizer.roll": ("float", "deg"),
+    "stabilizer.pitch": ("float", "deg, inverted"),
+    "stabilizer.yaw": ("float", "deg"),
+    "stabilizer.thrust": ("float", "thrust of the set-point in force, 0 to 60000"),
+    "controller.cmd_thrust": ("float", "the same"),
+    "gyro.x": ("float", "deg/s"),
+    "gyro.y": ("float", "deg/s"),
+    "gyro.z": ("float", "deg/s"),
+    "acc.x": ("float", "g"),
+    "acc.y": ("float", "g"),
+    "acc.z": ("float", "g"),
+    "pm.vbat": ("float", "V"),
+    "pm.vbatMV": ("uint16_t", "mV"),
+    "pm.state": ("uint8_t", "0 battery, 3 low"),
+    "supervisor.info": ("uint16_t", "bits, see cflib's Supervisor"),
+    "sys.canfly": ("uint8_t", ""),
+    "sys.isFlying": ("uint8_t", ""),
+    "sys.isTumbled": ("uint8_t", ""),
+}
+# Parameters, one byte each; their values are those of firmware.Parameters.
+PARAMETERS = (
+    "stabilizer.stop",
+    "supervisor.tmblChckEn",
+    "flightmode.althold",
+    "flightmode.poshold",
+    "flightmode.posSet",
+)
+_BYTE_PARAMETER = 8
+_MODES = ("flightmode.althold", "flightmode.poshold", "flightmode.posSet")
+_MOST_BLOCKS, _MOST_VARIABLES, _LOG_BYTES = 16, 128, 26
+
+
+def header(port: int, channel: int) -> int:
+    """The first byte of a packet, with the two bits that are always set."""
+    return port << 4 | 3 << 2 | channel
+
+
+def port_of(head: int) -> tuple[int, int]:
+    """Port and channel."""
+    return head >> 4, head & 3
+
+
+@dataclasses.dataclass
+class _Block:
+    """Of log variables that are sent together."""
+
+    variables: list[tuple[str, str]]  # name, struct format
+    period: float = 0.0  # s; 0: stopped
+    next: float = 0.0  # s
+
+
+class Services:
+    """Answers packets for one `Firmware`, and sends what is logged.
+
+    values: the present values of LOGGED by name, at a time [s]; read when a block is due.
+    """
+
+    def __init__(self, firmware: Firmware, values: Callable[[float], Mapping[str, float]]):
+        self.firmware = firmware
+        self._values = values
+        self._blocks: dict[int, _Block] = {}
+        self._answers = {
+            LINK: self._link,
+            PLATFORM: self._platform,
+            SUPERVISOR: self._supervisor,
+            LOG: self._log,
+            PARAM: self._param,
+            MEM: self._mem,
+            COMMANDER: self._commander,
+            GENERIC: self._generic,
+            LOCALIZATION: self._localization,
+        }
+
+    def answer(self, time: float, packet: Packet) -> list[Packet]:
+        """What a packet that arrives at `time` [s] is answered with; nothing for one that makes no sense."""
+        head, data = packet
+        port, channel = port_of(head)
+        known = self._answers.get(port)
+        if known is None or len(data) > LARGEST:
+            return []
+        try:
+            replies = list(known(time, channel, bytes(data)))
+        except (struct.error, IndexError, ValueError):  # too short, or text that is none
+            return []
+        return [(header(port, c), bytes(d)) for c, d in replies]
+
+    # --- what is sent unasked --------------------------------------------------------------------
+
+    @property
+    def next_log(self) -> float:
+        """When a log block is due [s]; infinity while none is."""
+        return min((b.next for b in self._blocks.values() if b.period), default=float("inf"))
+
+    def logged(self, time: float) -> list[Packet]:
+        """The log blocks that are due at `time` [s]."""
+        packets = []
+        for name, block in sorted(self._blocks.items()):
+            if block.period and block.next <= time + 1e-9:
+                values = self._values(block.next)
+                stamp = int(block.next * 1000.0).to_bytes(4, "little")[:3]
+                data = b"".join(_packed(form, values[v]) for v, form in block.variables)
+                packets.append((header(LOG, 2), bytes([name]) + stamp + data))
+                block.next += block.period
+        return packets
+
+    @staticmethod
+    def console(line: str) -> list[Packet]:
+        """A line that the firmware prints."""
+        text = (line + "\n").encode()
+        return [(header(CONSOLE, 0), text[k : k + LARGEST]) for k in range(0, len(text), LARGEST)]
+
+    # --- the ports -------------------------------------------------------------------------------
+
+    def _link(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
+        if channel == 0:
+            yield 0, data
+        elif channel == 1:
+            yield 1, b"Bitcraze Crazyflie".ljust(LARGEST, b"\0")
+
+    def _platform(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
+        command = data[0]
+        if channel == 0 and command == 1:
+            granted = self.firmware.request_arming(bool(data[1]))
+            yield 0, bytes([command, granted, self.firmware.armed])
+        elif channel == 0 and command == 2:
+            granted = self.firmware.request_recovery()
+            yield 0, bytes([command, granted, not self.firmware.crashed])
+        elif channel == 1 and command == 0:
+            yield 1, struct.pack("<BI", 0, PROTOCOL_VERSION)
+        elif channel == 1 and command == 1:
+            yield 1, b"\x01simulated"
+        elif channel == 1 and command == 2:
+            yield 1, b"\x02CF21"
+
+    def _supervisor(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
+        command, fly = data[0], self.firmware
+        if channel == 0 and command == 0x0C:
+            yield 0, struct.pack("<BH", 0x8C, fly.info)
+        elif channel == 0 and 1 <= command <= 0x0B:
+            yield 0, bytes([0x80 | command, fly.info >> (command - 1) & 1])
+        elif channel == 1 and command == 1:
+            yield 1, bytes([0x81, fly.request_arming(bool(data[1])), fly.armed])
+        elif channel == 1 and command == 2:
+            yield 1, bytes([0x82, fly.request_recovery(), not fly.crashed])
+        elif channel == 1 and command == 3:
+            fly.stop_now()
+        elif channel == 1 and command == 4:
+            fly.notice(time)
+
+    def _localization(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
+        if channel == 1 and data[0] == 3:
+            self.firmware.stop_now()
+        elif channel == 1 and data[0] == 4:
+            self.firmware.notice(time)
+        yield from ()
+
+    def _commander(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
+        if channel == 0 and not any(self._parameter(name) for name in _MODES):
+            roll, pitch, yaw_rate, thrust = struct.unpack("<fffH", data)
+            self.firmware.receive_rpyt(time, roll, pitch, yaw_rate, thrust)
+        yield from ()
+
+    def _generic(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
+        if channel == 0 and data[0] == 0:
+            self.firmware.receive_stop(time)
+        elif channel == 0 and data[0] == 11:
+            roll, pitch, yaw_rate, thrust, rates = struct.unpack("<fffHB", data[1:])
+            if not rates:
+                self.firmware.receive_manual(time, roll, pitch, yaw_rate, thrust)
+        yield from ()
+
+    def _mem(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
+        if channel == 0 and data[0] == 1:
+            yield 0, bytes([1, 0])
+
+    def _param(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
+        if channel == 0:
+            yield from _contents(data, [(name, _BYTE_PARAMETER) for name in PARAMETERS], b"")
+            return
+        if channel == 3:
+            return
+        number = struct.unpack("<H", data[:2])[0]
+        if number >= len(PARAMETERS):
+            yield channel, data[:2] + bytes([errno.ENOENT])
+        elif channel == 2:
+            setattr(self.firmware.parameters, PARAMETERS[number].replace(".", "_"), data[2])
+            yield 2, data
+        elif channel == 1:
+            yield 1, data[:2] + bytes([0, self._parameter(PARAMETERS[number])])
+
+    def _parameter(self, name: str) -> int:
+        return getattr(self.firmware.parameters, name.replace(".", "_"))
+
+    def _log(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
+        if channel == 0:
+            contents = [(name, TYPES[kind][0]) for name, (kind, _) in LOGGED.items()]
+            yield from _contents(data, contents, bytes([_MOST_BLOCKS, _MOST_VARIABLES]))
+        elif channel == 1:
+            command = data[0]
+            block = data[1] if len(data) > 1 else 0
+            yield 1, bytes([command, block, self._set_up(time, command, block, data[2:])])
+
+    def _set_up(self, time: float, command: int, name: int, data: bytes) -> int:
+        """What a command for the log blocks is answered with: 0 or an error number."""
+        if command == 5:
+            self._blocks.clear()
+            return 0
+        if command in (6, 7):
+            return self._add(name, data, new=command == 6)
+        block = self._blocks.get(name)
+        if block is None:
+            return errno.ENOENT
+        if command == 2:
+            del self._blocks[name]
+        elif command == 3:
+            block.period = data[0] / 100.0
+            block.next = time + block.period
+        elif command == 8:
+            block.period = struct.unpack("<H", data[:2])[0] / 1000.0
+            block.next = time + block.period
+        elif command == 4:
+            block.period = 0.0
+        else:
+            return errno.ENOEXEC
+        return 0
+
+    def _add(self, name: int, data: bytes, new: bool) -> int:
+        if new and name in self._blocks:
+            return errno.EEXIST
+        if new and len(self._blocks) == _MOST_BLOCKS:
+            return errno.ENOMEM
+        if not new and name not in self._blocks:
+            return errno.ENOENT
+        names, added = list(LOGGED), []
+        for kind, number in struct.iter_unpack("<BH", data[: len(data) // 3 * 3]):
+            if number >= len(names) or kind & 15 not in _FETCHED:
+                return errno.ENOENT
+            added.append((names[number], _FETCHED[kind & 15]))
+        variables = (self._blocks[name].variables if not new else []) + added
+        if sum(struct.calcsize(form) for _, form in variables) > _LOG_BYTES:
+            return errno.E2BIG
+        if sum(len(b.variables) for b in self._blocks.values()) + len(added) > _MOST_VARIABLES:
+            return errno.ENOMEM
+        self._blocks[name] = _Block(variables)
+        return 0
+
+
+def _contents(data: bytes, items: list[tuple[str, int]], more: bytes) -> Iterator[tuple[int, bytes]]:
+    """The table of contents: its size with a hash of it, or one of its items."""
+    if data[0] == 3:
+        said = zlib.crc32(repr(items).encode())
+        yield 0, struct.pack("<BHI", 3, len(items), said) + more
+    elif data[0] == 2:
+        number = struct.unpack("<H", data[1:3])[0]
+        if number >= len(items):
+            yield 0, b"\x02"
+            return
+        name, kind = items[number]
+        yield 0, struct.pack("<BHB", 2, number, kind) + name.replace(".", "\0").encode() + b"\0"
+
+
+def _packed(form: str, value: float) -> bytes:
+    """One value as it is logged; whole numbers are cut to their range."""
+    if form in ("<f", "<e"):
+        return struct.pack(form, value)
+    size, signed = 8 * struct.calcsize(form), form[1].islower()
+    low, high = (-(2 ** (size - 1)), 2 ** (size - 1) - 1) if signed else (0, 2**size - 1)
+    return struct.pack(form, min(high, max(low, round(value))))

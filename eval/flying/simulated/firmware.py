@@ -1,0 +1,298 @@
+"""The rules by which the firmware of a Crazyflie 2.1 flies and refuses to fly.
+
+Behaviour, names and numbers follow bitcraze/crazyflie-firmware at 2a18fc2 (August 2026): `supervisor.c`,
+`supervisor_state_machine.c`, `platform_defaults.h`, `commander.c`, `crtp_commander_rpyt.c`,
+`crtp_commander_generic.c`. What matters to somebody who flies:
+
+- thrust stays 0 until a set-point of thrust 0 was received (`thrustLocked`);
+- without a new set-point the vehicle levels out after 0.5 s and keeps its thrust, and stops its motors after
+  2 s: it is then locked until a restart;
+- an emergency stop stops the motors and locks; so does its watchdog, once used, 1 s after the last notice;
+- a vehicle that is tilted for 1 s, or upside down for 0.1 s, stops its motors ("crashed");
+- it arms itself, as the 2.1 with brushed motors does, and disarms 3 s after a landing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import math
+from collections.abc import Callable
+
+# commander, crtp_commander_rpyt.c
+LEAST_THRUST, MOST_THRUST = 1000, 60000
+# supervisor.c, s
+WATCHDOG_LEVELS = 0.5
+WATCHDOG_STOPS = 2.0
+EMERGENCY_WATCHDOG = 1.0
+FLYING_HYSTERESIS = 2.0
+PERIOD = 0.04  # of the supervisor, 25 Hz
+# platform_defaults.h: s, and g along the body's z
+TILTED, TILTED_TIME = 0.5, 1.0
+UPSIDE_DOWN, UPSIDE_DOWN_TIME = -0.2, 0.1
+FREE_FALL = 0.1
+PREFLIGHT_TIMEOUT, LANDING_TIMEOUT = 30.0, 3.0
+STEEPEST = 80.0  # deg; what a set-point beyond, or one that is no number, amounts to
+
+
+class State(enum.IntEnum):
+    """Of the supervisor, in the firmware's order."""
+
+    NOT_INITIALIZED = 0
+    CHECKS_NOT_PASSED = 1
+    CHECKS_PASSED = 2
+    ARMING = 3
+    READY_TO_FLY = 4
+    FLYING = 5
+    LANDED = 6
+    RESET = 7
+    LEVEL_OUT = 8
+    FREE_FALL = 9
+    LOCKED = 10
+    CRASHED = 11
+
+
+_CAN_FLY = {State.READY_TO_FLY, State.FLYING, State.LEVEL_OUT, State.LANDED}
+_ARMED = _CAN_FLY | {State.ARMING}
+
+
+@dataclasses.dataclass(frozen=True)
+class Conditions:
+    """What the supervisor decides by."""
+
+    armed: bool
+    flying: bool
+    tumbled: bool
+    late: bool  # no set-point for WATCHDOG_LEVELS
+    too_late: bool  # for WATCHDOG_STOPS
+    emergency: bool
+    crashed: bool
+    preflight_timeout: bool
+    landing_timeout: bool
+
+
+# From each state the first transition whose condition holds is taken, one per period.
+_TRANSITIONS: dict[State, tuple[tuple[State, Callable[[Conditions], bool]], ...]] = {
+    State.NOT_INITIALIZED: ((State.CHECKS_NOT_PASSED, lambda c: True),),
+    State.CHECKS_NOT_PASSED: (
+        (State.FREE_FALL, lambda c: c.emergency),
+        (State.CHECKS_PASSED, lambda c: not c.tumbled),
+    ),
+    State.CHECKS_PASSED: (
+        (State.FREE_FALL, lambda c: c.emergency),
+        (State.CHECKS_NOT_PASSED, lambda c: c.tumbled),
+        (State.ARMING, lambda c: c.armed),
+    ),
+    State.ARMING: (
+        (State.FREE_FALL, lambda c: c.emergency),
+        (State.CHECKS_NOT_PASSED, lambda c: c.tumbled or not c.armed),
+        (State.READY_TO_FLY, lambda c: True),  # brushed motors tell no speed that could be awaited
+    ),
+    State.READY_TO_FLY: (
+        (State.FREE_FALL, lambda c: c.emergency),
+        (State.CHECKS_NOT_PASSED, lambda c: c.tumbled or c.preflight_timeout or not c.armed),
+        (State.FLYING, lambda c: c.flying),
+    ),
+    State.FLYING: (
+        (State.FREE_FALL, lambda c: c.too_late or c.emergency),
+        (State.CRASHED, lambda c: c.tumbled),
+        (State.RESET, lambda c: not c.armed),
+        (State.LEVEL_OUT, lambda c: c.late),
+        (State.LANDED, lambda c: not c.flying),
+    ),
+    State.LANDED: (
+        (State.RESET, lambda c: c.landing_timeout or not c.armed),
+        (State.FLYING, lambda c: c.flying),
+    ),
+    State.RESET: ((State.CHECKS_NOT_PASSED, lambda c: True),),
+    State.LEVEL_OUT: (
+        (State.FREE_FALL, lambda c: c.too_late or c.tumbled or c.emergency),
+        (State.FLYING, lambda c: not (c.late or c.too_late)),
+    ),
+    State.FREE_FALL: ((State.LOCKED, lambda c: True),),
+    State.LOCKED: (),
+    State.CRASHED: (
+        (State.CHECKS_NOT_PASSED, lambda c: not (c.crashed or c.tumbled)),
+        (State.LOCKED, lambda c: c.emergency),
+    ),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Setpoint:
+    """What the commander holds, in the firmware's units and signs."""
+
+    thrust: float = 0.0  # 0 to 60000
+    roll: float = 0.0  # deg
+    pitch: float = 0.0  # deg, legacy: positive leans back
+    yaw_rate: float = 0.0  # deg/s, positive turns left
+    time: float = -math.inf  # s, when it was received
+
+
+@dataclasses.dataclass
+class Parameters:
+    """Parameters that a client may set; the names are the firmware's, a dot for the first underscore."""
+
+    stabilizer_stop: int = 0  # not 0: emergency stop
+    supervisor_tmblChckEn: int = 1
+    flightmode_althold: int = 0
+    flightmode_poshold: int = 0
+    flightmode_posSet: int = 0
+
+
+class Firmware:
+    """Commander and supervisor. Times are seconds since the vehicle was switched on.
+
+    said: called with every line that the firmware would print.
+    """
+
+    def __init__(self, said: Callable[[str], None] = lambda line: None):
+        self.state = State.NOT_INITIALIZED
+        self.parameters = Parameters()
+        self.setpoint = Setpoint()
+        self.thrust = 0.0  # that the motors have
+        self.armed = self.crashed = self.emergency = self.tumbled = False
+        self._said = said
+        self._commanded = False  # has the commander had a set-point: its priority is no longer "disable"
+        self._locked = True
+        self._checked = -math.inf
+        self._tilted_since: float | None = None
+        self._noticed: float | None = None  # last notice of the emergency watchdog
+        self._last_thrust = self._ready = self._landed = -math.inf
+
+    # --- what a client sends ---------------------------------------------------------------------
+
+    def receive_rpyt(self, time: float, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
+        """The legacy set-point: degrees, degrees per second (positive turns right), 0 to 65535."""
+        if not self._commanded:
+            self._locked = True
+        if thrust == 0:
+            self._locked = False
+        given = 0.0 if self._locked or thrust < LEAST_THRUST else float(min(thrust, MOST_THRUST))
+        self._set(Setpoint(given, roll, pitch, -yaw_rate, time))
+
+    def receive_manual(self, time: float, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
+        """The generic set-point "manual" with angles; it has no thrust lock, and yaw is not inverted."""
+        self._set(Setpoint(float(thrust), roll, pitch, yaw_rate, time))
+
+    def receive_stop(self, time: float) -> None:
+        """The generic set-point "stop"."""
+        self._set(Setpoint(time=time))
+
+    def _set(self, setpoint: Setpoint) -> None:
+        self.setpoint, self._commanded = setpoint, True
+
+    def request_arming(self, arm: bool) -> bool:
+        """Whether it was granted."""
+        if arm == self.armed:
+            return True
+        if arm and self.state is not State.CHECKS_PASSED:
+            return False
+        self.armed = arm
+        return True
+
+    def request_recovery(self) -> bool:
+        """From a crash; whether it was granted."""
+        if self.crashed and self.tumbled:
+            return False
+        self.crashed = False
+        return True
+
+    def stop_now(self) -> None:
+        """The emergency stop; only a restart undoes it."""
+        self.emergency = True
+
+    def notice(self, time: float) -> None:
+        """Of the emergency watchdog: from the first one on they must go on."""
+        self._noticed = time
+
+    # --- what runs on board ----------------------------------------------------------------------
+
+    @property
+    def can_fly(self) -> bool:
+        """Does the supervisor let set-points through?"""
+        return self.state in _CAN_FLY
+
+    @property
+    def info(self) -> int:
+        """The supervisor's bits, as `supervisor.info` and cflib's `Supervisor` have them."""
+        bits = (
+            *(self.state is State.CHECKS_PASSED, self.armed, True, self.can_fly),
+            *(self.state in (State.FLYING, State.LEVEL_OUT), self.tumbled),
+            *(self.state is State.LOCKED, self.crashed),
+        )
+        return sum(bit << k for k, bit in enumerate(bits))
+
+    def step(self, time: float, up: float, norm: float) -> Setpoint:
+        """What the motors and the attitude loops are to do from `time` on.
+
+        up: acceleration along the body's z, as an accelerometer shows it [g]; norm: its size [g].
+        """
+        setpoint = self.setpoint if self.can_fly else Setpoint()
+        if setpoint.thrust > 0.0:
+            self._last_thrust = time
+        if time - self._checked >= PERIOD - 1e-9:
+            self._checked = time
+            self._supervise(self._conditions(time, setpoint, up, norm), time)
+        if self.state is State.LEVEL_OUT:
+            setpoint = Setpoint(setpoint.thrust, time=setpoint.time)
+        elif self.state not in _ARMED:
+            setpoint = Setpoint()
+        self.thrust = setpoint.thrust
+        if setpoint.thrust == 0.0:
+            return Setpoint(time=setpoint.time)
+        worst = (_bounded(angle, STEEPEST) for angle in (setpoint.roll, setpoint.pitch))
+        return Setpoint(setpoint.thrust, *worst, _bounded(setpoint.yaw_rate, 720.0), setpoint.time)
+
+    def _conditions(self, time: float, setpoint: Setpoint, up: float, norm: float) -> Conditions:
+        age = time - setpoint.time
+        silent = self._noticed is not None and time >= self._noticed + EMERGENCY_WATCHDOG
+        self.tumbled = self._is_tumbled(time, up, norm)
+        return Conditions(
+            armed=self.armed,
+            flying=time - self._last_thrust < FLYING_HYSTERESIS,
+            tumbled=self.tumbled and bool(self.parameters.supervisor_tmblChckEn),
+            late=age > WATCHDOG_LEVELS,
+            too_late=age > WATCHDOG_STOPS,
+            emergency=self.emergency or silent or bool(self.parameters.stabilizer_stop),
+            crashed=self.crashed,
+            preflight_timeout=self.state is State.READY_TO_FLY and time - self._ready > PREFLIGHT_TIMEOUT,
+            landing_timeout=time - self._landed > LANDING_TIMEOUT,
+        )
+
+    def _is_tumbled(self, time: float, up: float, norm: float) -> bool:
+        if norm < FREE_FALL:
+            self._tilted_since = None
+        if up >= TILTED:
+            self._tilted_since = None
+            return False
+        if self._tilted_since is None:
+            self._tilted_since = time
+        lasted = time - self._tilted_since
+        return lasted > TILTED_TIME or (up < UPSIDE_DOWN and lasted > UPSIDE_DOWN_TIME)
+
+    def _supervise(self, conditions: Conditions, time: float) -> None:
+        new = next((to for to, holds in _TRANSITIONS[self.state] if holds(conditions)), self.state)
+        if new is self.state:
+            return
+        self.state = new
+        if new is State.READY_TO_FLY:
+            self._ready = time
+        elif new is State.LANDED:
+            self._landed = time
+        elif new is State.CRASHED:
+            self.crashed = True
+            self._said("SUP: Crashed, recovery required")
+        elif new is State.FREE_FALL:
+            self._said("SUP: free falling!")
+        elif new is State.LOCKED:
+            self._said("SUP: Locked, reboot required")
+        if new not in _ARMED:
+            self.armed = False
+        if new is State.CHECKS_PASSED:
+            self.armed = True  # the 2.1 arms itself
+
+
+def _bounded(value: float, size: float) -> float:
+    """`value` from -size to size; `size` itself for what is no number."""
+    return size if math.isnan(value) else min(size, max(-size, value))

@@ -1,0 +1,312 @@
+"""Everything there is but the pilot: vehicle, firmware, radio, cameras and faults, on one time axis.
+
+The time is whatever the caller advances it to: in one go for flights in virtual time, by the real clock in
+`process.py`. All that is drawn comes from one seed, so a flight repeats bit for bit when the pilot does.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from inclined_landing.eval.flying.simulated import crtp
+from inclined_landing.eval.flying.simulated.body import FLOOR, Body, firmware_attitude
+from inclined_landing.eval.flying.simulated.cameras import Cameras, MarkerView
+from inclined_landing.eval.flying.simulated.crtp import Packet, Services
+from inclined_landing.eval.flying.simulated.faults import FLAT, SAG_RATE, Fault
+from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware, State
+from inclined_landing.eval.flying.simulated.radio import Link, Way
+from inclined_landing.models.attitude import VX, WX, X, Z
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+
+BOOT = 1.0  # s from switching on until somebody connects
+_LOW_BATTERY, _LOW_AFTER = 3.2, 5.0  # V and s (platform_defaults_cf2.h), after which pm.state is "low"
+_NEAR, _LOW = 0.5, 0.3  # m, of the events that faults wait for
+# Packets whose answers the pilot waits for while it sets up: they take no time, and none is lost.
+_AT_ONCE = {
+    *((crtp.LINK, 0), (crtp.LINK, 1), (crtp.PLATFORM, 1), (crtp.SUPERVISOR, 0), (crtp.MEM, 0)),
+    *((crtp.PARAM, channel) for channel in range(4)),
+    *((crtp.LOG, 0), (crtp.LOG, 1)),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """What flies, from where, and how well it is seen and heard."""
+
+    vehicle: Vehicle = dataclasses.field(default_factory=load_vehicle)
+    start: tuple[float, float] = (1.0, 0.0)  # x, y on the floor, m
+    heading: float | None = (
+        None  # rad; None: drawn, with a standard deviation of 2 deg, as a hand puts it down
+    )
+    inclination: float | None = None  # of the platform, rad; None: the vehicle file's
+    charge: float = 0.0  # V by which the battery is emptier than the vehicle file says
+    link: Link = dataclasses.field(default_factory=Link)
+    cameras: Cameras = dataclasses.field(default_factory=Cameras)
+
+
+@dataclasses.dataclass(frozen=True)
+class Trace:
+    """What truly happened, at every engine step; T steps."""
+
+    time: np.ndarray  # (T,) s
+    state: np.ndarray  # (T, 13), columns of `models.attitude`
+    touching: np.ndarray  # (T, 3) bool: slab, base, floor
+    thrust: np.ndarray  # (T,) that the motors were given, 0 to 60000
+    mode: np.ndarray  # (T,) firmware.State
+
+
+class Sensors:
+    """What the vehicle measures of itself. sign: -1 for roll and pitch the wrong way round.
+
+    The yaw of the onboard estimate is 0 where the vehicle was switched on: it knows no north.
+    """
+
+    angle_noise = 0.1  # deg, standard deviation
+    voltage_noise = 0.01  # V
+
+    def __init__(self, body: Body, firmware: Callable[[], Firmware], random: np.random.Generator):
+        self.sign = 1.0
+        self.failing = False
+        self._body, self._firmware, self._random = body, firmware, random
+        self._heading = body.estimate_at(0.0)[2]
+        self._low_since: float | None = None
+        self.voltage = body.voltage
+
+    def look(self, time: float) -> None:
+        """Read the battery; once per period of the supervisor."""
+        self.voltage = self._body.voltage + self._random.normal(0.0, self.voltage_noise)
+        if self.voltage >= _LOW_BATTERY:
+            self._low_since = None
+        elif self._low_since is None:
+            self._low_since = time
+        if self.failing and self._body.voltage > FLAT:
+            self._body.drained += SAG_RATE * PERIOD
+            sensitivity = LIBRARY["battery_voltage"].parameters[0].plausible
+            self._body.weaken(max(0.0, 1.0 - sensitivity * self._body.drained))
+
+    def values(self, time: float) -> dict[str, float]:
+        """The log variables of crtp.LOGGED."""
+        body, firmware = self._body, self._firmware()
+        roll, pitch, yaw = body.estimate_at(time)
+        roll, pitch, yaw = firmware_attitude(self.sign * roll, self.sign * pitch, yaw - self._heading)
+        noise = self._random.normal(0.0, self.angle_noise, 3)
+        angles = dict(
+            zip(("roll", "pitch", "yaw"), (float(a + e) for a, e in zip((roll, pitch, yaw), noise)))
+        )
+        low = self._low_since is not None and time - self._low_since > _LOW_AFTER
+        mode = firmware.state
+        return {
+            **{
+                f"{group}.{axis}": angle
+                for group in ("stateEstimate", "stabilizer")
+                for axis, angle in angles.items()
+            },
+            "stabilizer.thrust": firmware.thrust,
+            "controller.cmd_thrust": firmware.thrust,
+            **dict(
+                zip(("gyro.x", "gyro.y", "gyro.z"), np.degrees(body.state_at(time)[WX : WX + 3]).tolist())
+            ),
+            **dict(zip(("acc.x", "acc.y", "acc.z"), body.felt.tolist())),
+            "pm.vbat": self.voltage,
+            "pm.vbatMV": 1000.0 * self.voltage,
+            "pm.state": 3.0 if low else 0.0,
+            "supervisor.info": firmware.info,
+            "sys.canfly": firmware.can_fly,
+            "sys.isFlying": mode in (State.FLYING, State.LEVEL_OUT),
+            "sys.isTumbled": firmware.tumbled,
+        }
+
+
+class World:
+    """A simulated Crazyflie with its surroundings, from the moment it is switched on.
+
+    to_host: called with every packet that arrives at the pilot's side; broken: called with a reason where
+    the link is given up. Raises UserError for a setting that cannot be.
+    """
+
+    def __init__(self, setting: Setting, seed: int, faults: Sequence[Fault] = ()):
+        seeds = np.random.SeedSequence(seed).spawn(6)
+        up, down, seen, felt, self.random, start = (np.random.default_rng(s) for s in seeds)
+        heading = math.radians(2.0) * start.normal() if setting.heading is None else setting.heading
+        self.setting = setting
+        self.body = Body(
+            setting.vehicle,
+            start=setting.start,
+            heading=heading,
+            inclination=setting.inclination,
+            seed=int(start.integers(2**31)),
+        )
+        self.body.drained = setting.charge
+        self.up, self.down = Way(setting.link, up), Way(setting.link, down)
+        self.view = MarkerView(setting.cameras, seen)
+        self._switch_on()
+        self.sensors = Sensors(self.body, lambda: self.firmware, felt)
+        self.time = 0.0
+        self.to_host: Callable[[Packet], None] = lambda packet: None
+        self.broken: Callable[[str], None] = lambda reason: None
+        self.said: Callable[[str], None] = lambda line: None
+        self._queue: list[tuple[float, int, Callable[[], None]]] = []
+        self._count = itertools.count()
+        self._frame = float(start.random()) / setting.cameras.rate
+        self._looked = -math.inf
+        self._waiting = list(faults)
+        self._flown = self._been_far = self._been_high = False
+        self._rows: list[tuple] = []
+        self.advance(BOOT)
+        self._meet("start")
+
+    def _switch_on(self) -> None:
+        self.firmware = Firmware(self._print)
+        self.services = Services(self.firmware, lambda time: self.sensors.values(time))
+
+    def _print(self, line: str) -> None:
+        self.said(line)
+        for packet in self.services.console(line):
+            self._send_down(self.body.time, packet)
+
+    @property
+    def trace(self) -> Trace:
+        """What happened so far."""
+        columns = list(zip(*self._rows)) or [[], [], [], [], []]
+        time, state, touching, thrust, mode = columns
+        size = len(self._rows)
+        return Trace(
+            np.array(time),
+            np.array(state).reshape(size, -1),
+            np.array(touching, bool).reshape(size, 3),
+            np.array(thrust),
+            np.array(mode, int),
+        )
+
+    # --- what the pilot's side does --------------------------------------------------------------
+
+    def send(self, packet: Packet) -> None:
+        """A packet of the pilot, now."""
+        if crtp.port_of(packet[0]) in _AT_ONCE:
+            if self.hears:
+                for answer in self.services.answer(self.time, packet):
+                    self.to_host(answer)
+            return
+        arrival = self.up.arrival(self.time)
+        if arrival is not None:
+            self.at(arrival, lambda: self._receive(packet))
+
+    @property
+    def hears(self) -> bool:
+        """Do packets get through both ways?"""
+        return not (self.up.down or self.down.down)
+
+    def advance(self, until: float) -> None:
+        """Let the time pass [s]; what is due meanwhile happens in its order."""
+        for _ in self.events(until):
+            pass
+
+    def events(self, until: float) -> Iterator[float]:
+        """As `advance`, but stops after everything that happens, with its time [s]."""
+        while True:
+            queued = self._queue[0][0] if self._queue else math.inf
+            due = min(queued, self._frame, self.services.next_log)
+            if due > until:
+                break
+            self._run(due)
+            self.time = max(self.time, due)
+            if queued == due:
+                heapq.heappop(self._queue)[2]()
+            elif self._frame == due:
+                self._expose(due)
+            else:
+                for packet in self.services.logged(due):
+                    self._send_down(due, packet)
+            yield due
+        self._run(until)
+        self.time = max(self.time, until)
+
+    # --- what happens ----------------------------------------------------------------------------
+
+    def at(self, time: float, action: Callable[[], None]) -> None:
+        """Do something at a time [s]."""
+        heapq.heappush(self._queue, (time, next(self._count), action))
+
+    def give_up_link(self) -> None:
+        """What cflib's radio driver does when no packet is acknowledged any more."""
+        self.broken("Too many packets lost")
+
+    def reboot(self) -> None:
+        """The vehicle restarts in flight."""
+        self._switch_on()
+        self.up.down = self.down.down = True
+        self.at(self.time + self.up.link.attempts * self.up.link.again, self.give_up_link)
+
+    def _receive(self, packet: Packet) -> None:
+        for answer in self.services.answer(self.time, packet):
+            self._send_down(self.time, answer)
+
+    def _send_down(self, time: float, packet: Packet) -> None:
+        arrival = self.down.arrival(time)
+        if arrival is not None:
+            self.at(arrival, lambda: self.to_host(packet))
+
+    def _expose(self, time: float) -> None:
+        self._frame += 1.0 / self.setting.cameras.rate
+        frame = self.view.expose(time, *self.body.pose_at(time))
+        if frame is not None:
+            arrival, pose = frame
+            self.at(arrival, lambda: self.view.arrive(pose))
+
+    def _run(self, until: float) -> None:
+        while self.body.time < until - 1e-9:
+            self._step()
+
+    def _step(self) -> None:
+        body = self.body
+        if body.time - self._looked >= PERIOD - 1e-9:
+            self._looked = body.time
+            self.sensors.look(body.time)
+        felt = body.felt
+        setpoint = self.firmware.step(body.time, felt[2], math.sqrt(felt @ felt))
+        body.step(setpoint)
+        self._rows.append(
+            (body.time, body.state, body.touching.copy(), setpoint.thrust, int(self.firmware.state))
+        )
+        self._watch()
+
+    def _watch(self) -> None:
+        """Which events that faults wait for have come."""
+        state, v = self.body.state, self.setting.vehicle
+        if (
+            not self._flown
+            and not self.body.touching[FLOOR]
+            and state[Z] > self.body.plant.foot_height + 0.01
+        ):
+            self._flown = True
+            self._meet("air")
+        if not self._flown or not self._waiting:
+            return
+        far = math.hypot(state[X], state[Z] - v.platform_surface_height) > _NEAR
+        if self._been_far and not far:
+            self._meet("near")
+        if self._been_high and state[Z] < _LOW:
+            self._meet("low")
+        self._been_far |= far
+        self._been_high |= state[Z] > _LOW
+
+    def _meet(self, event: str) -> None:
+        for fault in [f for f in self._waiting if f.event == event]:
+            self._waiting.remove(fault)
+            self.at(self.body.time + fault.after, lambda f=fault: self._begin(f))
+
+    def _begin(self, fault: Fault) -> None:
+        self.said(f"fault: {fault.name}")
+        fault.begin(self)
+
+    @property
+    def speed(self) -> float:
+        """Of the vehicle [m/s]."""
+        return float(np.linalg.norm(self.body.state[VX : VX + 3]))
