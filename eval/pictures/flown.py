@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
 
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Task
-from inclined_landing.models.errors import UserError
+from inclined_landing.eval.pictures.to_rest import Landing, to_rest
+from inclined_landing.models.errors import UserError, shown
+
+_UNTIL = ("rest", "goal")
+Until = Annotated[str, tyro.conf.arg(metavar="{rest,goal}")]
 
 
 def points(starts: Sequence[str], task: Task) -> list[tuple[float, ...]]:
@@ -24,7 +31,21 @@ def fly(policy: Policy, points: Sequence[tuple[float, ...]], plant: str, steps: 
     return record_flights(policy, plant, policy.task.states_at(points), steps=steps)
 
 
+def check_until(until: str) -> None:
+    """Raise UserError for an --until that is not known."""
+    if until not in _UNTIL:
+        raise UserError(f"--until is {' or '.join(_UNTIL)}, not {shown(until)}")
+
+
+def finish(flights: Sequence[Flight], until: str) -> list[Flight]:
+    """The flights as --until asks: "rest" or "goal"."""
+    return [to_rest(flight) for flight in flights] if until == "rest" else list(flights)
+
+
 def report(flight: Flight, name: str) -> None:
     """One line on stderr about a flight."""
     task = flight.task
-    print(f"{name}: from {task.start_words(flight.state[0])}: {task.flight_words(flight)}", file=sys.stderr)
+    words = task.flight_words(flight)
+    if isinstance(flight, Landing):
+        words += f", motors cut: {flight.ending}"
+    print(f"{name}: from {task.start_words(flight.state[0])}: {words}", file=sys.stderr)

@@ -13,6 +13,8 @@ from PIL import Image
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering import Ghost, Pose, make_renderer, qpos_of_state
+from inclined_landing.eval.pictures.labels import CUT, draw_labels, ended, tempo
+from inclined_landing.eval.pictures.to_rest import Landing
 from inclined_landing.eval.pictures.way import progress, spread_copies
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
@@ -41,6 +43,15 @@ def caption_of(flight: Flight, k: int) -> str:
     )
 
 
+def said(flight: Flight, k: int) -> list[tuple[str, str]]:
+    """The label of sample k: are the motors cut, how did the flight end."""
+    if isinstance(flight, Landing) and k >= flight.cut:
+        settled = k >= flight.settled
+        return [ended(flight.ending, flight.at_rest) if settled else CUT]
+    last = k == len(flight.t) - 1
+    return [ended(flight.task.flight_words(flight), flight.success)] if last else []
+
+
 def render_flight(
     flight: Flight,
     *,
@@ -49,10 +60,12 @@ def render_flight(
     height: int = 480,
     backend: str = "auto",
     fps: float = FPS,
+    slow: float = 1.0,
     renderer: Any = None,
 ) -> Iterator[np.ndarray]:
     """Frames (height, width, 3) uint8, `fps` of them for a second of flight.
 
+    slow: how much slower they will be shown, which is said in the picture; so is how the flight ended.
     renderer: draw with this one, made for the same look, and leave it open: it keeps its background.
     """
     times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
@@ -62,13 +75,15 @@ def render_flight(
     ghosts = [] if goal is None or close else [Ghost(qpos_of_state(goal))]
     with _opened(renderer, flight, width, height, camera, backend) as drawing:
         for k in frames:
-            yield drawing.render(
+            frame = drawing.render(
                 scene_of(flight, k),
                 inclination=flight.inclination,
                 trail=None if close else flight.state[: k + 1],
                 ghosts=ghosts,
                 caption=caption_of(flight, k),
             )
+            draw_labels(frame, tempo(slow) + said(flight, k))
+            yield frame
 
 
 def _opened(renderer, flight: Flight, *look):

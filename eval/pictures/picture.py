@@ -11,7 +11,7 @@ from inclined_landing.envs.rendering import check_look
 from inclined_landing.eval.base.options import File, Flat, Flown, Look
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.base.style import make_folder
-from inclined_landing.eval.pictures.flown import fly, points, report
+from inclined_landing.eval.pictures.flown import Until, check_until, finish, fly, points, report
 from inclined_landing.eval.pictures.frames import strobe, write_picture
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
@@ -23,6 +23,7 @@ def command(
     out: File,
     start: Annotated[str | None, tyro.conf.arg(metavar="X,Z")] = None,
     look: Flat[Look] = Look(),
+    until: Until = "rest",
     flown: Flat[Flown] = Flown(),
 ) -> None:
     """One picture of a whole flight: copies of the vehicle along its way.
@@ -31,13 +32,17 @@ def command(
         policy: file, or the name of a shipped one.
         out: .png file.
         start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z.
+        until: where a landing ends: rest goes on after the goal box with the motors cut, by MuJoCo, until
+            the vehicle is at rest; goal ends with the policy's flight.
     """
     if out.suffix.lower() != ".png":
         raise UserError(f"a picture is a .png file, not {out.name!r}")
+    check_until(until)
     storage.check_file(out)
     check_look(**dataclasses.asdict(look))
     loaded = flown.load(policy)
-    flight = fly(loaded, points([] if start is None else [start], loaded.task), flown.plant)[0]
+    flown_from = points([] if start is None else [start], loaded.task)
+    flight = finish(fly(loaded, flown_from, flown.plant), until)[0]
     drawn = strobe(flight, **dataclasses.asdict(look))
     make_folder(out.parent)
     write_picture(out, drawn)

@@ -14,8 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from inclined_landing.envs.flights import Flight
+from inclined_landing.eval.pictures.labels import CUT, ended
 from inclined_landing.models import surface
-from inclined_landing.models.attitude import VX, VZ
+from inclined_landing.models.attitude import PWM, VX, VZ
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
@@ -37,12 +38,19 @@ class Touchdown:
     vehicle: Vehicle
     points: Sequence[np.ndarray]  # T arrays (k, 3) m, contacts that carry force
     forces: Sequence[np.ndarray]  # T arrays (k, 3) N, on the vehicle
+    settled: int  # step from which it does not move any more; T where it still does
 
     @property
     def net(self) -> np.ndarray:
         """Net normal force and size of the net tangential force (T, 2) on the vehicle [N]."""
         total = np.array([force.sum(axis=0) for force in self.forces])
         return np.stack(surface.split(total, self.inclination), axis=1)
+
+    def said(self, k: int) -> list[tuple[str, str]]:
+        """The label of step k: are the motors cut for good, is it at rest."""
+        if k >= self.settled:
+            return [ended("at rest", True)]
+        return [] if self.commands[k:, PWM].any() else [CUT]
 
     @property
     def weight(self) -> float:
@@ -81,7 +89,8 @@ def watch(flight: Flight) -> Touchdown:
         x, z = flight.state[0, [0, 2]]
         raise UserError(f"nothing touches in the flight from x {x:g}, z {z:g} m: no contact force to draw")
     moving = np.flatnonzero(np.linalg.norm(np.array(states)[:, VX : VZ + 1], axis=1) > REST_SPEED)
-    part = slice(max(touching[0] - round(LEAD / STEP), 0), moving[-1] + 1 + round(STILL / STEP))
+    begin, settled = max(touching[0] - round(LEAD / STEP), 0), moving[-1] + 1
+    part = slice(begin, settled + round(STILL / STEP))
     return Touchdown(
         STEP * np.arange(1, len(commands) + 1)[part],
         np.array(states)[part],
@@ -90,4 +99,5 @@ def watch(flight: Flight) -> Touchdown:
         vehicle,
         points[part],
         forces[part],
+        settled - begin,
     )

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterator
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from inclined_landing.envs.rendering import View, look_at, make_renderer
 from inclined_landing.envs.rendering.overlay import FORCE, arrow_outline, arrow_width
+from inclined_landing.eval.pictures.labels import draw_labels, font, tempo
 from inclined_landing.eval.pictures.touch import Touchdown
 from inclined_landing.models import surface
 
@@ -26,6 +26,7 @@ def render_touchdowns(
     touchdowns: list[Touchdown],
     *,
     every: int = 1,
+    slow: float = 1.0,
     camera: str = "touch",
     width: int = 640,
     height: int = 480,
@@ -33,6 +34,7 @@ def render_touchdowns(
 ) -> Iterator[tuple[np.ndarray, bool]]:
     """Frames (height, width, 3) uint8 of touchdowns one after the other, one for `every` engine steps.
 
+    slow: how much slower they will be shown, which is said in the picture.
     camera: one of the scene's, or "touch": fixed, close to the touchdown (rays only). With each frame: is it
     the last of its touchdown. All share one scale of forces.
     """
@@ -51,6 +53,7 @@ def render_touchdowns(
                     caption=caption_of(touchdown, k),
                 )
                 gauge.draw(frame, k)
+                draw_labels(frame, tempo(slow) + touchdown.said(k))
                 yield frame, k == frames[-1]
 
 
@@ -92,7 +95,7 @@ class Gauge:
         """Where time [s] and force [N] are in the panel."""
         w, h = self._size
         u = self._unit
-        left, right, top, bottom = 38 * u, w - 14 * u, 48 * u, h - 14 * u
+        left, right, top, bottom = 44 * u, w - 14 * u, 48 * u, h - 30 * u
         share = (t - self._t[0]) / (self._t[-1] - self._t[0])
         return left + share * (right - left), bottom - force / self._top * (bottom - top)
 
@@ -100,22 +103,25 @@ class Gauge:
         (w, h), u = self._size, self._unit
         panel = Image.new("RGB", (w, h), _PANEL)
         pen = ImageDraw.Draw(panel)
-        pen.text((14 * u, 19 * u), "net normal force", fill=_INK, font=_font(round(13.5 * u)), anchor="lm")
+        pen.text((14 * u, 19 * u), "net normal force", fill=_INK, font=font(round(14 * u)), anchor="lm")
         newton = _nice(80 * u / _FINE / self._pixels_per_newton, up=False)
         length, right = _FINE * newton * self._pixels_per_newton, w - 14 * u
         arrow = arrow_outline((right - length, 25 * u), (right, 25 * u), _FINE * self._shaft)
         pen.polygon([tuple(corner) for corner in arrow], fill=_RED)
         label = f"{newton:g} N"
-        pen.text((right - 0.5 * length, 12 * u), label, fill=_INK, font=_font(round(10.5 * u)), anchor="mm")
+        pen.text((right - 0.5 * length, 12 * u), label, fill=_INK, font=font(round(12.5 * u)), anchor="mm")
         for force in (0.0, 0.5 * self._top, self._top):
             (x0, y), (x1, _) = self._point(self._t[0], force), self._point(self._t[-1], force)
             pen.line([(x0, y), (x1, y)], fill=(222, 227, 236), width=round(u))
             label = f"{force:g}" + (" N" if force == self._top else "")
-            pen.text((x0 - 5 * u, y), label, fill=_MUTED, font=_font(round(10.5 * u)), anchor="rm")
+            pen.text((x0 - 5 * u, y), label, fill=_MUTED, font=font(round(12.5 * u)), anchor="rm")
         (x0, y), (x1, _) = self._point(self._t[0], rest), self._point(self._t[-1], rest)
         for x in np.arange(x0, x1, 8 * u):
             pen.line([(x, y), (min(x + 4 * u, x1), y)], fill=_MUTED, width=round(1.2 * u))
-        pen.text((x1, y - 8 * u), "m g cos α", fill=_MUTED, font=_font(round(10.5 * u)), anchor="rm")
+        pen.text((x1, y - 9 * u), "at rest m g cos α", fill=_MUTED, font=font(round(12.5 * u)), anchor="rm")
+        span = f"{self._t[-1] - self._t[0]:.2f} s"
+        pen.text((x1, h - 14 * u), span, fill=_MUTED, font=font(round(12.5 * u)), anchor="rm")
+        pen.text((x0, h - 14 * u), "time", fill=_MUTED, font=font(round(12.5 * u)), anchor="lm")
         return panel
 
     def draw(self, frame: np.ndarray, k: int) -> None:
@@ -140,10 +146,3 @@ def _nice(value: float, up: bool) -> float:
     power = 10.0 ** math.floor(math.log10(value))
     steps = [step * power for step in (1.0, 2.0, 5.0, 10.0)]
     return next(step for step in steps if step >= value) if up else max(s for s in steps if s <= value)
-
-
-@functools.lru_cache(maxsize=8)
-def _font(size: int):
-    from matplotlib import font_manager
-
-    return ImageFont.truetype(font_manager.findfont("DejaVu Sans"), size)

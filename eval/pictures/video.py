@@ -17,7 +17,7 @@ from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering import check_look
 from inclined_landing.eval.base.options import File, Flag, Flat, Flown, Look, Range, Starts
 from inclined_landing.eval.base.policies import AnyPolicy
-from inclined_landing.eval.pictures.flown import fly, points, report
+from inclined_landing.eval.pictures.flown import Until, check_until, finish, fly, points, report
 from inclined_landing.eval.pictures.frames import FPS, render_flight, write_videos
 from inclined_landing.eval.pictures.touch import STEP, Touchdown, watch
 from inclined_landing.eval.pictures.touch_video import render_touchdowns
@@ -25,7 +25,7 @@ from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 GIF_FPS = 25.0  # players slow down faster ones
-_REST = 0.6  # s that the last frame of a flight stays
+_REST = 1.0  # s that the last frame of a flight stays
 
 
 def command(
@@ -37,6 +37,7 @@ def command(
     gif: Flag = False,
     slow: Annotated[float, Range(0.1, 20)] = 1.0,
     forces: Flag = False,
+    until: Until = "rest",
     flown: Flat[Flown] = Flown(),
 ) -> None:
     """Video of flights, one after the other.
@@ -47,15 +48,18 @@ def command(
         start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
             more flights.
         gif: write a .gif beside the .mp4.
-        slow: 2 plays at half speed.
+        slow: 2 plays at half speed; the picture says so.
         forces: film the touchdowns only, at the engine's steps, with the contact forces as arrows. A landing
             policy's motors are cut in the goal box. Goes with --slow 16 and --camera touch, a fixed look at
             the touchdown from nearby.
+        until: where the video of a landing ends: rest goes on after the goal box with the motors cut, by
+            MuJoCo, until the vehicle is at rest; goal ends with the policy's flight.
     """
     if out.suffix.lower() not in (".mp4", ".gif"):
         raise UserError(f"a video is an .mp4 or .gif file, not {out.name!r}")
     if look.width % 2 or look.height % 2:
         raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
+    check_until(until)
     storage.check_file(out)
     if look.camera != "touch":
         check_look(**dataclasses.asdict(look))
@@ -68,12 +72,14 @@ def command(
         raise UserError("--camera touch looks at a touchdown: it needs --forces")
     if look.camera == "touch" and look.backend == "gl":
         raise UserError("--camera touch is drawn with rays: leave --backend gl out")
+    if forces and until == "goal":
+        raise UserError("--forces films what follows the goal box: leave --until goal out")
     flights = fly(loaded, points(start, loaded.task), flown.plant)
     shown = dataclasses.asdict(look)
-    touchdowns = [watch(flight) for flight in flights] if forces else []
     if forces:
-        frames, total, rate = film_touchdowns(touchdowns, slow, **shown)
+        frames, total, rate = film_touchdowns([watch(flight) for flight in flights], slow, **shown)
     else:
+        flights = finish(flights, until)
         most = GIF_FPS if out.suffix.lower() == ".gif" else FPS
         frames, total, rate = film(flights, min(FPS, most * slow), slow, **shown)  # there are no more states
     files = {out: 1}
@@ -97,11 +103,11 @@ def film(
 
     def frames():
         for flight in flights:
-            for frame in render_flight(flight, fps=sampled, **look):
+            for frame in render_flight(flight, fps=sampled, slow=slow, **look):
                 yield frame
             yield from itertools.repeat(frame, rest)
 
-    total = sum(round(flight.duration * sampled) + 1 + rest for flight in flights)
+    total = sum(round(flight.t[-1] * sampled) + 1 + rest for flight in flights)
     return frames(), total, sampled / slow
 
 
@@ -114,7 +120,7 @@ def film_touchdowns(
     rest = round(_REST * rate)
 
     def frames():
-        for frame, last in render_touchdowns(touchdowns, every=every, **look):
+        for frame, last in render_touchdowns(touchdowns, every=every, slow=slow, **look):
             yield from itertools.repeat(frame, 1 + rest if last else 1)
 
     return frames(), sum(len(range(0, len(x.t), every)) + rest for x in touchdowns), rate

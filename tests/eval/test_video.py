@@ -1,13 +1,23 @@
 """Videos and stroboscopic pictures of flights."""
 
+import copy
+import dataclasses
+
 import imageio_ffmpeg
 import numpy as np
 import pytest
 
 from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.eval.pictures.frames import caption_of, render_flight, strobe, write_video
+from inclined_landing.eval.cli import main
+from inclined_landing.eval.pictures.flown import fly
+from inclined_landing.eval.pictures.frames import caption_of, render_flight, said, strobe, write_video
+from inclined_landing.eval.pictures.labels import draw_labels, tempo
+from inclined_landing.eval.pictures.to_rest import to_rest
+from inclined_landing.eval.policies.motors_cut import cut_motors
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.plants.recorder import still
 
 
 def flight(seconds=0.4, period=0.02):
@@ -69,3 +79,83 @@ def test_wrong_videos_are_sentences(tmp_path):
         write_video(tmp_path / "flight.avi", [])
     with pytest.raises(UserError, match=r"no frames for flight\.mp4"):
         write_video(tmp_path / "flight.mp4", [])
+
+
+@pytest.fixture(scope="module")
+def landed():
+    """The shipped policy's first film start, and the flight with what followed the motor cut."""
+    policy = load_policy("landing")
+    flight = fly(policy, policy.task.film_starts[:1], "mujoco")[0]
+    return flight, to_rest(flight)
+
+
+def test_a_landing_goes_on_to_rest_with_its_motors_cut(landed):
+    flight, whole = landed
+    cut = len(flight.t) - 1
+    assert whole.cut == cut and whole.duration == flight.duration < whole.t[-1]
+    np.testing.assert_array_equal(whole.state[: cut + 1], flight.state)
+    assert not whole.commands[cut:].any() and whole.commands[:cut, 0].all()
+    np.testing.assert_allclose(np.diff(whole.t), flight.t[1], rtol=1e-9)
+    assert {len(rows) for rows in (whole.t, whole.state, whole.commands, whole.actions, whole.reward)} == {
+        len(whole.t)
+    }
+    # At rest where the success table's own judgement of the same cut says so, tilted as the slope is.
+    task = flight.task
+    judged = cut_motors(flight.state[-1:], flight.inclination, task.vehicle)
+    assert whole.at_rest == judged.at_rest[0] and whole.ending == "at rest on its feet"
+    assert still(whole.state[whole.settled :]).all() and not still(whole.state[whole.settled - 1])
+    # Feet sink in by less than 5 mm, over a base of some 7 cm: below 0.1 rad.
+    assert whole.state[-1, 7] == pytest.approx(flight.inclination, abs=0.05)
+    normal_height = whole.state[-1, :3] - [0, 0, task.vehicle.platform_surface_height]
+    height = normal_height @ [np.sin(flight.inclination), 0, np.cos(flight.inclination)]
+    assert 0.0 < height < 0.04
+
+
+def test_what_slides_off_is_said(landed):
+    """On a slope without friction nothing holds: the vehicle ends on the floor, or is still on its way."""
+    flight, _ = landed
+    slippery = copy.copy(flight.task)
+    slippery.vehicle = dataclasses.replace(flight.task.vehicle, contact_friction=0.05)
+    whole = to_rest(dataclasses.replace(flight, task=slippery))
+    assert not whole.at_rest and whole.ending in ("fell to the floor", "still sliding", "still moving")
+    assert whole.t[-1] <= flight.duration + 2.0 + 1e-9
+
+
+def test_only_landings_go_on():
+    assert type(to_rest(flight())) is Flight  # no success
+    hover = dataclasses.replace(flight(), task=make_task("setpoint"), success=True, inclination=None)
+    assert to_rest(hover) is hover
+
+
+def test_labels_say_speed_and_state(landed):
+    flight, whole = landed
+    assert [said(whole, k) for k in (0, whole.cut - 1)] == [[], []]
+    assert said(whole, whole.cut)[0][0] == "motors cut"
+    assert said(whole, whole.settled)[0][0] == said(whole, len(whole.t) - 1)[0][0] == "at rest on its feet"
+    assert said(flight, len(flight.t) - 1)[0][0].startswith("goal box after")
+    assert [tempo(slow) for slow in (1.0, 16.0, 1.5, 0.5)] == [
+        [],
+        [("16x slower", None)],
+        [("1.5x slower", None)],
+        [("2x faster", None)],
+    ]
+    frame = np.zeros((90, 160, 3), np.uint8)
+    draw_labels(frame, [("words that are far too long for so small a picture", "#d55e00")])
+    row, column = np.nonzero(frame.any(axis=2))
+    assert row.max() < 45 and column.min() >= 2 and column.max() < 158
+
+
+def test_a_slowed_video_says_so():
+    options = dict(width=160, height=120, backend="ray")
+    plain, slowed = (next(render_flight(flight(), slow=slow, **options)) for slow in (1.0, 4.0))
+    changed = np.nonzero((plain != slowed).any(axis=2))
+    assert changed[0].size > 100 and changed[0].max() < 40 and changed[1].min() > 60  # upper right corner
+
+
+@pytest.mark.parametrize("words, sentence", [
+    (["--until", "noon"], "--until is rest or goal, not noon"),
+    (["--until", "goal", "--forces"], "leave --until goal out"),
+])  # fmt: skip
+def test_wrong_ends_are_sentences(words, sentence, tmp_path, capsys):
+    assert main(["video", "landing", *words, "--out", str(tmp_path / "x.mp4")]) == 2
+    assert sentence in capsys.readouterr().err and not list(tmp_path.iterdir())

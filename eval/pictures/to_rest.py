@@ -1,0 +1,88 @@
+"""The rest of a landing: a flight that ends in the goal box goes on with its motors cut, until it is at rest.
+
+The goal box hovers over the slope, so a flight that the task calls a success has not landed yet. What
+follows is the MuJoCo plant's, whatever the policy was flown in, judged as `plants.recorder` judges rest.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from inclined_landing.envs.flights import Flight
+from inclined_landing.models.geometry import SURFACES
+from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.plants.recorder import Recorder, still
+
+LONGEST = 2.0  # s that a landing is watched after its motors are cut
+HELD = 0.3  # s without motion that end it
+_SLAB, _FLOOR = SURFACES.index("slab"), SURFACES.index("floor")
+
+
+@dataclasses.dataclass
+class Landing(Flight):
+    """A flight with what followed the motor cut; rows from `cut` on have PWM 0 as their command."""
+
+    cut: int  # row of the motor cut, the flight's last one
+    settled: int  # row from which `ending` is true
+    at_rest: bool  # on its feet
+    ending: str  # what became of the vehicle, in words
+
+    @property
+    def duration(self) -> float:
+        """Length of the policy's flight [s], up to the motor cut."""
+        return float(self.t[self.cut])
+
+
+def to_rest(flight: Flight) -> Flight:
+    """The flight, and what follows where its task has the motors cut: a `Landing`.
+
+    It goes on for up to 2 s after the goal, until the vehicle has not moved for 0.3 s. A flight that did not
+    succeed, or whose task cuts no motors, comes back as it is.
+    """
+    if not (flight.success and flight.task.cut_at_success and flight.inclination is not None):
+        return flight
+    vehicle = flight.task.vehicle
+    plant = MujocoPlant(1, vehicle, torque_needs_motors=True)
+    plant.set_platform([0], flight.inclination)
+    recorder = Recorder(plant, flight.state[-1:])
+    period = plant.control_period
+    states, settled, steps = [], 0, 0
+    while steps < round(LONGEST / period) and steps - settled < round(HELD / period):
+        recorder.step(np.zeros((1, 4)))
+        steps += 1
+        states.append(plant.state[0].copy())
+        if not still(plant.state[0]):
+            settled = steps
+    cut = len(flight.t) - 1
+    off = np.zeros((steps, flight.commands.shape[1]))
+    commands = np.concatenate([flight.commands[:-1], off, off[:1]])
+    extended = {
+        "t": np.concatenate([flight.t, flight.t[-1] + period * np.arange(1, steps + 1)]),
+        "state": np.concatenate([flight.state, states]),
+        "actions": np.pad(flight.actions, [(0, steps), (0, 0)], mode="edge"),
+        "commands": commands,
+        "reward": np.pad(flight.reward, (0, steps)),
+    }
+    given = {field.name: getattr(flight, field.name) for field in dataclasses.fields(Flight)}
+    return Landing(
+        **given | extended,
+        cut=cut,
+        settled=cut + min(settled + 1, steps),
+        at_rest=bool(recorder.at_rest()[0]),
+        ending=_ending(recorder),
+    )
+
+
+def _ending(recorder: Recorder) -> str:
+    """What became of the vehicle, as its present state and contacts tell."""
+    plant = recorder.plant
+    touch = plant.contacts.touch[0]
+    if recorder.at_rest()[0]:
+        return "at rest on its feet"
+    if touch[_FLOOR].any():
+        return "fell to the floor"
+    if still(plant.state[0]):
+        return "at rest, but not on its feet alone"
+    return "still sliding" if touch[_SLAB].any() else "still moving"
