@@ -11,17 +11,20 @@ import heapq
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
+from inclined_landing.eval.flying.interfaces import Pose
 from inclined_landing.eval.flying.simulated import crtp
-from inclined_landing.eval.flying.simulated.body import FLOOR, Body, firmware_attitude
+from inclined_landing.eval.flying.simulated.body import FLOOR, Body, firmware_attitude, plant_command
 from inclined_landing.eval.flying.simulated.cameras import Cameras, MarkerView
 from inclined_landing.eval.flying.simulated.crtp import Packet, Services
 from inclined_landing.eval.flying.simulated.faults import FLAT, SAG_RATE, Fault
 from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware, State
 from inclined_landing.eval.flying.simulated.radio import Link, Way
-from inclined_landing.models.attitude import VX, WX, X, Z
+from inclined_landing.eval.logs import FlightLog, write_log
+from inclined_landing.models.attitude import ROLL, VX, VZ, WX, YAW, X, Z
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
@@ -58,8 +61,26 @@ class Trace:
     time: np.ndarray  # (T,) s
     state: np.ndarray  # (T, 13), columns of `models.attitude`
     touching: np.ndarray  # (T, 3) bool: slab, base, floor
-    thrust: np.ndarray  # (T,) that the motors were given, 0 to 60000
+    command: np.ndarray  # (T, 4) that vehicle and motors were given: PWM, rad, rad, rad/s
+    voltage: np.ndarray  # (T,) V
     mode: np.ndarray  # (T,) firmware.State
+
+    def write(self, path: Path) -> None:
+        """As the documented CSV, at 125 Hz, whole or not at all."""
+        some = slice(None, None, 2)
+        write_log(
+            path,
+            FlightLog(
+                name=path.name,
+                t=self.time[some] - self.time[0],
+                position=self.state[some, X : Z + 1],
+                attitude=np.unwrap(self.state[some, ROLL : YAW + 1], axis=0),
+                command=self.command[some],
+                velocity=self.state[some, VX : VZ + 1],
+                voltage=self.voltage[some],
+                contact=self.touching[some].any(axis=1),
+            ),
+        )
 
 
 class Sensors:
@@ -152,6 +173,8 @@ class World:
         self.to_host: Callable[[Packet], None] = lambda packet: None
         self.broken: Callable[[str], None] = lambda reason: None
         self.said: Callable[[str], None] = lambda line: None
+        self.shown: Callable[[Pose], None] = lambda pose: None
+        self.thrust = 0.0  # that the motors are given
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
         self._frame = float(start.random()) / setting.cameras.rate
@@ -174,16 +197,7 @@ class World:
     @property
     def trace(self) -> Trace:
         """What happened so far."""
-        columns = list(zip(*self._rows)) or [[], [], [], [], []]
-        time, state, touching, thrust, mode = columns
-        size = len(self._rows)
-        return Trace(
-            np.array(time),
-            np.array(state).reshape(size, -1),
-            np.array(touching, bool).reshape(size, 3),
-            np.array(thrust),
-            np.array(mode, int),
-        )
+        return Trace(*map(np.array, zip(*self._rows)))
 
     # --- what the pilot's side does --------------------------------------------------------------
 
@@ -258,7 +272,11 @@ class World:
         frame = self.view.expose(time, *self.body.pose_at(time))
         if frame is not None:
             arrival, pose = frame
-            self.at(arrival, lambda: self.view.arrive(pose))
+            self.at(arrival, lambda: self._arrive(pose))
+
+    def _arrive(self, pose: Pose) -> None:
+        self.view.arrive(pose)
+        self.shown(pose)
 
     def _run(self, until: float) -> None:
         while self.body.time < until - 1e-9:
@@ -272,8 +290,10 @@ class World:
         felt = body.felt
         setpoint = self.firmware.step(body.time, felt[2], math.sqrt(felt @ felt))
         body.step(setpoint)
+        self.thrust = setpoint.thrust
+        command = plant_command(setpoint)
         self._rows.append(
-            (body.time, body.state, body.touching.copy(), setpoint.thrust, int(self.firmware.state))
+            (body.time, body.state, body.touching, command, body.voltage, int(self.firmware.state))
         )
         self._watch()
 

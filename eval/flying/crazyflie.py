@@ -1,0 +1,73 @@
+"""`landing-eval crazyflie`: a simulated Crazyflie in real time, for cflib over UDP."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from inclined_landing.eval.base.options import Degrees, Range, Seed
+from inclined_landing.models.errors import UserError
+
+
+def command(
+    port: Annotated[int, Range(0, 65535)] = 19850,
+    poses: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")] = "127.0.0.1:19870",
+    vehicle: Annotated[str, tyro.conf.arg(metavar="nominal|hidden|FILE")] = "nominal",
+    start: Annotated[str, tyro.conf.arg(metavar="X,Y")] = "1,0",
+    inclination: Degrees = None,
+    fault: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME[@WHEN]")] = (),
+    seconds: Annotated[float | None, Range(0.0, 1e6, open=True), tyro.conf.arg(metavar="S")] = None,
+    seed: Seed = 0,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+) -> int:
+    """A simulated Crazyflie beside the platform, in real time: cflib connects to udp://127.0.0.1:PORT.
+
+    It runs until Ctrl-C and says what happens to the vehicle. Faults are named in eval/flying/README.md, and
+    happen at a time, `link-lost@12`, or after an event, `mocap-frozen@air+2`.
+
+    Args:
+        port: UDP port that it answers on; 0 takes a free one. cflib's scan looks at 19850 to 19859.
+        poses: where the poses of its motion capture are sent to.
+        vehicle: nominal, hidden (gaps that no policy was told), or a vehicle file.
+        start: where it stands on the floor, m.
+        inclination: of the platform in degrees, where it differs from the vehicle file's.
+        fault: what goes wrong, and when; repeat the option for more.
+        seconds: end after this time.
+        seed: of noise, delays and dropouts.
+        out: write what truly happened there, as the documented CSV (.csv, .csv.gz).
+    """
+    from inclined_landing.eval.flying.pose_stream import parse_address
+    from inclined_landing.eval.flying.simulated.faults import Fault
+    from inclined_landing.eval.flying.simulated.gaps import vehicle_named
+    from inclined_landing.eval.flying.simulated.process import Process
+    from inclined_landing.eval.flying.simulated.world import Setting, World
+
+    address, faults = parse_address(poses), [Fault.parse(text) for text in fault]
+    angle = None if inclination is None else math.radians(inclination)
+    setting = Setting(vehicle_named(vehicle), parse_start(start), inclination=angle)
+    if out is not None and not (out.name.endswith((".csv", ".csv.gz")) and out.parent.is_dir()):
+        raise UserError(f"--out {out}: expected a name that ends in .csv or .csv.gz in a folder that exists")
+    world = World(setting, seed, faults)
+    process = Process(world, port, address, lambda line: print(line, flush=True))
+    print(f"a simulated Crazyflie at udp://127.0.0.1:{process.port}, its poses to {poses}", flush=True)
+    try:
+        process.run(float("inf") if seconds is None else seconds)
+    except KeyboardInterrupt:
+        print("switched off")
+    finally:
+        process.close()
+        if out is not None:
+            world.trace.write(out)
+    return 0
+
+
+def parse_start(text: str) -> tuple[float, float]:
+    """X,Y in metres. Raises UserError."""
+    try:
+        x, y = (float(number) for number in text.split(","))
+    except ValueError:
+        raise UserError(f"--start must be X,Y in metres, like 1,0, not {text!r}") from None
+    return x, y
