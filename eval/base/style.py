@@ -6,8 +6,11 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.transforms import ScaledTranslation
 
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
@@ -59,10 +62,28 @@ def time_colours(share) -> np.ndarray:
     return matplotlib.colormaps["plasma"](0.02 + 0.76 * np.asarray(share, float))[..., :3]
 
 
+def halo(width: float) -> list:
+    """Path effects that set a line off from what is below it: a white one, `width` points wide, around it."""
+    return [patheffects.Stroke(linewidth=width, foreground="white", alpha=0.85), patheffects.Normal()]
+
+
 def panel(figure: Figure, left: float, bottom: float, width: float, height: float, **options) -> Axes:
     """Axes whose box is given in inches from the lower left corner of the figure."""
     w, h = figure.get_size_inches()
     return figure.add_axes((left / w, bottom / h, width / w, height / h), **options)
+
+
+def legend_below(axes: Axes, **options) -> Legend:
+    """The legend of axes with an x label, under it: off the data."""
+    lower = axes.transAxes + ScaledTranslation(0, -0.44, axes.figure.dpi_scale_trans)
+    given = {
+        "ncols": 2,
+        "columnspacing": 1.4,
+        "handlelength": 1.8,
+        "borderaxespad": 0,
+        "borderpad": 0,
+    } | options
+    return axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=lower, **given)
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:

@@ -9,19 +9,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 from scipy.ndimage import gaussian_filter
 
-from inclined_landing.eval.base.style import BLUE, GREEN, INK, ORANGE, PURPLE, styled
+from inclined_landing.eval.base.style import INK, MUTED, halo, styled
 from inclined_landing.eval.landings.landing import OUTCOMES, RESTS
 from inclined_landing.eval.landings.parameters import Parameter
 
-COLOURS = dict(zip(OUTCOMES, (GREEN, ORANGE, BLUE, PURPLE, "#9aa5b1", INK)))
+# Told apart with any colour vision and in greys: each is a step darker or lighter than every other.
+COLOURS = dict(zip(OUTCOMES, ("#0b7a6b", "#ee9b2f", "#a9d6f5", "#6a1b6b", "#f3efe2", "#161616")))
 _PER_CELL = 12  # landings, of a Latin hypercube
 _CELLS = (6, 24)  # least and most in a row
 _BINS_OF_PROFILE = 20
 _LEVELS = 60  # more different values than these are binned
-_SHARES = LinearSegmentedColormap.from_list("rests", ["#ffffff", "#cfeee3", GREEN, "#004f3a"])
+_SHARES = LinearSegmentedColormap.from_list("rests", ["#fbf0d0", "#bfdfc0", "#5fb3a0", "#0b7a6b", "#053d3c"])
+_EMPTY = {"facecolor": "white", "edgecolor": "#9aa5b1", "hatch": "////", "lw": 0}  # nothing landed there
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,40 +128,76 @@ def boundary(one: Map, along: str) -> list[dict]:
     return rows
 
 
+def map_words(one: Map, fixed: dict[str, float]) -> str:
+    """How `map_figure` is read."""
+    smooth = "" if one.levels else ", cells averaged with their neighbours"
+    text = f"On the thick line half of the landings rest{smooth}. "
+    if quasi_static(one, fixed):
+        text += "On the dashed one the friction just holds a vehicle that stands still. "
+    return text + "Dots: the most frequent outcome is under half. Hatched: no landing there. "
+
+
 def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
     """The most frequent outcome on the left, the share that rests on the right, boundaries on both."""
+    total = one.counts.sum(axis=2)
     with styled():
-        figure = Figure(figsize=(8.6, 4.15), layout="constrained")
+        figure = Figure(figsize=(8.6, 4.75), layout="constrained")
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
-        total = one.counts.sum(axis=2)
         colours = np.array([to_rgb(COLOURS[name]) for name in OUTCOMES])
-        share = one.counts.max(axis=2) / np.maximum(total, 1)
-        weight = 0.25 + 0.75 * np.clip((share - 0.3) / 0.7, 0, 1)  # the paler, the smaller the majority
-        picture = 1.0 - weight[:, :, None] * (1.0 - colours[one.counts.argmax(axis=2)])
-        picture[total == 0] = 1.0
+        picture = colours[one.counts.argmax(axis=2)]
         left.pcolormesh(one.x_edges, one.y_edges, picture, rasterized=True)
         mesh = right.pcolormesh(
             one.x_edges, one.y_edges, 100 * one.rests, cmap=_SHARES, vmin=0, vmax=100, rasterized=True
         )
-        bar = figure.colorbar(mesh, ax=right, label="landings that rest [%]", pad=0.02)
+        bar = figure.colorbar(mesh, ax=right, label="landings at rest [%]", pad=0.02)
         bar.outline.set_visible(False)
         handles = _patches(one.counts.any(axis=(0, 1)))
+        handles += _doubtful(left, one)
+        handles += _empty(one, left, right)
         handles += _lines(left, one, fixed, (0.5,))
         _lines(right, one, fixed, (0.1, 0.5, 0.9) if one.levels else (0.5,))
         left.set_ylabel(one.y.title())
-        left.set_title("most frequent outcome", loc="left")
-        lines = "; lines at 10, 50, 90 %" if one.levels else ""
-        right.set_title(f"share at rest on the feet{lines}", loc="left")
+        left.set_title("Most frequent outcome in each cell", loc="left")
+        lines = " (lines: 10, 50, 90 %)" if one.levels else ""
+        right.set_title(f"Share that rests on its feet{lines}", loc="left")
         for axes in (left, right):
             axes.set(xlabel=one.x.title(), xlim=one.x_edges[[0, -1]], ylim=one.y_edges[[0, -1]])
-        spacing = {"columnspacing": 1.3, "handlelength": 1.6}
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), **spacing)
+        figure.legend(handles=handles, loc="outside lower center", ncols=4, columnspacing=1.6)
+        held = total[total > 0]
+        figure.suptitle(
+            f"{held.sum()} landings, {held.min()} to {held.max()} in a cell; what is not on the axes varies "
+            "as the study says",
+            x=0.01, ha="left", size=8.5, color=MUTED,
+        )  # fmt: skip
     return figure
+
+
+def _doubtful(axes: Axes, one: Map) -> list:
+    """Dots in cells where the most frequent outcome is less than half of the landings; its legend handle."""
+    total = one.counts.sum(axis=2)
+    row, column = np.nonzero((2 * one.counts.max(axis=2) < total) & (total > 0))
+    if not len(row):
+        return []
+    x, y = one.centres
+    look = {"ls": "", "marker": "o", "ms": 3.4, "mfc": "white", "mec": INK, "mew": 0.6}
+    return axes.plot(x[column], y[row], label="most frequent, yet under half", gid="doubtful", **look)
+
+
+def _empty(one: Map, *panels: Axes) -> list:
+    """Hatching where nothing landed; its legend handle."""
+    cells = np.argwhere(one.counts.sum(axis=2) == 0)
+    for axes in panels:
+        for i, j in cells:
+            (x0, x1), (y0, y1) = one.x_edges[j : j + 2], one.y_edges[i : i + 2]
+            axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, gid="empty", **_EMPTY))
+    return [Patch(**_EMPTY, label="no landing in the cell")] if len(cells) else []
 
 
 def _patches(seen: np.ndarray) -> list:
     """Legend handles of the outcomes that are seen (bool, of each)."""
-    return [Patch(color=COLOURS[name], label=name) for name, there in zip(OUTCOMES, seen) if there]
+    return [
+        Patch(fc=COLOURS[name], ec=MUTED, lw=0.5, label=name) for name, there in zip(OUTCOMES, seen) if there
+    ]
 
 
 def _lines(axes: Axes, one: Map, fixed: dict[str, float], shares: tuple[float, ...]) -> list:
@@ -169,11 +207,12 @@ def _lines(axes: Axes, one: Map, fixed: dict[str, float], shares: tuple[float, .
     share = one.smooth()
     if min(share.shape) > 1 and np.isfinite(share).all() and share.min() < 0.5 < share.max():
         widths = [1.0 if s != 0.5 else 2.0 for s in shares]
-        axes.contour(x, y, share, levels=shares, colors=INK, linewidths=widths)
-        handles += axes.plot([], [], color=INK, lw=2.0, label="half of them rest")
+        lines = axes.contour(x, y, share, levels=shares, colors=INK, linewidths=widths)
+        lines.set_path_effects(halo(3.0))
+        handles += axes.plot([], [], color=INK, lw=2.0, label="half of the landings rest")
     predicted = quasi_static(one, fixed)
     if predicted:
-        look = {"color": "black", "lw": 1.8, "ls": (0, (4, 2))}
+        look = {"color": "black", "lw": 1.8, "ls": (0, (4, 2)), "path_effects": halo(3.4)}
         handles += axes.plot(*predicted, label="tan(inclination) = friction", **look)
     return handles
 
@@ -184,6 +223,7 @@ def profile_figure(parameters: list[tuple[Parameter, np.ndarray]], outcome: np.n
     rows = -(-len(parameters) // columns)
     present = np.bincount(outcome, minlength=len(OUTCOMES)) > 0
     colours = [colour for colour, there in zip(COLOURS.values(), present) if there]
+    empty: list[Patch] = []
     with styled():
         figure = Figure(figsize=(2.9 * columns + 0.2, 1.95 * rows + 0.55), layout="constrained")
         grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
@@ -191,14 +231,21 @@ def profile_figure(parameters: list[tuple[Parameter, np.ndarray]], outcome: np.n
             axes.set_visible(False)
         for axes, (parameter, values) in zip(grid.ravel(), parameters):
             values = values / parameter.factor
-            edges, levels = _edges(values, _BINS_OF_PROFILE)
-            middles = np.unique(values) if levels else 0.5 * (edges[1:] + edges[:-1])
+            edges, _ = _edges(values, _BINS_OF_PROFILE)
             counts = np.zeros((len(OUTCOMES), len(edges) - 1))
             np.add.at(counts, (outcome, _cells(values, edges)), 1)
-            shares = 100 * counts / np.maximum(counts.sum(axis=0), 1)
-            axes.stackplot(middles, shares[present], colors=colours, lw=0, alpha=0.9)
-            axes.set(xlim=(middles[0], middles[-1]), ylim=(0, 100), xlabel=parameter.title())
+            with np.errstate(invalid="ignore"):
+                tops = 100 * np.cumsum(counts[present], axis=0) / counts.sum(axis=0)
+            below = np.zeros(len(edges) - 1)
+            for top, colour in zip(tops, colours):
+                axes.stairs(top, edges, baseline=below, fill=True, color=colour)
+                axes.stairs(top, edges, baseline=None, color="white", lw=0.6)
+                below = top
+            for j in np.flatnonzero(counts.sum(axis=0) == 0):
+                axes.add_patch(Rectangle((edges[j], 0), edges[j + 1] - edges[j], 100, gid="empty", **_EMPTY))
+                empty = [Patch(**_EMPTY, label="no landing")]
+            axes.set(xlim=edges[[0, -1]], ylim=(0, 100), xlabel=parameter.title())
         for row in grid:
             row[0].set_ylabel("landings [%]")
-        figure.legend(handles=_patches(present), loc="outside upper center", ncols=present.sum())
+        figure.legend(handles=_patches(present) + empty, loc="outside upper center", ncols=4)
     return figure

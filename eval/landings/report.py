@@ -54,12 +54,13 @@ def write(study: Study, table: pa.Table, out: Path) -> dict:
         file = save_figure(maps.map_figure(one, fixed), out / f"map_{x}_{y}.png")
         limits = {f"along_{axis}": maps.boundary(one, axis) for axis in "xy"}
         summary["maps"].append({"x": x, "y": y, "file": file.name, "half_rest": limits})
-        figures[file] = boundary_sentence(one, limits)
+        figures[file] = maps.map_words(one, fixed) + boundary_sentence(one, limits)
     if varied:
         profiles = maps.profile_figure([(known[name], column) for name, column in varied.items()], outcome)
         file = save_figure(profiles, out / "profiles.png")
         figures[file] = (
-            "Shares of the outcomes over each parameter, everything else varying as the study says."
+            "Shares of the outcomes over each parameter, everything else varying as the study says; "
+            "hatched where nothing landed."
         )
     summary["discussion"] = discussion(summary)
     storage.write_text(out / "index.html", page(study, summary, figures, fixed))

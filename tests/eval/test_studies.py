@@ -1,11 +1,14 @@
 """Landing studies: what becomes of constructed landings, study files, designs, the numbers made of them."""
 
 import dataclasses
+import itertools
 import json
 import math
 
 import numpy as np
 import pytest
+from colorspacious import cspace_convert, deltaE
+from matplotlib.colors import to_rgb
 
 from inclined_landing.eval.landings import design, landing, maps, sensitivity
 from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS, simulate
@@ -272,3 +275,46 @@ def test_shipped_results_are_of_the_shipped_studies(name):
     assert summary["landings"] == design.total(study) * max(
         1, summary["start_states"] * (study.policy is not None)
     )
+
+
+def test_outcomes_are_told_apart_with_any_colour_vision_and_in_greys():
+    """By CAM02-UCS, in which a just noticeable difference is about 1: 15 between areas is plain.
+
+    Deuteranopia and protanopia by Machado (2009) at full severity; greys by CIE lightness, where steps of
+    10 of 100 can be named from a legend.
+    """
+    colours = {name: np.array(to_rgb(colour)) for name, colour in maps.COLOURS.items()}
+    for kind in (None, "deuteranomaly", "protanomaly"):
+        space = {"name": "sRGB1+CVD", "cvd_type": kind, "severity": 100}
+        seen = {
+            name: np.clip(cspace_convert(rgb, space, "sRGB1"), 0, 1) if kind else rgb
+            for name, rgb in colours.items()
+        }
+        for one, other in itertools.combinations(seen, 2):
+            apart = deltaE(seen[one], seen[other], input_space="sRGB1")
+            assert apart > 15, f"{one} and {other} look alike with {kind or 'normal vision'}: {apart:.1f}"
+    lightness = sorted(cspace_convert(rgb, "sRGB1", "CIELab")[0] for rgb in colours.values())
+    assert np.diff(lightness).min() > 10
+
+
+def test_cells_without_landings_are_hatched_and_named():
+    known = known_parameters()
+    rng = np.random.default_rng(5)
+    alpha, mu = np.radians(rng.uniform(10, 50, 4000)), rng.uniform(0.3, 1.2, 4000)
+    hole = (alpha > np.radians(30)) & (mu < 0.7)
+    alpha, mu = alpha[~hole], mu[~hole]
+    one = maps.make_map(known["inclination"], known["friction"], alpha, mu, (mu < np.tan(alpha)).astype(int))
+    cells = (one.counts.sum(axis=2) == 0).sum()
+    figure = maps.map_figure(one, {})
+    drawn = [patch for axes in figure.axes[:2] for patch in axes.patches if patch.get_gid() == "empty"]
+    assert cells > 20 and len(drawn) == 2 * cells and all(patch.get_hatch() for patch in drawn)
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "no landing in the cell" in words and "slides off" in words and "tips over" not in words
+    full = maps.map_figure(
+        maps.make_map(one.x, one.y, alpha[mu > 0.7], mu[mu > 0.7], np.zeros(sum(mu > 0.7), int)), {}
+    )
+    assert "no landing in the cell" not in [text.get_text() for text in full.legends[0].get_texts()]
+    gap = (alpha > np.radians(20)) & (alpha < np.radians(26))
+    profiles = maps.profile_figure([(one.x, alpha[~gap])], np.zeros((~gap).sum(), int))
+    hatched = [patch for patch in profiles.axes[0].patches if patch.get_gid() == "empty"]
+    assert 2 <= len(hatched) <= 3  # bins of 2 degrees

@@ -9,8 +9,9 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
-from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, styled
+from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, legend_below, styled
 
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE, INK)
 _DASHED = {"color": MUTED, "lw": 1.2, "ls": (0, (5, 2))}
@@ -24,7 +25,7 @@ def _panels(count: int, width: float = 3.5):
         @functools.wraps(draw)
         def drawn(data: dict) -> Figure:
             with styled(), matplotlib.rc_context({"axes.grid": True, "lines.markersize": 4}):
-                figure = Figure(figsize=(width * count, 2.7), layout="constrained")
+                figure = Figure(figsize=(width * count, 3.15), layout="constrained")
                 draw(data, *figure.subplots(1, count, squeeze=False)[0])
             return figure
 
@@ -49,60 +50,66 @@ def _logarithmic(axes: Axes, ticks: list[float]) -> None:
 
 @_panels(3)
 def rest(data: dict, force: Axes, creep: Axes, springy: Axes) -> None:
-    """Forces over the inclination, creep over inclination and restitution."""
+    """Forces at rest over the inclination; creep over inclination and restitution."""
     fine = np.linspace(0, 50, 101)
     weight = data["expected"][0, 0]
     for name, share, colour in (("normal", np.cos, BLUE), ("tangential", np.sin, ORANGE)):
         force.plot(fine, weight * share(np.radians(fine)), color=colour, lw=1.2)
         force.plot(data["degrees"], data[name], "o", color=colour, label=name)
     force.set(xlabel="inclination [deg]", ylabel="force at rest [N]", ylim=(-0.01, 1.15 * weight))
-    force.legend(loc="lower left", bbox_to_anchor=(0.0, 0.3))
+    force.plot([], [], color=MUTED, lw=1.2, label="m g cos, m g sin")
+    legend_below(force, ncols=3)
     creep.plot(data["degrees"], 1e3 * data["creep"], "o-", color=BLUE)
     _level(creep, 0.2, "asked for: 0.2 mm/s", 1)
     creep.set(xlabel="inclination [deg]", ylabel="creep [mm/s]", ylim=(0, 0.25))
     springy.plot(data["restitution"], 1e3 * data["creep_of_restitution"], "o-", color=PURPLE)
-    springy.axhline(0.2, **_DASHED)
+    _level(springy, 0.2, "asked for: 0.2 mm/s", 0)
     springy.set(xlabel="restitution set", ylabel="creep on the default slope [mm/s]", yscale="log")
 
 
 @_panels(2, 3.8)
 def slip(data: dict, gain: Axes, onset: Axes) -> None:
-    """Acceleration around the angle of friction, and the angle of onset over friction."""
+    """Acceleration around the angle of friction; the angle at which sliding begins over the friction."""
     for mu, values, colour in zip(data["friction"], data["acceleration"], _COLOURS):
         gain.plot(data["around"], values, "o-", color=colour, ms=3, lw=1.2, label=f"friction {mu:g}")
-    gain.set(xlabel="inclination - atan(friction) [deg]", ylabel="acceleration [m/s²]")
+    gain.set(xlabel="inclination less atan(friction) [deg]", ylabel="acceleration [m/s²]")
     fine = np.linspace(0.1, 1.1, 50)
     onset.plot(fine, np.degrees(np.arctan(fine)), color=MUTED, lw=1.2, label="atan(friction)")
     onset.plot(data["friction"], data["onset"], "o", color=BLUE, label="measured onset")
     onset.set(xlabel="friction", ylabel="onset of sliding [deg]")
-    gain.legend()
-    onset.legend()
+    legend_below(gain, ncols=3)
+    legend_below(onset)
 
 
 @_panels(3)
 def restitution(data: dict, times: Axes, speeds: Axes, pushed: Axes) -> None:
-    """Measured against set restitution: by contact time, and by drop speed."""
+    """Measured over set restitution, by contact time (bars: scatter) and by drop speed; contact times."""
     wanted = np.array(data["set"])
     rows = zip(data["contact_time"], data["measured at 1 m/s"], data["scatter"], data["pushed"], _COLOURS)
     for t, values, scatter, contact, colour in rows:
         times.errorbar(wanted, values, scatter, color=colour, marker="o", lw=1.2, label=f"{1e3 * t:g} ms")
         pushed.axhline(1e3 * t, **_DASHED | {"color": colour})
         pushed.plot(wanted, 1e3 * contact, "o", color=colour)
-    times.legend(title="drops at 1 m/s", title_fontsize=8.5)
+    times.set_title("drops at 1 m/s, by contact time", loc="left")
     for speed, colour in zip(data["speeds"], _COLOURS):
         values = data[f"measured at {speed:g} m/s"][-1]
         speeds.plot(wanted, values, "o-", color=colour, lw=1.2, label=f"{speed:g} m/s")
-    speeds.legend(title="contact time 20 ms", title_fontsize=8.5)
+    speeds.set_title("contact time 20 ms, by drop speed", loc="left")
     for axes in (times, speeds):
-        axes.plot([0, 0.6], [0, 0.6], **_DASHED, zorder=1)
+        axes.plot([0, 0.6], [0, 0.6], **_DASHED, zorder=1, label="as set")
         axes.set(xlabel="restitution set", xlim=(-0.02, 0.64))
         axes.set(ylabel="restitution measured", ylim=(-0.03, 0.68))
+        legend_below(axes, ncols=4)
+    pushed.plot([], [], "o", color=MUTED, label="measured")
+    pushed.plot([], [], **_DASHED, label="as set")
+    pushed.set_title("drops at 1 m/s", loc="left")
     pushed.set(xlabel="restitution set", ylabel="contact time measured [ms]", ylim=(0, 24))
+    legend_below(pushed)
 
 
 @_panels(2, 3.8)
 def impulse(data: dict, errors: Axes, peaks: Axes) -> None:
-    """Error of the impulse summed from sampled forces, over the step."""
+    """Error of the impulse summed from sampled forces over the step; the largest of these forces."""
     for setting, label, colour in (("default", "default", BLUE), ("0.6", "restitution 0.6", ORANGE)):
         rows = [row for row in data["rows"] if row["setting"] == setting]
         steps = [1e3 * row["step"] for row in rows]
@@ -112,16 +119,16 @@ def impulse(data: dict, errors: Axes, peaks: Axes) -> None:
         peaks.plot(steps, [row["peak"] for row in rows], "o-", color=colour, label=label)
     _level(errors, 2, "2 %", 0.5)
     errors.set(xlabel="step [ms]", ylabel="error of the impulse [%]", yscale="log", ylim=(0.01, 40))
-    errors.legend(fontsize=7.5, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    legend_below(errors)
     peaks.set(xlabel="step [ms]", ylabel="largest logged force, mean [N]", ylim=(0, 8))
-    peaks.legend()
+    legend_below(peaks)
     for axes in (errors, peaks):
         _logarithmic(axes, [0.5, 1, 2, 4])
 
 
 @_panels(1, 6.2)
 def penetration(data: dict, axes: Axes) -> None:
-    """Deepest penetration over speed."""
+    """Deepest penetration of the feet over the normal speed."""
     axes.plot(data["speeds"], 1e3 * data["default"], "o-", color=INK, label="default")
     for t, values, colour in zip(data["contact_time"], data["depth"].T, _COLOURS):
         label = f"contact time {1e3 * t:g} ms"
@@ -129,12 +136,12 @@ def penetration(data: dict, axes: Axes) -> None:
     axes.plot([1.0], [5.0], "x", color=MUTED, ms=7, mew=1.8, label="asked for: below 5 mm at 1 m/s")
     _level(axes, 10, "middle of the slab", 0.2)
     axes.set(xlabel="normal speed [m/s]", xlim=(0.15, 2.1), ylabel="deepest penetration [mm]", ylim=(0, 12))
-    axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
+    legend_below(axes, ncols=3)
 
 
 @_panels(2, 3.8)
 def convergence(data: dict, scatter: Axes, depth: Axes) -> None:
-    """Scatter of rebounds and error of the depth over the step."""
+    """Scatter of rebounds over the step; error of the depth against the finest step."""
     steps = 1e3 * np.array(data["steps"])
     error = 1e3 * np.abs(data["depth"][:-1] - data["depth"][-1])
     scatter.plot(steps, data["scatter"][:, 0], "o-", color=BLUE, label="restitution 0.3")
@@ -146,32 +153,41 @@ def convergence(data: dict, scatter: Axes, depth: Axes) -> None:
     depth.set(xlabel="step [ms]", ylabel="error of the penetration [mm]", yscale="log")
     for axes in (scatter, depth):
         _logarithmic(axes, [0.25, 0.5, 1, 2, 4])
-        axes.legend()
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        legend_below(axes, ncols=3)
 
 
 @_panels(2, 3.8)
 def tumbling(data: dict, energy: Axes, share: Axes) -> None:
-    """Energy of drops over time, and the share of drops that gain energy."""
+    """Energy of drops over time; the share of drops that gain energy over their speed."""
     history = 1e3 * data["history"]
     energy.plot(0.02 * np.arange(len(history)), history, color=BLUE, lw=0.6, alpha=0.5)
-    energy.set(xlabel="time [s]", ylabel="energy [mJ]", title="default contact, 1 m/s")
-    for setting, values, colour in zip(data["settings"], data["share"], _COLOURS):
+    energy.set(xlabel="time [s]", ylabel="energy [mJ]", title="default contact, 1 m/s, one line a drop")
+    marks = zip(data["settings"], data["share"], _COLOURS, ("o", "s", "^", "D", "v"))
+    for k, (setting, values, colour, mark) in enumerate(marks):
         label = setting if setting == "default" else f"restitution {setting:g}"
-        share.plot(data["speeds"], 100 * values, "o-", color=colour, label=label)
+        look = {
+            "color": colour,
+            "marker": mark,
+            "ms": 9 - 2 * k,
+            "lw": 3.2 - 0.8 * k,
+        }  # some lie on each other
+        share.plot(data["speeds"], 100 * values, label=label, **look)
     share.set(xlabel="speed [m/s]", ylabel="drops that gain over 1 % [%]", ylim=(-1, None))
-    share.legend()
+    legend_below(share, ncols=3)
 
 
 @_panels(1, 6.2)
 def torque(data: dict, axes: Axes) -> None:
-    """Pitch after half a second over the thrust, for both torque limits."""
+    """Pitch after half a second over the thrust, for two torque limits; dashed: statics."""
     for row, colour in zip(data["rows"], _COLOURS):
         label = f"torque up to {1e3 * row['limit']:g} mN m"
         axes.plot(data["share"], row["pitch"], "o-", color=colour, ms=3, lw=1.2, label=label)
         axes.axvline(row["predicted"], **_DASHED | {"color": colour})
     axes.plot([], [], **_DASHED, label="statics")
     axes.set(xlabel="thrust over weight", ylabel="pitch after 0.5 s [deg]")
-    axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
+    legend_below(axes, ncols=3)
 
 
 def touchdowns(data: dict) -> Figure:
@@ -180,19 +196,20 @@ def touchdowns(data: dict) -> Figure:
     columns = 4
     rows = -(-len(fits) // columns)
     with styled(), matplotlib.rc_context({"axes.grid": True}):
-        figure = Figure(figsize=(2.6 * columns, 0.3 + 2.0 * rows), layout="constrained")
+        figure = Figure(figsize=(2.6 * columns, 0.6 + 2.0 * rows), layout="constrained")
         grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
         for axes, row in zip(grid.ravel(), fits):
             time = 1e3 * row["time"]
             axes.plot(time, 1e3 * row["measured"], "o", color=INK, ms=3, label="measured")
             axes.plot(time, 1e3 * row["simulated"], color=ORANGE, lw=1.5, label="simulated")
             title = row["flight"].removeprefix("nb_").replace("_", " ")
-            axes.set_title(f"{title}\n{row['restitution']:.2f}, {1e3 * row['contact_time']:.0f} ms", size=8.5)
+            fitted = f"restitution {row['restitution']:.2f}, {1e3 * row['contact_time']:.0f} ms"
+            axes.set_title(f"{title}\n{fitted}", size=8.5)
         for axes in grid.ravel()[len(fits) :]:
             axes.set_visible(False)
         figure.supxlabel("time after the touch [ms]", size=9.5)
         figure.supylabel("height [mm]", size=9.5)
-        grid[0, 0].legend(fontsize=7.5, loc="upper center")
+        figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from inclined_landing.eval.base.style import (
     BLUE,
@@ -24,8 +25,8 @@ from inclined_landing.eval.policies.success_table import size_words
 
 # What is shown of an outcome: its key, and what it is called.
 SHOWN = {
-    "strict": "goal box without a touch [%]",
-    "at_rest_on_feet": "at rest on the feet, motors cut there [%]",
+    "strict": "Goal box reached without a touch",
+    "at_rest_on_feet": "At rest on the feet, motors cut there",
 }
 _COLOURS = (ORANGE, BLUE, GREEN, PURPLE, MUTED)
 _LINES = ("-", "--", "-.", ":")  # from the sixth policy on
@@ -35,7 +36,7 @@ _HEAT = LinearSegmentedColormap.from_list("lost", ["#8f3205", "#e66f22", "#fbc58
 _DARK = 0.35  # share up to which cells are dark
 _CELL, _ROW, _APART = 0.44, 0.215, 0.06  # in
 _TITLE = 3.1  # in, of a panel at least
-_NAMES, _GAP, _HEAD, _FOOT = 3.15, 0.16, 0.75, 0.42  # in
+_NAMES, _GAP, _HEAD, _FOOT = 3.15, 0.16, 0.75, 0.55  # in
 
 
 def thrust_figure(report: dict) -> Figure:
@@ -43,25 +44,31 @@ def thrust_figure(report: dict) -> Figure:
     rows, names = report["thrust"], [policy["name"] for policy in report["policies"]]
     scale = [row["parameters"]["scale"]["value"] for row in rows]
     with styled():
-        figure = Figure(figsize=(8.6, 3.5), layout="constrained")
-        for axes, (key, label) in zip(figure.subplots(1, 2, sharex=True, sharey=True), SHOWN.items()):
+        figure = Figure(figsize=(8.6, 3.7), layout="constrained")
+        panels = figure.subplots(1, 2, sharex=True, sharey=True)
+        for axes, (key, label) in zip(panels, SHOWN.items()):
             axes.grid(True)
-            axes.axvline(1.0, color=MUTED, lw=0.9, ls=(0, (2, 2)), zorder=1)
+            known = axes.axvline(1.0, color=INK, lw=1.1, ls=(0, (2, 2)), zorder=1)
             for k, name in enumerate(names):
                 found = [row["outcomes"][k][key] for row in rows]
                 share = 100 * np.array([p["share"] for p in found])
                 low, high = 100 * np.array([p["interval"] for p in found]).T
                 colour, mark = _COLOURS[k % len(_COLOURS)], _MARKS[k % len(_MARKS)]
-                axes.fill_between(scale, low, high, color=colour, alpha=0.15, lw=0, gid="interval")
+                axes.fill_between(scale, low, high, color=colour, alpha=0.2, lw=0, gid="interval")
                 line = _LINES[k // len(_COLOURS) % len(_LINES)]
                 axes.plot(
                     scale, share, line, color=colour, marker=mark, ms=4, label=literal(name), gid="share"
                 )
             axes.set_title(label, loc="left")
-            axes.set_xlabel("thrust of the plant, times the known one")
+            axes.set_xlabel("thrust of the vehicle over the known one")
             axes.set_ylim(-3, 103)
+        panels[0].set_ylabel("share of the starts [%]")
         handles, labels = axes.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=min(4, len(names)))
+        figure.legend(
+            [*handles, Patch(fc=MUTED, alpha=0.35), known],
+            [*labels, "95 % interval", "known thrust"],
+            loc="outside upper center", ncols=min(5, len(names) + 2),
+        )  # fmt: skip
     return figure
 
 
@@ -81,7 +88,7 @@ def matrix_figure(report: dict) -> Figure:
         for p, (key, label) in enumerate(SHOWN.items()):
             axes = panel(figure, _NAMES + p * (width + _GAP), _FOOT, width, height)
             _draw(axes, [[row["outcomes"] for row in table[name]] for name in effects], key, names, cell)
-            axes.text(0, -1.75, label, size=9.5, weight="bold", va="bottom")
+            axes.text(0, -1.75, f"{label} [%]", size=9.5, weight="bold", va="bottom")
             if p == 0:
                 axes.set_yticks(np.arange(len(effects)) + 0.5)
                 axes.set_yticklabels([_row_name(table[name]) for name in effects], size=8)
@@ -89,8 +96,13 @@ def matrix_figure(report: dict) -> Figure:
             row["outcomes"][k]["strict"]["interval"] for row in report["effects"] for k in range(len(names))
         ]
         widest = max((high - low) / 2 for low, high in intervals)
-        note = f"{report['starts']} starts a cell: 95 % intervals reach {100 * widest:.0f} points at most"
-        figure.text(_NAMES / figure.get_figwidth(), 0.13 / figure.get_figheight(), note, size=8, color=MUTED)
+        note = (
+            "In brackets: the effect's medium size, as a real vehicle may well have it; weak is half as far "
+            "from none, strong twice.\nShare of the starts, the darker the fewer; "
+            f"{report['starts']} starts a cell: 95 % intervals reach {100 * widest:.0f} points at most."
+        )
+        w, h = figure.get_size_inches()
+        figure.text(0.1 / w, 0.12 / h, note, size=8, color=MUTED, linespacing=1.5)
     return figure
 
 

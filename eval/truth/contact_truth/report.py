@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 
 from inclined_landing.eval.base import runs
@@ -18,8 +19,9 @@ def write(findings: list[Section], out: Path, vehicle: Vehicle) -> None:
     images = {}
     for finding in findings:
         if finding.key in figures.DRAW:
-            file = save_figure(figures.DRAW[finding.key](finding.data), out / f"{finding.key}.png")
-            finding.figures, images[file.name] = {file.name: ""}, file.read_bytes()
+            draw = figures.DRAW[finding.key]
+            file = save_figure(draw(finding.data), out / f"{finding.key}.png")
+            finding.figures, images[file.name] = {file.name: inspect.getdoc(draw)}, file.read_bytes()
     versions = runs.versions()
     record = {f.key: {"checks": [_plain(c) for c in f.claims], "data": f.data} for f in findings}
     storage.write_json(out / "contact.json", {"findings": record, "versions": versions})

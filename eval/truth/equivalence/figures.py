@@ -6,7 +6,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, RULE, styled
+from inclined_landing.eval.base.style import (
+    BLUE,
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    PURPLE,
+    RULE,
+    legend_below,
+    styled,
+)
 from inclined_landing.eval.truth.equivalence import bandwidth, closed_loop, convergence, flying
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS, Gaps
 from inclined_landing.eval.truth.equivalence.motor import quoted
@@ -18,7 +28,7 @@ _COLOURS = dict(zip(FAMILIES, (BLUE, GREEN, ORANGE, PURPLE)))
 _MODES = {"kinematic": "Kinematic – paper's equations", "rate_loop": "Rate loop – extended equations"}
 
 
-def _figure(columns: int, height: float = 3.1) -> tuple[Figure, list[Axes]]:
+def _figure(columns: int, height: float = 3.6) -> tuple[Figure, list[Axes]]:
     figure = Figure(figsize=(9.2, height), layout="constrained")
     figure.get_layout_engine().set(wspace=0.06)
     axes = figure.subplots(1, columns, squeeze=False)[0]
@@ -34,7 +44,7 @@ def _name(axis: Axes, title: str, x: str, y: str = "", **limits) -> None:
 def levels(vehicle: Vehicle, drawn: dict[str, tuple[Gaps, Gaps]]) -> Figure:
     """Growth of the position difference over 6 s, and the differences of single steps."""
     with styled():
-        figure, axes = _figure(3, 3.3)
+        figure, axes = _figure(3, 4.0)
         t = vehicle.command_control_period * np.arange(1, len(drawn["kinematic"][1].position) + 1)
         for axis, (attitude, (_, flight)) in zip(axes, drawn.items()):
             for k, label in enumerate(flight.labels):
@@ -47,14 +57,16 @@ def levels(vehicle: Vehicle, drawn: dict[str, tuple[Gaps, Gaps]]) -> Figure:
             axis.annotate("tolerance", (6, limit), ha="right", va="bottom", fontsize=8)
             _name(axis, _MODES[attitude], "time [s]", xlim=(0, 6), ylim=(1e-11, 1e-3))
         axes[0].set_ylabel("largest position difference [m]")
-        axes[1].legend(loc="lower right", title="3-D  (2-D dashed)", title_fontsize=8)
+        for axis in axes[:2]:
+            axis.plot([], [], color=MUTED, lw=1.4, ls="--", label="the same in 2-D")
+            legend_below(axis)
         edges = np.logspace(-15, -7, 49)
         for (attitude, (step, _)), colour in zip(drawn.items(), (BLUE, ORANGE)):
             sizes = np.clip(step.position.ravel(), 1.1e-15, None)
             look = {"color": colour, "alpha": 0.65, "label": attitude.replace("_", " ")}
             axes[2].hist(sizes, edges, weights=np.full(sizes.size, 100 / sizes.size), **look)
         _name(axes[2], "One control step", "position difference [m]", "share of states [%]", xscale="log")
-        axes[2].legend(loc="upper left")
+        legend_below(axes[2])
     return figure
 
 
@@ -64,7 +76,7 @@ def convergence_figure(found: list[convergence.Convergence]) -> Figure:
     looks["equations, RK4"] = MUTED, "x", "-"
     steps = np.array(convergence.STEPS_MS)
     with styled():
-        figure, axes = _figure(2, 3.4)
+        figure, axes = _figure(2, 4.0)
         for axis, attitude in zip(axes, flying.ATTITUDES):
             for c in (c for c in found if c.attitude == attitude):
                 look = dict(zip(("color", "marker", "ls"), looks[c.integrator]), ms=5, lw=1.4)
@@ -72,7 +84,7 @@ def convergence_figure(found: list[convergence.Convergence]) -> Figure:
             axis.set_xticks(steps, [f"{h:g}" for h in steps])
             axis.minorticks_off()
             _name(axis, attitude.replace("_", " ").capitalize(), "step [ms]", ylim=(3e-11, 0.3))
-            axis.legend(loc="center left", bbox_to_anchor=(0, 0.64))
+            legend_below(axis)
         axes[0].set_ylabel("position error after 1 s [m]")
     return figure
 
@@ -81,7 +93,7 @@ def bandwidth_figure(v: Vehicle, gaps: list[bandwidth.Gap]) -> Figure:
     """Gap over bandwidth, and a pitch step at some bandwidths."""
     b = np.array([g.bandwidth for g in gaps])
     with styled():
-        figure, (left, right) = _figure(2, 3.4)
+        figure, (left, right) = _figure(2, 4.0)
         for g in gaps:
             left.plot(np.full(len(g.paper), g.bandwidth), g.paper, ".", color=BLUE, alpha=0.3, ms=5)
         rms = np.array([g.rms for g in gaps])
@@ -95,7 +107,7 @@ def bandwidth_figure(v: Vehicle, gaps: list[bandwidth.Gap]) -> Figure:
         left.minorticks_off()
         title = "Distance over 6 s of full steps, 3-D"
         _name(left, title, "bandwidth B [1/s]", "distance [m]", ylim=(1e-7, 3e2))
-        left.legend(loc="upper right")
+        legend_below(left, ncols=1)
         commands = np.zeros((40, 1, 4))
         commands[..., PWM] = v.hover_pwm
         commands[5:, 0, PITCH_COMMAND] = v.command_angle_limit
@@ -113,19 +125,19 @@ def bandwidth_figure(v: Vehicle, gaps: list[bandwidth.Gap]) -> Figure:
         delay = 1 / v.attitude_bandwidth
         right.plot(t + delay, paper, color=INK, lw=1.1, ls=":", label=f"the same, {1e3 * delay:.0f} ms later")
         _name(right, "A full pitch step", "time [s]", "pitch [deg]", xlim=(-0.02, 0.5), ylim=(-1, 36))
-        right.legend(loc="lower right")
+        legend_below(right)
     return figure
 
 
 def motor_figure(drawn: dict) -> Figure:
     """Thrust of the discrete function and of the engine, and their difference."""
     with styled():
-        figure, (left, right) = _figure(2, 2.9)
+        figure, (left, right) = _figure(2, 3.3)
         t = np.arange(len(drawn["pwm"])) / quoted("motor_function", "rate")
         left.plot(t, drawn["discrete"], color=ORANGE, lw=3, alpha=0.6, label="paper's discrete function")
         left.plot(t, drawn["engine"], color=BLUE, lw=1, label="engine")
         _name(left, "Thrust under random commands", "time [s]", "thrust [N]", xlim=(0, 1))
-        left.legend(loc="lower right")
+        legend_below(left)
         right.plot(t, 1e3 * (drawn["engine"] - drawn["discrete"]), color=BLUE, lw=1)
         _name(
             right, "Difference: rounding of the coefficients", "time [s]", "engine – paper [mN]", xlim=(0, 1)
@@ -142,7 +154,7 @@ def closed_loop_figure(flown: dict) -> Figure:
         closed_loop.EXTENDED: (INK, "--", 1.0),
     }
     with styled():
-        figure, axes = _figure(4, 3.2)
+        figure, axes = _figure(4, 3.4)
         for name, (colour, line, width) in looks.items():
             landed = [f for f in flown[name] if f.success]
             if not landed:
@@ -166,7 +178,7 @@ def closed_loop_figure(flown: dict) -> Figure:
 def inconsistencies_figure(v: Vehicle, drawn: dict) -> Figure:
     """The two thrust maps with their hover points, and the effect of the public code's drag."""
     with styled():
-        figure, (left, right) = _figure(2, 3.1)
+        figure, (left, right) = _figure(2, 3.6)
         pwm = np.linspace(0, v.command_pwm_range[1], 200)
         a, b, c = v.motor_pwm_to_force
         left.plot(pwm / 1e3, v.motor_count * (a * pwm**2 + b * pwm + c), color=ORANGE, label="static map")
@@ -184,8 +196,8 @@ def inconsistencies_figure(v: Vehicle, drawn: dict) -> Figure:
         flight = quoted("hover", "flight_pwm")
         left.plot([flight / 1e3], [weight], "D", color=INK, ms=4)
         left.annotate("real flights", (flight / 1e3, weight), (4, -12), **beside)
-        _name(left, "Where it hovers", "PWM / 1000", "total thrust [N]", xlim=(0, 60), ylim=(0, None))
-        left.legend(loc="upper left")
+        _name(left, "Where it hovers", "PWM [10³]", "total thrust [N]", xlim=(0, 60), ylim=(0, None))
+        legend_below(left)
         apart = drawn["drag"].apart
         t = v.command_control_period * np.arange(1, len(apart) + 1)
         right.fill_between(t, 0, apart, color=RULE)
