@@ -9,7 +9,8 @@ from typing import Annotated
 import tyro
 
 from inclined_landing.eval.base.options import Degrees, Range, Seed
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.storage import check_file
 
 
 def command(
@@ -23,10 +24,10 @@ def command(
     seed: Seed = 0,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> int:
-    """A simulated Crazyflie beside the platform, in real time: cflib connects to udp://127.0.0.1:PORT.
+    """A simulated Crazyflie in real time, for cflib over UDP.
 
-    It runs until Ctrl-C and says what happens to the vehicle. Faults are named in eval/flying/README.md, and
-    happen at a time, `link-lost@12`, or after an event, `mocap-frozen@air+2`.
+    It stands beside the platform, at udp://127.0.0.1:PORT, until Ctrl-C, and says what happens to it. Faults
+    (eval/flying/simulated/README.md) come at a time, `link-lost@12`, or after an event, `mocap-frozen@air+2`.
 
     Args:
         port: UDP port that it answers on; 0 takes a free one. cflib's scan looks at 19850 to 19859.
@@ -39,17 +40,19 @@ def command(
         seed: of noise, delays and dropouts.
         out: write what truly happened there, as the documented CSV (.csv, .csv.gz).
     """
-    from inclined_landing.eval.flying.pose_stream import parse_address
+    from inclined_landing.eval.flying.pose_stream import resolved
     from inclined_landing.eval.flying.simulated.faults import Fault
     from inclined_landing.eval.flying.simulated.gaps import vehicle_named
     from inclined_landing.eval.flying.simulated.process import Process
     from inclined_landing.eval.flying.simulated.world import Setting, World
 
-    address, faults = parse_address(poses), [Fault.parse(text) for text in fault]
+    address, faults = resolved(poses), [Fault.parse(text) for text in fault]
     angle = None if inclination is None else math.radians(inclination)
     setting = Setting(vehicle_named(vehicle), parse_start(start), inclination=angle)
-    if out is not None and not (out.name.endswith((".csv", ".csv.gz")) and out.parent.is_dir()):
-        raise UserError(f"--out {out}: expected a name that ends in .csv or .csv.gz in a folder that exists")
+    if out is not None:
+        if not out.name.endswith((".csv", ".csv.gz")):
+            raise UserError(f"--out: a log is a .csv or .csv.gz file, not {shown(repr(out.name), 60)}")
+        check_file(out)
     world = World(setting, seed, faults)
     process = Process(world, port, address, lambda line: print(line, flush=True))
     print(f"a simulated Crazyflie at udp://127.0.0.1:{process.port}, its poses to {poses}", flush=True)
@@ -60,6 +63,7 @@ def command(
     finally:
         process.close()
         if out is not None:
+            out.parent.mkdir(parents=True, exist_ok=True)
             world.trace.write(out)
     return 0
 
@@ -69,5 +73,5 @@ def parse_start(text: str) -> tuple[float, float]:
     try:
         x, y = (float(number) for number in text.split(","))
     except ValueError:
-        raise UserError(f"--start must be X,Y in metres, like 1,0, not {text!r}") from None
+        raise UserError(f"--start must be X,Y in metres, like 1,0, not {shown(repr(text), 60)}") from None
     return x, y

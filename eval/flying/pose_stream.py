@@ -58,6 +58,15 @@ def parse_address(text: str) -> tuple[str, int]:
     return host or "127.0.0.1", int(port)
 
 
+def resolved(text: str) -> tuple[str, int]:
+    """`parse_address`, and the host's number. Raises UserError for a host that nobody knows."""
+    host, port = parse_address(text)
+    try:
+        return socket.gethostbyname(host), port
+    except (OSError, UnicodeError) as error:
+        raise UserError(f"{shown(host, 60)} is no host that is known here") from error
+
+
 class PoseStream:
     """A `MotionCapture` that listens on a UDP port. address: HOST:PORT to listen on, or a port.
 
@@ -69,7 +78,7 @@ class PoseStream:
         self._pose: Pose | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.bind(parse_address(address))
+            self._socket.bind(resolved(address))
         except OSError as error:
             self._socket.close()
             raise UserError(f"cannot listen for poses on {shown(address, 60)}: {reason(error)}") from error

@@ -38,6 +38,7 @@ NEEDED = {
     "gap-agreement": ("--out", "{place}/out"),
     "gap-real": ("{place}", "--out", "{place}/out"),
     "nanobench": ("{place}/log.csv",),
+    "crazyflie": ("--port=0", "--seconds=0.1"),
     "benchmark": (),
     "doctor": (),
 }

@@ -85,13 +85,13 @@ class Fault:
         name, at, when = text.partition("@")
         if name not in FAULTS:
             raise UserError(f"unknown fault {shown(name, 40)}; known are {', '.join(FAULTS)}")
-        event, plus, seconds = when.partition("+")
         if not at:
             return Fault(name, "air", 1.0)
-        if not plus and event not in EVENTS:
-            event, seconds = "start", event
+        event, plus, seconds = when.partition("+")
+        if not plus:
+            event, seconds = (when, "0") if when in EVENTS else ("start", when)
         try:
-            after = float(seconds or 0.0)
+            after = float(seconds)
         except ValueError:
             after = math.nan
         if event not in EVENTS or not 0.0 <= after < 1e4:

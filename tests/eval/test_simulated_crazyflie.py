@@ -1,0 +1,467 @@
+"""The simulated Crazyflie: signs and units, the firmware's rules, radio, cameras, faults, the process."""
+
+import functools
+import math
+import socket
+import struct
+import threading
+
+import hypothesis
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+pytest.importorskip("cflib", reason="the extra fly is not installed")
+from cflib.crazyflie.log import LogConfig
+
+from inclined_landing.eval.flying import pose_stream
+from inclined_landing.eval.flying.interfaces import Pose
+from inclined_landing.eval.flying.simulated import crtp, firmware
+from inclined_landing.eval.flying.simulated.body import firmware_attitude, plant_command
+from inclined_landing.eval.flying.simulated.cameras import Cameras, MarkerView
+from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
+from inclined_landing.eval.flying.simulated.faults import FAULTS, Fault
+from inclined_landing.eval.flying.simulated.firmware import Firmware, Setpoint, State
+from inclined_landing.eval.flying.simulated.gaps import HIDDEN, vehicle_named
+from inclined_landing.eval.flying.simulated.process import Process
+from inclined_landing.eval.flying.simulated.radio import Link, Way
+from inclined_landing.eval.flying.simulated.world import Setting, World
+from inclined_landing.models.attitude import PITCH, ROLL, VX, VY, YAW, X, Z, rotation
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+
+PERIOD = 0.02
+PERFECT = Link(jitter=0.0, failing=0.0, lost=0.0)
+angles = st.floats(-75.0, 75.0)
+yaws = st.floats(-179.0, 179.0)
+
+
+def connected(seed=1, faults=(), **setting):
+    setting = {"heading": 0.0, **setting}
+    flight = fly_simulated(Setting(**setting), seed=seed, faults=[Fault.parse(text) for text in faults])
+    flight.crazyflie.open_link(flight.uri)
+    return flight
+
+
+def fly(flight, seconds, setpoint=None):
+    """Send a set-point at 50 Hz."""
+    clock = flight.clock
+    for _ in range(round(seconds / PERIOD)):
+        if setpoint is not None:
+            flight.crazyflie.commander.send_setpoint(*setpoint)
+        clock.wait_until(clock.now() + PERIOD)
+
+
+def airborne(seconds=1.0, **options):
+    """In the air, rising at about 1 m/s, some thrust over hover."""
+    flight = connected(**options)
+    fly(flight, 0.1, (0, 0, 0, 0))
+    fly(flight, seconds, (0, 0, 0, 38000))
+    return flight
+
+
+def logged(flight, period, *names):
+    rows, clock, config = [], flight.clock, LogConfig("test", period)
+    for name in names:
+        config.add_variable(name)
+    flight.crazyflie.log.add_config(config)
+    config.data_received_cb.add_callback(lambda stamp, data, _: rows.append((clock.now(), stamp, data)))
+    config.start()
+    return rows
+
+
+# --- signs and units ---------------------------------------------------------------------------------
+
+
+@hypothesis.given(angles, angles, yaws)
+def test_logged_angles_are_those_of_the_firmware(roll, pitch, yaw):
+    """Rz(yaw) Ry(-pitch) Rx(roll) of what is logged is the attitude itself."""
+    true = rotation(*np.radians([roll, pitch, yaw]))
+    r, p, y = firmware_attitude(*np.radians([roll, pitch, yaw]))
+    assert np.abs(Rotation.from_euler("ZYX", [y, -p, r], degrees=True).as_matrix() - true).max() < 1e-9
+
+
+@hypothesis.given(angles, angles)
+def test_setpoints_point_the_thrust_where_the_firmware_would(roll, pitch):
+    _, r, p, _ = plant_command(Setpoint(1.0, roll, pitch, 0.0))
+    wanted = Rotation.from_euler("ZYX", [0.0, -pitch, roll], degrees=True).as_matrix()[:, 2]
+    assert np.abs(rotation(r, p, 0.0)[:, 2] - wanted).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "speed", "angle", "shown", "sign"),
+    [
+        ((0, 8, 0, 36000), (VX, 1), (PITCH, 1), "stateEstimate.pitch", -1),
+        ((8, 0, 0, 36000), (VY, -1), (ROLL, 1), "stateEstimate.roll", 1),
+        ((0, 0, 40, 36000), (None, 0), (YAW, -1), "stateEstimate.yaw", 1),
+    ],
+    ids=["pitch is forward", "roll is right", "yaw rate is clockwise"],
+)
+def test_signs_through_cflib(setpoint, speed, angle, shown, sign):
+    flight = airborne()
+    rows = logged(flight, 20, shown)
+    fly(flight, 0.8, setpoint)
+    state, (column, direction) = flight.world.body.state, angle
+    assert direction * state[column] > math.radians(5.0)
+    # 0.1 deg of noise, 0.01 s of a change of less than 60 deg/s.
+    assert rows[-1][2][shown] == pytest.approx(sign * math.degrees(state[column]), abs=1.5)
+    if speed[0] is not None:
+        assert speed[1] * state[speed[0]] > 0.3
+
+
+def test_the_onboard_yaw_begins_at_zero_whatever_the_heading():
+    flight = connected(heading=0.5)
+    rows = logged(flight, 100, "stateEstimate.yaw")
+    fly(flight, 0.3)
+    assert abs(rows[-1][2]["stateEstimate.yaw"]) < 0.6  # noise of 0.1 deg
+    r = Rotation.from_quat(flight.motion_capture.latest().attitude, scalar_first=True)
+    assert r.as_euler("ZXY")[0] == pytest.approx(0.5, abs=0.02)  # noise of 4 mrad
+
+
+# --- the firmware's rules ----------------------------------------------------------------------------
+
+
+def test_thrust_is_locked_until_a_setpoint_of_none():
+    flight = connected()
+    fly(flight, 0.5, (0, 0, 0, 50000))
+    assert flight.world.firmware.thrust == 0.0
+    flight.crazyflie.commander.send_setpoint(0, 0, 0, 0)
+    fly(flight, 0.1, (0, 0, 0, 50000))
+    assert flight.world.firmware.thrust == 50000.0
+    fly(flight, 0.1, (0, 0, 0, 65535))
+    assert flight.world.firmware.thrust == firmware.MOST_THRUST
+    fly(flight, 0.1, (0, 0, 0, 999))
+    assert flight.world.firmware.thrust == 0.0
+
+
+def test_watchdog_levels_out_then_stops_and_locks():
+    flight = airborne()
+    fly(flight, 0.3, (0, 10, 0, 36000))
+    flight.clock.wait_until(flight.clock.now() + 3.0)
+    trace = flight.world.trace
+    last = flight.world.firmware.setpoint.time
+    levels = trace.time[np.argmax(trace.mode == State.LEVEL_OUT)]
+    off = trace.time[np.nonzero(trace.command[:, 0])[0][-1]] + 0.004
+    # The supervisor looks every 40 ms; an engine step is 4 ms.
+    assert 0.5 <= levels - last <= 0.55
+    assert 2.0 <= off - last <= 2.05
+    between = (trace.time > levels + 0.01) & (trace.time < off)
+    assert np.ptp(trace.command[between], axis=0).max() == 0.0 and trace.command[between][0, 2] == 0.0
+    assert flight.crazyflie.supervisor.is_locked
+    fly(flight, 0.1, (0, 0, 0, 0))
+    fly(flight, 0.1, (0, 0, 0, 40000))
+    assert flight.world.thrust == 0.0
+
+
+def test_emergency_stop_and_its_watchdog():
+    flight = airborne(link=PERFECT)
+    begin = flight.clock.now()
+    flight.crazyflie.supervisor.send_emergency_stop()
+    fly(flight, 0.2, (0, 0, 0, 40000))
+    trace = flight.world.trace
+    assert trace.time[trace.command[:, 0] > 0][-1] - begin < 0.05  # 3 ms of radio, 40 ms of supervisor
+    flight = airborne(link=PERFECT)
+    flight.crazyflie.supervisor.send_emergency_stop_watchdog()
+    begin = flight.clock.now()
+    fly(flight, 1.2, (0, 0, 0, 34000))
+    trace = flight.world.trace
+    assert 1.0 <= trace.time[trace.command[:, 0] > 0][-1] - begin <= 1.06
+
+
+def test_a_stop_setpoint_ends_a_flight_that_may_go_on():
+    flight = airborne(0.4)
+    for _ in range(110):
+        flight.crazyflie.commander.send_stop_setpoint()
+        fly(flight, PERIOD)
+    assert flight.world.thrust == 0.0 and flight.world.firmware.state is State.LANDED
+    fly(flight, 0.3, (0, 0, 0, 40000))
+    assert flight.crazyflie.supervisor.is_flying
+
+
+@pytest.mark.parametrize(("up", "after"), [(0.3, 1.0), (-0.5, 0.1)])
+def test_tumbling_stops_the_motors(up, after):
+    rules, time = Firmware(), 0.0
+
+    def pass_by(seconds, felt):
+        nonlocal time
+        for _ in range(round(seconds / 0.004)):
+            rules.receive_manual(time, 0.0, 0.0, 0.0, 40000)
+            rules.step(time, felt, abs(felt))
+            time += 0.004
+
+    pass_by(0.5, 1.0)
+    assert rules.state is State.FLYING
+    pass_by(after, up)
+    assert rules.state is State.FLYING
+    pass_by(0.12, up)
+    assert rules.state is State.CRASHED and rules.thrust == 0.0
+    assert not rules.request_recovery()
+    pass_by(0.1, 1.0)
+    assert rules.request_recovery()
+
+
+@hypothesis.given(
+    st.floats(allow_nan=True, allow_infinity=True), st.floats(allow_nan=True, allow_infinity=True)
+)
+def test_setpoints_that_are_no_numbers_stay_finite(roll, yaw_rate):
+    rules = Firmware()
+    for k in range(30):
+        rules.receive_rpyt(0.02 * k, roll, roll, yaw_rate, 0 if k < 15 else 30000)
+        command = plant_command(rules.step(0.02 * k, 1.0, 1.0))
+    assert rules.thrust == 30000 and np.isfinite(command).all()
+
+
+# --- the protocol ------------------------------------------------------------------------------------
+
+
+@hypothesis.given(st.integers(0, 255), st.binary(max_size=40))
+def test_no_packet_upsets_the_services(head, data):
+    services = crtp.Services(Firmware(), lambda time: dict.fromkeys(crtp.LOGGED, 0.0))
+    services.answer(0.0, (crtp.header(crtp.LOG, 1), bytes([6, 1, 7, 0, 0])))
+    for packet in services.answer(0.0, (head, data)) + services.logged(1.0):
+        assert 0 <= packet[0] < 256 and len(packet[1]) <= crtp.LARGEST
+
+
+def test_logging_by_cflib_and_what_it_refuses():
+    flight = connected(link=PERFECT)
+    rows = logged(flight, 10, "stateEstimate.roll", "pm.vbat", "supervisor.info")
+    fly(flight, 1.0)
+    stamps = np.array([stamp for _, stamp, _ in rows])
+    assert len(rows) in (99, 100, 101) and (np.diff(stamps) == 10).all()
+    assert 3.9 < rows[-1][2]["pm.vbat"] < 4.3 and rows[-1][2]["supervisor.info"] & 2
+    assert 0.0029 < rows[-1][0] - stamps[-1] / 1000.0 < 0.0045  # 3 ms of radio; stamps are cut to ms
+    with pytest.raises(KeyError):
+        logged(flight, 10, "stateEstimate.x")  # nothing on board knows where it is
+    with pytest.raises(AttributeError):
+        logged(flight, 10, *(f"gyro.{axis}" for axis in "xyz"), *(f"acc.{axis}" for axis in "xyz"), "pm.vbat")
+
+
+def test_a_log_block_may_have_the_80_hz_of_the_paper():
+    """cflib asks in steps of 10 ms only; the firmware also takes milliseconds."""
+    services = crtp.Services(Firmware(), lambda time: dict.fromkeys(crtp.LOGGED, 1.0))
+    services.answer(0.0, (crtp.header(crtp.LOG, 1), bytes([6, 1, 7, 0, 0])))
+    services.answer(0.0, (crtp.header(crtp.LOG, 1), bytes([8, 1]) + struct.pack("<H", 12)))
+    count = sum(len(services.logged(0.001 * k)) for k in range(1, 1201))
+    assert count == 100
+
+
+def test_parameters_and_the_emergency_stop_among_them():
+    flight = airborne()
+    assert flight.crazyflie.param.get_value("stabilizer.stop") == "0"
+    flight.crazyflie.param.set_value("stabilizer.stop", 1)
+    fly(flight, 0.1, (0, 0, 0, 40000))
+    assert flight.world.thrust == 0.0 and flight.crazyflie.supervisor.is_locked
+
+
+# --- radio, cameras, repeatability -------------------------------------------------------------------
+
+
+def test_packets_arrive_in_order_late_and_not_always():
+    link = Link(lost=0.1)
+    way = Way(link, np.random.default_rng(0))
+    times = 0.01 * np.arange(4000)
+    arrivals = [way.arrival(t) for t in times]
+    lost = np.mean([a is None for a in arrivals])
+    assert abs(lost - 0.1) < 4 * math.sqrt(0.1 * 0.9 / 4000)
+    delay = np.array([a - t for a, t in zip(arrivals, times) if a is not None])
+    assert delay.min() >= link.latency
+    expected = link.latency + link.jitter + link.again * link.failing / (1 - link.failing)
+    assert delay.mean() == pytest.approx(expected, abs=2e-4)  # 4 standard errors, and order
+    assert (np.diff([a for a in arrivals if a is not None]) >= 0).all()
+
+
+def test_cameras_see_with_their_noise_rate_and_latency():
+    flight = connected(cameras=Cameras(jitter=0.0))
+    poses = []
+    flight.world.shown = lambda pose: poses.append((flight.clock.now(), pose))
+    flight.clock.wait_until(flight.clock.now() + 8.0)
+    c = Cameras()
+    seen = len(poses) / 8.0
+    hidden = c.dropouts * (c.dropout_length + 0.5 / c.rate)
+    assert seen == pytest.approx(c.rate * (1.0 - hidden), abs=3.0)  # 4 dropouts of 30 ms, give or take 3
+    positions = np.array([pose.position for _, pose in poses])
+    assert positions.std(axis=0) == pytest.approx(c.noise, rel=0.09)  # 1/sqrt(2 * 950) is 2.3 %
+    assert np.abs(positions.mean(axis=0) - flight.world.body.state[:3]).max() < 1e-4
+    assert np.array([t - pose.time for t, pose in poses]) == pytest.approx(c.latency)
+
+
+def test_the_newest_pose_is_the_one_taken_last():
+    view = MarkerView(Cameras(), np.random.default_rng(0))
+    for time in (0.02, 0.01):
+        view.arrive(Pose(time, np.full(3, time)))
+    assert view.latest().time == 0.02
+
+
+def test_a_flight_repeats_bit_for_bit_under_its_seed():
+    def trace(seed):
+        flight = airborne(0.4, seed=seed, heading=None)
+        flight.crazyflie.param.set_value("supervisor.tmblChckEn", 0)
+        fly(flight, 0.3, (3, 4, 5, 36000))
+        return flight.world.trace.state
+
+    first = trace(5)
+    assert (first == trace(5)).all() and (first != trace(6)).any()
+
+
+def test_hidden_gaps_are_felt():
+    nominal, hidden = (airborne(0.6, vehicle=vehicle_named(name)) for name in ("nominal", "hidden"))
+    assert hidden.world.body.state[Z] < 0.5 * nominal.world.body.state[Z]
+    assert set(HIDDEN) == {"thrust_scale", "level_calibration", "thrust_delay", "attitude_delay"}
+
+
+def test_voltage_falls_under_load_and_with_time():
+    flight = airborne(0.2)
+    v = load_vehicle()
+    voltage = flight.world.trace.voltage
+    assert voltage[100] == pytest.approx(v.effects_voltage_open, abs=0.01)
+    loaded = v.effects_voltage_open - 38000 * v.effects_voltage_drop
+    assert voltage[-1] == pytest.approx(loaded, abs=0.05)  # the lag is at 95 % after 0.2 s
+
+
+# --- faults ------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def fault_flight(name):
+    """A second of flight, and one with the fault."""
+    flight = connected(faults=[f"{name}@air+0.5"], cameras=Cameras(dropouts=0.0))
+    lost = []
+    flight.crazyflie.connection_lost.add_callback(lambda uri, why: lost.append((flight.clock.now(), why)))
+    rows = logged(flight, 10, "stateEstimate.roll", "stateEstimate.pitch", "pm.vbat")
+    fly(flight, 0.1, (0, 0, 0, 0))
+    poses = []
+    flight.world.shown = lambda pose: poses.append(
+        (flight.clock.now(), pose, flight.world.body.state[:3].copy())
+    )
+    fly(flight, 1.8, (0, 5, 0, 36000))
+    return flight, rows, poses, lost
+
+
+def test_faults_of_the_link():
+    flight, rows, _, lost = fault_flight("link-lost")
+    begun = flight.world.trace.time[np.argmax(flight.world.trace.state[:, Z] > 0.03)] + 0.5
+    assert rows[-1][0] < begun + 0.05 and len(lost) == 1 and lost[0][0] - begun < 0.3
+    assert flight.world.firmware.state is State.LEVEL_OUT
+    flight, rows, _, lost = fault_flight("uplink-lost")
+    assert rows[-1][0] > flight.clock.now() - 0.05 and not lost
+    assert flight.world.firmware.state is State.LEVEL_OUT
+    flight, rows, _, lost = fault_flight("downlink-lost")
+    assert rows[-1][0] < begun + 0.1 and not lost and flight.world.firmware.state is State.FLYING
+    flight, rows, _, lost = fault_flight("packet-storm")
+    during = [t for t, *_ in rows if begun + 0.1 < t < begun + 0.9]
+    assert 0 < len(during) < 30 and not lost  # of 80, a tenth
+    flight, _, _, lost = fault_flight("reboot")
+    assert flight.world.thrust == 0.0 and len(lost) == 1
+
+
+def test_faults_of_the_motion_capture():
+    _, _, poses, _ = fault_flight("mocap-lost")
+    assert poses[-1][0] < poses[0][0] + 1.2
+    _, _, poses, _ = fault_flight("mocap-frozen")
+    assert (poses[-1][1].position == poses[-20][1].position).all()
+    assert poses[-1][1].time - poses[-2][1].time == pytest.approx(1 / 120, abs=0.006)
+    _, _, poses, _ = fault_flight("marker-swap")
+    jump = np.linalg.norm(poses[-1][1].position - poses[-1][2])
+    assert jump == pytest.approx(0.3, abs=0.05)  # 10 ms at up to 4 m/s
+    _, _, poses, _ = fault_flight("attitude-turned")
+    r = Rotation.from_quat(poses[-1][1].attitude, scalar_first=True).as_euler("ZXY", degrees=True)
+    assert abs(abs(r[0]) - 180.0) < 3.0
+
+
+def test_faults_of_the_vehicle():
+    flight, rows, _, _ = fault_flight("attitude-wrong")
+    assert rows[-1][2]["stateEstimate.pitch"] > 3.0 and flight.world.body.state[PITCH] > 0.05
+    flight, rows, _, _ = fault_flight("low-battery")
+    assert rows[-1][2]["pm.vbat"] < rows[40][2]["pm.vbat"] - 0.3
+    nominal, *_ = fault_flight("downlink-lost")
+    assert flight.world.body.state[Z] < nominal.world.body.state[Z] - 0.05
+
+
+def test_faults_are_named_and_timed():
+    assert Fault.parse("link-lost@12") == Fault("link-lost", "start", 12.0)
+    assert Fault.parse("link-lost@air+2.5") == Fault("link-lost", "air", 2.5)
+    assert Fault.parse("marker-swap@near") == Fault("marker-swap", "near", 0.0)
+    assert all(Fault.parse(str(Fault(name, "low", 1.5))) == Fault(name, "low", 1.5) for name in FAULTS)
+    for wrong in (
+        "",
+        "none",
+        "link-lost@",
+        "link-lost@x",
+        "link-lost@air+nan",
+        "link-lost@-1",
+        "link-lost@1e9",
+    ):
+        with pytest.raises(UserError):
+            Fault.parse(wrong)
+
+
+def test_a_link_that_is_not_there_fails_to_connect():
+    flight = fly_simulated(seed=1, faults=[Fault("link-lost")])
+    flight.clock.wait_until(1.1)
+    failed = []
+    flight.crazyflie.connection_failed.add_callback(lambda uri, why: failed.append(why))
+    flight.crazyflie.open_link(flight.uri)
+    assert failed == ["Too many packets lost"] and not flight.crazyflie.is_connected()
+
+
+@pytest.mark.parametrize("start", [(0.0, 0.0), (9.0, 0.0), (math.nan, 0.0)])
+def test_starts_that_cannot_be(start):
+    with pytest.raises(UserError):
+        World(Setting(start=start), 0)
+
+
+# --- the process -------------------------------------------------------------------------------------
+
+
+@hypothesis.given(
+    st.lists(st.floats(-50, 50), min_size=3, max_size=3),
+    st.booleans(),
+    st.floats(0.0, 0.5),
+    st.floats(10, 1e4),
+)
+def test_poses_survive_the_stream(position, attitude, age, now):
+    quaternion = np.array([0.5, -0.5, 0.5, 0.5]) if attitude else None
+    sent = Pose(now - age, np.array(position), quaternion)
+    got = pose_stream.decode(pose_stream.encode(sent, now), now + 3.0)
+    assert np.abs(got.position - sent.position).max() < 1e-6
+    assert got.time == pytest.approx(sent.time + 3.0, abs=2e-6)
+    assert (got.attitude is None) is not attitude
+
+
+@hypothesis.given(st.binary(max_size=60))
+@hypothesis.example(b'{"position": [1, 2, NaN]}')
+@hypothesis.example(b'{"position": [1, 2, 3], "age": -1}')
+@hypothesis.example(b'{"position": [1, 2, 3], "attitude": [0, 0, 0, 0]}')
+@hypothesis.example(b'{"position": [1, 2, 1e999]}')
+@hypothesis.example(b"[" * 50)
+def test_datagrams_without_a_pose_are_none(data):
+    assert pose_stream.decode(data, 1.0) is None
+
+
+def test_the_process_answers_packets_and_streams_poses():
+    receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    receiver.bind(("127.0.0.1", 0))
+    lines: list[str] = []
+    process = Process(World(Setting(), 3), 0, receiver.getsockname(), lines.append)
+    thread = threading.Thread(target=process.run, args=(1.5,))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as pilot:
+        pilot.settimeout(2.0)
+        pilot.connect(("127.0.0.1", process.port))
+        thread.start()
+        pilot.send(b"\xff")
+        assert pilot.recv(64) == b"\xff"
+        pilot.send(bytes([crtp.header(crtp.LINK, 1), 0]))
+        assert pilot.recv(64)[1:19] == b"Bitcraze Crazyflie"
+        pilot.send(bytes([crtp.header(crtp.SUPERVISOR, 1), 1, 1]))
+        assert pilot.recv(64) == bytes([crtp.header(crtp.SUPERVISOR, 1), 0x81, 1, 1])
+        pilot.send(b"")
+        pilot.send(b"x" * 2000)
+        thread.join()
+    with pytest.raises(UserError):
+        Process(World(Setting(), 3), process.port, ("127.0.0.1", 9), lines.append)
+    process.close()
+    poses = [pose_stream.decode(receiver.recv(1024), 10.0) for _ in range(50)]
+    receiver.close()
+    assert all(np.abs(pose.position[:2] - (1.0, 0.0)).max() < 0.01 for pose in poses)
+    assert any("connected" in line for line in lines) and X == 0
