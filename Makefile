@@ -4,6 +4,7 @@
 # make lint       style, formatting, import contracts and types
 # make bench      simulation speed
 # make diagram    docs/architecture.svg, drawn from the imports
+# make docs       the documentation site in build/site, every link in it checked
 #
 # PYTHON=python3.12  the interpreter to build .venv with
 # PIP_ARGS=...       extra arguments for pip (constraints.txt says how to choose a torch build)
@@ -18,7 +19,7 @@ TYPES = mkdir -p .venv/types/inclined_landing && touch .venv/types/inclined_land
   && MYPYPATH=.venv/types $(BIN)/mypy --cache-dir .venv/mypy -p inclined_landing.models -p inclined_landing.envs
 SOURCES := pyproject.toml constraints.txt models/crazyflie.toml $(wildcard models/plugin/*)
 
-.PHONY: install demo test lint bench diagram
+.PHONY: install demo test lint bench diagram docs
 install: $(INSTALLED)
 
 demo: $(INSTALLED)
@@ -44,6 +45,9 @@ bench: $(INSTALLED)
 
 diagram: $(INSTALLED)
 	$(BIN)/python docs/diagram.py
+
+docs: $(INSTALLED)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 $(INSTALLED): $(SOURCES)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \

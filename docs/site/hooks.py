@@ -1,0 +1,108 @@
+"""The documentation site: files of the repository as pages, the links between them, and generated pages.
+
+A page may stand anywhere in the repository and links as on any Git host, relative to itself. Here a link to
+another page leads to that page of the site, a picture comes along, and a link to source code leads to a page
+that shows the file.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+import generated  # beside this file
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).parents[2]
+FENCE = re.compile(r"^( *)(`{3,}|~{3,}).*?^\1\2 *$", re.DOTALL | re.MULTILINE)
+LINK = re.compile(r"(?<=\]\()([^)\s]+)(?=\))")
+PICTURES = {".gif", ".png", ".svg"}
+LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml", ".yml": "yaml"}
+
+
+def on_config(config):
+    """Show mkdocstrings the folders as the package `inclined_landing`; it follows no links."""
+    package = ROOT / "build" / "package" / "inclined_landing"
+    shutil.rmtree(package, ignore_errors=True)
+    for floor in ("models", "envs", "eval", "train"):
+        for file in (ROOT / floor).rglob("*.py"):
+            copy = package / file.relative_to(ROOT)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, copy)
+    (package / "__init__.py").touch()
+    return config
+
+
+def on_files(files: Files, config) -> Files:
+    """Add what stands outside `docs/`, what pages link to, and what is generated."""
+    for path, uri in config.extra["included"].items():
+        files.append(File.generated(config, uri, abs_src_path=str(ROOT / path)))
+    for file in files.documentation_pages():
+        for target in _targets(Path(file.abs_src_path).read_text("utf-8")):
+            path, _ = _in_repository(file, target)
+            if path and path not in _uris(files) and (ROOT / path).is_file():
+                files.append(_shown(path, config))
+    for uri, text in generated.pages().items():
+        files.append(File.generated(config, uri, content=text))
+    return files
+
+
+def on_page_markdown(markdown: str, page, config, files: Files) -> str:
+    """Links of the repository become links of the site; code blocks stay as they are."""
+    if not page.file.abs_src_path:
+        return markdown
+    uris = _uris(files)
+
+    def in_site(match: re.Match) -> str:
+        path, anchor = _in_repository(page.file, match[0])
+        if path not in uris:
+            return match[0]
+        return posixpath.relpath(uris[path], posixpath.dirname(page.file.src_uri)) + anchor
+
+    pieces, end = [], 0
+    for fence in FENCE.finditer(markdown):
+        pieces += [LINK.sub(in_site, markdown[end : fence.start()]), fence[0]]
+        end = fence.end()
+    return "".join([*pieces, LINK.sub(in_site, markdown[end:])])
+
+
+def _targets(markdown: str) -> Iterator[str]:
+    """What a page links to, code blocks left out."""
+    return (match[0] for match in LINK.finditer(FENCE.sub("", markdown)))
+
+
+def _in_repository(file: File, target: str) -> tuple[str | None, str]:
+    """Where in the repository a link of `file` leads, None for elsewhere, and its anchor."""
+    path, mark, anchor = target.partition("#")
+    if not path or re.match(r"[a-z][a-z0-9+.-]*:", path):
+        return None, ""
+    here = Path(file.abs_src_path).relative_to(ROOT).parent.as_posix()
+    path = posixpath.normpath(posixpath.join(here, path))
+    return f"{path}/README.md" if (ROOT / path / "README.md").is_file() else path, mark + anchor
+
+
+def _uris(files: Files) -> dict[str, str]:
+    """Page or picture of the site by path in the repository."""
+    found = {}
+    for file in files:
+        if file.src_uri.startswith("source/"):
+            found[file.src_uri.removeprefix("source/").removesuffix(".md")] = file.src_uri
+        elif file.abs_src_path and Path(file.abs_src_path).is_relative_to(ROOT):
+            found[Path(file.abs_src_path).relative_to(ROOT).as_posix()] = file.src_uri
+    return found
+
+
+def _shown(path: str, config) -> File:
+    """A file that a page links to: a picture as it is, source code as a page."""
+    suffix = PurePosixPath(path).suffix
+    if suffix in PICTURES:
+        return File.generated(config, path, abs_src_path=str(ROOT / path))
+    code = (ROOT / path).read_text("utf-8")
+    longest = max(map(len, re.findall("`+", code)), default=0)
+    fence = "`" * max(3, longest + 1)
+    opening = fence + LANGUAGES.get(suffix, "text")
+    text = f"# {PurePosixPath(path).name}\n\n`{path}`\n\n{opening}\n{code}\n{fence}\n"
+    return File.generated(config, f"source/{path}.md", content=text)

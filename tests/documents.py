@@ -1,0 +1,129 @@
+"""The documents of the repository and the code blocks in them."""
+
+from __future__ import annotations
+
+import functools
+import re
+import shlex
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from sybil import Document, Region
+from sybil.evaluators.python import PythonEvaluator
+from sybil.parsers.markdown.lexers import RawFencedCodeBlockLexer
+
+from inclined_landing.eval import cli
+from inclined_landing.eval.base.command_line import bound, parse
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "docs" / "site"))
+import generated  # noqa: E402  (the site's own pages)
+
+SHELLS = ("sh", "console", "bash")
+PROGRAMS = ("landing-eval", "landing-train")
+BLOCK = RawFencedCodeBlockLexer(re.compile(r'(?P<language>[a-z]+)(?: title="(?P<title>[^"]+)")?[ \t]*\n'))
+SPAN = re.compile(r"`((?:landing-eval|landing-train) [^`]+)`")
+_OPERATORS = ("&", "&&", "||", ";", "|")
+
+
+def documents() -> list[str]:
+    """Every Markdown file that people read, as a path in the repository."""
+    files = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
+    files += [file for floor in ("models", "envs", "eval", "train") for file in ROOT.glob(f"{floor}/**/*.md")]
+    return sorted(file.relative_to(ROOT).as_posix() for file in files)
+
+
+def blocks(name: str, take: Callable) -> Document:
+    """A document whose fenced blocks are evaluated by `take(language, title, example)`."""
+
+    def parser(document: Document) -> Iterator[Region]:
+        for found in BLOCK(document):
+            language, title = found.lexemes["language"], found.lexemes["title"]
+            yield Region(
+                found.start,
+                found.end,
+                found.lexemes["source"],
+                lambda example, language=language, title=title: take(language, title, example),
+            )
+
+    return Document.parse(str(ROOT / name), parser)
+
+
+def run_python(title: str | None, example) -> None:
+    """Run a block in the namespace of its document; one with a title is saved as that file first."""
+    if title:
+        Path(title).write_text(example.parsed, "utf-8")
+    example.namespace.setdefault("__name__", "documents")
+    PythonEvaluator()(example)
+
+
+def lines(source: str) -> Iterator[list[str]]:
+    """The commands of a shell block as words, without comments, variables and what is piped on."""
+    for line in re.sub(r"\\\n\s*", " ", source).splitlines():
+        lexer = shlex.shlex(line.removeprefix("$ "), posix=True, punctuation_chars="&|;<>")
+        lexer.whitespace_split = True
+        words: list[str] = []
+        for word in [*lexer, ";"]:
+            if word not in _OPERATORS:
+                words.append(word)
+                continue
+            while words and (words[0] in ("nohup", "time", "nice") or re.match(r"\w+=", words[0])):
+                words.pop(0)
+            if words:
+                yield words
+            words = []
+
+
+def check(words: list[str]) -> None:
+    """Fail unless a command could be run as it stands: its options, its target, its files exist."""
+    program, *rest = words
+    if program in PROGRAMS:
+        rest = [re.sub(r"\$\w+|\$\{\w+\}", "1", word).strip("[]") for word in rest]
+        target = _target(program, rest)
+        if target is not None and "--help" not in rest:
+            parse(target, program, rest[1:] if program == "landing-eval" else rest)
+    elif program == "make":
+        known = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+        assert all(word in known or "=" in word for word in rest), words
+    elif program == "python" and rest[0].endswith(".py"):
+        assert (ROOT / rest[0]).is_file(), words
+    elif "pytest" in program:
+        assert all((ROOT / word).exists() for word in rest if word.startswith("tests/")), words
+    elif words[:2] == ["pip", "install"]:
+        extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"][
+            "optional-dependencies"
+        ]
+        for word in rest:
+            asked = re.match(r"inclined-landing\[(.*)\]", word)
+            assert not asked or set(asked[1].split(",")) <= set(extras), words
+
+
+def _target(program: str, rest: list[str]):
+    """What the words of a command are parsed into; None for those of a program itself (--help, --version)."""
+    if program == "landing-train":
+        from inclined_landing.train.config import TrainConfig
+
+        return TrainConfig
+    if not rest or rest[0].startswith("-"):
+        return None
+    assert rest[0] in cli.COMMANDS, f"landing-eval has no command {rest[0]}"
+    return bound(cli.find(rest[0]))
+
+
+def check_span(text: str) -> None:
+    """Fail when a command in a sentence, where parts may be left out, has an option that is none."""
+    program, *rest = text.split()
+    name = next((word for word in rest if re.fullmatch("[a-z][a-z-]+", word)), None)
+    if program == "landing-eval" and name is None:
+        return
+    for option in re.findall(r"(?<=\s)--[a-z][a-z-]*", text):
+        assert option in options(program, name), f"{program} {name} has no option {option}"
+
+
+@functools.cache
+def options(program: str, name: str | None) -> frozenset[str]:
+    """The long options of a command, as its help has them."""
+    target = _target(program, [name] if name else [])
+    return frozenset(re.findall(r"--[a-z][a-z-]*", generated.help_text(target, f"{program} {name}")))

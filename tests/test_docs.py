@@ -1,0 +1,117 @@
+"""The documents: the site builds, links lead somewhere, code blocks run, commands have their options."""
+
+import logging
+import re
+import shutil
+
+import documents
+import numpy as np
+import pytest
+from documents import ROOT
+from log_files import a_log
+from mkdocs.commands.build import build
+from mkdocs.config import load_config
+
+from inclined_landing.eval.logs import write_log
+from inclined_landing.models.parameters import load_vehicle, write_vehicle
+
+# Documents whose Python blocks take minutes.
+LONG = {"eval/gap/README.md"}
+
+
+def _flights(folder):
+    """Logs with the names that documents use, of a vehicle that circles."""
+    t = np.arange(0, 4, 0.01)
+    position = np.stack([np.cos(t), np.sin(t), np.full_like(t, 1.2)], axis=1)
+    tilt = -position[:, :2] / 9.81
+    command = np.c_[
+        np.full_like(t, 36_000.0) + 2_000 * np.sin(3 * t), -tilt[:, 1], tilt[:, 0], np.zeros_like(t)
+    ]
+    log = a_log(len(t), t=t, position=position, attitude=command[:, 1:] * 1.0, command=command)
+    for name in ("flight1.csv", "flights/fit/fit_01.csv"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        write_log(folder / name, log)
+
+
+@pytest.fixture
+def workplace(tmp_path, monkeypatch):
+    """A folder with the files that documents take for granted."""
+    _flights(tmp_path)
+    write_vehicle(tmp_path / "vehicle.toml", load_vehicle())
+    (tmp_path / "other.xml").write_text("<mujoco/>", "utf-8")
+    (tmp_path / "models").symlink_to(ROOT / "models")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("inclined_landing.envs.tasks._OWN", {})
+
+
+@pytest.mark.parametrize("name", sorted(set(documents.documents()) - LONG))
+def test_python_blocks_run(name, workplace, capsys):
+    def take(language, title, example):
+        if language == "python":
+            documents.run_python(title, example)
+
+    for example in documents.blocks(name, take).examples():
+        example.evaluate()
+
+
+@pytest.mark.parametrize("name", documents.documents())
+def test_commands_exist_with_their_options(name):
+    def take(language, title, example):
+        if language in documents.SHELLS:
+            for words in documents.lines(example.parsed):
+                documents.check(words)
+
+    document = documents.blocks(name, take)
+    for example in document.examples():
+        example.evaluate()
+    sentences = "".join(document.text)
+    for _, region in reversed(document.regions):
+        sentences = sentences[: region.start] + sentences[region.end :]
+    for span in documents.SPAN.finditer(sentences):
+        documents.check_span(span[1])
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "landing-eval succes landing",
+        "landing-eval success landing --planet hybrid",
+        "landing-eval success landing --seed one",
+        "FOO=1 nohup landing-train landing --step 5 &",
+        "make dem",
+        "python examples/nothing.py",
+        "pip install 'inclined-landing[everything]'",
+        "true && landing-eval gap a.csv",
+    ],
+)
+def test_a_wrong_line_is_found(line):
+    with pytest.raises((AssertionError, ValueError)):
+        for words in documents.lines(line):
+            documents.check(words)
+
+
+def test_a_wrong_option_in_a_sentence_is_found():
+    documents.check_span("landing-eval success ... --plant hybrid")
+    with pytest.raises(AssertionError, match="has no option --planet"):
+        documents.check_span("landing-eval success ... --planet hybrid")
+
+
+def test_the_site_builds_without_a_warning(tmp_path, monkeypatch):
+    """Strictly: pages and anchors that links lead to, pages that the navigation lacks, names to document."""
+    monkeypatch.setenv("NO_MKDOCS_2_WARNING", "1")
+    before = logging.getLogger("mkdocs").level
+    build(load_config(str(ROOT / "mkdocs.yml"), strict=True, site_dir=str(tmp_path)))
+    logging.getLogger("mkdocs").setLevel(before)
+    commands = (tmp_path / "reference/commands.html").read_text("utf-8")
+    assert 'id="success"' in commands and "--thrust-scale" in commands
+    page = (tmp_path / "index.html").read_text("utf-8")
+    assert "landing.gif" in page and (tmp_path / "landing.gif").is_file()
+    shutil.rmtree(tmp_path)  # some megabytes
+
+
+def test_every_number_of_a_vehicle_and_every_effect_is_on_its_page():
+    pages = documents.generated.pages()
+    fields = re.findall(r"^\| `(\w+)` \|", pages["physics/constants.md"], re.MULTILINE)
+    assert len(fields) == len(documents.generated.constants())
+    assert all(f"\n## {name}\n" in pages["physics/effects.md"] for name in documents.generated.LIBRARY)
+    assert all(f"\n## {name}\n" in pages["reference/commands.md"] for name in documents.cli.COMMANDS)

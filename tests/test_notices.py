@@ -1,0 +1,75 @@
+"""What is not ours is named: third-party notices, citation, changelog; versions agree."""
+
+import re
+import subprocess
+import tomllib
+from pathlib import PurePosixPath
+
+import pytest
+import yaml
+from documents import ROOT
+
+from inclined_landing.eval.logs.flights.convert import public_sets
+
+NOTICES = (ROOT / "THIRD_PARTY_NOTICES.md").read_text("utf-8")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+# What is written, drawn, trained or measured here. Anything else in the tree must be named in the notices.
+OWN = {
+    *(".py", ".cc", ".h", ".j2", ".css", ".toml", ".xml", ".md", ".yml", ".cff", ".txt", ".json", ".csv"),
+    *(".png", ".gif", ".svg", ".zip"),
+}
+OWN_NAMES = {"LICENSE", "Makefile", "run", ".gitignore"}
+FOREIGN = re.compile(
+    rb"@license|SPDX-License-Identifier|Copyright \(c\)|Permission is hereby granted", re.IGNORECASE
+)
+
+
+def tree() -> list[str]:
+    """Files of the repository, as git has them."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
+    if listed.returncode:
+        pytest.skip("no git repository here, whose files could be listed")
+    return [name for name in listed.stdout.decode("utf-8").split("\0") if name]
+
+
+def named(path: str) -> bool:
+    """Is a file, or a folder that it is in, named in the notices."""
+    return any(
+        f"`{place}`" in NOTICES for place in (path, *(f"{parent}/" for parent in PurePosixPath(path).parents))
+    )
+
+
+def test_what_others_made_is_named():
+    missing = []
+    for path in tree():
+        file = ROOT / path
+        if path in ("THIRD_PARTY_NOTICES.md", "tests/test_notices.py", "LICENSE") or not file.is_file():
+            continue
+        own = PurePosixPath(path).suffix in OWN or file.name in OWN_NAMES
+        if not (own and not FOREIGN.search(file.read_bytes())) and not named(path):
+            missing.append(path)
+    assert not missing, f"name them in THIRD_PARTY_NOTICES.md: {', '.join(missing)}"
+
+
+def test_the_search_finds_what_others_made():
+    assert FOREIGN.search(b"/** @license Three.js */") and not named("eval/nothing/lib.js")
+
+
+def test_flights_and_sources_are_named():
+    for name, flights in public_sets().items():
+        assert name in NOTICES and flights.licence in NOTICES
+    marks = re.findall(r"^#   (\[\w\])  ", (ROOT / "models/crazyflie.toml").read_text("utf-8"), re.MULTILINE)
+    assert len(marks) >= 3 and all(mark in NOTICES for mark in marks if mark != "[E]")  # [E]: ours
+
+
+def test_the_notices_are_in_the_wheel():
+    assert "THIRD_PARTY_NOTICES.md" in PROJECT["license-files"]
+
+
+def test_citation_and_changelog_have_the_version():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    assert citation["cff-version"] == "1.2.0" and citation["version"] == PROJECT["version"]
+    assert citation["license"] == PROJECT["license"] and citation["authors"] and citation["message"]
+    changelog = (ROOT / "CHANGELOG.md").read_text("utf-8")
+    assert "## [Unreleased]" in changelog and PROJECT["version"] in changelog
+    assert f"version = {{{PROJECT['version']}}}" in (ROOT / "docs/citing.md").read_text("utf-8")
