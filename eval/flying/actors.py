@@ -1,0 +1,82 @@
+"""Policies as the pilot uses them: a believed state in, a command out, by the task's own maps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from inclined_landing.envs.history import History
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks.base import Moment
+from inclined_landing.envs.tasks.setpoint import GOAL, START_BOX
+from inclined_landing.models.attitude import LAG, ROLL, ROLL_COMMAND, STATE_SIZE, VY, X, Y, Z
+
+TRIM_GAIN = 0.5  # 1/s: how fast the set-point flight learns what holds it beside its target
+TRIM_LIMIT = 0.3  # m
+TRIM_REACH = 0.3  # m from the target within which it learns
+
+
+class BadAction(Exception):
+    """A policy gave NaN or infinity."""
+
+    def __init__(self, policy: Policy):
+        super().__init__(f"the policy {policy.name} gives NaN or infinity")
+        self.policy = policy
+
+
+class Actor:
+    """One policy, with the past that it may be given."""
+
+    def __init__(self, policy: Policy):
+        self.policy, self.task = policy, policy.task
+        self._past = History(self.task, 1)
+        self._begun = False
+
+    def begin(self) -> None:
+        """A new flight: what was before counts no more."""
+        self._begun = False
+
+    def act(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Action (a,) in [-1, 1] and command (4,) PWM, rad, rad, rad/s for a state (13,).
+
+        Raises BadAction when the action is NaN or infinite.
+        """
+        observation = self.task.observe(Moment(state[None]))
+        if not self._begun:
+            self._past.begin([0], observation)
+            self._begun = True
+        action = np.asarray(self.policy.predict(self._past.behind(observation)))
+        if not np.isfinite(action).all():
+            raise BadAction(self.policy)
+        action = np.clip(action, -1.0, 1.0)
+        self._past.note(observation, action)
+        return action[0], self.task.commands(action)[0]
+
+
+class Hover:
+    """The set-point policy, flying to any point: it is told where it is from its own goal.
+
+    It flies with the thrust that it was trained for; what a vehicle with less of it sinks below the target is
+    learnt as a trim of the target, as an integral controller does.
+    """
+
+    def __init__(self, policy: Policy):
+        self.actor = Actor(policy)
+        self.trim = np.zeros(3)  # m
+        self._low, self._high = np.array(START_BOX).T
+
+    def fly(self, state: np.ndarray, target: np.ndarray, dt: float) -> np.ndarray:
+        """Command (4,) for a state (13,) towards a target (3,) [m], dt [s] after the last one."""
+        away = target - state[X : Z + 1]
+        if np.linalg.norm(away) < TRIM_REACH:
+            self.trim = np.clip(self.trim + TRIM_GAIN * dt * away, -TRIM_LIMIT, TRIM_LIMIT)
+        shown = state.copy()
+        shown[X : Z + 1] = np.clip(np.array(GOAL) - away - self.trim, self._low, self._high)
+        return self.actor.act(shown)[1]
+
+    def roll_to(self, state: np.ndarray, y: float) -> float:
+        """Roll command [rad] that holds a planar flight at y [m]: the policy's, all else at its goal."""
+        shown = np.zeros(STATE_SIZE)
+        shown[X : Z + 1] = GOAL
+        shown[Y] = np.clip(GOAL[1] + state[Y] - y - self.trim[1], self._low[1], self._high[1])
+        shown[[VY, ROLL, LAG]] = state[[VY, ROLL, LAG]]
+        return float(self.actor.act(shown)[1][ROLL_COMMAND])

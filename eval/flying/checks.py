@@ -1,0 +1,103 @@
+"""What must be true before the motors turn."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from inclined_landing.eval.flying.estimate import Belief
+from inclined_landing.eval.flying.interfaces import Pose
+from inclined_landing.eval.flying.surroundings import CLEAR, Surroundings
+
+LISTENING = 1.0  # s that is listened to the vehicle and the motion capture
+LEAST_VOLTAGE = 3.7  # V at rest: about half full; hovering takes half a volt off
+POSE_RATE, ATTITUDE_RATE = 50.0, 40.0  # least per second
+LONGEST_GAP = 0.1  # s
+STILLNESS = 0.005  # m, largest standard deviation of a position at rest
+LEVEL = math.radians(10.0)  # of the place that it stands on, and between the two attitudes
+HEIGHT = 0.03  # m by which the standing height may differ
+ROOM = 0.2  # m to the arena's walls
+
+
+@dataclasses.dataclass(frozen=True)
+class Check:
+    """One check and what it found."""
+
+    name: str
+    passed: bool
+    found: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Heard:
+    """What arrived in LISTENING seconds, at rest."""
+
+    poses: list[Pose]
+    attitudes: int
+    voltage: float  # V, NaN where none came
+    locked: bool
+    belief: Belief
+
+
+def all_checks(heard: Heard, around: Surroundings, stand: float) -> list[Check]:
+    """Every check; stand [m]: height of what the vehicle stands on."""
+    v, belief = around.vehicle, heard.belief
+    positions = np.array([pose.position for pose in heard.poses]).reshape(-1, 3)
+    times = np.array([pose.time for pose in heard.poses])
+    gap = float(np.diff(times).max()) if len(times) > 1 else math.inf
+    spread = float(positions.std(axis=0).max()) if len(positions) > 1 else math.inf
+    moved = len(np.unique(positions, axis=0)) > 1
+    state = belief.state
+    x, y, z = state[:3]
+    inside = v.arena_x[0] + ROOM < x < v.arena_x[1] - ROOM and v.arena_y[0] + ROOM < y < v.arena_y[1] - ROOM
+    expected = stand + around.standing
+    known = bool(np.isfinite(state).all())
+    clearance = float(around.distances(state[None])[0, 0]) if known else math.nan
+    tilt = belief.tilt if known else math.nan
+    return [
+        Check(
+            "battery",
+            heard.voltage >= LEAST_VOLTAGE,
+            f"{heard.voltage:.2f} V; at least {LEAST_VOLTAGE:g} V at rest",
+        ),
+        Check(
+            "supervisor",
+            not heard.locked,
+            "locked, crashed or tumbled: switch it off and on" if heard.locked else "not locked",
+        ),
+        Check(
+            "motion capture",
+            len(times) >= POSE_RATE * LISTENING and gap <= LONGEST_GAP and moved,
+            f"{len(times) / LISTENING:.0f} poses per second, longest gap {1e3 * gap:.0f} ms"
+            + ("" if moved or len(times) < 2 else ", all the same: frozen")
+            + f"; at least {POSE_RATE:g}, at most {1e3 * LONGEST_GAP:g} ms",
+        ),
+        Check(
+            "at rest",
+            spread <= STILLNESS,
+            f"position spreads by {1e3 * spread:.1f} mm; at most {1e3 * STILLNESS:g} mm",
+        ),
+        Check(
+            "attitude log",
+            heard.attitudes >= ATTITUDE_RATE * LISTENING,
+            f"{heard.attitudes / LISTENING:.0f} per second; at least {ATTITUDE_RATE:g}",
+        ),
+        Check(
+            "level",
+            tilt <= LEVEL and belief.disagreement <= LEVEL,
+            f"tilted by {math.degrees(tilt):.1f} deg, {math.degrees(belief.disagreement):.1f} deg from what "
+            f"motion capture shows; at most {math.degrees(LEVEL):.0f} deg",
+        ),
+        Check(
+            "inside the arena", bool(inside), f"x {x:.2f}, y {y:.2f} m; {ROOM:g} m from the walls at least"
+        ),
+        Check(
+            "height",
+            abs(z - expected) <= HEIGHT,
+            f"stands at z {z:.3f} m, expected {expected:.3f}: stand {stand:g} m, centre of mass "
+            f"{around.standing:.3f} m above its feet",
+        ),
+        Check("clear of the platform", clearance > CLEAR, f"{clearance:.2f} m; more than {CLEAR:g} m"),
+    ]

@@ -1,0 +1,147 @@
+"""What the pilot believes: position and velocity from motion capture, attitude from the vehicle's own log."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from inclined_landing.eval.flying import frames
+from inclined_landing.eval.flying.interfaces import Pose
+from inclined_landing.eval.flying.kalman import Filter, Noise
+from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Z
+
+RESTART = 5.0  # s: clocks this far apart mean that the vehicle's began anew, as its 24 bits do after 4.7 h
+HEADING_TIME = 0.5  # s in which the heading follows motion capture: gyroscopes drift over minutes
+
+
+@dataclasses.dataclass(frozen=True)
+class Attitude:
+    """One attitude of the vehicle's log."""
+
+    time: float  # s of the pilot's clock at which the vehicle took it
+    rotation: np.ndarray  # (3, 3) body to the vehicle's own world, whose heading is the gyroscopes'
+
+
+class LogClock:
+    """Dates what the vehicle logs by the pilot's clock.
+
+    A packet arrives late, never early: the least difference between arrival and the vehicle's own time stamp
+    is the offset of its clock, but for the shortest way that a packet took, and the jitter of the radio is
+    gone.
+    """
+
+    def __init__(self):
+        self._offset = math.inf
+
+    def date(self, stamp: int, arrival: float) -> float:
+        """Time [s] of a packet with the vehicle's time stamp [ms] that arrived at `arrival` [s]."""
+        offset = arrival - 1e-3 * stamp
+        if abs(offset - self._offset) > RESTART:
+            self._offset = math.inf
+        self._offset = min(self._offset, offset)
+        return 1e-3 * stamp + self._offset
+
+
+@dataclasses.dataclass(frozen=True)
+class Belief:
+    """The vehicle at one moment, and how good the knowledge is."""
+
+    time: float  # s
+    state: np.ndarray  # (13,) as tasks observe it; NaN where nothing is known, rates and lag 0
+    pose_age: float  # s since the last believed position
+    attitude_age: float  # s since the last attitude
+    disagreement: float  # rad between the attitudes of log and motion capture; 0 where one is not known
+
+    @property
+    def tilt(self) -> float:
+        """Angle [rad] between the body's z axis and the vertical."""
+        return math.acos(math.cos(self.state[ROLL]) * math.cos(self.state[PITCH]))
+
+    @property
+    def speed(self) -> float:
+        """m/s."""
+        return float(np.linalg.norm(self.state[VX : VZ + 1]))
+
+
+class Estimator:
+    """Folds poses and attitudes into a `Belief`.
+
+    heading [rad]: where the nose points when the first attitude comes; used while no pose has an attitude.
+    """
+
+    def __init__(self, noise: Noise, heading: float = 0.0):
+        self.filter = Filter(noise)
+        self.shown: Pose | None = None  # the last pose, believed or not
+        self.attitude: Attitude | None = None
+        self.sees_heading = False  # does motion capture show it
+        self._heading = heading
+        self._offset: float | None = None  # of the arena's heading over the vehicle's own, rad
+        self._seen: tuple[float, np.ndarray] | None = None  # time, rotation (3, 3)
+
+    def see(self, pose: Pose) -> bool:
+        """Take a pose; True where its position is new and believed.
+
+        A position that equals the one before to the last bit is no measurement: cameras are never that still.
+        """
+        before, self.shown = self.shown, pose
+        if before is not None and (
+            pose.time == before.time or np.array_equal(pose.position, before.position)
+        ):
+            return False
+        if pose.attitude is not None and np.isfinite(pose.attitude).all() and np.any(pose.attitude):
+            self._align(pose, 0.0 if before is None else pose.time - before.time)
+        return self.filter.measure(pose.time, pose.position)
+
+    def feel(self, attitude: Attitude) -> None:
+        """Take an attitude of the vehicle's log; older ones than the last, and broken ones, are left out."""
+        if not np.isfinite(attitude.rotation).all() or (
+            self.attitude and attitude.time <= self.attitude.time
+        ):
+            return
+        self.attitude = attitude
+        if self._offset is None and not self.sees_heading:
+            self._offset = self._heading - frames.heading_of(attitude.rotation)
+
+    def at(self, time: float) -> Belief:
+        """What is believed of `time` [s]."""
+        state = np.zeros(STATE_SIZE)
+        state[X : Z + 1], state[VX : VZ + 1] = self.filter.at(time)
+        disagreement = 0.0
+        if self.attitude is None or self._offset is None:
+            state[[ROLL, PITCH, YAW]] = np.nan
+        else:
+            rotation = frames.about_z(self._offset) @ self.attitude.rotation
+            state[[ROLL, PITCH]] = frames.tilt(rotation[:, 2])
+            state[YAW] = frames.heading_of(rotation)
+            if self._seen is not None and abs(self._seen[0] - self.attitude.time) < HEADING_TIME:
+                disagreement = frames.angle_between(rotation, self._seen[1])
+        last = self.filter.time
+        return Belief(
+            time,
+            state,
+            math.inf if last is None else time - last,
+            math.inf if self.attitude is None else time - self.attitude.time,
+            disagreement,
+        )
+
+    def in_arena(self, attitude: Attitude) -> np.ndarray | None:
+        """Rotation (3, 3), body to arena, of an attitude of the log; None while its heading is unknown."""
+        if self._offset is None:
+            return None
+        return frames.about_z(self._offset) @ attitude.rotation
+
+    def _align(self, pose: Pose, dt: float) -> None:
+        rotation = frames.quaternion_rotation(pose.attitude)
+        self._seen = pose.time, rotation
+        if self.attitude is None:
+            self.sees_heading = True
+            return
+        offset = frames.heading_of(rotation) - frames.heading_of(self.attitude.rotation)
+        if self._offset is None or not self.sees_heading:
+            self._offset = offset
+        else:
+            share = -math.expm1(-max(0.0, dt) / HEADING_TIME)
+            self._offset += share * frames.wrapped(offset - self._offset)
+        self.sees_heading = True

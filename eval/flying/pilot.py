@@ -1,0 +1,437 @@
+"""The pilot: one flight from the floor to the slope.
+
+Phases: the set-point policy takes off and flies to the start (approach); near it and slow for some time, the
+landing policy has the vehicle (landing) until the goal box is entered, where the motors are cut, or until it
+rests on the slope by its own command (touchdown). Whatever `safety` names ends the flight by its reaction:
+motors off, or the set-point policy sets the vehicle down beside the platform (retreat).
+
+The pilot holds the heading at 0, and in the landing, which is planar, y at 0 by the set-point policy's roll.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+import signal
+import threading
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, IDLE_ACTION, REST_SPEED
+from inclined_landing.eval.flying import frames, safety
+from inclined_landing.eval.flying.actors import Actor, BadAction, Hover
+from inclined_landing.eval.flying.checks import LISTENING, Check, Heard, all_checks
+from inclined_landing.eval.flying.estimate import Attitude, Belief, Estimator
+from inclined_landing.eval.flying.flight_log import FlightLog
+from inclined_landing.eval.flying.interfaces import Clock, MotionCapture, Pose
+from inclined_landing.eval.flying.kalman import Noise
+from inclined_landing.eval.flying.safety import Cause, Now, Phase, Reaction
+from inclined_landing.eval.flying.surroundings import Surroundings, Target
+from inclined_landing.eval.flying.vehicle import Radio
+from inclined_landing.models.attitude import (
+    PITCH_COMMAND,
+    PWM,
+    ROLL_COMMAND,
+    VX,
+    VZ,
+    YAW,
+    YAW_RATE_COMMAND,
+    X,
+    Z,
+)
+
+TICKS = 4  # looks at the motion capture per control period: 200 Hz sees every pose of a system of 120 Hz
+APPROACH_SPEED, RETREAT_SPEED = 0.6, 0.4  # m/s, of the point that the set-point policy follows
+HAND_OVER_DISTANCE, HAND_OVER_SPEED, HAND_OVER_TIME = 0.10, 0.15, 0.4  # m, m/s, s
+YAW_GAIN = 2.0  # 1/s, heading error to yaw rate command
+LIFT_OFF = 0.05  # m above where it stood
+STUCK_TIME = 0.5  # s without sinking at the end of a retreat: it stands
+WATCHED = (
+    2.5  # s after the motors are off: the vehicle must be told to stop until its supervisor calls it landed
+)
+DRY_RUN = 30.0  # s
+SHOWN_EVERY = 0.5  # s, of a dry run
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """What is to be flown."""
+
+    landing: Policy  # for the task landing or touchdown
+    setpoint: Policy
+    start: tuple[float, float]  # x, z where the landing begins, m
+    stand: float = 0.0  # height of what the vehicle stands on, m
+    heading: float = 0.0  # of the standing vehicle where motion capture does not show it, rad
+
+
+@dataclasses.dataclass
+class Report:
+    """How a flight went."""
+
+    outcome: str  # "goal box", "at rest", "dry run", or the name of the cause
+    cause: Cause | None = None  # that ended it early
+    error: str | None = None  # of the cause `error`
+    retreat: Cause | None = None  # that it went to land for, where it did
+    start: np.ndarray | None = None  # (13,) believed state at hand-over
+    goal: np.ndarray | None = None  # (13,) believed state when the motors were cut in the goal box or at rest
+    landing_time: float | None = None  # s from hand-over to there
+    final: np.ndarray | None = None  # (3,) last position, m
+    rests: bool | None = None  # does it lie still on the platform, as far as its position tells
+    seconds: float = 0.0  # from the first command to motors off
+
+    @property
+    def landed(self) -> bool:
+        """Did the landing reach what its task asks for?"""
+        return self.outcome in ("goal box", "at rest")
+
+
+class Pilot:
+    """Flies one connected vehicle; a new pilot for every flight.
+
+    say: told what happens, line by line. log: the flight's CSV, None for none. hang_limit [s]: see
+    `Watchdog`.
+    """
+
+    def __init__(
+        self,
+        radio: Radio,
+        clock: Clock,
+        mocap: MotionCapture,
+        plan: Plan,
+        *,
+        log: Path | None = None,
+        say: Callable[[str], None] = print,
+        hang_limit: float = safety.HANG_LIMIT,
+    ):
+        self.radio, self.clock, self.mocap, self.plan = radio, clock, mocap, plan
+        self.task = plan.landing.task
+        self.vehicle = self.task.vehicle
+        self.phase = Phase.APPROACH
+        self.report = Report("")
+        self.around = Surroundings(self.vehicle, self.task.inclination)
+        self.home: np.ndarray | None = None
+        self._say, self._hang_limit = say, hang_limit
+        self._log_path, self._log = log, None
+        self._estimator = Estimator(Noise.of(self.vehicle), plan.heading)
+        self._guard = safety.Guard(self.vehicle)
+        self._hover, self._lander = Hover(plan.setpoint), Actor(plan.landing)
+        self._period = self.vehicle.command_control_period
+        self._voltage, self._locked = math.nan, False
+        self._pose_time = -math.inf
+        self._poses: list[Pose] = []
+        self._attitudes = 0
+        self._target: Target | None = None
+        self._began = self._phase_began = 0.0
+        self._airborne = False
+        self._good = self._idle = 0  # control steps in a row
+        self._places: list[np.ndarray] = []  # of the last HOLD_STEPS control steps
+        self._lying = self._stuck = 0.0
+        self._warned: Cause | None = None
+        self._shown = -math.inf
+
+    # --- before ----------------------------------------------------------------------------------
+
+    def check(self) -> list[Check]:
+        """Listen for a second, and say what is found; the place of the vehicle is its home from then on."""
+        end = self.clock.now() + LISTENING
+        self._listen()
+        self._poses, self._attitudes = [], 0
+        while self.clock.now() < end:
+            self.clock.wait_until(self.clock.now() + self._period / TICKS)
+            self._listen()
+        belief = self._estimator.at(self.clock.now())
+        heard = Heard(self._poses, self._attitudes, self._voltage, self._locked, belief)
+        found = all_checks(heard, self.around, self.plan.stand)
+        if all(check.passed for check in found):
+            self.home = np.mean([pose.position for pose in self._poses], axis=0)
+            start = np.array([self.plan.start[0], 0.0, self.plan.start[1]])
+            self._target = Target(self.home, self.around.way_to(self.home, start), APPROACH_SPEED)
+        return found
+
+    # --- the flight ------------------------------------------------------------------------------
+
+    def fly(self) -> Report:
+        """Fly, and return how it went; whatever happens, the motors are off then.
+
+        `check` must have passed. Errors and interruptions end up in the report, not in the caller.
+        """
+        from inclined_landing.eval.flying.watchdog import Watchdog
+
+        if self._target is None:
+            raise ValueError("the checks must have passed before a flight")
+        self._lander.act(self._estimator.at(self.clock.now()).state)  # compiles what is not compiled yet
+        self._hover.roll_to(self._estimator.at(self.clock.now()).state, 0.0)
+        self._lander.begin()
+        self._hover.actor.begin()
+        with contextlib.ExitStack() as stack:
+            try:
+                if self._log_path is not None:
+                    self._log = stack.enter_context(FlightLog(self._log_path, self.clock.now()))
+                with _interruptible(), Watchdog(self._hang_limit, self.radio.emergency_stop) as watchdog:
+                    self._began = self._phase_began = self.clock.now()
+                    self.radio.arm()
+                    self._loop(watchdog)
+            except KeyboardInterrupt:
+                self._end(safety.INTERRUPTED)
+            except Exception as error:
+                self._end(safety.ERROR)
+                self.report.error = "".join(traceback.format_exception(error)).strip()
+            finally:
+                with _uninterruptible():
+                    self._motors_off()
+            with contextlib.suppress(Exception):
+                self._watch()
+        return self.report
+
+    def _loop(self, watchdog) -> None:
+        begin, k = self.clock.now(), 0
+        while self.phase is not Phase.OVER:
+            for tick in range(1, TICKS + 1):
+                self.clock.wait_until(begin + (k + tick / TICKS) * self._period)
+                self._listen()
+                watchdog.alive()
+            if watchdog.bitten:
+                self._end(safety.HANG)
+                return
+            k += 1
+            now = self.clock.now()
+            if now > begin + (k + 1) * self._period:  # late: go on from here, send nothing twice
+                begin = now - k * self._period
+            self._step(now)
+            if self.radio.dry and self.phase is not Phase.OVER and now - self._began > DRY_RUN:
+                self._end(None, "dry run")
+
+    def _step(self, time: float) -> None:
+        """One control step."""
+        belief = self._estimator.at(time)
+        cause = self._guard.cause(self._now(belief))
+        if cause is not None:
+            self._react(cause, belief)
+        if self.phase is Phase.OVER:
+            return
+        try:
+            command = self._command(belief)
+        except BadAction as bad:
+            landing = bad.policy is self.plan.landing
+            self._react(safety.BAD_ACTION if landing else safety.BAD_SETPOINT, belief)
+            if self.phase is Phase.OVER:
+                return
+            command = self._command(belief)
+        if command is None:
+            return
+        heading = belief.state[YAW]
+        limit = self.vehicle.command_yaw_rate_limit
+        command[YAW_RATE_COMMAND] = min(limit, max(-limit, -YAW_GAIN * heading))
+        self.radio.send(command, heading)
+        if self._log is not None:
+            self._log.command(time, command)
+        if self.radio.dry:
+            self._show(time, belief, command)
+
+    def _now(self, belief: Belief) -> Now:
+        time, state = belief.time, belief.state
+        if self.home is not None and state[2] > self.home[2] + LIFT_OFF:
+            self._airborne = True
+        self._places = [*self._places[1 - HOLD_STEPS :], state[X : Z + 1].copy()]
+        still = (
+            len(self._places) == HOLD_STEPS
+            and float(np.ptp(self._places, axis=0).max()) < REST_SPEED * HOLD_STEPS * self._period
+        )
+        lies = still and self._airborne and self.around.touches(state)
+        self._lying = self._lying + self._period if lies else 0.0
+        return Now(
+            phase=self.phase,
+            since=time - self._phase_began,
+            belief=belief,
+            airborne=self._airborne,
+            linked=self.radio.lost is None,
+            locked=self._locked,
+            voltage=self._voltage,
+            heading_error=float(state[YAW]),
+            lying=self._lying,
+            landing_limit=self.task.max_steps * self._period,
+        )
+
+    def _command(self, belief: Belief) -> np.ndarray | None:
+        """The command (4,) of the present phase, which may end here; None when the flight is over."""
+        state = belief.state
+        if self.phase is Phase.APPROACH:
+            command = self._approach(state)
+            if self._good * self._period < HAND_OVER_TIME:
+                return command
+            self._enter(Phase.LANDING)
+            self.report.start = state.copy()
+            self._say(f"hand-over at x {state[X]:.2f}, z {state[Z]:.2f} m")
+        if self.phase is Phase.LANDING:
+            return self._land(belief)
+        return self._retreat(state)
+
+    def _approach(self, state: np.ndarray) -> np.ndarray:
+        assert self._target is not None
+        target = self._target.move(self._period, state[X : Z + 1])
+        away = float(np.linalg.norm(target - state[X : Z + 1]))
+        slow = float(np.linalg.norm(state[VX : VZ + 1])) < HAND_OVER_SPEED
+        self._good = self._good + 1 if self._target.arrived and slow and away < HAND_OVER_DISTANCE else 0
+        return self._hover.fly(state, target, self._period)
+
+    def _land(self, belief: Belief) -> np.ndarray | None:
+        state = belief.state
+        goal_size = self.task.goal_size
+        if goal_size is not None and self.task.in_goal(state[None], self.task.inclination, goal_size)[0]:
+            self._succeed("goal box", belief)
+            return None
+        action, command = self._lander.act(state)
+        command[ROLL_COMMAND] = self._hover.roll_to(state, 0.0)
+        self._idle = self._idle + 1 if command[PWM] == 0.0 and action[0] <= IDLE_ACTION else 0
+        if goal_size is None and self._idle >= HOLD_STEPS and self._lying > 0.0:
+            self._succeed("at rest", belief)
+            return None
+        return command
+
+    def _retreat(self, state: np.ndarray) -> np.ndarray | None:
+        assert self._target is not None
+        command = self._hover.fly(state, self._target.move(self._period, state[X : Z + 1]), self._period)
+        below = state[Z] - self._target.position[2] > 0.1
+        self._stuck = self._stuck + self._period if below and abs(state[VZ]) < REST_SPEED else 0.0
+        down = state[Z] < self.around.standing + 2 * LIFT_OFF and self._target.position[2] < state[Z]
+        if down or self._stuck > STUCK_TIME:
+            self._end(self.report.retreat)
+            return None
+        return command
+
+    # --- what happens to the flight ----------------------------------------------------------------
+
+    def _react(self, cause: Cause, belief: Belief) -> None:
+        if self.radio.dry:
+            if cause is not self._warned:
+                self._say(f"would react: {cause.name} ({cause.when}): {cause.reaction.value}")
+            self._warned = cause
+            return
+        if cause.reaction is Reaction.OFF or not self._airborne:
+            self._end(cause)
+            return
+        self._say(f"{cause.name}: {cause.when}; {cause.reaction.value}")
+        self.report.retreat = cause
+        here = belief.state[X : Z + 1].copy()
+        self._target = Target(here, self.around.way_down(here), RETREAT_SPEED)
+        self._enter(Phase.RETREAT)
+
+    def _enter(self, phase: Phase) -> None:
+        self.phase, self._phase_began = phase, self.clock.now()
+        self._stuck = 0.0
+        self._lander.begin()
+        self._hover.actor.begin()
+
+    def _succeed(self, outcome: str, belief: Belief) -> None:
+        self.report.goal = belief.state.copy()
+        self.report.landing_time = belief.time - self._phase_began
+        self._end(None, outcome)
+
+    def _end(self, cause: Cause | None, outcome: str = "") -> None:
+        if self.phase is not Phase.OVER:
+            self.phase = Phase.OVER
+            self.report.cause = cause
+            self.report.outcome = outcome or (cause.name if cause else "")
+
+    def _motors_off(self) -> None:
+        """Nothing here may keep the motors on: what fails is passed over."""
+        cause = self.report.cause
+        peaceful = self.phase is Phase.OVER and (cause is None or cause.reaction is Reaction.LAND)
+        if peaceful:
+            with contextlib.suppress(Exception):
+                self.radio.stop()
+        else:
+            self.radio.emergency_stop()
+        with contextlib.suppress(Exception):
+            self.report.seconds = self.clock.now() - self._began
+            self._note_off()
+
+    def _note_off(self) -> None:
+        if self._log is not None:
+            self._log.command(self.clock.now(), np.zeros(4))
+
+    def _watch(self) -> None:
+        """Go on telling it to stop, and log where it comes to lie."""
+        end = self.clock.now() + WATCHED
+        while (now := self.clock.now()) < end:
+            self.radio.stop()
+            for _ in range(TICKS):
+                self.clock.wait_until(self.clock.now() + self._period / TICKS)
+                self._listen()
+            self._now(self._estimator.at(now + self._period))
+        belief = self._estimator.at(self.clock.now())
+        if belief.pose_age < safety.POSE_LIMIT:
+            self.report.final = belief.state[X : Z + 1].copy()
+            platform = self.around.distances(belief.state[None])[0, 0]
+            self.report.rests = bool(self._lying > 0.0 and platform < 2 * LIFT_OFF)
+
+    # --- what is heard -----------------------------------------------------------------------------
+
+    def _listen(self) -> None:
+        pose = self.mocap.latest()
+        if pose is not None and pose.time > self._pose_time:
+            self._pose_time = pose.time
+            self._estimator.see(pose)
+            if len(self._poses) < 10_000:
+                self._poses.append(pose)
+            if self._log is not None:
+                state = self._estimator.at(pose.time).state
+                self._log.pose(pose.time, pose.position, self.around.touches(state))
+        for news in self.radio.news():
+            if isinstance(news, Attitude):
+                self._attitudes += 1
+                self._estimator.feel(news)
+                if self._log is not None and (seen := self._estimator.in_arena(news)) is not None:
+                    self._log.attitude(news.time, *frames.house_angles(seen))
+            else:
+                self._voltage, self._locked = news.voltage, news.locked
+                if self._log is not None:
+                    self._log.voltage(news.time, news.voltage)
+
+    def _show(self, time: float, belief: Belief, command: np.ndarray) -> None:
+        if time - self._shown < SHOWN_EVERY:
+            return
+        self._shown = time
+        x, y, z = belief.state[X : Z + 1]
+        self._say(
+            f"{time - self._began:5.1f} s  {self.phase.value:8}  x {x:6.2f}  y {y:6.2f}  z {z:5.2f} m  would "
+            f"command PWM {command[PWM]:5.0f}, roll {math.degrees(command[ROLL_COMMAND]):5.1f}, "
+            f"pitch {math.degrees(command[PITCH_COMMAND]):5.1f} deg, "
+            f"yaw rate {math.degrees(command[YAW_RATE_COMMAND]):6.1f} deg/s"
+        )
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """SIGTERM and SIGHUP interrupt as Ctrl-C does (where this is the main thread)."""
+
+    def interrupt(number, frame):
+        raise KeyboardInterrupt
+
+    with _handlers({signal.SIGINT: interrupt, signal.SIGTERM: interrupt, signal.SIGHUP: interrupt}):
+        yield
+
+
+@contextlib.contextmanager
+def _uninterruptible() -> Iterator[None]:
+    """A second Ctrl-C does not interrupt the stopping."""
+    with _handlers({signal.SIGINT: signal.SIG_IGN, signal.SIGTERM: signal.SIG_IGN}):
+        yield
+
+
+@contextlib.contextmanager
+def _handlers(wanted: dict) -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, handler) for number, handler in wanted.items()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

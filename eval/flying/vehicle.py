@@ -1,0 +1,149 @@
+"""The Crazyflie behind cflib: connecting, what it logs, set-points, stopping."""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from inclined_landing.eval.flying import frames
+from inclined_landing.eval.flying.estimate import Attitude, LogClock
+from inclined_landing.eval.flying.interfaces import Clock
+from inclined_landing.models.errors import UserError
+
+CONNECTING = 30.0  # s that a connection may take: tables of contents come over the radio
+ATTITUDE_PERIOD = 10  # ms: 100 Hz. cflib asks in steps of 10 ms; the paper's 80 Hz lie between two of them
+STATUS_PERIOD = 100  # ms
+STOPS = 5  # stop commands one after the other: any of them may get lost
+_LOCKED = 1 << 5 | 1 << 6 | 1 << 7  # tumbled, locked, crashed in supervisor.info, see cflib's Supervisor
+
+
+@dataclasses.dataclass(frozen=True)
+class Status:
+    """What the vehicle says of itself."""
+
+    time: float  # s, of arrival
+    voltage: float  # V
+    locked: bool  # by its supervisor; False where the firmware does not tell
+
+
+class Radio:
+    """One connected vehicle.
+
+    crazyflie: cflib's, or what answers like it. What arrives comes on cflib's thread and waits in `news`.
+    dry: nothing that moves a motor is sent.
+    """
+
+    def __init__(self, crazyflie: Any, clock: Clock, angle_limit: float, *, dry: bool = False):
+        self.crazyflie, self.clock, self.dry = crazyflie, clock, dry
+        self.angle_limit = angle_limit  # rad
+        self.lost: str | None = None  # why, once the link is
+        self._connected = False
+        self._news: collections.deque[Attitude | Status] = collections.deque(maxlen=10_000)
+        self._dates = LogClock()
+        self._logs: list[Any] = []
+        for caller, react in (
+            (crazyflie.connected, self._is_connected),
+            (crazyflie.connection_failed, self._is_lost),
+            (crazyflie.connection_lost, self._is_lost),
+            (crazyflie.disconnected, self._is_gone),
+        ):
+            caller.add_callback(react)
+
+    def connect(self, uri: str) -> None:
+        """Open the link and start the logs. Raises UserError in a sentence where that fails."""
+        end = self.clock.now() + CONNECTING
+        self.crazyflie.open_link(uri)
+        while not self._connected:
+            if self.lost is not None or self.clock.now() > end:
+                reason = (self.lost or f"no answer for {CONNECTING:g} s").strip().partition("\n")[0]
+                self.close()
+                raise UserError(f"no connection to {uri}: {reason}")
+            self.clock.wait_until(self.clock.now() + 0.02)
+        angles = ("stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw")
+        self._log("attitude", ATTITUDE_PERIOD, angles, self._attitude)
+        try:
+            self._log("status", STATUS_PERIOD, ("pm.vbat", "supervisor.info"), self._status)
+        except KeyError:  # firmware before 2024.02
+            self._log("status", STATUS_PERIOD, ("pm.vbat",), self._status)
+
+    def news(self) -> list[Attitude | Status]:
+        """What has arrived since the last call, in order."""
+        fresh = []
+        with contextlib.suppress(IndexError):
+            while True:
+                fresh.append(self._news.popleft())
+        return fresh
+
+    def arm(self) -> None:
+        """Ask for arming (the Crazyflie 2.1 does so itself), and unlock the thrust by a set-point of none."""
+        if not self.dry:
+            self.crazyflie.supervisor.send_arming_request(True)
+            self.crazyflie.commander.send_setpoint(0.0, 0.0, 0.0, 0)
+
+    def send(self, command: np.ndarray, heading: float) -> None:
+        """A set-point: PWM, roll, pitch [rad], yaw rate [rad/s], in the arena's frame; heading [rad]."""
+        setpoint = frames.radio_setpoint(command, heading, self.angle_limit)
+        if not self.dry:
+            self.crazyflie.commander.send_setpoint(*setpoint)
+
+    def stop(self) -> None:
+        """Motors off; they can be started again."""
+        if not self.dry:
+            self.crazyflie.commander.send_stop_setpoint()
+
+    def emergency_stop(self) -> None:
+        """Motors off, whatever goes wrong meanwhile: the vehicle stays locked until it is switched on again.
+
+        Each command is tried for itself.
+        """
+        if self.dry:
+            return
+        for _ in range(STOPS):
+            for command in (
+                self.crazyflie.commander.send_stop_setpoint,
+                self.crazyflie.supervisor.send_emergency_stop,
+            ):
+                with contextlib.suppress(Exception):
+                    command()
+
+    def close(self) -> None:
+        """End logs and link; errors of a link that is gone are none."""
+        for log in self._logs:
+            with contextlib.suppress(Exception):
+                log.stop()
+        with contextlib.suppress(Exception):
+            self.crazyflie.close_link()
+
+    def _log(self, name: str, period: int, variables: tuple[str, ...], arrived) -> None:
+        from cflib.crazyflie.log import LogConfig
+
+        config = LogConfig(name, period)
+        for variable in variables:
+            config.add_variable(variable, None)
+        self.crazyflie.log.add_config(config)
+        config.data_received_cb.add_callback(arrived)
+        config.start()
+        self._logs.append(config)
+
+    def _attitude(self, stamp: int, data: dict[str, float], _) -> None:
+        angles = (data[f"stateEstimate.{name}"] for name in ("roll", "pitch", "yaw"))
+        time = self._dates.date(stamp, self.clock.now())
+        self._news.append(Attitude(time, frames.logged_rotation(*angles)))
+
+    def _status(self, stamp: int, data: dict[str, float], _) -> None:
+        locked = bool(int(data.get("supervisor.info", 0)) & _LOCKED)
+        self._news.append(Status(self.clock.now(), float(data["pm.vbat"]), locked))
+
+    def _is_connected(self, uri: str) -> None:
+        self._connected = True
+
+    def _is_lost(self, uri: str, why: str = "") -> None:
+        self.lost = why or "connection lost"
+
+    def _is_gone(self, uri: str) -> None:
+        if self._connected and self.lost is None:
+            self.lost = "disconnected"
