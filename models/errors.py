@@ -12,6 +12,7 @@ _EXTRAS = {
     "ray": ("ray",),
     "fly": ("cflib",),
     "baselines": ("pysindy",),
+    "mocap": ("motioncapture",),
 }
 LONGEST = 2000  # characters of a sentence; beyond, its middle is left out
 LONG_WORD = r"[^\s/]{151,}"  # shortened in sentences; names of files are rarely that long

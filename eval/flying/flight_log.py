@@ -1,20 +1,24 @@
 """The log of a flight: the documented CSV of eval/logs, written as it goes and named when it is finished.
 
-Every measurement and every command is a row of its own time; cells of what was not measured then are empty,
-as the format allows. Until it is finished the file is called NAME.unfinished.csv: what a killed process
-leaves is a log too.
+A row is a position of motion capture; the vehicle's attitude is interpolated to its time between neighbours
+of its own, commands and voltage are what was last sent and told. Through holes of the motion capture commands
+have rows without a position. Until it is finished the file is called NAME.unfinished.csv: what a killed
+process leaves is a log too.
 """
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import csv
+import itertools
 import math
 import os
 from pathlib import Path
 
 import numpy as np
 
+from inclined_landing.eval.flying import frames
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
@@ -22,7 +26,9 @@ COLUMNS = (
     *("t", "x", "y", "z", "roll", "pitch", "yaw"),
     *("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate", "vbat", "contact"),
 )
-LATEST = 0.5  # s that a row may come after one of a later time: rows are written in order of their times
+_COMMANDS = ("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate")
+LATEST = 0.5  # s that something may be told after what is later: rows are written in order of their times
+BLIND = 0.1  # s, as in the reader: longer holes between neighbours are not bridged
 
 
 class FlightLog:
@@ -35,8 +41,9 @@ class FlightLog:
         self.path = Path(path)
         self.unfinished = self.path.with_suffix(".unfinished.csv")
         self._start = start
-        self._waiting: dict[float, dict[str, float | None]] = {}
-        self._written = -math.inf
+        kinds = ("pose", "attitude", "voltage", "command")
+        self._tracks: dict[str, collections.deque] = {kind: collections.deque() for kind in kinds}
+        self._newest = self._written = self._posed = -math.inf
         for file in (self.path, self.unfinished):
             if os.path.lexists(file):
                 raise UserError(f"the log {file} is there already; choose another folder")
@@ -57,20 +64,19 @@ class FlightLog:
     def pose(self, time: float, position: np.ndarray, contact: bool) -> None:
         """A position (3,) [m] of motion capture, and whether the vehicle stands on something."""
         if np.isfinite(position).all():
-            self._add(time, dict(zip("xyz", map(float, position))) | {"contact": float(contact)})
+            self._note("pose", time, (*map(float, position), float(contact)))
 
     def attitude(self, time: float, roll: float, pitch: float, yaw: float) -> None:
         """The vehicle's attitude [rad], the house's angles."""
-        self._add(time, {"roll": roll, "pitch": pitch, "yaw": yaw})
+        self._note("attitude", time, (roll, pitch, yaw))
 
     def voltage(self, time: float, voltage: float) -> None:
         """The battery's [V]."""
-        self._add(time, {"vbat": voltage})
+        self._note("voltage", time, (voltage,))
 
     def command(self, time: float, command: np.ndarray) -> None:
         """What was sent: PWM, roll, pitch [rad], yaw rate [rad/s]."""
-        names = ("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate")
-        self._add(time, dict(zip(names, map(float, command))))
+        self._note("command", time, tuple(map(float, command)))
 
     def finish(self) -> None:
         """Write what waits, and give the file its name; again, nothing."""
@@ -82,18 +88,54 @@ class FlightLog:
             os.fsync(self._file.fileno())
         os.replace(self.unfinished, self.path)
 
-    def _add(self, time: float, cells: dict[str, float]) -> None:
+    def _note(self, kind: str, time: float, values: tuple[float, ...]) -> None:
         t = round(time - self._start, 6)
-        if not all(map(math.isfinite, (t, *cells.values()))) or t <= self._written:
+        track = self._tracks[kind]
+        if not all(map(math.isfinite, (t, *values))) or (track and t <= track[-1][0]):
             return
-        self._waiting.setdefault(t, {}).update(cells)
-        self._write(t - LATEST)
+        track.append((t, values))
+        self._newest = max(self._newest, t)
+        self._write(self._newest - LATEST)
 
     def _write(self, until: float) -> None:
-        for t in sorted(t for t in self._waiting if t <= until):
-            cells = self._waiting.pop(t)
-            words = {name: f"{value:.10g}" for name, value in cells.items()}
-            if "contact" in words:
-                words["contact"] = f"{cells['contact']:.0f}"
-            self._rows.writerow({"t": f"{t:.6f}", **words})
+        """Write the rows up to `until`, and forget what no later row needs."""
+        tracks = self._tracks
+        if self._written == -math.inf and tracks["command"]:
+            # The log begins with the first command.
+            self._written = self._posed = tracks["command"][0][0] - 1e-6
+        poses = [(t, True) for t, _ in tracks["pose"] if self._written < t <= until]
+        commands = [(t, False) for t, _ in tracks["command"] if self._written < t <= until]
+        last = max([*poses, *commands], default=None) if until == math.inf else None
+        for t, seen in sorted(poses + commands):
+            if not seen and t - self._posed < BLIND and (t, seen) != last:
+                continue  # the next pose's row shows it
+            self._rows.writerow({"t": f"{t:.6f}"} | self._cells(t, seen))
             self._written = t
+            self._posed = t if seen else self._posed
+        for track in tracks.values():
+            while len(track) > 1 and track[1][0] <= min(until, self._written):
+                track.popleft()
+
+    def _cells(self, t: float, seen: bool) -> dict[str, str]:
+        """The cells of the row at t: what was measured then, or held."""
+        cells: dict[str, float] = {}
+        if seen:
+            position = next(values for time, values in self._tracks["pose"] if time == t)
+            cells |= dict(zip(("x", "y", "z", "contact"), position))
+        angles = self._between("attitude", t)
+        if angles is not None:
+            cells |= dict(zip(("roll", "pitch", "yaw"), angles))
+        for kind, names, longest in (("command", _COMMANDS, math.inf), ("voltage", ("vbat",), 2.0)):
+            held = [(time, values) for time, values in self._tracks[kind] if time <= t]
+            if held and t - held[-1][0] <= longest:
+                cells |= dict(zip(names, held[-1][1]))
+        return {name: f"{value:.10g}" for name, value in cells.items()}
+
+    def _between(self, kind: str, t: float) -> tuple[float, ...] | None:
+        """A track at t, between neighbours at most BLIND apart."""
+        for (t0, a), (t1, b) in itertools.pairwise(self._tracks[kind]):
+            if t0 <= t <= t1 and t1 - t0 <= BLIND:
+                share = (t - t0) / (t1 - t0)
+                # the shorter way round for yaw
+                return tuple(x + share * frames.wrapped(y - x) for x, y in zip(a, b))
+        return None

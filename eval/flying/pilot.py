@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, IDLE_ACTION, REST_SPEED
 from inclined_landing.eval.flying import frames, safety
 from inclined_landing.eval.flying.actors import Actor, BadAction, Hover
@@ -47,7 +48,7 @@ from inclined_landing.models.attitude import (
 
 TICKS = 4  # looks at the motion capture per control period: 200 Hz sees every pose of a system of 120 Hz
 APPROACH_SPEED, RETREAT_SPEED = 0.6, 0.4  # m/s, of the point that the set-point policy follows
-HAND_OVER_DISTANCE, HAND_OVER_SPEED, HAND_OVER_TIME = 0.10, 0.15, 0.4  # m, m/s, s
+HAND_OVER_SPEED, HAND_OVER_TIME = 0.15, 0.4  # m/s, s; within the set-point task's tolerance of the start
 YAW_GAIN = 2.0  # 1/s, heading error to yaw rate command
 LIFT_OFF = 0.05  # m above where it stood
 STUCK_TIME = 0.5  # s without sinking at the end of a retreat: it stands
@@ -172,9 +173,11 @@ class Pilot:
             try:
                 if self._log_path is not None:
                     self._log = stack.enter_context(FlightLog(self._log_path, self.clock.now()))
+                    self._note_before()
                 with _interruptible(), Watchdog(self._hang_limit, self.radio.emergency_stop) as watchdog:
                     self._began = self._phase_began = self.clock.now()
                     self.radio.arm()
+                    self._note_off()
                     self._loop(watchdog)
             except KeyboardInterrupt:
                 self._end(safety.INTERRUPTED)
@@ -276,7 +279,7 @@ class Pilot:
         target = self._target.move(self._period, state[X : Z + 1])
         away = float(np.linalg.norm(target - state[X : Z + 1]))
         slow = float(np.linalg.norm(state[VX : VZ + 1])) < HAND_OVER_SPEED
-        self._good = self._good + 1 if self._target.arrived and slow and away < HAND_OVER_DISTANCE else 0
+        self._good = self._good + 1 if self._target.arrived and slow and away < TOLERANCE else 0
         return self._hover.fly(state, target, self._period)
 
     def _land(self, belief: Belief) -> np.ndarray | None:
@@ -351,6 +354,18 @@ class Pilot:
             self.report.seconds = self.clock.now() - self._began
             self._note_off()
 
+    def _note_before(self) -> None:
+        """What was heard last before the log begins."""
+        assert self._log is not None
+        self._log.voltage(self.clock.now(), self._voltage)
+        if (attitude := self._estimator.attitude) is not None:
+            self._note_attitude(attitude)
+
+    def _note_attitude(self, attitude: Attitude) -> None:
+        seen = self._estimator.in_arena(attitude)
+        if self._log is not None and seen is not None:
+            self._log.attitude(attitude.time, *frames.house_angles(seen))
+
     def _note_off(self) -> None:
         if self._log is not None:
             self._log.command(self.clock.now(), np.zeros(4))
@@ -386,8 +401,7 @@ class Pilot:
             if isinstance(news, Attitude):
                 self._attitudes += 1
                 self._estimator.feel(news)
-                if self._log is not None and (seen := self._estimator.in_arena(news)) is not None:
-                    self._log.attitude(news.time, *frames.house_angles(seen))
+                self._note_attitude(news)
             else:
                 self._voltage, self._locked = news.voltage, news.locked
                 if self._log is not None:

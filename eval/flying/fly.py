@@ -1,0 +1,291 @@
+"""`landing-eval fly`: a Crazyflie, or a simulated one, flies to the start and lands on the slope."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import tyro
+
+from inclined_landing.eval.base.options import (
+    Degrees,
+    Flag,
+    NewFolder,
+    PolicyFile,
+    PolicyName,
+    Range,
+    Seed,
+    Starts,
+    VehicleFile,
+)
+from inclined_landing.models.errors import UserError, not_installed, shown
+
+if TYPE_CHECKING:
+    from inclined_landing.envs.policy import Policy
+    from inclined_landing.envs.tasks.landing import InclinedLanding
+    from inclined_landing.eval.flying.interfaces import Clock, MotionCapture
+    from inclined_landing.eval.flying.pilot import Plan, Report
+
+WORD = "arm"  # typed before the motors may turn
+VIRTUAL_PATIENCE = 20.0  # s of real time that a control step may take while the flight's time is simulated
+Faults = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="FAULT")]
+
+
+def command(
+    policy: PolicyFile = "landing",
+    simulated: Flag = False,
+    uri: str = "radio://0/80/2M/E7E7E7E7E7",
+    mocap: Annotated[str | None, tyro.conf.arg(metavar="TYPE:HOST:BODY")] = None,
+    mocap_latency: Annotated[float, Range(0.0, 0.1)] = 0.0,
+    setpoint: PolicyName = "setpoint",
+    start: Starts = (),
+    flights: Annotated[int, Range(1, 1000)] = 1,
+    inclination: Degrees = None,
+    arena: VehicleFile = None,
+    stand: Annotated[float, Range(-1.0, 2.0)] = 0.0,
+    heading: Annotated[float, Range(-180.0, 180.0)] = 0.0,
+    dry_run: Flag = False,
+    yes: Flag = False,
+    vehicle: VehicleFile = None,
+    fault: Faults = (),
+    seed: Seed = 0,
+    out: NewFolder = None,
+) -> int:
+    """Fly a Crazyflie: take-off, flight to the start, landing on the slope; each flight logged as CSV.
+
+    Ctrl-C switches the motors off. docs/flying.md says what is needed and what ends a flight.
+
+    Args:
+        policy: for the task landing (motors are cut in the goal box) or touchdown (comes to rest by itself).
+        simulated: fly the simulated Crazyflie, in virtual time. uri: of the vehicle, as cflib has it. mocap:
+        motion capture: type (vicon, optitrack, qualisys, nokov, vrpn ...), host, rigid body. mocap_latency:
+        of that system, from exposure to arrival, in seconds. setpoint: policy that takes off and flies to the
+        start. start: where the landing begins, in metres; repeat it for more, flown in turn. Default: the
+        paper's three. flights: how many. inclination: of the platform that stands there, in degrees, where it
+        is not the vehicle file's. arena: vehicle file (TOML) with the arena and the platform, where they are
+        not the shipped ones. stand: height of what the vehicle stands on, in metres. heading: where its nose
+        points, in degrees from x, where motion capture shows no attitude. dry_run: everything but motors;
+        carry the vehicle by hand and read what would be commanded. yes: no confirmation; for simulated
+        vehicles alone. vehicle: of the simulated Crazyflie (TOML), where it is not the shipped one. fault:
+        that meets the simulated Crazyflie, NAME@EVENT+SECONDS. seed: of the simulated Crazyflie. out: new
+        folder for the logs and fly.json; default runs/fly-DATE-TIME.
+    """
+    from inclined_landing.eval.base.runs import check_new_run, new_run
+    from inclined_landing.models import storage
+
+    _check_options(simulated, uri, mocap, yes, vehicle, fault)
+    landing, hover, starts = load(policy, setpoint, start, inclination, arena)
+    if out is not None:
+        check_new_run(out)
+    session = _simulated(vehicle, inclination, fault, seed) if simulated else _real(uri, mocap, mocap_latency)
+    folder = new_run(out, "fly")
+    logging.getLogger("cflib").setLevel(logging.ERROR)  # it warns that tables of contents are not kept
+    results: list[dict[str, Any]] = []
+    for k in range(flights):
+        from inclined_landing.eval.flying.pilot import Plan
+
+        plan = Plan(landing, hover, starts[k % len(starts)], stand, math.radians(heading))
+        log = None if dry_run else folder / f"flight_{k + 1:02d}.csv"
+        print(f"flight {k + 1} of {flights}, landing from x {plan.start[0]:g}, z {plan.start[1]:g} m")
+        report = session.fly(k, plan, log, dry_run, yes)
+        results.append(summary(report, plan, log))
+        storage.write_json(
+            folder / "fly.json",
+            {
+                "command": "fly",
+                "policy": str(landing.path),
+                "simulated": simulated,
+                "seed": seed,
+                "flights": results,
+            },
+        )
+        print(words(report))
+        if report.cause is not None and report.cause.name == "interrupted":
+            return 130
+        if report.error:
+            print(report.error, file=sys.stderr)
+            return 1
+    landed = sum(result["landed"] for result in results)
+    if not dry_run:
+        print(f"{landed} of {flights} landed; logs in {folder}")
+    return 0 if dry_run or landed == flights else 3
+
+
+def load(
+    policy: str,
+    setpoint: str,
+    start: tuple[str, ...],
+    inclination: float | None,
+    arena: Path | None,
+) -> tuple[Policy, Policy, list[tuple[float, float]]]:
+    """The two policies and the starts (x, z) [m]; inclination [deg] of the platform that stands there.
+
+    Raises UserError for a policy that is for another task or another slope.
+    """
+    from inclined_landing.envs.policy import action_map, history_of, load_policy, trained_for
+    from inclined_landing.envs.tasks import make_task
+    from inclined_landing.envs.tasks.landing import PAPER_STARTS
+    from inclined_landing.models.parameters import load_vehicle
+
+    room = load_vehicle(arena) if arena is not None else load_vehicle()
+
+    def built(name: str, wanted: tuple[str, ...], **options: Any) -> Policy:
+        task = trained_for(name)
+        if task not in wanted:
+            raise UserError(
+                f"policy {shown(name)} is for the task {shown(task, 40)}; wanted is {' or '.join(wanted)}"
+            )
+        centre, span = action_map(name)
+        options |= {"pwm_centre": centre, "pwm_span": span, "history": history_of(name)}
+        return load_policy(name, make_task(task, room, **options))
+
+    angle = room.platform_inclination if inclination is None else math.radians(inclination)
+    landing = built(policy, ("landing", "touchdown"), inclination=room.check_inclination(angle))
+    hover = built(setpoint, ("setpoint",))
+    task: InclinedLanding = landing.task  # type: ignore[assignment]
+    starts = [task.parse_start(text) for text in start] or list(PAPER_STARTS)
+    return landing, hover, [(point[0], point[1]) for point in starts]
+
+
+@dataclasses.dataclass
+class Session:
+    """What the flights of one command have in common: how one comes to a connected vehicle."""
+
+    simulated: bool
+    connect: Callable[[int, float, bool], tuple[Any, Clock, MotionCapture]]
+
+    def fly(self, k: int, plan: Plan, log: Path | None, dry: bool, yes: bool) -> Report:
+        """Flight k, from the connection to motors off. Raises UserError where a check fails."""
+        from inclined_landing.eval.flying import safety
+        from inclined_landing.eval.flying.pilot import Pilot
+
+        radio, clock, mocap = self.connect(k, plan.landing.task.vehicle.command_angle_limit, dry)
+        try:
+            patience = VIRTUAL_PATIENCE if self.simulated else safety.HANG_LIMIT
+            pilot = Pilot(radio, clock, mocap, plan, log=log, hang_limit=patience)
+            checks = pilot.check()
+            for check in checks:
+                print(f"  {'ok ' if check.passed else 'NOT'} {check.name}: {check.found}")
+            failed = [check for check in checks if not check.passed]
+            if failed:
+                raise UserError(
+                    "not ready to fly: " + "; ".join(f"{check.name}: {check.found}" for check in failed)
+                )
+            if not (dry or yes or self.simulated):
+                confirm()
+            return pilot.fly()
+        finally:
+            radio.close()
+
+
+def confirm() -> None:
+    """Have the word typed. Raises UserError for anything else."""
+    print(
+        f"The motors will start. Goggles on, nobody inside the nets? Type {WORD} to fly: ", end="", flush=True
+    )
+    typed = sys.stdin.readline().strip()
+    if typed != WORD:
+        raise UserError(f"not armed: {WORD} was not typed")
+
+
+def summary(report: Report, plan: Plan, log: Path | None) -> dict[str, Any]:
+    """A report as it goes into fly.json."""
+    fields = dataclasses.asdict(report)
+    for name in ("cause", "retreat"):
+        fields[name] = fields[name] and fields[name]["name"]
+    return {
+        **fields,
+        "landed": report.landed,
+        "start_wanted": list(plan.start),
+        "log": log and log.name,
+    }
+
+
+def words(report: Report) -> str:
+    """How a flight ended, in one line."""
+    if report.landed:
+        assert report.goal is not None and report.landing_time is not None
+        vx, vz = report.goal[3], report.goal[5]
+        rest = {
+            True: "rests on the slope",
+            False: "does not rest on the slope",
+            None: "was not seen afterwards",
+        }
+        return (
+            f"{report.outcome} {report.landing_time:.2f} s after hand-over at vx {vx:.2f}, vz {vz:.2f} m/s; "
+            f"{rest[report.rests]}"
+        )
+    if report.cause is None:
+        return report.outcome
+    return f"ended early: {report.cause.name} ({report.cause.when})"
+
+
+def _check_options(simulated, uri, mocap, yes, vehicle, fault) -> None:
+    if simulated:
+        if mocap is not None:
+            raise UserError("--simulated has a motion capture of its own; leave --mocap out")
+        return
+    if vehicle is not None or fault:
+        raise UserError("--vehicle and --fault are of the simulated Crazyflie; they need --simulated")
+    if yes and not uri.startswith("udp://"):
+        raise UserError(
+            "--yes is for simulated vehicles alone; before a real one flies, a person types a word"
+        )
+    if mocap is None:
+        raise UserError(
+            "--mocap TYPE:HOST:BODY says which motion capture sees the vehicle (or fly --simulated)"
+        )
+
+
+def _simulated(vehicle: Path | None, inclination: float | None, fault: tuple[str, ...], seed: int) -> Session:
+    """Flights of the simulated Crazyflie, each with a seed and a battery of its own."""
+    from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
+    from inclined_landing.eval.flying.simulated.faults import Fault
+    from inclined_landing.eval.flying.simulated.world import Setting
+    from inclined_landing.eval.flying.vehicle import Radio
+    from inclined_landing.models.parameters import load_vehicle
+
+    faults = [Fault.parse(text) for text in fault]
+    setting = Setting(
+        load_vehicle(vehicle) if vehicle is not None else load_vehicle(),
+        inclination=None if inclination is None else math.radians(inclination),
+    )
+
+    def connect(k: int, angle_limit: float, dry: bool) -> tuple[Radio, Any, Any]:
+        own = int(np.random.SeedSequence((seed, k)).generate_state(1)[0])
+        flight = fly_simulated(setting, seed=own, faults=faults)
+        radio = Radio(flight.crazyflie, flight.clock, angle_limit, dry=dry)
+        radio.connect(flight.uri)
+        return radio, flight.clock, flight.motion_capture
+
+    return Session(True, connect)
+
+
+def _real(uri: str, mocap: str | None, latency: float) -> Session:
+    """Flights of the vehicle at `uri`."""
+    try:
+        import cflib.crtp
+        from cflib.crazyflie import Crazyflie
+    except ModuleNotFoundError as error:
+        raise UserError(not_installed(error)) from error
+    from inclined_landing.eval.flying.motion_capture import open_capture
+    from inclined_landing.eval.flying.real_clock import RealClock
+    from inclined_landing.eval.flying.vehicle import Radio
+
+    clock = RealClock()
+    assert mocap is not None
+    capture = open_capture(mocap, clock, latency)
+    cflib.crtp.init_drivers()
+
+    def connect(k: int, angle_limit: float, dry: bool) -> tuple[Radio, Any, Any]:
+        radio = Radio(Crazyflie(), clock, angle_limit, dry=dry)
+        radio.connect(uri)
+        return radio, clock, capture
+
+    return Session(False, connect)
