@@ -56,7 +56,10 @@ COMMANDS = {
         "NanoBench's identification task: an identified vehicle beside the published baselines.",
     ),
     "plan-proof": ("proof", "Flights until the right name stands alone, planned or not (minutes)."),
-    "fly": ("flying", "Fly a Crazyflie, or a simulated one: to the start, and onto the slope."),
+    "fly": (
+        "flying",
+        "Fly a Crazyflie, or a simulated one: to the start, and onto the slope; logged as CSV.",
+    ),
     "crazyflie": ("flying", "A simulated Crazyflie in real time, for cflib over UDP."),
     "benchmark": ("machine", "What a step, an action, a picture and a training cost here (a few minutes)."),
     "doctor": ("machine", "What is installed, what is missing, and what to do about it."),

@@ -20,7 +20,6 @@ from inclined_landing.eval.base.options import (
     PolicyFile,
     PolicyName,
     Range,
-    Seed,
     Starts,
     VehicleFile,
 )
@@ -40,57 +39,84 @@ Faults = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(met
 def command(
     policy: PolicyFile = "landing",
     simulated: Flag = False,
-    uri: str = "radio://0/80/2M/E7E7E7E7E7",
+    uri: Annotated[str | None, tyro.conf.arg(metavar="URI")] = None,
     mocap: Annotated[str | None, tyro.conf.arg(metavar="TYPE:HOST:BODY")] = None,
-    mocap_latency: Annotated[float, Range(0.0, 0.1)] = 0.0,
+    mocap_latency: Annotated[float | None, Range(0.0, 0.1), tyro.conf.arg(metavar="S")] = None,
     setpoint: PolicyName = "setpoint",
     start: Starts = (),
     flights: Annotated[int, Range(1, 1000)] = 1,
     inclination: Degrees = None,
     arena: VehicleFile = None,
-    stand: Annotated[float, Range(-1.0, 2.0)] = 0.0,
-    heading: Annotated[float, Range(-180.0, 180.0)] = 0.0,
+    stand: Annotated[float | None, Range(0.0, 2.0), tyro.conf.arg(metavar="M")] = None,
+    heading: Annotated[float | None, Range(0.0, 360.0), tyro.conf.arg(metavar="DEG")] = None,
     dry_run: Flag = False,
     yes: Flag = False,
-    vehicle: VehicleFile = None,
+    vehicle: Annotated[str | None, tyro.conf.arg(metavar="nominal|hidden|FILE")] = None,
     fault: Faults = (),
-    seed: Seed = 0,
+    seed: Annotated[int | None, Range(0, 2**32 - 1), tyro.conf.arg(metavar="SEED")] = None,
     out: NewFolder = None,
 ) -> int:
-    """Fly a Crazyflie: take-off, flight to the start, landing on the slope; each flight logged as CSV.
+    """Fly a Crazyflie, or a simulated one: to the start, and onto the slope; logged as CSV.
 
-    Ctrl-C switches the motors off. docs/flying.md says what is needed and what ends a flight.
+    Ctrl-C switches the motors off. docs/flying.md says what is needed, and what ends a flight.
 
     Args:
         policy: for the task landing (motors are cut in the goal box) or touchdown (comes to rest by itself).
-        simulated: fly the simulated Crazyflie, in virtual time. uri: of the vehicle, as cflib has it. mocap:
-        motion capture: type (vicon, optitrack, qualisys, nokov, vrpn ...), host, rigid body. mocap_latency:
-        of that system, from exposure to arrival, in seconds. setpoint: policy that takes off and flies to the
-        start. start: where the landing begins, in metres; repeat it for more, flown in turn. Default: the
-        paper's three. flights: how many. inclination: of the platform that stands there, in degrees, where it
-        is not the vehicle file's. arena: vehicle file (TOML) with the arena and the platform, where they are
-        not the shipped ones. stand: height of what the vehicle stands on, in metres. heading: where its nose
-        points, in degrees from x, where motion capture shows no attitude. dry_run: everything but motors;
-        carry the vehicle by hand and read what would be commanded. yes: no confirmation; for simulated
-        vehicles alone. vehicle: of the simulated Crazyflie (TOML), where it is not the shipped one. fault:
-        that meets the simulated Crazyflie, NAME@EVENT+SECONDS. seed: of the simulated Crazyflie. out: new
-        folder for the logs and fly.json; default runs/fly-DATE-TIME.
+        simulated: fly a simulated Crazyflie, in virtual time.
+        uri: of the vehicle, as cflib has it, like radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.
+        mocap: motion capture: type (vicon, optitrack, qualisys, nokov, vrpn ...), host, rigid body; or
+            poses:HOST:PORT, datagrams that are sent there.
+        mocap_latency: of that system, from exposure to arrival, in seconds; none if not given.
+        setpoint: policy that takes off and flies to the start.
+        start: where the landing begins, in metres; repeat it for more, flown in turn. Default: the paper's.
+        flights: how many.
+        inclination: of the platform that stands there, in degrees, where it is not the vehicle file's.
+        arena: vehicle file (TOML) with arena and platform, where they are not the shipped ones.
+        stand: height of what the vehicle stands on, in metres; none if not given.
+        heading: where its nose points, in degrees from x, where motion capture shows no attitude.
+        dry_run: everything but motors; carry the vehicle by hand and read what would be commanded.
+        yes: no confirmation; for simulated vehicles alone.
+        vehicle: the simulated one: nominal, hidden (gaps that no policy was told), or a vehicle file.
+        fault: that meets the simulated one, NAME@EVENT+SECONDS, as in eval/flying/README.md.
+        seed: of the simulated one.
+        out: new folder for the logs and fly.json; default runs/fly-DATE-TIME.
     """
     from inclined_landing.eval.base.runs import check_new_run, new_run
+    from inclined_landing.eval.flying.pilot import Plan
     from inclined_landing.models import storage
 
-    _check_options(simulated, uri, mocap, yes, vehicle, fault)
+    if simulated:
+        _refuse(
+            "of a real vehicle",
+            uri=uri,
+            mocap=mocap,
+            mocap_latency=mocap_latency,
+            stand=stand,
+            heading=heading,
+        )
+    else:
+        _refuse(
+            "of the simulated Crazyflie and needs --simulated",
+            vehicle=vehicle,
+            fault=fault or None,
+            seed=seed,
+        )
+        if uri is None or mocap is None:
+            raise UserError("name the vehicle and its motion capture, --uri and --mocap, or fly --simulated")
+        if yes and not uri.startswith("udp://"):
+            raise UserError("--yes is for simulated vehicles alone; before a real one flies, a word is typed")
     landing, hover, starts = load(policy, setpoint, start, inclination, arena)
     if out is not None:
         check_new_run(out)
-    session = _simulated(vehicle, inclination, fault, seed) if simulated else _real(uri, mocap, mocap_latency)
+    if uri is None or mocap is None:
+        session = _simulated("nominal" if vehicle is None else vehicle, inclination, fault, seed or 0)
+    else:
+        session = _real(uri, mocap, mocap_latency or 0.0)
     folder = new_run(out, "fly")
     logging.getLogger("cflib").setLevel(logging.ERROR)  # it warns that tables of contents are not kept
     results: list[dict[str, Any]] = []
     for k in range(flights):
-        from inclined_landing.eval.flying.pilot import Plan
-
-        plan = Plan(landing, hover, starts[k % len(starts)], stand, math.radians(heading))
+        plan = Plan(landing, hover, starts[k % len(starts)], stand or 0.0, math.radians(heading or 0.0))
         log = None if dry_run else folder / f"flight_{k + 1:02d}.csv"
         print(f"flight {k + 1} of {flights}, landing from x {plan.start[0]:g}, z {plan.start[1]:g} m")
         report = session.fly(k, plan, log, dry_run, yes)
@@ -226,34 +252,24 @@ def words(report: Report) -> str:
     return f"ended early: {report.cause.name} ({report.cause.when})"
 
 
-def _check_options(simulated, uri, mocap, yes, vehicle, fault) -> None:
-    if simulated:
-        if mocap is not None:
-            raise UserError("--simulated has a motion capture of its own; leave --mocap out")
-        return
-    if vehicle is not None or fault:
-        raise UserError("--vehicle and --fault are of the simulated Crazyflie; they need --simulated")
-    if yes and not uri.startswith("udp://"):
-        raise UserError(
-            "--yes is for simulated vehicles alone; before a real one flies, a person types a word"
-        )
-    if mocap is None:
-        raise UserError(
-            "--mocap TYPE:HOST:BODY says which motion capture sees the vehicle (or fly --simulated)"
-        )
+def _refuse(why: str, **options: object) -> None:
+    """Raise UserError for an option that was given and means nothing here."""
+    for name, value in options.items():
+        if value is not None:
+            raise UserError(f"--{name.replace('_', '-')} is {why}")
 
 
-def _simulated(vehicle: Path | None, inclination: float | None, fault: tuple[str, ...], seed: int) -> Session:
+def _simulated(vehicle: str, inclination: float | None, fault: tuple[str, ...], seed: int) -> Session:
     """Flights of the simulated Crazyflie, each with a seed and a battery of its own."""
     from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
     from inclined_landing.eval.flying.simulated.faults import Fault
+    from inclined_landing.eval.flying.simulated.gaps import vehicle_named
     from inclined_landing.eval.flying.simulated.world import Setting
     from inclined_landing.eval.flying.vehicle import Radio
-    from inclined_landing.models.parameters import load_vehicle
 
     faults = [Fault.parse(text) for text in fault]
     setting = Setting(
-        load_vehicle(vehicle) if vehicle is not None else load_vehicle(),
+        vehicle_named(vehicle),
         inclination=None if inclination is None else math.radians(inclination),
     )
 
@@ -267,7 +283,7 @@ def _simulated(vehicle: Path | None, inclination: float | None, fault: tuple[str
     return Session(True, connect)
 
 
-def _real(uri: str, mocap: str | None, latency: float) -> Session:
+def _real(uri: str, mocap: str, latency: float) -> Session:
     """Flights of the vehicle at `uri`."""
     try:
         import cflib.crtp
@@ -279,7 +295,6 @@ def _real(uri: str, mocap: str | None, latency: float) -> Session:
     from inclined_landing.eval.flying.vehicle import Radio
 
     clock = RealClock()
-    assert mocap is not None
     capture = open_capture(mocap, clock, latency)
     cflib.crtp.init_drivers()
 

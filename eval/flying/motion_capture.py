@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.eval.flying.interfaces import Clock, Pose
+from inclined_landing.eval.flying.interfaces import Clock, MotionCapture, Pose
+from inclined_landing.eval.flying.pose_stream import PoseStream
 from inclined_landing.models.errors import UserError, not_installed, shown
 
 FORM = "TYPE:HOST:BODY"
@@ -63,9 +64,14 @@ class Tracked:
                 self._first.set()
 
 
-def open_capture(name: str, clock: Clock, latency: float = 0.0) -> Tracked:
-    """A body by TYPE:HOST:BODY, such as vicon:192.168.1.10:cf1. Raises UserError where it is not seen."""
+def open_capture(name: str, clock: Clock, latency: float = 0.0) -> MotionCapture:
+    """A body by TYPE:HOST:BODY, such as vicon:192.168.1.10:cf1, or the poses sent to poses:HOST:PORT.
+
+    Raises UserError where it is not seen.
+    """
     parts = name.split(":")
+    if parts[0] == "poses":
+        return PoseStream(name.partition(":")[2], clock)
     if len(parts) != 3 or not all(parts):
         raise UserError(f"--mocap must be {FORM}, like vicon:192.168.1.10:cf1, not {shown(repr(name), 60)}")
     kind, host, body = parts

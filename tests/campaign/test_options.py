@@ -39,6 +39,7 @@ NEEDED = {
     "gap-real": ("{place}", "--out", "{place}/out"),
     "nanobench": ("{place}/log.csv",),
     "crazyflie": ("--port=0", "--seconds=0.1"),
+    "fly": ("--simulated", "--out", "{place}/out"),
     "benchmark": (),
     "doctor": (),
 }
