@@ -107,12 +107,12 @@ def test_nothing_hidden(matched):
     [
         ("rotor_drag", {"lateral": 2.0, "axial": 2.0}),
         ("wind", {"x": 0.5, "y": -0.3}),
-        ("motor_lag", {"scale": 1.7}),
-        ("attitude_delay", {"delay": 0.03}),
+        pytest.param("motor_lag", {"scale": 1.7}, marks=pytest.mark.slow),
+        pytest.param("attitude_delay", {"delay": 0.03}, marks=pytest.mark.slow),
         ("mocap_delay", {"delay": 0.02}),
         ("attitude_gain", {"scale": 0.85}),
-        ("thrust_fade", {"rate": 0.005}),
-        ("axial_inflow", {"coefficient": 0.08}),
+        pytest.param("thrust_fade", {"rate": 0.005}, marks=pytest.mark.slow),
+        pytest.param("axial_inflow", {"coefficient": 0.08}, marks=pytest.mark.slow),
         ("yaw_drift", {"rate": 0.1}),
     ],
 )
@@ -282,6 +282,7 @@ def test_static_map_fits_into_a_vehicle_file():
         assert out[2] == pytest.approx(4 * (a * pwm**2 + b * pwm + c), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_late_but_quick_attitude_loop_is_two_effects():
     hidden = {"attitude_delay": {"delay": 0.05}, "attitude_time_constant": {"scale": 0.6}}
     values = quick(flights(hidden, seed=7)).values()

@@ -41,17 +41,26 @@ except ValueError as error:
     subprocess.run([sys.executable, "-c", script], check=True)
 
 
-@pytest.mark.parametrize("name", LANDING)
-def test_landing_succeeds_on_the_frozen_grid(name):
-    report = evaluate(load_policy(name), thrust_scales=(1.0, 1.05, 0.95))
+def every(names):
+    """Engine and every scale take minutes: quickly, the hybrid plant, which lands alike (test_hybrid)."""
+    slow = [pytest.param(name, "mujoco", marks=pytest.mark.slow) for name in names if name != "landing"]
+    quick = [(name, "mujoco" if name == "landing" else "hybrid") for name in names]
+    return pytest.mark.parametrize("name, plant", quick + slow)
+
+
+@every(LANDING)
+def test_landing_succeeds_on_the_frozen_grid(name, plant):
+    scales = (1.0, 1.05, 0.95) if plant == "mujoco" else (1.0,)
+    report = evaluate(load_policy(name), plant=plant, thrust_scales=scales)
     nominal, *others = [condition["grid"] for condition in report["conditions"]]
     assert nominal["strict"]["of"] >= 200 and nominal["strict"]["share"] >= 0.99
     assert all(grid["success"]["share"] >= 0.95 for grid in others)
 
 
-@pytest.mark.parametrize("name", [name for name in LANDING if name.endswith("-robust")])
-def test_the_robust_policy_lands_with_another_thrust(name):
-    report = evaluate(load_policy(name), thrust_scales=(0.8, 0.9, 1.1))
+@every([name for name in LANDING if name.endswith("-robust")])
+def test_the_robust_policy_lands_with_another_thrust(name, plant):
+    scales = (0.8, 0.9, 1.1) if plant == "mujoco" else (0.8,)
+    report = evaluate(load_policy(name), plant=plant, thrust_scales=scales)
     assert min(condition["grid"]["strict"]["share"] for condition in report["conditions"]) >= 0.97
 
 
