@@ -75,7 +75,7 @@ def panel(figure: Figure, left: float, bottom: float, width: float, height: floa
 
 def legend_below(axes: Axes, **options) -> Legend:
     """The legend of axes with an x label, under it: off the data."""
-    lower = axes.transAxes + ScaledTranslation(0, -0.44, axes.figure.dpi_scale_trans)
+    lower = axes.transAxes + ScaledTranslation(0, -0.54, axes.figure.dpi_scale_trans)
     given = {
         "ncols": 2,
         "columnspacing": 1.4,

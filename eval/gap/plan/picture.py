@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,26 +22,29 @@ from inclined_landing.eval.base.style import (
     RULE,
     SLAB,
     panel,
+    styled,
     time_colours,
 )
 from inclined_landing.eval.gap.plan.design import Plan
 from inclined_landing.models.parameters import Vehicle
 
-WIDTH, HEIGHT = 11.0, 7.4  # inches
+WIDTH, HEIGHT = 11.0, 7.7  # inches
+_LETTERS = 34  # in a line of the names of a set
 
 
 def picture(plan: Plan, platform: bool) -> Figure:
     """The whole figure; platform: the slab stands in the arena."""
-    figure = Figure(figsize=(WIDTH, HEIGHT))
     vehicle = plan.question.vehicle
-    above = panel(figure, 0.6, 4.75, 5.4, 2.25)
-    side = panel(figure, 0.6, 2.55, 5.4, 1.95)
-    _way(above, plan, vehicle, platform, 1)
-    _way(side, plan, vehicle, platform, 2)
-    above.set_xlabel("")
-    above.set_title("The way, from dark to light; simulated flights in grey", loc="left")
-    _probabilities(panel(figure, 8.1, 2.85, 2.7, 4.1), plan)
-    _timeline(panel(figure, 0.6, 0.5, 10.2, 1.5), plan)
+    with styled():
+        figure = Figure(figsize=(WIDTH, HEIGHT))
+        above = panel(figure, 0.7, 5.1, 5.3, 2.2)
+        side = panel(figure, 0.7, 2.9, 5.3, 1.9)
+        _way(above, plan, vehicle, platform, 1)
+        _way(side, plan, vehicle, platform, 2)
+        above.set_xlabel("")
+        above.set_title("The way set, from dark to light in time; simulated flights in grey", loc="left")
+        _probabilities(panel(figure, 8.2, 3.2, 2.6, 4.1), plan)
+        _timeline(panel(figure, 0.7, 0.5, 9.55, 1.5), plan)
     return figure
 
 
@@ -91,27 +95,33 @@ def _probabilities(axes: Axes, plan: Plan) -> None:
     for k, (h, a) in enumerate(zip(sets, after)):
         for at, x in ((k - 0.19, h.probability), (k + 0.19, a)):
             axes.text(min(x, 1.0) + 0.02, at, f"{x:.2f}", va="center", fontsize=7.5)
-    axes.set_yticks(y, ["\n".join(h.effects) if h.effects else "nothing" for h in sets], fontsize=8)
+    names = [" + ".join(h.effects).replace("_", " ") or "nothing" for h in sets]
+    axes.set_yticks(y, [textwrap.fill(name, _LETTERS) for name in names], fontsize=7.5)
     axes.set(xlim=(0, 1.15), ylim=(len(sets) - 0.45, -0.55), xticks=[0, 0.5, 1], xlabel="probability")
     axes.set_title("Which effects are missing", loc="left")
-    axes.legend(loc="upper right", bbox_to_anchor=(1.0, -0.09), fontsize=7.5)
+    axes.legend(loc="upper right", bbox_to_anchor=(1.0, -0.11))
 
 
 def _timeline(axes: Axes, plan: Plan) -> None:
     t, path = plan.path.t, plan.path
-    curves = (
-        ("height [m]", path.position[:, 2], BLUE),
-        ("speed [m/s]", np.linalg.norm(plan.points.velocity, axis=1), ORANGE),
-        ("heading [rad]", path.yaw, PURPLE),
-    )
-    for label, values, colour in curves:
-        axes.plot(t, values, color=colour, lw=1.2, label=label)
+    turned = axes.twinx()
+    speed = np.linalg.norm(plan.points.velocity, axis=1)
+    lines = [
+        *axes.plot(t, path.position[:, 2], color=BLUE, lw=1.4, label="height (left)"),
+        *axes.plot(t, speed, color=ORANGE, lw=1.4, label="speed (left)"),
+        *turned.plot(
+            t, np.degrees(path.yaw), color=PURPLE, lw=1.4, ls=(0, (5, 1.5)), label="heading (right)"
+        ),
+    ]
     low, high = axes.get_ylim()
     high += 0.28 * (high - low)
     for k, span in enumerate(path.spans):
         axes.axvspan(span.start, span.stop, color=RULE, alpha=0.7 if k % 2 else 0.4, lw=0, zorder=0)
         middle = 0.5 * (span.start + span.stop)
-        name, turned = span.piece.kind.replace("_", " "), 0 if span.stop - span.start > 1.6 else 35
-        axes.text(middle, high, name, ha="center", va="top", fontsize=7, color=INK, rotation=turned)
-    axes.set(xlim=(0, path.seconds), ylim=(low, high), xlabel="time [s]")
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=7.5, borderpad=0.1)
+        name, leaning = span.piece.kind.replace("_", " "), 0 if span.stop - span.start > 1.6 else 35
+        axes.text(middle, high, name, ha="center", va="top", fontsize=8, color=INK, rotation=leaning)
+    axes.set(xlim=(0, path.seconds), ylim=(low, high), xlabel="time [s]", ylabel="height [m], speed [m/s]")
+    low, high = turned.get_ylim()
+    turned.set(ylim=(low, high + 0.28 * (high - low)), ylabel="heading [deg]")
+    turned.spines["right"].set_visible(True)
+    axes.legend(handles=lines, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderpad=0.1)

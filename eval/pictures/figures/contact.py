@@ -63,7 +63,7 @@ def rest(data: dict, force: Axes, creep: Axes, springy: Axes) -> None:
     _level(creep, 0.2, "asked for: 0.2 mm/s", 1)
     creep.set(xlabel="inclination [deg]", ylabel="creep [mm/s]", ylim=(0, 0.25))
     springy.plot(data["restitution"], 1e3 * data["creep_of_restitution"], "o-", color=PURPLE)
-    _level(springy, 0.2, "asked for: 0.2 mm/s", 0)
+    _level(springy, 0.2, "asked for: 0.2 mm/s", 0.33)
     springy.set(xlabel="restitution set", ylabel="creep on the default slope [mm/s]", yscale="log")
 
 
@@ -209,7 +209,7 @@ def touchdowns(data: dict) -> Figure:
             axes.set_visible(False)
         figure.supxlabel("time after the touch [ms]", size=9.5)
         figure.supylabel("height [mm]", size=9.5)
-        figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
 
 

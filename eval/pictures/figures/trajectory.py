@@ -93,6 +93,7 @@ def _draw_scene(axes, flight: Flight, chosen, maker: StampMaker, ratio: float) -
     note = f"quadrotor drawn at {maker.scale:g}× size"
     note += "; green: target pose" if target is not None else ""
     note += f" and goal box (±{100 * d:.0f} cm)" if target is not None and d is not None else ""
+    note += "\ncolours: time, as below"
     axes.text(0.012, 0.975, note, transform=axes.transAxes, va="top", size=8.5, color=MUTED)
 
 
