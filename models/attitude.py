@@ -17,8 +17,11 @@ STATE_NAMES = (
     *("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw"),
     *("wx", "wy", "wz", "lag"),
 )
+STATE_UNITS = ("m", "m", "m", "m/s", "m/s", "m/s", "rad", "rad", "rad", "rad/s", "rad/s", "rad/s", "PWM s")
 PWM, ROLL_COMMAND, PITCH_COMMAND, YAW_RATE_COMMAND = range(4)
 COMMAND_SIZE = 4
+COMMAND_NAMES = ("pwm", "roll", "pitch", "yaw_rate")
+COMMAND_UNITS = ("PWM", "rad", "rad", "rad/s")
 
 _SINGULAR = 1e-6  # smallest |cos(roll)| used in divisions: the ZXY chart ends at roll = 90 deg
 

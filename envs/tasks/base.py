@@ -20,6 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from inclined_landing.models.attitude import (
+    COMMAND_SIZE,
     LAG,
     PITCH_COMMAND,
     PWM,
@@ -65,6 +66,19 @@ class Moment:
     length: np.ndarray = _UNKNOWN  # (n,) steps of the episode so far, the last one included
     in_contact: np.ndarray = _UNKNOWN  # (n,) those of them in contact with the platform
     held: np.ndarray = _UNKNOWN  # (n,) steps in a row, before the last one, that were held
+
+
+@dataclasses.dataclass(frozen=True)
+class Channel:
+    """What one action commands: centre + span a, cut to low .. high, and 0 for actions up to `idle`."""
+
+    name: str  # of the action
+    column: int  # of the plant commands
+    centre: float  # in the unit of the column, `attitude.COMMAND_UNITS`
+    span: float
+    low: float
+    high: float
+    idle: float | None = None
 
 
 @dataclasses.dataclass
@@ -131,6 +145,7 @@ class Task(abc.ABC):
     max_steps = 300
     has_platform = False
     goal_size: float | None = None  # half width of the goal box, m
+    idle_action: float | None = None  # thrust actions up to this one command PWM 0
     cut_at_success = False  # are the motors cut from outside where an episode ends with success
     judged_after: float | None = None  # s that an evaluated flight lasts at most; None: max_steps
     shipped = False  # is a policy of this name shipped
@@ -185,16 +200,26 @@ class Task(abc.ABC):
         k = len(state)
         return Start(state, np.zeros(k), np.zeros(k, bool), np.full(k, np.nan))
 
-    def commands(self, actions: np.ndarray) -> np.ndarray:
-        """Plant commands (n, 4) for actions (n, a) in [-1, 1]."""
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """What each action commands; the commands that no action gives are 0."""
         v = self.vehicle
-        u = np.zeros((len(actions), 4))
-        for name, action in zip(self.action_names, actions.T):
+        found = []
+        for name in self.action_names:
             if name == "thrust":
-                u[:, PWM] = np.clip(self.pwm_centre + self.pwm_span * action, *v.command_pwm_range)
+                numbers = (self.pwm_centre, self.pwm_span, *v.command_pwm_range, self.idle_action)
             else:
                 limit = v.command_yaw_rate_limit if name == "yaw rate" else v.command_angle_limit
-                u[:, ACTIONS[name]] = limit * action
+                numbers = (0.0, limit, -limit, limit, None)
+            found.append(Channel(name, ACTIONS[name], *numbers))
+        return tuple(found)
+
+    def commands(self, actions: np.ndarray) -> np.ndarray:
+        """Plant commands (n, 4) for actions (n, a) in [-1, 1]."""
+        u = np.zeros((len(actions), COMMAND_SIZE))
+        for channel, action in zip(self.channels, actions.T):
+            command = np.clip(channel.centre + channel.span * action, channel.low, channel.high)
+            u[:, channel.column] = command if channel.idle is None else command * (action > channel.idle)
         return u
 
     def thrust_of(self, other: Task) -> tuple[float, float]:
@@ -216,6 +241,11 @@ class Task(abc.ABC):
     @property
     def goal(self) -> np.ndarray | None:
         """The observation (o,) at the goal; None where there is no one goal."""
+        return None
+
+    @property
+    def goal_half_widths(self) -> np.ndarray | None:
+        """(o,) half widths of the box around the goal that is success; None where success is something else."""
         return None
 
     @property

@@ -95,6 +95,13 @@ class Conditions:
 AIDED = Conditions(contact_limit=8, leave_limit=0.3, departure=100.0, goal_while_touching=False)
 
 
+def goal_box(goal_size) -> tuple[np.ndarray, ...]:
+    """Half widths of x, z, vx, vz and pitch of goal boxes of size d = goal_size (n,) or a number."""
+    d = np.asarray(goal_size)
+    speed = np.minimum(10 * d, 1.5)
+    return d, d, speed, speed, 0.25 * d
+
+
 class InclinedLanding(Task):
     """The task for vehicles of one kind and one platform inclination [rad]."""
 
@@ -152,6 +159,11 @@ class InclinedLanding(Task):
     def goal(self) -> np.ndarray:
         """[x z vx vz pitch] (5,) of the goal."""
         return np.array([*self.goal_position, 0.0, 0.0, self.inclination])
+
+    @property
+    def goal_half_widths(self) -> np.ndarray | None:
+        """(5,) of the goal box around `goal`; None where rest on the slope is the goal instead."""
+        return None if self.goal_size is None else np.array(goal_box(self.goal_size), float)
 
     @property
     def observation_centre(self) -> np.ndarray:
@@ -212,14 +224,13 @@ class InclinedLanding(Task):
     def in_goal(self, state: np.ndarray, inclination, goal_size) -> np.ndarray:
         """(n,) bool: inside the goal box of size d = goal_size (n,) for platforms at inclination."""
         gx, gz = self.goal_position
-        d = np.asarray(goal_size)
-        speed = np.minimum(10 * d, 1.5)
+        x, z, vx, vz, pitch = goal_box(goal_size)
         return (
-            (np.abs(state[:, X] - gx) < d)
-            & (np.abs(state[:, Z] - gz) < d)
-            & (np.abs(state[:, VX]) < speed)
-            & (np.abs(state[:, VZ]) < speed)
-            & (np.abs(state[:, PITCH] - inclination) < 0.25 * d)
+            (np.abs(state[:, X] - gx) < x)
+            & (np.abs(state[:, Z] - gz) < z)
+            & (np.abs(state[:, VX]) < vx)
+            & (np.abs(state[:, VZ]) < vz)
+            & (np.abs(state[:, PITCH] - inclination) < pitch)
         )
 
     def near_bounds(self, state: np.ndarray, m: float = BOUND_MARGIN) -> np.ndarray:

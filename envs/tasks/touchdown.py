@@ -54,7 +54,7 @@ from inclined_landing.envs.tasks.base import (
 from inclined_landing.envs.tasks.landing import START_CLEARANCE, InclinedLanding
 from inclined_landing.envs.tasks.landing import Conditions as LandingConditions
 from inclined_landing.models import geometry
-from inclined_landing.models.attitude import LAG, PITCH, PWM, STATE_SIZE, VX, VZ, WX, WZ, X, Z
+from inclined_landing.models.attitude import LAG, PITCH, STATE_SIZE, VX, VZ, WX, WZ, X, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
@@ -101,6 +101,7 @@ class InclinedTouchdown(InclinedLanding):
 
     name = "touchdown"
     goal_size = None
+    idle_action = IDLE_ACTION
     cut_at_success = False
     table = "touchdown"
     training = Training(
@@ -220,12 +221,6 @@ class InclinedTouchdown(InclinedLanding):
                 f"the {self.name} task goes on only from policies of its own pwm_centre and pwm_span"
             )
         return 1.0, 0.0
-
-    def commands(self, actions: np.ndarray) -> np.ndarray:
-        """Plant commands (n, 4) for actions (n, 2) in [-1, 1]."""
-        u = super().commands(actions)
-        u[actions[:, 0] <= IDLE_ACTION, PWM] = 0.0
-        return u
 
     def observe(self, moment: Moment) -> np.ndarray:
         """[x z vx vz pitch] (n, 5), float32, or (n, 6) with the feet's contact."""
