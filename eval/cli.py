@@ -28,6 +28,10 @@ COMMANDS = {
         "policies",
         "Landing policies over thrust and under every effect of the library: curve, matrix, page (minutes).",
     ),
+    "export": (
+        "",
+        "A policy as ONNX, as C for a microcontroller or for NumPy, with contract and test vectors.",
+    ),
     "figure": ("pictures", "Stroboscopic trajectory with PWM and pitch over time, as PNG and PDF."),
     "video": ("pictures", "Video of flights, one after the other."),
     "picture": ("pictures", "One picture of a whole flight: copies of the vehicle along its way."),

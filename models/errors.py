@@ -9,6 +9,7 @@ from collections.abc import Iterator
 # Packages by the extra that installs them; all others come with `eval`.
 _EXTRAS = {
     "train": ("stable_baselines3", "torch", "tensorboard", "psutil"),
+    "export": ("onnx",),
     "ray": ("ray",),
     "fly": ("cflib",),
     "baselines": ("pysindy",),

@@ -245,7 +245,7 @@ class Task(abc.ABC):
 
     @property
     def goal_half_widths(self) -> np.ndarray | None:
-        """(o,) half widths of the box around the goal that is success; None where success is something else."""
+        """(o,) half widths of the box around the goal that is success; None where it is something else."""
         return None
 
     @property

@@ -18,7 +18,7 @@ from inclined_landing.models.errors import UserError
 
 _OLDEST_PYTHON = (3, 11)
 _COMPILERS = ("c++", "g++", "clang++")
-EXTRAS = ("eval", "train", "ray", "baselines")
+EXTRAS = ("eval", "train", "export", "ray", "baselines")
 
 
 @dataclasses.dataclass

@@ -19,6 +19,7 @@ NEEDED = {
     "success": ("landing",),
     "touchdown": ("touchdown",),
     "robustness": ("landing", "--out", "{place}/out"),
+    "export": ("landing", "--format", "numpy", "--out", "{place}/out"),
     "figure": ("landing", "--out", "{place}/out"),
     "video": ("landing", "--out", "{place}/out.mp4"),
     "picture": ("landing", "--out", "{place}/out.png"),

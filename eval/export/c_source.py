@@ -1,0 +1,156 @@
+"""The C export: landing_policy.c and .h, and the app of the Crazyflie firmware around them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from inclined_landing.eval.export.network import Network
+from inclined_landing.eval.export.templates import render, text
+from inclined_landing.eval.export.vectors import TOLERANCE, Vectors
+from inclined_landing.models import storage
+from inclined_landing.models.attitude import COMMAND_NAMES, COMMAND_UNITS
+from inclined_landing.models.errors import UserError
+
+LARGEST = 512 * 1024  # bytes of constants: half of the flash of an STM32F405, which the firmware shares
+SMALL = 100_000  # bytes that are no burden beside the firmware
+_PER_LINE = 6
+_ESTIMATED = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw")  # what the firmware's estimator knows
+_APP_STACK = 350  # words that the firmware's own examples give an app
+_APP_FRAME = 100  # words of the app's own calls, above those of the policy
+
+
+def write(folder: Path, contract: dict, network: Network, vectors: Vectors) -> None:
+    """Write the source into `folder`, and the app where the firmware knows what the policy observes.
+
+    Raises UserError when the constants would not fit beside the firmware.
+    """
+    if 4 * network.numbers > LARGEST:
+        raise UserError(
+            f"policy {contract['policy']['name']} has {4 * network.numbers} bytes of constants; the C export "
+            f"takes at most {LARGEST}, half of the flash of a Crazyflie"
+        )
+    content = _content(contract, network, vectors)
+    source = folder / "src"
+    source.mkdir()
+    for name in ("landing_policy.h", "landing_policy.c"):
+        storage.write_text(source / name, render(f"c/{name}.j2", **content))
+    storage.write_text(folder / "check.c", render("c/check.c.j2", **content))
+    reason = without_app(contract)
+    if reason is None:
+        storage.write_text(source / "app_main.c", render("c/crazyflie/app_main.c.j2", **content))
+        storage.write_text(source / "Kbuild", text("c/crazyflie/src_Kbuild"))
+        storage.write_text(folder / "app-config", render("c/crazyflie/app-config.j2", **content))
+        for name in ("Makefile", "Kbuild"):
+            storage.write_text(folder / name, text(f"c/crazyflie/{name}"))
+    storage.write_text(folder / "README.md", render("c/README.md.j2", without_app=reason, **content))
+
+
+def without_app(contract: dict) -> str | None:
+    """Why the firmware cannot fly the policy as an app, in a few words; None where it can."""
+    unknown = [entry["name"] for entry in contract["observation"] if entry["name"] not in _ESTIMATED]
+    if unknown:
+        return f"the firmware's estimator does not know {', '.join(unknown)}"
+    period = 1e3 * contract["control_period"]
+    if abs(period - round(period)) > 1e-9:
+        return f"its period of {period:g} ms is not a whole number of milliseconds"
+    return None
+
+
+def _content(contract: dict, network: Network, vectors: Vectors) -> dict:
+    history, o = contract["input"]["history"]["steps"], len(contract["observation"])
+    widest = max(network.inputs, *network.sizes)
+    stack = 4 * (2 * widest + (network.inputs + network.sizes[-1]) * (history > 0))
+    stack += 4 * (1 + (network.inputs - o) * (history > 0) + network.sizes[-1])  # of the self test
+    return {
+        "about": f"Policy {contract['policy']['name']} of the task {contract['task']['name']}, "
+        f"exported by inclined-landing {contract['versions']['inclined-landing']}.",
+        "name": contract["policy"]["name"],
+        "task": contract["task"],
+        "licence": contract["licence"]["spdx"],
+        "sha256": contract["policy"]["sha256"],
+        "stack": stack,
+        "stack_words": max(_APP_STACK, stack // 4 + 2 * _APP_FRAME),
+        "constants": 4 * network.numbers,
+        "observations": o,
+        "observation_names": [entry["name"] for entry in contract["observation"]],
+        "actions": network.sizes[-1],
+        "action_names": [entry["name"] for entry in contract["action"]],
+        "history": history,
+        "inputs": network.inputs,
+        "period": number(contract["control_period"]),
+        "period_ms": round(1e3 * contract["control_period"]),
+        "tolerance": number(TOLERANCE),
+        "task_period_ms": f"{1e3 * contract['control_period']:g}",
+        "absent": [entry["name"].replace("_", " ") for entry in contract["commands"] if not entry["given"]],
+        "commands": list(zip(COMMAND_NAMES, COMMAND_UNITS)),
+        "given": [entry["column"] for entry in contract["action"]],
+        "widest": widest,
+        "centre": _rows(network.centre),
+        "scale": _rows(network.scale),
+        "limit": _limit(network.limit),
+        "layers": _layers(network),
+        "last": "yx"[len(network.sizes) % 2 == 0],
+        "hidden": len(network.sizes) > 1,
+        "activation": network.activation,
+        "tanh": network.squashed or (network.activation == "Tanh" and len(network.sizes) > 1),
+        "squashed": network.squashed,
+        "bound": _limit(network.bound),
+        "channels": [_channel(entry) for entry in contract["action"]],
+        "vectors": len(vectors.observations),
+        "vector_observations": _table(vectors.observations),
+        "vector_actions": _table(vectors.actions),
+        "arena": [(axis, number(low), number(high)) for axis, (low, high) in contract["arena"].items()],
+        "goal": _goal(contract["task"]),
+        "observed": [entry["name"] for entry in contract["observation"]],
+        "cost": contract["cost"],
+    }
+
+
+def _layers(network: Network) -> list[dict]:
+    """What the templates say of each layer; x and y take turns as its input and output."""
+    layers = []
+    for k, (weight, bias) in enumerate(zip(network.weights, network.biases)):
+        inputs, outputs = weight.shape
+        ends = {"source": "xy"[k % 2], "target": "yx"[k % 2], "inputs": inputs, "outputs": outputs}
+        layers.append({**ends, "weight": _rows(weight.ravel()), "bias": _rows(bias)})
+    return layers
+
+
+def _channel(entry: dict) -> dict:
+    names = ("centre", "span", "low", "high", "idle")
+    numbers = {name: None if entry[name] is None else number(entry[name]) for name in names}
+    return {"field": COMMAND_NAMES[entry["column"]], **numbers}
+
+
+def _goal(task: dict) -> list[tuple[str, str, str]] | None:
+    """Fields, centres and half widths of the goal box in which motors are to be cut; None without one."""
+    goal, half = task["goal"], task["goal_half_widths"]
+    if goal is None or half is None or not task["motors_cut_at_goal"]:
+        return None
+    return [(name, number(goal[name]), number(half[name])) for name in goal]
+
+
+def number(value: float) -> str:
+    """A float as C writes it, in the fewest digits that give it back."""
+    text = str(np.float32(value))
+    return f"{text}f"
+
+
+def _limit(value: float) -> str | None:
+    return None if math.isinf(value) else number(value)
+
+
+def _rows(values: Iterable[float]) -> str:
+    """Numbers in lines of some."""
+    texts = [number(value) for value in values]
+    lines = (", ".join(texts[k : k + _PER_LINE]) for k in range(0, len(texts), _PER_LINE))
+    return "    " + ",\n    ".join(lines)
+
+
+def _table(rows: np.ndarray) -> str:
+    """Rows (m, k) in braces, one in a line."""
+    return ",\n".join("        {" + ", ".join(map(number, row)) + "}" for row in rows)

@@ -1,0 +1,94 @@
+"""`landing-eval export`: a policy for another machine, with its contract and test vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks import import_task, is_path
+from inclined_landing.eval.base.options import Folder, TaskName
+from inclined_landing.eval.base.policies import AnyPolicy
+from inclined_landing.eval.base.runs import check_new_run, staged_run
+from inclined_landing.eval.base.tables import printer
+from inclined_landing.eval.export import c_source, contract, numpy_file, vectors
+from inclined_landing.eval.export.network import Network
+from inclined_landing.eval.export.vectors import Vectors
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, shown
+
+FormatName = Annotated[str, tyro.conf.arg(metavar="{onnx,c,numpy}")]
+
+
+def command(policy: AnyPolicy, /, format: FormatName, out: Folder, task: TaskName = None) -> None:
+    """A policy for another machine: ONNX, C for a microcontroller or NumPy, with contract and test vectors.
+
+    Args:
+        format: onnx for its runtimes, c for a microcontroller and the Crazyflie's firmware, numpy for NumPy
+            alone.
+        out: new folder for the export.
+        task: the task the policy must be for; needed for a plain Stable-Baselines3 file, and for a task of
+            your own, written module:Class or file.py:Class, which is then imported.
+    """
+    check_format(format)
+    check_new_run(out)
+    loaded = contract.load(policy, import_task(task).name if is_path(task) else task)
+    terms = write(loaded, format, out)
+    say = printer().print
+    say(f"{loaded.name} as {format} in {out}; contract.md says what goes in and out")
+    if format == "c" and 4 * terms["cost"]["constants"] > c_source.SMALL:
+        say(f"its constants take {4 * terms['cost']['constants']} bytes of flash, beside the firmware")
+    reason = c_source.without_app(terms) if format == "c" else None
+    if reason is not None:
+        say(f"without an app for the Crazyflie: {reason}")
+
+
+def write(policy: Policy, format: str, out: str | Path) -> dict:
+    """Write the export of a policy into the new folder `out`, whole or not at all; returns its contract.
+
+    format: one of FORMATS. Raises UserError for another one, for what the format does not hold, and when the
+    folder exists and is not empty or cannot be written.
+    """
+    check_format(format)
+    network = Network.of(policy)
+    terms = contract.of(policy, network)
+    tested = vectors.of(policy)
+    with staged_run(out) as folder:
+        FORMATS[format](folder, policy, network, terms, tested)
+        storage.write_json(folder / "vectors.json", tested.table())
+        storage.write_json(folder / "contract.json", terms)
+        storage.write_text(folder / "contract.md", contract.words(terms))
+    return terms
+
+
+def check_format(format: str) -> None:
+    """Raise UserError for an unknown format, and ImportError for one whose package is not installed."""
+    if format not in FORMATS:
+        raise UserError(f"unknown format {shown(repr(format), 40)}; known are {', '.join(FORMATS)}")
+    if format == "onnx":
+        from inclined_landing.eval.export import onnx_file  # noqa: F401
+
+
+def _onnx(folder: Path, policy: Policy, network: Network, terms: dict, tested: Vectors) -> None:
+    from inclined_landing.eval.export import onnx_file
+
+    notes = {"contract": storage.to_json(terms), "policy_sha256": terms["policy"]["sha256"]}
+    onnx_file.write(folder, network, notes)
+
+
+def _c(folder: Path, policy: Policy, network: Network, terms: dict, tested: Vectors) -> None:
+    c_source.write(folder, terms, network, tested)
+
+
+def _numpy(folder: Path, policy: Policy, network: Network, terms: dict, tested: Vectors) -> None:
+    numpy_file.write(folder, network, policy.task, tested)
+
+
+FORMATS: dict[str, Callable[[Path, Policy, Network, dict, Vectors], None]] = {
+    "onnx": _onnx,
+    "c": _c,
+    "numpy": _numpy,
+}

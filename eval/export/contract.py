@@ -1,0 +1,224 @@
+"""The contract of an export: what each number that goes in or out is, and where the policy comes from.
+
+`contract.json` is made from the task, the policy and its stamp; `contract.schema.json` says its form, and
+`words` is the same for people.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib.metadata
+import math
+from collections.abc import Mapping
+from importlib import resources
+
+import numpy as np
+
+from inclined_landing.envs.history import input_names
+from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.envs.spaces import action_space, observation_space
+from inclined_landing.envs.tasks import Task
+from inclined_landing.envs.tasks.base import COLUMNS
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.export import cost
+from inclined_landing.eval.export.network import Network
+from inclined_landing.eval.export.templates import render
+from inclined_landing.eval.export.vectors import TOLERANCE
+from inclined_landing.models import storage
+from inclined_landing.models.attitude import COMMAND_NAMES, COMMAND_UNITS, STATE_UNITS
+from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.parameters import Vehicle, check_vehicle, load_vehicle
+
+FORMAT = "inclined-landing policy"
+VERSION = 1
+FRAMES = {
+    "arena": "right-handed, z up; origin on the floor under the middle of the platform, which rises along x",
+    "attitude": "angles of R = Rz(yaw) Rx(roll) Ry(pitch) from the vehicle to the arena: positive pitch "
+    "accelerates towards +x, positive roll towards -y",
+    "body": "the vehicle's own axes: x ahead, z along the thrust",
+}
+# Quantity and frame of what a task may observe; units are those of the state.
+_QUANTITIES = {
+    **{axis: (f"position {axis}", "arena") for axis in "xyz"},
+    **{f"v{axis}": (f"velocity {axis}", "arena") for axis in "xyz"},
+    **{angle: (f"{angle} angle", "attitude") for angle in ("roll", "pitch", "yaw")},
+    **{f"w{axis}": (f"angular velocity {axis}", "body") for axis in "xyz"},
+    "lag": ("state of the thrust's lag", None),
+    "feet": ("do the feet touch the slab, 0 or 1", None),
+}
+_TRAINING = ("seed", "steps", "plant", "curriculum", "command", "ranges", "versions")  # of the stamp
+
+
+def load(name: str, task: str | None = None) -> Policy:
+    """The policy for the task and the vehicle of its training. Raises UserError when there is none."""
+    policy = load_policy(name, task)
+    if not policy.metadata.get("vehicle"):
+        return policy
+    return load_policy(name, task, vehicle=_trained_vehicle(policy))
+
+
+def of(policy: Policy, network: Network) -> dict:
+    """The contract of a policy. Raises UserError where its task maps actions in a way of its own."""
+    task, space = policy.task, action_space(policy.task)
+    _check_channels(policy)
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "policy": {
+            "name": policy.name,
+            "sha256": hashlib.sha256(storage.read_bytes(policy.path, "policy", 2**30)).hexdigest(),
+            "training": {key: policy.metadata[key] for key in _TRAINING if key in policy.metadata},
+        },
+        "task": _task(task),
+        "control_period": task.vehicle.command_control_period,
+        "rate": 1.0 / task.vehicle.command_control_period,
+        "frames": FRAMES,
+        "observation": _observation(task),
+        "input": _input(policy),
+        "network": {
+            "dtype": "float32",
+            "layers": network.sizes,
+            "activation": network.activation,
+            "squashed": network.squashed,
+            "bound": _finite(network.bound),
+        },
+        "action": [
+            {
+                **dataclasses.asdict(channel),
+                "index": k,
+                "command": COMMAND_NAMES[channel.column],
+                "unit": COMMAND_UNITS[channel.column],
+                "range": [float(space.low[k]), float(space.high[k])],
+            }
+            for k, channel in enumerate(task.channels)
+        ],
+        "commands": [
+            {"name": name, "unit": unit, "given": name in _given(task)}
+            for name, unit in zip(COMMAND_NAMES, COMMAND_UNITS)
+        ],
+        "arena": {axis: list(getattr(task.vehicle, f"arena_{axis}")) for axis in "xyz"},
+        "vehicle": _vehicle(policy),
+        "numerics": {
+            "tolerance": TOLERANCE,
+            "not_finite": {
+                "c": "an error code; nothing is written",
+                "numpy": "ValueError; nothing is remembered",
+                "onnx": "every action of that row is NaN",
+            },
+        },
+        "cost": cost.of(network),
+        "versions": runs.packages(),
+        "licence": {
+            "spdx": importlib.metadata.metadata("inclined-landing")["License-Expression"],
+            "of": "the exported code; a policy you trained is yours",
+        },
+    }
+
+
+def words(contract: dict) -> str:
+    """The contract for people, as Markdown."""
+    given = contract["input"]
+    names = list(zip(given["names"], given["centre"], given["scale"]))
+    return render("contract.md.j2", names=names, **contract)
+
+
+def _task(task: Task) -> dict:
+    goal, half = task.goal, task.goal_half_widths
+    named = lambda values: None if values is None else dict(zip(task.observation_names, map(float, values)))  # noqa: E731
+    return {
+        "name": task.name,
+        "options": task.options,
+        "inclination": getattr(task, "inclination", None),
+        "max_steps": task.max_steps,
+        "goal": named(goal),
+        "goal_half_widths": named(half),
+        "motors_cut_at_goal": task.cut_at_success,
+    }
+
+
+def _observation(task: Task) -> list[dict]:
+    space = observation_space(task)
+    rows = []
+    for k, name in enumerate(task.observation_names):
+        quantity, frame = _QUANTITIES.get(name, (name, None))
+        unit = STATE_UNITS[COLUMNS[name]] if name in COLUMNS else "1" if name in _QUANTITIES else None
+        arena = getattr(task.vehicle, f"arena_{name}", None) if name in ("x", "y", "z") else None
+        rows.append(
+            {
+                "index": k,
+                "name": name,
+                "quantity": quantity,
+                "unit": unit,
+                "frame": frame,
+                "range": [_finite(float(space.low[k])), _finite(float(space.high[k]))],
+                "inside_arena": None if arena is None else list(arena),
+            }
+        )
+    return rows
+
+
+def _input(policy: Policy) -> dict:
+    task = policy.task
+    step = [*task.observation_names, *(f"{name} command" for name in task.action_names)]
+    return {
+        "size": len(policy.centre),
+        "names": list(input_names(task)),
+        "formula": "clip((input - centre) / scale, -limit, limit)",
+        "centre": policy.centre.tolist(),
+        "scale": policy.scale.tolist(),
+        "limit": _finite(policy.limit),
+        "history": {
+            "steps": task.history,
+            "step": step if task.history else [],
+            "order": "behind the present observation, the latest step first",
+            "before_start": {"observation": "the first one", "action": 0.0},
+        },
+    }
+
+
+def _given(task: Task) -> set[str]:
+    return {COMMAND_NAMES[channel.column] for channel in task.channels}
+
+
+def _check_channels(policy: Policy) -> None:
+    """Raise UserError unless the task commands what its channels say."""
+    task = policy.task
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (64, len(task.action_names)))
+    if not np.allclose(Task.commands(task, actions), task.commands(actions), rtol=0.0, atol=1e-9):
+        raise UserError(
+            f"policy {policy.path}: the task {task.name} makes commands of actions in a way of its own, "
+            "which no export can tell"
+        )
+
+
+def _vehicle(policy: Policy) -> dict:
+    file = resources.files("inclined_landing.models").joinpath("crazyflie.toml")
+    constants = storage.to_json(dataclasses.asdict(policy.task.vehicle))
+    return {
+        "file": file.name,
+        "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
+        "differences": policy.metadata.get("vehicle") or {},
+        "constants_sha256": hashlib.sha256(constants.encode()).hexdigest(),
+    }
+
+
+def _trained_vehicle(policy: Policy) -> Vehicle:
+    """The shipped vehicle with the differences that the stamp names; UserError where they are none."""
+    given, shipped = policy.metadata["vehicle"], load_vehicle()
+    what = f"policy {policy.path}: the vehicle in its stamp"
+    if not isinstance(given, Mapping):
+        raise UserError(f"{what} is not a table")
+    if unknown := [name for name in given if name not in vars(shipped)]:
+        raise UserError(f"{what} has the unknown entry {shown(unknown[0], 60)}")
+    fields = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+    vehicle = shipped.changed(**fields)
+    try:
+        check_vehicle(vehicle)
+    except UserError as error:
+        raise UserError(f"{what}: {error}") from error
+    return vehicle
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

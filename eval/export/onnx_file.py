@@ -1,0 +1,67 @@
+"""The ONNX export: `policy.onnx`, from whole inputs (n, i) to actions (n, a), float32.
+
+An input with NaN or infinity has the actions NaN: an ONNX graph cannot refuse it otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from inclined_landing.eval.export.network import Network
+from inclined_landing.models import storage
+from inclined_landing.models.errors import optional
+
+with optional():
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+OPSET = 17
+_IR_VERSION = 8  # of the same age
+
+
+def write(folder: Path, network: Network, notes: dict[str, str]) -> None:
+    """Write policy.onnx into `folder`; notes: texts that the file carries as metadata."""
+    nodes: list = []
+    constants: list = []
+
+    def constant(name: str, value) -> str:
+        constants.append(numpy_helper.from_array(np.asarray(value, np.float32), name))
+        return name
+
+    def node(kind: str, *inputs: str, name: str, **attributes) -> str:
+        nodes.append(helper.make_node(kind, list(inputs), [name], name=name, **attributes))
+        return name
+
+    def clipped(x: str, limit: float, name: str) -> str:
+        if math.isinf(limit):
+            return x
+        return node("Clip", x, constant(f"{name}_low", -limit), constant(f"{name}_high", limit), name=name)
+
+    x = node("Sub", "input", constant("centre", network.centre), name="centred")
+    x = node("Div", x, constant("scale", network.scale), name="divided")
+    x = clipped(x, network.limit, "scaled")
+    for k, (weight, bias) in enumerate(zip(network.weights, network.biases)):
+        if k:
+            x = node("Relu" if network.activation == "ReLU" else "Tanh", x, name=f"hidden_{k}")
+        x = node("MatMul", x, constant(f"weight_{k}", weight), name=f"product_{k}")
+        x = node("Add", x, constant(f"bias_{k}", bias), name=f"sum_{k}")
+    if network.squashed:
+        x = node("Tanh", clipped(x, network.bound, "bounded"), name="squashed")
+    x = clipped(x, 1.0, "limited")
+    # 0 for numbers, NaN for NaN and infinity, which clipping would hide.
+    zeros = node("Mul", "input", constant("zero", 0.0), name="zeros")
+    axes = helper.make_tensor("axes", TensorProto.INT64, [1], [1])
+    constants.append(axes)
+    nodes.append(helper.make_node("ReduceSum", [zeros, "axes"], ["doubt"], name="doubt", keepdims=1))
+    node("Add", x, "doubt", name="action")
+    given = helper.make_tensor_value_info("input", TensorProto.FLOAT, ["n", network.inputs])
+    answer = helper.make_tensor_value_info("action", TensorProto.FLOAT, ["n", network.sizes[-1]])
+    graph = helper.make_graph(nodes, "landing_policy", [given], [answer], constants)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=_IR_VERSION)
+    model.producer_name = "inclined-landing"
+    helper.set_model_props(model, notes)
+    onnx.checker.check_model(model, full_check=True)
+    storage.write_bytes(folder / "policy.onnx", model.SerializeToString(deterministic=True))

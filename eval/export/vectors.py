@@ -1,0 +1,101 @@
+"""Test vectors: what an export must answer, computed by the policy itself.
+
+They are one sequence: each observation is given to the policy after the ones before it, so that a history
+is tested too. Most states come from flights of the policy; the others are drawn wide of them, where inputs
+and actions meet their limits.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.history import History
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks.base import COLUMNS
+from inclined_landing.models.attitude import STATE_SIZE
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.plants import make_plant
+
+TOLERANCE = 1e-5  # of actions: 167 half units in the last place of float32 at 1
+_FLIGHTS, _FLOWN, _WIDE = 4, 12, 16  # flights, vectors of each, vectors drawn wide
+_SPREAD = 4.0  # of these, in scales of the observation
+
+
+@dataclasses.dataclass(frozen=True)
+class Vectors:
+    """m successive steps."""
+
+    states: np.ndarray  # (m, 13)
+    observations: np.ndarray  # (m, o) float32
+    inputs: np.ndarray  # (m, i) float32: observations with their history
+    actions: np.ndarray  # (m, a) float32
+    commands: np.ndarray  # (m, 4)
+
+    def table(self) -> dict:
+        """As vectors.json has them."""
+        return {
+            "tolerance": TOLERANCE,
+            "about": "successive steps of one flight, as far as a history is concerned",
+            **{field.name: getattr(self, field.name) for field in dataclasses.fields(self)},
+        }
+
+
+def sequence(policy: Policy, states: np.ndarray, observations: np.ndarray) -> Vectors:
+    """The policy's answers to observations (m, o) one after the other, of states (m, 13)."""
+    task, past = policy.task, History(policy.task, 1)
+    inputs, actions = [], []
+    for k, observation in enumerate(observations.astype(np.float32)):
+        row = observation[None]
+        if k == 0:
+            past.begin(slice(None), row)
+        inputs.append(past.behind(row)[0])
+        actions.append(policy.predict(inputs[-1]))
+        past.note(row, actions[-1][None])
+    answers = np.array(actions)
+    return Vectors(states, observations.astype(np.float32), np.array(inputs), answers, task.commands(answers))
+
+
+def of(policy: Policy, seed: int = 0) -> Vectors:
+    """The test vectors of a policy. Raises UserError when its task cannot be flown."""
+    flown, wide = _flown(policy, seed), _wide(policy, np.random.default_rng(seed))
+    states, observations = (np.concatenate(pair) for pair in zip(flown, wide))
+    return sequence(policy, states, observations)
+
+
+def _flown(policy: Policy, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """States and observations of flights from random starts, evenly spaced in time."""
+    task = policy.task
+    env = BatchEnv(task, make_plant("mujoco", _FLIGHTS, task.vehicle), seed)
+    given = env.reset()
+    states, observations, length = [], [], np.full(_FLIGHTS, task.max_steps - 1)
+    try:
+        for k in range(task.max_steps):
+            states.append(env.plant.state.copy())
+            observations.append(given[:, : len(task.observation_names)].copy())
+            step = env.step(policy.predict(given), length > k)
+            given = step.observation
+            length[step.terminated & (length > k)] = k
+            if (length <= k).all():
+                break
+    except FloatingPointError as error:
+        raise UserError(f"policy {policy.path} cannot be flown for test vectors: {error}") from error
+    rows = np.linspace(0, length, _FLOWN).astype(int)  # (_FLOWN, _FLIGHTS)
+    flights = np.arange(_FLIGHTS)
+    return tuple(
+        np.array(x)[rows, flights].swapaxes(0, 1).reshape(rows.size, -1) for x in (states, observations)
+    )
+
+
+def _wide(policy: Policy, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """States and observations around the network's centre, wider than flights go."""
+    task = policy.task
+    noise = rng.normal(size=(_WIDE, len(task.observation_names)))
+    observations = task.observation_centre + _SPREAD * task.observation_scale * noise
+    states = np.zeros((_WIDE, STATE_SIZE))
+    for k, name in enumerate(task.observation_names):
+        if name in COLUMNS:
+            states[:, COLUMNS[name]] = observations[:, k]
+    return states, observations.astype(np.float32)
