@@ -1,0 +1,71 @@
+"""The C export compiled for this machine, to be compared and timed."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shlex
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from inclined_landing.eval.export.templates import text
+from inclined_landing.models.errors import UserError
+
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
+_COMPILERS = ("cc", "gcc", "clang")
+
+
+def compiler() -> list[str] | None:
+    """The C compiler of this machine, as CC names it or by its usual names; None where there is none."""
+    given = shlex.split(os.environ.get("CC", ""))
+    if given:
+        return given if shutil.which(given[0]) else None
+    found = next(filter(None, map(shutil.which, _COMPILERS)), None)
+    return None if found is None else [found]
+
+
+def build(sources: Sequence[Path], out: Path, *flags: str) -> Path:
+    """Compile sources into `out` under C99 without a warning; UserError with the compiler's first error."""
+    found = compiler()
+    if found is None:
+        raise UserError("no C compiler was found; install one (on Debian and Ubuntu: apt install gcc)")
+    words = [*found, *STRICT, *flags, *map(str, sources), "-o", str(out)]
+    done = subprocess.run(words, capture_output=True, text=True)
+    if done.returncode:
+        reason = next((line for line in done.stderr.splitlines() if "error" in line), "no message")
+        raise UserError(f"{found[0]} refused {sources[0]}: {reason}")
+    return out
+
+
+class Library:
+    """The policy of a C export; `folder` is one, `scratch` an empty folder to compile in."""
+
+    def __init__(self, folder: Path, scratch: Path, *flags: str):
+        rows = scratch / "rows.c"
+        rows.write_text(text("c/rows.c"), "utf-8")
+        source = folder / "src"
+        sources = [source / "landing_policy.c", rows]
+        path = build(sources, scratch / "policy.so", f"-I{source}", "-shared", "-fPIC", *(flags or ("-O2",)))
+        self._library = ctypes.CDLL(str(path))
+
+    def infer(self, inputs: np.ndarray, actions: int) -> np.ndarray:
+        """Actions (n, a) for whole inputs (n, i), history included; ValueError for the C code's refusal."""
+        inputs = np.ascontiguousarray(inputs, np.float32)
+        result = np.zeros((len(inputs), actions), np.float32)
+        code = self._library.landing_policy_infer_rows(_pointer(inputs), _pointer(result), len(inputs))
+        if code:
+            raise ValueError(f"landing_policy_infer returned {code}")
+        return result
+
+    def call(self, name: str, *arrays: np.ndarray) -> int:
+        """What a function of the header returns for arrays that it reads or writes."""
+        return getattr(self._library, name)(*map(_pointer, arrays))
+
+
+def _pointer(array: np.ndarray) -> ctypes.c_void_p:
+    assert array.flags.c_contiguous
+    return ctypes.c_void_p(array.ctypes.data)
