@@ -33,7 +33,7 @@ def build(sources: Sequence[Path], out: Path, *flags: str) -> Path:
     found = compiler()
     if found is None:
         raise UserError("no C compiler was found; install one (on Debian and Ubuntu: apt install gcc)")
-    words = [*found, *STRICT, *flags, *map(str, sources), "-o", str(out)]
+    words = [*found, *STRICT, *map(str, sources), *flags, "-o", str(out)]
     done = subprocess.run(words, capture_output=True, text=True)
     if done.returncode:
         reason = next((line for line in done.stderr.splitlines() if "error" in line), "no message")

@@ -55,7 +55,8 @@ def sequence(policy: Policy, states: np.ndarray, observations: np.ndarray) -> Ve
         actions.append(policy.predict(inputs[-1]))
         past.note(row, actions[-1][None])
     answers = np.array(actions)
-    return Vectors(states, observations.astype(np.float32), np.array(inputs), answers, task.commands(answers))
+    commands = task.commands(answers.astype(float))
+    return Vectors(states, observations.astype(np.float32), np.array(inputs), answers, commands)
 
 
 def of(policy: Policy, seed: int = 0) -> Vectors:

@@ -1,0 +1,641 @@
+"""Exported policies: every format answers as the policy does, and its contract says what goes in and out."""
+
+import dataclasses
+import importlib.util
+import json
+import re
+import shutil
+import subprocess
+import sys
+from importlib import resources
+from pathlib import Path
+
+import gymnasium
+import hypothesis
+import jsonschema
+import numpy as np
+import onnxruntime
+import pytest
+from hypothesis import strategies as st
+
+from inclined_landing.envs.flights import record_flights
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks import Start, Task, make_task
+from inclined_landing.envs.tasks.base import COLUMNS
+from inclined_landing.eval import cli
+from inclined_landing.eval.export import c_source, compiled, contract, numpy_file, onnx_file, vectors
+from inclined_landing.eval.export.command import FORMATS, write
+from inclined_landing.eval.export.network import Network
+from inclined_landing.models import storage
+from inclined_landing.models.attitude import quaternion
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+
+POLICIES = ("landing", "landing-history", "setpoint", "touchdown")
+# float32 sums of 64 products of size 1 at 6e-8 each, through two layers and a gain of about 3: some 1e-6.
+TOLERANCE = 1e-5
+NO_COMPILER = pytest.mark.skipif(compiled.compiler() is None, reason="no C compiler on this machine")
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """Every shipped kind of policy in every format: folders by policy and format."""
+    root = tmp_path_factory.mktemp("exported")
+    folders = {}
+    for name in POLICIES:
+        policy = contract.load(name)
+        network, tested = Network.of(policy), vectors.of(policy)
+        terms = contract.of(policy, network)
+        for format, make in FORMATS.items():
+            folder = root / f"{name}-{format}"
+            folder.mkdir()
+            make(folder, policy, network, terms, tested)
+            (folder / "vectors.json").write_text(storage.to_json(tested.table()))
+            (folder / "contract.json").write_text(storage.to_json(terms))
+            folders[name, format] = folder
+    return folders
+
+
+@pytest.fixture(scope="module")
+def libraries(exported, tmp_path_factory):
+    """The compiled C exports by policy."""
+    return {
+        name: compiled.Library(exported[name, "c"], tmp_path_factory.mktemp("build")) for name in POLICIES
+    }
+
+
+def reader(folder):
+    """The NumPy export as a user has it: its own module, and nothing of the package."""
+    spec = importlib.util.spec_from_file_location("exported_policy", folder / numpy_file.READER)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.LandingPolicy(folder / "policy.npz")
+
+
+def session(folder):
+    return onnxruntime.InferenceSession(folder / "policy.onnx", providers=["CPUExecutionProvider"])
+
+
+def answers(folder, format, library=None):
+    """A function from whole inputs (n, i) to actions (n, a) of an export."""
+    actions = len(json.loads((folder / "contract.json").read_text())["action"])
+    if format == "c":
+        return lambda inputs: library.infer(inputs, actions)
+    if format == "numpy":
+        return reader(folder).infer
+    run = session(folder).run
+    return lambda inputs: run(None, {"input": np.asarray(inputs, np.float32)})[0]
+
+
+@dataclasses.dataclass
+class Driver:
+    """Flies an export where a policy would fly, and compares every action with the policy's."""
+
+    policy: Policy
+    answer: object
+    worst: float = 0.0
+
+    @property
+    def task(self):
+        return self.policy.task
+
+    def predict(self, inputs):
+        actions = self.answer(inputs)
+        self.worst = max(self.worst, np.abs(actions - self.policy.predict(inputs)).max())
+        return actions
+
+
+@pytest.mark.parametrize("format", [*FORMATS])
+@pytest.mark.parametrize("name", POLICIES)
+@NO_COMPILER
+def test_an_export_is_the_policy_in_a_thousand_states_and_along_whole_flights(
+    exported, libraries, name, format
+):
+    policy, answer = contract.load(name), answers(exported[name, format], format, libraries[name])
+    rng = np.random.default_rng(5)
+    inputs = policy.centre + 2.0 * policy.scale * rng.normal(size=(1000, len(policy.centre)))
+    inputs = inputs.astype(np.float32)
+    wanted = policy.predict(inputs)
+    assert np.mean(np.abs(wanted) < 1.0) > 0.2  # it is not only the limits that agree
+    np.testing.assert_allclose(answer(inputs), wanted, rtol=0.0, atol=TOLERANCE)
+    driver = Driver(policy, answer)
+    starts = policy.task.sample(np.random.default_rng(6), 4).state
+    flown = record_flights(driver, "mujoco", starts)
+    assert driver.worst < TOLERANCE
+    alone = record_flights(policy, "mujoco", starts)
+    assert [f.success for f in flown] == [f.success for f in alone]
+    assert any(f.success for f in flown) or name == "setpoint"
+    # Actions that differ by 1e-6 for seconds; a touchdown's contact multiplies that.
+    apart = max(np.abs(a.state[:, :3] - b.state[: len(a.state), :3]).max() for a, b in zip(flown, alone))
+    assert apart < (0.05 if name == "touchdown" else 1e-3)
+
+
+@pytest.mark.parametrize("format", [*FORMATS])
+@pytest.mark.parametrize("name", POLICIES)
+@NO_COMPILER
+def test_the_vectors_are_met_step_by_step(exported, libraries, name, format):
+    folder, library = exported[name, format], libraries[name]
+    table = {k: np.array(v) for k, v in json.loads((folder / "vectors.json").read_text()).items()}
+    terms = json.loads((folder / "contract.json").read_text())
+    assert np.abs(table["actions"]).max() == 1.0 and np.mean(np.abs(table["actions"]) < 1.0) > 0.3
+    np.testing.assert_allclose(
+        answers(folder, format, library)(table["inputs"]), table["actions"], rtol=0.0, atol=TOLERANCE
+    )
+    size, width = terms["input"]["history"]["steps"], len(terms["action"])
+    if format == "numpy":
+        policy = reader(folder)
+        for _ in range(2):  # a second flight begins as the first one
+            got = [policy.act(row) for row in table["observations"]]
+            np.testing.assert_allclose(got, table["actions"], rtol=0.0, atol=TOLERANCE)
+            policy.reset()
+        got = [policy.commands(a) for a in table["actions"]]
+        np.testing.assert_allclose(got, table["commands"], rtol=1e-12)
+    if format == "c":
+        memory = np.zeros(1 + size * (table["observations"].shape[1] + width), np.float32)
+        action, command = np.zeros(width, np.float32), np.zeros(4, np.float32)
+        for _ in range(2):
+            library.call("landing_policy_reset", memory)
+            for row, wanted, told in zip(*(table[k] for k in ("observations", "actions", "commands"))):
+                assert library.call("landing_policy_act", memory, row.astype(np.float32), action) == 0
+                np.testing.assert_allclose(action, wanted, rtol=0.0, atol=TOLERANCE)
+                assert library.call("landing_policy_command_of", wanted.astype(np.float32), command) == 0
+                np.testing.assert_allclose(command, told, rtol=1e-6)  # float: 6e-8 of the larger term
+        assert library.call("landing_policy_self_test") == 0
+
+
+@NO_COMPILER
+def test_what_is_not_finite_is_refused_or_nan(exported, libraries):
+    name = "landing-history"
+    library, size = libraries[name], 26
+    memory, action = np.zeros(1 + 21, np.float32), np.full(2, 7, np.float32)
+    policy, run = reader(exported[name, "numpy"]), session(exported[name, "onnx"]).run
+    good = np.array([0.5, 1.5, 0.1, 0.0, 0.1], np.float32)
+    library.call("landing_policy_act", memory, good, np.zeros(2, np.float32))
+    policy.act(good)
+    before, remembered = memory.copy(), policy._past.copy()
+    for k in range(5):
+        for wrong in (np.nan, np.inf, -np.inf):
+            bad = good.copy()
+            bad[k] = wrong
+            assert library.call("landing_policy_act", memory, bad, action) == 1
+            assert (action == 7).all() and (memory.view(np.int32) == before.view(np.int32)).all()
+            with pytest.raises(ValueError, match="NaN or infinite"):
+                policy.act(bad)
+            np.testing.assert_array_equal(policy._past, remembered)
+            rows = np.zeros((2, size), np.float32)
+            rows[0, :5] = bad
+            answer = run(None, {"input": rows})[0]
+            assert np.isnan(answer[0]).all() and np.isfinite(answer[1]).all()
+    command = np.full(4, 7, np.float32)
+    assert library.call("landing_policy_command_of", np.array([np.nan, 0], np.float32), command) == 1
+    assert (command == 7).all()
+
+
+@NO_COMPILER
+def test_the_c_code_is_small_allocates_nothing_and_has_a_constant_stack(exported, tmp_path):
+    for name in POLICIES:
+        source = exported[name, "c"] / "src"
+        out = compiled.build(
+            [source / "landing_policy.c"], tmp_path / "policy.o", f"-I{source}",
+            *("-c", "-Os", "-fstack-usage", "-fno-stack-protector", "-fcf-protection=none"),
+        )  # fmt: skip
+        assert out.stat().st_size < c_source.SMALL
+        symbols = subprocess.run(["nm", out], capture_output=True, text=True, check=True).stdout
+        missing = {line.split()[1] for line in symbols.splitlines() if line.split()[0] == "U"}
+        assert missing <= {"memcpy", "memset", "memmove", "_GLOBAL_OFFSET_TABLE_"}
+        changing = [line for line in symbols.splitlines() if line.split()[-2] in "bBdDC"]
+        assert not changing  # nothing is kept between calls
+        usage = [line.split("\t") for line in (tmp_path / "policy.su").read_text().splitlines()]
+        assert all(kind == "static" for *_, kind in usage)
+        said = int(re.search(r"(\d+) bytes of stack", (source / "landing_policy.h").read_text())[1])
+        frames = {place.split(":")[-1]: int(size) for place, size, _ in usage}
+        deepest = sum(frames[f"landing_policy_{f}"] for f in ("self_test", "act", "infer"))
+        assert deepest <= said + 3 * 120  # what calls save on a 64-bit machine
+
+
+@NO_COMPILER
+def test_the_c_code_does_nothing_undefined(exported, tmp_path):
+    flags = ("-O1", "-fsanitize=undefined", "-fno-sanitize-recover=all")
+    source = exported["landing-history", "c"] / "src"
+    check = exported["landing-history", "c"] / "check.c"
+    try:
+        compiled.build([check], tmp_path / "none.o", "-c", f"-I{source}", *flags)
+        out = compiled.build([check, source / "landing_policy.c"], tmp_path / "check", f"-I{source}", *flags)
+    except UserError as error:
+        pytest.skip(f"no sanitizer: {error}")
+    done = subprocess.run([out], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "answers as the policy did\n", "")
+
+
+@NO_COMPILER
+def test_a_changed_weight_fails_the_self_tests(exported, tmp_path):
+    folder = shutil.copytree(exported["landing", "c"], tmp_path / "c")
+    path = folder / "src/landing_policy.c"
+    text = path.read_text()
+    at = text.index("WEIGHT_3[")
+    changed = text[:at] + re.sub(r"\n    [-0-9.e]+f", "\n    1.5f", text[at:], count=1)
+    path.write_text(changed)
+    assert changed != text
+    assert compiled.Library(folder, tmp_path).call("landing_policy_self_test") == 2
+    folder = shutil.copytree(exported["landing", "numpy"], tmp_path / "numpy")
+    with np.load(folder / "policy.npz") as file:
+        arrays = dict(file)
+    arrays["weight_2"] = arrays["weight_2"] + np.float32(0.01)
+    np.savez(folder / "policy.npz", **arrays)
+    with pytest.raises(ValueError, match="misses its own test vectors"):
+        reader(folder)
+
+
+def test_the_numpy_export_needs_numpy_alone(exported):
+    code = (
+        "import sys; from landing_policy import LandingPolicy\n"
+        "p = LandingPolicy(); print(p.act([1.5, 1.8, 0, 0, 0]).shape)\n"
+        "assert not [m for m in sys.modules if m.startswith('inclined')]"
+    )
+    done = subprocess.run([sys.executable, "-S", "-c", "import site; site.main()\n" + code],
+                          cwd=exported["landing", "numpy"], capture_output=True, text=True)  # fmt: skip
+    assert (done.stdout, done.returncode) == ("(2,)\n", 0), done.stderr
+
+
+# --- the contract -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_the_contract_follows_its_schema(exported, name):
+    file = resources.files("inclined_landing.eval.export").joinpath("contract.schema.json")
+    schema = json.loads(file.read_text("utf-8"))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    terms = json.loads((exported[name, "c"] / "contract.json").read_text())
+    jsonschema.validate(terms, schema)
+    wrong = terms | {"control_period": 0}
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(wrong, schema)
+    page = contract.words(terms)
+    for word in (*terms["input"]["names"], terms["policy"]["sha256"], terms["vehicle"]["sha256"]):
+        assert word in page
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_the_contract_alone_tells_what_the_vectors_hold(exported, name):
+    """Inputs are built from names, commands from the action map, by what contract.json says and nothing else."""
+    terms = json.loads((exported[name, "onnx"] / "contract.json").read_text())
+    table = {
+        k: np.array(v) for k, v in json.loads((exported[name, "onnx"] / "vectors.json").read_text()).items()
+    }
+    observed = [entry["name"] for entry in terms["observation"]]
+    acted = [f"{entry['name']} command" for entry in terms["action"]]
+    for k, row in enumerate(table["inputs"]):
+        for number, said in zip(row, terms["input"]["names"]):
+            word, back = re.fullmatch(r"(.*?)(?:\[-(\d+)\])?", said).groups()
+            at = k - int(back or 0)
+            if word in observed:
+                expected = table["observations"][max(at, 0), observed.index(word)]
+            else:
+                expected = 0.0 if at < 0 else table["actions"][at, acted.index(word)]
+            assert number == expected
+    commands = np.zeros((len(table["actions"]), 4))
+    for entry in terms["action"]:
+        a = table["actions"][:, entry["index"]]
+        command = np.clip(entry["centre"] + entry["span"] * a, entry["low"], entry["high"])
+        commands[:, entry["column"]] = np.where(
+            a <= (-2 if entry["idle"] is None else entry["idle"]), 0, command
+        )
+    np.testing.assert_allclose(commands, table["commands"], rtol=1e-12)
+    states = dict(zip(COLUMNS, table["states"].T))
+    for k, word in enumerate(observed):
+        np.testing.assert_allclose(table["observations"][:, k], states[word], rtol=1e-6, atol=1e-6)
+
+
+def test_the_contract_is_the_task_the_stamp_and_the_vehicle():
+    policy = contract.load("landing")
+    terms, task = contract.of(policy, Network.of(policy)), policy.task
+    assert terms["control_period"] == load_vehicle().command_control_period
+    assert terms["task"]["goal"]["z"] == task.goal[1]
+    inside = np.zeros((2, 13))
+    inside[:, [0, 2, 3, 5, 7]] = task.goal + 0.999 * np.array([*terms["task"]["goal_half_widths"].values()])
+    inside[1, 0] *= 1.01
+    assert task.in_goal(inside, task.inclination, task.goal_size).tolist() == [True, False]
+    assert terms["policy"]["training"]["command"] == policy.metadata["command"]
+    assert [entry["unit"] for entry in terms["observation"]] == ["m", "m", "m/s", "m/s", "rad"]
+
+
+# --- policies of any size -----------------------------------------------------------------------------
+
+
+class Spaces(gymnasium.Env):
+    """An environment of given shapes, for building networks only."""
+
+    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (5,), np.float32)
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+
+class AnyTask(Task):
+    """As many observations and actions as wanted; never flown."""
+
+    name = "any"
+    action_names = ("thrust",)
+    observation_names = ("s0",)
+    observation_scale = np.ones(1)
+
+    def __init__(self, observations, actions, history):
+        self.observation_names = tuple(f"s{k}" for k in range(observations))
+        self.observation_scale = np.ones(observations)
+        self.action_names = ("thrust", "roll", "pitch", "yaw rate")[:actions]
+        super().__init__(history=history)
+
+    def sample(self, rng, k) -> Start:
+        raise NotImplementedError
+
+    def judge(self, moment):
+        raise NotImplementedError
+
+
+@st.composite
+def policies(draw, hidden=(2, 2)):
+    """A policy with a random network of as many hidden layers, for a task with as many numbers."""
+    o, a, k = draw(st.integers(1, 12)), draw(st.integers(1, 4)), draw(st.sampled_from([0, 0, 1, 5]))
+    task = AnyTask(o, a, k)
+    sizes = [o + k * (o + a), *draw(st.lists(st.integers(1, 40), min_size=hidden[0], max_size=hidden[1])), a]
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    gain = draw(st.sampled_from([0.1, 1.0, 2.0]))
+    squashed, scaled = draw(st.booleans()), draw(st.booleans())
+    return Policy(
+        task=task,
+        metadata={},
+        path=Path(__file__),
+        centre=rng.normal(size=sizes[0]),
+        scale=rng.uniform(0.1, 3.0, sizes[0]),
+        limit=10.0 if scaled else np.inf,
+        weights=tuple(gain / np.sqrt(n) * rng.normal(size=(n, m)) for n, m in zip(sizes, sizes[1:])),
+        biases=tuple(0.3 * rng.normal(size=m) for m in sizes[1:]),
+        activation=draw(st.sampled_from(["Tanh", "ReLU"])),
+        squashed=squashed,
+        bound=draw(st.sampled_from([np.inf, 2.0])) if squashed else np.inf,
+    )
+
+
+def any_network_is_exported(policy, tmp_path):
+    network, terms = Network.of(policy), contract.of(policy, Network.of(policy))
+    rng = np.random.default_rng(1)
+    o, a = len(policy.task.observation_names), len(policy.task.action_names)
+    tested = vectors.sequence(policy, np.zeros((8, 13)), rng.normal(scale=2.0, size=(8, o)))
+    folder = tmp_path / "export"
+    folder.mkdir()
+    for make in FORMATS.values():
+        make(folder, policy, network, terms, tested)
+    (folder / "contract.json").write_text(storage.to_json(terms))
+    inputs = rng.normal(scale=3.0, size=(50, len(policy.centre))).astype(np.float32)
+    library = compiled.Library(folder, tmp_path, "-O1")
+    assert library.call("landing_policy_self_test") == 0
+    # float32: 6e-8 for each of 4 layers, grown by gains of 2 and inputs of 30 scales
+    for format in FORMATS:
+        got = answers(folder, format, library)(inputs)
+        np.testing.assert_allclose(got, policy.predict(inputs), rtol=0.0, atol=5e-5, err_msg=format)
+    assert reader(folder).act(tested.observations[0]).shape == (a,)
+    shutil.rmtree(folder)
+
+
+@NO_COMPILER
+@hypothesis.settings(max_examples=8)
+@hypothesis.given(policy=policies())
+def test_networks_of_any_size_and_kind(policy, tmp_path_factory):
+    any_network_is_exported(policy, tmp_path_factory.mktemp("fuzz"))
+
+
+@NO_COMPILER
+@pytest.mark.slow
+@hypothesis.settings(max_examples=300)
+@hypothesis.given(policy=policies(hidden=(0, 4)))
+def test_many_networks_of_any_size_and_kind(policy, tmp_path_factory):
+    any_network_is_exported(policy, tmp_path_factory.mktemp("fuzz"))
+
+
+@NO_COMPILER
+def test_tanh_of_the_c_code_is_tanh(tmp_path):
+    """Of x = max(x, 0) - max(-x, 0): actions are tanh of the observation, and nothing else rounds."""
+    split, both = np.array([[1.0, -1.0]]), np.eye(2)
+    policy = Policy(AnyTask(1, 1, 0), {}, Path(__file__), np.zeros(1), np.ones(1), np.inf,
+                    (split, both, split.T.copy()), (np.zeros(2), np.zeros(2), np.zeros(1)), "ReLU", True)  # fmt: skip
+    network = Network.of(policy)
+    tested = vectors.sequence(policy, np.zeros((3, 13)), np.array([[-1.0], [0.0], [2.0]]))
+    c_source.write(tmp_path, contract.of(policy, network), network, tested)
+    x = np.concatenate([np.linspace(-12, 12, 200_001), [3e38, -3e38, 1e-30]]).astype(np.float32)[:, None]
+    got = compiled.Library(tmp_path, tmp_path).infer(x, 1)
+    assert np.abs(got - np.tanh(x.astype(float))).max() < 2e-7
+
+
+# --- the app ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def app(exported, tmp_path_factory):
+    """A function that runs the app of a policy over lines of input; returns what it said for each period."""
+    if compiled.compiler() is None:
+        pytest.skip("no C compiler on this machine")
+    stand_in = Path(__file__).with_name("firmware")
+    programs = {}
+
+    def run(name, lines):
+        if name not in programs:
+            root = tmp_path_factory.mktemp("app")
+            for header in re.findall(r'"(\w+\.h)"', (exported[name, "c"] / "src/app_main.c").read_text()):
+                if header != "landing_policy.h":
+                    (root / header).write_text('#include "firmware.h"\n')
+            sources = [exported[name, "c"] / "src" / f for f in ("app_main.c", "landing_policy.c")]
+            sources.append(stand_in / "firmware.c")
+            programs[name] = compiled.build(
+                sources, root / "app", f"-I{root}", f"-I{stand_in}", "-O1", "-lm", "-Wno-error=pedantic"
+            )
+        done = subprocess.run([programs[name]], input="\n".join(lines) + "\n", capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return [part.split("\n") for part in done.stdout.split("tick ")[1:]]
+
+    return run
+
+
+def line(run, state):
+    """Input for a state (13,): what the estimator says, with the quaternion of its angles."""
+    w, x, y, z = quaternion(*state[6:9])
+    return " ".join(f"{number:.9g}" for number in (run, *state[:6], x, y, z, w))
+
+
+@pytest.mark.parametrize("name", ["landing", "landing-history", "setpoint", "touchdown"])
+def test_the_app_commands_what_the_policy_does(exported, app, name):
+    policy = contract.load(name)
+    start = policy.task.sample(np.random.default_rng(3), 1).state
+    flight = record_flights(policy, "mujoco", start)[0]
+    rows = len(flight.t) - 1
+    rows = min(rows, 100)
+    told = app(name, [line(1, state) for state in flight.state[:rows]])
+    assert len(told) == rows
+    for state, command, said in zip(flight.state, flight.commands, told):
+        words = said[1].split()
+        assert words[:2] == ["set", "3"] and said[2] == "state 1"
+        thrust, roll, pitch, yaw_rate, *modes = map(float, words[2:])
+        # Observations are single precision, and angles have been through a quaternion.
+        assert thrust == pytest.approx(command[0], abs=1.0 + 1e-3 * policy.task.pwm_span)
+        if command[0] == 0.0:
+            assert modes == [0, 0, 0, 0]
+            continue
+        assert modes == [1, 1, 2, 0] and yaw_rate == 0.0
+        tilt = thrust_direction(np.radians(roll), -np.radians(pitch))
+        wanted = [
+            np.sin(command[2]),
+            -np.sin(command[1]) * np.cos(command[2]),
+            np.cos(command[1]) * np.cos(command[2]),
+        ]
+        np.testing.assert_allclose(tilt, wanted, atol=2e-3)
+
+
+def thrust_direction(roll, pitch):
+    """Of the firmware's angles, pitch with our sign: Ry(pitch) Rx(roll) e_z."""
+    return [np.cos(roll) * np.sin(pitch), -np.sin(roll), np.cos(roll) * np.cos(pitch)]
+
+
+def test_the_app_waits_ends_and_begins_again(app):
+    task = contract.load("landing").task
+    start = task.states_at([(1.5, 1.8)])[0]
+    away, turned, goal = start.copy(), start.copy(), start.copy()
+    away[1] = 1.5
+    turned[8] = 0.3
+    goal[[0, 2, 7]] = 0.0, 1.25, task.inclination
+    lost = line(1, start).replace("1.5", "nan", 1)
+    plan = [
+        (line(0, start), "state 0", False), (line(1, start), "state 1", True), (line(0, start), "state 0", False),
+        (line(1, start), "state 1", True), (line(1, away), "state 3", False), (line(1, start), "state 3", False),
+        (line(0, start), "state 0", False), (line(1, turned), "state 3", False), (line(0, start), "state 0", False),
+        (line(1, start), "state 1", True), (lost, "state 4", False), (line(0, start), "state 0", False),
+        (line(1, start), "state 1", True), (line(1, goal), "state 2", True), (line(1, start), "state 2", True),
+        (line(0, start), "state 0", False),
+    ]  # fmt: skip
+    said = app("landing", [words for words, *_ in plan])
+    for (_, state, sends), words in zip(plan, said):
+        assert state in words
+        assert any(w.startswith("set") for w in words) == sends
+    assert [k for k, words in enumerate(said) if "relax" in words] == [
+        2,
+        4,
+        10,
+        15,
+    ]  # what was begun is let go
+    assert said[13][1].split()[2:] == ["0"] * 8 and said[14][1].split()[2:] == ["0"] * 8  # motors cut
+    assert said[1][1] == said[3][1] == said[9][1]
+
+
+# --- the command --------------------------------------------------------------------------------------
+
+
+def test_the_command_writes_a_whole_folder(tmp_path, capsys):
+    for format, files in {
+        "c": {"README.md", "check.c", "src", "app-config", "Makefile", "Kbuild"},
+        "numpy": {"policy.npz", "landing_policy.py"},
+        "onnx": {"policy.onnx"},
+    }.items():
+        out = tmp_path / format
+        assert cli.main(["export", "landing", "--format", format, "--out", str(out)]) == 0
+        both = {"contract.json", "contract.md", "vectors.json"}
+        assert {path.name for path in out.iterdir()} == files | both
+    import onnx
+
+    model = onnx.load(tmp_path / "onnx/policy.onnx")
+    assert [(o.domain, o.version) for o in model.opset_import] == [("", onnx_file.OPSET)]
+    notes = {entry.key: entry.value for entry in model.metadata_props}
+    assert json.loads(notes["contract"]) == json.loads((tmp_path / "onnx/contract.json").read_text())
+    source = (tmp_path / "c/src/landing_policy.c").read_text()
+    again = write(contract.load("landing"), "c", tmp_path / "again")
+    assert (tmp_path / "again/src/landing_policy.c").read_text() == source
+    assert again["policy"]["name"] == "landing"
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["{here}", "--format", "c", "--out", "{here}/out"], "is a folder"),
+        (["none.zip", "--format", "c", "--out", "{here}/out"], "does not exist"),
+        (["landing", "--format", "tflite", "--out", "{here}/out"], "unknown format 'tflite'; known are onnx, c, numpy"),
+        (["landing", "--format", "c", "--out", "{here}"], "exists and is not empty"),
+        (["landing", "--format", "c", "--out", "{here}/file/out"], "is not a folder"),
+        (["landing", "--format", "c", "--task", "setpoint", "--out", "{here}/out"], "trained for the task landing"),
+        (["landing", "--format", "c"], "--out"),
+        (["landing", "--out", "{here}/out"], "--format"),
+    ],
+)  # fmt: skip
+def test_wrong_input_is_one_sentence(words, sentence, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert cli.main(["export", *(word.format(here=tmp_path) for word in words)]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said and said.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_without_onnx_the_sentence_names_the_extra(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    monkeypatch.delitem(sys.modules, "inclined_landing.eval.export.onnx_file")
+    monkeypatch.setattr("inclined_landing.eval.export.onnx_file", None, raising=False)
+    monkeypatch.delattr("inclined_landing.eval.export.onnx_file")
+    assert cli.main(["export", "landing", "--format", "onnx", "--out", str(tmp_path / "out")]) == 2
+    assert "pip install 'inclined-landing[export]'" in capsys.readouterr().err
+
+
+def test_what_a_format_cannot_hold_is_refused(tmp_path):
+    wide = Policy(make_task("landing"), {}, Path(__file__), np.zeros(5), np.ones(5), np.inf,
+                  (np.ones((5, 400)), np.ones((400, 400)), np.ones((400, 2))),
+                  (np.zeros(400), np.zeros(400), np.zeros(2)), "ReLU")  # fmt: skip
+    network = Network.of(wide)
+    tested = vectors.sequence(wide, np.zeros((1, 13)), np.zeros((1, 5)))
+    with pytest.raises(UserError, match="bytes of constants"):
+        c_source.write(tmp_path, contract.of(wide, network), network, tested)
+    assert not [*tmp_path.iterdir()]
+    with pytest.raises(UserError, match="float32 does not hold"):
+        Network.of(dataclasses.replace(wide, scale=np.full(5, 1e-300)))
+
+    class OwnCommands(type(make_task("landing"))):
+        def commands(self, actions):
+            return super().commands(actions) * 0.9
+
+    with pytest.raises(UserError, match="in a way of its own"):
+        contract.of(dataclasses.replace(wide, task=OwnCommands()), network)
+
+
+def test_policies_of_sac_and_of_another_vehicle(tmp_path):
+    from stable_baselines3 import SAC
+    from torch import nn
+
+    from inclined_landing.envs.policy import stamp
+
+    network = SAC(
+        "MlpPolicy", Spaces(), seed=0, device="cpu", buffer_size=1, policy_kwargs={"net_arch": [32, 16]}
+    )
+    path = tmp_path / "sac.zip"
+    network.save(path)
+    vehicle = {"command_control_period": 0.04, "body_mass": 0.035}
+    stamp(path, {"task": "landing", "task_options": {"pwm_centre": 40000.0}, "vehicle": vehicle})
+    policy = contract.load(str(path))
+    assert policy.task.vehicle.body_mass == 0.035 and policy.task.pwm_centre == 40000.0
+    terms = write(policy, "c", tmp_path / "out")
+    assert terms["control_period"] == 0.04 and terms["vehicle"]["differences"] == vehicle
+    assert terms["network"]["squashed"] and terms["network"]["activation"] == "ReLU"
+    rows = np.random.default_rng(1).normal(scale=2.0, size=(300, 5)).astype(np.float32)
+    if compiled.compiler() is not None:
+        got = compiled.Library(tmp_path / "out", tmp_path).infer(rows, 2)
+        np.testing.assert_allclose(got, policy.predict(rows), rtol=0.0, atol=TOLERANCE)
+        np.testing.assert_allclose(
+            got, network.predict(rows, deterministic=True)[0], rtol=0.0, atol=TOLERANCE
+        )
+    for wrong, sentence in (
+        ([1.0], "is not a table"),
+        ({"wings": 2}, "unknown entry wings"),
+        ({"body_mass": -1.0}, "body.mass is -1"),
+        ({"body_mass": "heavy"}, "body.mass"),
+    ):
+        stamp(path, {"task": "landing", "task_options": {}, "vehicle": wrong})
+        with pytest.raises(UserError, match=sentence):
+            contract.load(str(path))
+    elu = SAC(
+        "MlpPolicy", Spaces(), seed=0, device="cpu", buffer_size=1, policy_kwargs={"activation_fn": nn.ELU}
+    )
+    elu.save(path)
+    assert (
+        cli.main(["export", str(path), "--task", "landing", "--format", "c", "--out", str(tmp_path / "elu")])
+        == 2
+    )
