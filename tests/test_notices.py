@@ -15,7 +15,22 @@ NOTICES = (ROOT / "THIRD_PARTY_NOTICES.md").read_text("utf-8")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 # What is written, drawn, trained or measured here. Anything else in the tree must be named in the notices.
 OWN = {
-    *(".py", ".cc", ".h", ".j2", ".css", ".toml", ".xml", ".md", ".yml", ".cff", ".txt", ".json", ".csv"),
+    *(
+        ".py",
+        ".cc",
+        ".c",
+        ".h",
+        ".j2",
+        ".css",
+        ".toml",
+        ".xml",
+        ".md",
+        ".yml",
+        ".cff",
+        ".txt",
+        ".json",
+        ".csv",
+    ),
     *(".png", ".gif", ".svg", ".zip"),
 }
 OWN_NAMES = {"LICENSE", "Makefile", "run", ".gitignore"}

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.eval.export.network import Network
-from inclined_landing.eval.export.templates import render, text
+from inclined_landing.eval.export.templates import render
 from inclined_landing.eval.export.vectors import TOLERANCE, Vectors
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import COMMAND_NAMES, COMMAND_UNITS
@@ -42,10 +42,10 @@ def write(folder: Path, contract: dict, network: Network, vectors: Vectors) -> N
     reason = without_app(contract)
     if reason is None:
         storage.write_text(source / "app_main.c", render("c/crazyflie/app_main.c.j2", **content))
-        storage.write_text(source / "Kbuild", text("c/crazyflie/src_Kbuild"))
+        storage.write_text(source / "Kbuild", render("c/crazyflie/src_Kbuild.j2"))
         storage.write_text(folder / "app-config", render("c/crazyflie/app-config.j2", **content))
         for name in ("Makefile", "Kbuild"):
-            storage.write_text(folder / name, text(f"c/crazyflie/{name}"))
+            storage.write_text(folder / name, render(f"c/crazyflie/{name}.j2"))
     storage.write_text(folder / "README.md", render("c/README.md.j2", without_app=reason, **content))
 
 

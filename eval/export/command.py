@@ -24,7 +24,7 @@ FormatName = Annotated[str, tyro.conf.arg(metavar="{onnx,c,numpy}")]
 
 
 def command(policy: AnyPolicy, /, format: FormatName, out: Folder, task: TaskName = None) -> None:
-    """A policy for another machine: ONNX, C for a microcontroller or NumPy, with contract and test vectors.
+    """A policy as ONNX, as C for a microcontroller or for NumPy, with contract and test vectors.
 
     Args:
         format: onnx for its runtimes, c for a microcontroller and the Crazyflie's firmware, numpy for NumPy

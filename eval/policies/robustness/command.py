@@ -68,7 +68,7 @@ def command(
         raise UserError("name at least one policy, one --thrust and one --effect")
     for name in effect:
         if name not in LIBRARY:
-            raise UserError(f"unknown effect {shown(name, 40)}; known are {', '.join(LIBRARY)}")
+            raise UserError(f"unknown effect {shown(name, 40)}; landing-eval effects lists them")
     for scale in thrust:
         if not 0 < scale <= 3:
             raise UserError(f"--thrust must be above 0 and at most 3, not {scale:g}")
