@@ -1,14 +1,26 @@
 """Gymnasium's view of the tasks: a single environment and a vector environment.
 
+    gymnasium.make("InclinedLanding-v0", inclination=0.3, render_mode="rgb_array")
+    gymnasium.make_vec("InclinedLanding-v0", num_envs=64, plant="hybrid")
+
 Both are thin shells over `BatchEnv`; the reward terms stand in `info["reward_terms"]` and sum to the
-reward. Options of both constructors:
+reward. Options of both, which are the keyword arguments of `gymnasium.make` and `make_vec`:
 
 | option | default | meaning |
 |---|---|---|
 | `plant` | "mujoco" | "mujoco", "hybrid" or "analytic" |
 | `plant_options` | {} | arguments of the plant: `{"integrator": "implicitfast"}`, `{"unrest": 0}` ... |
 | `vehicle` | shipped | a `Vehicle`, or the path of a vehicle file |
-| others | | arguments of the task, such as `inclination`, `pwm_centre` or `history` |
+| others | | arguments of the task, such as `inclination` [rad], `pwm_centre` or `history` |
+
+and of the single environment, which alone renders:
+
+| option | default | meaning |
+|---|---|---|
+| `render_mode` | None | what `render` gives: "rgb_array" |
+| `width`, `height` | 640, 480 | of the picture, pixels |
+| `camera` | "hero" | where to look from |
+| `render_backend` | "auto" | "ray", "gl", or "auto": OpenGL only where it runs on hardware |
 
 `reset(options={"state": array})` starts from given states, (13,) or (n, 13). What is not of these names,
 types and sizes is a UserError, a ValueError with one sentence.

@@ -1,5 +1,6 @@
 """What an installation must hold: plugins found, constants in step, imports light."""
 
+import contextlib
 import dataclasses
 import importlib.metadata
 import importlib.util
@@ -10,8 +11,14 @@ import sys
 from importlib import resources
 from pathlib import Path
 
+import gymnasium
 import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
 
+from inclined_landing.envs.ids import IDS
+from inclined_landing.envs.tasks import TASKS
+from inclined_landing.eval.cli import COMMANDS
 from inclined_landing.models import plugins
 from inclined_landing.models.parameters import load_vehicle
 
@@ -43,13 +50,52 @@ def without_extras(code: str) -> str:
     )
 
 
+def test_gymnasium_knows_the_tasks_whichever_is_imported_first():
+    known = "print(*(n for n in gymnasium.registry if str(gymnasium.spec(n).entry_point).startswith('incl')))"
+    for order in (
+        "import gymnasium, inclined_landing",
+        "import inclined_landing, gymnasium",
+        "import mujoco, gymnasium, inclined_landing",
+    ):
+        assert tuple(python(f"{order}; {known}").split()) == IDS
+    forms = (
+        "(gymnasium.make(m + 'Setpoint-v0').spec.id for m in ('inclined_landing.envs:', 'inclined_landing:'))"
+    )
+    assert python(f"import gymnasium; print(*{forms})") == "Setpoint-v0 Setpoint-v0\n"
+
+
+def test_importing_the_package_loads_nothing():
+    heavy = {"numpy", "gymnasium", "mujoco", "numba", "scipy", "torch"}
+    assert not heavy & set(python("import inclined_landing, sys; print(*sys.modules)").split())
+
+
+def test_ids_are_those_of_the_tasks():
+    assert IDS == tuple(f"{kind.__name__}-v0" for kind in TASKS.values())
+    assert all(name == kind.name for name, kind in TASKS.items())
+
+
+@pytest.mark.parametrize("name", IDS)
+@pytest.mark.filterwarnings("ignore:.*infinity")  # an observation has no bounds
+@pytest.mark.filterwarnings("ignore:.*different reset")
+def test_gymnasiums_checker_is_content(name):
+    env = gymnasium.make(name)
+    check_env(env.unwrapped, skip_render_check=True)
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    first, second = (e.reset(seed=3)[0] for e in (env, again))
+    assert (first == second).all()
+    for mode in (None, "sync"):
+        with contextlib.closing(gymnasium.make_vec(name, num_envs=2, vectorization_mode=mode)) as vector:
+            vector.reset(seed=0)
+            assert vector.step(vector.action_space.sample())[1].shape == (2,)
+
+
 def test_the_base_flies_with_four_packages():
     needed = {re.match("[a-z]+", r).group() for r in importlib.metadata.requires("inclined-landing")
               if "extra ==" not in r}  # fmt: skip
     assert needed == {"mujoco", "numpy", "numba", "gymnasium"}
     code = (
         "import gymnasium, inclined_landing.models.effects, inclined_landing.models.scene\n"
-        "env = gymnasium.make('inclined_landing.envs:InclinedLanding-v0', disable_env_checker=True)\n"
+        "env = gymnasium.make('InclinedLanding-v0', disable_env_checker=True)\n"
         "env.reset(seed=0)\n"
         "for _ in range(3): env.step(env.action_space.sample())\n"
         "from inclined_landing.envs.policy import load_policy\n"
@@ -66,25 +112,21 @@ def test_what_an_extra_installs_is_named_with_the_remedy():
         "from inclined_landing.eval import cli\n"
         "from inclined_landing.train.cli import main as train\n"
         "with contextlib.redirect_stderr(sys.stdout):\n"
-        "    print(cli.main(['success', 'landing']), cli.main(['doctor']), train(['landing']))\n"
+        "    codes = {cli.main([name]) for name in cli.COMMANDS}\n"
+        "    print(codes, train(['landing']))\n"
         "try: import inclined_landing.envs.sb3\n"
         "except ImportError as error: print(error)\n"
         "assert cli.main(['--help']) == 0"
     )
-    missing, extra = "is not installed; pip install 'inclined-landing", "[eval]'"
-    said = without_extras(code).splitlines()[:5]
+    missing = "is not installed; pip install 'inclined-landing"
+    *said, codes, sb3 = without_extras(code).split("usage:")[0].splitlines()
+    assert codes == "{2} 2" and len(said) == len(COMMANDS) + 1
     library = r"[a-z0-9_]+"  # whichever is imported first
-    expected = [
-        f"landing-eval: {library} {missing}{extra}",
-        f"landing-eval: {library} {missing}{extra}",
-        f"landing-train: {library} {missing}[train]'",
-        "2 2 2",
-        f"stable_baselines3 {missing}[train]'",
-    ]
-    for words, form in zip(said, expected, strict=True):
-        assert re.fullmatch(form.replace("[eval]", r"\[eval\]").replace("[train]", r"\[train\]"), words), (
-            words
-        )
+    *evaluations, training = said
+    for words in evaluations:
+        assert re.fullmatch(rf"landing-eval: {library} {missing}\[[a-z]+\]'", words), words
+    assert re.fullmatch(rf"landing-train: {library} {missing}\[train\]'", training)
+    assert sb3 == f"stable_baselines3 {missing}[train]'"
 
 
 def test_import_mujoco_registers_the_plugins():

@@ -1,5 +1,8 @@
-"""The tasks, by name: the one place that lists them. Their Gymnasium ids and environments follow."""
+"""The tasks, by name, as `ids.py` lists them. Their environments follow."""
 
+from importlib import import_module
+
+from inclined_landing.envs.ids import TASK_CLASSES
 from inclined_landing.envs.tasks.base import Judgement, Moment, Start, Task, Training, hover_states
 from inclined_landing.envs.tasks.landing import InclinedLanding
 from inclined_landing.envs.tasks.own import import_class, is_path
@@ -7,7 +10,9 @@ from inclined_landing.envs.tasks.setpoint import Setpoint
 from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
 from inclined_landing.models.errors import UserError, shown
 
-TASKS: dict[str, type[Task]] = {task.name: task for task in (InclinedLanding, Setpoint, InclinedTouchdown)}
+TASKS: dict[str, type[Task]] = {
+    name: getattr(import_module(f"{__name__}.{name}"), kind) for name, kind in TASK_CLASSES.items()
+}
 _OWN: dict[str, type[Task]] = {}  # imported with `import_task`, by path and by name
 
 __all__ = [
