@@ -14,11 +14,16 @@ import importlib.util
 import sys
 from collections.abc import Callable, Sequence
 
-from inclined_landing.eval.base.command_line import bound, exit_code, parse
+from inclined_landing.eval.base.command_line import bound, exit_code, parse, versions
+from inclined_landing.eval.base.manual import manual
 from inclined_landing.models.errors import UserError
 
 # Command: where its room is, and the first line of its docstring.
 COMMANDS = {
+    "demo": (
+        "",
+        "The first thing to try: a landing policy flown, counted, filmed and pictured (half a minute).",
+    ),
     "success": (
         "policies",
         "Success table of a policy: how often, how fast, how hard it reaches its goal.",
@@ -95,12 +100,26 @@ def _run(words: list[str]) -> int | None:
     if name in ("-h", "--help"):
         print(_help())
         return 0
+    if name == "--version":
+        print(versions("landing-eval"))
+        return 0
+    if name.partition("=")[0] == "--print-completion":
+        return _print_completion(words)
     name = OLD_NAMES.get(name, name)
     if name not in COMMANDS:
         near = difflib.get_close_matches(name, COMMANDS, 1)
         wrong = f"unknown command {name!r}" if name else "no command"
         raise UserError(f"{wrong}{', perhaps ' + near[0] if near else ''}; landing-eval --help lists them")
     return parse(bound(find(name)), f"landing-eval {name}", rest)()
+
+
+def _print_completion(words: list[str]) -> int:
+    from inclined_landing.eval.base.completion import script, shell_of
+
+    pages = {name: manual(bound(find(name)), f"landing-eval {name}") for name in COMMANDS}
+    lines = {name: line for name, (_, line) in COMMANDS.items()}
+    print(script(shell_of(words), "landing-eval", pages, lines), end="")
+    return 0
 
 
 def _help() -> str:
@@ -111,5 +130,6 @@ def _help() -> str:
             "\nEvaluate policies and models: success, pictures, contact, measured flights.\n",
             *rows,
             "\nlanding-eval COMMAND --help tells the options; contact is the old name of landings.",
+            "--version says what is installed; --print-completion bash, zsh or fish completes commands.",
         ]
     )

@@ -30,8 +30,20 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _train(arguments: list[str] | None) -> int:
+    words = sys.argv[1:] if arguments is None else arguments
+    if words and words[0] == "--version":
+        print(command_line.versions("landing-train"))
+        return 0
     from inclined_landing.train.config import TrainConfig
 
+    if words and words[0].partition("=")[0] == "--print-completion":
+        from inclined_landing.eval.base.completion import script, shell_of
+        from inclined_landing.eval.base.manual import manual
+
+        print(
+            script(shell_of(words), "landing-train", {"": manual(TrainConfig, "landing-train")}, {}), end=""
+        )
+        return 0
     config = command_line.parse(TrainConfig, "landing-train", arguments)
     from inclined_landing.train.report import report
     from inclined_landing.train.run import NOT_REACHED, Run

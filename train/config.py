@@ -35,11 +35,11 @@ _MANY = Range(1, 10**9)
 _INTERVAL = Range(0, 10**9)
 
 
-def _by_task(text: str, name: str):
+def _by_task(text: str, name: str, **more: str):
     """Help of an option that is the task's to fill in: a text, and what the tasks say."""
     said = [(task.name, getattr(task.training, name)) for task in TASKS.values()]
     defaults = ", ".join(f"{task} {value}" for task, value in said if value is not None)
-    return tyro.conf.arg(help=f"{text}.", help_behavior_hint=f"(default: {defaults})")
+    return tyro.conf.arg(help=f"{text}.", help_behavior_hint=f"(default: {defaults})", **more)
 
 
 def _by_success(text: str, name: str):
@@ -50,7 +50,9 @@ def _by_success(text: str, name: str):
     )
 
 
-_TASK = tyro.conf.arg(help=f"{', '.join(TASKS)}, or one of your own: module:Class or file.py:Class.")
+_TASK = tyro.conf.arg(
+    metavar="[TASK]", help=f"{', '.join(TASKS)}, or one of your own: module:Class or file.py:Class."
+)
 _CURRICULA = "; ".join(f"{name}: {', '.join(task.curricula)}" for name, task in TASKS.items())
 
 
@@ -64,7 +66,7 @@ class TrainConfig:
     """
 
     task: Annotated[tyro.conf.Positional[str], _TASK] = "landing"
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Run folder (default: runs/TASK-seed)."""
     seed: Seed = 0
     """Of the policy, the starts and the minibatches; periodic evaluation uses starts of its own."""
@@ -100,7 +102,7 @@ class TrainConfig:
     report: bool = True
     """After training: success table, learning curves, figures, a picture and a video of one flight."""
 
-    plant: str = "hybrid"
+    plant: Annotated[str, tyro.conf.arg(metavar="{mujoco,hybrid,analytic}")] = "hybrid"
     """mujoco; hybrid: the same with the equations in free flight; or analytic."""
     integrator: Annotated[
         str | None, _by_task("Of the engine in training, 4 ms steps; evaluation uses RK4", "integrator")
@@ -165,7 +167,7 @@ class TrainConfig:
     ] = None
     entropy: Annotated[float, Range(0, 1)] = 0.0
     """Entropy bonus."""
-    update: str = "fast"
+    update: Annotated[str, tyro.conf.arg(metavar="{fast,stock}")] = "fast"
     """fast (PPO compiled for these networks) or stock (Stable-Baselines3's own): the same loss and files."""
     reward_scale: Annotated[float, Range(0, 1000, open=True)] = 0.1
     """Rewards are multiplied by this before PPO sees them."""

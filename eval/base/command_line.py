@@ -11,13 +11,16 @@ import inspect
 import io
 import itertools
 import os
+import platform
 import re
+import shutil
 import signal
 import sys
 import typing
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from inclined_landing.eval.base.manual import manual
 from inclined_landing.models.errors import UserError, not_installed, shown
 
 
@@ -35,12 +38,23 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
             raise UserError(f"{shown(word)}: numbers are written with the digits 0 to 9")
     said = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
             return tyro.cli(target, prog=prog, args=arguments)
     except SystemExit as end:
         if end.code:
             raise UserError(_sentence(said.getvalue(), prog)) from end
+        print(manual(target, prog).page(shutil.get_terminal_size().columns))
         raise
+
+
+def versions(prog: str) -> str:
+    """The line of --version: this package and what decides its results; imports none of them."""
+    from inclined_landing.eval.base.runs import packages
+
+    found = {**packages(), "python": platform.python_version()}
+    shown_as = {"mujoco": "MuJoCo", "torch": "PyTorch", "python": "Python"}
+    others = ", ".join(f"{word} {found[name]}" for name, word in shown_as.items() if found[name])
+    return f"{prog} {found['inclined-landing'] or 'not installed'} ({others})"
 
 
 def bound(command: Callable) -> Callable:

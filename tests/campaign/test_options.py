@@ -16,6 +16,7 @@ from inclined_landing.eval import cli
 
 # What each command needs to start its work, {place} being a folder with the files below.
 NEEDED = {
+    "demo": ("--out", "{place}/out"),
     "success": ("landing",),
     "touchdown": ("touchdown",),
     "robustness": ("landing", "--out", "{place}/out"),

@@ -19,8 +19,8 @@ from inclined_landing.models.errors import UserError, shown
 
 
 def command(
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[SET")] = "",
-    files: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE [FILE ...]]")] = (),
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[SET]")] = "",
+    files: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FILE ...]")] = (),
     out: NewFolder = None,
 ) -> None:
     """Measured flights of others: where to get each set; its own files converted to documented CSV.

@@ -40,6 +40,8 @@ Policies = Annotated[
     ),
 ]
 
+_EFFECTS = tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="(default: all)")
+
 
 def command(
     policies: Policies,
@@ -48,7 +50,7 @@ def command(
     plant: PlantName = "hybrid",
     every: Annotated[int, Range(1, 250)] = 1,
     thrust: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X [X ...]")] = THRUSTS,
-    effect: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = tuple(LIBRARY),
+    effect: Annotated[tuple[str, ...], _EFFECTS] = tuple(LIBRARY),
     vehicle: VehicleFile = None,
     json: Flag = False,
 ) -> None:

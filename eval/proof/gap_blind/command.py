@@ -38,15 +38,20 @@ def command(
     set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh}")] = "dev",
     seed: Seed = 0,
     cases: Annotated[int | None, Range(len(STRATA), 10**6)] = None,
-    method: Annotated[tuple[str, ...], tyro.conf.arg(metavar="{workflow,tuning,sparse}")] = ("workflow",),
+    method: Annotated[tuple[str, ...], tyro.conf.arg(metavar="{workflow,tuning,sparse} [...]")] = (
+        "workflow",
+    ),
     processes: Annotated[int, Range(1, 256)] = 2,
 ) -> None:
     """Hidden causes in flights of independent simulators: what gap names (minutes).
 
     Args:
         out: folder for results.json, table.md, reliability.png and report.html; an interrupted run goes on in
-        it. set: development (thresholds are chosen on it) or fresh (scored once); their vehicles share no
-        structure. seed: of the set. cases: at most so many, every stratum keeping its share (default: all).
+            it.
+        set: development (thresholds are chosen on it) or fresh (scored once); their vehicles share no
+            structure.
+        seed: of the set.
+        cases: at most so many, every stratum keeping its share (default: all).
         method: one or more of: the gap workflow, parameter tuning only, sparse regression (needs pysindy).
         processes: cases diagnosed at a time.
     """

@@ -1,0 +1,78 @@
+"""`landing-eval demo`: the shipped landing policy flown, counted, filmed and pictured."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import time
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from inclined_landing.envs.flights import Flight, record_flights
+from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.tasks.landing import PAPER_STARTS
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Folder, Look, Range, Seed
+from inclined_landing.eval.base.statistics import proportion
+from inclined_landing.eval.base.tables import new_table, printer, share_cell
+from inclined_landing.eval.pictures import picture, video
+
+POLICY = "landing"
+LOOK = {"width": 640, "height": 360}
+
+_NEXT = """\
+What to do next:
+  landing-eval success landing     the whole success table (half a minute)
+  landing-eval video landing --out landing.mp4 --start 0,2
+  landing-eval --help              contact studies, flight logs, figures ...
+  pip install 'inclined-landing[train]' and landing-train landing     a policy of your own
+  python: import gymnasium, inclined_landing; env = gymnasium.make("InclinedLanding-v0")"""
+
+
+def command(
+    out: Folder = Path("landing-demo"),
+    starts: Annotated[int, Range(1, 1000)] = 50,
+    seed: Seed = 0,
+) -> None:
+    """The first thing to try: a landing policy flown, counted, filmed and pictured (half a minute).
+
+    The shipped policy flies in MuJoCo from the paper's three starts and from random ones.
+
+    Args:
+        out: new folder for landing.mp4, landing.gif and landing.png.
+        starts: random starts to fly from.
+        seed: of the random starts.
+    """
+    runs.check_new_run(out)
+    began = time.monotonic()
+    policy = load_policy(POLICY)
+    task = policy.task
+    drawn = task.sample(np.random.default_rng(seed), starts).state
+    states = np.concatenate([task.states_at(PAPER_STARTS), drawn])
+    print(f"flying the policy '{POLICY}' from {len(states)} starts ...", flush=True)
+    flights = record_flights(policy, "mujoco", states, steps=task.judged_steps)
+    paper = len(PAPER_STARTS)
+    _show({"the paper's three": flights[:paper], f"random, seed {seed}": flights[paper:]})
+    print("filming the paper's three starts ...", flush=True)
+    points = tuple(",".join(f"{axis:g}" for axis in point) for point in PAPER_STARTS)
+    with runs.staged_run(out) as folder:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            look = Look(**LOOK)
+            video.command(POLICY, out=folder / "landing.mp4", start=points, look=look, gif=True)
+            picture.command(POLICY, out=folder / "landing.png", start=points[0], look=look)
+        names = sorted(path.name for path in folder.iterdir())
+    print(f"{out}: {', '.join(names)}, after {time.monotonic() - began:.0f} s in all\n\n{_NEXT}")
+
+
+def _show(groups: dict[str, list[Flight]]) -> None:
+    """A row for each group of starts."""
+    table = new_table(None, "starts", "flights", "in the goal box [%]", "without a touch before", "time [s]")
+    for name, flights in groups.items():
+        reached = [flight for flight in flights if flight.success]
+        times = f"{np.median([flight.duration for flight in reached]):.2f}" if reached else "-"
+        share = share_cell(proportion(len(reached), len(flights)))
+        table.add_row(name, str(len(flights)), share, str(sum(f.strict for f in flights)), times)
+    table.caption = "shares with 95 % Wilson intervals; median time"
+    printer().print(table)
