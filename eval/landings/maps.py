@@ -163,9 +163,10 @@ def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
         for axes in (left, right):
             axes.set(xlabel=one.x.title(), xlim=one.x_edges[[0, -1]], ylim=one.y_edges[[0, -1]])
         figure.legend(handles=handles, loc="outside lower center", ncols=4, columnspacing=1.6)
-        held = total[total > 0]
+        few, many = total[total > 0].min(), total.max()
+        each = f"{few} to {many}" if few < many else f"{many}"
         figure.suptitle(
-            f"{held.sum()} landings, {held.min()} to {held.max()} in a cell; what is not on the axes varies "
+            f"{total.sum()} landings, {each} in a cell; what is not on the axes varies "
             "as the study says",
             x=0.01, ha="left", size=8.5, color=MUTED,
         )  # fmt: skip

@@ -78,7 +78,7 @@ def draw_stability(axes, rows: list[Stability]) -> None:
     axes.plot([], [], "o-", color=BLUE, ms=4, lw=1.4, label="first halves, 95 % interval")
     axes.plot([], [], "o-", color=ORANGE, ms=4, lw=1.4, label="second halves, 95 % interval")
     legend_below(axes)
-    axes.set_title("Does every effect come back in both halves of the flights?", loc="left")
+    axes.set_title("The same effects, fitted to halves of the flights", loc="left")
 
 
 def _name(row: Stability) -> str:
@@ -109,7 +109,7 @@ def thrust(result: Law) -> Figure:
         left.axhline(level, color=INK, ls=":", lw=1.0, label=reference)
         left.set_xlabel("battery voltage [V]")
         left.set_ylabel(f"thrust over mass at {REFERENCE_PWM:,.0f} PWM [m/s²]".replace(",", " "))
-        left.set_title("NanoBench: the same PWM, less battery, less thrust", loc="left")
+        left.set_title("NanoBench: thrust over the battery's voltage", loc="left")
         near = result.near
         middle = 50.0 * (near.above + near.below)
         wide = 50.0 * (near.below - near.above)
@@ -118,7 +118,7 @@ def thrust(result: Law) -> Figure:
         right.errorbar(middle, near.ratio, yerr=near.half, xerr=wide, label=seen, **look)
         right.axhline(1.0, color=INK, ls=":", lw=1.0, label="far from the floor")
         right.set(xlabel="height above where it stands [cm]", ylabel="thrust over that in free flight")
-        right.set_title("NanoBench: the floor helps below some 5 cm", loc="left")
+        right.set_title("NanoBench: thrust near the floor", loc="left")
         for axes in (left, right):
             axes.grid(axis="y")
             legend_below(axes, ncols=1)
