@@ -5,6 +5,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from pages import EVIL, check_page
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.proof.gap_blind import cases, causes, generate, score, summary
@@ -330,6 +331,9 @@ def test_table_counts_with_intervals():
     assert "attitude_trim" not in text and "90 % [60, 98]" in text and "data:image/png" in text
     method["calibration"] = None
     assert reliability(results) is None and "data:image/png" not in page(results, None)
+    method["cases"][0] |= {"case": f"{EVIL} case", "family": f"{EVIL} family"}  # as a file may say
+    html = page(results | {"set": f"{EVIL} set"}, None)
+    check_page(html, *(f"{EVIL} {word}" for word in ("case", "family", "set")))
 
 
 def test_labels_are_sealed_and_a_run_goes_on(tmp_path, monkeypatch):

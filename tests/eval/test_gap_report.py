@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from pages import EVIL, check_page
 
 from inclined_landing.eval.gap.report import figures, model, terminal, words
 from inclined_landing.eval.gap.report.page import page
@@ -159,6 +160,17 @@ def test_the_page_stands_alone(verdict, track):
     assert "17 %" in text if d.effects else "10 %" in text  # the second set
     assert "0.20 to 0.40 m/s²" in text and "250 ms" in text  # the unrest
     assert ("0.300 m/s² in z goes with place, most in hover" in text) == (verdict == "unknown")
+
+
+def test_the_page_escapes_names_of_flights_and_notes(track):
+    d = dataclasses.replace(
+        example("unknown"),
+        flights=(f"{EVIL} flight", "b"),
+        heldout=(f"{EVIL} heldout",),
+        notes=(f"{EVIL} note",),
+    )
+    html = page(d, track, versions={"python": f"{EVIL} version"}, notes=(f"{EVIL} log",))
+    check_page(html, *(f"{EVIL} {word}" for word in ("flight", "heldout", "note", "log", "version")))
 
 
 def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():

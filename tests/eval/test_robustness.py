@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from pages import EVIL_FILE, check_page
 from PIL import Image
 
 from inclined_landing.envs.policy import load_policy
@@ -91,7 +92,7 @@ def test_every_condition_is_a_vehicle():
 def flown(tmp_path_factory):
     """The command on four starts: the shipped policy beside itself under another name."""
     out = tmp_path_factory.mktemp("robust") / "out"
-    copy = out.with_name("twin.zip")
+    copy = out.with_name(f"twin{EVIL_FILE}.zip")
     copy.write_bytes(load_policy("landing").path.read_bytes())
     options = "--every 60 --thrust 0.7 --effect friction mocap_delay"
     assert cli.main(["robustness", "landing", str(copy), "--out", str(out), *options.split()]) == 0
@@ -111,7 +112,8 @@ def test_the_folder_has_everything(flown):
     assert {p.name for p in flown.iterdir()} == names | {f"robustness_{n}.{k}" for n in ("thrust", "matrix")
                                                          for k in ("png", "pdf")}  # fmt: skip
     page = (flown / "index.html").read_text("utf-8")
-    assert page.count("data:image/png;base64") == 2 and "mocap_delay" in page and "twin" in page
+    assert page.count("data:image/png;base64") == 2 and "mocap_delay" in page
+    check_page(page, f"twin{EVIL_FILE}")
     rows = (flown / "conditions.csv").read_text("utf-8").splitlines()
     assert len(rows) == 1 + 2 * (2 + 2 * 3)
 
@@ -119,7 +121,10 @@ def test_the_folder_has_everything(flown):
 def test_the_counts_are_those_of_the_flights(flown):
     """Twins land alike; enough thrust lands, too little never; friction changes the rest alone."""
     report = json.loads((flown / "robustness.json").read_text("utf-8"))
-    assert report["starts"] == 5 and [p["name"] for p in report["policies"]] == ["landing", "twin"]
+    assert report["starts"] == 5 and [p["name"] for p in report["policies"]] == [
+        "landing",
+        f"twin{EVIL_FILE}",
+    ]
     for row in (*report["thrust"], *report["effects"]):
         assert row["outcomes"][0] == row["outcomes"][1]
     weak, known = report["thrust"]

@@ -11,14 +11,18 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from pages import EVIL, check_page
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.landings import command, design, engines, landing
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
-STUDY = """
-title = "A small one"
+STUDY = f"""
+title = {json.dumps("A small one " + EVIL)}
+question = {json.dumps(EVIL + " question")}
+"""
+STUDY += """\
 sampling = "latin-hypercube"
 samples = 24
 seed = 5
@@ -70,7 +74,8 @@ def test_a_run_leaves_results_summary_figures_and_page(reference):
     ]
     text = (reference / "index.html").read_text("utf-8")
     assert text.count("data:image/png;base64,") == 2 and "http" not in text
-    assert "A small one" in text and "Discussion" in text
+    assert "Discussion" in text
+    check_page(text, f"A small one {EVIL}", f"{EVIL} question")
 
 
 def test_neither_chunks_nor_threads_change_a_bit(study, tmp_path, reference):

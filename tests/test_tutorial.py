@@ -1,0 +1,97 @@
+"""The tutorial and the how-tos, followed to the letter: every command, file and Python block in its order."""
+
+import itertools
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import documents
+import pytest
+from documents import ROOT
+
+HOW_TOS = [name for name in documents.documents() if name.startswith("docs/howto/") and "cluster" not in name]
+# Lines of how-tos that take long beyond what they show, as they are run here.
+SHORTER = {"--steps 2000000": "--steps 100000"}
+
+
+def _collected(name: str) -> list[tuple[str, str | None, str]]:
+    """Language, title and text of every block."""
+    found: list[tuple[str, str | None, str]] = []
+    document = documents.blocks(
+        name, lambda language, title, example: found.append((language, title, example.parsed))
+    )
+    for example in document.examples():
+        example.evaluate()
+    return found
+
+
+def _shell(text: str, folder: Path, environment: dict[str, str]) -> None:
+    for line in re.sub(r"\\\n\s*", " ", text).splitlines():
+        began = time.monotonic()
+        done = subprocess.run(
+            ["bash", "-ec", line], cwd=folder, env=environment, capture_output=True, text=True, check=False
+        )
+        print(f"{time.monotonic() - began:7.1f} s  {line}")
+        assert done.returncode == 0, f"{line}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+
+
+@pytest.mark.slow
+def test_the_tutorial_in_a_fresh_clone(tmp_path):
+    """From `make` to the policy's video; run with -s to see how long each command takes."""
+    clone = tmp_path / "inclined-landing"
+    subprocess.run(["git", "clone", "-q", str(ROOT), str(clone)], check=True)
+    script = ["set -e", 'step() { printf \'%s %s\\n\' "$(date +%s.%N)" "$1" >> steps.txt; }']
+    for language, title, text in _collected("docs/tutorial.md"):
+        if language in documents.SHELLS:
+            for line in text.splitlines():
+                script += [f"step {line!r}", line]
+        elif language == "python":
+            assert title is None
+            script += ["step Python", f"python - <<'BLOCK'\n{text}BLOCK"]
+    environment = {k: v for k, v in os.environ.items() if k not in ("VIRTUAL_ENV", "PYTHONPATH")}
+    environment["PYTHON"] = str(Path(sys.base_prefix) / "bin" / "python3")
+    began = time.monotonic()
+    done = subprocess.run(
+        ["bash", "-c", "\n".join([*script, "step end"])],
+        **{"cwd": clone, "env": environment, "capture_output": True, "text": True, "check": False},
+    )
+    marks = [line.split(" ", 1) for line in (clone / "steps.txt").read_text("utf-8").splitlines()]
+    for (start, what), (end, _) in itertools.pairwise(marks):
+        print(f"{float(end) - float(start):7.1f} s  {what}")
+    print(f"{time.monotonic() - began:7.1f} s  together")
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    assert "goal box reached: True" in done.stdout
+    promised = re.findall(
+        r"`([\w.]+\.(?:zip|json|mp4|png|csv|pt))`", (ROOT / "docs/tutorial.md").read_text("utf-8")
+    )
+    run = clone / "runs" / "landing-42"
+    assert len(promised) >= 10 and all((run / name).is_file() for name in promised), sorted(os.listdir(run))
+    assert (clone / "my_landing.mp4").stat().st_size > 10_000
+    shutil.rmtree(clone)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HOW_TOS)
+def test_a_how_to(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("inclined_landing.envs.tasks._OWN", {})
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    namespace: dict = {}
+    for number, (language, title, text) in enumerate(_collected(name)):
+        if language in documents.SHELLS:
+            for long, short in SHORTER.items():
+                text = text.replace(long, short)
+            _shell(text, tmp_path, os.environ | {"PATH": path})
+        elif language == "toml" and (file := re.match(r"# (\w+\.toml)\n", text)):
+            (tmp_path / file[1]).write_text(text, "utf-8")
+        elif language == "python":
+            if title:
+                (tmp_path / title).write_text(text, "utf-8")
+            namespace.setdefault("__name__", "documents")
+            exec(compile(text, f"{name}, block {number}", "exec"), namespace)
+    if name.endswith("slope.md"):
+        assert (tmp_path / "my_slope" / "index.html").is_file()
