@@ -19,6 +19,7 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from gymnasium.spaces import Box
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy, load_policy
@@ -173,12 +174,9 @@ def _bare(plant) -> Callable[[np.ndarray], None]:
 
 def policy_latency(policy: Policy | None, repeats: int, seed: int) -> dict:
     """Microseconds for one action of one observation: this package's loop and SB3's `predict`."""
-    from stable_baselines3 import PPO
-
     with tempfile.TemporaryDirectory() as folder:
-        path = policy.path if policy is not None else _untrained(Path(folder))
-        policy = policy or load_policy(path, "landing")
-        model = PPO.load(path, device="cpu")
+        policy = policy or load_policy(_untrained(Path(folder)), "landing")
+    model = _stock(policy)
     rows = np.random.default_rng(seed).normal(size=(repeats, len(policy.centre))).astype(np.float32)
     own, stock = np.empty(repeats), np.empty(repeats)
     for row in rows[:10]:
@@ -197,6 +195,25 @@ def policy_latency(policy: Policy | None, repeats: int, seed: int) -> dict:
         "sb3_predict_us": spread(1e6 * stock),
         "predict_batch_us_per_row": spread(1e6 * np.array(many) / VEHICLES),
     }
+
+
+def _stock(policy: Policy):
+    """Stable-Baselines3's actor of the same size, with random weights.
+
+    Its own reader is not asked for the file: it executes what the file holds.
+    """
+    from stable_baselines3.common.policies import ActorCriticPolicy
+
+    from inclined_landing.envs.features import ScaledObservation
+
+    return ActorCriticPolicy(
+        Box(-np.inf, np.inf, policy.centre.shape, np.float32),
+        Box(-1.0, 1.0, policy.biases[-1].shape, np.float32),
+        lambda _: 0.0,
+        net_arch=[bias.size for bias in policy.biases[:-1]],
+        features_extractor_class=ScaledObservation,
+        features_extractor_kwargs={"centre": policy.centre.tolist(), "scale": policy.scale.tolist()},
+    )
 
 
 def _untrained(folder: Path) -> Path:

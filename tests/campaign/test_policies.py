@@ -1,9 +1,11 @@
 """Policy files: refused in one sentence, or flown; nothing in them is run, and torch is not needed."""
 
+import base64
 import dataclasses
 import inspect
 import io
 import json
+import os
 import pickle
 import random
 import struct
@@ -20,8 +22,10 @@ import torch
 from campaign.judge import EVIL, Case, Wrong, command, judge, mutations, parametrised, places, write
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import STAMP, load_policy
+from inclined_landing.envs.policy import tensors as tensors_of
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
+from inclined_landing.eval.machine import benchmark
 
 GOOD = (resources.files("inclined_landing.envs") / "shipped" / "landing.zip").read_bytes()
 with zipfile.ZipFile(io.BytesIO(GOOD)) as archive:
@@ -194,6 +198,25 @@ class Runs:
 
     def __reduce__(self):
         return exec, ("raise SystemExit('run')",)
+
+
+class Harmful:
+    """Would leave a folder behind if it were unpickled."""
+
+    def __reduce__(self):
+        return os.mkdir, ("harm",)
+
+
+@pytest.mark.parametrize("key", ["policy_class", "lr_schedule", "policy_kwargs", "anything"])
+def test_objects_that_sb3_would_unpickle_are_left_alone(key, tmp_path, monkeypatch):
+    """Stable-Baselines3 keeps objects as base64 pickles in its header, and unpickles them in `PPO.load`."""
+    monkeypatch.chdir(tmp_path)
+    held = {":type:": "<class 'a'>", ":serialized:": base64.b64encode(pickle.dumps(Harmful())).decode()}
+    path = write(tmp_path / "p.zip", with_member("data", json.dumps(DATA | {key: held})))
+    policy = load_policy(path)
+    flies(policy)
+    assert tensors_of(path) and benchmark.policy_latency(policy, 2, 0)["policy"] == "p"
+    assert not (tmp_path / "harm").exists()
 
 
 def inner(name: str, content: bytes) -> bytes:
