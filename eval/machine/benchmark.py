@@ -28,7 +28,7 @@ from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.base.options import Flag, NewFolder, Seed, VehicleFile
 from inclined_landing.eval.base.runs import check_new_run, hand_over, versions
 from inclined_landing.eval.base.statistics import spread
-from inclined_landing.eval.machine import benchmark_table
+from inclined_landing.eval.machine import benchmark_table, exported
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -173,9 +173,10 @@ def _bare(plant) -> Callable[[np.ndarray], None]:
 
 
 def policy_latency(policy: Policy | None, repeats: int, seed: int) -> dict:
-    """Microseconds for one action of one observation: this package's loop and SB3's `predict`."""
+    """Microseconds for one action of one observation: this package's loop, SB3's `predict`, exports."""
     with tempfile.TemporaryDirectory() as folder:
         policy = policy or load_policy(_untrained(Path(folder)), "landing")
+        abroad = exported.latency(policy, repeats, seed)
     model = _stock(policy)
     rows = np.random.default_rng(seed).normal(size=(repeats, len(policy.centre))).astype(np.float32)
     own, stock = np.empty(repeats), np.empty(repeats)
@@ -194,6 +195,7 @@ def policy_latency(policy: Policy | None, repeats: int, seed: int) -> dict:
         "predict_us": spread(1e6 * own),
         "sb3_predict_us": spread(1e6 * stock),
         "predict_batch_us_per_row": spread(1e6 * np.array(many) / VEHICLES),
+        "exported_us": abroad,
     }
 
 

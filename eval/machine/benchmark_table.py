@@ -46,6 +46,17 @@ def _single(report: dict) -> Table:
     table.add_row("one action, this package [us]", _range(latency["predict_us"]))
     table.add_row("one action, SB3 predict [us]", _range(latency["sb3_predict_us"]))
     table.add_row("one of 256 actions at once [us]", _range(latency["predict_batch_us_per_row"], 2))
+    for format, words in (("c", "C"), ("numpy", "NumPy"), ("onnx", "ONNX Runtime")):
+        measured = latency["exported_us"][format]
+        skipped = measured.get("skipped")
+        table.add_row(
+            f"one action, exported as {words} [us]",
+            f"skipped: {skipped}" if skipped else _range(measured, 2 if format == "c" else 1),
+        )
+    cost = latency["exported_us"]["cost"]
+    low, high = cost["stm32f405_estimate_us"]
+    table.add_row("floating-point operations of an action", str(cost["floating_point_operations"]))
+    table.add_row("on a Crazyflie's STM32F405, estimated [us]", f"{low} to {high}")
     table.add_section()
     for row in report["video"]:
         label = f"frame 640x480, fixed camera, {row['backend']}"
