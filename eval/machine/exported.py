@@ -22,7 +22,7 @@ _LOOP = 100  # actions of the C code between two looks at the clock: 0.1 ms
 def latency(policy: Policy, repeats: int, seed: int) -> dict:
     """Microseconds for one action of one input, per format; what is not installed is said in words.
 
-    C is compiled with -O2 and timed in loops of a hundred different inputs, the call from Python shared by them;
+_LOOP = 100  # actions of the C code between two looks at the clock
     NumPy and ONNX Runtime (one thread) call by call. `cost` is counted and estimated, see `export.cost`.
     """
     network = Network.of(policy)
