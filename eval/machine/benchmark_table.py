@@ -49,10 +49,12 @@ def _single(report: dict) -> Table:
     for format, words in (("c", "C"), ("numpy", "NumPy"), ("onnx", "ONNX Runtime")):
         measured = latency["exported_us"][format]
         skipped = measured.get("skipped")
-        table.add_row(
-            f"one action, exported as {words} [us]",
-            f"skipped: {skipped}" if skipped else _range(measured, 2 if format == "c" else 1),
-        )
+        label = f"one action, exported as {words} [us]"
+        if skipped:
+            table.add_row(label, f"skipped: {skipped}")
+            continue
+        table.add_row(label, _range(measured, 2 if format == "c" else 1))
+        table.add_row("  its largest difference from the policy's", f"{measured['largest_difference']:.1e}")
     cost = latency["exported_us"]["cost"]
     low, high = cost["stm32f405_estimate_us"]
     table.add_row("floating-point operations of an action", str(cost["floating_point_operations"]))

@@ -14,21 +14,26 @@ from inclined_landing.eval.base.statistics import spread
 from inclined_landing.eval.export import c_source, compiled, contract, numpy_file, vectors
 from inclined_landing.eval.export.landing_policy import LandingPolicy
 from inclined_landing.eval.export.network import Network
+from inclined_landing.eval.export.vectors import Vectors
 from inclined_landing.models.errors import UserError
 
+_COMPARED = 1000  # inputs
 _LOOP = 100  # actions of the C code between two looks at the clock: 0.1 ms
 
 
 def latency(policy: Policy, repeats: int, seed: int) -> dict:
     """Microseconds for one action of one input, per format; what is not installed is said in words.
 
-_LOOP = 100  # actions of the C code between two looks at the clock
-    NumPy and ONNX Runtime (one thread) call by call. `cost` is counted and estimated, see `export.cost`.
+    _COMPARED = 1000  # inputs
+    _LOOP = 100  # actions of the C code between two looks at the clock
+        NumPy and ONNX Runtime (one thread) call by call. `largest_difference` is that of an action from the
+        policy's, over a thousand inputs. `cost` is counted and estimated, see `export.cost`.
     """
     network = Network.of(policy)
     terms = contract.of(policy, network)
     rng = np.random.default_rng(seed)
-    inputs = (policy.centre + policy.scale * rng.normal(size=(_LOOP, network.inputs))).astype(np.float32)
+    inputs = policy.centre + policy.scale * rng.normal(size=(_COMPARED, network.inputs))
+    inputs, wanted = inputs.astype(np.float32), policy.predict(inputs.astype(np.float32))
     observations = inputs[:8, : len(policy.task.observation_names)]
     tested = vectors.sequence(policy, np.zeros((len(observations), 13)), observations)
     with tempfile.TemporaryDirectory() as name:
@@ -36,28 +41,28 @@ _LOOP = 100  # actions of the C code between two looks at the clock
         numpy_file.write(folder, network, policy.task, tested)
         reader = LandingPolicy(folder / "policy.npz")
         return {
-            "c": _c(folder, terms, network, tested, inputs, repeats),
-            "numpy": spread(_each(reader.infer, inputs, repeats)),
-            "onnx": _onnx(folder, network, inputs, repeats),
+            "c": _c(folder, terms, network, tested, inputs, wanted, repeats),
+            "numpy": _measured(reader.infer, inputs, wanted, repeats),
+            "onnx": _onnx(folder, network, inputs, wanted, repeats),
             "cost": terms["cost"],
         }
 
 
-def _c(folder: Path, terms: dict, network: Network, tested, inputs: np.ndarray, repeats: int) -> dict:
+def _c(folder: Path, terms: dict, network: Network, tested: Vectors, inputs, wanted, repeats: int) -> dict:
     try:
         c_source.write(folder, terms, network, tested)
         library = compiled.Library(folder, folder)
     except UserError as error:
         return {"skipped": str(error)}
-    microseconds = []
+    microseconds, actions, some = [], network.sizes[-1], inputs[:_LOOP].copy()
     for _ in range(max(20, repeats // 4)):
         began = time.perf_counter()
-        library.infer(inputs, network.sizes[-1])
-        microseconds.append(1e6 * (time.perf_counter() - began) / len(inputs))
-    return spread(microseconds)
+        library.infer(some, actions)
+        microseconds.append(1e6 * (time.perf_counter() - began) / _LOOP)
+    return spread(microseconds) | _apart(library.infer(inputs, actions), wanted)
 
 
-def _onnx(folder: Path, network: Network, inputs: np.ndarray, repeats: int) -> dict:
+def _onnx(folder: Path, network: Network, inputs, wanted, repeats: int) -> dict:
     try:
         import onnxruntime
 
@@ -70,15 +75,19 @@ def _onnx(folder: Path, network: Network, inputs: np.ndarray, repeats: int) -> d
     session = onnxruntime.InferenceSession(
         folder / "policy.onnx", options, providers=["CPUExecutionProvider"]
     )
-    return spread(_each(lambda row: session.run(None, {"input": row[None]}), inputs, repeats))
+    return _measured(lambda rows: session.run(None, {"input": rows})[0], inputs, wanted, repeats)
 
 
-def _each(act: Callable[[np.ndarray], object], inputs: np.ndarray, repeats: int) -> list[float]:
-    """Microseconds of single calls, after some to warm up."""
+def _measured(act: Callable[[np.ndarray], np.ndarray], inputs, wanted, repeats: int) -> dict:
+    """Microseconds of calls with one input each, after some to warm up; and the largest difference."""
     microseconds = []
     for k in range(repeats + 10):
-        row = inputs[k % len(inputs)]
+        row = inputs[k % len(inputs)][None]
         began = time.perf_counter()
         act(row)
         microseconds.append(1e6 * (time.perf_counter() - began))
-    return microseconds[10:]
+    return spread(microseconds[10:]) | _apart(act(inputs), wanted)
+
+
+def _apart(actions: np.ndarray, wanted: np.ndarray) -> dict:
+    return {"largest_difference": float(np.abs(actions - wanted).max())}

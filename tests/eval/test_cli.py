@@ -236,6 +236,7 @@ def test_benchmark_rows(landing_policy):
     assert latency["predict_us"]["median"] < latency["sb3_predict_us"]["median"]
     abroad = latency["exported_us"]
     assert abroad["c"].get("min", 0.0) < 5.0  # an action in C, 1 us on a quiet machine
+    assert abroad["c"].get("largest_difference", 0.0) < 1e-5 > abroad["numpy"]["largest_difference"]
     assert abroad["numpy"]["median"] > 0 and abroad["cost"]["multiply_adds"] > 4000
     frames = benchmark.video(2)
     assert frames[0]["backend"] == "ray" and frames[0]["cpu_ms"]["median"] > 0
