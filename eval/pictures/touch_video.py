@@ -95,7 +95,7 @@ class Gauge:
         """Where time [s] and force [N] are in the panel."""
         w, h = self._size
         u = self._unit
-        left, right, top, bottom = 44 * u, w - 14 * u, 48 * u, h - 30 * u
+        left, right, top, bottom = 44 * u, w - 14 * u, 58 * u, h - 30 * u
         share = (t - self._t[0]) / (self._t[-1] - self._t[0])
         return left + share * (right - left), bottom - force / self._top * (bottom - top)
 
@@ -116,9 +116,10 @@ class Gauge:
             label = f"{force:g}" + (" N" if force == self._top else "")
             pen.text((x0 - 5 * u, y), label, fill=_MUTED, font=font(round(12.5 * u)), anchor="rm")
         (x0, y), (x1, _) = self._point(self._t[0], rest), self._point(self._t[-1], rest)
-        for x in np.arange(x0, x1, 8 * u):
-            pen.line([(x, y), (min(x + 4 * u, x1), y)], fill=_MUTED, width=round(1.2 * u))
-        pen.text((x1, y - 9 * u), "at rest m g cos α", fill=_MUTED, font=font(round(12.5 * u)), anchor="rm")
+        for left, right, height in ((x0, x1, y), (14 * u, 34 * u, 38 * u)):
+            for x in np.arange(left, right, 8 * u):
+                pen.line([(x, height), (min(x + 4 * u, right), height)], fill=_MUTED, width=round(1.2 * u))
+        pen.text((40 * u, 38 * u), "m g cos α", fill=_MUTED, font=font(round(12.5 * u)), anchor="lm")
         span = f"{self._t[-1] - self._t[0]:.2f} s"
         pen.text((x1, h - 14 * u), span, fill=_MUTED, font=font(round(12.5 * u)), anchor="rm")
         pen.text((x0, h - 14 * u), "time", fill=_MUTED, font=font(round(12.5 * u)), anchor="lm")

@@ -103,20 +103,21 @@ def reliability(results: dict) -> Figure | None:
     if not shown:
         return None
     with style.styled():
-        figure = Figure(figsize=(4.6, 4.4))
-        axes = figure.add_axes((0.14, 0.12, 0.82, 0.82))
-        axes.plot([0, 1], [0, 1], color=style.RULE, zorder=1)
-        for colour, (name, one) in zip((style.BLUE, style.ORANGE, style.GREEN), shown.items()):
+        figure = Figure(figsize=(4.6, 4.9), layout="constrained")
+        axes = figure.subplots()
+        axes.plot([0, 1], [0, 1], color=style.MUTED, lw=1.2, ls=(0, (5, 2)), zorder=1, label="as believed")
+        looks = zip((style.BLUE, style.ORANGE, style.GREEN), "os^")
+        for (colour, mark), (name, one) in zip(looks, shown.items()):
             x = [b["probability"] for b in one["bins"]]
             y = [b["right"]["share"] for b in one["bins"]]
             low = [max(0.0, s - b["right"]["interval"][0]) for s, b in zip(y, one["bins"])]
             high = [max(0.0, b["right"]["interval"][1] - s) for s, b in zip(y, one["bins"])]
-            axes.errorbar(x, y, [low, high], fmt="o", color=colour, capsize=3, label=_TITLES[name])
+            axes.errorbar(x, y, [low, high], fmt=mark, color=colour, capsize=3, label=_TITLES[name])
             for a, b, c in zip(x, y, one["bins"]):
                 axes.annotate(str(c["right"]["of"]), (a, b), (5, -10), textcoords="offset points", fontsize=8)
         axes.set(xlim=(0, 1.02), ylim=(-0.02, 1.02))
         axes.set(xlabel="probability of the likeliest set", ylabel="share of the cases where it is right")
-        axes.legend(loc="upper left")
+        style.legend_below(axes, ncols=1)
     return figure
 
 
