@@ -10,7 +10,11 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Task
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.plants import make_plant
+from inclined_landing.models.plants import MujocoPlant, make_plant
+from inclined_landing.models.plants.recorder import STEP, present_forces, still
+
+_LONGEST_FALL = 2.0  # s that a flight is followed at most after its motors are cut
+_STILL = 0.2  # s without motion after which it is over
 
 
 @dataclasses.dataclass
@@ -102,3 +106,48 @@ def record_flights(policy: Policy, plant, states: np.ndarray, *, steps: int | No
 def record_flight(policy: Policy, plant, start_state: np.ndarray, **options) -> Flight:
     """`record_flights` of one start (13,)."""
     return record_flights(policy, plant, start_state, **options)[0]
+
+
+@dataclasses.dataclass
+class Steps:
+    """A flight at the engine's steps, T of them with the start.
+
+    Row k of `commands` is what was applied from t[k] on; points and forces are of the state in row k.
+    """
+
+    t: np.ndarray  # (T,) s
+    state: np.ndarray  # (T, 13)
+    commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s
+    points: list[np.ndarray]  # T arrays (k, 3) m, contacts that carry force
+    forces: list[np.ndarray]  # T arrays (k, 3) N, on the vehicle
+    cut: float | None  # s, when the motors were cut from outside; None: never
+
+
+def refly(flight: Flight) -> Steps:
+    """Fly the commands of a flight again in the MuJoCo plant, one engine step at a time, and note all contacts.
+
+    For flights of that plant in still air: the states of a flight come out the same, bit for bit. Where its
+    task cuts the motors at success, the vehicle is followed until it is at rest, two seconds at most.
+    """
+    vehicle = flight.task.vehicle
+    held = round(vehicle.command_control_period / STEP)
+    plant = MujocoPlant(1, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True)
+    flight.task.prepare(plant)
+    plant.set_platform([0], flight.inclination or 0.0, flight.inclination is not None)
+    plant.reset([0], flight.state[:1])
+    rows = [(plant.state[0].copy(), *present_forces(plant, 0))]
+    commands = list(np.repeat(flight.commands[:-1], held, axis=0))
+    for command in commands:
+        plant.step(command[None])
+        rows.append((plant.state[0].copy(), *present_forces(plant, 0)))
+    cut = STEP * len(commands) if flight.success and flight.task.cut_at_success else None
+    quiet = 0
+    while cut is not None and quiet < _STILL and STEP * len(commands) < cut + _LONGEST_FALL:
+        commands.append(np.zeros(4))
+        plant.step(commands[-1][None])
+        rows.append((plant.state[0].copy(), *present_forces(plant, 0)))
+        quiet = quiet + STEP if still(plant.state[0]) else 0
+    commands.append(commands[-1])
+    states, points, forces = (list(column) for column in zip(*rows))
+    t = STEP * np.arange(len(rows))
+    return Steps(t, np.array(states), np.array(commands), points, forces, cut)

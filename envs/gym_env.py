@@ -17,9 +17,9 @@ and of the single environment, which alone renders:
 
 | option | default | meaning |
 |---|---|---|
-| `render_mode` | None | what `render` gives: "rgb_array" |
+| `render_mode` | None | "rgb_array": `render` gives pictures; "human": MuJoCo's viewer, in real time |
 | `width`, `height` | 640, 480 | of the picture, pixels |
-| `camera` | "hero" | where to look from |
+| `camera` | "arena" | where to look from; this one has the whole arena in its picture |
 | `render_backend` | "auto" | "ray", "gl", or "auto": OpenGL only where it runs on hardware |
 
 `reset(options={"state": array})` starts from given states, (13,) or (n, 13). What is not of these names,
@@ -45,7 +45,7 @@ from inclined_landing.models.errors import UserError, shown
 
 _HISTORY = "\nVersion history: v0.\n"
 _RESET = ("state", "reset_mask")  # options of the vector environment's reset
-_METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}
+_METADATA: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
 
 
 def _reset_option(options, name: str, known: tuple[str, ...]):
@@ -78,11 +78,17 @@ class TaskEnv(gym.Env):
         **task_options,
     ):
         if render_mode not in (None, *_METADATA["render_modes"]):
-            raise UserError(f"render_mode must be 'rgb_array' or None, not {shown(repr(render_mode), 40)}")
-        if render_mode is not None:
+            raise UserError(
+                f"render_mode must be 'human', 'rgb_array' or None, not {shown(repr(render_mode), 40)}"
+            )
+        if render_mode == "rgb_array":
             from inclined_landing.envs.rendering import check_look
 
             check_look(width, height, camera, render_backend)
+        if render_mode == "human":
+            from inclined_landing.envs.rendering.window import check_display
+
+            check_display()
         self.batch = make_batch(
             self.task_name, 1, plant=plant, plant_options=plant_options, vehicle=vehicle, **task_options
         )
@@ -93,6 +99,7 @@ class TaskEnv(gym.Env):
         self._picture: dict[str, Any] = {"width": width, "height": height, "camera": camera}
         self._backend = render_backend
         self._renderer: Any = None
+        self._window: Any = None
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """(observation, info) of a new episode, at random or from `options["state"]`."""
@@ -102,7 +109,9 @@ class TaskEnv(gym.Env):
         self.batch.draw_from(self.np_random)
         if state is not None:
             state = np.atleast_2d(numbers(state, "the start state"))
-        return self.batch.reset(state=state)[0], {}
+        observation = self.batch.reset(state=state)[0]
+        self._show(0.0)
+        return observation, {}
 
     def step(self, action):
         """(observation, reward, terminated, truncated, info); see the class docstring."""
@@ -112,6 +121,7 @@ class TaskEnv(gym.Env):
             "is_success": bool(step.success[0]),
             "touched": bool(self.batch.touched[0]),
         }
+        self._show(self.batch.plant.control_period)
         return (
             step.observation[0],
             float(step.reward[0]),
@@ -121,8 +131,9 @@ class TaskEnv(gym.Env):
         )
 
     def render(self) -> np.ndarray | None:
-        """The present moment as (height, width, 3) uint8; None without a render mode."""
-        if self.render_mode is None:
+        """The present moment as (height, width, 3) uint8; None without a render mode, and in the window of
+        "human", which follows every step by itself."""
+        if self.render_mode != "rgb_array":
             return None
         from inclined_landing.envs.rendering import make_renderer
         from inclined_landing.envs.rendering.pose import Pose, qpos_of_state
@@ -134,7 +145,22 @@ class TaskEnv(gym.Env):
         position, quaternion = (array[0, 0] for array in platform)
         return self._renderer.render(Pose(qpos_of_state(plant.state[0]), position, quaternion))
 
+    def _show(self, seconds: float) -> None:
+        """Show the present moment in the window, `seconds` after the one before, where there is one."""
+        if self.render_mode != "human":
+            return
+        if self._window is None:
+            from inclined_landing.envs.rendering.window import Window
+
+            self._window = Window(self.task.vehicle)
+        plant = self.batch.plant
+        inclination = float(plant.inclination[0]) if plant.present[0] else None
+        self._window.show(plant.state[0], self.batch.commands[0], inclination, seconds=seconds)
+
     def close(self) -> None:
+        if self._window is not None:
+            self._window.close()
+            self._window = None
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
@@ -143,7 +169,7 @@ class TaskEnv(gym.Env):
 class TaskVectorEnv(VectorEnv):
     """n vehicles on one task, stepped by one call; autoreset in the same step."""
 
-    metadata = _METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
+    metadata = _METADATA | {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
     task_name: str
 
     def __init__(
@@ -157,7 +183,10 @@ class TaskVectorEnv(VectorEnv):
         **task_options,
     ):
         if render_mode is not None:
-            raise UserError("the vector environment does not render; record a single one")
+            raise UserError(
+                "the vector environment does not render; record a single one, or make_vec with "
+                "vectorization_mode='sync'"
+            )
         self.batch = make_batch(
             self.task_name,
             num_envs,

@@ -41,6 +41,8 @@ COMMANDS = {
     "video": ("pictures", "Video of flights, one after the other."),
     "picture": ("pictures", "One picture of a whole flight: copies of the vehicle along its way."),
     "curves": ("pictures", "Learning curves of training runs of one task; seeds with median and range."),
+    "replay": ("", "Flights of policies and logs as one page for the browser, to be seen from all sides."),
+    "view": ("replay", "Watch a policy fly in MuJoCo's viewer, in real time; needs a display."),
     "equivalence": ("truth", "Is the MuJoCo vehicle the paper's model? One page of claims with tolerances."),
     "contact-truth": ("truth", "Can contact be believed? Rest, slip, drops, energy ... as page and figures."),
     "landings": ("", "Landing study: thousands of touchdowns over friction, speeds ..., each classified."),

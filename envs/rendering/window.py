@@ -1,0 +1,144 @@
+"""MuJoCo's viewer as a window that shows one vehicle while it flies.
+
+Without a display MuJoCo's viewer ends the whole process. So a hidden window is tried first, and what is missing
+becomes a sentence. The window has a thread of its own: mouse and menus work between two moments.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import warnings
+
+import mujoco
+import numpy as np
+
+from inclined_landing.envs.rendering import scenery
+from inclined_landing.envs.rendering.camera import look_at
+from inclined_landing.envs.rendering.pose import qpos_of_state
+from inclined_landing.models import geometry
+from inclined_landing.models.attitude import LAG, VX, WX
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.scene import build_spec
+
+REMEDY = (
+    "without one, `landing-eval replay` writes a page for any browser, `landing-eval video` a film, and "
+    "environments have render_mode='rgb_array'"
+)
+_SHADOWS = 2048  # pixels; the scene's 8192 are for stills, and slow without a graphics card
+_EYE, _TARGET = (-1.9, -3.4, 2.1), (0.0, 0.0, 1.35)  # m, where one looks from and to at first
+
+
+def check_display() -> None:
+    """Raise UserError, with the remedy, where no window with OpenGL can be opened."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise UserError(f"a window needs a display, and there is none here; {REMEDY}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # glfw tells its errors as warnings
+        try:
+            import glfw
+
+            opened = glfw.init()
+            if opened:
+                glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+                window = glfw.create_window(16, 16, "", None, None)
+                opened = bool(window)
+                if window:
+                    glfw.destroy_window(window)
+                glfw.default_window_hints()
+        except (ImportError, OSError) as error:
+            raise UserError(f"a window needs GLFW, which does not load ({error}); {REMEDY}") from error
+    if not opened:
+        raise UserError(f"a window with OpenGL cannot be opened on this display; {REMEDY}")
+
+
+class Window:
+    """A window with the vehicle on its slope, in real time.
+
+    Its model has the vehicle's true size, the contacts and the plugins: the viewer's own menus show forces and
+    shapes. Raises UserError where there is no display.
+    """
+
+    def __init__(self, vehicle: Vehicle | None = None):
+        check_display()
+        import mujoco.viewer
+
+        self._vehicle = vehicle or load_vehicle()
+        spec = build_spec(self._vehicle)
+        scenery.add_frame(spec, self._vehicle)
+        spec.visual.quality.shadowsize = _SHADOWS
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self._mocap = [int(self.model.body(name).mocapid[0]) for name in geometry.PLATFORM_BODIES]
+        try:
+            self._viewer = mujoco.viewer.launch_passive(
+                self.model, self.data, show_left_ui=False, show_right_ui=False
+            )
+        except RuntimeError as error:  # macOS wants its own interpreter
+            raise UserError(f"the viewer did not start: {error}; {REMEDY}") from error
+        self._look()
+        self._due = time.monotonic()
+
+    def _look(self) -> None:
+        eye, target = np.array(_EYE), np.array(_TARGET)
+        forward = look_at(eye, target, 1, 1).axes[2]
+        camera = self._viewer.cam
+        camera.lookat[:] = target
+        camera.distance = float(np.linalg.norm(target - eye))
+        camera.azimuth = float(np.degrees(np.arctan2(forward[1], forward[0])))
+        camera.elevation = float(np.degrees(np.arcsin(forward[2])))
+
+    @property
+    def open(self) -> bool:
+        """Has nobody closed it yet."""
+        return self._viewer is not None and self._viewer.is_running()
+
+    def show(
+        self,
+        state: np.ndarray,
+        commands: np.ndarray,
+        inclination: float | None,
+        *,
+        text: str = "",
+        seconds: float = 0.0,
+    ) -> None:
+        """Show a state (13,) under commands (4,); does nothing once the window is closed.
+
+        inclination: of the platform [rad], None without one. seconds: since the moment shown before; waits so
+        long that the flight is seen in real time.
+        """
+        if not self.open:
+            return
+        now = time.monotonic()
+        self._due = max(self._due + seconds, now - 0.1)  # what came late is not made up for
+        time.sleep(max(0.0, self._due - now))
+        places = geometry.platform_poses([inclination or 0.0], [inclination is not None], self._vehicle)
+        with self._viewer.lock():
+            data = self.data
+            data.qpos[:7] = qpos_of_state(state)
+            data.qvel[:3], data.qvel[3:6] = state[VX : VX + 3], state[WX : WX + 3]
+            data.act[0] = state[LAG]
+            data.ctrl[:] = commands
+            data.mocap_pos[self._mocap], data.mocap_quat[self._mocap] = places[0][0], places[1][0]
+            mujoco.mj_forward(self.model, data)
+        if text:
+            self._viewer.set_texts((None, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT, text, ""))
+        self._viewer.sync()
+
+    def close(self) -> None:
+        """Close the window and wait until its thread has let go of it."""
+        viewer, self._viewer = self._viewer, None
+        if viewer is None:
+            return
+        viewer.close()
+        patience = time.monotonic() + 2.0
+        while viewer.m is not None and time.monotonic() < patience:
+            time.sleep(0.01)
+
+    def __enter__(self) -> Window:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()

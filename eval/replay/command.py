@@ -1,0 +1,134 @@
+"""`landing-eval replay`: flights as one page for the browser."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import shlex
+import sys
+import zipfile
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from inclined_landing.envs.policy import SHIPPED
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import File, Flag, Flat, Flown, Range, Starts
+from inclined_landing.eval.gap.search.rollout import HORIZON
+from inclined_landing.eval.logs import read_log
+from inclined_landing.eval.logs.command import parse_units
+from inclined_landing.eval.pictures.flown import fly, points
+from inclined_landing.eval.replay.measured import of_log
+from inclined_landing.eval.replay.page import write
+from inclined_landing.eval.replay.recording import Recording, of_flight
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+
+Sources = Annotated[
+    tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY|LOG [POLICY|LOG ...]")
+]
+
+
+def command(
+    sources: Sources,
+    /,
+    out: File,
+    start: Starts = (),
+    anew: Annotated[float, Range(0.05, 3600)] = HORIZON,
+    mapping: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
+    unit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=UNIT")] = (),
+    platform: Flag = False,
+    flown: Flat[Flown] = Flown(),
+) -> None:
+    """Flights of policies and logs as one page for the browser, to be seen from all sides.
+
+    The page holds everything it needs and opens from a file. A policy flies from --start, or from its task's
+    usual starts, and is followed at the engine's steps with its contact forces until it is at rest. A log is
+    shown with what the model makes of the same commands.
+
+    Args:
+        sources: policy files or names of shipped ones, and flight logs of any known kind.
+        out: .html file.
+        start: where policies fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for more flights.
+        anew: seconds after which the simulation of a log begins anew at the measured state.
+        mapping: shipped mapping or mapping file (TOML), where a log's column names do not tell.
+        unit: of a column that states none, roll=deg for example; repeat the option for more.
+        platform: the slab of the vehicle file stood in the arena (known from logs with contacts).
+    """
+    if not sources:
+        raise UserError("name at least one policy or log")
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise UserError(f"a page is an .html file, not {shown(out.name)!r}")
+    storage.check_file(out)
+    recordings: list[Recording] = []
+    notes: list[str] = []
+    units = parse_units(unit)
+    policies = [source for source in sources if _is_policy(source)]
+    if start and not policies:
+        raise UserError("--start is where a policy flies from, and only logs were named")
+    for source in sources:
+        if source in policies:
+            recordings += _flights(source, start, flown)
+            continue
+        log = read_log(source, mapping=mapping, units=units)
+        vehicle = _vehicle(flown)
+        found, said = of_log(log, vehicle, platform=platform, anew=anew, plant=_plant(flown))
+        recordings += found
+        notes += said
+    text = write(
+        recordings,
+        title=_title(sources),
+        notes=notes,
+        run=shlex.join(["landing-eval", *sys.argv[1:]]),
+        versions=runs.packages(),
+    )
+    out.parent.mkdir(parents=True, exist_ok=True)
+    storage.write_text(out, text)
+    for note in notes:
+        print(note, file=sys.stderr)
+    for recording in recordings:
+        print(f"{recording.name}: {recording.outcome}", file=sys.stderr)
+    print(out)
+
+
+def _is_policy(source: str) -> bool:
+    return source in SHIPPED or Path(source).suffix == ".zip" or zipfile.is_zipfile(source)
+
+
+def _title(sources: tuple[str, ...]) -> str:
+    names = [shown(source if source in SHIPPED else Path(source).name, 60) for source in sources]
+    rest = f" and {len(names) - 2} more" if len(names) > 2 else ""
+    return ", ".join(names[:2]) + rest
+
+
+def _flights(source: str, start: Starts, flown: Flown) -> list[Recording]:
+    """The flights of one policy."""
+    policy = flown.load(source)
+    task = policy.task
+    where = points(start, task) if start else list(task.film_starts)
+    found = []
+    for flight in fly(policy, where, flown.plant):
+        name = f"{shown(policy.name, 60)} from {task.start_words(flight.state[0])}"
+        found.append(of_flight(flight, name, flown.plant))
+    return found
+
+
+def _plant(flown: Flown) -> str:
+    """Of a log's simulation; raises UserError for one that is unknown."""
+    from inclined_landing.models.plants import PLANTS
+
+    if flown.plant not in PLANTS:
+        raise UserError(f"unknown plant {shown(flown.plant, 40)!r}; known are {', '.join(PLANTS)}")
+    return flown.plant
+
+
+def _vehicle(flown: Flown) -> Vehicle:
+    """That a log is simulated with."""
+    vehicle = load_vehicle(flown.vehicle)
+    if flown.inclination is None:
+        return vehicle
+    angle = math.radians(flown.inclination)
+    vehicle.check_inclination(angle)
+    return dataclasses.replace(vehicle, platform_inclination=angle)

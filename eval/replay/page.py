@@ -1,0 +1,106 @@
+"""The page: recordings, scenes and the player in one file that needs nothing else."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from inclined_landing.eval.base.page import render
+from inclined_landing.eval.pictures.way import spread_copies
+from inclined_landing.eval.replay.recording import Recording
+from inclined_landing.eval.replay.scene import scene
+from inclined_landing.models.attitude import ROLL, STATE_SIZE
+from inclined_landing.models.errors import shown
+
+MOST_ROWS = 30_000  # of all flights of a page: about 2 MB
+_SCRIPTS = ("three/three.min.js", *(f"page/{name}.js" for name in ("data", "scene", "cameras", "curves", "player")))
+_COPIES, _SPACING = 9, 0.2  # translucent copies along a flight, and how far apart they are at least [m]
+
+
+def write(recordings: Sequence[Recording], *, title: str, notes: Sequence[str], run: str, versions: dict) -> str:
+    """The text of the page. run: how it was made."""
+    most = max(2, MOST_ROWS // len(recordings))
+    thinned = [recording.thinned(most) for recording in recordings]
+    notes = [*notes, *_thinned_words(recordings, thinned)]
+    scenes: dict[tuple, dict] = {}
+    flights = []
+    for recording in thinned:
+        key = (recording.vehicle, recording.inclination)
+        if key not in scenes:
+            scenes[key] = scene(*key)
+        flights.append(_packed(recording) | {"scene": list(scenes).index(key)})
+    content = {"flights": flights, "scenes": list(scenes.values())}
+    return render(
+        __package__,
+        "page/replay.html.j2",
+        title=title,
+        flights=[(flight["name"], flight["outcome"]) for flight in flights],
+        notes=notes,
+        style=Markup(_file("page/replay.css")),
+        scripts=[Markup(_file(name)) for name in _SCRIPTS],
+        content=_as_script(content),
+        run=run,
+        versions=versions,
+    )
+
+
+def _file(name: str) -> str:
+    return resources.files(__package__).joinpath(name).read_text("utf-8")
+
+
+def _as_script(content: dict) -> Markup:
+    """JSON that may stand in a script element, whatever names it holds."""
+    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
+    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
+
+
+def _packed(recording: Recording) -> dict[str, Any]:
+    """A recording as JSON: columns as little-endian 32-bit floats in base 64, NaN included."""
+    r = recording
+    state = np.zeros((len(r.t), STATE_SIZE))
+    state[:, :3], state[:, ROLL : ROLL + 3] = r.position, np.nan_to_num(r.attitude)
+    packed: dict[str, Any] = {
+        "name": shown(r.name, 120),
+        "kind": r.kind,
+        "outcome": shown(r.outcome, 300),
+        "rows": len(r.t),
+        "events": [[round(t, 4), text] for t, text in r.events],
+        "anew": r.anew.tolist(),
+        "copies": spread_copies(state, _COPIES, _SPACING)[:-1].tolist(),
+        "goal": None,
+        "contacts": None,
+    }
+    for name in ("t", "position", "attitude", "velocity", "commands"):
+        packed[name] = _floats(getattr(r, name))
+    if r.goal is not None:
+        packed["goal"] = {
+            "position": r.goal[:3].tolist(),
+            "attitude": r.goal[ROLL : ROLL + 3].tolist(),
+            "size": r.goal_size,
+        }
+    if r.forces is not None and r.points is not None:
+        counts = np.array([len(force) for force in r.forces], np.uint8)
+        packed["contacts"] = {
+            "counts": base64.b64encode(counts.tobytes()).decode("ascii"),
+            "points": _floats(np.concatenate(r.points)),
+            "forces": _floats(np.concatenate(r.forces)),
+        }
+    return packed
+
+
+def _floats(values: np.ndarray) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, "<f4").tobytes()).decode("ascii")
+
+
+def _thinned_words(before: Sequence[Recording], after: Sequence[Recording]) -> list[str]:
+    return [
+        f"{a.name}: {len(b.t)} of its {len(a.t)} rows are in the page"
+        for a, b in zip(before, after)
+        if len(a.t) != len(b.t)
+    ]

@@ -1,0 +1,101 @@
+"""`Recording`: one flight as the page plays it, whatever it comes from."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from inclined_landing.envs.flights import Flight, refly
+from inclined_landing.models.attitude import ROLL, VX
+from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.plants.recorder import still
+
+FLOWN, MEASURED, SIMULATED = "flown", "measured", "simulated"
+
+
+@dataclasses.dataclass
+class Recording:
+    """Motion, commands and contacts of one flight; T rows.
+
+    What was not logged is NaN. A simulation that begins anew has two rows of one time there: the end of the old
+    part and the start of the new one.
+    """
+
+    name: str
+    kind: str  # FLOWN, MEASURED or SIMULATED
+    outcome: str  # a sentence without its full stop
+    vehicle: Vehicle
+    inclination: float | None  # of the platform, rad; None without one
+    t: np.ndarray  # (T,) s, not decreasing
+    position: np.ndarray  # (T, 3) m
+    attitude: np.ndarray  # (T, 3) roll, pitch, yaw, rad
+    velocity: np.ndarray  # (T, 3) m/s
+    commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s, from t on
+    points: Sequence[np.ndarray] | None = None  # T arrays (k, 3) m, contacts that carry force; None: not known
+    forces: Sequence[np.ndarray] | None = None  # T arrays (k, 3) N, on the vehicle
+    events: list[tuple[float, str]] = dataclasses.field(default_factory=list)  # time [s] and what happens
+    anew: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, int))  # rows that begin a part
+    goal: np.ndarray | None = None  # (13,) the task's goal as a state
+    goal_size: float | None = None  # half width of its box, m
+
+    @property
+    def duration(self) -> float:
+        """Of the flight [s]."""
+        return float(self.t[-1])
+
+    def thinned(self, most: int) -> Recording:
+        """At most about `most` rows of it, evenly chosen; parts keep their ends."""
+        stride = -(-len(self.t) // most)
+        if stride == 1:
+            return self
+        ends = np.concatenate([[0, len(self.t) - 1], self.anew, self.anew - 1]).astype(int)
+        rows = np.unique(np.concatenate([np.arange(0, len(self.t), stride), ends]))
+        names = ("t", "position", "attitude", "velocity", "commands")
+        changed: dict = {name: getattr(self, name)[rows] for name in names}
+        for name in ("points", "forces"):
+            if getattr(self, name) is not None:
+                changed[name] = [getattr(self, name)[k] for k in rows]
+        return dataclasses.replace(self, **changed, anew=np.searchsorted(rows, self.anew))
+
+
+def of_flight(flight: Flight, name: str, plant: str) -> Recording:
+    """A policy's flight; of the MuJoCo plant at every engine step with its contacts, see `refly`.
+
+    Other plants are shown at the control rate, without contacts.
+    """
+    task = flight.task
+    steps = refly(flight) if plant == "mujoco" else None
+    whole = flight if steps is None else steps
+    events = []
+    if flight.success and task.goal_size is not None:
+        events.append((flight.duration, "goal box"))
+    if steps is not None:
+        touched = [k for k, force in enumerate(steps.forces) if len(force)]
+        if touched:
+            events.append((float(steps.t[touched[0]]), "first touch"))
+        moving = np.flatnonzero(~still(steps.state))
+        if len(steps.forces[-1]) and len(moving) and moving[-1] + 1 < len(steps.t):
+            events.append((float(steps.t[moving[-1] + 1]), "at rest"))
+    outcome = task.flight_words(flight)
+    if steps is not None and steps.cut is not None:
+        outcome += f"; motors cut there, {'at rest' if still(steps.state[-1]) else 'not at rest'} after "
+        outcome += f"{steps.t[-1]:.2f} s"
+    return Recording(
+        name=name,
+        kind=FLOWN,
+        outcome=outcome,
+        vehicle=task.vehicle,
+        inclination=flight.inclination,
+        t=whole.t,
+        position=whole.state[:, :3],
+        attitude=whole.state[:, ROLL : ROLL + 3],
+        velocity=whole.state[:, VX : VX + 3],
+        commands=whole.commands,
+        points=None if steps is None else steps.points,
+        forces=None if steps is None else steps.forces,
+        events=sorted(events),
+        goal=task.goal_state,
+        goal_size=task.goal_size,
+    )

@@ -1,0 +1,83 @@
+"""What stands in the scene and what the vehicle looks like, as the compiled MuJoCo models have it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from inclined_landing.envs.rendering import scenery
+from inclined_landing.envs.rendering.pose import Pose, pose_of
+from inclined_landing.models.parameters import Vehicle
+
+_KINDS = {
+    mujoco.mjtGeom.mjGEOM_PLANE: "plane",
+    mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
+    mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
+    mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
+    mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
+    mujoco.mjtGeom.mjGEOM_BOX: "box",
+    mujoco.mjtGeom.mjGEOM_MESH: "mesh",
+}
+
+
+def scene(vehicle: Vehicle, inclination: float | None) -> dict[str, Any]:
+    """Geoms of the world and of the vehicle in its true size, with names, sizes [m], poses and colours.
+
+    The world's are in its frame, the vehicle's in the body's. `low`: height of the foot tips in the body's frame;
+    `feet`: their spheres; `scale`: how much larger a vehicle is drawn to be seen.
+    """
+    pose = pose_of(np.array([0, 0, 0, 1, 0, 0, 0]), vehicle, inclination)
+    platform = (None, None) if inclination is None else (pose.platform_pos, pose.platform_quat)
+    model = scenery.rendering_model(vehicle, platform=platform, scale=1.0)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    moving = model.body_rootid[model.geom_bodyid] == model.body("crazyflie").id
+    shown = model.geom_group <= scenery.VISUAL_GROUP
+    feet = [_geom(model, data, k) for k in range(model.ngeom) if model.geom(k).name.startswith("foot_")]
+    return {
+        "world": [_geom(model, data, k) for k in np.flatnonzero(shown & ~moving)],
+        "vehicle": [_geom(model, data, k) for k in np.flatnonzero(shown & moving)],
+        "feet": feet,
+        "low": min(foot["position"][2] - foot["size"][0] for foot in feet),
+        "scale": scenery.SCALE,
+        "arena": [list(side) for side in (vehicle.arena_x, vehicle.arena_y, vehicle.arena_z)],
+        "platform": None if inclination is None else _slab(vehicle, pose),
+    }
+
+
+def _slab(vehicle: Vehicle, pose: Pose) -> dict[str, Any]:
+    """Where the slab's surface is: centre, half length along the slope and half depth [m], quaternion."""
+    return {
+        "position": _rounded(pose.platform_pos),
+        "quaternion": _rounded(pose.platform_quat),
+        "half": _rounded([vehicle.slab_half_length, 0.5 * vehicle.platform_depth]),
+    }
+
+
+def _geom(model: mujoco.MjModel, data: mujoco.MjData, k: int) -> dict[str, Any]:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, data.geom_xmat[k])
+    material = model.geom_matid[k]
+    found = {
+        "name": model.geom(k).name,
+        "kind": _KINDS[mujoco.mjtGeom(model.geom_type[k])],
+        "size": _rounded(model.geom_size[k]),
+        "position": _rounded(data.geom_xpos[k]),
+        "quaternion": _rounded(quaternion),
+        "colour": _rounded(model.geom_rgba[k] if material < 0 else model.mat_rgba[material]),
+        "glow": 0.0 if material < 0 else float(model.mat_emission[material]),
+    }
+    if found["kind"] == "mesh":
+        mesh = model.geom_dataid[k]
+        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        face, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+        found["vertices"] = _rounded(model.mesh_vert[first : first + count].ravel())
+        found["faces"] = model.mesh_face[face : face + faces].ravel().tolist()
+    return found
+
+
+def _rounded(values) -> list[float]:
+    """To a micrometre."""
+    return [round(float(value), 6) for value in values]

@@ -1,0 +1,68 @@
+"""`landing-eval view`: MuJoCo's viewer with a policy's flights, in real time."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from inclined_landing.envs.flights import Flight, refly
+from inclined_landing.envs.rendering.window import Window, check_display
+from inclined_landing.eval.base.options import Flag, Flat, Flown, Range, Starts
+from inclined_landing.eval.base.policies import AnyPolicy
+from inclined_landing.eval.pictures.flown import fly, points, report
+
+_FPS = 50.0  # moments shown in a second
+_LINGERS = 1.5  # s that the last moment of a flight stays
+
+
+def command(
+    policy: AnyPolicy,
+    /,
+    start: Starts = (),
+    slow: Annotated[float, Range(0.1, 100)] = 1.0,
+    again: Flag = False,
+    flown: Flat[Flown] = Flown(),
+) -> None:
+    """Watch a policy fly in MuJoCo's viewer, in real time; needs a display.
+
+    Mouse and menus work meanwhile; closing the window ends it. Without a display, replay writes a page for any
+    browser and video a film.
+
+    Args:
+        policy: file, or the name of a shipped one.
+        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for more flights.
+        slow: 2 plays at half speed.
+        again: begin again after the last flight, until the window is closed.
+    """
+    check_display()
+    loaded = flown.load(policy)
+    flights = fly(loaded, points(start, loaded.task), flown.plant)
+    with Window(loaded.task.vehicle) as window:
+        first = True
+        while window.open and (first or again):
+            for k, flight in enumerate(flights):
+                play(window, flight, flown.plant, slow)
+                if first:
+                    report(flight, f"flight {k + 1}")
+            first = False
+
+
+def play(window: Window, flight: Flight, plant: str, slow: float) -> None:
+    """Show one flight in real time, `slow` times slower; ends early when the window is closed.
+
+    A flight of the MuJoCo plant is followed until the vehicle is at rest, see `refly`.
+    """
+    whole = refly(flight) if plant == "mujoco" else flight
+    stride = max(1, round(1.0 / (_FPS * slow * (whole.t[1] - whole.t[0]))))
+    rows = [*range(0, len(whole.t), stride), len(whole.t) - 1]
+    waited = 0.0
+    for k in rows:
+        if not window.open:
+            return
+        text = f"t {whole.t[k]:.2f} s   PWM {whole.commands[k, 0]:.0f}"
+        pause = slow * (whole.t[k] - waited)
+        window.show(whole.state[k], whole.commands[k], flight.inclination, text=text, seconds=pause)
+        waited = whole.t[k]
+    for _ in range(round(_LINGERS * _FPS)):
+        if not window.open:
+            return
+        window.show(whole.state[-1], whole.commands[-1], flight.inclination, text=text, seconds=1.0 / _FPS)
