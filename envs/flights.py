@@ -9,11 +9,14 @@ import numpy as np
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Task
+from inclined_landing.models import geometry
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import MujocoPlant, make_plant
 from inclined_landing.models.plants.recorder import STEP, present_forces, still
 
 _LONGEST_FALL = 2.0  # s that a flight is followed at most after its motors are cut
+_FREE = 0.01  # m from every surface, where nothing can touch
+_NONE = np.zeros((0, 3))
 _STILL = 0.2  # s without motion after which it is over
 
 
@@ -124,28 +127,36 @@ class Steps:
 
 
 def refly(flight: Flight) -> Steps:
-    """Fly the commands of a flight again in the MuJoCo plant, one engine step at a time, and note all contacts.
+    """Fly the commands of a flight again in the MuJoCo plant, one engine step at a time, with all contacts.
 
     For flights of that plant in still air: the states of a flight come out the same, bit for bit. Where its
     task cuts the motors at success, the vehicle is followed until it is at rest, two seconds at most.
     """
     vehicle = flight.task.vehicle
     held = round(vehicle.command_control_period / STEP)
-    plant = MujocoPlant(1, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True)
+    plant = MujocoPlant(1, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True, threads=1)
     flight.task.prepare(plant)
     plant.set_platform([0], flight.inclination or 0.0, flight.inclination is not None)
     plant.reset([0], flight.state[:1])
-    rows = [(plant.state[0].copy(), *present_forces(plant, 0))]
+    shapes = geometry.shapes_of(plant.model)
+    platform = geometry.platform_poses(plant.inclination, plant.present, vehicle)[0]
+
+    def seen():
+        """State, points and forces of now; far from everything there are none."""
+        free = geometry.clearances(plant.state, plant.inclination, platform, shapes).min() > _FREE
+        return plant.state[0].copy(), *((_NONE, _NONE) if free else present_forces(plant, 0))
+
+    rows = [seen()]
     commands = list(np.repeat(flight.commands[:-1], held, axis=0))
     for command in commands:
         plant.step(command[None])
-        rows.append((plant.state[0].copy(), *present_forces(plant, 0)))
+        rows.append(seen())
     cut = STEP * len(commands) if flight.success and flight.task.cut_at_success else None
     quiet = 0
     while cut is not None and quiet < _STILL and STEP * len(commands) < cut + _LONGEST_FALL:
         commands.append(np.zeros(4))
         plant.step(commands[-1][None])
-        rows.append((plant.state[0].copy(), *present_forces(plant, 0)))
+        rows.append(seen())
         quiet = quiet + STEP if still(plant.state[0]) else 0
     commands.append(commands[-1])
     states, points, forces = (list(column) for column in zip(*rows))

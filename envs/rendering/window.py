@@ -1,7 +1,7 @@
 """MuJoCo's viewer as a window that shows one vehicle while it flies.
 
-Without a display MuJoCo's viewer ends the whole process. So a hidden window is tried first, and what is missing
-becomes a sentence. The window has a thread of its own: mouse and menus work between two moments.
+Without a display MuJoCo's viewer ends the whole process. So a hidden window is tried first, and what is
+missing becomes a sentence. The window has a thread of its own: mouse and menus work between two moments.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ def check_display() -> None:
 class Window:
     """A window with the vehicle on its slope, in real time.
 
-    Its model has the vehicle's true size, the contacts and the plugins: the viewer's own menus show forces and
-    shapes. Raises UserError where there is no display.
+    Its model has the vehicle's true size, the contacts and the plugins: the viewer's own menus show forces
+    and shapes. Raises UserError where there is no display.
     """
 
     def __init__(self, vehicle: Vehicle | None = None):

@@ -51,7 +51,8 @@ def command(
     Args:
         sources: policy files or names of shipped ones, and flight logs of any known kind.
         out: .html file.
-        start: where policies fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for more flights.
+        start: where policies fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for more
+            flights.
         anew: seconds after which the simulation of a log begins anew at the measured state.
         mapping: shipped mapping or mapping file (TOML), where a log's column names do not tell.
         unit: of a column that states none, roll=deg for example; repeat the option for more.
@@ -62,6 +63,7 @@ def command(
     if out.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"a page is an .html file, not {shown(out.name)!r}")
     storage.check_file(out)
+    plant, vehicle = _plant(flown), _vehicle(flown)
     recordings: list[Recording] = []
     notes: list[str] = []
     units = parse_units(unit)
@@ -73,8 +75,7 @@ def command(
             recordings += _flights(source, start, flown)
             continue
         log = read_log(source, mapping=mapping, units=units)
-        vehicle = _vehicle(flown)
-        found, said = of_log(log, vehicle, platform=platform, anew=anew, plant=_plant(flown))
+        found, said = of_log(log, vehicle, platform=platform, anew=anew, plant=plant)
         recordings += found
         notes += said
     text = write(

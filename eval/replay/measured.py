@@ -58,9 +58,7 @@ def _touch(log: FlightLog) -> list[tuple[float, str]]:
     return [(float(log.t[begins[0]] - log.t[0]), "first touch")] if len(begins) else []
 
 
-def _simulated(
-    measured: Recording, flight: Measured, vehicle: Vehicle, anew: float, plant: str
-) -> Recording:
+def _simulated(measured: Recording, flight: Measured, vehicle: Vehicle, anew: float, plant: str) -> Recording:
     """The model's flight in parts of `anew` seconds, each from the measured state at its beginning."""
     last = flight.samples - 1
     rows = min(max(1, round(anew / flight.dt)), last)
@@ -84,8 +82,8 @@ def _simulated(
         measured,
         name=f"{measured.name}, simulated",
         kind=SIMULATED,
-        outcome=f"simulated {every} with the measured commands; {100 * typical:.1f} cm (root mean square) from "
-        f"the measured position after {rows * flight.dt:.3g} s",
+        outcome=f"simulated {every} with the measured commands; {100 * typical:.1f} cm (root mean square) "
+        f"from the measured position after {rows * flight.dt:.3g} s",
         t=flight.t[index],
         position=pose[:, :3],
         attitude=pose[:, 3:],

@@ -19,11 +19,16 @@ from inclined_landing.models.attitude import ROLL, STATE_SIZE
 from inclined_landing.models.errors import shown
 
 MOST_ROWS = 30_000  # of all flights of a page: about 2 MB
-_SCRIPTS = ("three/three.min.js", *(f"page/{name}.js" for name in ("data", "scene", "cameras", "curves", "player")))
+_SCRIPTS = (
+    "three/three.min.js",
+    *(f"page/{name}.js" for name in ("data", "scene", "cameras", "curves", "player")),
+)
 _COPIES, _SPACING = 9, 0.2  # translucent copies along a flight, and how far apart they are at least [m]
 
 
-def write(recordings: Sequence[Recording], *, title: str, notes: Sequence[str], run: str, versions: dict) -> str:
+def write(
+    recordings: Sequence[Recording], *, title: str, notes: Sequence[str], run: str, versions: dict
+) -> str:
     """The text of the page. run: how it was made."""
     most = max(2, MOST_ROWS // len(recordings))
     thinned = [recording.thinned(most) for recording in recordings]

@@ -19,8 +19,8 @@ FLOWN, MEASURED, SIMULATED = "flown", "measured", "simulated"
 class Recording:
     """Motion, commands and contacts of one flight; T rows.
 
-    What was not logged is NaN. A simulation that begins anew has two rows of one time there: the end of the old
-    part and the start of the new one.
+    What was not logged is NaN. A simulation that begins anew has two rows of one time there: the end of the
+    old part and the start of the new one.
     """
 
     name: str
@@ -33,7 +33,9 @@ class Recording:
     attitude: np.ndarray  # (T, 3) roll, pitch, yaw, rad
     velocity: np.ndarray  # (T, 3) m/s
     commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s, from t on
-    points: Sequence[np.ndarray] | None = None  # T arrays (k, 3) m, contacts that carry force; None: not known
+    points: Sequence[np.ndarray] | None = (
+        None  # T arrays (k, 3) m, contacts that carry force; None: not known
+    )
     forces: Sequence[np.ndarray] | None = None  # T arrays (k, 3) N, on the vehicle
     events: list[tuple[float, str]] = dataclasses.field(default_factory=list)  # time [s] and what happens
     anew: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, int))  # rows that begin a part

@@ -25,8 +25,8 @@ _KINDS = {
 def scene(vehicle: Vehicle, inclination: float | None) -> dict[str, Any]:
     """Geoms of the world and of the vehicle in its true size, with names, sizes [m], poses and colours.
 
-    The world's are in its frame, the vehicle's in the body's. `low`: height of the foot tips in the body's frame;
-    `feet`: their spheres; `scale`: how much larger a vehicle is drawn to be seen.
+    The world's are in its frame, the vehicle's in the body's. `low`: height of the foot tips in the body's
+    frame; `feet`: their spheres; `scale`: how much larger a vehicle is drawn to be seen.
     """
     pose = pose_of(np.array([0, 0, 0, 1, 0, 0, 0]), vehicle, inclination)
     platform = (None, None) if inclination is None else (pose.platform_pos, pose.platform_quat)

@@ -24,8 +24,8 @@ def command(
 ) -> None:
     """Watch a policy fly in MuJoCo's viewer, in real time; needs a display.
 
-    Mouse and menus work meanwhile; closing the window ends it. Without a display, replay writes a page for any
-    browser and video a film.
+    Mouse and menus work meanwhile; closing the window ends it. Without a display, replay writes a page for
+    any browser and video a film.
 
     Args:
         policy: file, or the name of a shipped one.

@@ -43,7 +43,7 @@ Replay.Cameras = class {
     this.name = "orbit";
   }
 
-  // Corners of what has to be in the picture: the ways of the shown flights and the platform.
+  // Corners of what has to be in the picture: the ways of the shown flights, goal and platform.
   subject(shown, selected) {
     const low = [Infinity, Infinity, Infinity];
     const high = [-Infinity, -Infinity, -Infinity];
@@ -55,7 +55,9 @@ Replay.Cameras = class {
       if (!shown[n]) return;
       for (let k = 0; k < flight.rows; k += 4) take([...flight.position.subarray(3 * k, 3 * k + 3)], 0.16);
     });
-    const platform = this.scenes[this.flights[selected].scene].platform;
+    const { scene, goal } = this.flights[selected];
+    if (goal) take(goal.position, 0.2);
+    const platform = this.scenes[scene].platform;
     if (platform) {
       const [x, , z] = platform.position;
       const [length, depth] = platform.half;
@@ -107,7 +109,7 @@ Replay.Cameras = class {
 
   // m from a vehicle or the pad; narrow pictures stand back.
   get near() {
-    return 1.7 / Math.min(1, this.aspect);
+    return 1.25 / Math.min(1, this.aspect);
   }
 
   get isFlat() {

@@ -119,8 +119,7 @@ Replay.Curves = class {
     return { ...panel, svg, values, last };
   }
 
-  draw() {
-    const width = Math.round(this.place.clientWidth);
+  draw(width = Math.round(this.place.clientWidth)) {
     if (!width || width === this.width) return;
     this.width = width;
     for (const panel of this.panels) this.drawPanel(panel, width);

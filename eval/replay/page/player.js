@@ -3,6 +3,7 @@
 
 Replay.SPEEDS = [1 / 16, 1 / 8, 1 / 4, 1 / 2, 1, 2, 4];
 Replay.FRAME = 0.02; // s that an arrow key goes on
+Replay.PRINTED = 430; // pixels of a curve's width on paper, before it is fitted into its column
 Replay.CAMERAS = ["orbit", "follow", "side", "top", "pad"];
 
 Replay.Player = class {
@@ -14,7 +15,7 @@ Replay.Player = class {
     this.time = 0;
     this.playing = false;
     this.speed = 1;
-    this.switches = { trail: true, copies: false, forces: true, large: true };
+    this.switches = { trail: true, copies: false, forces: true, goal: true, large: true };
     this.calm = matchMedia("(prefers-reduced-motion: reduce)");
     this.dark = matchMedia("(prefers-color-scheme: dark)");
     this.part = (name) => document.getElementById(name);
@@ -25,6 +26,7 @@ Replay.Player = class {
     this.controls();
     this.keys();
     this.select(0);
+    this.print();
     this.fromAddress();
     addEventListener("hashchange", () => this.fromAddress());
     document.documentElement.dataset.ready = this.stage ? "3d" : "curves";
@@ -67,15 +69,30 @@ Replay.Player = class {
       this.refresh();
     };
     new ResizeObserver(fit).observe(canvas.parentElement);
-    addEventListener("beforeprint", () => this.draw());
     for (const controls of [this.cameras.free, this.cameras.pan]) controls.addEventListener("change", () => this.refresh());
     this.stage = stage;
     fit();
     return stage;
   }
 
+  // On paper: a copy of the picture as it is now, in its light look, and curves in two columns.
+  print() {
+    const draw = (look, width) => {
+      this.curves.draw(width);
+      if (!this.stage) return;
+      this.stage.look(look);
+      this.draw();
+      const [still, picture] = [this.part("still"), this.part("picture")];
+      Object.assign(still, { width: picture.width, height: picture.height });
+      still.getContext("2d").drawImage(picture, 0, 0);
+    };
+    addEventListener("beforeprint", () => draw("light", Replay.PRINTED));
+    addEventListener("afterprint", () => draw(this.dark.matches ? "dark" : "light"));
+  }
+
   get end() {
-    return Math.max(...this.flights.map((flight, k) => (this.shown[k] ? flight.end : 0)), 1e-3);
+    const seen = this.flights.filter((_, k) => this.shown[k] || k === this.selected);
+    return Math.max(...seen.map((flight) => flight.end), 1e-3);
   }
 
   // --- flights ---------------------------------------------------------------------------------------------
@@ -95,18 +112,23 @@ Replay.Player = class {
         const label = Replay.element("label", { class: "needs-3d", title: "in the picture" });
         const box = Replay.element("input", { type: "checkbox", "aria-label": `show ${flight.name}` });
         box.checked = true;
-        box.addEventListener("change", () => {
-          this.shown[k] = box.checked;
-          this.curves.show(...this.pair(), this.end);
-          this.range();
-          this.seek(Math.min(this.time, this.end));
-        });
+        box.addEventListener("change", () => this.include(k, box.checked));
         label.append(box);
         row.append(label);
       }
       list.append(row);
       return { row, pick };
     });
+  }
+
+  // Put a flight into the picture or leave it out.
+  include(k, on) {
+    this.shown[k] = on;
+    const box = this.rows[k].row.querySelector("input");
+    if (box) box.checked = on;
+    this.curves.show(...this.pair(), this.end);
+    this.range();
+    this.seek(this.time);
   }
 
   // The flight whose curves are shown, and the other one of a measured and a simulated flight.
@@ -267,6 +289,7 @@ Replay.Player = class {
       t: () => this.toggle("trail"),
       g: () => this.toggle("copies"),
       f: () => this.toggle("forces"),
+      o: () => this.toggle("goal"),
       v: () => this.toggle("large"),
       n: () => this.select((this.selected + 1) % this.flights.length),
     };
@@ -283,11 +306,12 @@ Replay.Player = class {
     });
   }
 
-  // #t=1.2&camera=pad&flight=2&copies=1&trail=0&forces=0&large=0: a moment to link to.
+  // #t=1.2&camera=pad&flight=2&only=1&copies=1&trail=0&forces=0&goal=0&large=0: a moment to link to.
   fromAddress() {
     const given = new URLSearchParams(location.hash.slice(1));
     const flight = Number(given.get("flight"));
     if (Number.isInteger(flight) && flight >= 1 && flight <= this.flights.length) this.select(flight - 1);
+    if (given.get("only") === "1") this.rows.forEach((_, k) => this.include(k, k === this.selected));
     const time = Number(given.get("t"));
     if (given.has("t") && Number.isFinite(time)) this.seek(time);
     for (const name of Object.keys(this.switches)) {

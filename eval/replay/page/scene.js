@@ -60,7 +60,7 @@ Replay.Stage = class {
   look(name) {
     const look = Replay.LOOKS[name];
     this.root.background = new THREE.Color(look.sky);
-    this.root.fog = new THREE.Fog(look.sky, 10, 26);
+    this.haze = new THREE.Fog(look.sky, 10, 26);
     this.light.color.set(look.hemisphere[0]);
     this.light.groundColor.set(look.hemisphere[1]);
     this.light.intensity = look.hemisphere[2];
@@ -93,12 +93,12 @@ Replay.Stage = class {
   select(number) {
     this.selected = number;
     this.worlds.forEach((world, k) => (world.visible = k === this.flights[number].scene));
-    this.actors.forEach((actor, k) => (actor.goal.visible = k === number));
   }
 
-  // options: which flights are `shown`, and trail, copies, forces, large.
+  // options: which flights are `shown`, and trail, copies, forces, goal, large.
   update(time, options) {
     this.actors.forEach((actor, k) => {
+      actor.goal.visible = options.goal && k === this.selected;
       actor.group.visible = options.shown[k];
       if (options.shown[k]) actor.update(time, options, this.strongest);
     });
@@ -110,6 +110,7 @@ Replay.Stage = class {
   }
 
   render(camera) {
+    this.root.fog = camera.isPerspectiveCamera ? this.haze : null; // parallel views have no distance
     this.renderer.render(this.root, camera);
   }
 };

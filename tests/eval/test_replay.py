@@ -1,0 +1,199 @@
+"""Flights for the replay page: what is flown again, simulated beside a log, drawn, and written."""
+
+import base64
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from inclined_landing.envs.flights import record_flights, refly
+from inclined_landing.envs.policy import load_policy
+from inclined_landing.eval.cli import main
+from inclined_landing.eval.logs import FlightLog, write_log
+from inclined_landing.eval.replay.measured import of_log
+from inclined_landing.eval.replay.recording import of_flight
+from inclined_landing.eval.replay.scene import scene
+from inclined_landing.models.attitude import ROLL, VX
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.geometry import PARTS, shapes_of
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants.recorder import still
+from inclined_landing.models.scene import build_spec
+
+V = load_vehicle()
+
+
+def flown(name, point, vehicle=V):
+    policy = load_policy(name, vehicle=vehicle)
+    return record_flights(policy, "mujoco", policy.task.states_at([point]))[0]
+
+
+@pytest.fixture(scope="module")
+def landing():
+    return flown("landing", (0.9, 1.7))
+
+
+def log_of(flight, name="flight", noise=0.0, rate=100.0):
+    """What a perfect tracking system would have logged of a flight, evenly, with its commands."""
+    t = np.arange(0.0, flight.t[-1], 1.0 / rate)
+    columns = [np.interp(t, flight.t, column) for column in flight.state.T]
+    state = np.stack(columns, axis=1)
+    held = np.searchsorted(flight.t, t + 1e-9, side="right") - 1
+    wrong = noise * np.random.default_rng(3).standard_normal((len(t), 3))
+    return FlightLog(name, t, state[:, :3] + wrong, state[:, ROLL : ROLL + 3], flight.commands[held])
+
+
+# --- flown again ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name, point", [("touchdown", (0.9, 1.7)), ("setpoint", (0.6, 0.3, 1.0))])
+def test_commands_flown_again_give_the_same_states(name, point):
+    flight = flown(name, point)
+    steps = refly(flight)
+    stride = round((flight.t[1] - flight.t[0]) / (steps.t[1] - steps.t[0]))
+    np.testing.assert_array_equal(steps.state[::stride], flight.state)
+    np.testing.assert_array_equal(steps.commands[:-1:stride], flight.commands[:-1])
+    assert steps.cut is None
+
+
+def test_delays_are_flown_again_too():
+    late = LIBRARY["thrust_delay"].apply(V, {"delay": 0.013})
+    flight = flown("setpoint", (0.6, 0.3, 1.0), late)
+    np.testing.assert_array_equal(refly(flight).state[::5], flight.state)
+
+
+def test_a_landing_is_followed_to_rest(landing):
+    """At the end the slope carries the weight: the forces sum to it within the trembling of 0.02 m/s, 5 %."""
+    steps = refly(landing)
+    assert steps.cut == pytest.approx(landing.duration) and steps.t[-1] > steps.cut
+    assert still(steps.state[-1]) and not steps.commands[-1].any()
+    weight = V.body_mass * V.environment_gravity
+    net = np.mean([force.sum(axis=0) for force in steps.forces[-20:]], axis=0)
+    np.testing.assert_allclose(net, [0, 0, weight], atol=0.05 * weight)
+    recording = of_flight(landing, "x", "mujoco")
+    times = dict((name, t) for t, name in recording.events)
+    assert times["goal box"] == landing.duration < times["first touch"] < times["at rest"] < steps.t[-1]
+    assert "at rest after" in recording.outcome
+
+
+def test_other_plants_are_shown_as_they_flew():
+    policy = load_policy("landing")
+    flight = record_flights(policy, "analytic", policy.task.states_at([(0.9, 1.7)]))[0]
+    recording = of_flight(flight, "x", "analytic")
+    np.testing.assert_array_equal(recording.position, flight.state[:, :3])
+    assert recording.forces is None
+
+
+def test_thinning_keeps_ends_and_parts(landing):
+    whole = of_flight(landing, "x", "mujoco")
+    parts = dataclasses.replace(whole, anew=np.array([101, 303]))
+    thin = parts.thinned(50)
+    assert 50 <= len(thin.t) <= 60 and thin.t[0] == whole.t[0] and thin.t[-1] == whole.t[-1]
+    np.testing.assert_array_equal(thin.t[thin.anew], whole.t[[101, 303]])
+    np.testing.assert_array_equal(thin.t[thin.anew - 1], whole.t[[100, 302]])
+    assert len(thin.forces) == len(thin.points) == len(thin.t)
+    assert whole.thinned(10**6) is whole
+
+
+# --- a log and its simulation --------------------------------------------------------------------------
+
+
+def test_the_model_follows_its_own_flight_and_not_that_of_another():
+    """A log made by the vehicle itself: what is left is the start state's smoothing. With a tenth less
+    thrust, 0.1 g for half a second is 12 cm."""
+    flight = flown("setpoint", (0.6, 0.3, 1.0))
+    log = log_of(flight)
+    apart = {}
+    for name, vehicle in (("own", V), ("weak", LIBRARY["thrust_scale"].apply(V, {"scale": 0.9}))):
+        (measured, simulated), _ = of_log(log, vehicle, platform=False, anew=0.5, plant="mujoco")
+        reached = np.stack([np.interp(simulated.t, measured.t, c) for c in measured.position.T], axis=1)
+        ends = simulated.anew - 1
+        apart[name] = np.linalg.norm(simulated.position - reached, axis=1)[ends]
+        np.testing.assert_allclose(simulated.position[simulated.anew], reached[simulated.anew], atol=0.02)
+    assert simulated.t[-1] == measured.t[-1] and np.all(np.diff(simulated.t) >= 0)
+    assert np.median(apart["own"]) < 0.01
+    assert 0.08 < np.median(apart["weak"]) < 0.16
+
+
+def test_a_log_too_short_to_simulate_is_shown_and_said(landing):
+    log = log_of(landing)
+    found, notes = of_log(log.rows(slice(0, 40)), V, platform=True, anew=1.0, plant="mujoco")
+    assert [recording.kind for recording in found] == ["measured"]
+    assert any("no simulation of flight" in note for note in notes)
+    assert found[0].inclination == V.platform_inclination
+
+
+# --- the scene -----------------------------------------------------------------------------------------
+
+
+def test_geometry_is_the_vehicle_files():
+    vehicle = dataclasses.replace(V, rotor_arm=0.05, platform_depth=0.7, arena_x=(-2.0, 2.0))
+    drawn = scene(vehicle, -0.3)
+    shapes = shapes_of(build_spec(vehicle).compile())
+    feet = shapes.centres[shapes.parts == PARTS.index("feet")]
+    np.testing.assert_allclose([foot["position"] for foot in drawn["feet"]], feet, atol=1e-6)
+    slab = next(geom for geom in drawn["world"] if geom["name"] == "slab")
+    assert slab["size"][1] == pytest.approx(0.35) == drawn["platform"]["half"][1]
+    assert slab["quaternion"] == pytest.approx([np.cos(0.15), 0, -np.sin(0.15), 0], abs=1e-6)
+    assert drawn["arena"][0] == [-2.0, 2.0]
+    assert scene(vehicle, None)["platform"] is None
+    assert not any(geom["name"] in ("slab", "prism") for geom in scene(vehicle, None)["world"])
+
+
+# --- the command ---------------------------------------------------------------------------------------
+
+
+def content(page: Path) -> dict:
+    return json.loads(re.search(r'id="content">(.*?)</script>', page.read_text("utf-8"), re.DOTALL)[1])
+
+
+def test_a_page_of_a_policy_and_a_log_with_a_hostile_name(tmp_path, landing, capsys):
+    """6 s at the engine's steps, its commands, a log with its simulation: below 1.5 MB, three.js included."""
+    name = "<img src=x onerror=alert(1)> & <script>alert(2)<!--.csv"
+    steps = flown("setpoint", (0.6, 0.3, 1.0))
+    write_log(tmp_path / name, log_of(steps, noise=1e-4))
+    out = tmp_path / "new" / "page.html"
+    start = ["--start", "0.6,0.3,1"]
+    assert main(["replay", "setpoint", str(tmp_path / name), "--out", str(out), *start]) == 0
+    text = out.read_text("utf-8")
+    assert len(text) < 1.5e6 and "alert(2)<" not in text and "<img" not in text
+    flights = content(out)["flights"]
+    assert [flight["kind"] for flight in flights] == ["flown", "measured", "simulated"]
+    assert flights[1]["name"] == name.removesuffix(".csv")
+    position = np.frombuffer(base64.b64decode(flights[0]["position"]), "<f4").reshape(-1, 3)
+    np.testing.assert_allclose(position, refly(steps).state[:, :3], atol=1e-6)
+    velocity = np.frombuffer(base64.b64decode(flights[0]["velocity"]), "<f4").reshape(-1, 3)
+    np.testing.assert_allclose(velocity[-1], steps.state[-1, VX : VX + 3], atol=1e-6)
+    assert "simulated anew every 1 s" in capsys.readouterr().err
+    assert not re.search(r'(src|href)="?https?:', text)  # nothing is fetched
+
+
+WRONG = [
+    ([], "at least one policy or log"),
+    (["landing", "--out", "page.pdf"], "a page is an .html file"),
+    (["nowhere.csv"], "nowhere.csv"),
+    (["nowhere.zip"], "policy nowhere.zip does not exist"),
+    (["."], "."),
+    (["log.csv", "--start", "1,2"], "only logs were named"),
+    (["log.csv", "--plant", "gazebo"], "unknown plant"),
+    (["landing", "--start", "9,9"], "outside the arena"),
+    (["log.csv", "--anew", "nan"], "--anew"),
+    (["log.csv", "--inclination", "89"], "inclination"),
+]
+
+
+@pytest.mark.parametrize("words, sentence", WRONG)
+def test_wrong_input_is_one_sentence_and_nothing_is_written(words, sentence, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    t = np.linspace(0, 2, 201)
+    none = np.zeros((201, 3))
+    log = FlightLog("log", t, none + np.sin(t)[:, None], none, np.tile([42000.0, 0, 0, 0], (201, 1)))
+    write_log("log.csv", log)
+    out = [] if "--out" in words else ["--out", "page.html"]
+    assert main(["replay", *words, *out]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said and said.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.csv"]
