@@ -152,12 +152,12 @@ def refly(flight: Flight) -> Steps:
         plant.step(command[None])
         rows.append(seen())
     cut = STEP * len(commands) if flight.success and flight.task.cut_at_success else None
-    quiet = 0
+    quiet = 0.0
     while cut is not None and quiet < _STILL and STEP * len(commands) < cut + _LONGEST_FALL:
         commands.append(np.zeros(4))
         plant.step(commands[-1][None])
         rows.append(seen())
-        quiet = quiet + STEP if still(plant.state[0]) else 0
+        quiet = quiet + STEP if still(plant.state[0]) else 0.0
     commands.append(commands[-1])
     states, points, forces = (list(column) for column in zip(*rows))
     t = STEP * np.arange(len(rows))

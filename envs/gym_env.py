@@ -22,6 +22,13 @@ and of the single environment, which alone renders:
 | `camera` | "arena" | where to look from; this one has the whole arena in its picture |
 | `render_backend` | "auto" | "ray", "gl", or "auto": OpenGL only where it runs on hardware |
 
+and of the vector environment:
+
+| option | default | meaning |
+|---|---|---|
+| `num_envs` | 1 | how many vehicles |
+| `autoreset_mode` | "SameStep" | when a new episode begins; or "NextStep", "Disabled", as Gymnasium has them |
+
 `reset(options={"state": array})` starts from given states, (13,) or (n, 13). What is not of these names,
 types and sizes is a UserError, a ValueError with one sentence.
 """
@@ -167,7 +174,7 @@ class TaskEnv(gym.Env):
 
 
 class TaskVectorEnv(VectorEnv):
-    """n vehicles on one task, stepped by one call; autoreset in the same step."""
+    """n vehicles on one task, stepped by one call; by default autoreset in the same step."""
 
     metadata = _METADATA | {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
     task_name: str
@@ -180,8 +187,16 @@ class TaskVectorEnv(VectorEnv):
         plant_options: dict | None = None,
         vehicle=None,
         render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **task_options,
     ):
+        try:
+            self._autoreset = AutoresetMode(autoreset_mode)
+        except ValueError:
+            known = ", ".join(repr(mode.value) for mode in AutoresetMode)
+            said = shown(repr(autoreset_mode), 40)
+            raise UserError(f"autoreset_mode must be one of {known}, not {said}") from None
+        self.metadata = self.metadata | {"autoreset_mode": self._autoreset}
         if render_mode is not None:
             raise UserError(
                 "the vector environment does not render; record a single one, or make_vec with "
@@ -196,6 +211,7 @@ class TaskVectorEnv(VectorEnv):
             **task_options,
         )
         self.num_envs = num_envs
+        self._ended = np.zeros(num_envs, bool)  # waiting for their reset
         self.render_mode = None
         self.task = self.batch.task
         self.single_observation_space = observation_space(self.task)
@@ -217,24 +233,38 @@ class TaskVectorEnv(VectorEnv):
         if seed is not None:
             self.batch.draw_from(self.np_random)
         self.batch.reset(ids, state)
+        self._ended[ids] = False
         return self.batch.observe(), {}
 
     def step(self, actions):
-        """Batched step; finished episodes restart at once.
+        """Batched step; finished episodes restart at once, in the next step, or not by themselves.
 
-        `info["final_obs"]` (object array, mask `_final_obs`) and `info["final_info"]` describe the
-        episodes that ended.
+        At once: `info["final_obs"]` (object array, mask `_final_obs`) and `info["final_info"]` describe the
+        episodes that ended. In the next step: it only resets them, with reward 0. Raises UserError for a step
+        of vehicles that ended and nobody reset.
         """
         env = self.batch
-        step = env.step(actions)
+        waiting = self._ended.copy()
+        if waiting.any() and self._autoreset == AutoresetMode.DISABLED:
+            raise UserError(
+                f"the episodes of vehicles {np.flatnonzero(waiting)[:5].tolist()} have ended; reset them "
+                "with reset(options={'reset_mask': mask})"
+            )
+        step = env.step(actions, ~waiting)
         info = {
             "reward_terms": step.terms,
             "is_success": step.success,
             "touched": env.touched.copy(),
         }
-        done = step.terminated | step.truncated
         observation = step.observation
-        if done.any():
+        if waiting.any():
+            for rows in (step.reward, step.terminated, step.truncated, step.success, *step.terms.values()):
+                rows[waiting] = 0
+            observation[waiting] = env.reset(np.flatnonzero(waiting))
+            info["touched"][waiting] = False
+        done = step.terminated | step.truncated
+        self._ended = done & (self._autoreset != AutoresetMode.SAME_STEP)
+        if done.any() and self._autoreset == AutoresetMode.SAME_STEP:
             ids = np.flatnonzero(done)
             final = np.full(self.num_envs, None, dtype=object)
             for i in ids:

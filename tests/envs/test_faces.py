@@ -82,9 +82,9 @@ def test_both_checkers_pass_with_rendering(kind):
 def test_the_platform_is_drawn_where_the_episode_has_one():
     pictures = {}
     for name, env in {
-        "default": InclinedLandingEnv(**PICTURE),
-        "steep": InclinedLandingEnv(inclination=-0.8, **PICTURE),
-        "set-point": SetpointEnv(**PICTURE),
+        "default": InclinedLandingEnv(**PICTURE, camera="hero"),
+        "steep": InclinedLandingEnv(inclination=-0.8, **PICTURE, camera="hero"),
+        "set-point": SetpointEnv(**PICTURE, camera="hero"),
     }.items():
         env.reset(options={"state": hovering((-0.8, 0, 1.9))[0]})
         pictures[name] = env.render().astype(int)
@@ -103,8 +103,8 @@ def test_every_task_has_its_environments_and_its_manual():
 
 
 def test_other_render_modes_are_refused():
-    with pytest.raises(UserError, match="render_mode must be 'rgb_array' or None, not 'human'"):
-        InclinedLandingEnv(render_mode="human")
+    with pytest.raises(UserError, match="render_mode must be 'human', 'rgb_array' or None, not 'ansi'"):
+        InclinedLandingEnv(render_mode="ansi")
     with pytest.raises(UserError, match="the vector environment does not render"):
         gym.make_vec(IDS["landing"], num_envs=2, render_mode="rgb_array")
 

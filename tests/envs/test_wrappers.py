@@ -1,0 +1,212 @@
+"""Gymnasium's own wrappers around the environments, and the window of human mode."""
+
+import os
+import shutil
+import subprocess
+import sys
+
+import gymnasium as gym
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from gymnasium import wrappers
+
+import inclined_landing.envs  # noqa: F401 (registers the environments)
+from inclined_landing.envs.rendering import window
+from inclined_landing.models.errors import UserError
+
+ID = "InclinedLanding-v0"
+PICTURE = {"render_mode": "rgb_array", "width": 96, "height": 64, "render_backend": "ray"}
+
+
+def flown(env, steps=3, seed=0):
+    """Observations and rewards of a few random steps."""
+    env.action_space.seed(seed)
+    first, _ = env.reset(seed=seed)
+    rows = [env.step(env.action_space.sample()) for _ in range(steps)]
+    return np.array([first, *(row[0] for row in rows)]), np.array([row[1] for row in rows])
+
+
+@pytest.mark.parametrize("plant", ["mujoco", "analytic"])
+def test_wrappers_of_observation_reward_and_action(plant):
+    """Each gives what it promises, computed here from the bare environment under the same seed."""
+    plain, reward = flown(gym.make(ID, plant=plant))
+
+    def made(wrapper, *arguments, **options):
+        return flown(wrapper(gym.make(ID, plant=plant), *arguments, **options))
+
+    np.testing.assert_array_equal(made(wrappers.FlattenObservation)[0], plain)
+    np.testing.assert_array_equal(made(wrappers.TransformReward, lambda r: 3 * r - 1)[1], 3 * reward - 1)
+    np.testing.assert_array_equal(made(wrappers.ClipReward, -0.5, 0.5)[1], np.clip(reward, -0.5, 0.5))
+    np.testing.assert_array_equal(made(wrappers.RecordEpisodeStatistics)[0], plain)
+    np.testing.assert_array_equal(made(wrappers.RescaleAction, -1.0, 1.0)[0], plain)
+    stacked, _ = made(wrappers.FrameStackObservation, 2)
+    np.testing.assert_array_equal(stacked[1:, 0], plain[:-1])
+    np.testing.assert_array_equal(stacked[:, 1], plain)
+    aware, _ = flown(wrappers.TimeAwareObservation(gym.make(ID, plant=plant, max_episode_steps=300)))
+    np.testing.assert_allclose(aware[:, :-1], plain)
+    normal, _ = made(wrappers.NormalizeObservation)
+    assert normal.shape == plain.shape and np.isfinite(normal).all()
+    assert np.isfinite(made(wrappers.NormalizeReward)[1]).all()
+
+
+def test_normalised_observations_have_mean_zero_and_variance_one():
+    """Over a few episodes from random starts, what the running estimate makes of them at its end."""
+    env = wrappers.NormalizeObservation(gym.make(ID, plant="analytic", max_episode_steps=50))
+    rows = []
+    for episode in range(40):
+        env.action_space.seed(episode)
+        env.reset(seed=episode)
+        rows += [env.step(env.action_space.sample())[0] for _ in range(50)]
+    late = np.array(rows[len(rows) // 2 :])
+    # 20 starts: a mean within 3 / sqrt(20) of zero
+    assert np.abs(late.mean(axis=0)).max() < 0.67 and 0.3 < late.std(axis=0).min()
+
+
+def test_record_video_writes_a_film_that_plays(tmp_path):
+    pytest.importorskip("moviepy", reason="moviepy is not installed")
+    env = wrappers.RecordVideo(gym.make(ID, plant="analytic", **PICTURE), str(tmp_path), disable_logger=True)
+    env.reset(seed=0)
+    for _ in range(4):
+        env.step(env.action_space.sample())
+    env.close()
+    (film,) = tmp_path.glob("*.mp4")
+    reader = imageio_ffmpeg.read_frames(str(film))
+    meta = next(reader)
+    assert tuple(meta["size"]) == (96, 64) and meta["fps"] == pytest.approx(50)
+    assert len(list(reader)) == 5
+
+
+def test_frames_as_a_list_and_as_an_observation():
+    env = wrappers.RenderCollection(gym.make(ID, plant="analytic", **PICTURE))
+    flown(env)
+    assert [frame.shape for frame in env.render()] == [(64, 96, 3)] * 4
+    pixels = wrappers.AddRenderObservation(gym.make(ID, plant="analytic", **PICTURE))
+    observation, _ = pixels.reset(seed=0)
+    assert observation.shape == (64, 96, 3) and pixels.observation_space.contains(observation)
+
+
+def test_vector_wrappers():
+    """Those that change observations want episodes to begin in the next step, as Gymnasium says itself."""
+
+    def made(**options):
+        return gym.make_vec(ID, num_envs=3, plant="analytic", **options)
+
+    plain, reward = flown(made())
+    normal, _ = flown(wrappers.vector.NormalizeObservation(made(autoreset_mode="NextStep")))
+    assert normal.shape == plain.shape and np.isfinite(normal).all()
+    _, tripled = flown(wrappers.vector.TransformReward(made(), lambda r: 3 * r))
+    np.testing.assert_array_equal(tripled, 3 * reward)
+    flat, _ = flown(wrappers.vector.FlattenObservation(made(autoreset_mode="NextStep")))
+    np.testing.assert_array_equal(flat, plain)
+    counted = wrappers.vector.RecordEpisodeStatistics(made())
+    counted.reset(seed=0)
+    for _ in range(300):
+        *_, info = counted.step(np.zeros((3, 2)))
+    assert info["episode"]["l"].max() == 300
+
+
+def test_next_step_and_disabled_resets_are_gymnasiums():
+    """Step by step as Gymnasium's own vector of single environments, but for where the new episodes begin."""
+    ours = gym.make_vec(ID, num_envs=2, plant="analytic", autoreset_mode="NextStep")
+    theirs = gym.make_vec(ID, num_envs=2, plant="analytic", vectorization_mode="sync")
+    assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
+    theirs.reset(seed=1)
+    states = np.stack([single.unwrapped.batch.plant.state[0] for single in theirs.envs])
+    ours.reset(seed=1, options={"state": states})
+    for k in range(303):
+        wanted, given = theirs.step(np.zeros((2, 2))), ours.step(np.zeros((2, 2)))
+        for a, b in zip(wanted[1:4], given[1:4]):
+            np.testing.assert_array_equal(a, b)
+        if k < 300:
+            np.testing.assert_array_equal(wanted[0], given[0])
+        else:  # at rest, or a step after it
+            assert np.abs(given[0][:, 2:]).max() < 0.5
+    assert not ours.unwrapped.batch.length.any() or ours.unwrapped.batch.length.tolist() == [2, 2]
+    plain = gym.make_vec(ID, num_envs=2, plant="analytic", autoreset_mode="Disabled")
+    plain.reset(seed=1)
+    for _ in range(300):
+        *_, truncated, _ = plain.step(np.zeros((2, 2)))
+    assert truncated.all()
+    with pytest.raises(UserError, match=r"vehicles \[0, 1\] have ended; reset them"):
+        plain.step(np.zeros((2, 2)))
+    plain.reset(options={"reset_mask": np.array([True, True])})
+    assert not plain.step(np.zeros((2, 2)))[3].any()
+    with pytest.raises(UserError, match="autoreset_mode must be one of"):
+        gym.make_vec(ID, num_envs=2, autoreset_mode="sometimes")
+
+
+def test_vectors_are_filmed_one_by_one(tmp_path):
+    pytest.importorskip("moviepy", reason="moviepy is not installed")
+    with pytest.raises(UserError, match="vectorization_mode='sync'"):
+        gym.make_vec(ID, num_envs=2, render_mode="rgb_array")
+    env = gym.make_vec(ID, num_envs=2, vectorization_mode="sync", plant="analytic", **PICTURE)
+    env = wrappers.vector.RecordVideo(env, str(tmp_path), disable_logger=True)
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    env.close()
+    assert list(tmp_path.glob("*.mp4"))
+
+
+# --- the window ----------------------------------------------------------------------------------------
+
+
+def test_without_a_display_the_window_says_what_to_do(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr(window.sys, "platform", "linux")
+    for opened in (window.check_display, window.Window, lambda: gym.make(ID, render_mode="human")):
+        with pytest.raises(UserError, match=r"needs a display.*landing-eval replay.*rgb_array"):
+            opened()
+
+
+def test_a_display_that_does_not_answer_is_one_sentence():
+    code = "from inclined_landing.envs.rendering.window import check_display; check_display()"
+    environment = {key: text for key, text in os.environ.items() if key != "WAYLAND_DISPLAY"}
+    environment["DISPLAY"] = ":4711"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert done.returncode == 1 and "UserError: a window with OpenGL cannot be opened" in done.stderr
+
+
+HUMAN = """
+import gymnasium, numpy, time
+env = gymnasium.make("inclined_landing.envs:InclinedLanding-v0", render_mode="human", plant="analytic")
+env.reset(seed=0)
+window = env.unwrapped._window
+state = env.unwrapped.batch.plant.state
+for _ in range(2):
+    env.step(env.action_space.sample())
+    assert window.open and abs(window.data.qpos[:3] - state[0, :3]).max() == 0.0
+assert env.render() is None
+window.close()  # as a person would
+env.step(env.action_space.sample())
+assert not window.open
+env.close()
+env.close()
+print("clean")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.gl
+@pytest.mark.parametrize("kind", ["human", "view", "interrupted"])
+def test_windows_open_follow_and_close_cleanly(kind):
+    """On a virtual display with OpenGL in software: seconds for a picture."""
+    if shutil.which("xvfb-run") is None:
+        pytest.skip("no virtual display here (Debian: apt-get install xvfb)")
+    view = [sys.executable, "-m", "inclined_landing.eval", "view", "touchdown", "--start", "0.3,1.5"]
+    words = {
+        "human": [sys.executable, "-c", HUMAN],
+        "view": [*view, "--slow", "0.1"],
+        "interrupted": ["timeout", "-s", "INT", "60", *view, "--again"],
+    }[kind]
+    screen = ["xvfb-run", "-a", "-s", "-screen 0 320x240x24"]
+    done = subprocess.run([*screen, *words], capture_output=True, text=True, timeout=500)
+    if kind == "interrupted":  # timeout's own code says that it had to; nothing was left behind
+        assert done.returncode in (124, 130) and done.stderr.endswith("landing-eval: interrupted\n")
+    else:
+        assert done.returncode == 0, done.stderr
+    if kind == "human":
+        assert done.stdout.endswith("clean\n")
+    if kind == "view":
+        assert "flight 1: from x 0.3, z 1.5 m: at rest on the slope" in done.stderr
