@@ -27,7 +27,7 @@ and of the vector environment:
 | option | default | meaning |
 |---|---|---|
 | `num_envs` | 1 | how many vehicles |
-| `autoreset_mode` | "SameStep" | when a new episode begins; or "NextStep", "Disabled", as Gymnasium has them |
+| `autoreset_mode` | "SameStep" | when a new episode begins; or "NextStep", "Disabled" (Gymnasium) |
 
 `reset(options={"state": array})` starts from given states, (13,) or (n, 13). What is not of these names,
 types and sizes is a UserError, a ValueError with one sentence.
