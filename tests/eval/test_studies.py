@@ -295,6 +295,9 @@ def test_outcomes_are_told_apart_with_any_colour_vision_and_in_greys():
             assert apart > 15, f"{one} and {other} look alike with {kind or 'normal vision'}: {apart:.1f}"
     lightness = sorted(cspace_convert(rgb, "sRGB1", "CIELab")[0] for rgb in colours.values())
     assert np.diff(lightness).min() > 10
+    # Shares: the darker, the more rest; 10 % more is a step in greys too, and 0 is not an empty cell's white.
+    shares = cspace_convert(maps._SHARES(np.linspace(0, 1, 11))[:, :3], "sRGB1", "CIELab")[:, 0]
+    assert (np.diff(shares) < -3).all() and shares[0] < 97
 
 
 def test_cells_without_landings_are_hatched_and_named():
