@@ -30,6 +30,7 @@ BOXES = {
     "eval.landings": (1.35, 4, 1.9, "what happens on touching?"),
     "eval.machine": (3.25, 4, 1.5, "doctor, benchmark"),
     "eval.truth": (6.98, 4, 1.64, "is the simulator right?"),
+    "eval.export": (3.25, 3, 1.5, "ONNX, C, NumPy"),
     "eval.logs": (5.55, 3, 1.9, "what flights say"),
     "eval.pictures": (7.5, 3, 1.7, "figures, videos"),
     "eval.policies": (9.02, 3, 1.16, "tables of success"),
