@@ -26,11 +26,12 @@ BOXES = {
     "train": (5.0, 7, 9.2, "PPO in batches, curricula, runs that resume"),
     "eval.cli": (3.9, 6, 7.1, "landing-eval: the table of commands"),
     "eval.proof": (5.1, 5, 1.9, "does gap work?"),
-    "eval.gap": (5.1, 4, 1.9, "which effect is missing?"),
+    "eval.replay": (6.9, 5, 1.2, "flights to see"),
+    "eval.gap": (4.85, 4, 1.9, "which effect is missing?"),
     "eval.landings": (1.35, 4, 1.9, "what happens on touching?"),
-    "eval.machine": (3.25, 4, 1.5, "doctor, benchmark"),
-    "eval.truth": (6.98, 4, 1.64, "is the simulator right?"),
-    "eval.export": (3.25, 3, 1.5, "ONNX, C, NumPy"),
+    "eval.machine": (3.1, 4, 1.4, "doctor, benchmark"),
+    "eval.truth": (6.7, 4, 1.56, "is the simulator right?"),
+    "eval.export": (3.1, 3, 1.4, "ONNX, C, NumPy"),
     "eval.logs": (5.55, 3, 1.9, "what flights say"),
     "eval.pictures": (7.5, 3, 1.7, "figures, videos"),
     "eval.policies": (9.02, 3, 1.16, "tables of success"),
@@ -42,7 +43,10 @@ _PLACES = {  # x at the start and at the end of arrows that go beside other boxe
     ("train", "eval.pictures"): (8.1, 8.1),
     ("eval.truth", "eval.logs"): (6.33, 6.33),
     ("train", "eval.policies"): (9.1, 9.1),
-    ("eval.cli", "eval.policies"): (7.3, 8.7),
+    ("eval.cli", "eval.policies"): (7.42, 8.8),
+    ("eval.cli", "eval.truth"): (6.17, 6.17),
+    ("eval.replay", "eval.gap"): (6.5, 5.6),
+    ("eval.replay", "eval.pictures"): (7.4, 8.05),
 }
 _HIGH, _ROW = 0.62, 1.06
 

@@ -21,7 +21,7 @@ from inclined_landing.models.errors import shown
 MOST_ROWS = 30_000  # of all flights of a page: about 2 MB
 _SCRIPTS = (
     "three/three.min.js",
-    *(f"page/{name}.js" for name in ("data", "scene", "cameras", "curves", "player")),
+    *(f"player/{name}.js" for name in ("data", "scene", "cameras", "curves", "player")),
 )
 _COPIES, _SPACING = 9, 0.2  # translucent copies along a flight, and how far apart they are at least [m]
 
@@ -43,11 +43,11 @@ def write(
     content = {"flights": flights, "scenes": list(scenes.values())}
     return render(
         __package__,
-        "page/replay.html.j2",
+        "player/replay.html.j2",
         title=title,
         flights=[(flight["name"], flight["outcome"]) for flight in flights],
         notes=notes,
-        style=Markup(_file("page/replay.css")),
+        style=Markup(_file("player/replay.css")),
         scripts=[Markup(_file(name)) for name in _SCRIPTS],
         content=_as_script(content),
         run=run,
