@@ -110,14 +110,14 @@ def tasks() -> str:
     parts = [
         "# Tasks\n",
         "Observations and actions as the environments have them, made from the tasks' own spaces and action "
-        "maps for the shipped vehicle. Gymnasium ids are the names of the classes with `-v0`.\n",
+        "maps for the shipped vehicle. `import inclined_landing` registers the Gymnasium ids.\n",
     ]
     for name, kind in TASKS.items():
         task = make_task(name)
         manual = _module_text(kind)
         parts += [
             f"## {kind.__name__}\n",
-            f'`make_task({name!r})`, `gymnasium.make("inclined_landing.envs:{kind.__name__}-v0")`\n',
+            f'`make_task({name!r})`, `gymnasium.make("{kind.__name__}-v0")`\n',
             _observations(task),
             _actions(task),
             f"Control period {task.vehicle.command_control_period:g} s, at most {task.max_steps} steps.\n",
