@@ -1,5 +1,6 @@
 """Pages escape every name from outside: their templates can do nothing else, and filled ones do not."""
 
+import json
 import re
 from pathlib import Path
 
@@ -14,12 +15,14 @@ from inclined_landing.eval.base import page as base_page
 from inclined_landing.eval.base.claims import Claim, Section
 from inclined_landing.eval.gap.answer.identify import Identification, Identified
 from inclined_landing.eval.gap.report import identified
+from inclined_landing.eval.replay.page import _as_script
 from inclined_landing.models.parameters import load_vehicle
 
 ROOM = Path(rooms.__path__[0])
 TEMPLATES = sorted(path.relative_to(ROOM).as_posix() for path in ROOM.rglob("*.html.j2"))
 UNESCAPED = {"safe", "forceescape", "xmlattr", "tojson"}  # filters that write markup, or other than text
-IN_STYLE = {"{{ super() }}", "{{ paper }}"}  # of the program, not from outside
+IN_STYLE = {"{{ super() }}", "{{ paper }}", "{{ style }}"}  # of the program, not from outside
+IN_SCRIPTS = {"{{ script }}", "{{ content }}"}  # the program's own, and JSON that is escaped
 
 
 def test_there_are_templates():
@@ -34,21 +37,28 @@ def test_a_template_cannot_write_markup_from_outside(name):
     assert not list(tree.find_all(nodes.ScopedEvalContextModifier)) and "autoescape" not in text
     inside = "".join(re.findall(r"<style.*?</style>|{% block style %}.*?{% endblock %}", text, re.DOTALL))
     assert set(re.findall(r"{{.*?}}", inside)) <= IN_STYLE
-    assert not re.search(r"<script[^>]*>[^<]*{{", text), "an expression in a script"
+    inside = "".join(re.findall(r"<script.*?</script>", text, re.DOTALL))
+    assert set(re.findall(r"{{.*?}}", inside)) <= IN_SCRIPTS
     plain = re.sub(r"{%.*?%}|{#.*?#}", "", text, flags=re.DOTALL)
     assert not re.search(r"""<[a-z][^<>]*=\s*{{""", plain), "an attribute without quotes"
     assert not re.search(r"""\bon[a-z]+\s*=\s*["'][^"']*{{""", plain), "an expression in an event handler"
 
 
 def test_pages_are_filled_in_by_one_function_alone():
-    """Other rooms may fill templates in, of texts and code, which need no escapes of HTML."""
-    engine = re.compile(r"jinja2|Markup\(|markupsafe")
-    files = {
-        p.relative_to(ROOM).as_posix() for p in ROOM.rglob("*.py") if engine.search(p.read_text("utf-8"))
-    }
-    assert "base/page.py" in files
-    for file in files - {"base/page.py"}:
-        assert not list((ROOM / file).parent.rglob("*.html*")), f"{file} fills pages in by itself"
+    """Other rooms may fill in templates of texts and code, which need no escapes of HTML."""
+    files = {p.relative_to(ROOM).as_posix(): p.read_text("utf-8") for p in ROOM.rglob("*.py")}
+    engines = {name for name, text in files.items() if "jinja2" in text}
+    assert "base/page.py" in engines
+    for name in engines - {"base/page.py"}:
+        assert not list((ROOM / name).parent.rglob("*.html*")), f"{name} fills pages in by itself"
+    marked = {name: re.findall(r"Markup\((.*)", text) for name, text in files.items() if "Markup(" in text}
+    assert set(marked) == {"replay/page.py"}  # where scripts and style of the page itself are put in
+    assert all(what.startswith(("_file(", 'text.replace("<"')) for what in marked["replay/page.py"])
+
+
+def test_what_stands_in_a_script_cannot_leave_it():
+    script = str(_as_script({"name": EVIL, EVIL: [EVIL]}))
+    assert not set("<>&") & set(script) and json.loads(script) == {"name": EVIL, EVIL: [EVIL]}
 
 
 def test_the_page_of_claims():
