@@ -13,7 +13,7 @@ from inclined_landing.eval.export.templates import render
 from inclined_landing.eval.export.vectors import TOLERANCE, Vectors
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import COMMAND_NAMES, COMMAND_UNITS
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 LARGEST = 512 * 1024  # bytes of constants: half of the flash of an STM32F405, which the firmware shares
 SMALL = 100_000  # bytes that are no burden beside the firmware
@@ -66,7 +66,7 @@ def _content(contract: dict, network: Network, vectors: Vectors) -> dict:
     stack = 4 * (2 * widest + (network.inputs + network.sizes[-1]) * (history > 0))
     stack += 4 * (1 + (network.inputs - o) * (history > 0) + network.sizes[-1])  # of the self test
     return {
-        "about": f"Policy {contract['policy']['name']} of the task {contract['task']['name']}, "
+        "about": f"Policy {_plain(contract['policy']['name'])} of the task {contract['task']['name']}, "
         f"exported by inclined-landing {contract['versions']['inclined-landing']}.",
         "name": contract["policy"]["name"],
         "task": contract["task"],
@@ -76,7 +76,7 @@ def _content(contract: dict, network: Network, vectors: Vectors) -> dict:
         "stack_words": max(_APP_STACK, stack // 4 + 2 * _APP_FRAME),
         "constants": 4 * network.numbers,
         "observations": o,
-        "observation_names": [entry["name"] for entry in contract["observation"]],
+        "observation_names": [_plain(entry["name"]) for entry in contract["observation"]],
         "actions": network.sizes[-1],
         "action_names": [entry["name"] for entry in contract["action"]],
         "history": history,
@@ -132,6 +132,11 @@ def _goal(task: dict) -> list[tuple[str, str, str]] | None:
     if goal is None or half is None or not task["motors_cut_at_goal"]:
         return None
     return [(name, number(goal[name]), number(half[name])) for name in goal]
+
+
+def _plain(name: str) -> str:
+    """A name as a comment can hold it."""
+    return shown(name).replace("*/", "* /").replace("/*", "/ *").replace("?", "")
 
 
 def number(value: float) -> str:

@@ -163,6 +163,7 @@ def evil_names():
                 *("success", str(policy(f, n)), "--plant=analytic", f"--vehicle={vehicle(f, n)}"),
                 *("--json", f"--out={f}/{n}"),
             ],
+            "export": lambda f, n=name: ["export", str(policy(f, n)), "--format=c", f"--out={f}/{n}"],
             "picture": lambda f, n=name: [
                 "picture",
                 str(policy(f, n)),

@@ -232,7 +232,7 @@ CORTEX_M4 = "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16 -Os -Wal
 
 
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="no compiler for the Cortex-M4")
-@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize("name", ["landing-history", "touchdown"])
 def test_on_a_cortex_m4_it_is_small_and_an_emulated_one_passes_the_self_test(exported, tmp_path, name):
     source, here = exported[name, "c"] / "src", Path(__file__).with_name("firmware")
     words = ["arm-none-eabi-gcc", *CORTEX_M4, f"-I{source}", str(source / "landing_policy.c")]
@@ -361,7 +361,7 @@ class AnyTask(Task):
     observation_scale = np.ones(1)
 
     def __init__(self, observations, actions, history):
-        self.observation_names = tuple(f"s{k}" for k in range(observations))
+        self.observation_names = tuple(f"*/ s{k} /*" for k in range(observations))
         self.observation_scale = np.ones(observations)
         self.action_names = ("thrust", "roll", "pitch", "yaw rate")[:actions]
         super().__init__(history=history)
