@@ -419,7 +419,7 @@ def any_network_is_exported(policy, tmp_path):
 
 
 @NO_COMPILER
-@hypothesis.settings(max_examples=8)
+@hypothesis.settings(max_examples=6)
 @hypothesis.given(policy=policies())
 def test_networks_of_any_size_and_kind(policy, tmp_path_factory):
     any_network_is_exported(policy, tmp_path_factory.mktemp("fuzz"))
