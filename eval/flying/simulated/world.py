@@ -180,6 +180,7 @@ class World:
         self._frame = float(start.random()) / setting.cameras.rate
         self._looked = -math.inf
         self._waiting = list(faults)
+        self.begun: list[tuple[float, str]] = []  # faults so far: when, which
         self._flown = self._been_far = self._been_high = False
         self._rows: list[tuple] = []
         self.advance(BOOT)
@@ -320,10 +321,12 @@ class World:
     def _meet(self, event: str) -> None:
         for fault in [f for f in self._waiting if f.event == event]:
             self._waiting.remove(fault)
-            self.at(self.body.time + fault.after, lambda f=fault: self._begin(f))
+            self.at(self.body.time + fault.after, lambda f=fault: self.begin(f))
 
-    def _begin(self, fault: Fault) -> None:
+    def begin(self, fault: Fault) -> None:
+        """Let a fault happen now, whatever it was to wait for."""
         self.said(f"fault: {fault.name}")
+        self.begun.append((self.time, fault.name))
         fault.begin(self)
 
     @property
