@@ -72,6 +72,10 @@ COMMANDS = {
         "Fly a Crazyflie, or a simulated one: to the start, and onto the slope; logged as CSV.",
     ),
     "crazyflie": ("flying", "A simulated Crazyflie in real time, for cflib over UDP."),
+    "flight-table": (
+        "proof",
+        "Flights of the simulated Crazyflie as they truly went: the paper's starts or every fault (minutes).",
+    ),
     "benchmark": ("machine", "What a step, an action, a picture and a training cost here (a few minutes)."),
     "doctor": ("machine", "What is installed, what is missing, and what to do about it."),
 }

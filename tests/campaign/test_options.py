@@ -42,6 +42,7 @@ NEEDED = {
     "nanobench": ("{place}/log.csv",),
     "crazyflie": ("--port=0", "--seconds=0.1"),
     "fly": ("--simulated", "--out", "{place}/out"),
+    "flight-table": ("--out", "{place}/out"),
     "benchmark": (),
     "doctor": (),
 }

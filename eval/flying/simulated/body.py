@@ -47,8 +47,13 @@ class Body:
         self._constants = equations.pack(vehicle)[0]
         self.step_length = ENGINE_STEP
         self.time = 0.0
+        restless = any((*vehicle.unrest_acceleration, *vehicle.unrest_angular))
         self.plant = MujocoPlant(
-            1, vehicle, control_period=ENGINE_STEP, torque_needs_motors=True, unrest=seed, threads=1
+            *(1, vehicle),
+            control_period=ENGINE_STEP,
+            torque_needs_motors=True,
+            unrest=seed if restless else None,
+            threads=1,
         )
         if inclination is not None:
             self.plant.set_platform([0], vehicle.check_inclination(inclination))
@@ -71,6 +76,11 @@ class Body:
     def state(self) -> np.ndarray:
         """(13,) at `time`, columns of `models.attitude`."""
         return self._now
+
+    @property
+    def command(self) -> np.ndarray:
+        """(4,) of the last step: PWM, roll, pitch [rad], yaw rate [rad/s]."""
+        return self._command[0]
 
     @property
     def felt(self) -> np.ndarray:

@@ -26,16 +26,18 @@ class Cameras:
 class MarkerView:
     """What the cameras make of where the vehicle is; `MotionCapture` for a pilot.
 
-    blind: no pose; frozen: the last one again and again, with new times; shift (3,) [m]: another marker taken
+    blind: no pose; frozen: the last one again and again, with new times; stuck: the place where it was, with
+    fresh noise; shift (3,) [m]: another marker taken
     for the vehicle's; turned: the attitude shown the wrong way round.
     """
 
     def __init__(self, cameras: Cameras, random: np.random.Generator):
         self.cameras = cameras
-        self.blind = self.frozen = self.turned = False
+        self.blind = self.frozen = self.stuck = self.turned = False
         self.shift = np.zeros(3)
         self._random = random
         self._hidden_until = 0.0
+        self._stuck_at: np.ndarray | None = None
         self._frame: tuple[np.ndarray, np.ndarray] | None = None
         self._pose: Pose | None = None
 
@@ -52,6 +54,8 @@ class MarkerView:
             self._hidden_until = time + random.exponential(c.dropout_length)
         if self.blind or time < self._hidden_until:
             return None
+        if self.stuck:
+            self._stuck_at = position = position if self._stuck_at is None else self._stuck_at
         if not self.frozen or self._frame is None:
             seen = _multiplied(attitude, np.array([1.0, *(angles / 2)]))
             if self.turned:  # half a turn about z

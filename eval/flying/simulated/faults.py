@@ -34,6 +34,10 @@ def _link_lost(world: World) -> None:
     world.at(world.time + link.attempts * link.again, world.give_up_link)
 
 
+def _silence(world: World) -> None:
+    world.up.down = world.down.down = True
+
+
 def _storm(world: World) -> None:
     world.up.storm = world.down.storm = STORM
 
@@ -51,11 +55,16 @@ def _swap(world: World) -> None:
 # Name: what it is, and what begins.
 FAULTS: dict[str, tuple[str, Callable[[World], None]]] = {
     "link-lost": ("no packet gets through, either way; cflib's driver gives up soon after", _link_lost),
+    "pilot-killed": ("the pilot's process is gone, and nobody says so", _silence),
     "uplink-lost": ("set-points do not arrive; the log goes on", _set("up", down=True)),
     "downlink-lost": ("the log stops; set-points arrive", _set("down", down=True)),
     "packet-storm": (f"{STORM:.0%} of the packets are lost for {STORM_LENGTH:g} s, both ways", _storm),
     "mocap-lost": ("the cameras see nothing any more", _set("view", blind=True)),
     "mocap-frozen": ("the same pose again and again, with new times", _set("view", frozen=True)),
+    "mocap-stuck": (
+        "a marker left behind: the pose stays where it was",
+        _set("view", stuck=True),
+    ),
     "marker-swap": (f"the pose jumps by {SWAP:g} m in a random direction", _swap),
     "attitude-turned": ("the pose shows the vehicle turned by half a turn", _set("view", turned=True)),
     "attitude-wrong": ("the onboard roll and pitch have the wrong sign", _set("sensors", sign=-1.0)),

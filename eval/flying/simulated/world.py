@@ -17,7 +17,7 @@ import numpy as np
 
 from inclined_landing.eval.flying.interfaces import Pose
 from inclined_landing.eval.flying.simulated import crtp
-from inclined_landing.eval.flying.simulated.body import FLOOR, Body, firmware_attitude, plant_command
+from inclined_landing.eval.flying.simulated.body import FLOOR, Body, firmware_attitude
 from inclined_landing.eval.flying.simulated.cameras import Cameras, MarkerView
 from inclined_landing.eval.flying.simulated.crtp import Packet, Services
 from inclined_landing.eval.flying.simulated.faults import FLAT, SAG_RATE, Fault
@@ -62,7 +62,7 @@ class Trace:
     state: np.ndarray  # (T, 13), columns of `models.attitude`
     touching: np.ndarray  # (T, 3) bool: slab, base, floor
     command: np.ndarray  # (T, 4) that vehicle and motors were given: PWM, rad, rad, rad/s
-    voltage: np.ndarray  # (T,) V
+    voltage: np.ndarray  # (T,) V, of the supervisor's last period
     mode: np.ndarray  # (T,) firmware.State
 
     def write(self, path: Path) -> None:
@@ -178,7 +178,7 @@ class World:
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
         self._frame = float(start.random()) / setting.cameras.rate
-        self._looked = -math.inf
+        self._looked, self._voltage = -math.inf, self.body.voltage
         self._waiting = list(faults)
         self.begun: list[tuple[float, str]] = []  # faults so far: when, which
         self._flown = self._been_far = self._been_high = False
@@ -287,14 +287,21 @@ class World:
         body = self.body
         if body.time - self._looked >= PERIOD - 1e-9:
             self._looked = body.time
+            self._voltage = body.voltage
             self.sensors.look(body.time)
         felt = body.felt
         setpoint = self.firmware.step(body.time, felt[2], math.sqrt(felt @ felt))
         body.step(setpoint)
         self.thrust = setpoint.thrust
-        command = plant_command(setpoint)
         self._rows.append(
-            (body.time, body.state, body.touching, command, body.voltage, int(self.firmware.state))
+            (
+                body.time,
+                body.state,
+                body.touching,
+                body.command.copy(),
+                self._voltage,
+                int(self.firmware.state),
+            )
         )
         self._watch()
 

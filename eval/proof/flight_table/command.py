@@ -1,0 +1,65 @@
+"""`landing-eval flight-table`: the paper's starts, or every fault, through the whole chain of a flight."""
+
+from __future__ import annotations
+
+import logging
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from inclined_landing.eval.base import runs, tables
+from inclined_landing.eval.base.options import Flag, NewFolder, Range, Seed
+from inclined_landing.models import storage
+
+_COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
+
+
+def command(
+    policies: Names = ("landing", "landing-robust"),
+    vehicles: Names = ("nominal", "hidden"),
+    flights: Annotated[int, Range(1, 1000)] = 10,
+    faults: Flag = False,
+    seed: Seed = 0,
+    out: NewFolder = None,
+) -> int:
+    """Flights of the simulated Crazyflie as they truly went: the paper's starts or every fault (minutes).
+
+    A flight is the whole of `landing-eval fly`: radio, motion capture, Kalman filter, 50 Hz of commands. With
+    faults the exit code is 3 where any of them was not met by motors off in the stated time and place.
+
+    Args:
+        policies: for the task landing.
+        vehicles: nominal, hidden (gaps that no policy was told), or vehicle files.
+        flights: from each start; with --faults, of each fault.
+        faults: instead of the table, every fault with the first policy on the first vehicle.
+        seed: of everything drawn.
+        out: new folder for results.json.
+    """
+    from inclined_landing.eval.proof.flight_table import faults as trouble
+    from inclined_landing.eval.proof.flight_table import table
+
+    if out is not None:
+        runs.check_new_run(out)
+    logging.getLogger("cflib").setLevel(logging.CRITICAL)  # it reports lost links, which are meant here
+    count = flights * (len(trouble.CASES) if faults else len(policies) * len(vehicles) * 3)
+    with Progress(*_COLUMNS, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("flights", total=count)
+
+        def done() -> None:
+            bar.advance(task)
+
+        if faults:
+            records = trouble.fly_cases(policies[0], vehicles[0], flights, seed, done)
+        else:
+            records = [row.record() for row in table.fly_table(policies, vehicles, flights, seed, done)]
+    tables.printer().print(trouble.shown(records) if faults else table.shown(records))
+    if out is not None:
+        with runs.staged_run(out) as folder:
+            kind = "faults" if faults else "starts"
+            asked = {"kind": kind, "policies": list(policies), "vehicles": list(vehicles), "seed": seed}
+            storage.write_json(folder / "results.json", asked | {"flights": flights, "rows": records})
+        print(out)
+    return 3 if faults and any(row["safe"] < row["met"] for row in records) else 0
