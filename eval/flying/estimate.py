@@ -22,6 +22,7 @@ class Attitude:
 
     time: float  # s of the pilot's clock at which the vehicle took it
     rotation: np.ndarray  # (3, 3) body to the vehicle's own world, whose heading is the gyroscopes'
+    lift: float = math.nan  # g, along the body's z as the accelerometer shows it; NaN where not logged
 
 
 class LogClock:

@@ -27,6 +27,7 @@ from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, IDLE_ACTION, REST_
 from inclined_landing.eval.flying import frames, safety
 from inclined_landing.eval.flying.actors import Actor, BadAction, Hover
 from inclined_landing.eval.flying.checks import LISTENING, Check, Heard, all_checks
+from inclined_landing.eval.flying.coherence import Coherence
 from inclined_landing.eval.flying.estimate import Attitude, Belief, Estimator
 from inclined_landing.eval.flying.flight_log import FlightLog
 from inclined_landing.eval.flying.interfaces import Clock, MotionCapture, Pose
@@ -120,6 +121,7 @@ class Pilot:
         self._log_path, self._log = log, None
         self._estimator = Estimator(Noise.of(self.vehicle), plan.heading)
         self._guard = safety.Guard(self.vehicle)
+        self._coherence = Coherence(self.vehicle.environment_gravity)
         self._hover, self._lander = Hover(plan.setpoint), Actor(plan.landing)
         self._period = self.vehicle.command_control_period
         self._voltage, self._locked = math.nan, False
@@ -245,6 +247,7 @@ class Pilot:
             len(self._places) == HOLD_STEPS
             and float(np.ptp(self._places, axis=0).max()) < REST_SPEED * HOLD_STEPS * self._period
         )
+        self._compare(time, state)
         lies = still and self._airborne and self.around.touches(state)
         self._lying = self._lying + self._period if lies else 0.0
         return Now(
@@ -256,9 +259,19 @@ class Pilot:
             locked=self._locked,
             voltage=self._voltage,
             heading_error=float(state[YAW]),
+            parted=self._coherence.parted,
             lying=self._lying,
             landing_limit=self.task.max_steps * self._period,
         )
+
+    def _compare(self, time: float, state: np.ndarray) -> None:
+        """Motion with forces, while nothing but the air touches the vehicle."""
+        attitude = self._estimator.attitude
+        rotation = None if attitude is None else self._estimator.in_arena(attitude)
+        if not self._airborne or rotation is None or self.around.touches(state):
+            self._coherence.begin()
+        elif attitude is not None:
+            self._coherence.note(time, state[VX : VZ + 1], rotation[:, 2], attitude.lift)
 
     def _command(self, belief: Belief) -> np.ndarray | None:
         """The command (4,) of the present phase, which may end here; None when the flight is over."""

@@ -48,6 +48,7 @@ class Cause:
 POSE_LIMIT = 0.2  # s without a believed position: the filter is then 6 cm unsure, a goal box has 10
 ATTITUDE_LIMIT = 0.25  # s without an attitude: a quarter of a second of lost packets is no link
 TILT_LIMIT = math.radians(60.0)  # the firmware calls a vehicle tumbled there; commands end at 30 deg
+PARTED_LIMIT = 2.0  # m/s between what forces add up to and the measured velocity, see `coherence`
 DISAGREEMENT_LIMIT = math.radians(20.0)  # between the attitudes of log and motion capture
 HEADING_LIMIT = math.radians(30.0)  # off the heading held, while it is not being turned to it
 SPEED_LIMIT = 4.0  # m/s: shipped landings stay below 2.8
@@ -122,6 +123,12 @@ DISAGREEMENT = Cause(
     Reaction.OFF,
     "a wrong sign, or markers taken for others: every command would be wrong",
 )
+PARTED = Cause(
+    "wrong position",
+    f"the measured motion is {PARTED_LIMIT:g} m/s off what accelerometer and tilt lead to",
+    Reaction.OFF,
+    "a marker left behind: positions are fresh, and not the vehicle's",
+)
 OUTSIDE = Cause("outside", "outside the arena", Reaction.OFF, "falls within the nets")
 FENCE = Cause(
     "fence",
@@ -181,6 +188,7 @@ class Now:
     locked: bool  # by the vehicle's own supervisor
     voltage: float  # V; NaN where not known
     heading_error: float  # rad
+    parted: float  # m/s, see `Coherence`
     lying: float  # s that it has touched something without moving
     landing_limit: float  # s that the landing may take
 
@@ -235,6 +243,7 @@ class Guard:
             (LOCKED, lambda now: now.locked),
             (TUMBLED, lambda now: now.belief.tilt > TILT_LIMIT),
             (DISAGREEMENT, lambda now: now.belief.disagreement > DISAGREEMENT_LIMIT),
+            (PARTED, lambda now: now.parted > PARTED_LIMIT),
             (OUTSIDE, lambda now: self._outside(now)),
             (LYING, lambda now: now.phase is Phase.LANDING and now.lying >= 0.5),
             (OVERTIME_RETREAT, lambda now: now.phase is Phase.RETREAT and now.since > RETREAT_LIMIT),
@@ -263,7 +272,7 @@ class Guard:
 # In the order of the documentation; those of `Guard`, and those that the pilot meets elsewhere.
 CAUSES = (
     *(INTERRUPTED, ERROR, HANG, LINK, STALE_ATTITUDE, STALE_POSE, BAD_STATE, BAD_SETPOINT, BAD_ACTION),
-    *(LOCKED, TUMBLED, DISAGREEMENT, OUTSIDE, FENCE, SPEED, HEADING, BATTERY, LYING),
+    *(LOCKED, TUMBLED, DISAGREEMENT, PARTED, OUTSIDE, FENCE, SPEED, HEADING, BATTERY, LYING),
     *(OVERTIME_APPROACH, OVERTIME_LANDING, OVERTIME_RETREAT),
 )
 

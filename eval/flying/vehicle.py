@@ -63,8 +63,8 @@ class Radio:
                 self.close()
                 raise UserError(f"no connection to {uri}: {reason}")
             self.clock.wait_until(self.clock.now() + 0.02)
-        angles = ("stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw")
-        self._log("attitude", ATTITUDE_PERIOD, angles, self._attitude)
+        felt = ("stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw", "acc.z")
+        self._log("attitude", ATTITUDE_PERIOD, felt, self._attitude)
         try:
             self._log("status", STATUS_PERIOD, ("pm.vbat", "supervisor.info"), self._status)
         except KeyError:  # firmware before 2024.02
@@ -132,7 +132,7 @@ class Radio:
     def _attitude(self, stamp: int, data: dict[str, float], _) -> None:
         angles = (data[f"stateEstimate.{name}"] for name in ("roll", "pitch", "yaw"))
         time = self._dates.date(stamp, self.clock.now())
-        self._news.append(Attitude(time, frames.logged_rotation(*angles)))
+        self._news.append(Attitude(time, frames.logged_rotation(*angles), float(data["acc.z"])))
 
     def _status(self, stamp: int, data: dict[str, float], _) -> None:
         locked = bool(int(data.get("supervisor.info", 0)) & _LOCKED)

@@ -18,6 +18,7 @@ from inclined_landing.models.errors import UserError
 AFTER = 6.0  # s that the world goes on after the pilot: what is in the air comes down
 REST_SPEED = 0.03  # m/s over the last quarter of a second
 UPRIGHT = 0.9  # cosine of the angle between the vehicle's z and the surface's normal
+_TRIES = 5  # of the checks before a flight, which a hole in the motion capture fails: one looks again
 _PATIENCE = 60.0  # s of real time that the pilot's watchdog gives a control step: the time is simulated
 
 
@@ -83,8 +84,11 @@ def fly_once(
     try:
         radio.connect(flight.uri)
         pilot = Pilot(radio, flight.clock, flight.motion_capture, plan, say=say, hang_limit=_PATIENCE)
-        failed = [f"{check.name}: {check.found}" for check in pilot.check() if not check.passed]
-        if failed:
+        for _ in range(_TRIES):
+            failed = [f"{check.name}: {check.found}" for check in pilot.check() if not check.passed]
+            if not failed:
+                break
+        else:
             raise UserError(f"not ready to fly: {'; '.join(failed)}")
         prepare(flight, pilot)
         report = pilot.fly()

@@ -12,6 +12,7 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.eval.base import tables
 from inclined_landing.eval.flying import safety
 from inclined_landing.eval.flying.fly import load
+from inclined_landing.eval.flying.interfaces import Clock
 from inclined_landing.eval.flying.pilot import Pilot, Plan
 from inclined_landing.eval.flying.simulated import firmware
 from inclined_landing.eval.flying.simulated.crazyflie import SimulatedFlight
@@ -24,7 +25,7 @@ from inclined_landing.eval.proof.flight_table.table import flight_record
 APPROACH, LANDING = (1.0, 7.0), (0.0, 1.0)  # s after lift-off, and after the hand-over, that faults begin in
 # s on top of every limit: a control period, the radio, the supervisor's period, and the pilot's own steps.
 REACTION = 0.15
-WATCHDOG = firmware.WATCHDOG_STOPS + firmware.PERIOD + REACTION
+WATCHDOG = firmware.EMERGENCY_WATCHDOG + firmware.PERIOD + REACTION
 DOWN = safety.RETREAT_LIMIT + REACTION
 FLIGHT = safety.APPROACH_LIMIT + 6.0 + DOWN  # the longest that a flight goes on
 
@@ -44,10 +45,11 @@ def _of(name: str, limit: float, outside: float, why: str) -> Case:
     return Case(name, FAULTS[name][0], limit, outside, why)
 
 
-_BY_ITSELF = "the firmware's watchdog: level after 0.5 s with the last thrust, off after 2 s"
+_BY_ITSELF = "the firmware: level after 0.5 s with the last thrust, off after 1 s without notice"
 _DEAF = f"no attitude for {safety.ATTITUDE_LIMIT:g} s"
 _SOON = f"no believed position for {safety.POSE_LIMIT:g} s"
-ALONE = 6.0  # m: a vehicle that goes on level, with the last thrust, for 2 s
+ALONE = 6.0  # m: a vehicle that goes on with the last thrust for 1 s, then falls
+STUCK, LATE = 4.0, 2.0  # s and m: a fault that shows only when the vehicle accelerates
 WITHIN = 0.0
 CASES = (
     _of("pilot-killed", WATCHDOG, ALONE, _BY_ITSELF),
@@ -58,7 +60,7 @@ CASES = (
     _of("reboot", REACTION, WITHIN, "motors are off in a vehicle that starts"),
     _of("mocap-lost", safety.POSE_LIMIT + REACTION, WITHIN, _SOON),
     _of("mocap-frozen", safety.POSE_LIMIT + REACTION, WITHIN, _SOON + "; equal positions count as none"),
-    _of("mocap-stuck", 2.0, WITHIN, _SOON + ", once it has left where it seems to be"),
+    _of("mocap-stuck", STUCK, LATE, "positions do not fit the accelerometer, once it has moved"),
     _of("marker-swap", safety.POSE_LIMIT + REACTION, WITHIN, _SOON + "; the filter believes no jumps"),
     _of("attitude-turned", FLIGHT, WITHIN, "log and motion capture disagree, or it lands"),
     _of("attitude-wrong", FLIGHT, WITHIN, "log and motion capture disagree, or it lands"),
@@ -79,25 +81,26 @@ def fly_case(case: Case, plan: Plan, setting: Setting, seed: int) -> Flown:
         which = {"in_landing": (fault,)} if in_landing else {"faults": (fault,)}
         return fly_once(plan, setting, seed, **which)
     moments: list[float] = []
+    clocks: list[Clock] = []
 
-    def happen(flight: SimulatedFlight) -> None:
-        moments.append(flight.clock.now())
+    def happen() -> None:
+        moments.append(clocks[0].now())
 
-    if case.name == "interrupt":
-        # As a signal would: out of whatever the pilot waits in.
-        def prepare(flight: SimulatedFlight, pilot: Pilot) -> None:
-            def interrupt() -> None:
-                happen(flight)
-                raise KeyboardInterrupt
-
+    def prepare(flight: SimulatedFlight, pilot: Pilot) -> None:
+        clocks.append(flight.clock)
+        if case.name == "interrupt":
             flight.world.at(flight.world.time + 2.0 + after, interrupt)
-    else:
 
-        def prepare(flight: SimulatedFlight, pilot: Pilot) -> None:
-            name = "landing" if case.name == "policy-nan" else "setpoint"
-            broken = _failing(getattr(plan, name), 1 + round(after / 0.02), lambda: happen(flight))
-            (pilot._lander if name == "landing" else pilot._hover.actor).policy = broken
+    def interrupt() -> None:
+        """As a signal would, out of whatever the pilot waits in."""
+        happen()
+        raise KeyboardInterrupt
 
+    calls = 1 + round(after / plan.landing.task.vehicle.command_control_period)
+    if case.name == "policy-nan":
+        plan = dataclasses.replace(plan, landing=_failing(plan.landing, calls, happen))
+    elif case.name == "setpoint-nan":
+        plan = dataclasses.replace(plan, setpoint=_failing(plan.setpoint, calls, happen))
     flown = fly_once(plan, setting, seed, prepare=prepare)
     return dataclasses.replace(flown, faults=tuple((moment, case.name) for moment in moments[:1]))
 
