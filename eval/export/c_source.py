@@ -19,8 +19,7 @@ LARGEST = 512 * 1024  # bytes of constants: half of the flash of an STM32F405, w
 SMALL = 100_000  # bytes that are no burden beside the firmware
 _PER_LINE = 6
 _ESTIMATED = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw")  # what the firmware's estimator knows
-_APP_STACK = 350  # words that the firmware's own examples give an app
-_APP_FRAME = 100  # words of the app's own calls, above those of the policy
+_APP_STACK = 350  # words that the firmware's own examples give an app, beside the policy's arrays
 
 
 def write(folder: Path, contract: dict, network: Network, vectors: Vectors) -> None:
@@ -73,7 +72,7 @@ def _content(contract: dict, network: Network, vectors: Vectors) -> dict:
         "licence": contract["licence"]["spdx"],
         "sha256": contract["policy"]["sha256"],
         "stack": stack,
-        "stack_words": max(_APP_STACK, stack // 4 + 2 * _APP_FRAME),
+        "stack_words": _APP_STACK + stack // 4,
         "constants": 4 * network.numbers,
         "observations": o,
         "observation_names": [_plain(entry["name"]) for entry in contract["observation"]],
