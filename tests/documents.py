@@ -16,10 +16,11 @@ from sybil.parsers.markdown.lexers import RawFencedCodeBlockLexer
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.command_line import bound, parse
+from inclined_landing.eval.base.manual import manual
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "docs" / "site"))
-import generated  # noqa: E402  (the site's own pages)
+import generated  # noqa: E402, F401  (the pages that the site makes)
 
 SHELLS = ("sh", "console", "bash")
 PROGRAMS = ("landing-eval", "landing-train")
@@ -124,6 +125,6 @@ def check_span(text: str) -> None:
 
 @functools.cache
 def options(program: str, name: str | None) -> frozenset[str]:
-    """The long options of a command, as its help has them."""
+    """The options of a command, as its help has them."""
     target = _target(program, [name] if name else [])
-    return frozenset(re.findall(r"--[a-z][a-z-]*", generated.help_text(target, f"{program} {name}")))
+    return frozenset(name for option in manual(target, program).options for name in option.names)

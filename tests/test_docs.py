@@ -114,4 +114,11 @@ def test_every_number_of_a_vehicle_and_every_effect_is_on_its_page():
     fields = re.findall(r"^\| `(\w+)` \|", pages["physics/constants.md"], re.MULTILINE)
     assert len(fields) == len(documents.generated.constants())
     assert all(f"\n## {name}\n" in pages["physics/effects.md"] for name in documents.generated.LIBRARY)
-    assert all(f"\n## {name}\n" in pages["reference/commands.md"] for name in documents.cli.COMMANDS)
+    sections = dict(
+        re.findall(r"^## (\S+)\n(.*?)(?=^## |\Z)", pages["reference/commands.md"], re.DOTALL | re.MULTILINE)
+    )
+    assert sections.keys() == {"landing-train", *documents.cli.COMMANDS}
+    for name, text in sections.items():
+        program, command = (name, None) if name == "landing-train" else ("landing-eval", name)
+        for option in documents.options(program, command) - {"-h", "--help"}:
+            assert f"`{option}" in text or f", {option}" in text, f"{name} {option}"

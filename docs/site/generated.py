@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import itertools
-import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -18,16 +15,12 @@ from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import TASKS, Task, make_task
 from inclined_landing.envs.tasks.base import ACTIONS, COLUMNS
 from inclined_landing.eval import cli
-from inclined_landing.eval.base.command_line import bound, parse
+from inclined_landing.eval.base.command_line import bound
+from inclined_landing.eval.base.manual import manual
+from inclined_landing.models.attitude import COMMAND_UNITS, STATE_UNITS
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import Constant, constants, load_vehicle
 from inclined_landing.train.config import TrainConfig
-
-UNITS = {  # of what tasks observe, by the first letters of the name
-    **dict.fromkeys(("x", "y", "z"), "m"),
-    **dict.fromkeys(("vx", "vy", "vz"), "m/s"),
-    **dict.fromkeys(("roll", "pitch", "yaw"), "rad"),
-}
 
 
 def pages() -> dict[str, str]:
@@ -65,41 +58,12 @@ def commands() -> str:
 
 
 def _command(title: str, prog: str, target: Callable) -> str:
-    usage, text, groups = read_help(help_text(target, prog))
-    rows = [[f"`{name}`", said] for group in groups for name, said in group if not name.startswith("-h")]
-    return "\n".join(
-        [f"## {title}\n", f"```text\n{usage}\n```\n", f"{cell(text)}\n", table(["option", ""], rows)]
-    )
-
-
-def help_text(target: Callable, prog: str) -> str:
-    """What `--help` of a command prints, no line broken."""
-    out = io.StringIO()
-    before = os.environ.get("COLUMNS")
-    os.environ["COLUMNS"] = "4000"
-    try:
-        with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
-            parse(target, prog, ["--help"])
-    finally:
-        os.environ.pop("COLUMNS") if before is None else os.environ.update(COLUMNS=before)
-    return re.sub("\x1b\\[[0-9;]*m", "", out.getvalue())
-
-
-def read_help(text: str) -> tuple[str, str, list[list[tuple[str, str]]]]:
-    """Usage, description and, box by box, (option, meaning) of what `--help` printed."""
-    head, *boxes = re.split(r"^╭.*╮\s*$", text, flags=re.MULTILINE)
-    usage, _, description = head.strip().removeprefix("usage: ").partition("\n\n")
-    groups = []
-    for box in boxes:
-        rows: list[tuple[str, str]] = []
-        for line in re.findall(r"^│ (.*?) *│\s*$", box, re.MULTILINE):
-            name, said = re.match(r"(\S.*?)?(?:  +(.*))?$", line).groups()
-            if name:
-                rows.append((name, said or ""))
-            elif rows:
-                rows[-1] = (rows[-1][0], f"{rows[-1][1]} {said}".strip())
-        groups.append(rows)
-    return usage, " ".join(description.split()), groups
+    said = manual(target, prog)
+    rows = [
+        [f"`{row.words}`", row.text] for row in (*said.arguments, *said.options) if "--help" not in row.names
+    ]
+    usage = f"```text\n{said.usage.removeprefix('usage: ')}\n```"
+    return "\n\n".join([f"## {title}", usage, *map(cell, said.text), table(["option", ""], rows)])
 
 
 # --- tasks ---------------------------------------------------------------------------------------
@@ -143,7 +107,7 @@ def _observations(task: Task) -> str:
             [
                 str(index),
                 name,
-                UNITS.get(name, "1") if name in COLUMNS else "1",
+                STATE_UNITS[COLUMNS[name]] if name in COLUMNS else "1",
                 "unbounded" if unbounded else f"{low:g} to {high:g}",
                 inside,
                 f"{task.observation_centre[index]:g}",
@@ -161,7 +125,7 @@ def _actions(task: Task) -> str:
     rows = []
     for index, name in enumerate(task.action_names):
         column = ACTIONS[name]
-        unit = {"thrust": "PWM", "yaw rate": "rad/s"}.get(name, "rad")
+        unit = COMMAND_UNITS[column]
         at = [f"{commands[column]:.6g} {unit}" for commands in (low, middle, high)]
         rows.append([str(index), name, f"{space.low[index]:g} to {space.high[index]:g}", *at])
     heads = ["index", "command", "space", "at the lowest", "at 0", "at the highest"]
