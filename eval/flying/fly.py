@@ -299,6 +299,10 @@ def _real(uri: str, mocap: str, latency: float) -> Session:
     cflib.crtp.init_drivers()
 
     def connect(k: int, angle_limit: float, dry: bool) -> tuple[Radio, Any, Any]:
+        if k > 0:
+            print("Put the vehicle back, switch it off and on, press Enter: ", end="", flush=True)
+            if not sys.stdin.readline():
+                raise UserError("nobody is there to put the vehicle back")
         radio = Radio(Crazyflie(), clock, angle_limit, dry=dry)
         radio.connect(uri)
         return radio, clock, capture

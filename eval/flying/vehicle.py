@@ -85,10 +85,16 @@ class Radio:
             self.crazyflie.commander.send_setpoint(0.0, 0.0, 0.0, 0)
 
     def send(self, command: np.ndarray, heading: float) -> None:
-        """A set-point: PWM, roll, pitch [rad], yaw rate [rad/s], in the arena's frame; heading [rad]."""
+        """A set-point: PWM, roll, pitch [rad], yaw rate [rad/s], in the arena's frame; heading [rad].
+
+        From the first one on the firmware's emergency watchdog runs: without notice the motors stop after 1 s,
+        and not 2 s after the last set-point; the vehicle must be switched off and on before it flies again.
+        """
         setpoint = frames.radio_setpoint(command, heading, self.angle_limit)
-        if not self.dry:
-            self.crazyflie.commander.send_setpoint(*setpoint)
+        if self.dry:
+            return
+        self.crazyflie.commander.send_setpoint(*setpoint)
+        self.crazyflie.supervisor.send_emergency_stop_watchdog()
 
     def stop(self) -> None:
         """Motors off; they can be started again."""

@@ -11,7 +11,7 @@ class Watchdog:
     """Calls `stop` once, from its own thread, when `alive` was not called for `limit` s of real time.
 
     Use as a context; `bitten` says whether it did. What hangs inside cflib's own lock cannot be passed by any
-    thread: then the vehicle stops by itself, 2 s after the last set-point.
+    thread: then the vehicle stops by itself, 1 s after the last notice.
     """
 
     def __init__(self, limit: float, stop: Callable[[], None]):
