@@ -81,8 +81,8 @@ class Estimator:
         self._offset: float | None = None  # of the arena's heading over the vehicle's own, rad
         self._seen: tuple[float, np.ndarray] | None = None  # time, rotation (3, 3)
 
-    def see(self, pose: Pose) -> bool:
-        """Take a pose; True where its position is new and believed.
+    def see(self, pose: Pose, impact: bool = False) -> bool:
+        """Take a pose; True where its position is new and believed. impact: something to touch is near.
 
         A position that equals the one before to the last bit is no measurement: cameras are never that still.
         """
@@ -93,7 +93,7 @@ class Estimator:
             return False
         if pose.attitude is not None and np.isfinite(pose.attitude).all() and np.any(pose.attitude):
             self._align(pose, 0.0 if before is None else pose.time - before.time)
-        return self.filter.measure(pose.time, pose.position)
+        return self.filter.measure(pose.time, pose.position, impact)
 
     def feel(self, attitude: Attitude) -> None:
         """Take an attitude of the vehicle's log; older ones than the last, and broken ones, are left out."""

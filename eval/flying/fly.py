@@ -243,8 +243,10 @@ def words(report: Report) -> str:
             False: "does not rest on the slope",
             None: "was not seen afterwards",
         }
+        touched = report.touched and report.outcome == "goal box"
         return (
-            f"{report.outcome} {report.landing_time:.2f} s after hand-over at vx {vx:.2f}, vz {vz:.2f} m/s; "
+            f"{report.outcome}{' after a touch of the platform,' if touched else ''} "
+            f"{report.landing_time:.2f} s after hand-over at vx {vx:.2f}, vz {vz:.2f} m/s; "
             f"{rest[report.rests]}"
         )
     if report.cause is None:

@@ -16,6 +16,9 @@ import numpy as np
 
 from inclined_landing.models.parameters import Vehicle
 
+# A touch changes the velocity by at most this, m/s (a flight's largest speed), between two poses at most this
+# far apart, s: a jump of the pose by more than 12 cm is none.
+IMPACT, IMPACT_TIME = 4.0, 0.03
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -47,10 +50,13 @@ class Filter:
         self.time: float | None = None  # of the last measurement that was believed, s
         self.mean = np.zeros((3, 3))  # position, velocity, acceleration of x, y, z
         self.variance = np.zeros((3, 3))  # of position, velocity, acceleration, the same for all axes
+        self.impacts = 0  # measurements that only a touch explains
         self.innovation = 0.0  # normalised, squared, of the last measurement; chi-square with 3 degrees
 
-    def measure(self, time: float, position: np.ndarray) -> bool:
+    def measure(self, time: float, position: np.ndarray, impact: bool = False) -> bool:
         """Take a position (3,) [m] measured at `time` [s]; False where it is not believed.
+
+        impact: something to touch is near, and the velocity may have changed at once.
 
         Not believed are positions that are not finite, not newer than the last one, or farther off than
         `Noise.gate` allows.
@@ -71,7 +77,13 @@ class Filter:
         expected = variance[0, 0] + n.position**2
         self.innovation = float(surprise @ surprise / expected)
         if not self.innovation <= n.gate:
-            return False
+            reach = IMPACT * min(time - self.time, IMPACT_TIME) + 5.0 * n.position
+            if not (impact and math.sqrt(surprise @ surprise) <= reach):
+                return False
+            hit = np.array([time - self.time, 1.0, 0.0]) * IMPACT
+            variance = variance + np.outer(hit, hit)
+            self.impacts += 1
+            expected = variance[0, 0] + n.position**2
         gain = variance[:, 0] / expected
         keep = np.eye(3)
         keep[:, 0] -= gain

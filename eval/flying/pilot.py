@@ -33,7 +33,7 @@ from inclined_landing.eval.flying.flight_log import FlightLog
 from inclined_landing.eval.flying.interfaces import Clock, MotionCapture, Pose
 from inclined_landing.eval.flying.kalman import Noise
 from inclined_landing.eval.flying.safety import Cause, Now, Phase, Reaction
-from inclined_landing.eval.flying.surroundings import Surroundings, Target
+from inclined_landing.eval.flying.surroundings import IMPACT_REACH, Surroundings, Target
 from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.models.attitude import (
     PITCH_COMMAND,
@@ -82,6 +82,7 @@ class Report:
     start: np.ndarray | None = None  # (13,) believed state at hand-over
     goal: np.ndarray | None = None  # (13,) believed state when the motors were cut in the goal box or at rest
     landing_time: float | None = None  # s from hand-over to there
+    touched: bool = False  # before that in the landing, hard enough to be seen in the positions
     final: np.ndarray | None = None  # (3,) last position, m
     rests: bool | None = None  # does it lie still on the platform, as far as its position tells
     seconds: float = 0.0  # from the first command to motors off
@@ -404,7 +405,11 @@ class Pilot:
         pose = self.mocap.latest()
         if pose is not None and pose.time > self._pose_time:
             self._pose_time = pose.time
-            self._estimator.see(pose)
+            near = self.around.near(self._estimator.at(pose.time).state, IMPACT_REACH)
+            impacts = self._estimator.filter.impacts
+            self._estimator.see(pose, impact=near)
+            if self.phase is Phase.LANDING:
+                self.report.touched |= self._estimator.filter.impacts > impacts
             if len(self._poses) < 10_000:
                 self._poses.append(pose)
             if self._log is not None:

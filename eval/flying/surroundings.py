@@ -14,6 +14,7 @@ from inclined_landing.models.scene import compile_scene
 
 CLEAR = 0.25  # m that a planned way keeps to the platform: twice the vehicle's half width, and some
 LEAVING = 0.3  # m of a way that may begin closer to it
+IMPACT_REACH = 0.1  # m within which a touch may have happened unseen
 TOUCHING = 0.01  # m: closer counts as touching; the platform's height is known to 5 mm
 CEILING = 0.3  # m that a way keeps to the ceiling
 _STEP = 0.05  # m between the points at which a way is checked
@@ -39,7 +40,11 @@ class Surroundings:
 
     def touches(self, state: np.ndarray) -> bool:
         """Does a vehicle in a state (13,) touch platform or floor, as far as its position tells?"""
-        return bool(np.isfinite(state).all() and (self.distances(state[None]) < TOUCHING).any())
+        return self.near(state, TOUCHING)
+
+    def near(self, state: np.ndarray, reach: float) -> bool:
+        """Is a vehicle in a state (13,) closer than `reach` [m] to platform or floor?"""
+        return bool(np.isfinite(state).all() and (self.distances(state[None]) < reach).any())
 
     def way_to(self, home: np.ndarray, start: np.ndarray) -> list[np.ndarray]:
         """Points (3,) [m]: up from `home`, across at one height, to `start`.

@@ -87,8 +87,8 @@ class Radio:
     def send(self, command: np.ndarray, heading: float) -> None:
         """A set-point: PWM, roll, pitch [rad], yaw rate [rad/s], in the arena's frame; heading [rad].
 
-        From the first one on the firmware's emergency watchdog runs: without notice the motors stop after 1 s,
-        and not 2 s after the last set-point; the vehicle must be switched off and on before it flies again.
+        From the first one on the firmware's emergency watchdog runs: without notice the motors stop after 1 s
+        (not 2 s after the last set-point), and the vehicle flies again only when switched off and on.
         """
         setpoint = frames.radio_setpoint(command, heading, self.angle_limit)
         if self.dry:
