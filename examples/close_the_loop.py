@@ -1,10 +1,10 @@
-"""The loop from a flight that fails to one that lands: fly, read the logs, correct the model, train, export, fly.
+"""From a flight that fails to one that lands: fly, read the logs, correct the model, train, export, fly.
 
     python examples/close_the_loop.py DIR [--seed N]
 
-A simulated Crazyflie stands for the real one. Its gap is in DIR/hidden.toml, which only `landing-eval fly`
-reads: everything else is told by the flight logs. Every step is a command as a user types it; the table at the
-end, DIR/loop.json, and docs/loop.md have what came of it. Needs the extras train and fly.
+A simulated Crazyflie stands for the real one. Its gap is in DIR/hidden.toml, which `fly` alone reads:
+everything else is told by the flight logs. Every step is a command as a user types it; the table at the end,
+DIR/loop.json, and docs/loop.md have what came of it. Needs the extras train and fly.
 """
 
 from __future__ import annotations
