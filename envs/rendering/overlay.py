@@ -13,6 +13,7 @@ from inclined_landing.models.errors import optional
 _BIAS = 0.004  # m; a line this much behind a surface still shows
 _FINE = 4  # arrows are drawn this much larger and averaged
 TRAIL, FORCE = np.array([0.88, 0.16, 0.11]), np.array([0.93, 0.17, 0.10])
+_SMALLEST = 7  # pixels, of letters
 _TEXT = np.array([0.08, 0.12, 0.22], np.float32)
 _BAR, _BAR_COLOUR = 0.78, np.float32([0.97, 0.98, 1.0])  # opacity and colour of the caption bar
 
@@ -165,12 +166,14 @@ def caption_height(height: int) -> int:
 
 
 def draw_caption(frame: np.ndarray, text: str, note: str = "") -> None:
-    """Write `text` (and `note` at the right) on a bar at the bottom of frame (h, w, 3) uint8."""
+    """Write `text` on a bar at the bottom of frame (h, w, 3) uint8, and `note` at the right if it fits."""
     height, width = frame.shape[:2]
     bar = caption_height(height)
     size = max(9, round(0.026 * height))
+    if 0.602 * _SMALLEST * (len(text) + len(note) + 3) > width - 20:
+        note = ""
     columns = len(text) + (len(note) + 3 if note else 0)
-    while size > 7 and columns * 0.602 * size > width - 20:
+    while size > _SMALLEST and columns * 0.602 * size > width - 20:
         size -= 1
     cover = _text_mask(text, size, width, bar, False)
     if note:

@@ -11,7 +11,7 @@ from inclined_landing.envs import starts
 from inclined_landing.envs.rendering import Ghost, Pose, contact_arrows, look_at, make_renderer
 from inclined_landing.envs.rendering import gl as gl_backend
 from inclined_landing.envs.rendering.camera import framing
-from inclined_landing.envs.rendering.overlay import caption_height
+from inclined_landing.envs.rendering.overlay import caption_height, draw_caption
 from inclined_landing.envs.rendering.pose import qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
 from inclined_landing.envs.rendering.scenery import drawn_centres, drawn_points, rendering_model
@@ -230,6 +230,15 @@ def test_base_is_closed_for_any_inclination():
             geom, _, normal = scene.cast(np.array([0, -3.0, 0.5]), np.array([[0, 1.0, 0]]), 0)
             assert scene.model.geom(geom[0]).name == "prism"
             np.testing.assert_allclose(normal[0], [0, -1, 0], atol=1e-6)
+
+
+def test_a_note_that_does_not_fit_is_left_out():
+    text, note = "t 1.10 s   x +0.90  z 1.80 m   pitch  +17.2 deg   PWM  42000", "vehicle drawn 3x"
+    for width, fits in ((320, False), (640, True)):
+        plain, noted = np.zeros((180, width, 3), np.uint8), np.zeros((180, width, 3), np.uint8)
+        draw_caption(plain, text)
+        draw_caption(noted, text, note)
+        assert (plain != noted).any() == fits
 
 
 def test_caption_covers_the_bottom_only(hero):
