@@ -106,6 +106,7 @@ def test_the_site_builds_without_a_warning(tmp_path, monkeypatch):
     assert 'id="success"' in commands and "--thrust-scale" in commands
     page = (tmp_path / "index.html").read_text("utf-8")
     assert "landing.gif" in page and (tmp_path / "landing.gif").is_file()
+    assert "https://arxiv.org/abs/2103.09043\n" in (tmp_path / "external_links.txt").read_text("utf-8")
     shutil.rmtree(tmp_path)  # some megabytes
 
 

@@ -19,6 +19,7 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).parents[2]
 FENCE = re.compile(r"^( *)(`{3,}|~{3,}).*?^\1\2 *$", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"(?<=\]\()([^)\s]+)(?=\))")
+_elsewhere: set[str] = set()  # addresses that pages link to
 PICTURES = {".gif", ".png", ".svg"}
 LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml", ".yml": "yaml"}
 
@@ -67,6 +68,17 @@ def on_page_markdown(markdown: str, page, config, files: Files) -> str:
         pieces += [LINK.sub(in_site, markdown[end : fence.start()]), fence[0]]
         end = fence.end()
     return "".join([*pieces, LINK.sub(in_site, markdown[end:])])
+
+
+def on_page_content(html: str, page, config, files: Files) -> None:
+    """Note what leads out of the site."""
+    _elsewhere.update(re.findall(r'href="(https?://[^"]+)"', html))
+
+
+def on_post_build(config) -> None:
+    """List the links out of the site beside it: nobody else checks them."""
+    listed = Path(config.site_dir) / "external_links.txt"
+    listed.write_text("".join(f"{address}\n" for address in sorted(_elsewhere)), "utf-8")
 
 
 def _targets(markdown: str) -> Iterator[str]:
