@@ -3,7 +3,7 @@
 
 Replay.SPEEDS = [1 / 16, 1 / 8, 1 / 4, 1 / 2, 1, 2, 4];
 Replay.FRAME = 0.02; // s that an arrow key goes on
-Replay.PRINTED = 430; // pixels of a curve's width on paper, before it is fitted into its column
+Replay.PRINTED = 450; // pixels of a curve's width on paper, before it is fitted into its column
 Replay.CAMERAS = ["orbit", "follow", "side", "top", "pad"];
 
 Replay.Player = class {
