@@ -33,7 +33,7 @@ OWN = {
     ),
     *(".png", ".gif", ".svg", ".zip"),
 }
-OWN_SCRIPTS = "eval/replay/page/"  # JavaScript elsewhere is taken for somebody else's
+OWN_SCRIPTS = "eval/replay/player/"  # JavaScript elsewhere is taken for somebody else's
 OWN_NAMES = {"LICENSE", "Makefile", "run", ".gitignore"}
 FOREIGN = re.compile(
     rb"@license|SPDX-License-Identifier|Copyright \(c\)|Permission is hereby granted", re.IGNORECASE
