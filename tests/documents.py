@@ -67,7 +67,9 @@ def lines(source: str) -> Iterator[list[str]]:
         lexer.whitespace_split = True
         words: list[str] = []
         for word in [*lexer, ";"]:
-            if word not in _OPERATORS:
+            if words and words[-1] in (">", ">>", "<"):  # a file that is written or read
+                words.pop()
+            elif word not in _OPERATORS:
                 words.append(word)
                 continue
             while words and (words[0] in ("nohup", "time", "nice") or re.match(r"\w+=", words[0])):
@@ -103,6 +105,8 @@ def check(words: list[str]) -> None:
 
 def _target(program: str, rest: list[str]):
     """What the words of a command are parsed into; None for those of a program itself (--help, --version)."""
+    if rest and rest[0] in ("--version", "--print-completion"):  # of either program
+        return None
     if program == "landing-train":
         from inclined_landing.train.config import TrainConfig
 
