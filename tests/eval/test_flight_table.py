@@ -1,0 +1,157 @@
+"""The whole chain of a flight, every fault in it, and how what happened is judged."""
+
+import dataclasses
+import logging
+import math
+
+import hypothesis
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+
+pytest.importorskip("cflib", reason="the extra fly is not installed")
+
+from inclined_landing.eval.flying.coherence import FORGETTING, Coherence
+from inclined_landing.eval.flying.fly import load
+from inclined_landing.eval.flying.pilot import Plan
+from inclined_landing.eval.flying.simulated.firmware import State
+from inclined_landing.eval.flying.simulated.world import Setting, Trace
+from inclined_landing.eval.proof.flight_table import faults, table
+from inclined_landing.eval.proof.flight_table.chain import Flown, fly_once, truth_of
+from inclined_landing.models.attitude import PITCH, VX, X, Z
+
+G = 9.81
+logging.getLogger("cflib").setLevel(logging.CRITICAL)
+
+
+@pytest.fixture(scope="module")
+def plan():
+    landing, hover, starts = load("landing-robust", "setpoint", (), None, None)
+    return Plan(landing, hover, starts[2])
+
+
+def trace(states, touching, running):
+    """A trace at 100 Hz from states {column: (m,)}, touched surfaces (m, 3), and motors on or off (m,)."""
+    m = len(running)
+    state = np.zeros((m, 13))
+    for column, values in states.items():
+        state[:, column] = values
+    command = np.zeros((m, 4))
+    command[:, 0] = 40000.0 * np.asarray(running)
+    time = 0.01 * np.arange(m)
+    return Trace(time, state, np.asarray(touching, bool), command, np.full(m, 4.0), np.full(m, State.FLYING))
+
+
+def touched(m, surface=None, since=0):
+    result = np.zeros((m, 3), bool)
+    if surface is not None:
+        result[since:, surface] = True
+    return result
+
+
+# --- how it is judged --------------------------------------------------------------------------------
+
+
+def test_a_landing_is_seen_as_it_was(plan):
+    task, m = plan.landing.task, 200
+    x, z = task.goal_position
+    way = np.linspace(1.0, 0.0, 100)
+    states = {
+        X: np.r_[x + way, np.full(100, x)],
+        Z: np.r_[z + way, np.full(100, z)],
+        PITCH: np.full(m, task.inclination),
+    }
+    there = int(np.argmax(way < task.goal_size))
+    truth = truth_of(trace(states, touched(m, 0, 120), np.arange(m) < 110), plan)
+    assert truth.goal == pytest.approx(0.01 * there) and truth.touched == pytest.approx(1.2)
+    assert truth.off == pytest.approx(1.09) and truth.outside == 0.0
+    assert truth.strict and truth.landed and truth.rests == "platform"
+    early = truth_of(trace(states, touched(m, 0, there - 1), np.arange(m) < 110), plan)
+    assert not early.strict and early.landed
+    upside_down = truth_of(trace({**states, PITCH: np.full(m, math.pi)}, touched(m, 0, 50), np.ones(m)), plan)
+    assert upside_down.rests == "platform" and not upside_down.landed
+
+
+def test_moving_flying_and_being_outside_are_seen(plan):
+    m, v = 100, plan.landing.task.vehicle
+    moving = truth_of(trace({VX: np.full(m, 0.1), Z: 0.02}, touched(m, 2), np.zeros(m)), plan)
+    assert moving.rests == "" and not moving.flew
+    hovering = truth_of(trace({Z: 1.0}, touched(m), np.ones(m)), plan)
+    assert hovering.rests == "" and hovering.flew
+    far = truth_of(
+        trace({X: np.linspace(0, v.arena_x[1] + 0.7, m), Z: 0.02}, touched(m, 2), np.zeros(m)), plan
+    )
+    assert far.outside == pytest.approx(0.7) and far.rests == "floor"
+
+
+def test_a_fault_is_safe_in_time_at_rest_and_inside(plan):
+    m = 500
+    truth = truth_of(trace({Z: 0.02}, touched(m, 2), np.arange(m) < 300), plan)
+    flown = Flown(1, None, truth, ((2.0, "link-lost"),))
+    case = faults.Case("link-lost", "", 1.0, 0.0, "")
+    assert truth.off == pytest.approx(2.99) and faults.is_safe(case, flown)
+    assert not faults.is_safe(dataclasses.replace(case, limit=0.9), flown)
+    for worse in ({"rests": ""}, {"outside": 0.1}):
+        other = dataclasses.replace(flown, truth=dataclasses.replace(truth, **worse))
+        assert not faults.is_safe(case, other)
+
+
+def test_seeds_are_shared_by_policies_and_differ_otherwise():
+    seeds = table.seeds_of(5, 3, 10)
+    assert (seeds == table.seeds_of(5, 3, 10)).all() and len(np.unique(seeds)) == 30
+    assert not np.isin(seeds, table.seeds_of(6, 3, 10)).any()
+
+
+# --- positions that do not fit the accelerometer -----------------------------------------------------
+
+unit = st.tuples(*[st.floats(-0.5, 0.5)] * 2)
+
+
+@hypothesis.given(unit, st.floats(0.3, 1.8))
+def test_motion_that_fits_the_forces_leaves_nothing(lean, lift):
+    up = np.array([*lean, math.sqrt(1.0 - lean[0] ** 2 - lean[1] ** 2)])
+    coherence, acceleration = Coherence(G), G * (lift * up - [0.0, 0.0, 1.0])
+    for k in range(200):
+        coherence.note(0.02 * k, acceleration * 0.02 * k, up, lift)
+    assert coherence.parted < 1e-9
+
+
+@hypothesis.given(unit, st.floats(0.3, 1.8))
+def test_forces_that_lead_nowhere_add_up(lean, lift):
+    up = np.array([*lean, math.sqrt(1.0 - lean[0] ** 2 - lean[1] ** 2)])
+    coherence, acceleration = Coherence(G), G * (lift * up - [0.0, 0.0, 1.0])
+    for k in range(201):
+        coherence.note(0.02 * k, np.zeros(3), up, lift)
+    expected = np.linalg.norm(acceleration) * FORGETTING * (1.0 - math.exp(-4.0 / FORGETTING))
+    assert coherence.parted == pytest.approx(expected, rel=0.01)  # steps of 0.02 s in 2.5 s: 0.4 %
+    coherence.note(5.0, np.full(3, np.nan), up, lift)
+    coherence.note(5.0, np.zeros(3), up, math.nan)
+    assert math.isfinite(coherence.parted)
+    coherence.begin()
+    assert coherence.parted == 0.0
+
+
+# --- flights -----------------------------------------------------------------------------------------
+
+
+def test_a_landing_through_the_whole_chain_is_what_the_pilot_reports(plan):
+    flown = fly_once(plan, Setting(), 11)
+    assert flown.report.outcome == "goal box" and flown.truth.goal is not None
+    assert flown.truth.landed and flown.report.rests and flown.truth.outside == 0.0
+    assert np.abs(flown.report.final - flown.truth.last).max() < 0.005  # noise of 0.5 mm, at rest
+    assert flown.faults == ()
+
+
+@pytest.mark.parametrize("name", ["mocap-lost", "pilot-killed", "policy-nan"])
+def test_faults_end_in_motors_off_in_time(plan, name):
+    case = next(case for case in faults.CASES if case.name == name)
+    flown = faults.fly_case(case, plan, Setting(), 41)
+    assert flown.faults and faults.is_safe(case, flown), flown
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", faults.CASES, ids=[case.name for case in faults.CASES])
+@pytest.mark.parametrize("seed", range(101, 105))
+def test_every_fault_ends_in_motors_off_in_time(plan, case, seed):
+    flown = faults.fly_case(case, plan, Setting(), seed)
+    assert not flown.faults or faults.is_safe(case, flown), flown
