@@ -1,8 +1,10 @@
 """The documents: the site builds, links lead somewhere, code blocks run, commands have their options."""
 
+import itertools
 import logging
 import re
 import shutil
+from pathlib import Path
 
 import documents
 import numpy as np
@@ -17,6 +19,7 @@ from inclined_landing.models.parameters import load_vehicle, write_vehicle
 
 # Documents whose Python blocks take minutes.
 LONG = {"eval/gap/README.md"}
+CHEAP = ("doctor", "effects", "flights", "logs")  # commands that answer at once
 
 
 def _flights(folder):
@@ -28,7 +31,7 @@ def _flights(folder):
         np.full_like(t, 36_000.0) + 2_000 * np.sin(3 * t), -tilt[:, 1], tilt[:, 0], np.zeros_like(t)
     ]
     log = a_log(len(t), t=t, position=position, attitude=command[:, 1:] * 1.0, command=command)
-    for name in ("flight1.csv", "flights/fit/fit_01.csv"):
+    for name in ("flight1.csv", "flight2.csv.gz", "flights/fit/fit_01.csv"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_log(folder / name, log)
 
@@ -88,6 +91,26 @@ def test_a_wrong_line_is_found(line):
     with pytest.raises((AssertionError, ValueError)):
         for words in documents.lines(line):
             documents.check(words)
+
+
+def test_cheap_commands_run(workplace, capsys):
+    """Lines that answer at once, as they stand in any document, where the workplace has what they read."""
+    found: dict[tuple[str, ...], str] = {}
+
+    def take(language, title, example):
+        if language in documents.SHELLS:
+            for program, *words in documents.lines(example.parsed):
+                if program == "landing-eval" and words[:1] and words[0] in CHEAP:
+                    files = [sorted(map(str, Path().glob(word))) for word in words[1:]]
+                    if all(files):
+                        found[words[0], *itertools.chain(*files)] = example.path
+
+    for name in documents.documents():
+        for example in documents.blocks(name, take).examples():
+            example.evaluate()
+    assert {words[0] for words in found} >= {"doctor", "flights", "logs"}
+    for words, path in found.items():
+        assert documents.cli.main(list(words)) == 0, f"{path}: {words}\n{capsys.readouterr().err}"
 
 
 def test_a_wrong_option_in_a_sentence_is_found():
