@@ -95,7 +95,9 @@ def command(
 
 
 def _is_policy(source: str) -> bool:
-    return source in SHIPPED or Path(source).suffix == ".zip" or zipfile.is_zipfile(source)
+    if source in SHIPPED or Path(source).suffix == ".zip":
+        return True
+    return Path(source).is_file() and zipfile.is_zipfile(source)  # pipes and devices have no end
 
 
 def _title(sources: tuple[str, ...]) -> str:

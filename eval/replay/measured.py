@@ -14,6 +14,8 @@ from inclined_landing.eval.replay.recording import MEASURED, SIMULATED, Recordin
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
+SHORTEST = 5  # steps of a part that is left at the end of a stretch of free flight
+
 
 def of_log(
     log: FlightLog, vehicle: Vehicle, *, platform: bool, anew: float, plant: str
@@ -42,7 +44,8 @@ def of_log(
         flight = prepare(log, vehicle, platform=platform)
         simulated = _simulated(measured, flight, vehicle, anew, plant)
     except (UserError, FloatingPointError) as error:
-        return [measured], [*notes, f"no simulation of {log.name}: {error}"]
+        reason = str(error).removeprefix(f"{log.name}: ")
+        return [measured], [*notes, f"no simulation of {log.name}: {reason}"]
     return [measured, simulated], notes
 
 
@@ -59,31 +62,35 @@ def _touch(log: FlightLog) -> list[tuple[float, str]]:
 
 
 def _simulated(measured: Recording, flight: Measured, vehicle: Vehicle, anew: float, plant: str) -> Recording:
-    """The model's flight in parts of `anew` seconds, each from the measured state at its beginning."""
-    last = flight.samples - 1
-    rows = min(max(1, round(anew / flight.dt)), last)
-    firsts = np.arange(0, last - rows + 1, rows)
-    parts = [_part(flight, firsts, rows, vehicle, plant)]
-    left = last - firsts[-1] - rows
-    if left:
-        parts.append(_part(flight, firsts[-1:] + rows, left, vehicle, plant))
-    begins = [*firsts, *([firsts[-1] + rows] if left else [])]
-    lengths = [rows + 1] * len(firsts) + ([left + 1] if left else [])
-    pose = np.concatenate([window for part in parts for window in part])
-    index = np.concatenate([np.arange(a, a + n) for a, n in zip(begins, lengths)])
-    velocity = np.concatenate(
-        [np.gradient(window[:, :3], flight.dt, axis=0) for part in parts for window in part]
-    )
+    """The model's flight in parts of `anew` seconds, each from the measured state at its beginning.
+
+    Where nothing is known to stand in the arena only free flight is simulated: the vehicle would fall through
+    the ground that it stands on.
+    """
+    known = measured.inclination is not None
+    parts = _parts(np.full(flight.samples, True) if known else flight.usable, max(1, round(anew / flight.dt)))
+    if not parts:
+        raise UserError("no free flight in it")
+    windows = {}
+    for steps in sorted({steps for _, steps in parts}):
+        firsts = [first for first, own in parts if own == steps]
+        windows |= dict(zip(firsts, _flown(flight, firsts, steps, vehicle, plant)))
+    poses = [windows[first] for first, _ in parts]
+    index = np.concatenate([np.arange(first, first + n + 1) for first, n in parts])
+    pose = np.concatenate(poses)
+    velocity = np.concatenate([np.gradient(part[:, :3], flight.dt, axis=0) for part in poses])
     apart = np.linalg.norm(pose[:, :3] - flight.position[index], axis=1)
-    ends = np.cumsum(lengths) - 1
-    typical = math.sqrt(float(np.mean(apart[ends[: len(firsts)]] ** 2)))
-    every = "from the start" if len(begins) == 1 else f"anew every {rows * flight.dt:g} s"
+    ends = np.cumsum([n + 1 for _, n in parts]) - 1
+    longest = max(n for _, n in parts)
+    reached = [apart[end] for end, (_, n) in zip(ends, parts) if n == longest]
+    typical = math.sqrt(float(np.mean(np.square(reached))))
+    often = "once" if len(parts) == 1 else f"anew every {anew:g} s" + ("" if known else " of free flight")
     return dataclasses.replace(
         measured,
         name=f"{measured.name}, simulated",
         kind=SIMULATED,
-        outcome=f"simulated {every} with the measured commands; {100 * typical:.1f} cm (root mean square) "
-        f"from the measured position after {rows * flight.dt:.3g} s",
+        outcome=f"simulated {often} with the measured commands; {100 * typical:.1f} cm (root mean square) "
+        f"from the measured position after {longest * flight.dt:.3g} s",
         t=flight.t[index],
         position=pose[:, :3],
         attitude=pose[:, 3:],
@@ -94,7 +101,19 @@ def _simulated(measured: Recording, flight: Measured, vehicle: Vehicle, anew: fl
     )
 
 
-def _part(flight: Measured, firsts: np.ndarray, rows: int, vehicle: Vehicle, plant: str) -> np.ndarray:
-    """Simulated poses (k, rows + 1, 6) from the rows `firsts` (k,)."""
-    starts = Starts([flight], np.zeros(len(firsts), int), firsts, rows, flight.dt)
+def _parts(usable: np.ndarray, rows: int) -> list[tuple[int, int]]:
+    """First row and number of steps, at most `rows`, of the parts that usable rows (m,) are cut into."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], usable, [False]]).astype(int)))
+    found = []
+    for begin, end in zip(edges[::2], edges[1::2]):
+        for first in range(begin, end - 1, rows):
+            steps = min(rows, end - 1 - first)
+            if steps >= min(rows, SHORTEST):
+                found.append((first, steps))
+    return found
+
+
+def _flown(flight: Measured, firsts: list[int], steps: int, vehicle: Vehicle, plant: str) -> np.ndarray:
+    """Simulated poses (k, steps + 1, 6) from the k rows `firsts`."""
+    starts = Starts([flight], np.zeros(len(firsts), int), np.array(firsts), steps, flight.dt)
     return simulate(starts, vehicle, plant)

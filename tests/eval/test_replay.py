@@ -118,6 +118,23 @@ def test_the_model_follows_its_own_flight_and_not_that_of_another():
     assert 0.08 < np.median(apart["weak"]) < 0.16
 
 
+def test_what_stands_on_the_ground_is_not_simulated():
+    """Two seconds at rest before a flight: without a floor the vehicle would fall 20 m meanwhile."""
+    flight = log_of(flown("setpoint", (0.6, 0.3, 1.0)))
+    stand = np.arange(0.0, 2.0, 0.01)
+    level = np.linspace([0.6, 0.3, 0.02], [0.6, 0.3, 0.02], len(stand))
+    log = dataclasses.replace(
+        flight,
+        t=np.concatenate([stand, 2.0 + flight.t]),
+        position=np.concatenate([level, flight.position]),
+        attitude=np.concatenate([0.0 * level, flight.attitude]),
+        command=np.concatenate([np.zeros((len(stand), 4)), flight.command]),
+    )
+    (_, simulated), _ = of_log(log, V, platform=False, anew=1.0, plant="mujoco")
+    assert simulated.t[0] >= 2.0 and simulated.t[-1] > 7.5
+    assert np.abs(simulated.position).max() < 1.5
+
+
 def test_a_log_too_short_to_simulate_is_shown_and_said(landing):
     log = log_of(landing)
     found, notes = of_log(log.rows(slice(0, 40)), V, platform=True, anew=1.0, plant="mujoco")

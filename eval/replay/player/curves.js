@@ -182,6 +182,7 @@ Replay.Curves = class {
 };
 
 Replay.valueAt = (line, time) => {
+  if (!line.flight.known(time)) return NaN;
   const [k, share] = line.flight.moment(Math.min(time, line.flight.end));
   const value = line.value(k);
   return share && !line.held ? value + share * (line.value(k + 1) - value) : value;

@@ -14,6 +14,7 @@ Replay.Flight = class {
     this.number = number;
     for (const name of ["t", "position", "attitude", "velocity", "commands"]) this[name] = Replay.floats(packed[name]);
     this.parts = [0, ...packed.anew, this.rows]; // rows at which a part begins, and the end
+    this.begins = new Set(packed.anew);
     this.end = this.t[this.rows - 1];
     if (packed.contacts) {
       const counts = Replay.bytes(packed.contacts.counts);
@@ -41,7 +42,16 @@ Replay.Flight = class {
     const k = this.row(time);
     if (k + 1 >= this.rows) return [k, 0];
     const step = this.t[k + 1] - this.t[k];
-    return [k, step > 0 ? Math.min(1, Math.max(0, (time - this.t[k]) / step)) : 0];
+    const joined = step > 0 && !this.begins.has(k + 1);
+    return [k, joined ? Math.min(1, Math.max(0, (time - this.t[k]) / step)) : 0];
+  }
+
+  // Is there a motion at `time`: a simulation of a log has holes, and may begin late and end early.
+  known(time) {
+    if (this.kind !== "simulated") return true;
+    const k = this.row(time);
+    const ends = this.begins.has(k + 1) || k + 1 === this.rows;
+    return time >= this.t[0] - 1e-3 && !(ends && time > this.t[k] + 1e-3);
   }
 
   // Entry `c` of a column of `width` numbers at `time`, between rows on a straight line.

@@ -261,6 +261,9 @@ Replay.Player = class {
       button.addEventListener("click", () => this.view(button.dataset.camera));
     }
     for (const name of Object.keys(this.switches)) this.part(name).addEventListener("click", () => this.toggle(name));
+    for (const [name, there] of [["goal", "goal"], ["forces", "contacts"]]) {
+      this.part(name).hidden = !this.flights.some((flight) => flight[there]);
+    }
     const large = this.scenes[0].scale;
     this.part("large").textContent = `vehicle ${large}×`;
   }

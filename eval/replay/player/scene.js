@@ -331,13 +331,14 @@ Replay.Actor = class {
     const scale = options.large ? this.model.scale : 1;
     const [k, share] = this.flight.moment(time);
     this.place(this.copy.outer, k, share);
+    this.copy.outer.visible = this.flight.known(time);
     for (const copy of [this.copy, ...this.ghosts, ...(this.goalGhost ? [this.goalGhost] : [])]) this.grow(copy, scale);
     const motors = this.flight.commands[4 * k] > 0;
     for (const rotor of this.copy.rotors) {
       if (motors && !options.still) rotor.rotation.z = rotor.userData.sense * Replay.TURNS * time;
     }
     for (const ghost of this.ghosts) ghost.outer.visible = options.copies;
-    this.tubes.forEach((tube, n) => tube.show(k, options.trail && options.large === (n === 1)));
+    this.tubes.forEach((tube, n) => tube.show(k, options.trail && this.copy.outer.visible && options.large === (n === 1)));
     this.force(time, options, scale, strongest);
   }
 
