@@ -95,3 +95,16 @@ def test_a_how_to(name, tmp_path, monkeypatch):
             exec(compile(text, f"{name}, block {number}", "exec"), namespace)
     if name.endswith("slope.md"):
         assert (tmp_path / "my_slope" / "index.html").is_file()
+
+
+@pytest.mark.slow
+def test_the_gap_workflow_from_python(tmp_path, monkeypatch, capsys):
+    """The Python of its manual, on three flights of the example."""
+    monkeypatch.chdir(tmp_path)
+    assert documents.cli.main(["gap-example", "--out", "flights"]) == 0
+    namespace = {"paths": sorted(Path("flights/fit").glob("*.csv"))[:3]}
+    blocks = [text for language, _, text in _collected("eval/gap/README.md") if language == "python"]
+    assert blocks
+    for text in blocks:
+        exec(compile(text, "eval/gap/README.md", "exec"), namespace)
+    assert "thrust_scale" in capsys.readouterr().out  # hidden in the example
