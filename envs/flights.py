@@ -12,12 +12,10 @@ from inclined_landing.envs.tasks import Task
 from inclined_landing.models import geometry
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import MujocoPlant, make_plant
-from inclined_landing.models.plants.recorder import STEP, present_forces, still
+from inclined_landing.models.plants.recorder import STEP, present_forces
 
-_LONGEST_FALL = 2.0  # s that a flight is followed at most after its motors are cut
 _FREE = 0.01  # m from every surface, where nothing can touch
 _NONE = np.zeros((0, 3))
-_STILL = 0.2  # s without motion after which it is over
 
 
 @dataclasses.dataclass
@@ -123,19 +121,17 @@ class Steps:
     commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s
     points: list[np.ndarray]  # T arrays (k, 3) m, contacts that carry force
     forces: list[np.ndarray]  # T arrays (k, 3) N, on the vehicle
-    cut: float | None  # s, when the motors were cut from outside; None: never
 
 
-def refly(flight: Flight) -> Steps:
+def refly(flight: Flight, cut: float = 0.0) -> Steps:
     """Fly the commands of a flight again in the MuJoCo plant, one engine step at a time, with all contacts.
 
-    For flights of that plant in still air: the states of a flight come out the same, bit for bit. Where its
-    task cuts the motors at success, the vehicle is followed until it is at rest, two seconds at most.
+    For flights of that plant in still air: the states of a flight come out the same, bit for bit. cut:
+    seconds that it goes on for with its motors cut.
     """
     vehicle = flight.task.vehicle
     held = round(vehicle.command_control_period / STEP)
     plant = MujocoPlant(1, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True, threads=1)
-    flight.task.prepare(plant)
     plant.set_platform([0], flight.inclination or 0.0, flight.inclination is not None)
     plant.reset([0], flight.state[:1])
     shapes = geometry.shapes_of(plant.model)
@@ -146,19 +142,12 @@ def refly(flight: Flight) -> Steps:
         free = geometry.clearances(plant.state, plant.inclination, platform, shapes).min() > _FREE
         return plant.state[0].copy(), *((_NONE, _NONE) if free else present_forces(plant, 0))
 
+    off = np.zeros((round(cut / STEP), 4))
+    commands = np.concatenate([np.repeat(flight.commands[:-1], held, axis=0), off])
     rows = [seen()]
-    commands = list(np.repeat(flight.commands[:-1], held, axis=0))
     for command in commands:
         plant.step(command[None])
         rows.append(seen())
-    cut = STEP * len(commands) if flight.success and flight.task.cut_at_success else None
-    quiet = 0.0
-    while cut is not None and quiet < _STILL and STEP * len(commands) < cut + _LONGEST_FALL:
-        commands.append(np.zeros(4))
-        plant.step(commands[-1][None])
-        rows.append(seen())
-        quiet = quiet + STEP if still(plant.state[0]) else 0.0
-    commands.append(commands[-1])
     states, points, forces = (list(column) for column in zip(*rows))
     t = STEP * np.arange(len(rows))
-    return Steps(t, np.array(states), np.array(commands), points, forces, cut)
+    return Steps(t, np.array(states), np.concatenate([commands, commands[-1:]]), points, forces)

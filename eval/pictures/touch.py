@@ -13,14 +13,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.flights import Flight, refly
 from inclined_landing.eval.pictures.labels import CUT, ended
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PWM, VX, VZ
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
-from inclined_landing.models.plants import MujocoPlant
-from inclined_landing.models.plants.recorder import REST_SPEED, STEP, present_forces
+from inclined_landing.models.plants.recorder import REST_SPEED, STEP
 
 AFTER_CUT = 1.0  # s that a landing is watched after its motors are cut
 LEAD = 0.1  # s before the first touch that belong to it
@@ -72,28 +71,19 @@ def watch(flight: Flight) -> Touchdown:
     if flight.inclination is None:
         raise UserError("contact forces need a flight that touches something; this task has no platform")
     vehicle = flight.task.vehicle
-    held = round(vehicle.command_control_period / STEP)
-    commands = np.repeat(flight.commands[:-1], held, axis=0)
-    if flight.task.cut_at_success:
-        commands = np.concatenate([commands, np.zeros((round(AFTER_CUT / STEP), 4))])
-    plant = MujocoPlant(1, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True)
-    plant.set_platform([0], flight.inclination)
-    plant.reset([0], flight.state[:1])
-    seen = []
-    for command in commands:
-        plant.step(command[None])
-        seen.append((plant.state[0].copy(), *present_forces(plant, 0)))
-    states, points, forces = zip(*seen)
+    steps = refly(flight, AFTER_CUT if flight.task.cut_at_success else 0.0)
+    states, commands = steps.state[1:], steps.commands[:-1]
+    points, forces = steps.points[1:], steps.forces[1:]
     touching = [k for k, force in enumerate(forces) if len(force)]
     if not touching:
         x, z = flight.state[0, [0, 2]]
         raise UserError(f"nothing touches in the flight from x {x:g}, z {z:g} m: no contact force to draw")
-    moving = np.flatnonzero(np.linalg.norm(np.array(states)[:, VX : VZ + 1], axis=1) > REST_SPEED)
+    moving = np.flatnonzero(np.linalg.norm(states[:, VX : VZ + 1], axis=1) > REST_SPEED)
     begin, settled = max(touching[0] - round(LEAD / STEP), 0), moving[-1] + 1
     part = slice(begin, settled + round(STILL / STEP))
     return Touchdown(
-        STEP * np.arange(1, len(commands) + 1)[part],
-        np.array(states)[part],
+        steps.t[1:][part],
+        states[part],
         commands[part],
         flight.inclination,
         vehicle,

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from inclined_landing.envs.flights import Flight, refly
+from inclined_landing.eval.pictures.to_rest import Landing, to_rest
 from inclined_landing.models.attitude import ROLL, VX
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.recorder import still
@@ -63,16 +64,18 @@ class Recording:
 
 
 def of_flight(flight: Flight, name: str, plant: str) -> Recording:
-    """A policy's flight; of the MuJoCo plant at every engine step with its contacts, see `refly`.
+    """A policy's flight, a landing until it is at rest.
 
-    Other plants are shown at the control rate, without contacts.
+    Of the MuJoCo plant at every engine step with its contacts, see `refly`; of others at the control rate,
+    without contacts.
     """
-    task = flight.task
+    task, outcome = flight.task, flight.task.flight_words(flight)
+    events = [(flight.duration, "goal box")] if flight.success and task.goal_size is not None else []
+    flight = to_rest(flight)
     steps = refly(flight) if plant == "mujoco" else None
     whole = flight if steps is None else steps
-    events = []
-    if flight.success and task.goal_size is not None:
-        events.append((flight.duration, "goal box"))
+    if isinstance(flight, Landing):
+        outcome += f"; motors cut there, {flight.ending} after {flight.t[flight.settled]:.2f} s"
     if steps is not None:
         touched = [k for k, force in enumerate(steps.forces) if len(force)]
         if touched:
@@ -80,10 +83,6 @@ def of_flight(flight: Flight, name: str, plant: str) -> Recording:
         moving = np.flatnonzero(~still(steps.state))
         if len(steps.forces[-1]) and len(moving) and moving[-1] + 1 < len(steps.t):
             events.append((float(steps.t[moving[-1] + 1]), "at rest"))
-    outcome = task.flight_words(flight)
-    if steps is not None and steps.cut is not None:
-        outcome += f"; motors cut there, {'at rest' if still(steps.state[-1]) else 'not at rest'} after "
-        outcome += f"{steps.t[-1]:.2f} s"
     return Recording(
         name=name,
         kind=FLOWN,

@@ -9,6 +9,7 @@ from inclined_landing.envs.rendering.window import Window, check_display
 from inclined_landing.eval.base.options import Flag, Flat, Flown, Range, Starts
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.pictures.flown import fly, points, report
+from inclined_landing.eval.pictures.to_rest import to_rest
 
 _FPS = 50.0  # moments shown in a second
 _LINGERS = 1.5  # s that the last moment of a flight stays
@@ -49,8 +50,9 @@ def command(
 def play(window: Window, flight: Flight, plant: str, slow: float) -> None:
     """Show one flight in real time, `slow` times slower; ends early when the window is closed.
 
-    A flight of the MuJoCo plant is followed until the vehicle is at rest, see `refly`.
+    A landing is followed until the vehicle is at rest.
     """
+    flight = to_rest(flight)
     whole = refly(flight) if plant == "mujoco" else flight
     stride = max(1, round(1.0 / (_FPS * slow * (whole.t[1] - whole.t[0]))))
     rows = [*range(0, len(whole.t), stride), len(whole.t) - 1]
