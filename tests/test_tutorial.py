@@ -3,6 +3,7 @@
 import itertools
 import os
 import re
+import resource
 import shutil
 import subprocess
 import sys
@@ -63,6 +64,8 @@ def test_the_tutorial_in_a_fresh_clone(tmp_path):
     for (start, what), (end, _) in itertools.pairwise(marks):
         print(f"{float(end) - float(start):7.1f} s  {what}")
     print(f"{time.monotonic() - began:7.1f} s  together")
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    print(f"{used.ru_utime + used.ru_stime:7.1f} s  of processor time")
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     assert "goal box reached: True" in done.stdout
     promised = re.findall(
