@@ -137,6 +137,10 @@ class TaskEnv(gym.Env):
             info,
         )
 
+    def ease(self, conditions) -> None:
+        """Begin the next episodes under the conditions of a curriculum (`train/curriculum.py`)."""
+        self.batch.task.conditions = conditions
+
     def render(self) -> np.ndarray | None:
         """The present moment as (height, width, 3) uint8; None without a render mode, and in the window of
         "human", which follows every step by itself."""
@@ -284,6 +288,10 @@ class TaskVectorEnv(VectorEnv):
             }
             observation[ids] = env.reset(ids)
         return observation, step.reward, step.terminated, step.truncated, info
+
+    def ease(self, conditions) -> None:
+        """Begin the next episodes under the conditions of a curriculum (`train/curriculum.py`)."""
+        self.batch.task.conditions = conditions
 
 
 def _faces(task: type[Task]) -> dict[str, type]:

@@ -102,6 +102,10 @@ class BatchVecEnv(VecEnv):
         rewards = (self.reward_scale * step.reward).astype(np.float32)
         return observation, rewards, done, infos
 
+    def ease(self, conditions) -> None:
+        """Begin the next episodes under the conditions of a curriculum (`train/curriculum.py`)."""
+        self.env.task.conditions = conditions
+
     def close(self) -> None:
         """Nothing to close: the plant's threads end with the object."""
 

@@ -57,7 +57,7 @@ class CurriculumCallback(BaseCallback):
     def _apply(self) -> None:
         conditions = self.curriculum.conditions()
         if conditions is not None:
-            self.training_env.env.task.conditions = conditions
+            self.training_env.env_method("ease", conditions)
         gamma = self.curriculum.gamma()
         self.model.gamma = gamma
         if isinstance(self.model, OnPolicyAlgorithm):
