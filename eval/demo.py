@@ -18,17 +18,20 @@ from inclined_landing.eval.base.options import Folder, Look, Range, Seed
 from inclined_landing.eval.base.statistics import proportion
 from inclined_landing.eval.base.tables import new_table, printer, share_cell
 from inclined_landing.eval.pictures import picture, video
+from inclined_landing.eval.replay import command as replay
 
 POLICY = "landing"
 LOOK = {"width": 640, "height": 360}
 
 _NEXT = """\
 What to do next:
-  landing-eval success landing     the whole success table (half a minute)
-  landing-eval video landing --out landing.mp4 --start 0,2
-  landing-eval --help              contact studies, flight logs, figures ...
-  pip install 'inclined-landing[train]' and landing-train landing     a policy of your own
-  python: import gymnasium, inclined_landing; env = gymnasium.make("InclinedLanding-v0")"""
+  landing-eval success landing    the whole success table (half a minute)
+  landing-eval --help             contact studies, flight logs, figures ...
+  landing-train landing           a policy of your own in a minute; needs
+                                  pip install 'inclined-landing[train]'
+In Python:
+  import gymnasium, inclined_landing
+  env = gymnasium.make("InclinedLanding-v0")"""
 
 
 def command(
@@ -41,7 +44,7 @@ def command(
     The shipped policy flies in MuJoCo from the paper's three starts and from random ones.
 
     Args:
-        out: new folder for landing.mp4, landing.gif and landing.png.
+        out: new folder for landing.mp4, landing.gif, landing.png, and landing.html to fly around in.
         starts: random starts to fly from.
         seed: of the random starts.
     """
@@ -62,8 +65,11 @@ def command(
             look = Look(**LOOK)
             video.command(POLICY, out=folder / "landing.mp4", start=points, look=look, gif=True)
             picture.command(POLICY, out=folder / "landing.png", start=points[0], look=look)
+            replay.command((POLICY,), out=folder / "landing.html", start=points)
         names = sorted(path.name for path in folder.iterdir())
-    print(f"{out}: {', '.join(names)}, after {time.monotonic() - began:.0f} s in all\n\n{_NEXT}")
+    seconds = time.monotonic() - began
+    print(f"{out}: {', '.join(names)}, after {seconds:.0f} s in all")
+    print(f"Open {out / 'landing.html'} in a browser.\n\n{_NEXT}")
 
 
 def _show(groups: dict[str, list[Flight]]) -> None:

@@ -159,7 +159,9 @@ def test_demo_counts_films_and_pictures(tmp_path, monkeypatch, capsys):
     printed = capsys.readouterr().out
     assert re.search(r"random, seed 5 +4 +100\.0 \[51\.0, 100\.0\] +4 ", printed)
     names = sorted(path.name for path in out.iterdir())
-    assert names == ["landing.gif", "landing.mp4", "landing.png"] and all(name in printed for name in names)
+    assert names == ["landing.gif", "landing.html", "landing.mp4", "landing.png"] and all(
+        name in printed for name in names
+    )
     assert cli.main(["demo", "--out", str(out)]) == 2
     assert "exists and is not empty" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["demo"]
