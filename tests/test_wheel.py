@@ -15,8 +15,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("models", "envs", "eval", "train")
-# What the plugins are built from, and figures of the documentation.
+# What the plugins and three.js are built from, and figures of the documentation.
 LEFT_OUT = ("models/plugin/*.cc", "models/plugin/*.h", "models/plugin/*.py", "models/plugin/CMakeLists.txt",
+            "eval/replay/three/*.json", "eval/replay/three/build.sh", "eval/replay/three/entry.js",
             "eval/landings/results/*", "*/__pycache__/*")  # fmt: skip
 GENERATED = {"inclined_landing/__init__.py", "inclined_landing/py.typed"}
 LARGEST_WHEEL = 5_000_000  # bytes
@@ -44,7 +45,8 @@ def test_a_wheel_holds_every_file_of_the_packages_and_nothing_else(tmp_path, sou
         size = sum(info.compress_size for info in wheel.infolist())
     wanted = {name for name in sources if not any(fnmatch.fnmatch(name, form) for form in LEFT_OUT)}
     assert names == {f"inclined_landing/{name}" for name in wanted} | GENERATED
-    for kind in ("*.toml", "*.xml", "shipped/*.zip", "*.html.j2", "mappings/*.toml", "shipped/*.csv"):
+    for kind in ("*.toml", "*.xml", "shipped/*.zip", "*.html.j2", "mappings/*.toml", "shipped/*.csv",
+                 "three.min.js", "three/LICENSE"):  # fmt: skip
         assert fnmatch.filter(names, f"*{kind}"), kind
     assert size < LARGEST_WHEEL
 

@@ -1,7 +1,7 @@
 """The hyper-parameters of `landing-train` for rl-baselines3-zoo, and what its environments need besides.
 
     python -m rl_zoo3.train --algo ppo --env InclinedLanding-v0 --gym-packages inclined_landing \\
-        --conf-file inclined_landing.train.zoo --eval-freq -1
+        --conf-file inclined_landing.train.zoo --eval-freq -1 --num-threads 1
     landing-eval success logs/ppo/InclinedLanding-v0_1/InclinedLanding-v0.zip --task landing
 
 The zoo steps plain Gymnasium environments one by one, so that a run takes some fifty times as long as

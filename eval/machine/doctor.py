@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.metadata
+import json
 import os
 import re
 import shutil
@@ -18,7 +19,8 @@ from inclined_landing.models.errors import UserError
 
 _OLDEST_PYTHON = (3, 11)
 _COMPILERS = ("c++", "g++", "clang++")
-EXTRAS = ("eval", "train", "export", "ray", "baselines")
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+_FOR_DEVELOPERS = {"all", "docs", "test", "wheel"}  # extras that nothing of the program asks for
 
 
 @dataclasses.dataclass
@@ -41,18 +43,20 @@ def examine() -> list[Finding]:
     findings = [
         _python(),
         _packages(),
+        _installed(),
         _tried("MuJoCo", _engine, engine),
         _tried("native plugins", _plugins, rebuild),
         _compiler(),
     ]
-    if all(finding.ok for finding in findings[:4]):
+    if all(finding.ok or not finding.needed for finding in findings):
         findings += [
             _tried("simulation", _simulation, more),
             _tried("rendering", _rendering, more),
             _opengl(),
         ]
-    extras = [_extra(name) for name in EXTRAS] if findings[1].ok else []
-    return [*findings, *extras, _tried("video encoder", _video, "pip install imageio-ffmpeg"), _policies()]
+    extras = [_extra(name) for name in _extras()] if findings[1].ok else []
+    video = _tried("video encoder", _video, "pip install imageio-ffmpeg")
+    return [*findings, *extras, video, _policies(), _display(), _browser()]
 
 
 def _tried(name: str, check: Callable[[], tuple[bool, str]], remedy: str) -> Finding:
@@ -106,6 +110,27 @@ def _packages() -> Finding:
         return Finding("packages", False, f"missing: {', '.join(missing)}", remedy)
     there = [f"{name} {version}" for name, version in runs.packages().items() if version is not None]
     return Finding("packages", True, ", ".join(there))
+
+
+def _installed() -> Finding:
+    """From a wheel, or editable in a folder of sources?"""
+    try:
+        package = importlib.metadata.distribution("inclined-landing")
+    except importlib.metadata.PackageNotFoundError:
+        return Finding("installation", False, "none", "pip install inclined-landing", needed=False)
+    origin = json.loads(package.read_text("direct_url.json") or "{}")
+    where = origin.get("url", "").removeprefix("file://")
+    if origin.get("dir_info", {}).get("editable"):
+        return Finding("installation", True, f"{package.version}, editable in {where}")
+    tag = re.search(r"^Tag: (\S+)", package.read_text("WHEEL") or "", re.MULTILINE)
+    detail = f"{package.version}, wheel {tag[1] if tag else 'of an unknown kind'}"
+    return Finding("installation", True, f"{detail}{' from ' + where if where else ''}")
+
+
+def _extras() -> list[str]:
+    """The extras of the distribution that add to what the program can do."""
+    named = importlib.metadata.metadata("inclined-landing").get_all("Provides-Extra") or []
+    return [name for name in named if name not in _FOR_DEVELOPERS]
 
 
 def _extra(name: str) -> Finding:
@@ -219,6 +244,30 @@ def _policies() -> Finding:
     if missing:
         detail += f" (missing: {', '.join(missing)})"
     return Finding("shipped policies", not missing, detail, "train one with landing-train", needed=False)
+
+
+def _display() -> Finding:
+    """Is there a screen for a window?"""
+    names = [f"{name}={os.environ[name]}" for name in ("WAYLAND_DISPLAY", "DISPLAY") if os.environ.get(name)]
+    return Finding(
+        "display",
+        bool(names) or sys.platform == "darwin",
+        ", ".join(names) or "none; everything but landing-eval view goes without one",
+        "without one, landing-eval replay and landing-eval video show flights",
+        needed=False,
+    )
+
+
+def _browser() -> Finding:
+    """Is there a Chromium, with which the tests look at pages?"""
+    found = next(filter(None, map(shutil.which, _BROWSERS)), None)
+    return Finding(
+        "Chromium",
+        found is not None,
+        found or "none found; only tests of pages need one, any browser shows them",
+        "apt install chromium",
+        needed=False,
+    )
 
 
 def _show(findings: list[Finding]) -> None:
