@@ -4,8 +4,7 @@
         --conf-file inclined_landing.train.zoo --eval-freq -1 --num-threads 1
     landing-eval success logs/ppo/InclinedLanding-v0_1/InclinedLanding-v0.zip --task landing
 
-The zoo steps plain Gymnasium environments one by one, so that a run takes some fifty times as long as
-`landing-train`; it is for its studies, plots and other algorithms' sake.
+The zoo steps plain Gymnasium environments one by one, which takes many times as long as `landing-train`.
 """
 
 from __future__ import annotations
