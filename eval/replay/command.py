@@ -12,7 +12,7 @@ from typing import Annotated
 
 import tyro
 
-from inclined_landing.envs.policy import SHIPPED
+from inclined_landing.envs.policy import SHIPPED, Policy
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import File, Flag, Flat, Flown, Range, Starts
 from inclined_landing.eval.gap.search.rollout import HORIZON
@@ -63,19 +63,20 @@ def command(
     if out.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"a page is an .html file, not {shown(out.name)!r}")
     storage.check_file(out)
-    plant, vehicle = _plant(flown), _vehicle(flown)
-    recordings: list[Recording] = []
-    notes: list[str] = []
-    units = parse_units(unit)
+    plant, vehicle, units = _plant(flown), _vehicle(flown), parse_units(unit)
     policies = [source for source in sources if _is_policy(source)]
     if start and not policies:
         raise UserError("--start is where a policy flies from, and only logs were named")
+    # Everything is read before anything flies.
+    logs = {s: read_log(s, mapping=mapping, units=units) for s in sources if s not in policies}
+    ready = {source: _ready(source, start, flown) for source in policies}
+    recordings: list[Recording] = []
+    notes: list[str] = []
     for source in sources:
-        if source in policies:
-            recordings += _flights(source, start, flown)
+        if source in ready:
+            recordings += _flights(*ready[source], plant)
             continue
-        log = read_log(source, mapping=mapping, units=units)
-        found, said = of_log(log, vehicle, platform=platform, anew=anew, plant=plant)
+        found, said = of_log(logs[source], vehicle, platform=platform, anew=anew, plant=plant)
         recordings += found
         notes += said
     text = write(
@@ -106,15 +107,18 @@ def _title(sources: tuple[str, ...]) -> str:
     return ", ".join(names[:2]) + rest
 
 
-def _flights(source: str, start: Starts, flown: Flown) -> list[Recording]:
-    """The flights of one policy."""
+def _ready(source: str, start: Starts, flown: Flown) -> tuple[Policy, list[tuple[float, ...]]]:
+    """A policy, and the points [m] that it flies from."""
     policy = flown.load(source)
-    task = policy.task
-    where = points(start, task) if start else list(task.film_starts)
+    return policy, points(start, policy.task) if start else list(policy.task.film_starts)
+
+
+def _flights(policy: Policy, where: list[tuple[float, ...]], plant: str) -> list[Recording]:
+    """The flights of one policy."""
     found = []
-    for flight in fly(policy, where, flown.plant):
-        name = f"{shown(policy.name, 60)} from {task.start_words(flight.state[0])}"
-        found.append(of_flight(flight, name, flown.plant))
+    for flight in fly(policy, where, plant):
+        name = f"{shown(policy.name, 60)} from {policy.task.start_words(flight.state[0])}"
+        found.append(of_flight(flight, name, plant))
     return found
 
 

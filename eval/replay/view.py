@@ -34,9 +34,10 @@ def command(
         slow: 2 plays at half speed.
         again: begin again after the last flight, until the window is closed.
     """
-    check_display()
     loaded = flown.load(policy)
-    flights = fly(loaded, points(start, loaded.task), flown.plant)
+    where = points(start, loaded.task)
+    check_display()
+    flights = fly(loaded, where, flown.plant)
     with Window(loaded.task.vehicle) as window:
         first = True
         while window.open and (first or again):

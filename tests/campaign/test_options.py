@@ -24,6 +24,8 @@ NEEDED = {
     "figure": ("landing", "--out", "{place}/out"),
     "video": ("landing", "--out", "{place}/out.mp4"),
     "picture": ("landing", "--out", "{place}/out.png"),
+    "replay": ("landing", "{place}/log.csv", "--out", "{place}/out.html"),
+    "view": ("landing",),
     "curves": ("{place}", "--out", "{place}/out.png"),
     "equivalence": ("--out", "{place}/out"),
     "contact-truth": ("--out", "{place}/out"),
@@ -138,7 +140,7 @@ def evil_outputs():
     for name in cli.COMMANDS:
         if "out" not in options(name):
             continue
-        suffix = {"video": ".mp4", "picture": ".png", "curves": ".png"}.get(name, "")
+        suffix = {"video": ".mp4", "picture": ".png", "curves": ".png", "replay": ".html"}.get(name, "")
         for what, out in OUTPUTS.items():
             if what in ("a file", "under a device") and suffix:
                 continue
