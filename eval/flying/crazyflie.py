@@ -27,7 +27,7 @@ def command(
     """A simulated Crazyflie in real time, for cflib over UDP.
 
     It stands beside the platform, at udp://127.0.0.1:PORT, until Ctrl-C, and says what happens to it. Faults
-    (eval/flying/simulated/README.md) come at a time, `link-lost@12`, or after an event, `mocap-frozen@air+2`.
+    (eval/flying/README.md) come at a time, `link-lost@12`, or after an event, `mocap-frozen@air+2`.
 
     Args:
         port: UDP port that it answers on; 0 takes a free one. cflib's scan looks at 19850 to 19859.

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from inclined_landing.eval.flying import safety
 from inclined_landing.eval.flying.pilot import Pilot, Plan, Report
 from inclined_landing.eval.flying.simulated.crazyflie import SimulatedFlight, fly_simulated
 from inclined_landing.eval.flying.simulated.faults import Fault
@@ -65,11 +66,13 @@ def fly_once(
     faults: tuple[Fault, ...] = (),
     in_landing: tuple[Fault, ...] = (),
     prepare: Callable[[SimulatedFlight, Pilot], None] = lambda flight, pilot: None,
+    interrupted: bool = False,
 ) -> Flown:
     """Fly, and let the world go on for a while.
 
     in_landing: faults that begin their `after` [s] after the hand-over to the landing policy. prepare: called
-    before the flight, for faults of the pilot itself.
+    before the flight, for faults of the pilot itself. interrupted: this flight is meant to be; else an
+    interruption, which the pilot turns into a report, goes on to the caller.
     Raises UserError where the pilot's checks refuse to fly.
     """
     flight = fly_simulated(setting, seed=seed, faults=faults)
@@ -92,6 +95,8 @@ def fly_once(
             raise UserError(f"not ready to fly: {'; '.join(failed)}")
         prepare(flight, pilot)
         report = pilot.fly()
+        if report.outcome == safety.INTERRUPTED.name and not interrupted:
+            raise KeyboardInterrupt
     finally:
         radio.close()
     world.advance(world.time + AFTER)

@@ -43,6 +43,7 @@ def command(
 
     if out is not None:
         runs.check_new_run(out)
+    loaded, settings = table.read(policies, vehicles)
     logging.getLogger("cflib").setLevel(logging.CRITICAL)  # it reports lost links, which are meant here
     count = flights * (len(trouble.CASES) if faults else len(policies) * len(vehicles) * 3)
     with Progress(*_COLUMNS, console=Console(stderr=True), transient=True) as bar:
@@ -52,9 +53,10 @@ def command(
             bar.advance(task)
 
         if faults:
-            records = trouble.fly_cases(policies[0], vehicles[0], flights, seed, done)
+            first = loaded[policies[0]], settings[vehicles[0]]
+            records = trouble.fly_cases(*first, flights, seed, done)
         else:
-            records = [row.record() for row in table.fly_table(policies, vehicles, flights, seed, done)]
+            records = [row.record() for row in table.fly_table(loaded, settings, flights, seed, done)]
     tables.printer().print(trouble.shown(records) if faults else table.shown(records))
     if out is not None:
         with runs.staged_run(out) as folder:

@@ -11,16 +11,14 @@ import numpy as np
 from inclined_landing.envs.policy import Policy
 from inclined_landing.eval.base import tables
 from inclined_landing.eval.flying import safety
-from inclined_landing.eval.flying.fly import load
 from inclined_landing.eval.flying.interfaces import Clock
 from inclined_landing.eval.flying.pilot import Pilot, Plan
 from inclined_landing.eval.flying.simulated import firmware
 from inclined_landing.eval.flying.simulated.crazyflie import SimulatedFlight
 from inclined_landing.eval.flying.simulated.faults import FAULTS, Fault
-from inclined_landing.eval.flying.simulated.gaps import vehicle_named
 from inclined_landing.eval.flying.simulated.world import Setting
 from inclined_landing.eval.proof.flight_table.chain import Flown, fly_once
-from inclined_landing.eval.proof.flight_table.table import flight_record
+from inclined_landing.eval.proof.flight_table.table import Loaded, flight_record
 
 APPROACH, LANDING = (1.0, 7.0), (0.0, 1.0)  # s after lift-off, and after the hand-over, that faults begin in
 # s on top of every limit: a control period, the radio, the supervisor's period, and the pilot's own steps.
@@ -101,7 +99,7 @@ def fly_case(case: Case, plan: Plan, setting: Setting, seed: int) -> Flown:
         plan = dataclasses.replace(plan, landing=_failing(plan.landing, calls, happen))
     elif case.name == "setpoint-nan":
         plan = dataclasses.replace(plan, setpoint=_failing(plan.setpoint, calls, happen))
-    flown = fly_once(plan, setting, seed, prepare=prepare)
+    flown = fly_once(plan, setting, seed, prepare=prepare, interrupted=case.name == "interrupt")
     return dataclasses.replace(flown, faults=tuple((moment, case.name) for moment in moments[:1]))
 
 
@@ -121,10 +119,11 @@ def _failing(policy: Policy, calls: int, failed: Callable[[], None]) -> Policy:
     return broken
 
 
-def fly_cases(policy: str, vehicle: str, flights: int, seed: int, done: Callable[[], None]) -> list[dict]:
+def fly_cases(
+    policy: Loaded, setting: Setting, flights: int, seed: int, done: Callable[[], None]
+) -> list[dict]:
     """Every case, so many flights each, from the paper's starts in turn; see `record`."""
-    landing, hover, starts = load(policy, "setpoint", (), None, None)
-    setting = Setting(vehicle_named(vehicle))
+    landing, hover, starts = policy
     numbers = np.random.SeedSequence(seed).generate_state(len(CASES) * flights).reshape(len(CASES), flights)
     records = []
     for case, own in zip(CASES, numbers):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
+from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.eval.base import statistics, tables
 from inclined_landing.eval.flying.fly import load
@@ -15,8 +17,10 @@ from inclined_landing.eval.flying.pilot import Plan
 from inclined_landing.eval.flying.simulated.gaps import vehicle_named
 from inclined_landing.eval.flying.simulated.world import Setting
 from inclined_landing.eval.proof.flight_table.chain import Flown, fly_once
+from inclined_landing.models.errors import UserError
 
-VEHICLES = ("nominal", "hidden")
+# The landing policy, the set-point policy, the starts x, z [m].
+Loaded: TypeAlias = tuple[Policy, Policy, list[tuple[float, float]]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,22 +83,25 @@ def seeds_of(seed: int, starts: int, flights: int) -> np.ndarray:
     return np.random.SeedSequence(seed).generate_state(starts * flights).reshape(starts, flights)
 
 
+def read(policies: Sequence[str], vehicles: Sequence[str]) -> tuple[dict[str, Loaded], dict[str, Setting]]:
+    """Policies with what flies them to their starts, and vehicles. Raises UserError where one is none."""
+    if not policies or not vehicles:
+        raise UserError("name at least one policy and one vehicle")
+    settings = {name: Setting(vehicle_named(name)) for name in vehicles}
+    return {name: load(name, "setpoint", (), None, None) for name in policies}, settings
+
+
 def fly_table(
-    policies: Sequence[str],
-    vehicles: Sequence[str],
+    policies: Mapping[str, Loaded],
+    vehicles: Mapping[str, Setting],
     flights: int,
     seed: int,
     done: Callable[[], None] = lambda: None,
 ) -> list[Row]:
-    """Every policy on every vehicle, `flights` from each of the paper's starts; done: called after each.
-
-    Raises UserError for a policy or a vehicle that is none.
-    """
-    settings = {name: Setting(vehicle_named(name)) for name in vehicles}
-    loaded = {name: load(name, "setpoint", (), None, None) for name in policies}
+    """Every policy on every vehicle, `flights` from each of the paper's starts; done: called after each."""
     rows = []
-    for policy, (landing, hover, starts) in loaded.items():
-        for vehicle, setting in settings.items():
+    for policy, (landing, hover, starts) in policies.items():
+        for vehicle, setting in vehicles.items():
             flown = []
             for start, own in zip(starts, seeds_of(seed, len(starts), flights)):
                 flown.append([])
