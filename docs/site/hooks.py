@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import posixpath
 import re
-import shutil
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
@@ -27,13 +26,17 @@ LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml", ".yml": "yaml"}
 def on_config(config):
     """Show mkdocstrings the folders as the package `inclined_landing`; it follows no links."""
     package = ROOT / "build" / "package" / "inclined_landing"
-    shutil.rmtree(package, ignore_errors=True)
+    code = {Path("__init__.py"): b""}
     for floor in ("models", "envs", "eval", "train"):
-        for file in (ROOT / floor).rglob("*.py"):
-            copy = package / file.relative_to(ROOT)
+        code |= {file.relative_to(ROOT): file.read_bytes() for file in (ROOT / floor).rglob("*.py")}
+    for file, text in code.items():  # what is there stays: another build may be reading it
+        copy = package / file
+        if not copy.is_file() or copy.read_bytes() != text:
             copy.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(file, copy)
-    (package / "__init__.py").touch()
+            copy.write_bytes(text)
+    for copy in package.rglob("*.py"):
+        if copy.relative_to(package) not in code:
+            copy.unlink()
     return config
 
 
