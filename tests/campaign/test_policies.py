@@ -8,12 +8,14 @@ import json
 import os
 import pickle
 import random
+import re
 import struct
 import subprocess
 import sys
 import warnings
 import zipfile
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -217,6 +219,23 @@ def test_objects_that_sb3_would_unpickle_are_left_alone(key, tmp_path, monkeypat
     flies(policy)
     assert tensors_of(path) and benchmark.policy_latency(policy, 2, 0)["policy"] == "p"
     assert not (tmp_path / "harm").exists()
+
+
+def test_nothing_is_called_that_executes_what_a_file_holds():
+    """In the source: readers of others that unpickle, and shells."""
+    wrong = re.compile(
+        r"\b(PPO|SAC|TD3|torch|joblib|cloudpickle|pickle|marshal|shelve)\.(load|loads|open)\("
+        r"|allow_pickle=True|read_pickle|yaml\.(unsafe_|full_)?load\(|shell=True"
+    )
+    floors = Path(__file__).parents[2]
+    found = [
+        f"{file.relative_to(floors)}: {match[0]}"
+        for floor in ("models", "envs", "eval", "train")
+        for file in (floors / floor).rglob("*.py")
+        for match in wrong.finditer(file.read_text("utf-8"))
+    ]
+    assert not found
+    assert wrong.search("PPO.load(path)") and wrong.search("torch.load(path)")
 
 
 def inner(name: str, content: bytes) -> bytes:
