@@ -1,0 +1,178 @@
+"""What the pilot believes, against known truth, by the filter's own word, through holes and jumps."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from scipy.stats import chi2
+
+from inclined_landing.envs import load_policy, record_flights
+from inclined_landing.eval.flying import frames
+from inclined_landing.eval.flying.estimate import Attitude, Estimator, LogClock
+from inclined_landing.eval.flying.interfaces import Pose
+from inclined_landing.eval.flying.kalman import Filter, Noise, process_noise, transition
+from inclined_landing.models.attitude import quaternion, rotation
+from inclined_landing.models.parameters import load_vehicle
+
+NOISE = Noise.of(load_vehicle())
+STEP = 1 / 120
+
+
+@given(st.floats(1e-5, 0.3))
+def test_steps_are_those_of_the_differential_equation(dt):
+    """Van Loan's block exponential is the exact answer; quadrature differs by its truncation, below 1e-6."""
+    a = np.zeros((3, 3))
+    a[0, 1] = a[1, 2] = 1.0
+    a[2, 2] = -1 / NOISE.correlation
+    noise = np.zeros((3, 3))
+    noise[2, 2] = 2 * NOISE.acceleration**2 / NOISE.correlation
+    block = expm(np.block([[-a, noise], [np.zeros((3, 3)), a.T]]) * dt)
+    f = block[3:, 3:].T
+    np.testing.assert_allclose(transition(dt, NOISE.correlation), f, rtol=1e-9, atol=1e-12)
+    exact = f @ block[:3, 3:]
+    size = np.sqrt(np.outer(np.diag(exact), np.diag(exact)))
+    assert (
+        np.abs(process_noise(dt, NOISE.acceleration, NOISE.correlation) - exact).max()
+        <= (1e-6 * size).max() + 1e-15
+    )
+
+
+def times(random, seconds):
+    """Measurement times with 1 ms jitter and dropouts of up to 0.1 s."""
+    t, now = [], 0.0
+    while now < seconds:
+        now += STEP + abs(random.normal(0, 1e-3)) + (random.uniform(0, 0.1) if random.random() < 0.01 else 0)
+        t.append(now)
+    return t
+
+
+def test_errors_are_as_large_as_the_filter_says():
+    """Normalised squared errors of position, velocity, acceleration of vehicles that move as it believes."""
+    random, squared, inside = np.random.default_rng(3), [], []
+    for _ in range(40):
+        truth = np.stack(
+            [np.zeros(3), random.normal(0, NOISE.speed, 3), random.normal(0, NOISE.acceleration, 3)]
+        )
+        tracked, last = Filter(NOISE), 0.0
+        for t in times(random, 1.5):
+            kick = random.multivariate_normal(
+                np.zeros(3), process_noise(t - last, NOISE.acceleration, NOISE.correlation), 3, method="eigh"
+            )
+            truth, last = transition(t - last, NOISE.correlation) @ truth + kick.T, t
+            tracked.measure(t, truth[0] + random.normal(0, NOISE.position, 3))
+        error = truth - tracked.mean
+        squared.append(np.einsum("ik,ij,jk->k", error, np.linalg.inv(tracked.variance), error))
+        inside.append(tracked.innovation)
+    # 120 sums of three squares: chi-square with 360 degrees, 0.1 % and 99.9 %.
+    assert chi2.ppf(1e-3, 360) < np.sum(squared) < chi2.ppf(1 - 1e-3, 360)
+    assert chi2.ppf(1e-3, 120) < np.sum(inside) < chi2.ppf(1 - 1e-3, 120)
+
+
+def test_landings_are_followed():
+    """True flights, which are no random process: errors within three of the filter's own deviations."""
+    policy = load_policy("landing")
+    starts = policy.task.states_at([(0.0, 2.0), (-1.5, 1.6), (1.5, 1.8)])
+    random = np.random.default_rng(5)
+    for flight in record_flights(policy, "hybrid", starts):
+        tracked, errors, deviations = Filter(NOISE), [], []
+        for t in np.arange(0.0, flight.duration, STEP):
+            state = np.array([np.interp(t, flight.t, column) for column in flight.state[:, :6].T])
+            tracked.measure(t, state[:3] + random.normal(0, NOISE.position, 3))
+            errors.append(np.stack(tracked.at(t)) - state.reshape(2, 3))
+            deviations.append(tracked.deviation(t))
+        error, deviation = np.abs(errors)[20:], np.array(deviations)[20:, :, None]
+        assert (error < 4 * deviation).all() and np.sqrt((error**2).mean((0, 2))) @ [0, 1] < 0.10
+
+
+def test_what_is_no_measurement_is_left_out():
+    tracked = Filter(NOISE)
+    assert np.isnan(tracked.at(0.0)).all() and tracked.deviation(0.0) == (np.inf, np.inf)
+    assert not tracked.measure(np.nan, np.zeros(3)) and not tracked.measure(0.0, np.full(3, np.inf))
+    for k in range(100):
+        assert tracked.measure(k * STEP, np.zeros(3))
+    before = tracked.mean.copy()
+    assert not tracked.measure(99 * STEP, np.zeros(3)), "not newer"
+    assert not tracked.measure(100 * STEP, np.array([0.3, 0.0, 0.0])), "a jump of 30 cm"
+    assert not tracked.measure(100 * STEP, np.array([0.3, 0.0, 0.0]), impact=True), "nor from a touch"
+    np.testing.assert_array_equal(tracked.mean, before)
+    # A fall at 2 m/s ends at once: only where something may be touched that is believed.
+    falling = Filter(NOISE)
+    path = [-2.0 * max(0.0, 0.5 - k * STEP) for k in range(90)]
+    for at, z in enumerate(path):
+        falling.measure(at * STEP, np.array([0.0, 0.0, z]), impact=True)
+    assert falling.impacts >= 1 and abs(falling.at(89 * STEP)[1][2]) < 0.1
+
+
+def test_heading_comes_from_motion_capture():
+    """The vehicle's own yaw begins anywhere; the arena's is seen, and followed when gyroscopes drift."""
+    estimator, own = Estimator(NOISE), 1.2
+    angles = 0.1, -0.2, 0.7  # roll, pitch, yaw in the arena
+    for k in range(600):
+        t = k * STEP
+        drift = own + 0.02 * t
+        turned = frames.about_z(drift) @ rotation(*angles)
+        estimator.feel(Attitude(t, turned))
+        estimator.see(Pose(t, np.full(3, 1e-4 * (k % 2)), np.array(quaternion(*angles))))
+    belief = estimator.at(t)
+    # The drift of 0.02 rad/s is followed HEADING_TIME = 0.5 s late: 0.01 rad.
+    assert frames.angle_between(rotation(*angles), estimator.in_arena(estimator.attitude)) < 0.015
+    assert belief.disagreement < 0.015
+    level = rotation(0.0, 0.0, angles[2]).T @ rotation(*angles)
+    assert belief.tilt == pytest.approx(np.arccos(level[2, 2]), abs=1e-6)
+
+
+def test_frozen_cameras_are_no_measurement():
+    estimator = Estimator(NOISE)
+    assert estimator.see(Pose(0.0, np.zeros(3)))
+    assert not any(estimator.see(Pose(k * STEP, np.zeros(3))) for k in range(1, 60))
+    assert estimator.at(0.5).pose_age == 0.5
+
+
+def test_the_log_is_dated_by_its_earliest_packet():
+    clock, random = LogClock(), np.random.default_rng(0)
+    stamps = 5000 + 10 * np.arange(200)
+    delays = 0.003 + random.exponential(0.004, 200)
+    dates = [clock.date(int(s), 1e-3 * s - 2.5 + d) for s, d in zip(stamps, delays)]
+    best = np.minimum.accumulate(delays)
+    np.testing.assert_allclose(dates, 1e-3 * stamps - 2.5 + best, atol=1e-9)
+    assert clock.date(10, 100.0) == pytest.approx(100.0), "a clock that began anew"
+
+
+angle = st.floats(-0.5, 0.5)
+
+
+@given(angle, angle, st.floats(-3.0, 3.0))
+def test_set_points_tilt_the_thrust_as_commanded(roll, pitch, heading):
+    """A vehicle of any heading that holds the angles it is sent points its thrust where it should."""
+    command = np.array([40_000.0, roll, pitch, 0.3])
+    sent_roll, sent_pitch, yaw_rate, thrust = frames.radio_setpoint(command, heading, 1.4)
+    # What cflib packs is -pitch; the log shows that.
+    held = frames.logged_rotation(sent_roll, -sent_pitch, np.degrees(heading))
+    np.testing.assert_allclose(held[:, 2], rotation(roll, pitch, 0.0)[:, 2], atol=1e-12)
+    assert frames.tilt(held[:, 2]) == pytest.approx((roll, pitch), abs=1e-9)
+    assert frames.heading_of(held) == pytest.approx(heading, abs=1e-9)
+    assert yaw_rate == pytest.approx(-np.degrees(0.3)) and thrust == 40_000
+
+
+@given(angle, angle, st.floats(-3.0, 3.0))
+def test_attitudes_are_the_same_in_all_conventions(roll, pitch, yaw):
+    r = rotation(roll, pitch, yaw)
+    assert frames.house_angles(r) == pytest.approx((roll, pitch, yaw), abs=1e-9)
+    np.testing.assert_allclose(
+        frames.quaternion_rotation(np.array(quaternion(roll, pitch, yaw))), r, atol=1e-12
+    )
+
+
+def test_commands_are_saturated_and_never_nan():
+    for pwm, thrust in ((-5.0, 0), (1e9, 60_000), (0.0, 0)):
+        assert frames.radio_setpoint(np.array([pwm, 0, 0, 0]), 0.0, 0.5)[3] == thrust
+    roll, pitch, *_ = frames.radio_setpoint(np.array([0, 1.3, -1.3, 0.0]), 0.2, np.radians(30))
+    assert max(abs(roll), abs(pitch)) <= 30 + 1e-9
+    for bad in itertools.product((np.nan, np.inf), range(4)):
+        command = np.zeros(4)
+        command[bad[1]] = bad[0]
+        with pytest.raises(ValueError, match="NaN or infinite"):
+            frames.radio_setpoint(command, 0.0, 0.5)
