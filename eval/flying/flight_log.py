@@ -136,6 +136,5 @@ class FlightLog:
         for (t0, a), (t1, b) in itertools.pairwise(self._tracks[kind]):
             if t0 <= t <= t1 and t1 - t0 <= BLIND:
                 share = (t - t0) / (t1 - t0)
-                # the shorter way round for yaw
-                return tuple(x + share * frames.wrapped(y - x) for x, y in zip(a, b))
+                return tuple(frames.wrapped(x + share * frames.wrapped(y - x)) for x, y in zip(a, b))
         return None

@@ -281,3 +281,7 @@ def table() -> str:
     """All causes as the Markdown table of the documentation."""
     rows = (f"| {cause.name} | {cause.when} | {cause.reaction.value} | {cause.why} |" for cause in CAUSES)
     return "\n".join(["| cause | when | reaction | why |", "|---|---|---|---|", *rows])
+
+
+if __name__ == "__main__":
+    print(table())

@@ -1,0 +1,150 @@
+"""Every cause that ends a flight: it is asked for, reacts as the page says, and nothing else does."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from inclined_landing.envs import load_policy
+from inclined_landing.eval.flying import safety
+from inclined_landing.eval.flying.actors import Hover
+from inclined_landing.eval.flying.estimate import Belief
+from inclined_landing.eval.flying.safety import Guard, Now, Phase, Reaction, stopping_distance
+from inclined_landing.eval.flying.surroundings import CLEAR, Surroundings, Target
+from inclined_landing.models.attitude import PITCH, VX, VZ, X, Y, Z
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants import make_plant
+
+VEHICLE = load_vehicle()
+
+
+def now(phase=Phase.LANDING, time=10.0, state=None, **changes) -> Now:
+    """A flight in which nothing is wrong, but for the changes."""
+    belief = {"pose_age": 0.01, "attitude_age": 0.01, "disagreement": 0.02}
+    belief |= {key: changes.pop(key) for key in list(changes) if key in belief}
+    values = np.zeros(13)
+    values[[X, Z]] = 1.0, 1.6
+    for column, value in (state or {}).items():
+        values[column] = value
+    fine = {"since": 1.0, "airborne": True, "linked": True, "locked": False, "voltage": 3.6}
+    fine |= {"heading_error": 0.0, "parted": 0.1, "lying": 0.0, "landing_limit": 6.0}
+    return Now(phase=phase, belief=Belief(time, values, **belief), **(fine | changes))
+
+
+CASES = {
+    "link lost": {"linked": False},
+    "no attitude": {"attitude_age": 0.3},
+    "no position": {"pose_age": 0.21},
+    "bad state": {"state": {VX: math.nan}},
+    "supervisor": {"locked": True},
+    "tilt": {"state": {PITCH: 1.1}},
+    "disagreement": {"disagreement": 0.4},
+    "wrong position": {"parted": 2.1},
+    "outside": {"state": {Y: -1.41}},
+    "fence": {"state": {Z: 2.1, VZ: 1.2}},
+    "speed": {"state": {VX: 4.1}},
+    "heading": {"heading_error": -0.6},
+    "battery": {"voltage": 2.95},
+    "touched": {"lying": 0.5},
+    "approach takes too long": {"phase": Phase.APPROACH, "since": 25.1},
+    "landing takes too long": {"since": 6.02},
+    "retreat takes too long": {"phase": Phase.RETREAT, "since": 20.1},
+}
+
+
+def asked(case: dict, seconds: float = 0.6):
+    """The first cause within some seconds of it."""
+    guard = Guard(VEHICLE)
+    for k in range(int(seconds / 0.02)):
+        cause = guard.cause(now(time=10.0 + 0.02 * k, **case))
+        if cause is not None:
+            return cause, 0.02 * k
+    return None, seconds
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_each_cause_is_met(name):
+    cause, after = asked(CASES[name])
+    assert cause is not None and cause.name == name
+    lasting = safety.PERSISTENT.get(name, 0.0)
+    assert lasting - 1e-6 <= after <= lasting + 0.021
+
+
+def test_nothing_is_met_by_a_flight_that_is_well():
+    for phase in Phase:
+        assert asked({"phase": phase}) == (None, 0.6)
+    assert asked({"voltage": math.nan}) == (None, 0.6), "before the first status"
+    assert asked({"phase": Phase.APPROACH, "state": {Z: 0.03, VZ: -0.1}, "airborne": False}) == (None, 0.6)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_retreat_ends_by_what_switches_off_alone(name):
+    case = CASES[name] | {"phase": Phase.RETREAT}
+    cause, _ = asked(case)
+    assert cause is None or cause.reaction is Reaction.OFF
+
+
+def test_every_cause_of_the_module_is_in_the_table_and_the_page():
+    causes = [value for value in vars(safety).values() if isinstance(value, safety.Cause)]
+    assert set(causes) == set(safety.CAUSES) and len(safety.CAUSES) == len({c.name for c in causes})
+    elsewhere = {"interrupted", "error", "hang", "bad set-point action", "bad action"}
+    assert {cause.name for cause in causes} == elsewhere | set(CASES)
+    page = Path(__file__).parents[2] / "docs" / "flying.md"
+    assert safety.table() in page.read_text("utf-8"), "python -m inclined_landing.eval.flying.safety says it"
+
+
+@pytest.mark.parametrize(("axis", "speed"), [(0, 2.5), (0, -1.5), (1, 1.5), (2, 1.2), (2, -1.2)])
+def test_the_set_point_policy_stops_within_the_stated_distance(axis, speed):
+    """A retreat from full speed: the target stands where it began; how far does the vehicle go on?"""
+    hover, plant = Hover(load_policy("setpoint")), make_plant("hybrid", 1, VEHICLE)
+    state = hover.actor.task.states_at([(0.0, 0.0, 1.3)])
+    state[0, VX + axis] = speed
+    plant.reset([0], state)
+    here, farthest, late = state[0, :3].copy(), 0.0, [np.array([VEHICLE.hover_pwm, 0, 0, 0])] * 2
+    for _ in range(100):
+        late.append(hover.fly(plant.state[0], here, 0.02))
+        plant.step(late.pop(0)[None])  # 40 ms late: position, radio, one control step
+        farthest = max(farthest, math.copysign(1.0, speed) * (plant.state[0, axis] - here[axis]))
+    velocity = np.zeros(3)
+    velocity[axis] = speed
+    assert 0.0 < farthest < stopping_distance(velocity, VEHICLE)[axis]
+
+
+@pytest.mark.parametrize("inclination", [-0.449, 0.449, 0.0, -0.87])
+def test_ways_keep_clear_of_the_platform(inclination):
+    around = Surroundings(VEHICLE, inclination)
+    home = np.array([1.0, 0.0, 0.02])
+    for x, z in ((0.0, 2.0), (-1.5, 1.6), (1.5, 1.8)):
+        assert_clear(around, home, around.way_to(home, np.array([x, 0.0, z])), 0.0)
+    for here in ((0.0, 0.0, 2.0), (0.1, 0.05, 1.35), (1.5, 0.0, 0.6), (-0.6, 0.3, 1.5)):
+        way = around.way_down(np.array(here))
+        assert way[-1][2] < 0.0 and abs(way[-1][0]) > VEHICLE.slab_half_length
+        if not math.isclose(inclination, 0.0, abs_tol=0.5):
+            continue
+        assert_clear(around, np.array(here), way, 0.3)
+
+
+def assert_clear(around, begin, way, leaving):
+    target, gone, states = Target(begin, list(way), 1.0), 0.0, []
+    while not target.arrived:
+        before = target.position
+        gone += float(np.linalg.norm(target.move(0.02, before) - before))
+        if gone > leaving and target.position[2] > 0.05:
+            states.append(np.r_[target.position, np.zeros(10)])
+    assert around.distances(np.array(states))[:, 0].min() > CLEAR - 0.02
+
+
+def test_a_target_waits_for_its_vehicle():
+    target = Target(np.zeros(3), [np.array([0.0, 0.0, 5.0])], 1.0, lead=0.4)
+    for _ in range(500):
+        target.move(0.02, np.zeros(3))
+    assert 0.4 <= target.position[2] <= 0.43 and not target.arrived
+
+
+def test_a_now_is_what_the_guard_is_asked():
+    """Each field of `Now` moves at least one cause: nothing is told in vain."""
+    fields = {field.name for field in dataclasses.fields(Now)}
+    told = {key for case in CASES.values() for key in case} | {"belief", "airborne", "landing_limit", "phase"}
+    assert fields <= told
