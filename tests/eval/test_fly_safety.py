@@ -44,7 +44,7 @@ CASES = {
     "wrong position": {"parted": 2.1},
     "outside": {"state": {Y: -1.41}},
     "fence": {"state": {Z: 2.1, VZ: 1.2}},
-    "speed": {"state": {VX: 4.1}},
+    "speed": {"state": {VX: -4.1}},
     "heading": {"heading_error": -0.6},
     "battery": {"voltage": 2.95},
     "touched": {"lying": 0.5},
