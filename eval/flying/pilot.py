@@ -168,8 +168,12 @@ class Pilot:
 
         if self._target is None:
             raise ValueError("the checks must have passed before a flight")
-        self._lander.act(self._estimator.at(self.clock.now()).state)  # compiles what is not compiled yet
-        self._hover.roll_to(self._estimator.at(self.clock.now()).state, 0.0)
+        try:  # which also compiles what is not compiled yet
+            self._lander.act(self._estimator.at(self.clock.now()).state)
+            self._hover.roll_to(self._estimator.at(self.clock.now()).state, 0.0)
+        except BadAction:
+            self._end(safety.BAD_ACTION)
+            return self.report
         self._lander.begin()
         self._hover.actor.begin()
         with contextlib.ExitStack() as stack:

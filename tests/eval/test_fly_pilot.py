@@ -1,0 +1,303 @@
+"""Whole flights of the pilot in the simulated vehicle, what ends them early, and the logs they leave."""
+
+import dataclasses
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cflib", reason="the extra fly is not installed")
+
+from inclined_landing.envs import load_policy
+from inclined_landing.envs.tasks.setpoint import TOLERANCE
+from inclined_landing.eval import cli
+from inclined_landing.eval.flying.flight_log import FlightLog
+from inclined_landing.eval.flying.motion_capture import Tracked, open_capture
+from inclined_landing.eval.flying.pilot import Pilot, Plan
+from inclined_landing.eval.flying.real_clock import RealClock
+from inclined_landing.eval.flying.safety import Phase
+from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
+from inclined_landing.eval.flying.simulated.world import Setting
+from inclined_landing.eval.flying.vehicle import Radio
+from inclined_landing.eval.flying.watchdog import Watchdog
+from inclined_landing.eval.gap.flights.windows import prepare
+from inclined_landing.eval.logs import read_log
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+
+SETTING = Setting(start=(-1.0, 0.0))
+NEAR = (-1.0, 1.6)  # a start that is soon reached
+
+
+@pytest.fixture(scope="module")
+def policies():
+    return load_policy("landing"), load_policy("setpoint")
+
+
+def flown(policies, tmp_path=None, *, dry=False, setting=SETTING, start=NEAR, seed=1, before=None, **options):
+    """A flight: pilot, report, world. before: called with the pilot before it flies."""
+    flight = fly_simulated(setting, seed=seed)
+    radio = Radio(flight.crazyflie, flight.clock, policies[0].task.vehicle.command_angle_limit, dry=dry)
+    radio.connect(flight.uri)
+    options = {"say": lambda line: None, "hang_limit": 30.0} | options
+    if tmp_path is not None:
+        options["log"] = tmp_path / "flight.csv"
+    pilot = Pilot(radio, flight.clock, flight.motion_capture, Plan(*policies, start), **options)
+    assert all(check.passed for check in pilot.check())
+    if before is not None:
+        before(pilot)
+    report = pilot.fly()
+    radio.close()
+    return pilot, report, flight.world
+
+
+def broken(policy, answer):
+    """A policy that answers anything but an action."""
+    copy = dataclasses.replace(policy)
+    object.__setattr__(copy, "predict", answer)
+    return copy
+
+
+def test_a_flight_lands_and_leaves_a_log_that_is_read_the_same_evening(policies, tmp_path):
+    _, report, world = flown(policies, tmp_path)
+    assert report.outcome == "goal box" and not report.touched and report.error is None
+    assert np.linalg.norm(report.start[[0, 2]] - NEAR) < TOLERANCE + 0.01
+    assert abs(report.goal[1]) < 0.05, "y is held"
+    truth = world.trace
+    assert world.thrust == 0.0
+    assert report.rests == bool(truth.touching[-1, 0] and np.linalg.norm(truth.state[-1, 3:6]) < 0.05)
+    log = read_log(tmp_path / "flight.csv")
+    assert not log.missing and log.voltage is not None and log.contact[0] and not log.notes
+    # What was logged is what truly was: 0.5 mm and 0.004 rad of noise, up to 9 ms late with 3 m/s.
+    t0 = truth.time[np.argmin(np.abs(truth.time - (truth.time[-1] - log.t[-1])))]
+    t = log.t - log.t[0]
+    shift = min(
+        (np.interp(t + t0 + late, truth.time, truth.state[:, 2]) for late in np.arange(-0.3, 0.3, 0.004)),
+        key=lambda z: np.abs(z - log.position[:, 2]).mean(),
+    )
+    assert np.abs(shift - log.position[:, 2]).mean() < 0.01
+    assert log.command[0, 0] == 0.0 and log.command[-1, 0] == 0.0 and log.command[:, 0].max() > 30_000
+    measured = prepare(log, load_vehicle(), platform=True)
+    assert len(measured.starts) >= 5 and np.isfinite(measured.voltage).all()
+
+
+def test_a_touchdown_comes_to_rest_by_its_own_command(policies):
+    _, report, world = flown((load_policy("touchdown"), policies[1]))
+    assert report.outcome == "at rest" and report.rests
+    assert world.trace.touching[-1, 0] and np.linalg.norm(world.trace.state[-1, 3:6]) < 0.05
+
+
+def test_a_landing_policy_that_gives_nan_is_landed_by_the_other(policies, tmp_path):
+    nan = broken(policies[0], policies[0].predict)
+
+    def before(pilot):
+        enter = pilot._enter
+
+        def entered(phase):
+            enter(phase)
+            object.__setattr__(nan, "predict", lambda o: np.full((len(o), 2), np.nan))
+
+        pilot._enter = entered
+
+    _, report, world = flown((nan, policies[1]), tmp_path, before=before)
+    assert report.outcome == "bad action" and report.retreat.name == "bad action"
+    assert world.thrust == 0.0 and world.trace.touching[-1, 2], "on the floor"
+    assert np.abs(world.trace.state[-1, 3:6]).max() < 0.1
+    assert not read_log(tmp_path / "flight.csv").missing
+
+
+@pytest.mark.parametrize("where", ["say", "log", "interrupt", "setpoint"])
+def test_whatever_raises_the_motors_stop(where, policies, tmp_path):
+    """Printing, the log, Ctrl-C, the set-point policy: each ends with motors off and a whole log."""
+
+    def fail(*_):
+        raise KeyboardInterrupt if where == "interrupt" else RuntimeError("for the test")
+
+    def before(pilot):
+        step = pilot._command
+
+        def command(belief):
+            if belief.state[2] > 1.0:
+                if where == "log":
+                    pilot._log.command = fail
+                elif where == "setpoint":
+                    object.__setattr__(pilot.plan.setpoint, "predict", lambda o: np.full((len(o), 3), np.nan))
+                else:
+                    fail() if where == "interrupt" else pilot._say("anything")
+            return step(belief)
+
+        pilot._command = command
+
+    setpoint = dataclasses.replace(policies[1])
+    options = {"say": fail} if where == "say" else {}
+    _, report, world = flown((policies[0], setpoint), tmp_path, before=before, **options)
+    wanted = {"interrupt": "interrupted", "setpoint": "bad set-point action"}.get(where, "error")
+    assert report.outcome == wanted and world.thrust == 0.0
+    assert ("for the test" in (report.error or "")) == (wanted == "error")
+    assert (tmp_path / "flight.csv").is_file() and not (tmp_path / "flight.unfinished.csv").exists()
+    assert not read_log(tmp_path / "flight.csv").missing
+
+
+def test_a_control_loop_that_hangs_is_noticed(policies):
+    def slow(observation):
+        time.sleep(1.2)
+        return policies[0].predict(observation)
+
+    hanging = broken(policies[0], lambda o: policies[0].predict(o))
+
+    def before(pilot):
+        object.__setattr__(hanging, "predict", slow)
+
+    _, report, world = flown((hanging, policies[1]), hang_limit=1.0, before=before)
+    assert report.outcome == "hang" and world.thrust == 0.0
+
+
+def test_the_watchdog_bites_once_and_only_then():
+    bites = []
+    with Watchdog(1.0, lambda: bites.append(1)) as watchdog:
+        for _ in range(10):
+            time.sleep(0.02)
+            watchdog.alive()
+        early = watchdog.bitten or bites
+        time.sleep(3.0)
+    assert not early and watchdog.bitten and bites == [1]
+
+
+def test_a_dry_run_moves_nothing(policies, monkeypatch):
+    monkeypatch.setattr("inclined_landing.eval.flying.pilot.DRY_RUN", 1.0)
+    said = []
+    pilot, report, world = flown(policies, dry=True, say=said.append)
+    assert report.outcome == "dry run" and not world.trace.command[:, 0].any()
+    assert sum("would command PWM" in line for line in said) >= 2 and pilot.phase is Phase.OVER
+
+
+def test_checks_refuse_what_must_not_fly(policies):
+    def failed(setting=SETTING, change=lambda flight: None, **plan):
+        flight = fly_simulated(setting, seed=3)
+        radio = Radio(flight.crazyflie, flight.clock, 0.5)
+        radio.connect(flight.uri)
+        change(flight)
+        pilot = Pilot(radio, flight.clock, flight.motion_capture, Plan(*policies, NEAR, **plan))
+        found = {check.name for check in pilot.check() if not check.passed}
+        with pytest.raises(ValueError, match="checks"):
+            pilot.fly()
+        radio.close()
+        return found
+
+    assert failed(dataclasses.replace(SETTING, charge=0.7)) == {"battery"}
+    assert failed(stand=0.5) == {"height"}
+    assert "motion capture" in failed(change=lambda f: setattr(f.world.view, "blind", True))
+    assert "motion capture" in failed(change=lambda f: setattr(f.world.view, "frozen", True))
+    tilted = dataclasses.replace(SETTING, inclination=0.0)
+    assert failed(tilted) == set(), "what stands there is the person's word"
+
+
+def test_a_log_holds_what_it_is_told(tmp_path):
+    path = tmp_path / "f.csv"
+    with FlightLog(path, 100.0) as log:
+        for k in range(400):
+            t = 100.0 + 0.01 * k
+            if not 150 <= k < 200:  # blind
+                log.pose(t + 0.004, np.array([0.1, 0.2, 1 + 0.001 * k]), k < 10)
+            log.attitude(t + 0.002, 0.0, 0.1 + 0.001 * (k % 3), 3.1 + 0.001 * k)
+            log.voltage(t, 4.0)
+            if k % 2 == 0:
+                log.command(t, np.array([30_000.0 + k, 0.0, 0.1, 0.0]))
+        log.pose(100.0, np.full(3, np.nan), False)
+        rows = (tmp_path / "f.unfinished.csv").read_text("utf-8").splitlines()
+        assert len(rows) > 200, "it is written as it goes"
+    assert not (tmp_path / "f.unfinished.csv").exists()
+    found = read_log(path)
+    assert np.diff(found.t).min() > 0 and found.contact.sum() == 10
+    np.testing.assert_allclose(found.position[:, 2], 1 + 0.1 * found.t, atol=2e-3)
+    np.testing.assert_allclose(np.unwrap(found.attitude[:, 2]), 3.1 + 0.1 * (found.t + 0.002), atol=1e-3)
+    assert found.command[-1, 0] == 30_398.0
+    with pytest.raises(UserError, match="there already"):
+        FlightLog(path, 0.0)
+
+
+def test_motion_capture_by_library():
+    """Its calls, with a body that appears in the third frame."""
+    frames = itertools.count()
+    body = SimpleNamespace(
+        position=np.array([1.0, 2.0, 3.0]), rotation=SimpleNamespace(w=1.0, x=0.0, y=0.0, z=0.0)
+    )
+
+    class System:
+        def __init__(self):
+            self.rigidBodies = {"other": body}
+
+        def waitForNextFrame(self):
+            time.sleep(0.002)
+            if next(frames) == 2:
+                self.rigidBodies = {"other": body, "cf": body}
+
+    tracked = Tracked(System(), "cf", RealClock(), latency=0.01)
+    tracked.await_first()
+    pose = tracked.latest()
+    assert pose.position.tolist() == [1.0, 2.0, 3.0] and pose.attitude.tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert 0.005 < time.monotonic() - pose.time < 1.0
+    for wrong in ("vicon", "vicon:host", "a::b", ":::"):
+        with pytest.raises(UserError, match="TYPE:HOST:BODY"):
+            open_capture(wrong, RealClock())
+
+
+def test_the_command_writes_what_happened(tmp_path, capsys):
+    words = ["fly", "landing", "--simulated", "--start=-1,1.6", "--out", str(tmp_path / "out"), "--seed=2"]
+    assert cli.main(words) == 0
+    assert "1 of 1 landed" in capsys.readouterr().out
+    told = json.loads((tmp_path / "out" / "fly.json").read_text("utf-8"))
+    assert told["flights"][0]["landed"] and told["flights"][0]["log"] == "flight_01.csv"
+    for wrong in (
+        ["--uri=udp://127.0.0.1:1"],
+        ["--stand=0.1"],
+        ["--inclination=-10"],
+        ["--setpoint=landing"],
+    ):
+        assert cli.main([*words[:4], "--out", str(tmp_path / "new"), *wrong]) == 2
+    for wrong in (["fly"], ["fly", "--yes", "--uri=radio://0", "--mocap=poses:1"], ["fly", "--seed=1"]):
+        assert cli.main(wrong) == 2
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.slow
+def test_a_pilot_that_is_killed_leaves_a_log_and_a_vehicle_that_stops(tmp_path):
+    """Two processes and real time: kill -9 in the air; SIGTERM would have stopped the motors itself."""
+    run = [sys.executable, "-m", "inclined_landing.eval"]
+    out = tmp_path / "truth.csv"
+    vehicle = subprocess.Popen(
+        [*run, "crazyflie", "--port=19852", "--poses=127.0.0.1:19872", "--out", str(out)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert "simulated Crazyflie" in vehicle.stdout.readline()
+        pilot = subprocess.Popen(
+            [*run, "fly", "--uri=udp://127.0.0.1:19852", "--mocap=poses:127.0.0.1:19872", "--yes"]
+            + ["--out", str(tmp_path / "flight")]
+        )
+        log = tmp_path / "flight" / "flight_01.unfinished.csv"
+        until(lambda: log.is_file() and len(log.read_text("utf-8").splitlines()) > 400)
+        os.kill(pilot.pid, signal.SIGKILL)
+        pilot.wait()
+        time.sleep(4.0)
+    finally:
+        vehicle.send_signal(signal.SIGINT)
+        said = vehicle.communicate(timeout=30)[0]
+    assert "motors off" in said and "locked" in said
+    assert read_log(log).duration > 2.0
+    assert read_log(out).command[-1, 0] == 0.0
+
+
+def until(true, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it did not come to that"
+        time.sleep(0.05)
