@@ -74,7 +74,7 @@ def test_a_flight_lands_and_leaves_a_log_that_is_read_the_same_evening(policies,
     assert world.thrust == 0.0
     assert report.rests == bool(truth.touching[-1, 0] and np.linalg.norm(truth.state[-1, 3:6]) < 0.05)
     log = read_log(tmp_path / "flight.csv")
-    assert not log.missing and log.voltage is not None and log.contact[0] and not log.notes
+    assert not log.missing and log.voltage is not None and log.contact[0]
     # What was logged is what truly was: 0.5 mm and 0.004 rad of noise, up to 9 ms late with 3 m/s.
     t0 = truth.time[np.argmin(np.abs(truth.time - (truth.time[-1] - log.t[-1])))]
     t = log.t - log.t[0]
@@ -88,12 +88,14 @@ def test_a_flight_lands_and_leaves_a_log_that_is_read_the_same_evening(policies,
     assert len(measured.starts) >= 5 and np.isfinite(measured.voltage).all()
 
 
+@pytest.mark.slow
 def test_a_touchdown_comes_to_rest_by_its_own_command(policies):
     _, report, world = flown((load_policy("touchdown"), policies[1]))
     assert report.outcome == "at rest" and report.rests
     assert world.trace.touching[-1, 0] and np.linalg.norm(world.trace.state[-1, 3:6]) < 0.05
 
 
+@pytest.mark.slow
 def test_a_landing_policy_that_gives_nan_is_landed_by_the_other(policies, tmp_path):
     nan = broken(policies[0], policies[0].predict)
 
@@ -113,7 +115,10 @@ def test_a_landing_policy_that_gives_nan_is_landed_by_the_other(policies, tmp_pa
     assert not read_log(tmp_path / "flight.csv").missing
 
 
-@pytest.mark.parametrize("where", ["say", "log", "interrupt", "setpoint"])
+@pytest.mark.parametrize(
+    "where",
+    ["interrupt", *(pytest.param(where, marks=pytest.mark.slow) for where in ("say", "log", "setpoint"))],
+)
 def test_whatever_raises_the_motors_stop(where, policies, tmp_path):
     """Printing, the log, Ctrl-C, the set-point policy: each ends with motors off and a whole log."""
 
@@ -145,6 +150,7 @@ def test_whatever_raises_the_motors_stop(where, policies, tmp_path):
     assert not read_log(tmp_path / "flight.csv").missing
 
 
+@pytest.mark.slow
 def test_a_control_loop_that_hangs_is_noticed(policies):
     def slow(observation):
         time.sleep(1.2)
@@ -159,15 +165,21 @@ def test_a_control_loop_that_hangs_is_noticed(policies):
     assert report.outcome == "hang" and world.thrust == 0.0
 
 
-def test_the_watchdog_bites_once_and_only_then():
-    bites = []
-    with Watchdog(1.0, lambda: bites.append(1)) as watchdog:
-        for _ in range(10):
-            time.sleep(0.02)
+def test_the_watchdog_bites_once_and_only_then(monkeypatch):
+    now, bites = [0.0], []
+    monkeypatch.setattr(
+        "inclined_landing.eval.flying.watchdog.time", SimpleNamespace(monotonic=lambda: now[0])
+    )
+    with Watchdog(0.1, lambda: bites.append(1)) as watchdog:
+        for _ in range(5):
+            now[0] += 0.09
             watchdog.alive()
-        early = watchdog.bitten or bites
-        time.sleep(3.0)
-    assert not early and watchdog.bitten and bites == [1]
+            time.sleep(0.05)
+        assert not watchdog.bitten and not bites
+        now[0] += 0.11
+        until(lambda: watchdog.bitten)
+        time.sleep(0.1)
+    assert bites == [1]
 
 
 def test_a_dry_run_moves_nothing(policies, monkeypatch):
@@ -195,8 +207,6 @@ def test_checks_refuse_what_must_not_fly(policies):
     assert failed(stand=0.5) == {"height"}
     assert "motion capture" in failed(change=lambda f: setattr(f.world.view, "blind", True))
     assert "motion capture" in failed(change=lambda f: setattr(f.world.view, "frozen", True))
-    tilted = dataclasses.replace(SETTING, inclination=0.0)
-    assert failed(tilted) == set(), "what stands there is the person's word"
 
 
 def test_a_log_holds_what_it_is_told(tmp_path):
