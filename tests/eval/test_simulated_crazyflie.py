@@ -361,6 +361,9 @@ def test_faults_of_the_motion_capture():
     _, _, poses, _ = fault_flight("mocap-frozen")
     assert (poses[-1][1].position == poses[-20][1].position).all()
     assert poses[-1][1].time - poses[-2][1].time == pytest.approx(1 / 120, abs=0.006)
+    _, _, poses, _ = fault_flight("mocap-stuck")
+    last = np.array([pose.position for _, pose, _ in poses[-30:]])
+    assert 2e-4 < last.std(axis=0).max() < 1e-3 and np.linalg.norm(last[-1] - poses[-1][2]) > 0.2
     _, _, poses, _ = fault_flight("marker-swap")
     jump = np.linalg.norm(poses[-1][1].position - poses[-1][2])
     assert jump == pytest.approx(0.3, abs=0.05)  # 10 ms at up to 4 m/s
