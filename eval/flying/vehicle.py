@@ -67,7 +67,7 @@ class Radio:
         self._log("attitude", ATTITUDE_PERIOD, felt, self._attitude)
         try:
             self._log("status", STATUS_PERIOD, ("pm.vbat", "supervisor.info"), self._status)
-        except KeyError:  # firmware before 2024.02
+        except KeyError:  # older firmware
             self._log("status", STATUS_PERIOD, ("pm.vbat",), self._status)
 
     def news(self) -> list[Attitude | Status]:
