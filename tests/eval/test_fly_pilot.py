@@ -294,7 +294,9 @@ def test_a_pilot_that_is_killed_leaves_a_log_and_a_vehicle_that_stops(tmp_path):
             + ["--out", str(tmp_path / "flight")]
         )
         log = tmp_path / "flight" / "flight_01.unfinished.csv"
-        until(lambda: pilot.poll() is not None or log.is_file() and len(log.read_text("utf-8").split()) > 400)
+        until(
+            lambda: pilot.poll() is not None or (log.is_file() and len(log.read_text("utf-8").split()) > 400)
+        )
         if pilot.poll() is not None:
             pytest.skip("this machine is too slow for a flight in real time: the pilot has ended it")
         os.kill(pilot.pid, signal.SIGKILL)
