@@ -7,6 +7,9 @@ origin in the vehicle's centre of mass, its axes along the vehicle's.
 
 from __future__ import annotations
 
+import atexit
+import subprocess
+import sys
 import threading
 from typing import Any
 
@@ -17,7 +20,9 @@ from inclined_landing.eval.flying.pose_stream import PoseStream
 from inclined_landing.models.errors import UserError, not_installed, shown
 
 FORM = "TYPE:HOST:BODY"
+CONNECTING = 10.0  # s that a connection may take
 _FIRST = 5.0  # s that the first frame may take
+_PROBE = "import sys, motioncapture; motioncapture.connect(sys.argv[1], {'hostname': sys.argv[2]})"
 
 
 class Tracked:
@@ -33,8 +38,10 @@ class Tracked:
         self._clock, self._latency = clock, latency
         self._pose: Pose | None = None
         self._seen: tuple[str, ...] = ()
-        self._first = threading.Event()
-        threading.Thread(target=self._follow, name="motion capture", daemon=True).start()
+        self._first, self._ended = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._follow, name="motion capture", daemon=True)
+        self._thread.start()
+        atexit.register(self.close)  # a thread in the library's code would abort the interpreter's end
 
     def latest(self) -> Pose | None:
         """The newest pose; None before the first one."""
@@ -48,8 +55,13 @@ class Tracked:
                 f"motion capture does not show {shown(self._body, 40)} within {_FIRST:g} s; it shows {others}"
             )
 
+    def close(self) -> None:
+        """No more frames."""
+        self._ended.set()
+        self._thread.join(1.0)
+
     def _follow(self) -> None:
-        while True:
+        while not self._ended.is_set():
             self._system.waitForNextFrame()
             arrival = self._clock.now()
             bodies = self._system.rigidBodies
@@ -79,6 +91,7 @@ def open_capture(name: str, clock: Clock, latency: float = 0.0) -> MotionCapture
         import motioncapture
     except ModuleNotFoundError as error:
         raise UserError(not_installed(error)) from error
+    _probe(name, kind, host)
     try:
         system = motioncapture.connect(kind, {"hostname": host})
     except Exception as error:  # the library raises whatever its SDKs do
@@ -86,3 +99,16 @@ def open_capture(name: str, clock: Clock, latency: float = 0.0) -> MotionCapture
     tracked = Tracked(system, body, clock, latency)
     tracked.await_first()
     return tracked
+
+
+def _probe(name: str, kind: str, host: str) -> None:
+    """Connect in another process first: the library waits for a silent host for good, deaf to Ctrl-C."""
+    try:
+        probe = subprocess.run(
+            [sys.executable, "-c", _PROBE, kind, host], capture_output=True, text=True, timeout=CONNECTING
+        )
+    except subprocess.TimeoutExpired:
+        raise UserError(f"no motion capture at {shown(name, 80)}: no answer in {CONNECTING:g} s") from None
+    if probe.returncode != 0:
+        said = (probe.stderr.strip() or f"it ended with {probe.returncode}").splitlines()[-1]
+        raise UserError(f"no motion capture at {shown(name, 80)}: {shown(said, 200)}")

@@ -364,9 +364,11 @@ class Pilot:
         cause = self.report.cause
         peaceful = self.phase is Phase.OVER and (cause is None or cause.reaction is Reaction.LAND)
         if peaceful:
-            with contextlib.suppress(Exception):
+            try:
                 self.radio.stop()
-        else:
+            except Exception:
+                peaceful = False
+        if not peaceful:
             self.radio.emergency_stop()
         with contextlib.suppress(Exception):
             self.report.seconds = self.clock.now() - self._began
@@ -392,7 +394,8 @@ class Pilot:
         """Go on telling it to stop, and log where it comes to lie."""
         end = self.clock.now() + WATCHED
         while (now := self.clock.now()) < end:
-            self.radio.stop()
+            with contextlib.suppress(Exception):
+                self.radio.stop()
             for _ in range(TICKS):
                 self.clock.wait_until(self.clock.now() + self._period / TICKS)
                 self._listen()

@@ -18,6 +18,7 @@ pytest.importorskip("cflib", reason="the extra fly is not installed")
 from inclined_landing.envs import load_policy
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval import cli
+from inclined_landing.eval.flying import motion_capture
 from inclined_landing.eval.flying.flight_log import FlightLog
 from inclined_landing.eval.flying.motion_capture import Tracked, open_capture
 from inclined_landing.eval.flying.pilot import Pilot, Plan
@@ -86,6 +87,15 @@ def test_a_flight_lands_and_leaves_a_log_that_is_read_the_same_evening(policies,
     assert log.command[0, 0] == 0.0 and log.command[-1, 0] == 0.0 and log.command[:, 0].max() > 30_000
     measured = prepare(log, load_vehicle(), platform=True)
     assert len(measured.starts) >= 5 and np.isfinite(measured.voltage).all()
+
+
+@pytest.mark.slow
+def test_a_stop_that_cannot_be_sent_becomes_an_emergency_stop(policies):
+    def fail():
+        raise RuntimeError("for the test")
+
+    _, report, world = flown(policies, before=lambda pilot: setattr(pilot.radio, "stop", fail))
+    assert report.outcome == "goal box" and world.thrust == 0.0
 
 
 @pytest.mark.slow
@@ -257,6 +267,19 @@ def test_motion_capture_by_library():
     for wrong in ("vicon", "vicon:host", "a::b", ":::"):
         with pytest.raises(UserError, match="TYPE:HOST:BODY"):
             open_capture(wrong, RealClock())
+
+
+@pytest.mark.parametrize(
+    "connect, said",
+    [("while True: pass", "no answer in 2 s"), ("raise RuntimeError('no such type')", "no such type")],
+)
+def test_motion_capture_that_is_silent_or_refuses_is_said(connect, said, tmp_path, monkeypatch):
+    (tmp_path / "motioncapture.py").write_text(f"def connect(kind, options):\n    {connect}\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setitem(sys.modules, "motioncapture", SimpleNamespace())
+    monkeypatch.setattr(motion_capture, "CONNECTING", 2.0)
+    with pytest.raises(UserError, match=said):
+        open_capture("vicon:nowhere:cf", RealClock())
 
 
 def test_the_command_writes_what_happened(tmp_path, capsys):
