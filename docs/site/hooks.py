@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 import generated  # beside this file
+from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[2]
@@ -23,6 +24,7 @@ PICTURES = {".gif", ".png", ".svg"}
 LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml", ".yml": "yaml"}
 
 
+@event_priority(100)  # before mkdocstrings looks for it
 def on_config(config):
     """Show mkdocstrings the folders as the package `inclined_landing`; it follows no links."""
     package = ROOT / "build" / "package" / "inclined_landing"

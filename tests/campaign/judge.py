@@ -239,6 +239,13 @@ def write(path: Path, content: str | bytes) -> Path:
     return path
 
 
+def somewhere(name: str, folder: Path) -> list[str]:
+    """Options that a `landing-eval` command of this name needs to write into a folder, or to begin at all."""
+    more = {"view": [], "export": ["--format", "c"], "fly": ["--simulated"]}.get(name, [])
+    file = {"video": "out.mp4", "replay": "out.html"}.get(name, "out.png")
+    return more if name == "view" else [*more, "--out", str(folder / file)]
+
+
 def _ended(code, out: str, err: str) -> str:
     if code in (0, None):
         return out

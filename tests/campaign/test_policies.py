@@ -21,7 +21,18 @@ import numpy as np
 import pytest
 import torch
 
-from campaign.judge import EVIL, Case, Wrong, command, judge, mutations, parametrised, places, write
+from campaign.judge import (
+    EVIL,
+    Case,
+    Wrong,
+    command,
+    judge,
+    mutations,
+    parametrised,
+    places,
+    somewhere,
+    write,
+)
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import STAMP, load_policy
 from inclined_landing.envs.policy import tensors as tensors_of
@@ -347,8 +358,7 @@ def commands():
         for bad in wrong:
 
             def take(path, words=words):
-                out = path.parent / ("out.mp4" if "video" in words else "out.png")
-                return command(cli.main, [*words, str(path), "--out", str(out)])
+                return command(cli.main, [*words, str(path), *somewhere(words[0], path.parent)])
 
             yield dataclasses.replace(bad, name=f"{name} with {bad.name}", take=take, works=refused)
 

@@ -10,7 +10,19 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from campaign.judge import EVIL, Case, Wrong, command, judge, mutations, parametrised, places, toml, write
+from campaign.judge import (
+    EVIL,
+    Case,
+    Wrong,
+    command,
+    judge,
+    mutations,
+    parametrised,
+    places,
+    somewhere,
+    toml,
+    write,
+)
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
 from inclined_landing.models.errors import UserError
@@ -188,8 +200,7 @@ def commands():
         for bad in wrong:
 
             def take(path, main=main, words=words):
-                out = path.parent / ("out.mp4" if "video" in words else "out.png")
-                return command(main, [*words, "--out", str(out), "--vehicle", str(path)])
+                return command(main, [*words, *somewhere(words[0], path.parent), "--vehicle", str(path)])
 
             yield dataclasses.replace(bad, name=f"{name} with {bad.name}", take=take, works=refused)
 
