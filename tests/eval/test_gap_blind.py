@@ -105,6 +105,7 @@ def test_the_reality_does_not_depend_on_what_is_hidden(family):
         assert cases.draw(family, "single", cause, "strong", seed=(1, 3)).reality == one.reality
 
 
+@pytest.mark.slow
 def test_a_case_is_flown_the_same_again(monkeypatch):
     monkeypatch.setattr(cases, "IDENTIFY", 2)
     case = cases.draw("dev", "few flights", "level_calibration", "strong", seed=4)

@@ -163,6 +163,7 @@ def notes_on(files):
     return "\n".join((*diagnose(flights, load_vehicle(), plants=(), curves=False).notes, *together))
 
 
+@pytest.mark.slow
 def test_what_limits_the_answer_is_said_beside_it(logs):
     files = logs(with_a_hole, with_some_nan, with_a_flat_battery, without("cmd_yaw_rate"))
     notes = notes_on(files)

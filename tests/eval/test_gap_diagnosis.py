@@ -212,6 +212,7 @@ def test_what_is_known_beforehand_holds_a_fit():
     assert abs(fitted(1e-4)) < 0.01 < abs(free)
 
 
+@pytest.mark.slow
 def test_constant_voltage_tells_nothing(weak):
     logs = [dataclasses.replace(log, voltage=np.full(len(log), 3.9)) for log in weak]
     d = quick(logs)
@@ -229,6 +230,7 @@ def test_measured_voltage_is_used():
     assert d.effects[0].parameters["sensitivity"].value == pytest.approx(0.5, rel=0.1)
 
 
+@pytest.mark.slow
 def test_yaw_command_not_logged(weak):
     logs = [
         dataclasses.replace(x, command=np.column_stack([x.command[:, :3], np.full(len(x), np.nan)]))
@@ -291,6 +293,7 @@ def test_late_but_quick_attitude_loop_is_two_effects():
     assert values["attitude_time_constant"]["scale"] == pytest.approx(0.6, rel=0.05)
 
 
+@pytest.mark.slow
 def test_weak_effects_beside_a_grossly_wrong_thrust():
     hidden = {"thrust_scale": {"scale": 0.6}, "attitude_gain": {"scale": 0.95}}
     values = quick(flights(hidden, seed=8)).values()

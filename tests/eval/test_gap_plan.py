@@ -175,6 +175,7 @@ def report(tmp_path, *hypotheses, **more):
     return folder
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_same_flight_and_it_reads_as_a_log(plan, tmp_path, capsys):
     folder, out = report(tmp_path, DRAG, BODY), tmp_path / "flight"
     assert main(["plan", str(folder), "--out", str(out), "--seconds", "10"]) == 0

@@ -85,6 +85,7 @@ def test_neither_chunks_nor_threads_change_a_bit(study, tmp_path, reference):
     assert design.run_chunk(read, 1, 5, threads=1).equals(design.run_chunk(read, 1, 5, threads=2))
 
 
+@pytest.mark.slow
 def test_an_interrupted_study_goes_on(study, tmp_path, reference, monkeypatch):
     real = engines.local
 

@@ -282,7 +282,7 @@ acceleration_time = [[0.3, 0.3], [0.3, 0.3], [0.3, 0.3]]
 """
 
 
-@pytest.mark.parametrize("plant", ["hybrid", "analytic"])
+@pytest.mark.parametrize("plant", ["hybrid", pytest.param("analytic", marks=pytest.mark.slow)])
 def test_a_randomised_run_is_resumed_bit_for_bit_with_its_copy(plant, tmp_path):
     ranges = tmp_path / "ranges.toml"
     ranges.write_text(DRAWN, "utf-8")
