@@ -114,7 +114,8 @@ class BatchEnv:
         return self.past.behind(self._present(ids), ids)
 
     def _present(self, ids=slice(None)) -> np.ndarray:
-        return self.task.observe(Moment(self.plant.measurement[ids], self.plant.contacts[ids]))
+        plant = self.plant
+        return self.task.observe(Moment(plant.measurement[ids], plant.contacts[ids], deck=plant.deck[ids]))
 
     def reset(self, ids=None, state: np.ndarray | None = None) -> np.ndarray:
         """Begin new episodes for the vehicles `ids` (all by default); return their observations.
@@ -139,7 +140,10 @@ class BatchEnv:
             start = self.task.start(state)
         for name in _START:
             getattr(self._start, name)[ids] = getattr(start, name)
-        self.plant.set_platform(ids, start.inclination + self.plant.tilt[ids], start.present)
+        inclination = start.inclination + self.plant.tilt[ids]
+        self.plant.set_platform(
+            ids, inclination, start.present, 0.0 if start.azimuth is None else start.azimuth
+        )
         if start.contact is not None:
             self.plant.set_contact(ids, **start.contact)
         self.plant.reset(ids, start.state)
@@ -179,7 +183,8 @@ class BatchEnv:
         self.contact_steps += contacts.platform_near
         self.touched |= contacts.platform
         moment = Moment(
-            self.plant.state, contacts, actions, self._start, self.length, self.contact_steps, self.held
+            *(self.plant.state, contacts, actions, self._start, self.length, self.contact_steps, self.held),
+            deck=self.plant.deck,
         )
         verdict: Judgement = self.task.judge(moment)
         if verdict.holding is not None:

@@ -53,9 +53,9 @@ from inclined_landing.models.perturbation import (
 # The integrated vector: position, velocity, Euler angles, lag, Euler rates (rate loop only).
 _PHI, _THETA, _PSI, _OMEGA, _RATES, _SIZE = 6, 7, 8, 9, 10, 13
 # What a vehicle meets: time [s], battery voltage [V] (NaN: that of the vehicle file), inclination of the
-# platform [rad] and whether it is there.
-AMBIENT_SIZE = 4
-TIME, VOLTAGE, INCLINATION, PRESENT = range(AMBIENT_SIZE)
+# platform [rad], whether it is there, and by what it is turned about the vertical [rad].
+AMBIENT_SIZE = 5
+TIME, VOLTAGE, INCLINATION, PRESENT, AZIMUTH = range(AMBIENT_SIZE)
 # Entries of [effects] that are no terms here: what other entries refer to, and what the plants do.
 _NO_TERMS = frozenset(
     "battery_reference voltage_reference voltage_open voltage_drop voltage_discharge "
@@ -304,7 +304,7 @@ def ground_gain(height, v):
 
 
 @numba.njit(cache=True)
-def ground_effect(position, r, thrust, inclination, present, v):
+def ground_effect(position, r, thrust, inclination, present, azimuth, v):
     """Extra thrust [N] and body torque (x, y) [N m] of the rotors near a surface.
 
     position (3,), attitude r (3, 3), thrust [N] of all rotors. Each rotor sees the slab along its axis with
@@ -314,7 +314,9 @@ def ground_effect(position, r, thrust, inclination, present, v):
     if r[2, 2] <= 0.0:
         return extra, torque_x, torque_y
     si, ci = math.sin(inclination), math.cos(inclination)
-    facing = si * r[0, 2] + ci * r[2, 2]  # of the rotor's axis and the slab's normal
+    sa, ca = math.sin(azimuth), math.cos(azimuth)
+    lean_along, lean_across = ca * r[0, 2] + sa * r[1, 2], ca * r[1, 2] - sa * r[0, 2]  # of the rotor's axis
+    facing = si * lean_along + ci * r[2, 2]  # of the rotor's axis and the slab's normal
     radius = v.rotor.radius
     for side in range(4):
         x = v.rotor.arm if side < 2 else -v.rotor.arm
@@ -324,11 +326,12 @@ def ground_effect(position, r, thrust, inclination, present, v):
         pz = position[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * v.rotor.height
         share, gain = 0.0, 0.0
         if present != 0.0 and facing > 0.0:
-            normal = si * px + ci * (pz - v.platform.surface_height)
-            along = ci * px - si * (pz - v.platform.surface_height)
+            forward, beside = ca * px + sa * py, ca * py - sa * px  # horizontal, along the slope's direction
+            normal = si * forward + ci * (pz - v.platform.surface_height)
+            along = ci * forward - si * (pz - v.platform.surface_height)
             down = normal / facing  # along the rotor's axis
-            along -= down * (ci * r[0, 2] - si * r[2, 2])
-            across = py - down * r[1, 2]
+            along -= down * (ci * lean_along - si * r[2, 2])
+            across = beside - down * lean_across
             if normal > 0.0 and down * r[2, 2] < pz:  # the slab is below, and the floor below it
                 share = disc_inside(v.slab_half_length - abs(along), radius)
                 share *= disc_inside(0.5 * v.platform.depth - abs(across), radius)
@@ -366,7 +369,7 @@ def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
         thrust *= lift * max(0.0, 1.0 - v.effects.axial_inflow * bz)
         if v.effects.ground_effect != 0.0:
             extra, out[3], out[4] = ground_effect(
-                position, r, thrust, ambient[INCLINATION], ambient[PRESENT], v
+                position, r, thrust, ambient[INCLINATION], ambient[PRESENT], ambient[AZIMUTH], v
             )
             thrust += extra
         out[3] -= v.effects.com_offset[1] * thrust
@@ -450,7 +453,7 @@ def _derivative(y, u, ambient, push, i, limits, v, p, rate_loop, r, f, dy):
 
 
 def free_air(n: int) -> np.ndarray:
-    """What n vehicles meet (n, 4) at time 0 with the vehicle file's battery and no platform."""
+    """What n vehicles meet (n, AMBIENT_SIZE) at time 0 with the vehicle file's battery and no platform."""
     ambient = np.zeros((n, AMBIENT_SIZE))
     ambient[:, VOLTAGE] = np.nan
     return ambient

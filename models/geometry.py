@@ -96,16 +96,18 @@ def _outline(kind: int, size: np.ndarray) -> tuple[np.ndarray, float]:
     raise ValueError(f"no outline for a collision geom of type {kind}")
 
 
-def platform_poses(inclination, present, vehicle: Vehicle, surface_height=None):
+def platform_poses(inclination, present, vehicle: Vehicle, surface_height=None, azimuth=0.0):
     """Poses of PLATFORM_BODIES for platforms of the given inclinations.
 
-    inclination (n,) [rad], present (n,) bool, surface_height (n,) [m] where it is not the vehicle's. Returns
+    inclination (n,) [rad], present (n,) bool, surface_height (n,) [m] where it is not the vehicle's,
+    azimuth (n,) or a number [rad] by which all of it is turned about the vertical. Returns
     positions (n, 4, 3) [m] and quaternions (n, 4, 4). The slab's top surface passes through
     (0, 0, surface_height); the walls stand under its two edges, the core fills the space below the lower
     edge. Absent platforms are parked far below the floor.
     """
     inclination = np.asarray(inclination, float)
     present = np.asarray(present, bool)
+    azimuth = np.asarray(azimuth, float)
     n = len(inclination)
     height = vehicle.platform_surface_height if surface_height is None else surface_height
     half = vehicle.slab_half_length
@@ -115,21 +117,28 @@ def platform_poses(inclination, present, vehicle: Vehicle, surface_height=None):
     position[:, 0, 2] = height
     position[:, 1, 0], position[:, 1, 2] = -run, height - rise - underside
     position[:, 2, 0], position[:, 2, 2] = run, height + rise - underside
+    position[:, 1:3, 1] = position[:, 1:3, 0] * np.sin(azimuth)[..., None]
+    position[:, 1:3, 0] *= np.cos(azimuth)[..., None]
     position[:, 3, 2] = height - np.abs(rise) - underside
     position[~present, :, 2] = _PARKED
     quaternion = np.zeros((n, 4, 4))
-    quaternion[..., 0] = 1.0
-    quaternion[:, 0, 0], quaternion[:, 0, 2] = np.cos(inclination / 2), np.sin(inclination / 2)
+    cos, sin = np.cos(azimuth / 2), np.sin(azimuth / 2)
+    quaternion[..., 0], quaternion[..., 3] = cos[..., None], sin[..., None]
+    leaning, upright = np.sin(inclination / 2), np.cos(inclination / 2)
+    slab = (cos * upright, 0.0 - sin * leaning, cos * leaning, sin * upright)
+    quaternion[:, 0] = np.stack([np.broadcast_to(part, n) for part in slab], axis=1)
     return position, quaternion
 
 
 @numba.njit(cache=True, inline="always")
-def box_distance(x, y, z, position, tilt, centre, size):
+def box_distance(x, y, z, position, turn, tilt, centre, size):
     """Signed distance [m] of a point to a box of the platform, negative inside.
 
-    position (3,) of its body, tilt (sine, cosine) of its inclination, centre and half size (3,) in the body.
+    position (3,) of its body, turn and tilt (sine, cosine) of its azimuth and inclination, centre and half
+    size (3,) in the body.
     """
     dx, dy, dz = x - position[0], y - position[1], z - position[2]
+    dx, dy = turn[1] * dx + turn[0] * dy, turn[1] * dy - turn[0] * dx
     dx, dz = tilt[1] * dx - tilt[0] * dz, tilt[0] * dx + tilt[1] * dz
     dx, dy, dz = abs(dx - centre[0]) - size[0], abs(dy - centre[1]) - size[1], abs(dz - centre[2]) - size[2]
     outside = math.sqrt(max(dx, 0.0) ** 2 + max(dy, 0.0) ** 2 + max(dz, 0.0) ** 2)
@@ -137,24 +146,26 @@ def box_distance(x, y, z, position, tilt, centre, size):
 
 
 @numba.njit(cache=True)
-def platform_distance(point, inclination, position, boxes, sizes):
+def platform_distance(point, inclination, azimuth, position, boxes, sizes):
     """Signed distance [m] of a point (3,) to the platform; position (4, 3) from `platform_poses`."""
     x, y, z = point[0], point[1], point[2]
+    turn = math.sin(azimuth), math.cos(azimuth)
     tilt = math.sin(inclination), math.cos(inclination)
-    nearest = box_distance(x, y, z, position[0], tilt, boxes[0], sizes[0])
+    nearest = box_distance(x, y, z, position[0], turn, tilt, boxes[0], sizes[0])
     for b in range(1, len(sizes)):  # only the slab is tilted
-        nearest = min(nearest, box_distance(x, y, z, position[b], (0.0, 1.0), boxes[b], sizes[b]))
+        nearest = min(nearest, box_distance(x, y, z, position[b], turn, (0.0, 1.0), boxes[b], sizes[b]))
     return nearest
 
 
 @numba.njit(cache=True)
-def _clearances(state, inclination, position, centres, radii, parts, boxes, sizes, reach, out):
+def _clearances(state, inclination, azimuth, position, centres, radii, parts, boxes, sizes, reach, out):
     """Smallest distance (n, 3 surfaces, 3 parts) of the vehicle's shapes to the scene [m]."""
     rotated = np.empty(3)
     for i in range(state.shape[0]):
         out[i, :, :] = np.inf
         r = rotation(state[i, 6], state[i, 7], state[i, 8])
         near_floor = state[i, 2] < 2.0 * reach
+        turn = math.sin(azimuth[i]), math.cos(azimuth[i])
         tilt = math.sin(inclination[i]), math.cos(inclination[i])
         for k in range(centres.shape[0]):
             for a in range(3):
@@ -167,21 +178,25 @@ def _clearances(state, inclination, position, centres, radii, parts, boxes, size
             for b in range(sizes.shape[0]):
                 own = tilt if b == 0 else (0.0, 1.0)  # only the slab is tilted
                 x, y, z = rotated[0], rotated[1], rotated[2]
-                distance = box_distance(x, y, z, position[i, b], own, boxes[b], sizes[b]) - radii[k]
+                distance = box_distance(x, y, z, position[i, b], turn, own, boxes[b], sizes[b]) - radii[k]
                 surface = 0 if b == 0 else 1
                 out[i, surface, part] = min(out[i, surface, part], distance)
 
 
-def clearances(state, inclination, position, shapes: Shapes, out=None) -> np.ndarray:
+def clearances(state, inclination, position, shapes: Shapes, out=None, azimuth=0.0) -> np.ndarray:
     """Signed distance [m] of every part to every surface, (n, 3 surfaces, 3 parts).
 
-    state (n, 13), inclination (n,) [rad], position (n, 4, 3) from `platform_poses`. Negative where
-    shapes overlap. The floor's entry is inf for vehicles well above it.
+    state (n, 13), inclination and azimuth (n,) or a number [rad], position (n, 4, 3) from
+    `platform_poses`. Negative where shapes overlap. The floor's entry is inf for vehicles well above it.
     """
+    inclination, azimuth = (
+        np.ascontiguousarray(np.broadcast_to(np.asarray(angle, float), len(state)))
+        for angle in (inclination, azimuth)
+    )
     out = np.empty((len(state), 3, 3)) if out is None else out
     s = shapes
     _clearances(
-        state, inclination, position, s.centres, s.radii, s.parts, s.box_centres, s.box_sizes,
+        state, inclination, azimuth, position, s.centres, s.radii, s.parts, s.box_centres, s.box_sizes,
         s.reach, out,
     )  # fmt: skip
     return out

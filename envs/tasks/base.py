@@ -49,6 +49,7 @@ class Start:
     present: np.ndarray  # (k,) bool: is there a platform
     goal_size: np.ndarray  # (k,) d of the goal box; NaN for tasks without one
     contact: dict[str, Any] | None = None  # arguments (k,) of the plant's set_contact
+    azimuth: np.ndarray | None = None  # (k,) of the slope's direction, rad; None: towards +x everywhere
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,6 +67,7 @@ class Moment:
     length: np.ndarray = _UNKNOWN  # (n,) steps of the episode so far, the last one included
     in_contact: np.ndarray = _UNKNOWN  # (n,) those of them in contact with the platform
     held: np.ndarray = _UNKNOWN  # (n,) steps in a row, before the last one, that were held
+    deck: np.ndarray = _UNKNOWN  # (n, 12) the platforms' own states, see `Plant.set_platform`
 
 
 @dataclasses.dataclass(frozen=True)

@@ -54,14 +54,13 @@ class AnalyticPlant(Plant):
         super()._clear_contacts(ids)
         self.contacts.force[ids] = np.nan
 
-    def set_platform(self, ids, inclination, present=True) -> None:
-        """Platform inclination [rad] and presence of the vehicles `ids`."""
-        self.inclination[ids] = inclination
-        self.present[ids] = present
+    def set_platform(self, ids, inclination, present=True, azimuth=0.0) -> None:
+        """See `Plant.set_platform`."""
+        super().set_platform(ids, inclination, present, azimuth)
         self._position[ids], _ = self._platform_poses(ids)
-        self._ambient[ids, equations.INCLINATION], self._ambient[ids, equations.PRESENT] = (
-            inclination,
-            present,
+        meets = equations.INCLINATION, equations.PRESENT, equations.AZIMUTH
+        self._ambient[np.ix_(np.atleast_1d(ids), meets)] = np.stack(
+            [self.inclination[ids], self.present[ids], self.azimuth[ids]], axis=1
         )
 
     def reset(self, ids, state: np.ndarray) -> None:
@@ -83,7 +82,9 @@ class AnalyticPlant(Plant):
         if self.unrest:
             self.unrest.step()
         self.delays.push_state(self.state)
-        geometry.clearances(self.state, self.inclination, self._position, self.shapes, self._distance)
+        geometry.clearances(
+            self.state, self.inclination, self._position, self.shapes, self._distance, self.azimuth
+        )
         np.less(self._distance, self.keep_out, out=self.contacts.near)
         np.less(self._distance, 0.0, out=self.contacts.touch)
 

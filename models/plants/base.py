@@ -10,13 +10,14 @@ from typing import Literal
 import numpy as np
 
 from inclined_landing.models import equations, geometry, perturbation
-from inclined_landing.models.attitude import STATE_SIZE
+from inclined_landing.models.attitude import PITCH, STATE_SIZE, WZ, YAW, Z
 from inclined_landing.models.delays import Delays
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, check_vehicle, load_vehicle
 from inclined_landing.models.unrest import Seed, Unrest
 
 Attitude = Literal["rate_loop", "kinematic"]
+DECK_SIZE = WZ + 1  # columns of a vehicle's state but for the lag
 # What all vehicles of a plant have in common: other shapes are another scene, other commands another task.
 _SHARED = (
     *("rotor_arm", "rotor_height", "rotor_radius", "slab_half_length", "platform_depth"),
@@ -107,7 +108,11 @@ class Plant:
         self.control_period = control_period or self.vehicle.command_control_period
         self.state = np.zeros((n, STATE_SIZE))
         self.contacts = Contacts(np.zeros((n, 3, 3), bool), np.zeros((n, 3, 3), bool), np.zeros((n, 3, 3)))
-        self.inclination = np.full(n, self.vehicle.platform_inclination)
+        self.deck = np.zeros((n, DECK_SIZE))  # the platforms' own states, see `set_platform`
+        self.deck[:, Z], self.deck[:, PITCH] = (
+            self.vehicle.platform_surface_height,
+            self.vehicle.platform_inclination,
+        )
         self.present = np.ones(n, bool)
         self.perturbation = perturbation.neutral(n)
         self.delays = Delays(n, self._vehicles, self.control_period)
@@ -131,7 +136,7 @@ class Plant:
             "near": c.near,
             "touch": c.touch,
             "force": c.force,
-            "inclination": self.inclination,
+            "deck": self.deck,
             "present": self.present,
             "perturbation": self.perturbation,
             **({"choice": self.choice} if self.pool else {}),
@@ -187,10 +192,31 @@ class Plant:
         if self.unrest:
             self.unrest.assign(ids, choice)
 
+    @property
+    def inclination(self) -> np.ndarray:
+        """(n,) of the platforms [rad]."""
+        return self.deck[:, PITCH]
+
+    @property
+    def azimuth(self) -> np.ndarray:
+        """(n,) by which the platforms are turned about the vertical [rad]."""
+        return self.deck[:, YAW]
+
+    def set_platform(self, ids, inclination, present=True, azimuth=0.0) -> None:
+        """Inclination [rad] and presence of the platforms of the vehicles `ids`, turned by azimuth [rad].
+
+        `deck` (n, 12) then has their states, in the columns of a vehicle's: centre of the surface, velocity,
+        attitude, rates. The surface's attitude is Rz(yaw) Rx(roll) Ry(pitch), its inclination the pitch.
+        """
+        rows = np.zeros((len(self._height[ids]), DECK_SIZE))
+        rows[:, Z], rows[:, PITCH], rows[:, YAW] = self._height[ids], inclination, azimuth
+        self.deck[ids] = rows
+        self.present[ids] = present
+
     def _platform_poses(self, ids) -> tuple[np.ndarray, np.ndarray]:
         """See `geometry.platform_poses`; of the vehicles `ids`."""
         where = self.inclination[ids], self.present[ids]
-        return geometry.platform_poses(*where, self.vehicle, self._height[ids])
+        return geometry.platform_poses(*where, self.vehicle, self._height[ids], self.azimuth[ids])
 
     def perturb(self, **changes) -> None:
         """Set named deviations (see `perturbation.NAMES`) to a number or an (n,) array."""

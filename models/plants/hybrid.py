@@ -74,7 +74,7 @@ class HybridPlant(MujocoPlant):
         near = self._near[: _fly(
             own, acting, model.actuator_ctrlrange, push, self._limited, self.torque_needs_motors,
             self._constants, self.perturbation, model.opt.timestep, self.substeps,
-            self.inclination, self.present, self._mocap_pos, *self._boxes,
+            self.inclination, self.azimuth, self.present, self._mocap_pos, *self._boxes,
             self.shapes.reach - self.foot_height, self.foot_height, self._contact, self.keep_out,
             self.state, self._qpos, self._qvel, self._act, self._ctrl, self._time, self._warmstart,
             self._history, model.actuator_history[:, 0], model.actuator_historyadr,
@@ -92,7 +92,7 @@ functools.update_wrapper(HybridPlant.__init__, MujocoPlant.__init__)  # with its
 @numba.njit(cache=True)
 def _fly(
     ids, acting, ranges, push, limited, needs_motors, vehicle, p, dt, substeps,
-    inclination, present, mocap, boxes, sizes, bodies, above_feet, nominal, contact, zone,
+    inclination, azimuth, present, mocap, boxes, sizes, bodies, above_feet, nominal, contact, zone,
     state, qpos, qvel, act, ctrl, time, warmstart, history, samples, addresses,
     near, touch, force, in_engine, left,
 ):  # fmt: skip
@@ -116,6 +116,7 @@ def _fly(
             poses[b] = mocap[i, bodies[b]]
         around[equations.TIME], around[equations.VOLTAGE] = time[i], math.nan
         around[equations.INCLINATION], around[equations.PRESENT] = inclination[i], present[i]
+        around[equations.AZIMUTH] = azimuth[i]
         radius = above_feet + max(nominal, contact[i, 3])
         equations.take(state[i], y)
         out_of_reach = True
@@ -123,7 +124,7 @@ def _fly(
             if step == 0 or not held:
                 for k in range(4):
                     u[k] = min(ranges[k, 1], max(ranges[k, 0], acting[step, i, k]))
-            platform = geometry.platform_distance(y, inclination[i], poses, boxes, sizes) - zone
+            platform = geometry.platform_distance(y, inclination[i], azimuth[i], poses, boxes, sizes) - zone
             free = min(platform, y[Z]) - radius - _MARGIN
             vx, vy, vz = y[VX], y[VX + 1], y[VZ]
             begun = math.sqrt(vx * vx + vy * vy + vz * vz)

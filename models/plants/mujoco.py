@@ -188,10 +188,9 @@ class MujocoPlant(Plant):
             expand("body_pos")[:, feet, 2] = model.body_pos[feet, 2] + self.foot_height - c[:, 3]
             self.batch.set_const()
 
-    def set_platform(self, ids, inclination, present=True) -> None:
-        """Platform inclination [rad] and presence of the vehicles `ids`."""
-        self.inclination[ids] = inclination
-        self.present[ids] = present
+    def set_platform(self, ids, inclination, present=True, azimuth=0.0) -> None:
+        """See `Plant.set_platform`."""
+        super().set_platform(ids, inclination, present, azimuth)
         position, quat = self._platform_poses(ids)
         for k, mocap in enumerate(self._mocap):
             self._mocap_pos[ids, mocap] = position[:, k]

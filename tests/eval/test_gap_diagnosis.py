@@ -275,7 +275,7 @@ def test_static_map_fits_into_a_vehicle_file():
     """Line with an offset times a sag is the quadratic map, exactly."""
     v = static_map(VEHICLE)
     a, b, c = VEHICLE.motor_pwm_to_force
-    ambient, out = np.array([0.0, np.nan, 0.0, 0.0]), np.zeros(5)
+    ambient, out = np.array([0.0, np.nan, 0.0, 0.0, 0.0]), np.zeros(5)
     for pwm in (10000.0, 42000.0, 60000.0):
         lag = pwm / v.thrust_lag_rate
         equations.wrench(

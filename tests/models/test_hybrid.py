@@ -102,7 +102,8 @@ def test_every_control_step_is_the_engines(case, seed):
     rng = np.random.default_rng(seed)
     if hybrid.pool:
         hybrid.assign(np.arange(n), rng.integers(0, 3, n))
-    hybrid.set_platform(np.arange(n), rng.uniform(-0.8, 0.8, n), rng.uniform(size=n) < present)
+    turned = rng.uniform(-np.pi, np.pi, n) * (rng.uniform(size=n) < 0.5)
+    hybrid.set_platform(np.arange(n), rng.uniform(-0.8, 0.8, n), rng.uniform(size=n) < present, turned)
     if perturbed:
         hybrid.perturb(thrust_scale=rng.uniform(0.8, 1.2, n), mass_scale=rng.uniform(0.9, 1.1, n))
         hybrid.perturb(lag_scale=0.7, drag_change=0.5, gain_scale=1.2, time_constant_scale=0.8)

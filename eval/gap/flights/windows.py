@@ -52,7 +52,7 @@ class Measured:
     middle_velocity: np.ndarray
     middle_attitude: np.ndarray
     middle_rotation: np.ndarray  # (m - 1, 3, 3)
-    ambient: np.ndarray  # (m - 1, 4)
+    ambient: np.ndarray  # (m - 1, 5)
     noise: np.ndarray  # (6,) standard deviation of the measured pose
     starts: np.ndarray  # (w,) first row of every window
     rows: int  # per window
@@ -144,7 +144,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     ambient = np.zeros((m - 1, AMBIENT_SIZE))
     ambient[:, 0] = 0.5 * (t[1:] + t[:-1])
     ambient[:, 1] = np.nan if log.voltage is None else 0.5 * (log.voltage[1:] + log.voltage[:-1])
-    ambient[:, 2:] = vehicle.platform_inclination, float(platform)
+    ambient[:, 2:4] = vehicle.platform_inclination, float(platform)
     usable = flying(log, vehicle)
     usable[t < SETTLING] = False
     for start, stop in gaps:
