@@ -1,0 +1,164 @@
+"""How platforms move: steady travel and a sum of waves, in closed form.
+
+A deck's place is that of its platform at rest (`Plant.set_platform`) plus, at a time t [s],
+
+    velocity t + sum over its waves of amplitude sin(frequency t + phase),
+
+the velocity along x, y and z, the waves in each of MODES: along the world's x, y, z [m], and as angles [rad]
+added to roll, pitch (inclination) and yaw (azimuth) of the attitude Rz(yaw) Rx(roll) Ry(pitch). Speeds and
+accelerations are its derivatives, so that nothing is integrated and any time can be asked for.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numba
+import numpy as np
+
+from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, WX, WY, WZ, YAW, Z, body_rates, rotation
+from inclined_landing.models.errors import UserError
+
+MODES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
+_LARGEST_ROLL = 1.2  # rad: the angles' chart ends at 90 deg
+
+
+@dataclasses.dataclass
+class Motion:
+    """Motions of n decks, each with up to W waves per mode; modes in the order of MODES.
+
+    Raises UserError for arrays of other shapes, numbers that are not finite, and rolls beyond 1.2 rad.
+    """
+
+    velocity: np.ndarray  # (n, 3) m/s
+    amplitude: np.ndarray  # (n, 6, W) m, rad
+    frequency: np.ndarray  # (n, 6, W) rad/s
+    phase: np.ndarray  # (n, 6, W) rad
+
+    def __post_init__(self):
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            try:
+                array = np.array(value, float, order="C")
+            except (TypeError, ValueError, OverflowError):
+                raise UserError(f"a motion's {field.name} must be an array of numbers") from None
+            if not np.isfinite(array).all():
+                raise UserError(f"a motion's {field.name} holds NaN or infinity")
+            setattr(self, field.name, array)
+        n, waves = len(self), self.amplitude.shape[-1] if self.amplitude.ndim else 0
+        shapes = {"velocity": (n, 3)} | dict.fromkeys(("amplitude", "frequency", "phase"), (n, 6, waves))
+        for name, shape in shapes.items():
+            if (own := getattr(self, name).shape) != shape:
+                raise UserError(f"a motion's {name} must have shape {shape}, not {own}")
+        if (np.abs(self.amplitude[:, 3]).sum(axis=1) > _LARGEST_ROLL).any():
+            raise UserError(f"a deck rolls by {_LARGEST_ROLL} rad at most, its waves together")
+
+    @classmethod
+    def still(cls, n: int, waves: int = 1) -> Motion:
+        """n decks that do not move."""
+        return cls(np.zeros((n, 3)), *np.zeros((3, n, 6, waves)))
+
+    def __len__(self) -> int:
+        return len(self.velocity) if self.velocity.ndim else 0
+
+    def __getitem__(self, ids) -> Motion:
+        """The motions of the decks `ids`, an index array, a mask or a slice; copies."""
+        return Motion(self.velocity[ids], self.amplitude[ids], self.frequency[ids], self.phase[ids])
+
+    def __setitem__(self, ids, motion: Motion) -> None:
+        """Give the decks `ids` (k,) the k motions, however many waves these have."""
+        waves = max(self.amplitude.shape[2], motion.amplitude.shape[2])
+        self.velocity[ids] = motion.velocity
+        for name in ("amplitude", "frequency", "phase"):
+            own = _widened(getattr(self, name), waves)
+            own[ids] = _widened(getattr(motion, name), waves)
+            setattr(self, name, own)
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Velocity, amplitude, frequency, phase: as the compiled functions take them."""
+        return self.velocity, self.amplitude, self.frequency, self.phase
+
+    def at(self, times) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Displacement, rate and acceleration (n, 6) in each mode at times (n,) or one number [s].
+
+        Rates and accelerations of the angles are those of the Euler angles.
+        """
+        out = np.empty((len(self), 3, 6))
+        _moved(np.arange(len(self)), _times(times, len(self)), *self.arrays, out)
+        return out[:, 0], out[:, 1], out[:, 2]
+
+    def decks(self, times, rest: np.ndarray) -> np.ndarray:
+        """States (n, 12) of decks at times (n,) or one number [s], columns as `Plant.deck`.
+
+        rest (n, 12): the platforms' states where they do not move.
+        """
+        deck = np.array(rest, float)
+        where_now(np.arange(len(self)), _times(times, len(self)), rest, *self.arrays, deck)
+        return deck
+
+
+def velocity_at(deck: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Velocity (n, 3) [m/s] of decks (n, 12) at points (n, 3) of the world that move along with them."""
+    velocities = np.empty((len(deck), 3))
+    _velocities_at(np.ascontiguousarray(deck), np.ascontiguousarray(points), velocities)
+    return velocities
+
+
+def _widened(array: np.ndarray, waves: int) -> np.ndarray:
+    """(n, 6, w) with zeros up to (n, 6, waves)."""
+    return np.pad(array, ((0, 0), (0, 0), (0, waves - array.shape[2])))
+
+
+def _times(times, n: int) -> np.ndarray:
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(times, float), n))
+
+
+@numba.njit(cache=True)
+def moved(i, t, velocity, amplitude, frequency, phase, out):
+    """Displacement, rate, acceleration of deck i at t [s] in each mode, into `out` (3, 6)."""
+    for mode in range(6):
+        x, v, a = 0.0, 0.0, 0.0
+        if mode < 3:
+            v = velocity[i, mode]
+            x = v * t
+        for w in range(amplitude.shape[2]):
+            size, turn = amplitude[i, mode, w], frequency[i, mode, w]
+            if size != 0.0:
+                angle = turn * t + phase[i, mode, w]
+                along = size * math.sin(angle)
+                x += along
+                v += size * turn * math.cos(angle)
+                a -= turn * turn * along
+        out[0, mode], out[1, mode], out[2, mode] = x, v, a
+
+
+@numba.njit(cache=True)
+def _moved(ids, times, velocity, amplitude, frequency, phase, out):
+    for i in ids:
+        moved(i, times[i], velocity, amplitude, frequency, phase, out[i])
+
+
+@numba.njit(cache=True)
+def where_now(ids, times, rest, velocity, amplitude, frequency, phase, deck):
+    """States of the decks `ids` at times (n,) [s] into their rows of `deck` (n, 12); see `Motion.decks`."""
+    now = np.empty((3, 6))
+    for i in ids:
+        moved(i, times[i], velocity, amplitude, frequency, phase, now)
+        d = deck[i]
+        for k in range(3):
+            d[k] = rest[i, k] + now[0, k]
+            d[VX + k] = now[1, k]
+            d[ROLL + k] = rest[i, ROLL + k] + now[0, 3 + k]
+        d[WX], d[WY], d[WZ] = body_rates(d[ROLL], d[PITCH], now[1, 3], now[1, 4], now[1, 5])
+
+
+@numba.njit(cache=True)
+def _velocities_at(deck, points, out):
+    for i in range(len(deck)):
+        d = deck[i]
+        r = rotation(d[ROLL], d[PITCH], d[YAW])
+        turn = r @ d[WX : WZ + 1]
+        arm = points[i] - d[: Z + 1]
+        out[i] = d[VX : VZ + 1] + np.cross(turn, arm)

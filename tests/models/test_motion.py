@@ -1,0 +1,81 @@
+"""Motions of decks: speeds are the derivatives of places, points of a deck move as a rigid body."""
+
+import numpy as np
+import pytest
+
+from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, YAW, X, Z, rotation
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.motion import MODES, Motion, velocity_at
+
+H = 1e-4  # s, of central differences
+# Waves of at most 0.2 m or rad and 6 rad/s, three of them, and their products in a turning frame: the third
+# derivative stays below 3 x 0.2 x 6^3 = 130, times what turns multiply it by; H^2/6 of it, and rounding.
+NEAR = 1e-5
+
+
+def motions(n: int, waves: int = 3, seed: int = 0) -> Motion:
+    rng = np.random.default_rng(seed)
+    sizes = rng.uniform(0, 0.2, (n, 6, waves)) / np.arange(1, waves + 1)
+    turns, phases = rng.uniform(1, 6, (n, 6, waves)), rng.uniform(0, 6, (n, 6, waves))
+    return Motion(rng.normal(size=(n, 3)), sizes, turns, phases)
+
+
+def rests(n: int) -> np.ndarray:
+    rest = np.zeros((n, 12))
+    rest[:, Z], rest[:, PITCH], rest[:, YAW] = 1.15, 0.3, np.linspace(-3, 3, n)
+    return rest
+
+
+def test_rates_are_derivatives():
+    motion, times = motions(8), np.linspace(0, 5, 8)
+    before, now, after = (motion.at(times + shift) for shift in (-H, 0.0, H))
+    for order in (0, 1):
+        np.testing.assert_allclose((after[order] - before[order]) / (2 * H), now[order + 1], atol=NEAR)
+
+
+def test_points_of_a_deck_move_with_it():
+    motion, rest, local = motions(8), rests(8), np.array([0.4, -0.2, -0.01])
+
+    def point(time):
+        deck = motion.decks(time, rest)
+        return deck, np.array([d[: Z + 1] + rotation(*d[ROLL : YAW + 1]) @ local for d in deck])
+
+    (_, before), (deck, now), (_, after) = (point(2.0 + shift) for shift in (-H, 0.0, H))
+    np.testing.assert_allclose((after - before) / (2 * H), velocity_at(deck, now), atol=NEAR)
+    np.testing.assert_allclose(velocity_at(deck, deck[:, : Z + 1]), deck[:, VX : VZ + 1])
+
+
+def test_selection_and_assignment_keep_each_decks_motion():
+    few, many = motions(3, waves=2), motions(2, waves=4, seed=1)
+    mixed, rest = Motion.still(5), rests(5)
+    mixed[[0, 2, 4]], mixed[np.array([False, True, False, True, False])] = few, many
+    places = mixed.decks(1.3, rest)
+    np.testing.assert_array_equal(places[[0, 2, 4]], few.decks(1.3, rest[[0, 2, 4]]))
+    np.testing.assert_array_equal(places[[1, 3]], mixed[1:4:2].decks(1.3, rest[[1, 3]]))
+    np.testing.assert_array_equal(Motion.still(5).decks(9.0, rest), rest)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"velocity": np.zeros((2, 2))},
+        {"velocity": 1.0},
+        {"amplitude": np.zeros((2, 6))},
+        {"phase": np.zeros((2, 6, 2))},
+        {"frequency": np.full((2, 6, 1), np.nan)},
+        {"amplitude": [["heave"]]},
+        {"amplitude": np.full((2, len(MODES), 1), 1.3)},
+    ],
+)
+def test_what_is_no_motion_is_refused(change):
+    parts = dict(zip(("velocity", "amplitude", "frequency", "phase"), Motion.still(2).arrays))
+    with pytest.raises(UserError, match=r"motion|deck"):
+        Motion(**(parts | change))
+
+
+def test_columns():
+    motion = Motion.still(1)
+    motion.amplitude[0, MODES.index("pitch")], motion.phase[:] = 0.1, np.pi / 2
+    motion.amplitude[0, MODES.index("surge")] = 0.2
+    deck = motion.decks(0.0, rests(1))[0]
+    assert deck[X] == 0.2 and deck[PITCH] == pytest.approx(0.4)
