@@ -73,6 +73,7 @@ class BatchEnv:
         self.touched = np.zeros(n, bool)
         self.held = np.zeros(n, int)
         self.commands = np.zeros((n, 4))
+        self.actions = np.zeros((n, len(task.action_names)))
         self.past = History(task, n)
         self._start = Start(
             np.zeros((n, plant.state.shape[1])),
@@ -138,8 +139,6 @@ class BatchEnv:
             start.state[:, LAG] *= self.plant.hover_share[ids]
         else:
             start = self.task.start(state)
-        for name in _START:
-            getattr(self._start, name)[ids] = getattr(start, name)
         inclination = start.inclination + self.plant.tilt[ids]
         self.plant.set_platform(
             ids, inclination, start.present, 0.0 if start.azimuth is None else start.azimuth
@@ -147,6 +146,15 @@ class BatchEnv:
         if start.contact is not None:
             self.plant.set_contact(ids, **start.contact)
         self.plant.reset(ids, start.state)
+        return self._begin(ids, start)
+
+    def take_over(self, ids) -> np.ndarray:
+        """Begin episodes of the vehicles `ids` where the plant has them now; return their observations."""
+        return self._begin(np.asarray(ids), self.task.start(self.plant.state[ids].copy()))
+
+    def _begin(self, ids: np.ndarray, start: Start) -> np.ndarray:
+        for name in _START:
+            getattr(self._start, name)[ids] = getattr(start, name)
         self.length[ids] = 0
         self.total[ids] = 0.0
         self.contact_steps[ids] = 0
@@ -168,24 +176,30 @@ class BatchEnv:
         wanted: (n,) bool, vehicles that somebody looks at; the plant may let the others stand still.
         Raises UserError when an action has the wrong shape or is not finite.
         """
+        self.act(actions)
+        self.plant.step(self.commands, wanted)
+        return self.outcome()
+
+    def act(self, actions: np.ndarray) -> None:
+        """The first half of `step`: `commands` are those of the actions (n, a), for the plant."""
         actions = numbers(actions, "the action")
         if actions.shape != (self.n, self._action_size):
             raise UserError(f"actions must have shape ({self.n}, {self._action_size}), not {actions.shape}")
         if not np.isfinite(actions).all():
             raise UserError("an action is NaN or infinite")
-        actions = np.clip(actions, -1.0, 1.0)
-        self.commands = self.task.commands(actions)
+        self.actions = np.clip(actions, -1.0, 1.0)
+        self.commands = self.task.commands(self.actions)
         if self.task.history:
-            self.past.note(self._present(), actions)
-        self.plant.step(self.commands, wanted)
+            self.past.note(self._present(), self.actions)
+
+    def outcome(self) -> Step:
+        """The second half of `step`: what the plant's step under `commands` has led to."""
         contacts = self.plant.contacts
         self.length += 1
         self.contact_steps += contacts.platform_near
         self.touched |= contacts.platform
-        moment = Moment(
-            *(self.plant.state, contacts, actions, self._start, self.length, self.contact_steps, self.held),
-            deck=self.plant.deck,
-        )
+        records = self._start, self.length, self.contact_steps, self.held
+        moment = Moment(self.plant.state, contacts, self.actions, *records, deck=self.plant.deck)
         verdict: Judgement = self.task.judge(moment)
         if verdict.holding is not None:
             self.held = np.where(verdict.holding, self.held + 1, 0)

@@ -18,21 +18,33 @@ _FREE = 0.01  # m from every surface, where nothing can touch
 _NONE = np.zeros((0, 3))
 
 
-@dataclasses.dataclass
-class Flight:
-    """One flight, from its start to the goal or the time limit, at the control rate; T = steps + 1.
+@dataclasses.dataclass(kw_only=True)
+class Track:
+    """The way of one vehicle at the control rate, T = steps + 1 rows: what pictures are drawn of.
 
-    Row k of `actions` and `commands` is what was applied from t[k] to t[k + 1]; the last row, after
-    which nothing was flown, repeats the one before.
+    Row k of `commands` is what was applied from t[k] to t[k + 1]; the last row, after which nothing was
+    flown, repeats the one before.
     """
 
-    task: Task
+    task: Task  # whose goal it is
     t: np.ndarray  # (T,) s
     state: np.ndarray  # (T, 13), columns of `models.attitude`
-    actions: np.ndarray  # (T, a) in [-1, 1]
     commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s
-    reward: np.ndarray  # (T,), of the step that ended at t[k]; 0 at the start
     inclination: float | None  # of the platform, rad; None without one
+
+    @property
+    def goals(self) -> list[np.ndarray]:
+        """The states (13,) that it is to reach."""
+        goal = self.task.goal_state
+        return [] if goal is None else [goal]
+
+
+@dataclasses.dataclass(kw_only=True)
+class Flight(Track):
+    """One flight of one policy, from its start to the goal or the time limit."""
+
+    actions: np.ndarray  # (T, a) in [-1, 1], rows as those of `commands`
+    reward: np.ndarray  # (T,), of the step that ended at t[k]; 0 at the start
     success: bool  # at the end, as the task judges it
     touched: bool  # did any part touch the platform
 

@@ -39,7 +39,7 @@ from inclined_landing.envs.tasks.base import (
     Training,
     hover_states,
 )
-from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VY, VZ, X, Y, Z
 from inclined_landing.models.parameters import Vehicle
 
 EFFORT_FLOOR = 0.001  # m
@@ -102,6 +102,27 @@ class Setpoint(Task):
     def position_error(self, state: np.ndarray) -> np.ndarray:
         """(n,) distance to the goal [m]."""
         return np.linalg.norm(state[:, :3] - GOAL, axis=1)
+
+    def shifted(self, state: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """States (n, 13) as if `goal`, (3,) or (n, 3) [m], were the task's own: so any point is flown to.
+
+        Who is farther away than a start can be is shown at the edge of START_BOX.
+        """
+        low, high = np.array(START_BOX).T
+        shown = state.copy()
+        shown[:, X : Z + 1] = np.clip(np.array(GOAL) - (goal - state[:, X : Z + 1]), low, high)
+        return shown
+
+    def across(self, state: np.ndarray, y: float) -> np.ndarray:
+        """States (n, 13) `shifted` to the goal at y [m], and at it in all that moves nothing along y.
+
+        The roll that answers them holds a planar flight in its plane.
+        """
+        shown = np.zeros_like(state)
+        shown[:, [VY, ROLL, LAG]] = state[:, [VY, ROLL, LAG]]
+        shown[:, Y] = state[:, Y]
+        goal = np.array([0.0, y, 0.0])
+        return self.shifted(shown, goal)
 
     def judge(self, moment: Moment) -> Judgement:
         """See the module's docstring."""

@@ -6,9 +6,8 @@ import numpy as np
 
 from inclined_landing.envs.history import History
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.tasks.base import Moment
-from inclined_landing.envs.tasks.setpoint import GOAL, START_BOX
-from inclined_landing.models.attitude import LAG, ROLL, ROLL_COMMAND, STATE_SIZE, VY, X, Y, Z
+from inclined_landing.envs.tasks import Moment, Setpoint
+from inclined_landing.models.attitude import ROLL_COMMAND, X, Z
 
 TRIM_GAIN = 0.5  # 1/s: how fast the set-point flight learns what holds it beside its target
 TRIM_LIMIT = 0.3  # m
@@ -61,22 +60,17 @@ class Hover:
 
     def __init__(self, policy: Policy):
         self.actor = Actor(policy)
+        self._task: Setpoint = policy.task  # type: ignore[assignment]
         self.trim = np.zeros(3)  # m
-        self._low, self._high = np.array(START_BOX).T
 
     def fly(self, state: np.ndarray, target: np.ndarray, dt: float) -> np.ndarray:
         """Command (4,) for a state (13,) towards a target (3,) [m], dt [s] after the last one."""
         away = target - state[X : Z + 1]
         if np.linalg.norm(away) < TRIM_REACH:
             self.trim = np.clip(self.trim + TRIM_GAIN * dt * away, -TRIM_LIMIT, TRIM_LIMIT)
-        shown = state.copy()
-        shown[X : Z + 1] = np.clip(np.array(GOAL) - away - self.trim, self._low, self._high)
-        return self.actor.act(shown)[1]
+        return self.actor.act(self._task.shifted(state[None], target + self.trim)[0])[1]
 
     def roll_to(self, state: np.ndarray, y: float) -> float:
         """Roll command [rad] that holds a planar flight at y [m]: the policy's, all else at its goal."""
-        shown = np.zeros(STATE_SIZE)
-        shown[X : Z + 1] = GOAL
-        shown[Y] = np.clip(GOAL[1] + state[Y] - y - self.trim[1], self._low[1], self._high[1])
-        shown[[VY, ROLL, LAG]] = state[[VY, ROLL, LAG]]
+        shown = self._task.across(state[None], y + self.trim[1])[0]
         return float(self.actor.act(shown)[1][ROLL_COMMAND])

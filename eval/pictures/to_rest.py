@@ -20,7 +20,7 @@ HELD = 0.3  # s without motion that end it
 _SLAB, _FLOOR = SURFACES.index("slab"), SURFACES.index("floor")
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(kw_only=True)
 class Landing(Flight):
     """A flight with what followed the motor cut; rows from `cut` on have PWM 0 as their command."""
 

@@ -216,3 +216,29 @@ def test_records_can_be_restored():
     other.rng.bit_generator.state = rng
     for x, y in zip(first, go(other), strict=True):
         np.testing.assert_array_equal(x, y)
+
+
+def test_a_step_is_an_act_the_plants_step_and_its_outcome(kind):
+    whole, halves = build(3, **kind), build(3, **kind)
+    for env in (whole, halves):
+        env.reset()
+    actions = np.random.default_rng(1).uniform(-1.0, 1.0, (3, len(whole.task.action_names)))
+    step = whole.step(actions)
+    halves.act(actions)
+    halves.plant.step(halves.commands)
+    other = halves.outcome()
+    np.testing.assert_array_equal(step.observation, other.observation)
+    np.testing.assert_array_equal(step.reward, other.reward)
+
+
+def test_an_episode_taken_over_begins_where_the_vehicle_is():
+    env = build(2, "touchdown", "mujoco")
+    env.reset()
+    for _ in range(3):
+        env.step(np.zeros((2, 2)))
+    before = env.plant.save()
+    observation = env.take_over([1])
+    for name, array in env.plant.save().arrays.items():
+        np.testing.assert_array_equal(array, before.arrays[name])
+    np.testing.assert_array_equal(observation, env.observe([1]))
+    assert env.length.tolist() == [3, 0] and env.touched.tolist() == [False, False]

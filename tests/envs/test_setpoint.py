@@ -102,3 +102,23 @@ def test_starts_fill_their_box_at_rest_without_a_platform():
 def test_wrong_options_are_refused(options, sentence):
     with pytest.raises(UserError, match=sentence):
         make_task("setpoint", **options)
+
+
+def test_any_goal_is_the_own_one_seen_from_elsewhere():
+    rng = np.random.default_rng(3)
+    start = TASK.sample(rng, 20).state
+    goal = rng.uniform(-1.0, 1.0, (20, 3))
+    moved = start.copy()
+    moved[:, :3] += goal - setpoint.GOAL
+    np.testing.assert_allclose(TASK.shifted(moved, goal), start, atol=1e-15)  # rounding of numbers of 1
+    far = state((7.0, 0.0, 1.2))[None]
+    assert TASK.shifted(far, np.array(setpoint.GOAL))[0, 0] == setpoint.START_BOX[0][1]
+
+
+def test_across_shows_what_moves_along_y_and_the_goal_otherwise():
+    states = np.random.default_rng(4).uniform(-1.0, 1.0, (5, 13))
+    shown = TASK.across(states, 0.25)
+    np.testing.assert_allclose(shown[:, 1], states[:, 1] - 0.25, atol=1e-15)
+    np.testing.assert_array_equal(shown[:, [4, ROLL, LAG]], states[:, [4, ROLL, LAG]])
+    seen = TASK.observe(Moment(shown))[:, [0, 2, 3, 5, 7]]
+    np.testing.assert_array_equal(seen, np.tile(TASK.goal[[0, 2, 3, 5, 7]].astype(np.float32), (5, 1)))

@@ -26,7 +26,8 @@ def flight(seconds=0.4, period=0.02):
     state[:, 0], state[:, 2], state[:, 7] = 1.0 - t, 1.8, 0.3
     commands = np.tile([42000.0, 0, 0.3, 0], (len(t), 1))
     none = np.zeros((len(t), 2))
-    return Flight(make_task("landing"), t, state, none, commands, none[:, 0], -0.45, False, False)
+    rest = {"reward": none[:, 0], "inclination": -0.45, "success": False, "touched": False}
+    return Flight(task=make_task("landing"), t=t, state=state, actions=none, commands=commands, **rest)
 
 
 def test_frames_follow_the_clock():
