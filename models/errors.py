@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 # Packages by the extra that installs them; all others come with `eval`.
 _EXTRAS = {
-    "train": ("stable_baselines3", "torch", "tensorboard", "psutil"),
+    "train": ("stable_baselines3", "torch", "tensorboard", "psutil", "tomlkit"),
     "export": ("onnx",),
     "ray": ("ray",),
     "fly": ("cflib",),

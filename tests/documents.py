@@ -17,6 +17,8 @@ from sybil.parsers.markdown.lexers import RawFencedCodeBlockLexer
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.command_line import bound, parse
 from inclined_landing.eval.base.manual import manual
+from inclined_landing.train.config import TrainConfig
+from inclined_landing.train.sweep.command import command as sweep
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "docs" / "site"))
@@ -86,7 +88,8 @@ def check(words: list[str]) -> None:
         rest = [re.sub(r"\$\w+|\$\{\w+\}", "1", word).strip("[]") for word in rest]
         target = _target(program, rest)
         if target is not None and "--help" not in rest:
-            parse(target, program, rest[1:] if program == "landing-eval" else rest)
+            named = program == "landing-eval" or rest[:1] == ["sweep"]
+            parse(target, program, rest[1:] if named else rest)
     elif program == "make":
         known = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
         assert all(word in known or "=" in word for word in rest), words
@@ -107,9 +110,9 @@ def _target(program: str, rest: list[str]):
     """What the words of a command are parsed into; None for those of a program itself (--help, --version)."""
     if rest and rest[0] in ("--version", "--print-completion"):  # of either program
         return None
+    if program == "landing-train" and rest[:1] == ["sweep"]:
+        return bound(sweep)
     if program == "landing-train":
-        from inclined_landing.train.config import TrainConfig
-
         return TrainConfig
     if not rest or rest[0].startswith("-"):
         return None

@@ -24,7 +24,10 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         return command_line.exit_code("landing-train", work, "train")
     except KeyboardInterrupt:
+        words = sys.argv[1:] if arguments is None else arguments
         go_on = "interrupted; --resume with the same --out goes on from the last checkpoint"
+        if words[:1] == ["sweep"]:
+            go_on = "interrupted; the same command goes on"
         print(f"landing-train: {go_on}", file=sys.stderr)
         return 128 + (caught or [signal.SIGINT])[0]
 
@@ -34,6 +37,10 @@ def _train(arguments: list[str] | None) -> int:
     if words and words[0] == "--version":
         print(command_line.versions("landing-train"))
         return 0
+    if words and words[0] == "sweep":
+        from inclined_landing.train.sweep.command import command
+
+        return command_line.parse(command_line.bound(command), "landing-train sweep", words[1:])()
     from inclined_landing.train.config import TrainConfig
 
     if words and words[0].partition("=")[0] == "--print-completion":

@@ -63,6 +63,8 @@ class TrainConfig:
     Where the task names a share of successes, the run ends when the curriculum is complete and two
     evaluations in a row reach it, each from 256 starts of its own. One that ends without exits with code 3;
     wrong input with 2.
+
+    `landing-train sweep RECIPE` trains and judges what a recipe says, for every seed.
     """
 
     task: Annotated[tyro.conf.Positional[str], _TASK] = "landing"

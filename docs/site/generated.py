@@ -21,6 +21,7 @@ from inclined_landing.models.attitude import COMMAND_UNITS, STATE_UNITS
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import Constant, constants, load_vehicle
 from inclined_landing.train.config import TrainConfig
+from inclined_landing.train.sweep.command import command as sweep
 
 
 def pages() -> dict[str, str]:
@@ -47,10 +48,15 @@ def commands() -> str:
             ["command", ""],
             [
                 ["[`landing-train`](#landing-train)", "Train a policy; everything lands in one run folder."],
+                [
+                    "[`landing-train sweep`](#landing-train-sweep)",
+                    "Train and judge what a recipe says, for every seed.",
+                ],
                 *([f"[`landing-eval {name}`](#{name})", line] for name, (_, line) in cli.COMMANDS.items()),
             ],
         ),
         _command("landing-train", "landing-train", TrainConfig),
+        _command("landing-train sweep", "landing-train sweep", bound(sweep)),
     ]
     for name in cli.COMMANDS:
         parts.append(_command(name, f"landing-eval {name}", bound(cli.find(name))))

@@ -37,3 +37,16 @@ def mean(values) -> dict:
         half = t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
         result["interval"] = [result["mean"] - float(half), result["mean"] + float(half)]
     return result
+
+
+def bootstrap(values, seed: int = 0) -> dict:
+    """Mean with its 95 % bootstrap interval (percentiles of 10 000 draws), for more than one value.
+
+    It never leaves the range of the values, and of three or four it is rather narrow.
+    """
+    values = np.asarray(values, float)
+    result = {"mean": float(values.mean()), "interval": None}
+    if len(values) > 1:
+        drawn = np.random.default_rng(seed).choice(values, (10_000, len(values))).mean(axis=1)
+        result["interval"] = [float(end) for end in np.quantile(drawn, [0.025, 0.975])]
+    return result

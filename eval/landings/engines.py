@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Iterator, Sequence
 
 import pyarrow as pa
 
+from inclined_landing.eval.base import cluster
 from inclined_landing.eval.landings.design import run_chunk
 from inclined_landing.eval.landings.study import Study
-from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
 ENGINES = ("local", "ray")
 _AHEAD = 2  # chunks in flight per core of the cluster
-_PATIENCE = 5.0  # s to wait for a connection
 
 Chunks = Iterator[tuple[int, pa.Table]]
 
@@ -31,15 +29,7 @@ def on_ray(study: Study, chunks: Sequence[int], size: int, address: str | None) 
     address: of a running cluster, on whose machines this package must be installed; None starts Ray
     on this machine.
     """
-    ray = _import_ray()
-    began = not ray.is_initialized()
-    if began:
-        try:
-            ray.init(address=address, include_dashboard=False, log_to_driver=False, configure_logging=False)
-        except (ConnectionError, ValueError, RuntimeError, OSError) as error:
-            where = f"at {address}" if address else "on this machine"
-            raise UserError(f"Ray cannot be reached {where}: {shown(error, 150)}") from error
-    try:
+    with cluster.connected(address) as ray:
         remote = ray.remote(num_cpus=1, max_retries=3)(run_chunk)
         shared, todo, flying = ray.put(study), list(chunks), {}
         limit = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
@@ -48,30 +38,7 @@ def on_ray(study: Study, chunks: Sequence[int], size: int, address: str | None) 
                 chunk = todo.pop(0)
                 flying[remote.remote(shared, chunk, size, 1)] = chunk
             (done,), _ = ray.wait(list(flying), num_returns=1)
-            yield flying.pop(done), _result(ray, done)
-    finally:
-        if began:
-            ray.shutdown()
-
-
-def _result(ray, reference) -> pa.Table:
-    try:
-        return ray.get(reference)
-    except ray.exceptions.RayError as error:
-        last = (str(error).strip().splitlines() or ["no reason given"])[-1]
-        raise UserError(f"a chunk of the study failed on Ray: {last}") from error
-
-
-def _import_ray():
-    try:
-        import ray
-
-        ray.init  # noqa: B018 (a folder named ray, such as Ray's own in /tmp, imports as a package)
-    except (ImportError, AttributeError) as error:
-        raise UserError(
-            "--engine ray needs Ray, which is not installed; pip install 'inclined-landing[ray]'"
-        ) from error
-    return ray
+            yield flying.pop(done), cluster.answer(ray, done, "a chunk of the study")
 
 
 def check(engine: str, address: str | None) -> None:
@@ -81,20 +48,7 @@ def check(engine: str, address: str | None) -> None:
     if engine == "local" and address is not None:
         raise UserError("--address belongs to --engine ray")
     if engine == "ray":
-        _import_ray()
-        if address is not None:
-            _knock(address)
-
-
-def _knock(address: str) -> None:
-    """Raise UserError unless something listens at the address: Ray itself would try for minutes."""
-    host, _, port = address.removeprefix("ray://").rpartition(":")
-    if not host or not (port.isascii() and port.isdigit() and len(port) <= 5) or not 0 < int(port) < 65536:
-        raise UserError(f"--address must be HOST:PORT, not {shown(repr(address))}")
-    try:
-        socket.create_connection((host, int(port)), timeout=_PATIENCE).close()
-    except (OSError, ValueError) as error:  # ValueError: no name of a host
-        raise UserError(f"no Ray cluster answers at {shown(address)}: {storage.reason(error)}") from error
+        cluster.check(address, "--engine ray")
 
 
 def chunks_of(engine: str, study: Study, chunks: Sequence[int], size: int, address: str | None) -> Chunks:

@@ -1,0 +1,308 @@
+"""The numbers of a recipe over its seeds: taken from the runs' files, summed up, held against the bar.
+
+A number is found as
+
+- a number: mean with its bootstrap interval over the seeds;
+- true or false: the share of the seeds, with its Wilson interval;
+- a share as `statistics.proportion` writes it (`count` and `of`): the share of all flights of all seeds, with
+  its Wilson interval;
+- null: this run never got there. It counts as worse than every number.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from inclined_landing.eval.base.claims import number as rounded
+from inclined_landing.eval.base.statistics import bootstrap, proportion
+from inclined_landing.eval.sweeps.recipe import Number, Recipe, only
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, shown
+
+KINDS = ("number", "share", "flights")  # what a value is: see above
+_RESULT = ("command", "machine", "versions", "load", "measured", "runs")
+_RUN = ("variant", "seed", "cpu_seconds", "wall_seconds", "ended")
+_MOST = 100_000  # entries of a list
+_LONGEST = 2000  # characters
+
+
+@dataclasses.dataclass(frozen=True)
+class Measured:
+    """One number of one variant over the seeds, in the unit of the recipe."""
+
+    variant: str
+    number: Number
+    kind: str  # one of KINDS
+    values: tuple[float | None, ...]  # by seed; None: never
+    mean: float | None  # of share and flights: the share of all; None where a value is missing
+    interval: tuple[float, float] | None  # 95 %, of the mean
+
+    @property
+    def present(self) -> list[float]:
+        """The values that are there."""
+        return [value for value in self.values if value is not None]
+
+    @property
+    def median(self) -> float | None:
+        """Of the values, missing ones being the worst; None where one of them decides."""
+        return _finite(np.median(self._ranked))
+
+    @property
+    def held(self) -> float | None:
+        """What is held against the bar: median, mean or worst, as the recipe says; None: never."""
+        if self.number.over == "median":
+            return self.median
+        if self.number.over == "mean":
+            return self.mean
+        return _finite(max(self._ranked) if self.number.better == "lower" else min(self._ranked))
+
+    @property
+    def met(self) -> bool | None:
+        """Is the bar met; None where there is none."""
+        if self.number.bar is None:
+            return None
+        if self.held is None:
+            return False
+        return self.held <= self.number.bar if self.number.better == "lower" else self.held >= self.number.bar
+
+    @property
+    def words(self) -> str:
+        """Median and range: "99.6 (99.2 to 100) %"."""
+        missing = len(self.values) - len(self.present)
+        if not self.present:
+            return f"never in {missing} of {missing}"
+        low, high = rounded(min(self.present)), rounded(max(self.present))
+        text = "never" if self.median is None else rounded(self.median)
+        text += f" ({low} to {high})" if low != high or self.median is None else ""
+        text += f" {self.number.unit}" if self.number.unit != "1" else ""
+        return f"{text}, never in {missing} of {len(self.values)}" if missing else text
+
+    @property
+    def interval_words(self) -> str:
+        """Mean and interval: "99.5 [98.9, 99.9]"."""
+        if self.mean is None:
+            return "–"
+        ends = "" if self.interval is None else f" [{', '.join(map(rounded, self.interval))}]"
+        return rounded(self.mean) + ends
+
+    @property
+    def bar_words(self) -> str:
+        """The bar and what is held against it: "worst at least 99"."""
+        if self.number.bar is None:
+            return "–"
+        side = "at most" if self.number.better == "lower" else "at least"
+        return f"{self.number.over} {side} {rounded(self.number.bar)}"
+
+    def record(self) -> dict:
+        """Plain data; `read` gives it back."""
+        entry: dict[str, Any] = {"variant": self.variant} if self.variant else {}
+        values = [math.nan if value is None else value for value in self.values]
+        entry |= {"number": self.number.name, "kind": self.kind, "values": values}
+        for name in ("median", "mean"):
+            if (value := getattr(self, name)) is not None:
+                entry[name] = value
+        return entry if self.interval is None else entry | {"interval": list(self.interval)}
+
+    @property
+    def _ranked(self) -> list[float]:
+        worst = math.inf if self.number.better == "lower" else -math.inf
+        return [worst if value is None else value for value in self.values]
+
+
+@dataclasses.dataclass(frozen=True)
+class Ran:
+    """What one run took."""
+
+    variant: str
+    seed: int
+    cpu_seconds: float  # of its processes, training and evaluation
+    wall_seconds: float
+    ended: str  # how
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """What a sweep found: table [result] of a recipe."""
+
+    command: str
+    machine: str
+    versions: dict[str, str]
+    load: tuple[float, float]  # of the machine while it ran, least and most (average of a minute)
+    measured: tuple[Measured, ...]
+    runs: tuple[Ran, ...]
+
+    def of(self, variant: str, number: str) -> Measured:
+        """One of `measured`."""
+        return next(m for m in self.measured if (m.variant, m.number.name) == (variant, number))
+
+    def record(self) -> dict[str, Any]:
+        """Plain data; `read` gives it back."""
+        runs = [
+            {key: value for key, value in dataclasses.asdict(ran).items() if value != ""} for ran in self.runs
+        ]
+        return {
+            "command": self.command,
+            "machine": self.machine,
+            "versions": self.versions,
+            "load": list(self.load),
+            "measured": [measured.record() for measured in self.measured],
+            "runs": runs,
+        }
+
+
+def take(number: Number, folder: Path) -> tuple[str, Any]:
+    """Kind and raw value of a number of one run; raises UserError where its file does not have it."""
+    path = folder / number.file
+    value = storage.read_json(path, f"number {number.name}: file")
+    for k, step in enumerate(number.path):
+        try:
+            value = value[step]
+        except (KeyError, IndexError, TypeError) as error:
+            way = ".".join(map(str, number.path[: k + 1]))
+            if value is None:  # what holds the number is null: it is not there either
+                return "number", None
+            raise UserError(f"number {number.name}: {path} has no {shown(way, 80)}") from error
+    if isinstance(value, dict) and {"count", "of"} <= set(value):
+        if all(type(value[key]) is int for key in ("count", "of")) and 0 <= value["count"] <= value["of"] > 0:
+            return "flights", (value["count"], value["of"])
+    elif isinstance(value, bool):
+        return "share", value
+    elif value is None or (type(value) in (int, float) and abs(value) < 1e300):
+        return "number", value
+    raise UserError(f"number {number.name}: {path} has {shown(repr(value), 60)} there, which is no number")
+
+
+def sum_up(variant: str, number: Number, taken: list[tuple[str, Any]]) -> Measured:
+    """A number over the seeds, from what `take` gave for each; raises UserError where kinds differ."""
+    kinds = {kind for kind, value in taken if value is not None} or {"number"}
+    if len(kinds) > 1:
+        raise UserError(f"number {number.name} is {' in one run and '.join(sorted(kinds))} in another")
+    (kind,), factor = kinds, number.factor
+    values = [value for _, value in taken]
+    here = [value for value in values if value is not None]
+    if kind == "flights":
+        found = proportion(sum(count for count, _ in here), sum(of for _, of in here))
+        values = [None if value is None else value[0] / value[1] for value in values]
+    elif kind == "share":
+        found = proportion(sum(here), len(here))
+    else:
+        found = bootstrap(here) if here else {}
+    mean, interval = found.get("mean", found.get("share")), found.get("interval")
+    if len(here) < len(values):
+        mean = interval = None
+    return Measured(
+        variant=variant,
+        number=number,
+        kind=kind,
+        values=tuple(None if value is None else factor * value for value in values),
+        mean=None if mean is None else factor * mean,
+        interval=None if interval is None else (factor * interval[0], factor * interval[1]),
+    )
+
+
+def read(recipe: Recipe, data: Any) -> Result:
+    """The table [result] of a recipe; raises UserError where there is none, or one that does not fit."""
+    if not isinstance(data, dict):
+        raise UserError(
+            f"recipe {recipe.name}: it has no [result] yet; landing-train sweep --record writes it"
+        )
+    try:
+        return _read(recipe, data)
+    except UserError as error:
+        raise UserError(f"recipe {recipe.name}: [result] {error}") from error
+
+
+def _read(recipe: Recipe, data: dict) -> Result:
+    only(data, _RESULT, "it")
+    texts = {key: _text(data, key) for key in ("command", "machine")}
+    versions = data.get("versions")
+    if not isinstance(versions, dict) or not all(isinstance(text, str) for text in versions.values()):
+        raise UserError("versions must be a table of texts")
+    load = _list(data, "load")
+    if len(load) != 2 or not all(map(_is_number, load)):
+        raise UserError("load must be two numbers")
+    measured = [_measured(recipe, entry) for entry in _list(data, "measured")]
+    wanted = [(variant, number) for variant in recipe.variants for number in recipe.numbers]
+    found = [(m.variant, m.number.name) for m in measured]
+    if sorted(found) != sorted(wanted):
+        raise UserError("measured has not every number of every variant once; run the sweep again")
+    return Result(
+        **texts,
+        versions={shown(name, 60): shown(text, 200) for name, text in versions.items()},
+        load=(float(load[0]), float(load[1])),
+        measured=tuple(measured),
+        runs=tuple(map(_ran, _list(data, "runs"))),
+    )
+
+
+def _text(data: dict, key: str) -> str:
+    value = data.get(key, "")
+    if not isinstance(value, str) or len(value) > _LONGEST:
+        raise UserError(f"{key} must be text of at most {_LONGEST} characters")
+    return shown(value, _LONGEST)
+
+
+def _list(data: dict, key: str) -> list:
+    value = data.get(key)
+    if not isinstance(value, list) or len(value) > _MOST:
+        raise UserError(f"{key} must be a list")
+    return value
+
+
+def _is_number(value) -> bool:
+    return type(value) in (int, float) and abs(value) <= 1e300
+
+
+def _measured(recipe: Recipe, entry) -> Measured:
+    if not isinstance(entry, dict):
+        raise UserError("measured must be a list of tables")
+    only(entry, ("variant", "number", "kind", "values", "median", "mean", "interval"), "measured")
+    if not isinstance(entry.get("number"), str) or entry["number"] not in recipe.numbers:
+        raise UserError("measured: number is none of the recipe")
+    values = _list(entry, "values")
+    if len(values) != len(recipe.seeds):
+        raise UserError(f"measured: {len(values)} values for {len(recipe.seeds)} seeds")
+    found = tuple(_value(value) for value in values)
+    mean = _value(entry.get("mean"))
+    interval = entry.get("interval")
+    if interval is not None and not (
+        isinstance(interval, list) and len(interval) == 2 and all(map(_is_number, interval))
+    ):
+        raise UserError("measured: interval must be two numbers")
+    if entry.get("kind") not in KINDS:
+        raise UserError(f"measured: kind must be {', '.join(KINDS[:-1])} or {KINDS[-1]}")
+    return Measured(
+        variant=_text(entry, "variant"),
+        number=recipe.numbers[entry["number"]],
+        kind=entry["kind"],
+        values=found,
+        mean=mean,
+        interval=None if interval is None else (float(interval[0]), float(interval[1])),
+    )
+
+
+def _value(value) -> float | None:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return None
+    if not _is_number(value):
+        raise UserError(f"measured: {shown(repr(value), 40)} is no number")
+    return float(value)
+
+
+def _ran(entry) -> Ran:
+    if not isinstance(entry, dict):
+        raise UserError("runs must be a list of tables")
+    only(entry, _RUN, "runs")
+    seed, times = entry.get("seed"), [entry.get(key) for key in ("cpu_seconds", "wall_seconds")]
+    if type(seed) is not int or not all(_is_number(value) and value >= 0 for value in times):
+        raise UserError("runs: seed, cpu_seconds and wall_seconds must be numbers")
+    return Ran(_text(entry, "variant"), seed, float(times[0]), float(times[1]), _text(entry, "ended"))
+
+
+def _finite(value) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,279 @@
+"""`landing-train sweep`: the options, the runs side by side, the numbers."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+from inclined_landing.eval.base import cluster, runs
+from inclined_landing.eval.base.command_line import bound, parse
+from inclined_landing.eval.base.options import Flag, NewFolder, Range
+from inclined_landing.eval.base.tables import new_table, printer
+from inclined_landing.eval.sweeps import measured
+from inclined_landing.eval.sweeps.recipe import Recipe, read_recipe
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, shown
+from inclined_landing.train.sweep import jobs, record
+from inclined_landing.train.sweep.children import Children
+from inclined_landing.train.sweep.jobs import Job, Step
+
+RECIPE, RESULT = "recipe.toml", "result.json"
+PLACES = ("local", "ray")
+FAILED = 1  # exit code
+_AHEAD = 2  # jobs in flight per core of a cluster
+
+Done = Iterator[tuple[tuple[str, int], list[Step]]]
+
+
+def command(
+    recipe: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RECIPE.toml")],
+    /,
+    out: NewFolder = None,
+    jobs: Annotated[int, Range(0, 1024)] = 0,
+    on: Annotated[str, tyro.conf.arg(metavar="{local,ray}")] = "local",
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
+    record: Flag = False,
+) -> int:
+    """Train and judge what a recipe says, for every seed and variant; the numbers over the seeds.
+
+    The same command again goes on: finished runs are kept, interrupted ones resumed. Exit code 1 says that a
+    run failed.
+
+    Args:
+        recipe: file, or the name of a shipped one.
+        out: folder of the sweep, with a run folder for each seed (default: runs/RECIPE).
+        jobs: runs side by side (0: one for each core); the cores are shared out among them.
+        on: on this machine, or on a Ray cluster whose machines all see the folder.
+        address: of a running Ray cluster; without it, Ray is started on this machine.
+        record: write the result into the recipe, as its table [result].
+    """
+    return sweep(recipe, out, jobs, on, address, record)
+
+
+def shipped() -> dict[str, Path]:
+    """The recipes that come with the package, by name."""
+    folder = Path(str(resources.files("inclined_landing.train") / "recipes"))
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def sweep(name: str, out: Path | None, count: int, on: str, address: str | None, recorded: bool) -> int:
+    """See `command`."""
+    path = shipped().get(name, Path(name))
+    if not os.path.lexists(path):
+        raise UserError(f"recipe {shown(path, 200)} does not exist (shipped ones: {', '.join(shipped())})")
+    recipe = read_recipe(path)
+    if on not in PLACES:
+        raise UserError(f"--on must be {' or '.join(PLACES)}, not {shown(repr(on), 40)}")
+    if on == "ray":
+        cluster.check(address, "--on ray")
+    elif address is not None:
+        raise UserError("--address belongs to --on ray")
+    if recorded:
+        record.check(path)
+    folder = Path("runs", recipe.name) if out is None else out
+    folder = folder.absolute() if on == "ray" else folder
+    here = path.parent.absolute() if on == "ray" else path.parent
+    todo = jobs.of_runs(recipe, folder, here)
+    last = jobs.of_all(recipe, folder, here)
+    _check_folder(folder)
+    for job in (*todo.values(), last):
+        jobs.read(job)
+    _check_words(todo.values())
+    _check_words([last])
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot create the folder {folder}: {storage.reason(error)}") from error
+    with runs.held(folder):
+        storage.write_bytes(folder / RECIPE, storage.read_bytes(path, "recipe"))
+        return _run(recipe, path if recorded else None, folder, todo, last, count, on, address)
+
+
+def _check_folder(folder: Path) -> None:
+    """Raise UserError for a folder that is there and no sweep's."""
+    storage.check_folder(folder)
+    if folder.is_dir() and not (folder / RECIPE).is_file():
+        runs.check_new_run(folder)
+
+
+def _check_words(todo) -> None:
+    """Raise UserError for a command whose words do not fit, before hours are spent on those before it."""
+    from inclined_landing.eval import cli
+    from inclined_landing.train.config import TrainConfig
+
+    known: set[tuple[str, ...]] = set()
+    for job in todo:
+        for words in job.commands:
+            like = tuple(word for word in words if not word.isdigit())
+            if like in known:  # but for its seed the same as one before
+                continue
+            known.add(like)
+            try:
+                program, *rest = job.filled(words)
+                if program == "landing-train":
+                    parse(TrainConfig, program, rest).resolved()
+                elif rest[0] not in cli.COMMANDS:
+                    raise UserError(f"landing-eval has no command {shown(rest[0], 40)!r}")
+                else:
+                    parse(bound(cli.find(rest[0])), f"{program} {rest[0]}", rest[1:])
+            except (UserError, SystemExit) as error:
+                said = error if isinstance(error, UserError) else "--help does no work"
+                raise UserError(f"{shown(shlex.join(words), 120)}: {said}") from error
+
+
+def _run(
+    recipe: Recipe,
+    path: Path | None,
+    folder: Path,
+    todo: dict[tuple[str, int], Job],
+    last: Job,
+    count: int,
+    on: str,
+    address: str | None,
+) -> int:
+    """Do all jobs; write and print the numbers. path: of the recipe to write the result into."""
+    cores = len(os.sched_getaffinity(0))
+    at_once = min(count or cores, len(todo))
+    threads = max(1, cores // at_once)
+    console = printer()
+    children = Children()
+    found: dict[tuple[str, int], list[Step]] = {}
+    here = _here(todo, children, threads, at_once)
+    done = here if on == "local" else _on_ray(todo, address)
+    columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn())
+    try:
+        with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+            bar = progress.add_task("", total=len(todo))
+            for key, steps in done:
+                found[key] = steps
+                progress.update(bar, advance=1)
+                _tell(console, todo[key], steps)
+        wrong = [text for key, job in todo.items() if (text := jobs.failure(job, found[key]))]
+        if not wrong and last.commands:
+            wrong += filter(None, [jobs.failure(last, jobs.work(last, children, cores))])
+    finally:
+        children.stop()
+    for text in wrong:
+        print(f"landing-train sweep: {text}", file=sys.stderr)
+    if wrong:
+        return FAILED
+    result = _result(recipe, folder, todo, found)
+    storage.write_json(folder / RESULT, result.record())
+    _show(console, recipe, result)
+    if path is not None:
+        record.write(path, result.record())
+        console.print(f"the result is in {path}")
+    console.print(f"everything about this sweep is in {folder}")
+    return 0
+
+
+def _here(todo: dict, children: Children, threads: int, at_once: int) -> Done:
+    """The jobs on this machine, some at once, as they end."""
+    with ThreadPoolExecutor(at_once) as pool:
+        try:
+            flying = {pool.submit(jobs.work, job, children, threads): key for key, job in todo.items()}
+            while flying:
+                for future in wait(flying, return_when=FIRST_COMPLETED).done:
+                    yield flying.pop(future), future.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            children.stop()
+            raise
+
+
+def _on_ray(todo: dict, address: str | None) -> Done:
+    """The jobs as Ray tasks of one core each, as they end."""
+    with cluster.connected(address) as ray:
+        remote = ray.remote(num_cpus=1, max_retries=0)(_on_worker)
+        left, flying = list(todo), {}
+        limit = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
+        try:
+            while left or flying:
+                while left and len(flying) < limit:
+                    key = left.pop(0)
+                    flying[remote.remote(todo[key])] = key
+                (ended,), _ = ray.wait(list(flying), num_returns=1)
+                key = flying.pop(ended)
+                yield key, cluster.answer(ray, ended, todo[key].name)
+        except BaseException:
+            for reference in flying:
+                ray.cancel(reference)
+            raise
+
+
+def _on_worker(job: Job) -> list[Step]:
+    """A job on a machine of the cluster."""
+    if not (job.sweep / RECIPE).is_file():
+        raise UserError(f"{os.uname().nodename} does not see {job.sweep}: all machines must share it")
+    children = Children()
+    try:
+        return jobs.work(job, children, 1)
+    finally:
+        children.stop()
+
+
+def _result(recipe: Recipe, folder: Path, todo: dict, found: dict) -> measured.Result:
+    """The numbers over the seeds, and what the runs took."""
+    numbers = []
+    for variant in recipe.variants:
+        for number in recipe.numbers.values():
+            taken = [measured.take(number, todo[variant, seed].run) for seed in recipe.seeds]
+            numbers.append(measured.sum_up(variant, number, taken))
+    loads = [step.load for steps in found.values() for step in steps]
+    versions = {name: str(text) for name, text in runs.versions().items() if text is not None}
+    return measured.Result(
+        command=shlex.join(["landing-train", "sweep", recipe.name]),
+        machine=f"{versions.pop('cpu')}, {versions.pop('cores')} cores",
+        versions=versions,
+        load=(min(loads), max(loads)),
+        measured=tuple(numbers),
+        runs=tuple(
+            measured.Ran(
+                variant,
+                seed,
+                sum(step.cpu_seconds for step in found[variant, seed]),
+                sum(step.wall_seconds for step in found[variant, seed]),
+                _ended(todo[variant, seed], found[variant, seed]),
+            )
+            for variant, seed in recipe.runs()
+        ),
+    )
+
+
+def _ended(job: Job, steps: list[Step]) -> str:
+    """How a run ended, in its own words."""
+    if steps[0].words[0] != "landing-train":
+        return "evaluated"
+    metrics = storage.read_json(job.run / "metrics.json", "file")
+    return shown(metrics.get("ended", "trained"), 200) if isinstance(metrics, dict) else "trained"
+
+
+def _tell(console: Console, job: Job, steps: list[Step]) -> None:
+    wrong = jobs.failure(job, steps)
+    cpu, wall = (sum(getattr(step, name) for step in steps) for name in ("cpu_seconds", "wall_seconds"))
+    console.print(wrong or f"{job.name}: {cpu:.1f} s of CPU in {wall:.1f} s")
+
+
+def _show(console: Console, recipe: Recipe, result: measured.Result) -> None:
+    verdicts = {True: "met", False: "missed", None: ""}
+    heads = ("number", "median (range)", "mean [95 %]", "bar", "")
+    table = new_table(f"{recipe.title}, {len(recipe.seeds)} seeds", "variant", *heads, left=2)
+    for m in result.measured:
+        bar = m.bar_words if m.number.bar is not None else ""
+        table.add_row(m.variant, m.number.title, m.words, m.interval_words, bar, verdicts[m.met])
+    cpu, wall = ([getattr(ran, name) for ran in result.runs] for name in ("cpu_seconds", "wall_seconds"))
+    table.caption = (
+        f"CPU of a run {min(cpu):.0f} to {max(cpu):.0f} s, wall time {min(wall):.0f} to {max(wall):.0f} s; "
+        f"{result.machine}, load {result.load[0]:.1f} to {result.load[1]:.1f}"
+    )
+    console.print(table)

@@ -1,0 +1,187 @@
+"""One run of a sweep: its training and its evaluate commands, each done once.
+
+SWEEP/steps/RUN.json says what was begun and how it ended, RUN.log beside it what the commands printed. A step
+that is done is not done again, a training that was interrupted is resumed, what else was is begun again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import itertools
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from inclined_landing.eval.sweeps.recipe import Recipe, filled, run_name
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, shown
+from inclined_landing.train.sweep.children import Children
+
+STEPS = "steps"  # folder of the records in that of the sweep
+TOGETHER = "together"  # the job that is not a run
+DONE = (0, 3)  # exit codes of a command with a result: 3 says that it is not the one that was hoped for
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """A run, or what is made of all runs together.
+
+    In its commands {run}, {sweep} and {here} still stand, so that a sweep that has been moved goes on.
+    """
+
+    name: str
+    commands: tuple[tuple[str, ...], ...]  # landing-train ... or landing-eval ..., in their order
+    run: Path
+    sweep: Path
+    here: Path  # the folder of the recipe
+
+    @property
+    def record(self) -> Path:
+        """The file that says what is done."""
+        return self.sweep / STEPS / f"{self.name}.json"
+
+    @property
+    def log(self) -> Path:
+        """What its commands printed."""
+        return self.record.with_suffix(".log")
+
+    def filled(self, words: Sequence[str]) -> list[str]:
+        """A command as it is run."""
+        return filled(words, {"run": str(self.run), "sweep": str(self.sweep), "here": str(self.here)})
+
+
+@dataclasses.dataclass
+class Step:
+    """A command of a job as the record has it."""
+
+    words: list[str]
+    attempts: int = 0
+    code: int | None = None  # None: it has not ended
+    cpu_seconds: float = 0.0  # of all attempts that ended
+    wall_seconds: float = 0.0
+    load: float = 0.0  # of the machine when it ended
+
+    @property
+    def done(self) -> bool:
+        """Is its result there."""
+        return self.code in DONE
+
+
+def of_runs(recipe: Recipe, sweep: Path, here: Path) -> dict[tuple[str, int], Job]:
+    """The runs of a recipe by variant and seed."""
+    made = {}
+    for variant, seed in recipe.runs():
+        names = {"run": "{run}", "sweep": "{sweep}", "here": "{here}", "seed": str(seed), "variant": variant}
+        more, commands = recipe.variants[variant], []
+        if recipe.train is not None:
+            words = ("landing-train", *recipe.train, *more)
+            commands.append((*words, "--seed", str(seed), "--out", "{run}", "--no-report"))
+        own = () if recipe.train is not None else more
+        commands += [("landing-eval", *filled((*words, *own), names)) for words in recipe.evaluate]
+        name = run_name(variant, seed)
+        made[variant, seed] = Job(name, tuple(commands), sweep / name, sweep, here)
+    return made
+
+
+def of_all(recipe: Recipe, sweep: Path, here: Path) -> Job:
+    """What is made once of all runs; {run} is the first one."""
+    runs = [run_name(variant, seed) for variant, seed in recipe.runs()]
+    names = {"run": "{run}", "sweep": "{sweep}", "here": "{here}", "runs": [f"{{sweep}}/{r}" for r in runs]}
+    commands = tuple(("landing-eval", *filled(words, names)) for words in recipe.together)
+    return Job(TOGETHER, commands, sweep / runs[0], sweep, here)
+
+
+def read(job: Job) -> list[Step]:
+    """The steps of a job as they stand, one for each command.
+
+    Raises UserError for a damaged record, and for a training that was begun with other words.
+    """
+    found = _recorded(job.record)
+    steps = []
+    for k, words in enumerate(job.commands):
+        before = found[k] if k < len(found) else None
+        same = next((step for step in found if step.words == list(words)), None)
+        if same is None and before is not None and words[0] == before.words[0] == "landing-train":
+            raise UserError(
+                f"{job.run} was begun as {shown(' '.join(before.words), 150)}, and the recipe says "
+                "otherwise now; choose another --out"
+            )
+        attempts = 0 if before is None else before.attempts  # what was written has to make room
+        steps.append(same or Step(list(words), attempts))
+    return steps
+
+
+def work(job: Job, children: Children, threads: int) -> list[Step]:
+    """Do what is left of a job, until a command fails; returns its steps."""
+    steps = read(job)
+    for step in steps:
+        if step.done:
+            continue
+        words = _prepared(job, step, threads)
+        step.attempts += 1
+        _write(job, steps)
+        ended = children.run(words, job.log, threads)
+        step.code, step.load = ended.code, ended.load
+        step.cpu_seconds += ended.cpu_seconds
+        step.wall_seconds += ended.wall_seconds
+        _write(job, steps)
+        if not step.done:
+            break
+    return steps
+
+
+def failure(job: Job, steps: Sequence[Step]) -> str | None:
+    """What went wrong, in one sentence; None where nothing did."""
+    wrong = next((step for step in steps if not step.done), None)
+    if wrong is None:
+        return None
+    lines: list[str] = []
+    with contextlib.suppress(OSError):
+        lines = job.log.read_text("utf-8", "replace").strip().splitlines()
+    said = shown(lines[-1], 150) if lines else "it printed nothing"
+    return f"{job.name}: {wrong.words[0]} {wrong.words[1]} ended with {wrong.code}: {said} ({job.log})"
+
+
+def _prepared(job: Job, step: Step, threads: int) -> list[str]:
+    """The command of a step as it is run now: resumed, or with room made for what it writes."""
+    words = job.filled(step.words)
+    job.log.parent.mkdir(parents=True, exist_ok=True)
+    if step.words[0] == "landing-train":
+        resumed = ["--resume"] if (job.run / "run.json").is_file() else []
+        return [*words, *resumed, "--threads", str(threads)]
+    job.run.mkdir(parents=True, exist_ok=True)
+    out = dict(itertools.pairwise(words)).get("--out")
+    if step.attempts and out is not None and _within(Path(out), job):
+        shutil.rmtree(out, ignore_errors=True)
+    return words
+
+
+def _within(out: Path, job: Job) -> bool:
+    """Is it in the folder of the sweep, and neither a run nor the records."""
+    parts = out.parts[len(job.sweep.parts) :] if out.is_relative_to(job.sweep) else ()
+    return ".." not in parts and len(parts) >= (1 if job.name == TOGETHER else 2) and parts[0] != STEPS
+
+
+def _write(job: Job, steps: Sequence[Step]) -> None:
+    storage.write_json(job.record, [dataclasses.asdict(step) for step in steps])
+
+
+def _recorded(path: Path) -> list[Step]:
+    if not path.exists():
+        return []
+    data = storage.read_json(path, "record", storage.LARGEST)
+    try:
+        return [_step(entry) for entry in data]
+    except (TypeError, KeyError, ValueError) as error:
+        raise UserError(f"record {path} is damaged; choose another --out") from error
+
+
+def _step(entry: dict) -> Step:
+    step = Step(**entry)
+    numbers = (step.attempts, step.cpu_seconds, step.wall_seconds, step.load)
+    good = isinstance(step.words, list) and step.words and all(isinstance(w, str) for w in step.words)
+    good = good and all(type(n) in (int, float) and n >= 0 for n in numbers)
+    if not good or type(step.code) not in (int, type(None)):
+        raise ValueError
+    return step
