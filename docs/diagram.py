@@ -31,6 +31,7 @@ BOXES = {
     "eval.landings": (1.35, 4, 1.9, "what happens on touching?"),
     "eval.machine": (3.1, 4, 1.4, "doctor, benchmark"),
     "eval.truth": (6.7, 4, 1.56, "is the simulator right?"),
+    "eval.sweeps": (1.35, 3, 1.9, "recipes, results, their page"),
     "eval.export": (3.1, 3, 1.4, "ONNX, C, NumPy"),
     "eval.logs": (5.55, 3, 1.9, "what flights say"),
     "eval.pictures": (7.5, 3, 1.7, "figures, videos"),

@@ -14,6 +14,7 @@ import pytest
 from pages import EVIL, check_page
 
 from inclined_landing.eval import cli
+from inclined_landing.eval.base import cluster
 from inclined_landing.eval.landings import command, design, engines, landing
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
@@ -228,7 +229,7 @@ def test_without_ray_there_is_a_remedy(study, tmp_path, capsys, monkeypatch):
     [("127.0.0.1:1", "no Ray cluster answers at 127.0.0.1:1: connection refused"), ("here", "HOST:PORT")],
 )
 def test_a_cluster_that_is_not_there(study, tmp_path, capsys, monkeypatch, address, sentence):
-    monkeypatch.setattr(engines, "_import_ray", lambda: None)
+    monkeypatch.setattr(cluster, "import_ray", lambda option: None)
     words = ["--out", str(tmp_path / "out"), "--engine", "ray", "--address", address]
     assert cli.main(["contact", str(study), *words]) == 2
     refused(capsys, tmp_path, sentence, ["small.toml"])

@@ -27,7 +27,7 @@ from inclined_landing.train.sweep import jobs, record
 from inclined_landing.train.sweep.children import Children
 from inclined_landing.train.sweep.jobs import Job, Step
 
-RECIPE, RESULT = "recipe.toml", "result.json"
+RESULT = "result.json"  # of a sweep that is finished, beside a copy of its recipe
 PLACES = ("local", "ray")
 FAILED = 1  # exit code
 _AHEAD = 2  # jobs in flight per core of a cluster
@@ -85,24 +85,24 @@ def sweep(name: str, out: Path | None, count: int, on: str, address: str | None,
     here = path.parent.absolute() if on == "ray" else path.parent
     todo = jobs.of_runs(recipe, folder, here)
     last = jobs.of_all(recipe, folder, here)
-    _check_folder(folder)
+    _check_folder(folder, recipe)
     for job in (*todo.values(), last):
         jobs.read(job)
     _check_words(todo.values())
     _check_words([last])
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        (folder / jobs.STEPS).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot create the folder {folder}: {storage.reason(error)}") from error
     with runs.held(folder):
-        storage.write_bytes(folder / RECIPE, storage.read_bytes(path, "recipe"))
+        storage.write_bytes(folder / f"{recipe.name}.toml", storage.read_bytes(path, "recipe"))
         return _run(recipe, path if recorded else None, folder, todo, last, count, on, address)
 
 
-def _check_folder(folder: Path) -> None:
-    """Raise UserError for a folder that is there and no sweep's."""
+def _check_folder(folder: Path, recipe: Recipe) -> None:
+    """Raise UserError for a folder that is there and not of a sweep of this recipe."""
     storage.check_folder(folder)
-    if folder.is_dir() and not (folder / RECIPE).is_file():
+    if not (folder / f"{recipe.name}.toml").is_file():
         runs.check_new_run(folder)
 
 
@@ -213,7 +213,7 @@ def _on_ray(todo: dict, address: str | None) -> Done:
 
 def _on_worker(job: Job) -> list[Step]:
     """A job on a machine of the cluster."""
-    if not (job.sweep / RECIPE).is_file():
+    if not job.record.parent.is_dir():
         raise UserError(f"{os.uname().nodename} does not see {job.sweep}: all machines must share it")
     children = Children()
     try:
