@@ -118,10 +118,11 @@ class BatchEnv:
         plant = self.plant
         return self.task.observe(Moment(plant.measurement[ids], plant.contacts[ids], deck=plant.deck[ids]))
 
-    def reset(self, ids=None, state: np.ndarray | None = None) -> np.ndarray:
+    def reset(self, ids=None, state: np.ndarray | None = None, start: Start | None = None) -> np.ndarray:
         """Begin new episodes for the vehicles `ids` (all by default); return their observations.
 
-        state (k, 13): given starts instead of random ones.
+        state (k, 13): given starts instead of random ones, as `Task.start` has their platforms; or start: of
+        k episodes, with everything.
         """
         ids = np.arange(self.n) if ids is None else np.asarray(ids)
         if state is not None:
@@ -133,12 +134,12 @@ class BatchEnv:
                 )
             if not (np.abs(state) <= FARTHEST).all():
                 raise UserError(f"a start state holds NaN or a number beyond {FARTHEST:g}")
-        if state is None:
+        if state is not None:
+            start = self.task.start(state)
+        elif start is None:
             self._draw_vehicles(ids)
             start = self.task.sample(self.rng, len(ids))
             start.state[:, LAG] *= self.plant.hover_share[ids]
-        else:
-            start = self.task.start(state)
         inclination = start.inclination + self.plant.tilt[ids]
         self.plant.set_platform(
             ids, inclination, start.present, 0.0 if start.azimuth is None else start.azimuth

@@ -8,7 +8,7 @@ import numpy as np
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.tasks import Task
+from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.models import geometry
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import MujocoPlant, make_plant
@@ -59,14 +59,18 @@ class Flight(Track):
         return float(self.t[-1])
 
 
-def record_flights(policy: Policy, plant, states: np.ndarray, *, steps: int | None = None) -> list[Flight]:
-    """Fly the deterministic policy from each of `states` (n, 13), all at once.
+def record_flights(
+    policy: Policy, plant, states: np.ndarray | Start, *, steps: int | None = None
+) -> list[Flight]:
+    """Fly the deterministic policy from each of `states` (n, 13), or of n starts, all at once.
 
+    States have the platforms that `Task.start` gives them; starts have their own, and their contact.
     plant: of n vehicles, or a name ("mujoco", "hybrid", "analytic") for a plain one of the task's vehicle.
     steps: fly at most this many control steps (default: the task's limit).
     Raises UserError when the number of states is not the plant's.
     """
-    states = np.atleast_2d(np.asarray(states, float))
+    start = states if isinstance(states, Start) else None
+    states = np.atleast_2d(np.asarray(states, float)) if start is None else start.state
     if isinstance(plant, str):
         plant = make_plant(plant, len(states), policy.task.vehicle)
     if plant.n != len(states):
@@ -75,7 +79,7 @@ def record_flights(policy: Policy, plant, states: np.ndarray, *, steps: int | No
     limit = policy.task.max_steps if steps is None else steps
     if not 1 <= limit <= policy.task.max_steps:
         raise UserError(f"a flight has 1 to {policy.task.max_steps} control steps, not {limit}")
-    observation = env.reset(state=states)
+    observation = env.reset(state=states) if start is None else env.reset(start=start)
     n = len(states)
     state = np.empty((limit + 1, n, states.shape[1]))
     actions = np.empty((limit + 1, n, len(policy.task.action_names)))

@@ -39,6 +39,8 @@ SHIPPED = tuple(
 _ACTIVATIONS = ("Tanh", "ReLU")  # index is the code in the compiled loop
 _LIMIT = 10.0  # of `features.ScaledObservation`
 _WEIGHTS = "policy.pth"  # member with the network
+# Options of tasks that change what a policy meets: it is not to be flown with others unnoticed.
+_TRAINED_WITH = ("dimensions", "steepest", "angle_limit")
 _LARGEST_TABLE = 10_000_000  # bytes of the header and of the stamp
 # Beyond, sums of products could overflow.
 _LARGEST_WEIGHT, _DEEPEST, _WIDEST = 1e6, 16, 8192
@@ -182,7 +184,7 @@ def load_policy(
     vehicle, inclination [rad]: of the task that is built, where they differ from the training's.
         What PWM an action commands stays what it was in training.
     Raises UserError when the file is not such a policy or does not fit the task: a task object must have the
-    PWM of the stamp and its inclination, or the one given.
+    PWM of the stamp, its options of slopes, dimensions and angles, and its one inclination, or the one given.
     """
     path = locate(path)
     with _open(path) as archive:
@@ -267,8 +269,23 @@ def _check_meets(task: Task, metadata: dict, inclination, path) -> None:
             f"and the {task.name} task here has {own[0]:.0f} +- {own[1]:.0f}; give it "
             f"pwm_centre={trained[0]:.15g} and pwm_span={trained[1]:.15g}"
         )
+    for name in _TRAINED_WITH:
+        usual = getattr(type(task), name, None)
+        given, has = options.get(name, usual), task.options.get(name, usual)
+        if given != has:
+            raise UserError(
+                f"policy {path} was trained with {name}={shown(given, 40)}, and the {task.name} task "
+                f"here has {has}; give it {name}={shown(given, 40)}"
+            )
     slope, here = options.get("inclination"), task.options.get("inclination")
-    if inclination is None and slope is not None and here is not None and abs(slope - here) > 1e-9:
+    drawn = task.options.get("steepest") is not None
+    if (
+        inclination is None
+        and not drawn
+        and slope is not None
+        and here is not None
+        and abs(slope - here) > 1e-9
+    ):
         raise UserError(
             f"policy {path} was trained for a slope of {np.degrees(slope):.1f} deg, and the {task.name} task "
             f"here has {np.degrees(here):.1f} deg; give inclination={here:.15g} too if that is meant"

@@ -1,8 +1,20 @@
-"""The frame of an inclined surface: out of it, and along it. Inclinations as the platform's, in rad."""
+"""The frame of an inclined surface: out of it, and along it. Inclinations as the platform's, in rad.
+
+`heading_frame` is a vehicle before any surface as somebody sees it who looks where the vehicle points.
+"""
 
 from __future__ import annotations
 
+import math
+
+import numba
 import numpy as np
+
+from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, YAW, X, Z
+
+# Columns of `heading_frame` that follow those of a vehicle's state up to its pitch.
+SLOPE_ROLL, SLOPE_PITCH = PITCH + 1, PITCH + 2
+HEADING_SIZE = SLOPE_PITCH + 1
 
 
 def normal_of(inclination) -> np.ndarray:
@@ -22,3 +34,48 @@ def split(vector: np.ndarray, inclination) -> tuple[np.ndarray, np.ndarray]:
     normal = normal_of(inclination)
     away = (vector * normal).sum(axis=-1)
     return away, np.linalg.norm(vector - away[..., None] * normal, axis=-1)
+
+
+@numba.njit(cache=True)
+def _heading_frame(state, deck, out):
+    for i in range(len(state)):
+        sin, cos = math.sin(state[i, YAW]), math.cos(state[i, YAW])
+        for first in (X, VX):
+            x, y = state[i, first] - deck[i, first], state[i, first + 1] - deck[i, first + 1]
+            out[i, first], out[i, first + 1] = cos * x + sin * y, cos * y - sin * x
+        out[i, Z], out[i, VZ] = state[i, Z] - deck[i, Z], state[i, VZ] - deck[i, VZ]
+        out[i, ROLL], out[i, PITCH] = state[i, ROLL], state[i, PITCH]
+        turn = deck[i, YAW] - state[i, YAW]
+        sin, cos = math.sin(turn), math.cos(turn)
+        flat = math.cos(deck[i, PITCH])
+        ahead, left = math.sin(deck[i, PITCH]), -math.sin(deck[i, ROLL]) * flat
+        up = math.cos(deck[i, ROLL]) * flat
+        ahead, left = cos * ahead - sin * left, sin * ahead + cos * left
+        out[i, SLOPE_ROLL], out[i, SLOPE_PITCH] = math.atan2(-left, up), math.asin(min(1.0, max(-1.0, ahead)))
+    return out
+
+
+def heading_frame(state: np.ndarray, deck: np.ndarray) -> np.ndarray:
+    """Vehicles as seen from their surfaces, turned by their own heading, (n, 10).
+
+    state (n, 13), deck (n, 12): see `Plant.deck`. Columns: x, y, z [m] from the surface's centre and vx, vy,
+    vz [m/s] against it, along axes turned by the vehicle's yaw about the vertical; its roll and pitch [rad];
+    and the roll and pitch [rad] that it would have standing on the surface with this heading.
+    """
+    return _heading_frame(state, deck, np.empty((len(state), HEADING_SIZE)))
+
+
+def standing_normal(roll, pitch) -> np.ndarray:
+    """Unit normal (..., 3), in the heading frame, of the surface on which one stands with roll and pitch."""
+    roll, pitch = np.asarray(roll, float), np.asarray(pitch, float)
+    return np.stack(
+        [np.sin(pitch), -np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)],
+        axis=-1,
+    )
+
+
+def standing(inclination, turn) -> tuple[np.ndarray, np.ndarray]:
+    """Roll and pitch [rad] of one who stands on a slope of this inclination, which is turned by `turn` from
+    his heading [rad]: azimuth less yaw."""
+    x, _, z = np.moveaxis(normal_of(inclination), -1, 0)
+    return np.arctan2(-x * np.sin(turn), z), np.arcsin(x * np.cos(turn))

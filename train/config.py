@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
+import math
 import numbers
 import types
 import typing
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -91,6 +93,15 @@ class TrainConfig:
     ] = None
     inclination: Annotated[float | None, Range(-90, 90), tyro.conf.arg(metavar="DEG")] = None
     """Of the platform in degrees, where it differs from the vehicle file's."""
+    steepest: Annotated[float | None, Range(0, 90, open=True), tyro.conf.arg(metavar="DEG")] = None
+    """Every episode has a slope of its own, which the policy observes: up to this inclination in degrees, to
+    both sides; in three dimensions to all sides."""
+    dimensions: Annotated[int | None, Range(2, 3), tyro.conf.arg(metavar="{2,3}")] = None
+    """3: fly in space, with roll, and not in a plane (default: as the task is)."""
+    random_yaw: bool = False
+    """With three dimensions: every episode begins with a heading of its own."""
+    angle_limit: Annotated[float | None, Range(1, 80), tyro.conf.arg(metavar="DEG")] = None
+    """Of roll and pitch commands in degrees, where it differs from the vehicle file's."""
     vehicle: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Vehicle file (TOML), where it differs from the shipped one; the run keeps a copy."""
     randomise: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
@@ -195,6 +206,10 @@ class TrainConfig:
             raise UserError(f"unknown update {shown(self.update, 40)!r}; known are {' and '.join(UPDATES)}")
         if self.inclination is not None and not kind.has_platform:
             raise UserError(f"--inclination: the task {kind.name} has no inclined platform")
+        known = inspect.signature(kind).parameters
+        for name in self.slopes():
+            if name not in known:
+                raise UserError(f"{option(name)} is no option of the task {kind.name}")
         given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}
         filled = {k: getattr(training, k) if value is None else value for k, value in given.items()}
         check_ranges(self)
@@ -250,6 +265,16 @@ class TrainConfig:
             "min_steps": min(least, high or least) if low is None else low,
             "max_steps": max(training.max_steps, low or 0) if high is None else high,
         }
+
+    def slopes(self) -> dict[str, Any]:
+        """Options of the task that are given in degrees, or as what they are, of slopes and attitudes."""
+        given = {
+            "steepest": None if self.steepest is None else math.radians(self.steepest),
+            "dimensions": self.dimensions,
+            "random_yaw": self.random_yaw or None,
+            "angle_limit": None if self.angle_limit is None else math.radians(self.angle_limit),
+        }
+        return {name: value for name, value in given.items() if value is not None}
 
     def copied(self) -> dict[str, Path]:
         """Of what the run keeps a copy, by the copy's name."""

@@ -72,6 +72,7 @@ def drawn(config: TrainConfig, vehicle: Vehicle, seed: int, count: int = POOL) -
 def build_task(config: TrainConfig) -> Task:
     """The task with the configured vehicle, platform and action map."""
     vehicle, options = load_vehicle(config.vehicle), {"history": config.history} if config.history else {}
+    options |= config.slopes()
     if config.inclination is not None:
         try:
             options["inclination"] = vehicle.check_inclination(math.radians(config.inclination))

@@ -14,8 +14,9 @@ from __future__ import annotations
 import abc
 import dataclasses
 import math
-from collections.abc import Sequence
-from typing import Any, ClassVar
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from inclined_landing.models.attitude import (
 )
 from inclined_landing.models.equations import settled_hover
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import Vehicle, constants, load_vehicle
 from inclined_landing.models.plants import Contacts
 
 COLUMNS = {name: column for column, name in enumerate(STATE_NAMES)}  # of the state
@@ -50,6 +51,13 @@ class Start:
     goal_size: np.ndarray  # (k,) d of the goal box; NaN for tasks without one
     contact: dict[str, Any] | None = None  # arguments (k,) of the plant's set_contact
     azimuth: np.ndarray | None = None  # (k,) of the slope's direction, rad; None: towards +x everywhere
+
+    def __getitem__(self, ids) -> Start:
+        """Those of the episodes `ids`."""
+        azimuth = None if self.azimuth is None else self.azimuth[ids]
+        contact = None if self.contact is None else {name: x[ids] for name, x in self.contact.items()}
+        of = self.state[ids], self.inclination[ids], self.present[ids], self.goal_size[ids]
+        return Start(*of, contact, azimuth)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,8 +143,9 @@ class Task(abc.ABC):
     """A task for vehicles of one kind. Everything but the first four and the two methods has a default.
 
     `options` is what `make_task(name, **options)` needs to build the task again; `history` is how many past
-    steps its policy is given besides the observation (`envs.history`); `conditions` is what a curriculum may
-    ease, None where there is nothing to ease.
+    steps its policy is given besides the observation (`envs.history`); `angle_limit` [rad] is that of the
+    attitude commands where it is not the vehicle's, and then that of `vehicle`; `conditions` is what a
+    curriculum may ease, None where there is nothing to ease.
     """
 
     name: str
@@ -159,18 +168,19 @@ class Task(abc.ABC):
     start_axes: tuple[str, ...] = ("x", "y", "z")  # what a start is given by
     film_starts: tuple[tuple[float, ...], ...] = ((1.5, 1.0, 0.6),)  # m; the first one is the usual one
     # By name of the file.
-    figure_starts: ClassVar[dict[str, tuple[float, ...]]] = {"trajectory": film_starts[0]}
+    figure_starts: Mapping[str, tuple[float, ...]] = MappingProxyType({"trajectory": film_starts[0]})
     conditions: Any = None
 
     def __init__(
         self,
         vehicle: Vehicle | None = None,
         *,
+        angle_limit: float | None = None,
         pwm_centre: float | str = "hover",
         pwm_span: float | None = None,
         history: int = 0,
     ):
-        self.vehicle = vehicle or load_vehicle()
+        self.vehicle = limited(vehicle or load_vehicle(), angle_limit)
         self.pwm_centre = resolve_pwm_centre(pwm_centre, self.vehicle)
         self.pwm_span = resolve_pwm_span(pwm_span, self.vehicle)
         whole = isinstance(history, (int, np.integer)) and not isinstance(history, bool)
@@ -181,6 +191,8 @@ class Task(abc.ABC):
         self.options: dict[str, Any] = {"pwm_centre": pwm_centre, "pwm_span": self.pwm_span}
         if self.history:
             self.options["history"] = self.history
+        if angle_limit is not None:
+            self.options["angle_limit"] = self.vehicle.command_angle_limit
 
     # --- what every task must say ----------------------------------------------------------------
 
@@ -345,6 +357,17 @@ def resolve_pwm_span(span, vehicle: Vehicle) -> float:
     if isinstance(span, (int, float)) and 1.0 <= span <= high:
         return float(span)
     raise UserError(f"pwm_span must be a PWM from 1 to {high:g}, not {shown(repr(span), 40)}")
+
+
+def limited(vehicle: Vehicle, angle_limit: float | None) -> Vehicle:
+    """The vehicle with roll and pitch commands up to angle_limit [rad]; None: as it is."""
+    if angle_limit is None:
+        return vehicle
+    low, high = next(c.range[0] for c in constants() if c.field == "command_angle_limit")
+    if isinstance(angle_limit, (int, float)) and low <= angle_limit <= high:
+        return vehicle.changed(command_angle_limit=float(angle_limit))
+    said = shown(repr(angle_limit), 40)
+    raise UserError(f"angle_limit must be an angle from {low:g} to {high:g} rad, not {said}")
 
 
 def hover_states(positions: np.ndarray, vehicle: Vehicle) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""`InclinedLanding`: reach the landing pose over the slope, the paper's planar task.
+"""`InclinedLanding`: reach the landing pose over a slope, the paper's planar task; and any slope, in space.
 
 Observation, float32, unbounded:
 
@@ -29,18 +29,39 @@ Reward per step: 0 in the goal box; otherwise -1 (`time`), a further -1 near the
 
 An episode ends in the goal box, or is truncated after 300 steps. The goal box is not yet a landing:
 its centre hovers 9 cm above the slope, and entries into it may be moving.
+
+Any slope: with `steepest` [rad] every episode has an inclination of its own, drawn evenly from -steepest to
+steepest. In space, with `dimensions=3`, it is drawn from 0 to steepest, with an azimuth from 0 to 360 deg:
+the direction that the slope faces, from +x. Without `steepest` all have the one inclination and azimuth. Such
+a task observes the slope, and everything from the centre of its surface in the frame that has the vehicle's
+heading (`models.surface.heading_frame`), so that `random_yaw` asks for nothing new:
+
+| in the plane | in space | quantity | unit |
+|---|---|---|---|
+| 0, 1 | 0, 1, 2 | x, (y,) z from the surface's centre | m |
+| 2, 3 | 3, 4, 5 | vx, (vy,) vz | m/s |
+| 4 | 6, 7 | (roll,) pitch | rad |
+| 5 | 8, 9 | (slope roll,) slope pitch: of a vehicle of this heading that stands on it | rad |
+
+In space the actions are thrust, roll and pitch. The goal lies 0.10 m over the surface along its normal, as
+0.10 m straight above would leave 6.4 cm over a slope of 50 deg; in the goal box y, vy and roll have the half
+widths of x, vx and pitch, about the attitude of standing. Starts come from the upper half of the arena in all
+three directions, and its bounds in y are bounds too. Steep slopes need attitudes beyond 30 deg: `angle_limit`
+[rad] takes the place of the vehicle's. `inclination` and `azimuth` are then the slope of given starts.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
-from typing import Any, ClassVar
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from inclined_landing.envs.tasks.base import (
+    COLUMNS,
     Judgement,
     Moment,
     ScoreCurve,
@@ -49,9 +70,9 @@ from inclined_landing.envs.tasks.base import (
     Training,
     hover_states,
 )
-from inclined_landing.models import geometry
-from inclined_landing.models.attitude import PITCH, VX, VZ, X, Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models import geometry, surface
+from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Y, Z
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.scene import compile_scene
 
@@ -62,7 +83,11 @@ BOUND_MARGIN = 0.05  # closer than this to the arena's bounds counts as near the
 START_CLEARANCE = 0.05  # starts keep this distance to the platform, m
 START_MARGIN = 0.10  # and this one to the arena's bounds, m
 LOWEST_START = 1.2  # random starts lie in the upper half of the arena, m
+SEEN = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "slope roll", "slope pitch")  # of any slope
+SEEN_SCALE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5, 0.5])
+PLANAR = (X, Z, VX, VZ, PITCH, surface.SLOPE_PITCH)  # of them in the plane
 PAPER_STARTS = ((0.0, 2.0), (-1.5, 1.6), (1.5, 1.8))  # x, z of the paper's table
+FILM_STARTS = ((1.5, 0.6, 1.8), (0.0, -0.8, 2.0), (-1.5, 0.3, 1.6))  # m, in space
 PAPER_RESULTS = (
     {"count": 28, "of": 30, "share": 28 / 30},
     {"share": 0.867},
@@ -76,7 +101,7 @@ class Conditions:
     The last four fields are training aids: the task itself never uses them.
     """
 
-    start_reach: float = 3.3  # starts lie within this of the goal in x, m
+    start_reach: float = 3.3  # starts lie within this of the goal in x and y, m
     start_reach_z: float | None = None  # and in z; None: the same
     tilt: float = 1.0  # goal and platform inclination as a share of the task's
     goal_size: float = GOAL_SIZE  # d
@@ -103,12 +128,12 @@ def goal_box(goal_size) -> tuple[np.ndarray, ...]:
 
 
 class InclinedLanding(Task):
-    """The task for vehicles of one kind and one platform inclination [rad]."""
+    """The task for vehicles of one kind; the options are those of the module's docstring, angles in rad."""
 
     name = "landing"
     observation_names: tuple[str, ...] = ("x", "z", "vx", "vz", "pitch")
-    observation_scale = np.array([1.0, 1.0, 2.0, 2.0, 0.5])
-    action_names = ("thrust", "pitch")
+    observation_scale: np.ndarray = np.array([1.0, 1.0, 2.0, 2.0, 0.5])
+    action_names: tuple[str, ...] = ("thrust", "pitch")
     has_platform = True
     goal_size: float | None = GOAL_SIZE
     cut_at_success = True
@@ -129,70 +154,160 @@ class InclinedLanding(Task):
         "strict success [%]",
         reference=(100.0 * PAPER_RESULTS[0]["share"], f"paper: {100 * PAPER_RESULTS[0]['share']:.1f} %"),
     )
-    start_axes = ("x", "z")
-    film_starts = (PAPER_STARTS[2], PAPER_STARTS[0], PAPER_STARTS[1])
-    figure_starts: ClassVar = {"trajectory_above_right": PAPER_STARTS[2], "trajectory_above": PAPER_STARTS[0]}
+    start_axes: tuple[str, ...] = ("x", "z")
+    film_starts: tuple[tuple[float, ...], ...] = (PAPER_STARTS[2], PAPER_STARTS[0], PAPER_STARTS[1])
+    figure_starts: Mapping[str, tuple[float, ...]] = MappingProxyType(
+        {"trajectory_above_right": PAPER_STARTS[2], "trajectory_above": PAPER_STARTS[0]}
+    )
+    # Options as they are where they are not given.
+    steepest: float | None = None
+    dimensions = 2
+    azimuth = 0.0
+    random_yaw = False
 
     def __init__(
         self,
         vehicle: Vehicle | None = None,
         *,
         inclination: float | None = None,
+        steepest: float | None = None,
+        dimensions: int = 2,
+        azimuth: float = 0.0,
+        random_yaw: bool = False,
+        angle_limit: float | None = None,
         pwm_centre: float | str = "hover",
         pwm_span: float | None = None,
         history: int = 0,
     ):
-        super().__init__(vehicle, pwm_centre=pwm_centre, pwm_span=pwm_span, history=history)
+        super().__init__(
+            vehicle, angle_limit=angle_limit, pwm_centre=pwm_centre, pwm_span=pwm_span, history=history
+        )
         v = self.vehicle
-        given = v.platform_inclination if inclination is None else inclination
-        self.inclination = v.check_inclination(given)
+        self.steepest = self._check_steepest(steepest)
+        if dimensions not in (2, 3) or isinstance(dimensions, bool):
+            raise UserError(f"dimensions must be 2 or 3, not {shown(repr(dimensions), 40)}")
+        self.dimensions = int(dimensions)
+        usual = v.platform_inclination if steepest is None else np.clip(v.platform_inclination, *self._slopes)
+        self.inclination = v.check_inclination(float(usual) if inclination is None else inclination)
+        if not (isinstance(azimuth, (int, float)) and math.isfinite(azimuth)):
+            raise UserError(f"azimuth must be an angle in rad, not {shown(repr(azimuth), 40)}")
+        self.azimuth, self.random_yaw = float(azimuth), bool(random_yaw)
+        if self.dimensions == 2 and (self.azimuth or self.random_yaw):
+            named = "azimuth" if self.azimuth else "random_yaw"
+            raise UserError(f"{named} needs dimensions=3: in the plane a vehicle cannot follow it")
         self.options = {"inclination": self.inclination, **self.options}
+        for name in ("steepest", "dimensions", "azimuth", "random_yaw"):
+            if getattr(self, name) != getattr(InclinedLanding, name):
+                self.options[name] = getattr(self, name)
         self.conditions = Conditions()
         self._shapes = geometry.shapes_of(compile_scene(v))
+        self.sees_slope = self.steepest is not None or self.dimensions == 3
+        if self.sees_slope:
+            self._seen = np.array(PLANAR if self.dimensions == 2 else range(surface.HEADING_SIZE))
+            self.observation_names = tuple(SEEN[column] for column in self._seen)
+            self.observation_scale = SEEN_SCALE[self._seen]
+        if self.dimensions == 3:
+            self.action_names, self.start_axes = ("thrust", "roll", "pitch"), ("x", "y", "z")
+            self.film_starts = FILM_STARTS
+            self.figure_starts = {"trajectory": FILM_STARTS[0]}
+        self._axes = [COLUMNS[name] for name in self.start_axes]
+
+    def _check_steepest(self, steepest) -> float | None:
+        if steepest is None:
+            return None
+        limit = self.vehicle.platform_max_inclination + 1e-12
+        if not (isinstance(steepest, (int, float)) and 0.0 < steepest <= limit):
+            said = shown(repr(steepest), 40)
+            raise UserError(f"steepest must be an angle above 0 and up to {limit:.3g} rad, not {said}")
+        return float(steepest)
 
     @property
-    def goal_position(self) -> tuple[float, float]:
-        """(x, z) of the goal [m]."""
-        return 0.0, self.vehicle.platform_surface_height + GOAL_HEIGHT
+    def _slopes(self) -> tuple[float, float]:
+        """Least and largest inclination of the slopes that are drawn [rad]."""
+        steepest = self.steepest or 0.0
+        return -steepest, steepest
 
     @property
-    def goal(self) -> np.ndarray:
-        """[x z vx vz pitch] (5,) of the goal."""
-        return np.array([*self.goal_position, 0.0, 0.0, self.inclination])
+    def goal_position(self) -> tuple[float, ...]:
+        """(x, z) of the goal [m]; (x, y, z) in space. Where the slope is observed, over a level one."""
+        return *[0.0] * (len(self.start_axes) - 1), self.vehicle.platform_surface_height + GOAL_HEIGHT
+
+    @property
+    def goal(self) -> np.ndarray | None:
+        """[x z vx vz pitch] (5,) of the goal; None where the slope is observed, as it is the slope's."""
+        return None if self.sees_slope else np.array([*self.goal_position, 0.0, 0.0, self.inclination])
 
     @property
     def goal_half_widths(self) -> np.ndarray | None:
         """(5,) of the goal box around `goal`; None where rest on the slope is the goal instead."""
-        return None if self.goal_size is None else np.array(goal_box(self.goal_size), float)
+        if self.goal_size is None or self.sees_slope:
+            return None
+        return np.array(goal_box(self.goal_size), float)
+
+    def goal_over(self, inclination: float, azimuth: float = 0.0) -> np.ndarray:
+        """The goal as a state (13,) over a slope of this inclination and azimuth [rad], turned to face it."""
+        state = np.zeros(STATE_SIZE)
+        state[[X, Z]] = 0.0, self.vehicle.platform_surface_height + GOAL_HEIGHT
+        if self.sees_slope:
+            out = GOAL_HEIGHT * math.sin(inclination)
+            state[[X, Y]] = out * math.cos(azimuth), out * math.sin(azimuth)
+            state[Z] += GOAL_HEIGHT * (math.cos(inclination) - 1.0)
+        state[[PITCH, YAW]] = inclination, azimuth
+        return state
 
     @property
     def observation_centre(self) -> np.ndarray:
-        """(5,) the goal, level."""
-        return np.array([*self.goal_position, 0.0, 0.0, 0.0])
+        """The goal, level: (5,), or as many as are observed."""
+        if not self.sees_slope:
+            return np.array([*self.goal_position, 0.0, 0.0, 0.0])
+        return np.where(self._seen == Z, GOAL_HEIGHT, 0.0)
+
+    def observe(self, moment: Moment) -> np.ndarray:
+        """See the module's docstring, (n, o) float32; where the slope is observed it needs the decks."""
+        if not self.sees_slope:
+            return super().observe(moment)
+        if moment.deck is None:
+            raise UserError(f"this {self.name} task observes the slope; give observe the deck")
+        return surface.heading_frame(moment.state, moment.deck)[:, self._seen].astype(np.float32)
 
     def start_box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper corner (2,), as x, z [m], of the box that random starts come from."""
+        """Lower and upper corner, (2,) as x, z or (3,) as x, y, z [m], of the box of random starts."""
         c, v = self.conditions, self.vehicle
         goal = np.array(self.goal_position)
-        reach = np.array([c.start_reach, c.start_reach if c.start_reach_z is None else c.start_reach_z])
-        low = np.maximum(goal - reach, [v.arena_x[0] + START_MARGIN, c.lowest_start])
-        high = np.minimum(goal + reach, [v.arena_x[1] - START_MARGIN, v.arena_z[1] - START_MARGIN])
+        reach = np.full(len(goal), c.start_reach)
+        if c.start_reach_z is not None:
+            reach[-1] = c.start_reach_z
+        sides = [getattr(v, f"arena_{name}") for name in self.start_axes]
+        low = np.maximum(goal - reach, [*(side[0] + START_MARGIN for side in sides[:-1]), c.lowest_start])
+        high = np.minimum(goal + reach, [side[1] - START_MARGIN for side in sides])
         return low, high
 
     def sample(self, rng: np.random.Generator, k: int) -> Start:
         """k starts at rest, uniform over the conditions' box, clear of the platform."""
-        c, v = self.conditions, self.vehicle
+        c = self.conditions
         low, high = self.start_box()
         present = rng.random(k) < c.platform
-        positions = np.zeros((k, 3))
+        start = self._start(hover_states(np.zeros((k, 3)), self.vehicle), present)
+        self._draw_slopes(rng, start)
         todo = np.arange(k)
         for _ in range(1000):
-            positions[todo, ::2] = rng.uniform(low, high, (len(todo), 2))
-            start = self._start(hover_states(positions[todo], v), present[todo])
-            todo = todo[self.start_clearance(start) < START_CLEARANCE]
+            start.state[np.ix_(todo, self._axes)] = rng.uniform(low, high, (len(todo), len(low)))
+            todo = todo[self.start_clearance(start[todo]) < START_CLEARANCE]
             if not len(todo):
-                return self._start(hover_states(positions, v), present)
+                return start
         raise UserError(f"no start clear of the platform was found within {c.start_reach:g} m of the goal")
+
+    def _draw_slopes(self, rng: np.random.Generator, start: Start) -> None:
+        """Give random starts the slopes and headings that the options ask for."""
+        k = len(start.state)
+        if self.steepest is not None:
+            low, high = self._slopes
+            start.inclination = rng.uniform(low if self.dimensions == 2 else 0.0, high, k)
+            start.inclination *= self.conditions.tilt
+            if self.dimensions == 3:
+                start.azimuth = rng.uniform(-math.pi, math.pi, k)
+        if self.random_yaw:
+            start.state[:, YAW] = rng.uniform(-math.pi, math.pi, k)
 
     def start(self, state: np.ndarray) -> Start:
         """Starts from given states (k, 13) under the present conditions, with a platform."""
@@ -200,30 +315,50 @@ class InclinedLanding(Task):
 
     def _start(self, state: np.ndarray, present: np.ndarray) -> Start:
         k, c = len(state), self.conditions
-        return Start(state, np.full(k, self.inclination * c.tilt), present, np.full(k, c.goal_size))
+        azimuth = np.full(k, self.azimuth) if self.dimensions == 3 else None
+        slope = np.full(k, self.inclination * c.tilt)
+        return Start(state, slope, present, np.full(k, c.goal_size), azimuth=azimuth)
 
     def start_clearance(self, start: Start) -> np.ndarray:
         """(k,) distance of the real shapes to the platform [m]; inf without a platform."""
-        position, _ = geometry.platform_poses(start.inclination, start.present, self.vehicle)
-        distance = geometry.clearances(start.state, start.inclination, position, self._shapes)
+        azimuth = 0.0 if start.azimuth is None else start.azimuth
+        slope = start.inclination
+        position, _ = geometry.platform_poses(slope, start.present, self.vehicle, azimuth=azimuth)
+        distance = geometry.clearances(start.state, slope, position, self._shapes, azimuth=azimuth)
         return distance[:, :2].min(axis=(1, 2))
 
     def check_start(self, point: tuple[float, ...]) -> None:
-        """Raise UserError where a vehicle at (x, z) would touch the platform or be in the hollow under it."""
+        """Raise UserError where a vehicle there would touch the platform or be in the hollow under it."""
         v = self.vehicle
-        x, z = point[0], point[1] - v.platform_surface_height
+        state = self.states_at([point])
+        cos, sin = math.cos(self.azimuth), math.sin(self.azimuth)
+        x, y = cos * state[0, X] + sin * state[0, Y], cos * state[0, Y] - sin * state[0, X]
+        z = state[0, Z] - v.platform_surface_height
         sin, cos = math.sin(self.inclination), math.cos(self.inclination)
         along, height = x * cos - z * sin, x * sin + z * cos  # of the slab's surface
         thick, half = v.platform_thickness, v.slab_half_length
         in_slab = abs(along) < half and -thick <= height < 0.0
         under = abs(x + thick * sin) < half * cos and height < -thick
-        touching = self.start_clearance(self.start(self.states_at([point])))[0] <= 0.0
-        if in_slab or under or touching:
-            raise UserError(f"start {point[0]:g},{point[1]:g} lies in the platform")
+        inside = (in_slab or under) and abs(y) < 0.5 * v.platform_depth
+        if inside or self.start_clearance(self.start(state))[0] <= 0.0:
+            raise UserError(f"start {','.join(f'{number:g}' for number in point)} lies in the platform")
+
+    def in_goal_over(self, state: np.ndarray, deck: np.ndarray, goal_size) -> np.ndarray:
+        """(n,) bool: inside the goal box of size d = goal_size (n,) along the normal of decks (n, 12)."""
+        seen = surface.heading_frame(state, deck)
+        standing = seen[:, surface.SLOPE_ROLL :]
+        seen[:, X : Z + 1] -= GOAL_HEIGHT * surface.standing_normal(*standing.T)
+        seen[:, ROLL : PITCH + 1] -= standing
+        place, _, speed, _, angle = goal_box(goal_size)
+        return (
+            (np.abs(seen[:, X : Z + 1]).max(axis=1) < place)
+            & (np.abs(seen[:, VX : VZ + 1]).max(axis=1) < speed)
+            & (np.abs(seen[:, ROLL : PITCH + 1]).max(axis=1) < angle)
+        )
 
     def in_goal(self, state: np.ndarray, inclination, goal_size) -> np.ndarray:
-        """(n,) bool: inside the goal box of size d = goal_size (n,) for platforms at inclination."""
-        gx, gz = self.goal_position
+        """(n,) bool: inside the paper's goal box of size d = goal_size (n,) for platforms at inclination."""
+        gx, gz = self.goal_position[0], self.goal_position[-1]
         x, z, vx, vz, pitch = goal_box(goal_size)
         return (
             (np.abs(state[:, X] - gx) < x)
@@ -234,15 +369,22 @@ class InclinedLanding(Task):
         )
 
     def near_bounds(self, state: np.ndarray, m: float = BOUND_MARGIN) -> np.ndarray:
-        """(n,) bool: within m [m] of the arena's bounds in x or z, or beyond."""
+        """(n,) bool: within m [m] of the arena's bounds in x or z, in space in y too, or beyond."""
         (x0, x1), (z0, z1) = self.vehicle.arena_x, self.vehicle.arena_z
         x, z = state[:, X], state[:, Z]
-        return (x < x0 + m) | (x > x1 - m) | (z < z0 + m) | (z > z1 - m)
+        near = (x < x0 + m) | (x > x1 - m) | (z < z0 + m) | (z > z1 - m)
+        if self.dimensions == 3:
+            (y0, y1), y = self.vehicle.arena_y, state[:, Y]
+            near |= (y < y0 + m) | (y > y1 - m)
+        return near
 
     def judge(self, moment: Moment) -> Judgement:
         """See the module's docstring."""
         c, state, start = self.conditions, moment.state, moment.start
-        goal = self.in_goal(state, start.inclination, start.goal_size)
+        if self.sees_slope:
+            goal = self.in_goal_over(state, moment.deck, start.goal_size)
+        else:
+            goal = self.in_goal(state, start.inclination, start.goal_size)
         obstacle = moment.contacts.platform_near
         if not c.goal_while_touching:
             goal &= ~obstacle

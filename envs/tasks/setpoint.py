@@ -82,11 +82,14 @@ class Setpoint(Task):
         self,
         vehicle: Vehicle | None = None,
         *,
+        angle_limit: float | None = None,
         pwm_centre: float | str = "hover",
         pwm_span: float | None = None,
         history: int = 0,
     ):
-        super().__init__(vehicle, pwm_centre=pwm_centre, pwm_span=pwm_span, history=history)
+        super().__init__(
+            vehicle, angle_limit=angle_limit, pwm_centre=pwm_centre, pwm_span=pwm_span, history=history
+        )
         self.conditions = Conditions()
 
     @property

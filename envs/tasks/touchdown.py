@@ -53,8 +53,8 @@ from inclined_landing.envs.tasks.base import (
 )
 from inclined_landing.envs.tasks.landing import START_CLEARANCE, InclinedLanding
 from inclined_landing.envs.tasks.landing import Conditions as LandingConditions
-from inclined_landing.models import geometry
-from inclined_landing.models.attitude import LAG, PITCH, STATE_SIZE, VX, VZ, WX, WZ, X, Z
+from inclined_landing.models import geometry, surface
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VZ, WX, WZ, YAW, X, Y, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
@@ -73,6 +73,7 @@ _CLOSE_FALL = 0.8  # m/s into the surface
 _CLOSE_SPEED = 0.5  # m/s along it, both ways
 _CLOSE_THRUST = (0.3, 1.1)  # lag state as a share of hover
 _CLOSE_ALONG = 0.25  # m to both sides of the centre, always
+_CLOSE_ACROSS = 0.6  # of the slab's half depth to both sides, always, in space
 # Training starts around the raised edge, in half lengths of the slab towards it from the centre.
 _BESIDE = (-1.0, 2.5)
 
@@ -94,7 +95,7 @@ class Conditions(LandingConditions):
 
 
 class InclinedTouchdown(InclinedLanding):
-    """The task for vehicles of one kind and one platform inclination [rad].
+    """The task for vehicles of one kind, on slopes as in `InclinedLanding`.
 
     observe_contact: append the feet's contact to the observation.
     """
@@ -122,20 +123,34 @@ class InclinedTouchdown(InclinedLanding):
         vehicle: Vehicle | None = None,
         *,
         inclination: float | None = None,
+        steepest: float | None = None,
+        dimensions: int = 2,
+        azimuth: float = 0.0,
+        random_yaw: bool = False,
+        angle_limit: float | None = None,
         pwm_centre: float | str = "hover",
         pwm_span: float | None = None,
         observe_contact: bool = False,
         history: int = 0,
     ):
         super().__init__(
-            vehicle, inclination=inclination, pwm_centre=pwm_centre, pwm_span=pwm_span, history=history
+            vehicle,
+            inclination=inclination,
+            steepest=steepest,
+            dimensions=dimensions,
+            azimuth=azimuth,
+            random_yaw=random_yaw,
+            angle_limit=angle_limit,
+            pwm_centre=pwm_centre,
+            pwm_span=pwm_span,
+            history=history,
         )
         self.observe_contact = bool(observe_contact)
         self.options["observe_contact"] = self.observe_contact
         self.conditions = Conditions()
         if self.observe_contact:
-            self.observation_names = (*InclinedLanding.observation_names, "feet")
-            self.observation_scale = np.append(InclinedLanding.observation_scale, 1.0)
+            self.observation_names = (*self.observation_names, "feet")
+            self.observation_scale = np.append(self.observation_scale, 1.0)
         self._rest_height = float(geometry.reach_below(self._shapes, part="feet"))  # m
         self._weight = self.vehicle.body_mass * self.vehicle.environment_gravity
 
@@ -147,14 +162,24 @@ class InclinedTouchdown(InclinedLanding):
         return x, self.vehicle.platform_surface_height + z
 
     @property
-    def goal(self) -> np.ndarray:
-        """The observation at rest in the middle of the slope, (5,) or (6,)."""
+    def goal(self) -> np.ndarray | None:
+        """The observation at rest in the middle of the slope, (5,) or (6,); None where it is observed."""
+        if self.sees_slope:
+            return None
         rest = [*self.rest_position, 0.0, 0.0, self.inclination]
         return np.array(rest + [1.0] * self.observe_contact)
 
+    def goal_over(self, inclination: float, azimuth: float = 0.0) -> np.ndarray:
+        """Rest in the middle of such a slope as a state (13,)."""
+        state = super().goal_over(inclination, azimuth)
+        out = self._rest_height * math.sin(inclination)
+        state[[X, Y]] = out * math.cos(azimuth), out * math.sin(azimuth)
+        state[Z] = self.vehicle.platform_surface_height + self._rest_height * math.cos(inclination)
+        return state
+
     @property
     def observation_centre(self) -> np.ndarray:
-        """(5,) the landing's, or (6,)."""
+        """The landing's, and 0 for the contact."""
         return np.append(super().observation_centre, [0.0] * self.observe_contact)
 
     def prepare(self, plant) -> None:
@@ -169,10 +194,10 @@ class InclinedTouchdown(InclinedLanding):
         start = super().sample(rng, k)
         if c.beside > 0.0:
             beside = (rng.random(k) < c.beside) & start.present
-            start.state[beside] = self._beside(rng, start.inclination[beside])
+            start.state[beside] = self._beside(rng, start[beside])
         if c.close > 0.0:
             close = (rng.random(k) < c.close) & start.present
-            start.state[close] = self._close(rng, start.inclination[close])
+            start.state[close] = self._close(rng, start[close])
         contact: dict[str, Any] = {}
         if c.friction is not None:
             contact["friction"] = rng.uniform(*c.friction, k)
@@ -180,24 +205,45 @@ class InclinedTouchdown(InclinedLanding):
             contact |= {"restitution": rng.uniform(*c.restitution, k), "contact_time": CONTACT_TIME}
         return dataclasses.replace(start, contact=contact or None)
 
-    def _beside(self, rng: np.random.Generator, inclination: np.ndarray) -> np.ndarray:
+    def _beside(self, rng: np.random.Generator, start: Start) -> np.ndarray:
         """States (k, 13) at rest around the raised edge, where the way to the slope leads over it.
 
-        Half of them lie in the lowest quarter of the start box.
+        Half of them lie in the lowest quarter of the start box. start: as drawn, with slopes and headings.
         """
-        uphill = np.where(inclination > 0.0, -1.0, 1.0) * self.vehicle.slab_half_length
-        (_, low), (_, high) = self.start_box()
-        positions = np.zeros((len(inclination), 3))
-        todo = np.arange(len(inclination))
+        k = len(start.state)
+        uphill = np.where(start.inclination > 0.0, -1.0, 1.0) * self.vehicle.slab_half_length
+        (*_, low), (*_, high) = self.start_box()
+        positions = np.zeros((k, 3))
+        todo = np.arange(k)
+        beside = dataclasses.replace(start, state=np.zeros((k, STATE_SIZE)), present=np.ones(k, bool))
         while len(todo):
             positions[todo, 0] = uphill[todo] * rng.uniform(*_BESIDE, len(todo))
             positions[todo, 2] = low + (high - low) * rng.random(len(todo)) ** 2
-            start = self._start(hover_states(positions[todo], self.vehicle), np.ones(len(todo), bool))
-            todo = todo[self.start_clearance(start) < START_CLEARANCE]
-        return hover_states(positions, self.vehicle)
+            state = hover_states(positions[todo], self.vehicle)
+            beside.state[todo] = self._into_space(rng, state, start[todo])
+            todo = todo[self.start_clearance(beside[todo]) < START_CLEARANCE]
+        return beside.state
 
-    def _close(self, rng: np.random.Generator, inclination: np.ndarray) -> np.ndarray:
-        """States (k, 13) just over the slope, in motion."""
+    def _into_space(self, rng: np.random.Generator, state: np.ndarray, start: Start) -> np.ndarray:
+        """States (k, 13) in the plane of their slopes, shifted across it and turned with the slopes.
+
+        They take the headings of the starts. In the plane they stay as they are.
+        """
+        if start.azimuth is None:
+            return state
+        state = state.copy()
+        half = 0.5 * self.vehicle.platform_depth
+        state[:, Y] += rng.uniform(-_CLOSE_ACROSS * half, _CLOSE_ACROSS * half, len(state))
+        sin, cos = np.sin(start.azimuth), np.cos(start.azimuth)
+        for first in (X, VX):
+            x, y = state[:, first].copy(), state[:, first + 1].copy()
+            state[:, first], state[:, first + 1] = cos * x - sin * y, sin * x + cos * y
+        state[:, YAW] = start.state[:, YAW]
+        return state
+
+    def _close(self, rng: np.random.Generator, start: Start) -> np.ndarray:
+        """States (k, 13) just over the slope, in motion; start: as drawn, with slopes and headings."""
+        inclination = start.inclination
         k, v = len(inclination), self.vehicle
         sin, cos = np.sin(inclination), np.cos(inclination)  # along (cos, -sin), normal (sin, cos)
         far = rng.random(k)  # 0: at rest on the feet, motors at idle
@@ -212,6 +258,11 @@ class InclinedTouchdown(InclinedLanding):
         state[:, VZ] = -speed * sin - fall * cos
         state[:, PITCH] = inclination + far * rng.uniform(-_CLOSE_PITCH, _CLOSE_PITCH, k)
         state[:, LAG] = v.hover_lag * far * rng.uniform(*_CLOSE_THRUST, k)
+        state = self._into_space(rng, state, start)
+        if start.azimuth is not None:
+            roll, pitch = surface.standing(inclination, start.azimuth - state[:, YAW])
+            state[:, ROLL] = roll + far * rng.uniform(-_CLOSE_PITCH, _CLOSE_PITCH, k)
+            state[:, PITCH] += pitch - inclination
         return state
 
     def thrust_of(self, other: Task) -> tuple[float, float]:
@@ -223,7 +274,7 @@ class InclinedTouchdown(InclinedLanding):
         return 1.0, 0.0
 
     def observe(self, moment: Moment) -> np.ndarray:
-        """[x z vx vz pitch] (n, 5), float32, or (n, 6) with the feet's contact."""
+        """That of the landing task, float32, and the feet's contact where it is observed."""
         observation = super().observe(moment)
         if not self.observe_contact:
             return observation
