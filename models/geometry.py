@@ -22,7 +22,7 @@ PLATFORM_BODIES = ("platform", "base_left", "base_right", "base_core")
 PLATFORM_GEOMS = ("slab", "wall_left", "wall_right", "core")
 CONTACT_GEOMS = (*PLATFORM_GEOMS, "floor")
 GEOM_SURFACE = (0, 1, 1, 1, 2)  # index into SURFACES of each of CONTACT_GEOMS
-_PARKED = -100.0  # height of an absent platform [m]
+PARKED = -100.0  # height of an absent platform [m]
 _RIM_POINTS = 16
 
 
@@ -120,7 +120,7 @@ def platform_poses(inclination, present, vehicle: Vehicle, surface_height=None, 
     position[:, 1:3, 1] = position[:, 1:3, 0] * np.sin(azimuth)[..., None]
     position[:, 1:3, 0] *= np.cos(azimuth)[..., None]
     position[:, 3, 2] = height - np.abs(rise) - underside
-    position[~present, :, 2] = _PARKED
+    position[~present, :, 2] = PARKED
     quaternion = np.zeros((n, 4, 4))
     cos, sin = np.cos(azimuth / 2), np.sin(azimuth / 2)
     quaternion[..., 0], quaternion[..., 3] = cos[..., None], sin[..., None]
@@ -131,29 +131,36 @@ def platform_poses(inclination, present, vehicle: Vehicle, surface_height=None, 
 
 
 @numba.njit(cache=True, inline="always")
-def box_distance(x, y, z, position, turn, tilt, centre, size):
+def box_distance(x, y, z, position, turn, lean, tilt, centre, size):
     """Signed distance [m] of a point to a box of the platform, negative inside.
 
-    position (3,) of its body, turn and tilt (sine, cosine) of its azimuth and inclination, centre and half
-    size (3,) in the body.
+    position (3,) of its body, turn, lean and tilt (sine, cosine) of its azimuth, roll and inclination,
+    centre and half size (3,) in the body.
     """
     dx, dy, dz = x - position[0], y - position[1], z - position[2]
     dx, dy = turn[1] * dx + turn[0] * dy, turn[1] * dy - turn[0] * dx
+    if lean[0] != 0.0:
+        dy, dz = lean[1] * dy + lean[0] * dz, lean[1] * dz - lean[0] * dy
     dx, dz = tilt[1] * dx - tilt[0] * dz, tilt[0] * dx + tilt[1] * dz
     dx, dy, dz = abs(dx - centre[0]) - size[0], abs(dy - centre[1]) - size[1], abs(dz - centre[2]) - size[2]
     outside = math.sqrt(max(dx, 0.0) ** 2 + max(dy, 0.0) ** 2 + max(dz, 0.0) ** 2)
     return outside + min(max(dx, dy, dz), 0.0)
 
 
+_UPRIGHT = (0.0, 1.0)  # sine, cosine of no angle
+
+
 @numba.njit(cache=True)
-def platform_distance(point, inclination, azimuth, position, boxes, sizes):
+def platform_distance(point, roll, inclination, azimuth, position, boxes, sizes):
     """Signed distance [m] of a point (3,) to the platform; position (4, 3) from `platform_poses`."""
     x, y, z = point[0], point[1], point[2]
     turn = math.sin(azimuth), math.cos(azimuth)
+    lean = (math.sin(roll), math.cos(roll)) if roll != 0.0 else _UPRIGHT
     tilt = math.sin(inclination), math.cos(inclination)
-    nearest = box_distance(x, y, z, position[0], turn, tilt, boxes[0], sizes[0])
+    nearest = box_distance(x, y, z, position[0], turn, lean, tilt, boxes[0], sizes[0])
     for b in range(1, len(sizes)):  # only the slab is tilted
-        nearest = min(nearest, box_distance(x, y, z, position[b], turn, (0.0, 1.0), boxes[b], sizes[b]))
+        base = box_distance(x, y, z, position[b], turn, _UPRIGHT, _UPRIGHT, boxes[b], sizes[b])
+        nearest = min(nearest, base)
     return nearest
 
 
@@ -176,9 +183,10 @@ def _clearances(state, inclination, azimuth, position, centres, radii, parts, bo
             if near_floor:
                 out[i, 2, part] = min(out[i, 2, part], rotated[2] - radii[k])
             for b in range(sizes.shape[0]):
-                own = tilt if b == 0 else (0.0, 1.0)  # only the slab is tilted
+                own = tilt if b == 0 else _UPRIGHT  # only the slab is tilted
                 x, y, z = rotated[0], rotated[1], rotated[2]
-                distance = box_distance(x, y, z, position[i, b], turn, own, boxes[b], sizes[b]) - radii[k]
+                distance = box_distance(x, y, z, position[i, b], turn, _UPRIGHT, own, boxes[b], sizes[b])
+                distance -= radii[k]
                 surface = 0 if b == 0 else 1
                 out[i, surface, part] = min(out[i, surface, part], distance)
 

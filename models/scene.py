@@ -30,6 +30,16 @@ _VISUAL_GROUPS = (1, 2)
 _AT_A_MOTOR = re.compile(r"(?P<kind>[a-z]+)_(?P<x>front|rear)_(?P<y>left|right)(_\d)?")
 _WALL_HALF_HEIGHT = 0.8  # m; reaches below the floor at every inclination
 _WALL_HALF_THICKNESS = 0.01  # m
+# Of a moving platform's joints [kg, kg m2]: a touchdown of 0.1 N s changes its speed by 1e-6 m/s, for one
+# control period. The contact solver's tolerance is relative to the scene's inertia, and so as much smaller.
+_DECK_INERTIA = 1e5
+_DECK_TOLERANCE = 1e-15
+_DECK_SLIDES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
+_DECK_HINGES = {
+    "yaw": (0, 0, 1),
+    "roll": (1, 0, 0),
+    "pitch": (0, 1, 0),
+}  # attitude Rz(yaw) Rx(roll) Ry(pitch)
 
 
 def build_spec(
@@ -41,6 +51,7 @@ def build_spec(
     integrator: str = "RK4",
     torque_limit: bool = True,
     pooled: float | None = None,
+    moving: bool = False,
 ) -> mujoco.MjSpec:
     """The scene as an MjSpec.
 
@@ -50,6 +61,8 @@ def build_spec(
     pooled: of a batch in which every simulation has a vehicle of its own: the longest delay of commands among
         them [s]. Such scenes differ in numbers alone and compile ten times as fast: motion capture is left to
         the plant, and textures have one pixel.
+    moving: the platform has joints, and so a velocity that friction passes on, instead of being posed; its
+        base is left out.
     Raises UserError for an unknown integrator or a negative zone or time step.
     """
     v = vehicle or load_vehicle()
@@ -75,6 +88,8 @@ def build_spec(
         for texture in spec.textures:
             texture.width = texture.height = 1
     _fill_platform(spec, v, keep_out)
+    if moving:
+        _release_platform(spec)
     for geom in list(spec.geoms):
         if geom.contype or geom.conaffinity:
             geom.friction[0] = v.contact_friction
@@ -232,6 +247,25 @@ def _fill_platform(spec: mujoco.MjSpec, v: Vehicle, keep_out: float) -> None:
         spec.geom(geom).gap = keep_out
 
 
+def _release_platform(spec: mujoco.MjSpec) -> None:
+    """Make of the posed platform a body with joints, too heavy to be moved by what touches it.
+
+    Its qpos is then its place in the world. The base's bodies are parked below the floor.
+    """
+    spec.option.tolerance = _DECK_TOLERANCE
+    body = spec.body("platform")
+    body.mocap = False
+    body.pos, body.quat = [0, 0, 0], [1, 0, 0, 0]
+    body.explicitinertial = True
+    body.ipos, body.mass, body.inertia = [0, 0, 0], 1e-6, [1e-6] * 3  # next to nothing beside the joints'
+    kinds = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    for kind, axes in zip(kinds, (_DECK_SLIDES, _DECK_HINGES)):
+        for name, axis in axes.items():
+            body.add_joint(name=f"deck_{name}", type=kind, axis=axis, armature=_DECK_INERTIA)
+    for name in geometry.PLATFORM_BODIES[1:]:
+        spec.body(name).pos = [0, 0, geometry.PARKED]
+
+
 def _text(value) -> str:
     values = value if isinstance(value, tuple) else (value,)
     return " ".join(repr(float(x)) for x in values)
@@ -246,6 +280,7 @@ def compile_scene(
     integrator: str = "RK4",
     torque_limit: bool = True,
     pooled: float | None = None,
+    moving: bool = False,
 ) -> mujoco.MjModel:
     """The compiled scene for simulation, without visual geoms; one model per set of arguments."""
     return build_spec(
@@ -256,4 +291,5 @@ def compile_scene(
         integrator=integrator,
         torque_limit=torque_limit,
         pooled=pooled,
+        moving=moving,
     ).compile()

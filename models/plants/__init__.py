@@ -8,7 +8,7 @@ unless another is given), and shows
 - `measurement` (n, 13): the state as motion capture reports it, which is late with that effect;
 - `contacts`: what the vehicles' parts touched during the last control step;
 - `reset(ids, state)`: full state, lag included; `save()` / `restore()`: everything that a replay needs;
-- `set_platform(ids, inclination, present)` and `perturb(**changes)`, per vehicle, no recompiling.
+- `set_platform(ids, inclination, present, azimuth)` and `perturb(**changes)`, per vehicle, no recompiling.
 
 With `pool=VEHICLES` single vehicles may be others than the plant's own: `assign(ids, choice)` says which, and
 they fly as in a plant of their own, bit for bit.
@@ -18,6 +18,9 @@ without it the air is still.
 
 The hybrid plant is the MuJoCo vehicle while a surface is within its reach, and flies by the equations
 elsewhere: the same flights to 3.4e-5 m in 6 s, the same contacts, at a fraction of the time (`hybrid.py`).
+
+With `moving=True` the platforms of these two move by `set_motion(ids, motion)` (`models/motion.py`). They
+carry along what stands on them, and have no base. `deck` (n, 12) are the platforms' states in every plant.
 
 Both also have `set_contact(ids, ...)`: friction, restitution and contact time, foot height;
 and `torque_needs_motors`: with it, a vehicle under PWM 0 has no attitude torque, as motors make it.
@@ -52,4 +55,6 @@ def make_plant(kind: str, n: int, vehicle: Vehicle | None = None, **options):
     """A plant by name: one of PLANTS."""
     if kind not in PLANTS:
         raise UserError(f"unknown plant {kind!r}; known are {', '.join(PLANTS)}")
+    if kind == "analytic" and options.pop("moving", False):
+        raise UserError("the analytic plant's platforms stand still: take the mujoco or hybrid plant")
     return PLANTS[kind](n, vehicle, **options)

@@ -13,6 +13,7 @@ from inclined_landing.models import equations, geometry, perturbation
 from inclined_landing.models.attitude import PITCH, STATE_SIZE, WZ, YAW, Z
 from inclined_landing.models.delays import Delays
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle, check_vehicle, load_vehicle
 from inclined_landing.models.unrest import Seed, Unrest
 
@@ -158,7 +159,8 @@ class Plant:
         own = self._arrays()
         if set(own) != set(snapshot.arrays) or self.n != len(snapshot.arrays["state"]):
             raise UserError("the snapshot belongs to a plant of another kind or size")
-        for name, array in own.items():
+        self._make_room(snapshot.arrays)
+        for name, array in self._arrays().items():
             array[:] = snapshot.arrays[name]
         if self.unrest:
             self.unrest.resume()
@@ -167,6 +169,9 @@ class Plant:
                 raise UserError("the snapshot belongs to a plant with another pool of vehicles")
             self._apply_choice(np.arange(self.n))
         self._apply_perturbation()
+
+    def _make_room(self, arrays: dict[str, np.ndarray]) -> None:
+        """Hook for plants with arrays whose shapes may change."""
 
     def assign(self, ids, choice) -> None:
         """Make of the vehicles `ids` (k,) those of the pool in `choice` (k,): 1 the first, 0 the plant's own.
@@ -207,11 +212,25 @@ class Plant:
 
         `deck` (n, 12) then has their states, in the columns of a vehicle's: centre of the surface, velocity,
         attitude, rates. The surface's attitude is Rz(yaw) Rx(roll) Ry(pitch), its inclination the pitch.
+        The platforms stand still until `set_motion`.
         """
         rows = np.zeros((len(self._height[ids]), DECK_SIZE))
         rows[:, Z], rows[:, PITCH], rows[:, YAW] = self._height[ids], inclination, azimuth
         self.deck[ids] = rows
         self.present[ids] = present
+
+    def set_motion(self, ids, motion: Motion) -> None:
+        """Move the platforms of the vehicles `ids` (k,) about where they are set; time 0 is at `reset`.
+
+        Only plants made with `moving=True` can: of the others UserError.
+        """
+        raise UserError(
+            "the platforms of this plant stand still: make a mujoco or hybrid one with moving=True"
+        )
+
+    def deck_at(self, times) -> np.ndarray:
+        """`deck` (n, 12) as it is at times (n,) or a number [s] since the vehicles' reset."""
+        return self.deck.copy()
 
     def _platform_poses(self, ids) -> tuple[np.ndarray, np.ndarray]:
         """See `geometry.platform_poses`; of the vehicles `ids`."""

@@ -9,14 +9,16 @@ A vehicle is out of reach in a time step when the sphere around its shapes is fa
 than its centre can move in this step, by `_MARGIN`; slab and base count with the keep-out zone. The engine
 sees contacts at the beginning of a time step and at the three other stages of RK4, whose positions are
 within one step of the speeds of that step: the speeds at its two ends, plus their difference for what the
-acceleration does between. So no contact that the engine would see is missed, and contacts, forces and the
-zone are always the engine's own.
+acceleration does between. A moving deck is taken where it was at the period's beginning, and nearer by what
+any of its points can have moved since (`Decks.fastest`). So no contact that the engine would see is missed,
+and contacts, forces and the zone are always the engine's own.
 
 By the equations fly attitudes and rates only for which they are as exact as the engine: roll short of the
 Euler angles' singular 90 deg, turns in a time step of less than `_TURN`. Torque limits, clamped commands,
 motors that are off, perturbations, unrest and all effects are in the equations; delayed commands are written
 into the engine's history as it would write them. The engine flies everything with kinematic attitude, the
-mode for exact comparison, and while its steps are recorded (`advance(record=...)`). Its own delayed motion
+mode for exact comparison, while its steps are recorded (`advance(record=...)`), and vehicles with a ground
+effect over decks that can move, which the equations know standing still only. Its own delayed motion
 capture sensors, which nothing reads, are as old as its last step.
 """
 
@@ -70,11 +72,12 @@ class HybridPlant(MujocoPlant):
             acting, step = self._acting, self.control_period / self.substeps
             for k in range(self.substeps):
                 acting[k] = self.delays.acting(k * step, step)
+        fastest = self.decks.fastest(own) if self.decks else None
         c, model = self.contacts, self.model
         near = self._near[: _fly(
             own, acting, model.actuator_ctrlrange, push, self._limited, self.torque_needs_motors,
             self._constants, self.perturbation, model.opt.timestep, self.substeps,
-            self.inclination, self.azimuth, self.present, self._mocap_pos, *self._boxes,
+            self.deck, fastest, self.present, self._mocap_pos, *self._boxes,
             self.shapes.reach - self.foot_height, self.foot_height, self._contact, self.keep_out,
             self.state, self._qpos, self._qvel, self._act, self._ctrl, self._time, self._warmstart,
             self._history, model.actuator_history[:, 0], model.actuator_historyadr,
@@ -82,6 +85,7 @@ class HybridPlant(MujocoPlant):
         )]  # fmt: skip
         if len(near):
             self._roll(None if len(near) == self.n else near)
+        self._place_decks(own)
         self.delays.push_state(self.state, own)
         return {}
 
@@ -92,7 +96,7 @@ functools.update_wrapper(HybridPlant.__init__, MujocoPlant.__init__)  # with its
 @numba.njit(cache=True)
 def _fly(
     ids, acting, ranges, push, limited, needs_motors, vehicle, p, dt, substeps,
-    inclination, azimuth, present, mocap, boxes, sizes, bodies, above_feet, nominal, contact, zone,
+    deck, fastest, present, mocap, boxes, sizes, bodies, above_feet, nominal, contact, zone,
     state, qpos, qvel, act, ctrl, time, warmstart, history, samples, addresses,
     near, touch, force, in_engine, left,
 ):  # fmt: skip
@@ -102,10 +106,13 @@ def _fly(
     others are what it would have made of them, without a warm start of its solver, which had no contact.
     """
     each, held, work = len(vehicle) > 1, len(acting) == 1, equations.scratch()
+    moving = fastest is not None
     y, u, around = np.zeros(13), np.empty(4), np.empty(equations.AMBIENT_SIZE)
     own_limits, poses = np.empty(3), np.empty((len(bodies), 3))
     count = 0
-    for i in ids:
+    for row in range(len(ids)):
+        i = ids[row]
+        d = deck[i]
         v = vehicle[i if each else 0]
         own_limits[:2], own_limits[2] = v.attitude.torque_limit, v.attitude.yaw_torque_limit
         if not limited:
@@ -114,18 +121,24 @@ def _fly(
             own_limits[:] = 0.0
         for b in range(len(bodies)):
             poses[b] = mocap[i, bodies[b]]
+        comes = 0.0  # what the slab can have come nearer in a time step
+        if fastest is not None:
+            poses[0] = d[: Z + 1]
+            if not present[i]:
+                poses[0, Z] = geometry.PARKED
+            comes = dt * fastest[row]
         around[equations.TIME], around[equations.VOLTAGE] = time[i], math.nan
-        around[equations.INCLINATION], around[equations.PRESENT] = inclination[i], present[i]
-        around[equations.AZIMUTH] = azimuth[i]
+        around[equations.INCLINATION], around[equations.PRESENT] = d[PITCH], present[i]
+        around[equations.AZIMUTH] = d[YAW]
         radius = above_feet + max(nominal, contact[i, 3])
         equations.take(state[i], y)
-        out_of_reach = True
-        for step in range(substeps):
+        out_of_reach = not (moving and present[i] and v.effects.ground_effect != 0.0)
+        for step in range(substeps if out_of_reach else 0):
             if step == 0 or not held:
                 for k in range(4):
                     u[k] = min(ranges[k, 1], max(ranges[k, 0], acting[step, i, k]))
-            platform = geometry.platform_distance(y, inclination[i], azimuth[i], poses, boxes, sizes) - zone
-            free = min(platform, y[Z]) - radius - _MARGIN
+            platform = geometry.platform_distance(y, d[ROLL], d[PITCH], d[YAW], poses, boxes, sizes) - zone
+            free = min(platform - (step + 1) * comes, y[Z]) - radius - _MARGIN
             vx, vy, vz = y[VX], y[VX + 1], y[VZ]
             begun = math.sqrt(vx * vx + vy * vy + vz * vz)
             out_of_reach = free > dt * begun and _tame(y, dt)

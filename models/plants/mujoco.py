@@ -28,14 +28,17 @@ from inclined_landing.models.attitude import (
     quaternion,
 )
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.base import Attitude, Plant, Snapshot
+from inclined_landing.models.plants.decks import Decks
 from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.scene import build_spec, compile_scene
 from inclined_landing.models.unrest import Seed, Unrest
 
 # The engine's warnings on which it silently resets a simulation.
 _DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
+_PUSH = mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
 
 class MujocoPlant(Plant):
@@ -51,6 +54,7 @@ class MujocoPlant(Plant):
     torque_needs_motors: a vehicle under PWM 0 has no attitude torque, as motors make it.
     unrest: seed of the vehicle's unrest of the air (`xfrc_applied`); None for still air.
     pool: vehicles that `assign` chooses from; each is compiled once.
+    moving: the platforms can move (`set_motion`); they have no base then, and steps take longer.
     """
 
     kind = "mujoco"
@@ -70,6 +74,7 @@ class MujocoPlant(Plant):
         torque_needs_motors: bool = False,
         unrest: Seed | None = None,
         pool: Sequence[Vehicle] = (),
+        moving: bool = False,
     ):
         super().__init__(n, vehicle, attitude, keep_out, control_period, unrest, pool)
         if not (math.isfinite(timestep) and timestep > 0):
@@ -85,6 +90,7 @@ class MujocoPlant(Plant):
             "timestep": timestep,
             "keep_out": keep_out,
             "torque_limit": torque_limit,
+            "moving": moving,
         }
         if self.pool:
             options["pooled"] = max(
@@ -101,6 +107,9 @@ class MujocoPlant(Plant):
         self._ctrl, self._warmstart, self._time = bind("ctrl"), bind("qacc_warmstart"), bind("time")
         self._mocap_pos, self._mocap_quat = bind("mocap_pos"), bind("mocap_quat")
         self._mocap = [int(self.model.body(b).mocapid[0]) for b in geometry.PLATFORM_BODIES]
+        self.decks = None  # of a moving plant
+        if moving:
+            self.decks = Decks(self.model, self.batch, self.vehicle, self.deck, self.substeps)
         self._warning = self.batch.warning
         self._history = bind("history") if self.model.nhistory else None
         self._held = _held_histories(self.model) if self.model.nhistory else None
@@ -120,7 +129,12 @@ class MujocoPlant(Plant):
         self.reset(np.arange(n), self.state)
 
     def _arrays(self):
-        return super()._arrays() | {"engine": self.batch.state, "contact": self._contact}
+        own = {"engine": self.batch.state, "contact": self._contact}
+        return super()._arrays() | own | (self.decks.arrays() if self.decks else {})
+
+    def _make_room(self, arrays):
+        if self.decks:
+            self.decks.make_room(arrays)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Return to a snapshot of a plant of the same kind and size."""
@@ -191,10 +205,29 @@ class MujocoPlant(Plant):
     def set_platform(self, ids, inclination, present=True, azimuth=0.0) -> None:
         """See `Plant.set_platform`."""
         super().set_platform(ids, inclination, present, azimuth)
+        if self.decks:
+            self.decks.stop(ids, self.deck[ids])
+            self._place_decks(ids)
+            return
         position, quat = self._platform_poses(ids)
         for k, mocap in enumerate(self._mocap):
             self._mocap_pos[ids, mocap] = position[:, k]
             self._mocap_quat[ids, mocap] = quat[:, k]
+
+    def set_motion(self, ids, motion: Motion) -> None:
+        """See `Plant.set_motion`."""
+        if self.decks is None:
+            return super().set_motion(ids, motion)
+        self.decks.set(ids, motion)
+        self._place_decks(ids)
+
+    def deck_at(self, times) -> np.ndarray:
+        """See `Plant.deck_at`."""
+        return self.decks.motion.decks(times, self.decks.rest) if self.decks else super().deck_at(times)
+
+    def _place_decks(self, ids) -> None:
+        if self.decks:
+            self.decks.place(self._everyone[ids], self.present)
 
     def reset(self, ids, state: np.ndarray) -> None:
         """Put the vehicles `ids` into `state` (k, 13): pose, rates, lag; contacts, past commands cleared."""
@@ -207,6 +240,7 @@ class MujocoPlant(Plant):
         self._warmstart[ids] = 0.0
         self._time[ids] = 0.0
         self._warning[ids] = 0
+        self._place_decks(ids)
         self._begin(ids, state)
 
     def step(self, commands: np.ndarray, wanted: np.ndarray | None = None) -> None:
@@ -248,6 +282,7 @@ class MujocoPlant(Plant):
         if self.attitude == "kinematic":
             self._synchronise(own)
         seen = self._roll(ids, record)
+        self._place_decks(own)
         self.delays.push_state(self.state, own)
         return seen
 
@@ -278,10 +313,13 @@ class MujocoPlant(Plant):
         """The engine's steps of one control period of the vehicles `ids`, read back; see `advance`."""
         stepped = self._everyone if ids is None else ids
         seen = {"sensordata": self._seen[: len(stepped)]}
+        push: Any = {}
+        if self.decks:
+            push = {"control": self.decks.forces(stepped, self.present), "control_spec": _PUSH}
         if record:
-            seen = self.batch.rollout(self.substeps, record=("sensordata", *record), ids=ids)
+            seen = self.batch.rollout(self.substeps, record=("sensordata", *record), ids=ids, **push)
         else:
-            self.batch.rollout(self.substeps, record=("sensordata",), ids=ids, out=seen)
+            self.batch.rollout(self.substeps, record=("sensordata",), ids=ids, out=seen, **push)
         c, zone = self.contacts, self.keep_out > 0.0
         _read_contacts(seen["sensordata"], stepped, self.contact_sensors, zone, c.near, c.touch, c.force)
         _read_state(stepped, self._qpos, self._qvel, self._act, self.state)

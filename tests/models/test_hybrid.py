@@ -13,6 +13,7 @@ from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
 from inclined_landing.eval.truth.equivalence.sequences import full_steps
 from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VZ, WX, WZ, YAW, X, Z
 from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import HybridPlant, MujocoPlant
 from inclined_landing.models.plants.recorder import Recorder
@@ -70,6 +71,15 @@ def many_effects(delays: bool):
     return dataclasses.replace(vehicle, **shaken, **(late if delays else {}))
 
 
+def motions(n: int, seed: int) -> Motion:
+    """Of n decks: travel of up to 2 m/s, swings of up to 0.3 m and 0.4 rad, the fastest at 8 rad/s."""
+    rng = np.random.default_rng(seed)
+    size = rng.uniform(0, 1, (n, 6, 2)) * [[0.15]] * (rng.uniform(size=(n, 1, 1)) < 0.7)
+    size[:, 3:5] *= 1.3
+    velocity = rng.uniform(-2, 2, (n, 3)) * [1, 1, 0.3]
+    return Motion(velocity, size, rng.uniform(1, 8, (n, 6, 2)), rng.uniform(0, 6, (n, 6, 2)))
+
+
 CASES = {
     "plain": {},
     "smooth": {"smooth": True},
@@ -82,6 +92,8 @@ CASES = {
     "motors off": {"torque_needs_motors": True, "off": 0.3},
     "low feet": {"foot_height": 0.03},
     "implicitfast": {"integrator": "implicitfast"},
+    "moving": {"moving": True},
+    "moving, with ground effect": {"moving": True, "pool": [many_effects(delays=False)], "present": 0.9},
 }
 
 
@@ -101,7 +113,7 @@ def test_every_control_step_is_the_engines(case, seed):
     hybrid, engine = HybridPlant(n, **options), MujocoPlant(n, **options)
     rng = np.random.default_rng(seed)
     if hybrid.pool:
-        hybrid.assign(np.arange(n), rng.integers(0, 3, n))
+        hybrid.assign(np.arange(n), rng.integers(0, len(hybrid.pool) + 1, n))
     turned = rng.uniform(-np.pi, np.pi, n) * (rng.uniform(size=n) < 0.5)
     hybrid.set_platform(np.arange(n), rng.uniform(-0.8, 0.8, n), rng.uniform(size=n) < present, turned)
     if perturbed:
@@ -109,6 +121,8 @@ def test_every_control_step_is_the_engines(case, seed):
         hybrid.perturb(lag_scale=0.7, drag_change=0.5, gain_scale=1.2, time_constant_scale=0.8)
     if foot is not None:
         hybrid.set_contact(np.arange(n), foot_height=foot)
+    if hybrid.decks:
+        hybrid.set_motion(np.arange(n), motions(n, seed))
     hybrid.reset(np.arange(n), population(n, seed))
     flown = commands(steps, n, seed, smooth)
     flown[rng.uniform(size=(steps, n)) < off, PWM] = 0.0

@@ -1,0 +1,134 @@
+"""The platforms of a moving plant in the engine: bodies with joints, which follow a motion.
+
+Between two control ticks the engine moves a deck itself, under the acceleration that its motion has in the
+middle of each time step of h; at the ticks it is put where it should be. From there to the next tick, T
+later, RK4 is off by at most J T h^2 / 12, J the largest third derivative of the motion: by micrometres. Its
+speed is off by J h^2 / 8 within a time step, and at a step's end by T h^2 / 24 of the fourth derivative.
+Single-step integrators move with the speed of a step's end; the deck is then given speeds that belong half
+a step earlier and accelerations of the steps' beginnings, which is as exact, and is how they move what
+stands on it.
+
+The joints' inertia is practically infinite, so that contacts do not move a deck.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numba
+import numpy as np
+
+from inclined_landing.models import motion
+from inclined_landing.models.attitude import ROLL, Z
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.geometry import PARKED
+from inclined_landing.models.motion import Motion
+from inclined_landing.models.parameters import Vehicle
+
+_JOINTS = ("x", "y", "z", "roll", "pitch", "yaw")  # of models/scene.py, in the order of motion.MODES
+
+
+class Decks:
+    """Platforms of n simulations of a scene that was built with `moving`.
+
+    deck (n, 12): the plant's array of their states, kept up to date here.
+    """
+
+    def __init__(self, model: mujoco.MjModel, batch, vehicle: Vehicle, deck: np.ndarray, substeps: int):
+        n = len(deck)
+        self.motion = Motion.still(n)
+        self.rest = deck.copy()
+        self._deck = deck
+        joints = [model.joint(f"deck_{name}") for name in _JOINTS]
+        places = np.array([int(joint.qposadr[0]) for joint in joints])
+        speeds = np.array([int(joint.dofadr[0]) for joint in joints])
+        bind = batch.bind
+        self._engine = bind("qpos"), bind("qvel"), bind("qfrc_applied"), places, speeds
+        self._time = bind("time")
+        self._inertia = float(model.dof_armature[speeds[0]])
+        self._step = model.opt.timestep
+        self._late = 0.0 if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.5 * self._step
+        self._period = substeps * self._step
+        self._forces = np.zeros((n, substeps, model.nv))
+        self._reach = math.hypot(
+            vehicle.slab_half_length, 0.5 * vehicle.platform_depth, vehicle.platform_thickness
+        )
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What a snapshot of the plant needs of them."""
+        names = ("deck_velocity", "deck_amplitude", "deck_frequency", "deck_phase")
+        return {"deck_rest": self.rest, **dict(zip(names, self.motion.arrays))}
+
+    def make_room(self, arrays: dict[str, np.ndarray]) -> None:
+        """Have as many waves as a snapshot's arrays."""
+        self.motion = Motion.still(len(self.rest), arrays["deck_amplitude"].shape[2])
+
+    def stop(self, ids, rest: np.ndarray) -> None:
+        """Leave the decks `ids` standing at `rest` (k, 12)."""
+        self.rest[ids] = rest
+        self.motion[ids] = Motion.still(len(rest))
+
+    def set(self, ids, moves: Motion) -> None:
+        """Give the decks `ids` (k,) the motions (k); raises UserError for another number of them."""
+        if len(moves) != len(self.rest[ids]):
+            raise UserError(f"{len(self.rest[ids])} decks need as many motions, not {len(moves)}")
+        self.motion[ids] = moves
+
+    def place(self, ids: np.ndarray, present: np.ndarray) -> None:
+        """Put the decks `ids` where their motions have them now, in the engine and in `deck`."""
+        motion.where_now(ids, self._time, self.rest, *self.motion.arrays, self._deck)
+        clock = self._time, self._step, self._late
+        _place(ids, *clock, present, self.rest, *self.motion.arrays, self._inertia, *self._engine)
+
+    def forces(self, ids: np.ndarray, present: np.ndarray) -> np.ndarray:
+        """Forces (k, substeps, nv) that move the decks `ids` through the control period that begins."""
+        out, at = self._forces[: len(ids)], self._engine[-1]
+        clock = self._time, self._step, self._late
+        _forces(ids, *clock, present, *self.motion.arrays, self._inertia, at, out)
+        return out
+
+    def fastest(self, ids: np.ndarray) -> np.ndarray:
+        """(k,) bound of the speed [m/s] of any point of the decks `ids` in the period that begins.
+
+        The speed of the centre now and what the largest acceleration of its motion adds, and as much for the
+        angles, each of which turns about an axis, times the reach of the slab.
+        """
+        _, amplitude, frequency, _ = self.motion.arrays
+        gained = self._period * (np.abs(amplitude[ids]) * frequency[ids] ** 2).sum(axis=2)
+        speed = np.abs(self._engine[1][np.ix_(ids, self._engine[-1])]) + gained
+        return np.linalg.norm(speed[:, :3], axis=1) + self._reach * speed[:, 3:].sum(axis=1)
+
+
+@numba.njit(cache=True)
+def _place(
+    ids, time, step, late, present, rest, velocity, amplitude, frequency, phase, inertia,
+    qpos, qvel, force, places, speeds,
+):  # fmt: skip
+    now, then, next_ = np.empty((3, 6)), np.empty((3, 6)), np.empty((3, 6))
+    for i in ids:
+        if not present[i]:
+            for k in range(6):
+                qpos[i, places[k]] = qvel[i, speeds[k]] = force[i, speeds[k]] = 0.0
+            qpos[i, places[Z]] = PARKED
+            continue
+        t = time[i]
+        motion.moved(i, t, velocity, amplitude, frequency, phase, now)
+        motion.moved(i, t - late, velocity, amplitude, frequency, phase, then)
+        motion.moved(i, t + 0.5 * step - late, velocity, amplitude, frequency, phase, next_)
+        for k in range(6):
+            qpos[i, places[k]] = rest[i, k if k < 3 else ROLL + k - 3] + now[0, k]
+            qvel[i, speeds[k]] = then[1, k]
+            force[i, speeds[k]] = inertia * next_[2, k]
+
+
+@numba.njit(cache=True)
+def _forces(ids, time, step, late, present, velocity, amplitude, frequency, phase, inertia, speeds, out):
+    now = np.empty((3, 6))
+    for row in range(len(ids)):
+        i = ids[row]
+        for s in range(out.shape[1]):
+            t = time[i] + (s + 0.5) * step - late
+            motion.moved(i, t, velocity, amplitude, frequency, phase, now)
+            for k in range(6):
+                out[row, s, speeds[k]] = inertia * now[2, k] if present[i] else 0.0
