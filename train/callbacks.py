@@ -58,7 +58,7 @@ class CurriculumCallback(BaseCallback):
         conditions = self.curriculum.conditions()
         if conditions is not None:
             self.training_env.env_method("ease", conditions)
-        gamma = self.curriculum.gamma()
+        gamma = self.curriculum.gamma(self.num_timesteps)
         self.model.gamma = gamma
         if isinstance(self.model, OnPolicyAlgorithm):
             self.model.rollout_buffer.gamma = gamma

@@ -22,6 +22,7 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS
 from inclined_landing.models.scene import INTEGRATORS
+from inclined_landing.train.curriculum import RISING
 
 # A field of `envs.tasks.base.Training` that is left at None becomes what the task says there.
 _OF_THE_TASK = tuple(field.name for field in dataclasses.fields(Training))
@@ -131,6 +132,9 @@ class TrainConfig:
     curriculum: Annotated[
         str | None, _by_task(f"What eases the task at first; {_CURRICULA}", "curriculum")
     ] = None
+    without: Annotated[str | None, tyro.conf.arg(metavar="PART[,PART...]")] = None
+    """Parts of the landing's curriculum to leave out: start, tilt, goal and platform are the task's from the
+    first step on; without departure, a vehicle that leaves is cut and pays nothing."""
     pwm_centre: Annotated[
         float | str | None,
         tyro.conf.arg(
@@ -169,9 +173,12 @@ class TrainConfig:
         _by_task("Initial; the curriculum says when it falls", "learning_rate"),
     ] = None
     gamma: Annotated[
-        float | None,
-        Range(0, 1, open=True),
-        _by_task("Discount; the paper's curriculum sets its own", "gamma"),
+        float | str | None,
+        _by_task(
+            "Discount; paper: from 0.97 to 0.99 over 800 000 steps, as in the curriculum paper anyway",
+            "gamma",
+            metavar="NUMBER|paper",
+        ),
     ] = None
     gae_lambda: Annotated[float, Range(0, 1)] = 0.95
     """Of the advantage estimate."""
@@ -213,6 +220,7 @@ class TrainConfig:
         given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}
         filled = {k: getattr(training, k) if value is None else value for k, value in given.items()}
         check_ranges(self)
+        _check_gamma(self.gamma)
         start = filled["start_from"]
         same = start is not None and trained_for(start) == kind.name
         filled |= self._ending(training, CARRIED_ON if same else training.min_steps)
@@ -297,6 +305,13 @@ class TrainConfig:
         """The configuration with JSON types only."""
         paths = {name: str(path) for name in ("out", *COPIED) if (path := getattr(self, name)) is not None}
         return dataclasses.asdict(self) | paths
+
+
+def _check_gamma(gamma: float | str | None) -> None:
+    if gamma is None or gamma == RISING:
+        return
+    if isinstance(gamma, str) or gamma not in Range(0, 1, open=True):
+        raise UserError(f"--gamma must lie between 0 and 1, or be {RISING}, not {shown(gamma, 40)}")
 
 
 # What an annotation takes, and what sentences call it.

@@ -9,16 +9,25 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
 from inclined_landing.envs.tasks import setpoint, task_class, touchdown
 from inclined_landing.envs.tasks.landing import AIDED, EASIEST_GOAL_SIZE, GOAL_SIZE, Conditions
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 SETTLING = 400_000  # environment steps
+# Parts of a landing's curriculum that `--without` leaves out, and their fields of `Conditions`.
+PARTS = {
+    "start": ("start_reach", "start_reach_z", "lowest_start"),
+    "tilt": ("tilt",),
+    "goal": ("goal_size",),
+    "platform": ("platform",),
+    "departure": ("departure",),
+}
+RISING = "paper"  # how the paper's discount is called
 
 
 class Curriculum(Protocol):
@@ -45,8 +54,8 @@ class Curriculum(Protocol):
     def skip(self) -> None:
         """Training goes on from a policy of the task: a curriculum that follows success begins at its end."""
 
-    def gamma(self) -> float:
-        """Discount factor of the next rollout."""
+    def gamma(self, steps: int) -> float:
+        """Discount factor of the next rollout, after `steps` environment steps."""
 
     def log(self) -> dict[str, float]:
         """Numbers for the learning curves."""
@@ -65,6 +74,11 @@ def settling(steps: int) -> float:
     nobody knows when that end comes.
     """
     return max(0.1, 1.0 - steps / SETTLING)
+
+
+def rising_gamma(steps: int) -> float:
+    """The paper's discount after `steps` environment steps: from 0.97 to 0.99 over 800 000."""
+    return 0.97 + 0.02 * min(1.0, steps / 800_000)
 
 
 class NoCurriculum:
@@ -94,7 +108,7 @@ class NoCurriculum:
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         return settling(steps) if total is None else max(0.0, 1.0 - steps / total)
 
-    def gamma(self) -> float:
+    def gamma(self, steps: int) -> float:
         return self._gamma
 
     def log(self) -> dict[str, float]:
@@ -199,7 +213,7 @@ class AdaptiveCurriculum:
             return 1.0
         return max(0.0, (total - steps) / (total - self._full_at))
 
-    def gamma(self) -> float:
+    def gamma(self, steps: int) -> float:
         return self._gamma
 
     def log(self) -> dict[str, float]:
@@ -216,6 +230,19 @@ class AdaptiveCurriculum:
         self.level, self._full_at = state["level"], state["full_at"]
         self._recent.clear()
         self._recent.extend(state["recent"])
+
+
+class FixedCurriculum(AdaptiveCurriculum):
+    """The same levels, by steps, whatever the success: level 1 at RAMP, where the adaptive one usually is."""
+
+    name = "fixed"
+    RAMP = 175_000  # environment steps
+
+    def advance(self, steps: int) -> None:
+        self.level = min(1.0, steps / self.RAMP)
+        full = len(self._recent) == self._recent.maxlen
+        if self.level >= 1.0 and full and self.success > self.gate and self._full_at is None:
+            self._full_at = steps
 
 
 class PaperCurriculum:
@@ -278,8 +305,8 @@ class PaperCurriculum:
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         return 1.0
 
-    def gamma(self) -> float:
-        return 0.97 + 0.02 * min(1.0, self.steps / 800_000)
+    def gamma(self, steps: int) -> float:
+        return rising_gamma(steps)
 
     def log(self) -> dict[str, float]:
         return {"level": self.level} | _stage(self.conditions())
@@ -359,21 +386,76 @@ class TouchdownCurriculum(NoCurriculum):
         self.level = state["level"]
 
 
+class Changed:
+    """A curriculum but for parts that are left out: in those, every episode is the task itself.
+
+    parts: of PARTS; without a departure's price, who leaves is cut. rising: the paper's discount instead of
+    its own.
+    """
+
+    def __init__(self, whole: Curriculum, parts: Sequence[str], rising: bool):
+        self._whole, self._rising = whole, rising
+        conditions = whole.conditions()
+        fields = {field.name for field in dataclasses.fields(conditions)} if conditions is not None else set()
+        known = [part for part, names in PARTS.items() if fields.issuperset(names)]
+        for part in parts:
+            if part not in known:
+                has = f"it has {', '.join(known)}" if known else "it has none"
+                raise UserError(
+                    f"--without: the curriculum {whole.name} has no part {shown(part, 40)!r}; {has}"
+                )
+        self._left_out = [name for part in parts for name in PARTS[part]]
+
+    def __getattr__(self, name: str):
+        return getattr(self._whole, name)
+
+    def conditions(self) -> Any:
+        return self._but(self._whole.conditions())
+
+    def stages(self) -> list[tuple[str, Any]]:
+        """The curriculum's, changed."""
+        return [(title, self._but(conditions)) for title, conditions in self._whole.stages()]
+
+    def gamma(self, steps: int) -> float:
+        return rising_gamma(steps) if self._rising else self._whole.gamma(steps)
+
+    def log(self) -> dict[str, float]:
+        """The curriculum's, changed."""
+        shown_as, conditions = self._whole.log(), self.conditions()
+        return shown_as | {name: getattr(conditions, name) for name in self._left_out if name in shown_as}
+
+    def _but(self, conditions: Any) -> Any:
+        if not self._left_out:
+            return conditions
+        task = type(conditions)()
+        return dataclasses.replace(conditions, **{name: getattr(task, name) for name in self._left_out})
+
+
 # Curricula by name, made from gamma; "none" is known besides. Tasks say which of them know them.
 _CURRICULA: dict[str, Callable[[float], Curriculum]] = {
     "adaptive": AdaptiveCurriculum,
+    "fixed": FixedCurriculum,
     "paper": lambda gamma: PaperCurriculum(),
     "effort": EffortCurriculum,
     "touchdown": TouchdownCurriculum,
 }
 
 
-def make_curriculum(name: str, task: str, gamma: float) -> Curriculum:
-    """A curriculum by name, one of those that the task names."""
+def make_curriculum(name: str, task: str, gamma: float | str, without: str = "") -> Curriculum:
+    """A curriculum by name, one of those that the task names.
+
+    gamma: the discount, or "paper" for one that rises as the paper's. without: parts to leave out, as
+    "tilt,goal".
+    """
     kind = task_class(task)
     if name not in kind.curricula:
         known = " or ".join([", ".join(kind.curricula[:-1]), kind.curricula[-1]][-len(kind.curricula) :])
         raise UserError(f"unknown curriculum {name!r} for task {task}: it must be {known}")
+    rising = gamma == RISING
+    first = rising_gamma(0) if rising else float(gamma)
     if name == "none":
-        return NoCurriculum(gamma, kind.training_conditions)
-    return _CURRICULA[name](gamma)
+        curriculum: Curriculum = NoCurriculum(first, kind.training_conditions)
+    else:
+        curriculum = _CURRICULA[name](first)
+    parts = [part.strip() for part in without.split(",")] if without else []
+    return Changed(curriculum, parts, rising) if parts or rising else curriculum

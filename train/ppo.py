@@ -24,6 +24,7 @@ from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import Snapshot, make_plant
 from inclined_landing.train.checkpoint import check_array, check_names, check_number
 from inclined_landing.train.config import TrainConfig
+from inclined_landing.train.curriculum import RISING, rising_gamma
 from inclined_landing.train.fast.ppo import FastPPO
 
 # Saved policies must not drag training code along: the schedule is set anew by the callback.
@@ -120,7 +121,7 @@ def _arguments(config: TrainConfig, task: Task) -> dict:
         "batch_size": config.batch_size,
         "n_epochs": config.epochs,
         "learning_rate": config.learning_rate,
-        "gamma": config.gamma,
+        "gamma": rising_gamma(0) if config.gamma == RISING else config.gamma,
         "gae_lambda": config.gae_lambda,
         "ent_coef": config.entropy,
         "device": "cpu",

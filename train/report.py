@@ -54,7 +54,9 @@ def _draw(folder: Path, config: dict, policy: Policy) -> list[Path]:
     """Curves, figures, a video and a picture; returns their files."""
     task = policy.task
     files = [save_figure(learning_curves([folder]), folder / "learning_curves.png")]
-    stages = make_curriculum(config["curriculum"], task.name, config["gamma"]).stages()
+    stages = make_curriculum(
+        config["curriculum"], task.name, config["gamma"], config["without"] or ""
+    ).stages()
     if stages:
         files.append(save_figure(curriculum_figure(stages, task=task), folder / "curriculum.png"))
     flights = fly(policy, list(task.figure_starts.values()), "mujoco", task.judged_steps)

@@ -98,7 +98,7 @@ class Run:
         if config.start_from and fresh:
             vehicle = load_vehicle(config.vehicle) if config.vehicle is not None else None
             self.teacher = warm_start.teacher(config.start_from, self.env.env.task, vehicle)
-        self.curriculum = make_curriculum(config.curriculum, config.task, config.gamma)
+        self.curriculum = make_curriculum(config.curriculum, config.task, config.gamma, config.without or "")
         self.model = ppo.build_model(config, self.env)
         if self.teacher is not None:
             warm_start.take_over(self.model, self.teacher)

@@ -147,7 +147,7 @@ class InclinedLanding(Task):
         rollout=64,
         batch_size=256,
     )
-    curricula: tuple[str, ...] = ("adaptive", "paper", "none")
+    curricula: tuple[str, ...] = ("adaptive", "fixed", "paper", "none")
     training_conditions: Any = AIDED
     score_curve = ScoreCurve(
         "strict_success",

@@ -10,6 +10,7 @@ import pytest
 from inclined_landing.envs.tasks import landing, setpoint
 from inclined_landing.models.errors import UserError
 from inclined_landing.train.curriculum import (
+    PARTS,
     SETTLING,
     AdaptiveCurriculum,
     NoCurriculum,
@@ -228,7 +229,7 @@ def test_paper_tilt_begins_at_400_000_steps():
 def test_paper_platform_and_gamma(steps, platform, gamma):
     c = paper(steps=steps)
     assert c.conditions().platform == platform
-    assert c.gamma() == pytest.approx(gamma, abs=1e-6)
+    assert c.gamma(steps) == pytest.approx(gamma, abs=1e-6)
 
 
 def test_the_paper_has_no_training_aids_and_a_constant_learning_rate():
@@ -244,7 +245,7 @@ def test_the_paper_has_no_training_aids_and_a_constant_learning_rate():
 
 def test_no_curriculum_is_the_task_with_a_falling_learning_rate():
     c = make_curriculum("none", "landing", 0.98)
-    assert as_task(c.conditions()) == TASK and c.gamma() == 0.98
+    assert as_task(c.conditions()) == TASK and c.gamma(0) == 0.98
     assert [c.learning_rate_share(k, 1000) for k in (0, 500, 1000, 2000)] == [1.0, 0.5, 0.0, 0.0]
     assert NoCurriculum(0.97).conditions() is None
 
@@ -256,12 +257,65 @@ def test_effort_eases_the_set_point_and_holds_the_learning_rate_for_60_percent()
     assert conditions.episode_limit <= setpoint.Setpoint.max_steps
     shares = [c.learning_rate_share(k, 1000) for k in (0, 600, 800, 1000)]
     assert shares == pytest.approx([1.0, 1.0, 0.5, 0.0])
-    assert c.gamma() == 0.97
+    assert c.gamma(0) == 0.97
+
+
+# --- parts left out ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["adaptive", "fixed", "paper", "none"])
+@pytest.mark.parametrize("part", list(PARTS))
+def test_what_is_left_out_is_the_task_and_nothing_else_changes(name, part):
+    whole, c = (make_curriculum(name, "landing", 0.98, without) for without in ("", part))
+    for k in range(6):
+        for one in (whole, c):
+            episodes(one, 60)
+            one.advance(30_000 * k)
+        expected = {field: getattr(TASK, field) for field in PARTS[part]}
+        assert c.conditions() == dataclasses.replace(whole.conditions(), **expected)
+        assert c.level == whole.level and c.state() == whole.state() and c.name == whole.name
+        assert c.log() == whole.log() | {n: v for n, v in expected.items() if n in whole.log()}
+    for (title, mine), (other, own) in zip(c.stages(), whole.stages()):
+        assert title == other and mine == dataclasses.replace(own, **expected)
+
+
+def test_several_parts_are_left_out_at_once():
+    c = make_curriculum("adaptive", "landing", 0.98, "start, tilt,goal,platform")
+    assert as_task(c.conditions()) == TASK and c.conditions().departure > 0
+
+
+@pytest.mark.parametrize("task, name, without", [
+    ("landing", "adaptive", "slope"), ("landing", "adaptive", "tilt,,goal"), ("setpoint", "effort", "tilt"),
+    ("setpoint", "none", "start"), ("landing", "adaptive", "tilt goal"),
+])  # fmt: skip
+def test_unknown_parts(task, name, without):
+    with pytest.raises(UserError, match=f"--without: the curriculum {name} has no part"):
+        make_curriculum(name, task, 0.98, without)
+
+
+def test_the_discount_rises_as_in_the_paper_whatever_the_curriculum():
+    c, whole = make_curriculum("adaptive", "landing", "paper"), make_curriculum("adaptive", "landing", 0.98)
+    assert c.gamma(400_000) == pytest.approx(PaperCurriculum().gamma(400_000)) == pytest.approx(0.98)
+    assert (c.gamma(0), c.gamma(10**7)) == pytest.approx((0.97, 0.99))
+    assert c.conditions() == whole.conditions()
+
+
+def test_the_fixed_schedule_has_the_adaptive_levels_by_steps_alone():
+    c = make_curriculum("fixed", "landing", 0.98)
+    for steps, level in ((0, 0.0), (c.RAMP // 2, 0.5), (c.RAMP, 1.0), (2 * c.RAMP, 1.0)):
+        episodes(c, 0, 60)  # all fail
+        c.advance(steps)
+        assert c.level == pytest.approx(level, abs=1e-5)
+        assert c.conditions() == at_level(c.level)
+    assert c.learning_rate_share(10**6, None) == 1.0  # as nothing has succeeded at the task
+    episodes(c, 60)
+    c.advance(2 * c.RAMP)
+    assert c.learning_rate_share(2 * c.RAMP + SETTLING, None) == 0.1
 
 
 # --- all ---------------------------------------------------------------------------------------------
 
-ALL = [("adaptive", "landing"), ("paper", "landing"), ("none", "landing"), ("effort", "setpoint"),
+ALL = [("adaptive", "landing"), ("fixed", "landing"), ("paper", "landing"), ("none", "landing"), ("effort", "setpoint"),
        ("none", "setpoint")]  # fmt: skip
 
 
@@ -279,7 +333,7 @@ def test_state_survives_json_and_continues_equally(name, task):
         advance(c, *both)
         advance(other, *both)
         assert other.state() == c.state() and other.conditions() == c.conditions()
-        assert other.level == c.level and other.gamma() == c.gamma() and other.log() == c.log()
+        assert other.level == c.level and other.gamma(9) == c.gamma(9) and other.log() == c.log()
         shares = [x.learning_rate_share(1_100_000, 1_500_000) for x in (c, other)]
         assert shares[0] == shares[1]
 
@@ -289,14 +343,14 @@ def test_asking_changes_nothing(name, task):
     c = make_curriculum(name, task, 0.99)
     before = c.state()
     for _ in range(3):
-        c.conditions(), c.log(), c.gamma(), c.learning_rate_share(5, 10)
+        c.conditions(), c.log(), c.gamma(5), c.learning_rate_share(5, 10)
     assert c.state() == before
     assert c.log()["level"] == c.level
     assert all(isinstance(value, float) for value in c.log().values())
 
 
 @pytest.mark.parametrize("name, task, known", [
-    ("steep", "landing", "adaptive, paper or none"), ("effort", "landing", "adaptive, paper or none"),
+    ("steep", "landing", "adaptive, fixed, paper or none"), ("effort", "landing", "adaptive, fixed, paper or none"),
     ("adaptive", "setpoint", "effort or none"), ("paper", "setpoint", "effort or none"),
 ])  # fmt: skip
 def test_unknown_curricula(name, task, known):
