@@ -315,8 +315,8 @@ def test_the_fixed_schedule_has_the_adaptive_levels_by_steps_alone():
 
 # --- all ---------------------------------------------------------------------------------------------
 
-ALL = [("adaptive", "landing"), ("fixed", "landing"), ("paper", "landing"), ("none", "landing"), ("effort", "setpoint"),
-       ("none", "setpoint")]  # fmt: skip
+ALL = [("adaptive", "landing"), ("fixed", "landing"), ("paper", "landing"), ("none", "landing"),
+       ("effort", "setpoint"), ("none", "setpoint")]  # fmt: skip
 
 
 @pytest.mark.parametrize("name, task", ALL)
@@ -350,7 +350,8 @@ def test_asking_changes_nothing(name, task):
 
 
 @pytest.mark.parametrize("name, task, known", [
-    ("steep", "landing", "adaptive, fixed, paper or none"), ("effort", "landing", "adaptive, fixed, paper or none"),
+    ("steep", "landing", "adaptive, fixed, paper or none"),
+    ("effort", "landing", "adaptive, fixed, paper or none"),
     ("adaptive", "setpoint", "effort or none"), ("paper", "setpoint", "effort or none"),
 ])  # fmt: skip
 def test_unknown_curricula(name, task, known):
