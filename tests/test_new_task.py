@@ -41,7 +41,7 @@ def run(tmp_path_factory):
 
 def test_it_is_trained_with_the_default_score(run):
     rows = (run / "evaluations.csv").read_text().splitlines()
-    assert rows[0].split(",") == ["steps", "training_seconds", "score", "reward"]
+    assert rows[0].split(",") == ["steps", "training_seconds", "cpu_seconds", "score", "reward"]
 
 
 def test_it_is_evaluated_and_its_goal_is_reached_by_climbing(run, tmp_path, capsys):

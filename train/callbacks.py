@@ -1,4 +1,4 @@
-"""What happens around PPO's iterations: curriculum, evaluation, checkpoints, video, progress."""
+"""What happens around the iterations of a training: curriculum, evaluation, checkpoints, video, progress."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from collections.abc import Callable
 
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from inclined_landing.train.curriculum import Curriculum
 
 
 class Clock:
-    """Seconds of training, evaluation and video apart, continued after a resume."""
+    """Seconds of training, evaluation and video apart, and CPU seconds, continued after a resume."""
 
-    def __init__(self, spent: dict[str, float] | None = None):
+    def __init__(self, spent: dict[str, float] | None = None, cpu: float = 0.0):
+        self._cpu = cpu - time.process_time()
         self.spent = {"training": 0.0, "evaluation": 0.0, "video": 0.0, **(spent or {})}
         self._name, self._since = "training", time.monotonic()
 
@@ -26,10 +28,35 @@ class Clock:
         self.spent[self._name] += now - self._since
         self._name, self._since = name, now
 
+    def cpu(self) -> float:
+        """Seconds that this process computed on all cores since the run began."""
+        return self._cpu + time.process_time()
+
     def total(self) -> float:
         """Seconds charged to anything so far."""
         self.switch(self._name)
         return sum(self.spent.values())
+
+
+class Iterations(CallbackList):
+    """Tells the callbacks in it of whole iterations of `steps` environment steps.
+
+    SB3's off-policy algorithms call every step of all vehicles a rollout. PPO's rollouts are iterations.
+    """
+
+    def __init__(self, callbacks: list[BaseCallback], steps: int):
+        super().__init__(callbacks)
+        self.steps = steps
+
+    def _on_rollout_start(self) -> None:
+        if self.num_timesteps % self.steps == 0:
+            super()._on_rollout_start()
+
+    def _on_rollout_end(self) -> None:
+        if self.num_timesteps % self.steps == 0:
+            super()._on_rollout_end()
+            if isinstance(self.model, OffPolicyAlgorithm):  # others do it themselves
+                self.model.dump_logs()
 
 
 class CurriculumCallback(BaseCallback):

@@ -7,19 +7,24 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from inclined_landing.eval.base import command_line
 from inclined_landing.models.errors import shown
+
+if TYPE_CHECKING:
+    from inclined_landing.train.config import TrainConfig
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code: 2 for wrong input, 3 for a run that ended without the success
     that was to end it, 130 and 143 after Ctrl-C and SIGTERM."""
     caught: list[int] = []
+    begun: list[TrainConfig] = []
 
     def work() -> int:
         with _signals(caught):
-            return _train(arguments)
+            return _train(arguments, begun)
 
     try:
         return command_line.exit_code("landing-train", work, "train")
@@ -28,11 +33,14 @@ def main(arguments: list[str] | None = None) -> int:
         go_on = "interrupted; --resume with the same --out goes on from the last checkpoint"
         if words[:1] == ["sweep"]:
             go_on = "interrupted; the same command goes on"
+        elif begun and not begun[0].resumable:
+            go_on = f"interrupted; {begun[0].algorithm} keeps no checkpoint to go on from"
         print(f"landing-train: {go_on}", file=sys.stderr)
         return 128 + (caught or [signal.SIGINT])[0]
 
 
-def _train(arguments: list[str] | None) -> int:
+def _train(arguments: list[str] | None, begun: list[TrainConfig]) -> int:
+    """The work of `main`; the configuration of the run is noted in `begun`."""
     words = sys.argv[1:] if arguments is None else arguments
     if words and words[0] == "--version":
         print(command_line.versions("landing-train"))
@@ -56,6 +64,7 @@ def _train(arguments: list[str] | None) -> int:
     from inclined_landing.train.run import NOT_REACHED, Run
 
     run = Run(config)
+    begun.append(run.config)
     due = config.report and run.config.report and not (run.metrics and "success" in run.metrics)
     if run.metrics is not None:
         print(f"the run in {shown(run.folder)} is finished{'; its report is missing' if due else ''}")
@@ -64,7 +73,7 @@ def _train(arguments: list[str] | None) -> int:
         report(run.folder, metrics)
     if metrics.get("reached") is not False:
         return 0
-    more = "" if metrics["finished"] else "; --resume with the same --out goes on"
+    more = "" if metrics["finished"] or not run.config.resumable else "; --resume with the same --out goes on"
     print(f"landing-train: {metrics['ended']}{more}", file=sys.stderr)
     return NOT_REACHED
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import itertools
 import math
 import numbers
 import types
@@ -32,6 +33,20 @@ COPIED = {"vehicle": "vehicle.toml", "randomise": "randomise.toml"}
 ENDING = ("steps", "success", "min_steps", "max_steps")
 UPDATES = ("fast", "stock")
 
+# Options of one kind of algorithm, and what they are where they are not given; None: what the task says.
+_ON_POLICY = {
+    **dict.fromkeys(("start_from", "epochs", "log_std_init")),
+    **{"gae_lambda": 0.95, "entropy": 0.0, "update": "fast", "checkpoint_every": 20},
+}
+_OFF_POLICY = {"buffer_size": 300_000, "learning_starts": 5_000, "gradient_steps": 4}
+# By algorithm: the options that others refuse.
+ALGORITHMS: dict[str, dict] = {
+    "ppo": _ON_POLICY,
+    "sac": _OFF_POLICY,
+    "td3": _OFF_POLICY | {"action_noise": 0.2},
+}
+_REPLAYED = {"learning_rate": 1e-3, "batch_size": 256}  # of those with a replay buffer, not the task's
+
 CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its own task
 
 _MANY = Range(1, 10**9)
@@ -43,6 +58,15 @@ def _by_task(text: str, name: str, **more: str):
     said = [(task.name, getattr(task.training, name)) for task in TASKS.values()]
     defaults = ", ".join(f"{task} {value}" for task, value in said if value is not None)
     return tyro.conf.arg(help=f"{text}.", help_behavior_hint=f"(default: {defaults})", **more)
+
+
+def _by_algorithm(text: str, name: str):
+    """The same of an option that some algorithms do not have."""
+    having = [algorithm for algorithm, own in ALGORITHMS.items() if name in own]
+    default = ALGORITHMS[having[0]][name]
+    return tyro.conf.arg(
+        help=f"{text}.", help_behavior_hint=f"(default: {default}; of {' and '.join(having)} only)"
+    )
 
 
 def _by_success(text: str, name: str):
@@ -61,7 +85,7 @@ _CURRICULA = "; ".join(f"{name}: {', '.join(task.curricula)}" for name, task in 
 
 @dataclasses.dataclass
 class TrainConfig:
-    """Train a policy with Stable-Baselines3 PPO; everything lands in one run folder.
+    """Train a policy with Stable-Baselines3; everything lands in one run folder.
 
     Where the task names a share of successes, the run ends when the curriculum is complete and two
     evaluations in a row reach it, each from 256 starts of its own. One that ends without exits with code 3;
@@ -111,11 +135,16 @@ class TrainConfig:
     `robust`, which is shipped. Half of the evaluated flights have such vehicles too. The run keeps a copy."""
     max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
     """Stop at this wall time; the checkpoint allows to resume."""
+    max_cpu_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
+    """The same by the process's time on all cores, which other work on the machine does not use up."""
     resume: bool = False
     """Continue the run in --out from its last checkpoint; task and all else are those of the run."""
     report: bool = True
     """After training: success table, learning curves, figures, a picture and a video of one flight."""
 
+    algorithm: Annotated[str, tyro.conf.arg(metavar="{ppo,sac,td3}")] = "ppo"
+    """ppo; sac or td3 with a replay buffer: one step of all vehicles, then the updates. Runs with a replay
+    buffer cannot be resumed."""
     plant: Annotated[str, tyro.conf.arg(metavar="{mujoco,hybrid,analytic}")] = "hybrid"
     """mujoco; hybrid: the same with the equations in free flight; or analytic."""
     integrator: Annotated[
@@ -159,18 +188,22 @@ class TrainConfig:
     environments: Annotated[int, Range(1, 16_384)] = 64
     """Vehicles stepped together."""
     rollout: Annotated[
-        int | None, Range(1, 65_536), _by_task("Steps of each vehicle between updates", "rollout")
+        int | None,
+        Range(1, 65_536),
+        _by_task("Steps of each vehicle in an iteration; ppo updates after it", "rollout"),
     ] = None
     batch_size: Annotated[
         int | None,
         Range(2, 10**9),
-        _by_task("Samples in a minibatch, at most a whole rollout of all vehicles", "batch_size"),
+        _by_task("Samples in a minibatch, of ppo at most a whole rollout; sac and td3 256", "batch_size"),
     ] = None
-    epochs: Annotated[int | None, Range(1, 1000), _by_task("Passes over each rollout", "epochs")] = None
+    epochs: Annotated[int | None, Range(1, 1000), _by_task("Passes of ppo over each rollout", "epochs")] = (
+        None
+    )
     learning_rate: Annotated[
         float | None,
         Range(0, 1, open=True),
-        _by_task("Initial; the curriculum says when it falls", "learning_rate"),
+        _by_task("Initial, the curriculum says when it falls; sac and td3 0.001", "learning_rate"),
     ] = None
     gamma: Annotated[
         float | str | None,
@@ -180,22 +213,50 @@ class TrainConfig:
             metavar="NUMBER|paper",
         ),
     ] = None
-    gae_lambda: Annotated[float, Range(0, 1)] = 0.95
-    """Of the advantage estimate."""
-    log_std_init: Annotated[
-        float | None, Range(-10, 2), _by_task("Logarithm of the initial exploration noise", "log_std_init")
+    gae_lambda: Annotated[
+        float | None, Range(0, 1), _by_algorithm("Of the advantage estimate", "gae_lambda")
     ] = None
-    entropy: Annotated[float, Range(0, 1)] = 0.0
-    """Entropy bonus."""
-    update: Annotated[str, tyro.conf.arg(metavar="{fast,stock}")] = "fast"
+    log_std_init: Annotated[
+        float | None,
+        Range(-10, 2),
+        _by_task("Logarithm of the initial exploration noise of ppo", "log_std_init"),
+    ] = None
+    entropy: Annotated[
+        float | None,
+        Range(0, 1),
+        _by_algorithm("Entropy bonus; sac finds its own", "entropy"),
+    ] = None
+    update: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="{fast,stock}", help_behavior_hint="(default: fast; of ppo only)"),
+    ] = None
     """fast (PPO compiled for these networks) or stock (Stable-Baselines3's own): the same loss and files."""
+    buffer_size: Annotated[
+        int | None, _MANY, _by_algorithm("Samples in the replay buffer, the latest ones", "buffer_size")
+    ] = None
+    learning_starts: Annotated[
+        int | None,
+        _INTERVAL,
+        _by_algorithm("Environment steps with random actions before the first update", "learning_starts"),
+    ] = None
+    gradient_steps: Annotated[
+        int | None,
+        Range(1, 16_384),
+        _by_algorithm("Updates after each step of all vehicles", "gradient_steps"),
+    ] = None
+    action_noise: Annotated[
+        float | None,
+        Range(0, 1),
+        _by_algorithm("Standard deviation of the noise on actions", "action_noise"),
+    ] = None
     reward_scale: Annotated[float, Range(0, 1000, open=True)] = 0.1
-    """Rewards are multiplied by this before PPO sees them."""
+    """Rewards are multiplied by this before the algorithm sees them."""
 
     evaluate_every: Annotated[int, _INTERVAL] = 16
     """Iterations between evaluations in the hybrid plant, without training aids (0: never)."""
-    checkpoint_every: Annotated[int, _MANY] = 20
-    """Iterations between checkpoints."""
+    checkpoint_every: Annotated[
+        int | None, _MANY, _by_algorithm("Iterations between checkpoints", "checkpoint_every")
+    ] = None
     video_every: Annotated[int, _INTERVAL] = 0
     """Iterations between videos of one flight (0: never); each takes as long as some 100 000 steps."""
 
@@ -209,8 +270,9 @@ class TrainConfig:
         if self.integrator not in (None, *INTEGRATORS):
             known = ", ".join(INTEGRATORS)
             raise UserError(f"unknown integrator {shown(self.integrator, 40)!r}; known are {known}")
-        if self.update not in UPDATES:
+        if self.update not in (None, *UPDATES):
             raise UserError(f"unknown update {shown(self.update, 40)!r}; known are {' and '.join(UPDATES)}")
+        own = self._of_the_algorithm(kind)
         if self.inclination is not None and not kind.has_platform:
             raise UserError(f"--inclination: the task {kind.name} has no inclined platform")
         known = inspect.signature(kind).parameters
@@ -218,7 +280,8 @@ class TrainConfig:
             if name not in known:
                 raise UserError(f"{option(name)} is no option of the task {kind.name}")
         given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}
-        filled = {k: getattr(training, k) if value is None else value for k, value in given.items()}
+        defaults = {name: getattr(training, name) for name in given} | own
+        filled = {k: value if getattr(self, k) is None else getattr(self, k) for k, value in defaults.items()}
         check_ranges(self)
         _check_gamma(self.gamma)
         start = filled["start_from"]
@@ -231,6 +294,9 @@ class TrainConfig:
             filled["history"] = history_of(start) if same else 0
         filled |= self._action_map(filled["start_from"])
         config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)
+        if config.algorithm != "ppo":
+            config._check_buffer()
+            return config
         samples = config.environments * config.rollout
         if samples == 1:
             raise UserError("--environments and --rollout must give more than one sample")
@@ -238,6 +304,45 @@ class TrainConfig:
         if samples % config.batch_size == 1:
             raise UserError("--batch-size leaves a last minibatch of one sample; choose another")
         return config
+
+    @property
+    def resumable(self) -> bool:
+        """Are there checkpoints to go on from: a replay buffer is not kept."""
+        return self.algorithm == "ppo"
+
+    def _of_the_algorithm(self, kind: type) -> dict:
+        """Defaults that are the algorithm's and not the task's; raises UserError for options of another."""
+        if self.algorithm not in ALGORITHMS:
+            known = ", ".join(ALGORITHMS)
+            raise UserError(f"unknown algorithm {shown(self.algorithm, 40)!r}; known are {known}")
+        own = ALGORITHMS[self.algorithm]
+        for name in sorted({*itertools.chain(*ALGORITHMS.values())} - set(own)):
+            if getattr(self, name) is not None:
+                others = " and ".join(algorithm for algorithm, has in ALGORITHMS.items() if name in has)
+                raise UserError(
+                    f"{option(name)} is an option of {others}, which {self.algorithm} does not have"
+                )
+        if self.algorithm == "ppo":
+            return {name: default for name, default in own.items() if default is not None}
+        if kind.training.start_from is not None:
+            raise UserError(
+                f"--algorithm {self.algorithm}: training of the task {kind.name} goes on from a policy, "
+                "which only ppo does"
+            )
+        return dict.fromkeys(_ON_POLICY) | own | _REPLAYED
+
+    def _check_buffer(self) -> None:
+        """Raise UserError where the replay buffer cannot hold what it has to; of a resolved configuration."""
+        least = max(self.environments, self.batch_size)
+        if self.buffer_size < least:
+            raise UserError(
+                f"--buffer-size must be {least} or more, for a step of each vehicle and for a minibatch"
+            )
+        if self.learning_starts >= self.most_steps():
+            raise UserError(
+                f"--learning-starts {self.learning_starts} leaves nothing of {self.most_steps()} steps "
+                "to learn in"
+            )
 
     def _action_map(self, start_from: str | None) -> dict:
         """What actions command, filled in: as in the policy to go on from, so that it flies as before."""

@@ -23,14 +23,14 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import Snapshot, make_plant
 from inclined_landing.train.checkpoint import check_array, check_names, check_number
-from inclined_landing.train.config import TrainConfig
+from inclined_landing.train.config import ALGORITHMS, TrainConfig, option
 from inclined_landing.train.curriculum import RISING, rising_gamma
 from inclined_landing.train.fast.ppo import FastPPO
 
 # Saved policies must not drag training code along: the schedule is set anew by the callback.
 _NOT_SAVED = ("lr_schedule", "threads")
 _MOST = 2**53  # of anything counted
-_SAMPLE, _VEHICLE = 100, 20_000  # bytes, measured: rollout buffer with its copies; engine and records
+_SAMPLE, _VEHICLE = 100, 20_000  # bytes, measured: a buffer with its copies; engine and records
 _PAST = (
     80  # bytes more for each past step in a sample: seven numbers, as many as in the buffer and its copies
 )
@@ -38,13 +38,14 @@ _EVALUATION_SEED = 1_000_003  # apart from every training seed's stream
 
 
 def check_memory(config: TrainConfig) -> None:
-    """Raise UserError when vehicles and rollout would not fit into the memory that is free."""
-    samples = config.environments * config.rollout
+    """Raise UserError when vehicles and rollout (or replay buffer) do not fit into the free memory."""
+    kept = "rollout" if config.buffer_size is None else "buffer_size"
+    samples = config.buffer_size or config.environments * config.rollout
     needed = (_SAMPLE + _PAST * config.history) * samples + _VEHICLE * config.environments
     free = psutil.virtual_memory().available
     if needed > free:
         raise UserError(
-            f"--environments {config.environments} and --rollout {config.rollout} need about "
+            f"--environments {config.environments} and {option(kept)} {getattr(config, kept)} need about "
             f"{needed / 1e9:.0f} GB of memory, and {free / 1e9:.0f} GB are free; choose fewer"
         )
 
@@ -105,7 +106,7 @@ def ppo_kwargs(task: Task) -> dict:
     `PPO("MlpPolicy", env, **ppo_kwargs(task))`; rewards are scaled by 0.1, in the environment.
     """
     of_the_task = {f.name for f in dataclasses.fields(TrainConfig)} & set(vars(task.training))
-    config = TrainConfig(**{name: getattr(task.training, name) for name in of_the_task})
+    config = TrainConfig(**ALGORITHMS["ppo"] | {name: getattr(task.training, name) for name in of_the_task})
     return _arguments(config, task)
 
 
@@ -121,7 +122,7 @@ def _arguments(config: TrainConfig, task: Task) -> dict:
         "batch_size": config.batch_size,
         "n_epochs": config.epochs,
         "learning_rate": config.learning_rate,
-        "gamma": rising_gamma(0) if config.gamma == RISING else config.gamma,
+        "gamma": initial_gamma(config),
         "gae_lambda": config.gae_lambda,
         "ent_coef": config.entropy,
         "device": "cpu",
@@ -133,6 +134,11 @@ def _arguments(config: TrainConfig, task: Task) -> dict:
             "optimizer_kwargs": {"fused": True},
         },
     }
+
+
+def initial_gamma(config: TrainConfig) -> float:
+    """The discount of the first rollout; the curriculum says the others."""
+    return rising_gamma(0) if config.gamma == RISING else config.gamma
 
 
 def set_torch_up() -> None:

@@ -5,7 +5,7 @@ vehicle.toml     the vehicle file, if one was given
 randomise.toml   the file of ranges, if one was given
 learning.csv     one row per iteration; the same curves stand in tensorboard/
 evaluations.csv  one row per periodic evaluation, hybrid plant, no training aids, own starts
-checkpoint.pt    for --resume: policy, optimizer, vehicles, random states, histories
+checkpoint.pt    for --resume of PPO: policy, optimizer, vehicles, random states, histories
 best.zip         the policy of the best periodic evaluation
 final.zip        the policy at the end; this is the result
 videos/          one flight every --video-every iterations
@@ -41,8 +41,15 @@ from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
-from inclined_landing.train import checkpoint, ppo, warm_start
-from inclined_landing.train.callbacks import Clock, CriticFirst, CurriculumCallback, Every, ProgressCallback
+from inclined_landing.train import checkpoint, off_policy, ppo, warm_start
+from inclined_landing.train.callbacks import (
+    Clock,
+    CriticFirst,
+    CurriculumCallback,
+    Every,
+    Iterations,
+    ProgressCallback,
+)
 from inclined_landing.train.config import COPIED, TrainConfig, option
 from inclined_landing.train.curriculum import make_curriculum
 
@@ -54,7 +61,13 @@ ENDING_STARTS = 256  # of evaluations that end a run
 COMPLETE = 1.0 - 1e-9  # level of a curriculum that is
 NOT_REACHED = 3  # exit code
 TARGET = 0.99  # success that "time to 99 %" means
-_FREE = ("out", "max_seconds", "report", "threads")  # options that may differ from a checkpoint's
+_FREE = (
+    "out",
+    "max_seconds",
+    "max_cpu_seconds",
+    "report",
+    "threads",
+)  # options that may differ from a checkpoint's
 _BEFORE = {RECORD, *COPIED.values(), "tensorboard"}  # all that a run folder holds before its first checkpoint
 
 
@@ -99,7 +112,8 @@ class Run:
             vehicle = load_vehicle(config.vehicle) if config.vehicle is not None else None
             self.teacher = warm_start.teacher(config.start_from, self.env.env.task, vehicle)
         self.curriculum = make_curriculum(config.curriculum, config.task, config.gamma, config.without or "")
-        self.model = ppo.build_model(config, self.env)
+        build = ppo.build_model if config.algorithm == "ppo" else off_policy.build_model
+        self.model = build(config, self.env)
         if self.teacher is not None:
             warm_start.take_over(self.model, self.teacher)
             if self.teacher.task.name == self.env.env.task.name:
@@ -161,11 +175,12 @@ class Run:
             progress,
             every(config.evaluate_every, self._evaluate_or_end),
             every(config.video_every, self.film),
-            every(config.checkpoint_every, self.checkpoint, first=0),
         ]
+        if config.resumable:
+            callbacks.append(every(config.checkpoint_every, self.checkpoint, first=0))
         if config.start_from:
             callbacks.append(CriticFirst(warm_start.CRITIC_FIRST))
-        if config.max_seconds is not None:
+        if config.max_seconds is not None or config.max_cpu_seconds is not None:
             callbacks.append(every(1, self._in_time))
         resumed = self._begun >= 0
         curves = TensorBoardOutputFormat(str(self.folder / "tensorboard"))
@@ -173,10 +188,16 @@ class Run:
             curves.writer = SummaryWriter(curves.writer.log_dir, purge_step=model.num_timesteps + 1)
         model.set_logger(Logger(str(self.folder), [curves]))
         remaining = 0 if self._reached() else config.most_steps() - model.num_timesteps
+        whole = math.ceil(remaining / self._per_iteration) * self._per_iteration
         self.clock.switch("training")
         try:
             if remaining > 0:
-                model.learn(remaining, callbacks, reset_num_timesteps=not resumed)
+                model.learn(
+                    whole,
+                    Iterations(callbacks, self._per_iteration),
+                    log_interval=1 if config.resumable else None,
+                    reset_num_timesteps=not resumed,
+                )
         except _Reached:  # before a rollout: policy, vehicles and random states belong together
             pass
         finally:
@@ -236,8 +257,9 @@ class Run:
         return f"ended without {asked}: after {steps} steps{most} {last}, and {level}"
 
     def _as_recorded(self) -> dict:
-        """The configuration as run.json has it; only the wall-time limit may be another."""
-        return self.record["config"] | {"max_seconds": self.config.max_seconds}
+        """The configuration as run.json has it; only the limits of time may be others."""
+        limits = ("max_seconds", "max_cpu_seconds")
+        return self.record["config"] | {name: getattr(self.config, name) for name in limits}
 
     def check_weights(self) -> None:
         """Raise UserError when the network has become infinite."""
@@ -262,6 +284,7 @@ class Run:
             **({"task_from": config.task} if is_path(config.task) else {}),
             "task_options": self.env.env.task.options,
             "plant": config.plant,
+            "algorithm": config.algorithm.upper(),
             "curriculum": self.curriculum.name,
             "seed": config.seed,
             "steps": int(self.model.num_timesteps),
@@ -293,6 +316,7 @@ class Run:
         row = {
             "steps": int(self.model.num_timesteps),
             "training_seconds": self.clock.spent["training"],
+            "cpu_seconds": self.clock.cpu(),
             **result,
         }
         if not self.evaluations or result["score"] >= max(e["score"] for e in self.evaluations):
@@ -302,6 +326,8 @@ class Run:
         for name, value in result.items():
             self.model.logger.record(f"evaluation/{name}", value)
         self.progress.notice = f", evaluation {self._judge.task.score_words(result)}"
+        if not self.config.resumable:  # others write them with every checkpoint
+            self._write_histories()
         self.clock.switch("training")
 
     def film(self, iteration: int) -> None:
@@ -318,15 +344,23 @@ class Run:
         self.clock.switch("training")
 
     def _in_time(self, iteration: int) -> bool:
-        """False, with a checkpoint, when the wall time is used up."""
-        if self.clock.total() < self.config.max_seconds:
+        """False, with a checkpoint, when the wall time or the CPU time is used up."""
+        limits = (self.config.max_seconds, self.config.max_cpu_seconds)
+        used = (self.clock.total(), self.clock.cpu())
+        if not any(limit is not None and time >= limit for time, limit in zip(used, limits)):
             return True
         self.checkpoint(iteration)
         self._stopped = True
         return False
 
     def checkpoint(self, iteration: int) -> None:
-        """Everything that a continuation needs, in one file that appears whole; then the curves."""
+        """Everything that a continuation needs, in one file that appears whole; then the curves.
+
+        A replay buffer is too large for that: of such a run only the curves.
+        """
+        if not self.config.resumable:
+            self._write_histories()
+            return
         numbers, arrays = ppo.training_state(self.model, self.env)
         state = numbers | {
             "config": self._as_recorded(),
@@ -336,6 +370,7 @@ class Run:
             "history": self.history,
             "evaluations": self.evaluations,
             "spent": dict(self.clock.spent),
+            "cpu": self.clock.cpu(),
         }
         checkpoint.write(self.folder / CHECKPOINT, checkpoint.Checkpoint(state, arrays, self.best))
         self._write_histories()
@@ -378,6 +413,7 @@ class Run:
             checkpoint.check_names(state["spent"], self.clock.spent, "spent")
             for name, seconds in state["spent"].items():
                 checkpoint.check_number(seconds, f"spent on {name}", 0, 1e12, whole=False)
+            checkpoint.check_number(state["cpu"], "cpu", 0, 1e12, whole=False)
             if (saved.best is None) != (not self.evaluations):
                 raise UserError("best.zip and evaluations do not belong together")
             if saved.best is not None:
@@ -385,18 +421,19 @@ class Run:
         except UserError as error:
             raise checkpoint.refused(self.folder / CHECKPOINT, f"cannot be continued: {error}") from error
         self.best = saved.best
-        self.clock = Clock(state["spent"])
+        self.clock = Clock(state["spent"], state["cpu"])
         self._begun = steps // self._per_iteration
 
     def _restore_histories(self, state: dict, steps: int) -> None:
         """One row for each iteration until now, and one for each evaluation."""
-        columns = {"steps", "training_seconds", "episode_reward", "episode_length", *self.curriculum.log()}
+        common = {"steps", "training_seconds", "cpu_seconds"}
+        columns = common | {"episode_reward", "episode_length", *self.curriculum.log()}
         for name in ("history", "evaluations"):
             if not isinstance(state[name], list):
                 raise UserError(f"{name} is not a list")
             for row in state[name]:
                 if name == "evaluations" and isinstance(row, dict):
-                    columns = {"steps", "training_seconds", "score", *state[name][0]}
+                    columns = common | {"score", *state[name][0]}
                 checkpoint.check_names(row, columns, f"a row of {name}")
                 for column, value in row.items():
                     if value != value and column in ("episode_reward", "episode_length"):
@@ -436,6 +473,7 @@ class Run:
             "ended": self._ended(),
             "steps": int(self.model.num_timesteps),
             "seconds": {name: round(value, 2) for name, value in self.clock.spent.items()},
+            "cpu_seconds": round(self.clock.cpu(), 2),
             "steps_per_second": self.model.num_timesteps / max(1e-9, self.clock.spent["training"]),
             "evaluations": {
                 "starts": len(self._judge.starts),
@@ -502,6 +540,7 @@ class _History(BaseCallback):
             {
                 "steps": int(self.num_timesteps),
                 "training_seconds": self.run.clock.spent["training"],
+                "cpu_seconds": self.run.clock.cpu(),
                 "episode_reward": mean["r"],
                 "episode_length": mean["l"],
                 **self.run.curriculum.log(),
@@ -517,12 +556,12 @@ def train(config: TrainConfig) -> tuple[Path, dict]:
 
 _STATE = (
     *("steps", "updates", "start_rng", "numpy_rng", "ended", "successes"),
-    *("config", "vehicle", "ranges", "curriculum", "history", "evaluations", "spent"),
+    *("config", "vehicle", "ranges", "curriculum", "history", "evaluations", "spent", "cpu"),
 )
 
 
 def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
-    """Configuration and run.json of the run to resume in `config.out`; the wall-time limit is taken anew."""
+    """Configuration and run.json of the run to resume in `config.out`; the limits of time are taken anew."""
     path = config.out / RECORD
     if os.path.exists(config.out) and not config.out.is_dir():
         raise UserError(f"nothing to resume: {config.out} is a file, not a run folder")
@@ -549,7 +588,13 @@ def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
     except UserError as error:
         raise _refused(path, error) from error
     _check_same(config, given)
-    given = dataclasses.replace(given, out=config.out, max_seconds=config.max_seconds, resume=False)
+    if not given.resumable:
+        raise UserError(
+            f"{config.out} was trained with {given.algorithm}, and a replay buffer is not kept: begin a new "
+            "run with another --out"
+        )
+    limits = {"max_seconds": config.max_seconds, "max_cpu_seconds": config.max_cpu_seconds}
+    given = dataclasses.replace(given, out=config.out, **limits, resume=False)
     for name, file in COPIED.items():
         copy, first = config.out / file, getattr(given, name)
         if first is not None:  # its copy, unless the run was stopped before it was made

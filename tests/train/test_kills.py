@@ -71,7 +71,9 @@ def assert_same_run(a, b):
     for name in ("final.zip", "best.zip"):
         assert_same_policy(a / name, b / name)
     for name in ("learning.csv", "evaluations.csv"):
-        tables = [pd.read_csv(folder / name).drop(columns="training_seconds") for folder in (a, b)]
+        tables = [
+            pd.read_csv(folder / name).drop(columns=["training_seconds", "cpu_seconds"]) for folder in (a, b)
+        ]
         pd.testing.assert_frame_equal(*tables, check_exact=True)
     assert plain(json.loads((a / "metrics.json").read_text())) == plain(
         json.loads((b / "metrics.json").read_text())
@@ -86,7 +88,7 @@ def plain(value):
         return [plain(item) for item in value]
     if not isinstance(value, dict):
         return value
-    without = ("seconds", "steps_per_second", "training_seconds", "out", "git revision")
+    without = ("seconds", "steps_per_second", "training_seconds", "cpu_seconds", "out", "git revision")
     return {name: plain(item) for name, item in value.items() if name not in without}
 
 

@@ -23,7 +23,7 @@ from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.train import cli, run, warm_start
-from inclined_landing.train.config import CARRIED_ON, ENDING, Range, TrainConfig
+from inclined_landing.train.config import ALGORITHMS, CARRIED_ON, ENDING, Range, TrainConfig
 from inclined_landing.train.curriculum import SETTLING
 from inclined_landing.train.run import CHECKPOINT, Run, train
 
@@ -516,6 +516,7 @@ def test_evaluation_starts_are_neither_training_starts_nor_another_seeds(tmp_pat
 WRONG = {
     "hover": "unknown task 'hover'; known are landing, setpoint, touchdown",
     "--plant gazebo": "unknown plant 'gazebo'; known are mujoco, hybrid, analytic",
+    "--algorithm dqn": "unknown algorithm 'dqn'; known are ppo, sac, td3",
     "--update slow": "unknown update 'slow'; known are fast and stock",
     "--integrator rk4": "unknown integrator 'rk4'; known are RK4, implicitfast, Euler",
     "--environments 1 --rollout 1 --batch-size 2": "must give more than one sample",
@@ -567,7 +568,13 @@ def test_numbers_outside_of_their_range_are_refused_by_name(name, tmp_path):
     limits = RANGES[name]
     tiny = {"environments": 2, "rollout": 4, "batch_size": 8, "out": tmp_path / "a"}
     tiny |= {} if name in ENDING else {"steps": 8}
+    if name not in ALGORITHMS["ppo"] and any(name in own for own in ALGORITHMS.values()):
+        tiny |= {"algorithm": "td3", "steps": 10**9}
     for value in (limits.low, limits.high) if not limits.open else (limits.high / 2,):
+        if name == "buffer_size" and value == limits.low:
+            continue  # less than a minibatch
+        if name == "learning_starts" and value == limits.high:
+            continue  # nothing is left to learn in
         TrainConfig(**tiny | {name: value}).resolved()
     outside = [limits.low - 1, limits.high + 1, math.nan, math.inf, 10**400]
     for value in outside + ([limits.low, limits.high] if limits.open else []):
@@ -614,9 +621,10 @@ def test_resolved_configurations_stay_as_they_are(tmp_path):
         once = TrainConfig(task=task).resolved()
         assert once.resolved() == once
         left = {f.name for f in dataclasses.fields(once) if getattr(once, f.name) is None}
-        free = {"max_seconds", "vehicle", "inclination", "randomise"} | (
+        free = {"max_seconds", "max_cpu_seconds", "vehicle", "inclination", "randomise"} | (
             set() if kind.training.start_from else {"start_from"}
         )
+        free |= set().union(*ALGORITHMS.values()) - set(ALGORITHMS["ppo"])
         assert left == free | set(ENDING[:1] if kind.training.success else ENDING[1:])
     with pytest.raises(UserError):
         TrainConfig(task="").resolved()

@@ -148,6 +148,8 @@ def _prepared(job: Job, step: Step, threads: int) -> list[str]:
     words = job.filled(step.words)
     job.log.parent.mkdir(parents=True, exist_ok=True)
     if step.words[0] == "landing-train":
+        if not _keeps_checkpoints(job.run):
+            shutil.rmtree(job.run, ignore_errors=True)
         resumed = ["--resume"] if (job.run / "run.json").is_file() else []
         return [*words, *resumed, "--threads", str(threads)]
     job.run.mkdir(parents=True, exist_ok=True)
@@ -155,6 +157,14 @@ def _prepared(job: Job, step: Step, threads: int) -> list[str]:
     if step.attempts and out is not None and _within(Path(out), job):
         shutil.rmtree(out, ignore_errors=True)
     return words
+
+
+def _keeps_checkpoints(run: Path) -> bool:
+    """Can a training be resumed: not one with a replay buffer, which is begun again."""
+    try:
+        return storage.read_json(run / "run.json", "run record")["config"]["algorithm"] == "ppo"
+    except (UserError, KeyError, TypeError):
+        return True  # --resume says what is wrong
 
 
 def _within(out: Path, job: Job) -> bool:
