@@ -12,9 +12,12 @@ import numpy as np
 from inclined_landing.envs.history import History
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import Judgement, Moment, Start
+from inclined_landing.envs.vehicle_numbers import vehicle_numbers
 from inclined_landing.models.attitude import LAG
+from inclined_landing.models.equations import settled_hover
 from inclined_landing.models.errors import UserError, shown
 
+_TRIES = 1000
 FARTHEST = 1e4  # of any entry of a start state, SI units: no flight is there, and the engine diverges
 _START = ("state", "inclination", "present", "goal_size")  # what is recorded of a start
 
@@ -82,6 +85,11 @@ class BatchEnv:
             np.full(n, np.nan),
         )
         self._action_size = len(task.action_names)
+        vehicles = (task.vehicle, *plant.pool)  # what is hidden in a plant's own vehicle nobody is told
+        self._told = np.array([vehicle_numbers(v) for v in vehicles]) if task.observe_vehicle else None
+        self._centres = None
+        if task.own_hover and plant.pool:
+            self._centres = np.array([task.pwm_centre, *map(settled_hover, plant.pool)])
         task.prepare(plant)
 
     def seed(self, seed: int | None) -> None:
@@ -112,7 +120,8 @@ class BatchEnv:
 
     def observe(self, ids=slice(None)) -> np.ndarray:
         """Observations (k, o) of the vehicles `ids` as motion capture shows them now, with their history."""
-        return self.past.behind(self._present(ids), ids)
+        told = None if self._told is None else self._told[self.plant.choice[ids]]
+        return self.past.behind(self._present(ids), ids, told)
 
     def _present(self, ids=slice(None)) -> np.ndarray:
         plant = self.plant
@@ -138,12 +147,9 @@ class BatchEnv:
             start = self.task.start(state)
         elif start is None:
             self._draw_vehicles(ids)
-            start = self.task.sample(self.rng, len(ids))
+            start = self._draw_starts(ids)
             start.state[:, LAG] *= self.plant.hover_share[ids]
-        inclination = start.inclination + self.plant.tilt[ids]
-        self.plant.set_platform(
-            ids, inclination, start.present, 0.0 if start.azimuth is None else start.azimuth
-        )
+        self._place(ids, start)
         if start.contact is not None:
             self.plant.set_contact(ids, **start.contact)
         self.plant.reset(ids, start.state)
@@ -163,6 +169,25 @@ class BatchEnv:
         self.held[ids] = 0
         self.past.begin(ids, self._present(ids))
         return self.observe(ids)
+
+    def _place(self, ids: np.ndarray, start: Start) -> None:
+        """Set the platforms of the vehicles `ids` up for their starts."""
+        inclination = start.inclination + self.plant.tilt[ids]
+        azimuth = 0.0 if start.azimuth is None else start.azimuth
+        self.plant.set_platform(ids, inclination, start.present, azimuth)
+
+    def _draw_starts(self, ids: np.ndarray) -> Start:
+        """Random starts of the vehicles `ids`; where they have sizes of their own, none in its platform."""
+        start = self.task.sample(self.rng, len(ids))
+        todo = np.arange(len(ids) if len(self.plant.fleet.reach) > 1 else 0)
+        for _ in range(_TRIES):
+            if not len(todo):
+                return start
+            self._place(ids, start)
+            todo = np.flatnonzero(self.plant.clearance(ids, start.state) <= self.plant.keep_out)
+            if len(todo):
+                start.put(todo, self.task.sample(self.rng, len(todo)))
+        raise UserError("the task's starts leave no room for the largest vehicle of the plant")
 
     def _draw_vehicles(self, ids: np.ndarray) -> None:
         if self.nominal is None or not self.plant.pool:
@@ -189,7 +214,8 @@ class BatchEnv:
         if not np.isfinite(actions).all():
             raise UserError("an action is NaN or infinite")
         self.actions = np.clip(actions, -1.0, 1.0)
-        self.commands = self.task.commands(self.actions)
+        centres = None if self._centres is None else self._centres[self.plant.choice]
+        self.commands = self.task.commands(self.actions, *(() if centres is None else (centres,)))
         if self.task.history:
             self.past.note(self._present(), self.actions)
 

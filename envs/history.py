@@ -4,35 +4,42 @@ A task with `history=K` has its policy see, behind the present observation (o,),
 one first, each as its observation (o,) and the action (a,) that answered it. Of steps before the start the
 observation is the first one and the action 0. From such pairs a policy can tell what one observation does
 not show: a weaker thrust, a later answer.
+
+With the option `observe_vehicle` the numbers of its vehicle stand behind all of it (`envs.vehicle_numbers`).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from inclined_landing.envs import vehicle_numbers
 from inclined_landing.envs.tasks import Task
 
 
 def input_names(task: Task) -> tuple[str, ...]:
-    """What a policy is given, o + K (o + a) numbers: x ... pitch, x[-1] ... pitch command[-1], x[-2] ..."""
+    """What a policy is given, o + K (o + a) numbers: x ... pitch, x[-1] ... pitch command[-1], x[-2] ...
+
+    And those of its vehicle, where it is told them.
+    """
     step = (*task.observation_names, *(f"{name} command" for name in task.action_names))
     past = (f"{name}[-{k}]" for k in range(1, task.history + 1) for name in step)
-    return (*task.observation_names, *past)
+    return (*task.observation_names, *past, *(vehicle_numbers.NAMES if task.observe_vehicle else ()))
 
 
 def input_centre(task: Task) -> np.ndarray:
     """What a policy network subtracts from what it is given; shape as `input_names`."""
-    return _repeated(task, task.observation_centre, 0.0)
+    return _repeated(task, task.observation_centre, 0.0, vehicle_numbers.CENTRE)
 
 
 def input_scale(task: Task) -> np.ndarray:
     """Typical size of what a policy is given; shape as `input_names`."""
-    return _repeated(task, task.observation_scale, 1.0)
+    return _repeated(task, task.observation_scale, 1.0, vehicle_numbers.SCALE)
 
 
-def _repeated(task: Task, of_observation: np.ndarray, of_action: float) -> np.ndarray:
+def _repeated(task: Task, of_observation: np.ndarray, of_action: float, of_vehicle: np.ndarray) -> np.ndarray:
     step = np.append(of_observation, [of_action] * len(task.action_names))
-    return np.concatenate([of_observation, np.tile(step, task.history)])
+    told = of_vehicle if task.observe_vehicle else []
+    return np.concatenate([of_observation, np.tile(step, task.history), told])
 
 
 class History:
@@ -40,6 +47,7 @@ class History:
 
     def __init__(self, task: Task, n: int):
         self._seen = len(task.observation_names)
+        self._told = vehicle_numbers.vehicle_numbers(task.vehicle) if task.observe_vehicle else None
         self.steps = np.zeros((n, task.history, self._seen + len(task.action_names)), np.float32)
 
     def begin(self, ids, observation: np.ndarray) -> None:
@@ -53,9 +61,21 @@ class History:
             self.steps[:, 1:] = self.steps[:, :-1]
             self.steps[:, 0, : self._seen], self.steps[:, 0, self._seen :] = observation, actions
 
-    def behind(self, observation: np.ndarray, ids=slice(None)) -> np.ndarray:
-        """The present observation (k, o) of the vehicles `ids`, their past behind it: (k, o + K (o + a))."""
-        if not self.steps.shape[1]:
-            return observation
-        past = self.steps[ids]
-        return np.concatenate([observation, past.reshape(len(past), -1)], axis=1)
+    def behind(
+        self, observation: np.ndarray, ids=slice(None), vehicle: np.ndarray | None = None
+    ) -> np.ndarray:
+        """The present observation (k, o) of the vehicles `ids`, their past behind it: (k, o + K (o + a)).
+
+        And, where the task tells it, their vehicles' numbers: vehicle (k, 6), or those of the task's own.
+        """
+        parts = [observation]
+        if self.steps.shape[1]:
+            past = self.steps[ids]
+            parts.append(past.reshape(len(past), -1))
+        if self._told is not None:
+            parts.append(
+                np.broadcast_to(self._told, (len(observation), len(self._told)))
+                if vehicle is None
+                else vehicle
+            )
+        return np.concatenate(parts, axis=1) if len(parts) > 1 else observation

@@ -22,7 +22,8 @@ import numpy as np
 from inclined_landing.envs import weights
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.tasks import TASKS, Task, known, make_task, task_class
-from inclined_landing.envs.tasks.base import resolve_pwm_centre, resolve_pwm_span
+from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre, resolve_pwm_span
+from inclined_landing.envs.vehicle_numbers import vehicle_numbers
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -105,6 +106,29 @@ class Policy:
         )  # fmt: skip
         return action[0] if observation.ndim == 1 else action
 
+    def for_its_vehicle(self) -> Policy:
+        """The same policy for its task's vehicle alone: what it is told of it is part of the network.
+
+        Itself where it is told nothing and its PWM at action 0 is a number.
+        """
+        task = self.task
+        if not (task.observe_vehicle or task.own_hover):
+            return self
+        options = {k: v for k, v in task.options.items() if k != "observe_vehicle"}
+        plain = make_task(task.name, task.vehicle, **options | {"pwm_centre": task.pwm_centre})
+        given = len(input_names(plain))
+        told = vehicle_numbers(task.vehicle) if task.observe_vehicle else np.zeros(0)
+        scaled = np.clip((told - self.centre[given:]) / self.scale[given:], -self.limit, self.limit)
+        first, *others = self.weights
+        return dataclasses.replace(
+            self,
+            task=plain,
+            centre=self.centre[:given],
+            scale=self.scale[:given],
+            weights=(np.ascontiguousarray(first[:given]), *others),
+            biases=(self.biases[0] + scaled @ first[given:], *self.biases[1:]),
+        )
+
 
 @numba.njit(cache=True)
 def _forward(rows, centre, scale, limit, weights, biases, activation, squashed, bound):
@@ -182,7 +206,8 @@ def load_policy(
         the policy's task as it is); needed when the file has no stamp. By name, and by default, the task is
         built from the stamp.
     vehicle, inclination [rad]: of the task that is built, where they differ from the training's.
-        What PWM an action commands stays what it was in training.
+        What PWM an action commands stays what it was in training, or, with `pwm_centre="own"`, is about the
+        hover of each vehicle.
     Raises UserError when the file is not such a policy or does not fit the task: a task object must have the
     PWM of the stamp, its options of slopes, dimensions and angles, and its one inclination, or the one given.
     """
@@ -234,8 +259,13 @@ def _stamp_of(path: str | Path) -> dict:
         return _read_stamp(archive, path)
 
 
-def action_map(path: str | Path) -> tuple[float, float]:
-    """PWM at action 0 and span of a policy file, or of a shipped policy, as they were in training."""
+def told_vehicle(path: str | Path) -> bool:
+    """Is a policy, of a file or shipped, told the numbers of its vehicle; False for a plain SB3 file."""
+    return bool(_stamp_of(path).get("task_options", {}).get("observe_vehicle", False))
+
+
+def action_map(path: str | Path) -> tuple[float | str, float]:
+    """PWM at action 0 (or "own") and span of a policy file, or of a shipped policy, as in training."""
     return _action_map(_stamp_of(path).get("task_options", {}))
 
 
@@ -246,10 +276,14 @@ def tensors(path: str | Path) -> dict[str, np.ndarray]:
         return _read_tensors(archive, path)
 
 
-def _action_map(options: dict) -> tuple[float, float]:
-    """Of the stamp's options. Words are those of training with the shipped vehicle; others stamp numbers."""
-    shipped = load_vehicle()
-    centre = resolve_pwm_centre(options.get("pwm_centre", "hover"), shipped)
+def _action_map(options: dict) -> tuple[float | str, float]:
+    """Of the stamp's options. Words are those of training with the shipped vehicle; others stamp numbers.
+
+    But "own" is a word for every vehicle.
+    """
+    shipped, centre = load_vehicle(), options.get("pwm_centre", "hover")
+    if centre != OWN:
+        centre = resolve_pwm_centre(centre, shipped)
     return centre, resolve_pwm_span(options.get("pwm_span"), shipped)
 
 
@@ -262,7 +296,23 @@ def _check_meets(task: Task, metadata: dict, inclination, path) -> None:
             f"policy {path} is given {past} past steps, and the {task.name} task here has {task.history}; "
             f"give it history={past}"
         )
-    trained, own = _action_map(options), (task.pwm_centre, task.pwm_span)
+    told = bool(options.get("observe_vehicle", False))
+    if told != task.observe_vehicle:
+        raise UserError(
+            f"policy {path} is {'told' if told else 'not told'} the numbers of its vehicle; "
+            f"give the {task.name} task here observe_vehicle={told}"
+        )
+    trained = _action_map(options)
+    if (trained[0] == OWN) != task.own_hover:
+        raise UserError(
+            f"policy {path} was trained with {_centre_words(trained[0])} at thrust action 0, and the "
+            f"{task.name} task here has {_centre_words(OWN if task.own_hover else task.pwm_centre)}; give it "
+            f"pwm_centre={_centre_option(trained[0])} and pwm_span={trained[1]:.15g}"
+        )
+    trained, own = (
+        (task.pwm_centre if trained[0] == OWN else trained[0], trained[1]),
+        (task.pwm_centre, task.pwm_span),
+    )
     if not np.allclose(trained, own, rtol=0.0, atol=1e-6):
         raise UserError(
             f"policy {path} was trained with PWM {trained[0]:.0f} +- {trained[1]:.0f} for its thrust action, "
@@ -290,6 +340,14 @@ def _check_meets(task: Task, metadata: dict, inclination, path) -> None:
             f"policy {path} was trained for a slope of {np.degrees(slope):.1f} deg, and the {task.name} task "
             f"here has {np.degrees(here):.1f} deg; give inclination={here:.15g} too if that is meant"
         )
+
+
+def _centre_words(centre: float | str) -> str:
+    return "the hover of each vehicle" if centre == OWN else f"PWM {centre:.0f}"
+
+
+def _centre_option(centre: float | str) -> str:
+    return repr(centre) if centre == OWN else f"{centre:.15g}"
 
 
 def _build_task(name, metadata, vehicle, inclination, path) -> Task:

@@ -19,16 +19,26 @@ A file of ranges is TOML. Every range is [lowest, highest], equal ones fix the n
 
 Entries are set first and effects applied on top, in their order. Every number of a pool is spread evenly over
 its range, independent of the others. What all vehicles of a plant have in common has no range: commands,
-arena, shapes, and the platform but for its surface_height (the effects platform_height and platform_tilt move
-it).
+arena, and the platform but for its surface_height (the effects platform_height and platform_tilt move it).
 
-`landing-train --randomise FILE` reads it. `robust` is shipped: the whole library of effects, a little farther
-than a real vehicle may well have them.
+Mass, inertia, arms, thrust and loops of real vehicles go together, and independent ranges would hold vehicles
+that cannot be. So a file may name vehicles instead, files or shipped ones; what lies between two neighbours
+is then the range:
+
+    vehicles = ["crazyflie-2.0", "crazyflie-2.1", "hummingbird"]
+
+Drawn vehicles are spread evenly over the whole row. Between two neighbours all numbers of the tables body,
+thrust, motor, rotor, drag and attitude go the same share of the way, geometrically where both ends have the
+same sign: so power laws, ratios and thrust to weight lie between too. Entries and effects are set on top.
+
+`landing-train --randomise FILE` reads it. `robust` is shipped, the whole library of effects, a little farther
+than a real vehicle may well have them; and `vehicles`, quadrotors from 28 g to 0.5 kg.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -38,13 +48,28 @@ import numpy as np
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Constant, Vehicle, check_vehicle, constants
+from inclined_landing.models.parameters import (
+    Constant,
+    Vehicle,
+    check_vehicle,
+    constants,
+    load_vehicle,
+    vehicle_names,
+)
 
 Range = tuple[float, float]
 
 POOL = 256  # vehicles that a run draws
 _FOLDER = Path(str(resources.files("inclined_landing.envs") / "shipped"))
 _SAME = ("command", "arena", "rotor", "platform")  # tables
+_OF_THE_VEHICLE = (
+    "body_",
+    "thrust_",
+    "motor_",
+    "rotor_",
+    "drag_",
+    "attitude_",
+)  # fields that differ by vehicle
 _BUT = "platform.surface_height"
 _STREAM = 7_000_003  # of random numbers, beside those that starts come from
 
@@ -59,6 +84,7 @@ class Ranges:
     effects: dict[str, dict[str, Range]]  # effect -> parameter -> range
     probability: dict[str, float]  # of each of these effects
     what: str  # in sentences
+    vehicles: tuple[Vehicle, ...] = ()  # between which drawn ones lie, neighbours beside each other
 
     def draw(self, vehicle: Vehicle, seed: int, count: int = POOL) -> list[Vehicle]:
         """`count` vehicles, all of the same seed alike; raises UserError where one of them cannot be."""
@@ -73,11 +99,13 @@ class Ranges:
             name: {parameter: spread(*r) for parameter, r in ranges.items()}
             for name, ranges in self.effects.items()
         }
+        places = spread(0.0, len(self.vehicles) - 1.0) if self.vehicles else None
         drawn = []
         for k in range(count):
+            base = vehicle if places is None else between(self.vehicles, float(places[k]), vehicle)
             own = {f: rows[k].tolist() for f, rows in entries.items()}
             single = {f: not isinstance(getattr(vehicle, f), tuple) for f in own}
-            member = vehicle.changed(**{f: x[0] if single[f] else tuple(x) for f, x in own.items()})
+            member = base.changed(**{f: x[0] if single[f] else tuple(x) for f, x in own.items()})
             for name, values in sizes.items():
                 if present[name][k]:
                     of = {parameter: float(numbers[k]) for parameter, numbers in values.items()}
@@ -88,6 +116,26 @@ class Ranges:
                 raise UserError(f"{self.what} gives vehicles that cannot be: {error}") from error
             drawn.append(member)
         return drawn
+
+
+def between(vehicles: Sequence[Vehicle], place: float, like: Vehicle) -> Vehicle:
+    """The vehicle at a place on the row of `vehicles`, 0 the first; all but the vehicle itself is of `like`.
+
+    Each number is interpolated by the same share: geometrically where both neighbours have it with the same
+    sign, else linearly.
+    """
+    k = min(int(place), len(vehicles) - 2)
+    share, (one, other) = place - k, vehicles[k : k + 2]
+    fields = {}
+    for field, value in vars(one).items():
+        if field.startswith(_OF_THE_VEHICLE):
+            a, b = np.asarray(value, float), np.asarray(getattr(other, field), float)
+            alike = a * b > 0.0
+            size = np.where(alike, np.abs(a), 1.0) ** (1.0 - share) * np.where(alike, np.abs(b), 1.0) ** share
+            mixed = np.where(alike, np.sign(a) * size, (1.0 - share) * a + share * b)
+            mixed = np.where(a == b, a, mixed)  # whole numbers stay whole
+            fields[field] = tuple(mixed.tolist()) if isinstance(value, tuple) else float(mixed)
+    return like.changed(**fields)
 
 
 def shipped() -> list[str]:
@@ -107,7 +155,8 @@ def read_ranges(name: str | Path) -> Ranges:
     """
     what = f"randomise file {name}"
     given = storage.read_toml(locate(name), "randomise file")
-    tables = {key: value for key, value in given.items() if key not in ("nominal", "probability")}
+    tables = {key: value for key, value in given.items() if key not in ("nominal", "probability", "vehicles")}
+    vehicles = _vehicles(given["vehicles"], what) if "vehicles" in given else ()
     usual = _share(given.get("probability", 1), "probability", what)
     entries = {constant.field: constant for constant in constants()}
     fields, effects, probability = {}, {}, {}
@@ -127,9 +176,22 @@ def read_ranges(name: str | Path) -> Ranges:
                 if table in _SAME and label != _BUT:
                     raise UserError(f"{what}: {label} cannot differ from vehicle to vehicle")
                 fields[entry.field] = _of_entry(entry, value, what)
-    if not (fields or effects):
+    if not (fields or effects or vehicles):
         raise UserError(f"{what} has no range, like [effects.thrust_scale] with scale = [0.8, 1.1]")
-    return Ranges(given, _share(given.get("nominal", 0), "nominal", what), fields, effects, probability, what)
+    nominal = _share(given.get("nominal", 0), "nominal", what)
+    return Ranges(given, nominal, fields, effects, probability, what, vehicles)
+
+
+def _vehicles(value, what: str) -> tuple[Vehicle, ...]:
+    if not (isinstance(value, list) and len(value) > 1 and all(isinstance(name, str) for name in value)):
+        raise UserError(
+            f"{what}: vehicles must be two or more files or names ({', '.join(vehicle_names())}), not "
+            f"{shown(repr(value), 60)}"
+        )
+    try:
+        return tuple(load_vehicle(name) for name in value)
+    except UserError as error:
+        raise UserError(f"{what}: {error}") from error
 
 
 _UNKNOWN = {

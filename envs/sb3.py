@@ -12,6 +12,7 @@ import numpy as np
 from inclined_landing.envs.batch import BatchEnv, check_seed
 from inclined_landing.envs.policy import stamp
 from inclined_landing.envs.spaces import action_space, observation_space
+from inclined_landing.envs.tasks.base import OWN
 from inclined_landing.models.errors import UserError, optional, shown
 
 with optional():
@@ -22,7 +23,7 @@ def save_policy(model, path: str | Path) -> None:
     """Save a Stable-Baselines3 model that learned on a `BatchVecEnv`, with the stamp for `load_policy`."""
     task = model.get_env().env.task
     model.save(path, exclude=["lr_schedule"])  # perhaps of a callback, and not needed
-    action_map = {"pwm_centre": task.pwm_centre, "pwm_span": task.pwm_span}
+    action_map = {"pwm_centre": OWN if task.own_hover else task.pwm_centre, "pwm_span": task.pwm_span}
     stamp(
         Path(path).with_suffix(".zip"),
         {

@@ -33,6 +33,10 @@ COMMANDS = {
         "policies",
         "Landing policies over thrust and under every effect of the library: curve, matrix, page (minutes).",
     ),
+    "vehicles": (
+        "policies",
+        "One landing policy on many quadrotors, named and drawn, beside one policy for each (a minute).",
+    ),
     "export": (
         "",
         "A policy as ONNX, as C for a microcontroller or for NumPy, with contract and test vectors.",

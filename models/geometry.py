@@ -5,8 +5,11 @@ see what the engine sees. A vehicle is a set of spheres (foot capsules as their 
 discs and the body box as points on their outline), the platform a set of boxes.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import mujoco
 import numba
@@ -63,6 +66,27 @@ def shapes_of(model: mujoco.MjModel) -> Shapes:
         np.array([g.size for g in geoms]),
         float((np.linalg.norm(centres, axis=1) + radii).max()),
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class Fleet:
+    """The shapes of m vehicles that differ in size alone, before platforms of the same shapes."""
+
+    centres: np.ndarray  # (m, k, 3) m
+    radii: np.ndarray  # (m, k) m
+    reach: np.ndarray  # (m,) m
+    parts: np.ndarray  # (k,)
+    box_centres: np.ndarray  # (4, 3) m
+    box_sizes: np.ndarray  # (4, 3) m
+
+    @classmethod
+    def of(cls, members: Sequence[Shapes]) -> Fleet:
+        """Of the shapes of each of them."""
+        centres, radii, reach = (
+            np.array([getattr(s, k) for s in members]) for k in ("centres", "radii", "reach")
+        )
+        first = members[0]
+        return cls(centres, radii, reach, first.parts, first.box_centres, first.box_sizes)
 
 
 def reach_below(shapes: Shapes, up=(0.0, 0.0, 1.0), *, lowered=0.0, part: str | None = None) -> np.ndarray:
@@ -165,13 +189,17 @@ def platform_distance(point, roll, inclination, azimuth, position, boxes, sizes)
 
 
 @numba.njit(cache=True)
-def _clearances(state, inclination, azimuth, position, centres, radii, parts, boxes, sizes, reach, out):
-    """Smallest distance (n, 3 surfaces, 3 parts) of the vehicle's shapes to the scene [m]."""
+def _clearances(
+    state, inclination, azimuth, position, which, all_centres, all_radii, parts, boxes, sizes, reach, out
+):
+    """Smallest distance (n, 3 surfaces, 3 parts) of the vehicles' shapes to the scene [m]."""
     rotated = np.empty(3)
     for i in range(state.shape[0]):
         out[i, :, :] = np.inf
         r = rotation(state[i, 6], state[i, 7], state[i, 8])
-        near_floor = state[i, 2] < 2.0 * reach
+        own_shapes = which[i]
+        centres, radii = all_centres[own_shapes], all_radii[own_shapes]
+        near_floor = state[i, 2] < 2.0 * reach[own_shapes]
         turn = math.sin(azimuth[i]), math.cos(azimuth[i])
         tilt = math.sin(inclination[i]), math.cos(inclination[i])
         for k in range(centres.shape[0]):
@@ -191,20 +219,24 @@ def _clearances(state, inclination, azimuth, position, centres, radii, parts, bo
                 out[i, surface, part] = min(out[i, surface, part], distance)
 
 
-def clearances(state, inclination, position, shapes: Shapes, out=None, azimuth=0.0) -> np.ndarray:
+def clearances(
+    state, inclination, position, shapes: Shapes | Fleet, out=None, azimuth=0.0, which=None
+) -> np.ndarray:
     """Signed distance [m] of every part to every surface, (n, 3 surfaces, 3 parts).
 
     state (n, 13), inclination and azimuth (n,) or a number [rad], position (n, 4, 3) from
-    `platform_poses`. Negative where shapes overlap. The floor's entry is inf for vehicles well above it.
+    `platform_poses`; which (n,): the member of a fleet that each is. Negative where shapes overlap. The
+    floor's entry is inf for vehicles well above it.
     """
+    fleet = Fleet.of([shapes]) if isinstance(shapes, Shapes) else shapes
+    which = np.zeros(len(state), int) if which is None else np.asarray(which)
     inclination, azimuth = (
         np.ascontiguousarray(np.broadcast_to(np.asarray(angle, float), len(state)))
         for angle in (inclination, azimuth)
     )
     out = np.empty((len(state), 3, 3)) if out is None else out
-    s = shapes
     _clearances(
-        state, inclination, azimuth, position, s.centres, s.radii, s.parts, s.box_centres, s.box_sizes,
-        s.reach, out,
+        state, inclination, azimuth, position, which, fleet.centres, fleet.radii, fleet.parts,
+        fleet.box_centres, fleet.box_sizes, fleet.reach, out,
     )  # fmt: skip
     return out

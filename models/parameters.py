@@ -25,6 +25,8 @@ from inclined_landing.models.errors import UserError, shown
 _LATER = {"effects", "rotor", "unrest", "attitude.yaw_gain", "attitude.damping"}
 _FIELDS = ("value", "unit", "source", "uncertainty")
 _SHIPPED = "crazyflie.toml"
+_BASE, _BASED_ON = "crazyflie-2.1", "based_on"  # what a vehicle file that holds only what differs begins with
+_FOLDER = Path(str(resources.files("inclined_landing.models").joinpath("vehicles")))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -170,26 +172,45 @@ class Vehicle:
         return float(inclination)
 
 
+def vehicle_names() -> list[str]:
+    """Names of the shipped vehicles; `crazyflie-2.1` is the one of `crazyflie.toml`."""
+    return sorted([_BASE, *(path.stem for path in _FOLDER.glob("*.toml"))])
+
+
+def locate_vehicle(name: str | Path) -> Path:
+    """Path of a vehicle file: a shipped one by name, otherwise a file."""
+    if str(name) not in vehicle_names():
+        return Path(name)
+    return _FOLDER.parent / _SHIPPED if str(name) == _BASE else _FOLDER / f"{name}.toml"
+
+
 def constants(path: str | Path | None = None) -> list[Constant]:
-    """Every entry of the vehicle file (default: the shipped `crazyflie.toml`), in the order of that one.
+    """Every entry of a vehicle file, or of a shipped one by name, in the order of `crazyflie.toml` (default).
 
     Where another file lacks what `_LATER` names, the shipped entries stand in, so that files older than
-    these tables and entries stay what they were. Its ranges and units are the
-    shipped ones; an entry may repeat its range.
+    these tables and entries stay what they were; one with `based_on = "crazyflie-2.1"` on top may lack any.
+    Its ranges and units are the shipped ones; an entry may repeat its range.
     Raises UserError, naming file and entry, when the file is unreadable or an entry is missing, unknown
     or not what it should be.
     """
     if path is None:
         return list(_shipped().values())
     shipped, what = _shipped(), f"vehicle file {path}"
-    given = _entries(storage.read_toml(path, "vehicle file"), what)
+    tables = storage.read_toml(locate_vehicle(path), "vehicle file")
+    based_on = tables.pop(_BASED_ON, None)
+    if based_on not in (None, _BASE):
+        raise UserError(f'{what}: {_BASED_ON} can only be "{_BASE}", not {shown(repr(based_on), 40)}')
+    given = _entries(tables, what)
     unknown = [f"{section}.{name}" for section, name in given if f"{section}_{name}" not in shipped]
     if unknown:
         raise UserError(f"{what} has unknown entries: {_first(unknown)}")
     found = {f"{section}_{name}": entry for (section, name), entry in given.items()}
     missing = [c for c in shipped.values() if c.field not in found and not {c.section, c.label} & _LATER]
-    if missing:
-        raise UserError(f"{what} lacks entries: {_first([c.label for c in missing])}")
+    if missing and based_on is None:
+        raise UserError(
+            f"{what} lacks entries: {_first([c.label for c in missing])}; one that holds only what differs "
+            f'begins with {_BASED_ON} = "{_BASE}"'
+        )
     return [
         _constant(found[field], like, f"{what}: {like.label}") if field in found else like
         for field, like in shipped.items()
@@ -279,7 +300,7 @@ def _numbers(value) -> tuple[float, ...] | None:
 
 
 def load_vehicle(path: str | Path | None = None) -> Vehicle:
-    """Read a vehicle file (default: the shipped Crazyflie 2.1).
+    """Read a vehicle file, or a shipped vehicle by name (default: the Crazyflie 2.1).
 
     Raises UserError, naming file and entry, when an entry is missing, unknown, of another type or outside
     its range, and when entries contradict each other.

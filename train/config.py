@@ -14,13 +14,13 @@ from typing import Annotated, Any
 
 import tyro
 
-from inclined_landing.envs.policy import SHIPPED, action_map, history_of, trained_for
+from inclined_landing.envs.policy import SHIPPED, action_map, history_of, told_vehicle, trained_for
 from inclined_landing.envs.randomise import locate
 from inclined_landing.envs.tasks import TASKS, import_task, is_path, task_class
 from inclined_landing.envs.tasks.base import LONGEST_HISTORY, Training
 from inclined_landing.eval.base.options import Range, Seed, check_ranges
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.parameters import load_vehicle, locate_vehicle
 from inclined_landing.models.plants import PLANTS
 from inclined_landing.models.scene import INTEGRATORS
 from inclined_landing.train.curriculum import RISING
@@ -128,7 +128,8 @@ class TrainConfig:
     angle_limit: Annotated[float | None, Range(1, 80), tyro.conf.arg(metavar="DEG")] = None
     """Of roll and pitch commands in degrees, where it differs from the vehicle file's."""
     vehicle: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Vehicle file (TOML), where it differs from the shipped one; the run keeps a copy."""
+    """Vehicle file (TOML), or a shipped vehicle by name, where it is not the Crazyflie 2.1; the run keeps a
+    copy."""
     randomise: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Ranges (TOML) of effects and of entries of the vehicle file, like [effects.thrust_scale] with
     scale = [0.8, 1.1] or [body] with mass = [0.027, 0.032]; each training episode has a vehicle from them. Or
@@ -167,11 +168,11 @@ class TrainConfig:
     pwm_centre: Annotated[
         float | str | None,
         tyro.conf.arg(
-            metavar="NUMBER|hover|paper", help_behavior_hint="(default: hover; with --from the policy's)"
+            metavar="NUMBER|hover|own|paper", help_behavior_hint="(default: hover; with --from the policy's)"
         ),
     ] = None
-    """PWM at action 0: a number, hover (of the vehicle with its effects) or paper (42 000). A policy to go on
-    from is rewritten where it has another."""
+    """PWM at action 0: a number, hover (of the vehicle with its effects), own (of each vehicle that
+    is drawn, or flown later) or paper (42 000). A policy to go on from is rewritten where it has another."""
     pwm_span: Annotated[
         float | None,
         Range(1, 65_535),
@@ -184,6 +185,10 @@ class TrainConfig:
     history: Annotated[int | None, Range(0, LONGEST_HISTORY)] = None
     """Past steps, observation and action each, that the policy is given besides the observation (default: as
     many as the policy in --from, else 0)."""
+
+    observe_vehicle: bool = False
+    """Tell the policy six numbers of each vehicle: thrust to weight, lags, gain, drag, reach. One that goes
+    on from a policy that is told them is too."""
 
     environments: Annotated[int, Range(1, 16_384)] = 64
     """Vehicles stepped together."""
@@ -292,6 +297,7 @@ class TrainConfig:
         randomise = None if self.randomise is None else Path(self.randomise)
         if self.history is None:
             filled["history"] = history_of(start) if same else 0
+        filled["observe_vehicle"] = self.observe_vehicle or (same and told_vehicle(start))
         filled |= self._action_map(filled["start_from"])
         config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)
         if config.algorithm != "ppo":
@@ -391,7 +397,10 @@ class TrainConfig:
 
     def copied(self) -> dict[str, Path]:
         """Of what the run keeps a copy, by the copy's name."""
-        given = {"vehicle": self.vehicle, "randomise": self.randomise and locate(self.randomise)}
+        given = {
+            "vehicle": self.vehicle and locate_vehicle(self.vehicle),
+            "randomise": self.randomise and locate(self.randomise),
+        }
         return {COPIED[name]: path for name, path in given.items() if path is not None}
 
     def most_steps(self) -> int:

@@ -18,7 +18,7 @@ from inclined_landing.envs.history import input_centre, input_scale
 from inclined_landing.envs.randomise import POOL, read_ranges
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import Task, make_task
-from inclined_landing.envs.tasks.base import resolve_pwm_centre
+from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import Snapshot, make_plant
@@ -80,8 +80,12 @@ def build_task(config: TrainConfig) -> Task:
             options["inclination"] = vehicle.check_inclination(math.radians(config.inclination))
         except UserError as error:
             raise UserError(f"--inclination: {error}") from error
-    # What a policy's actions command must not depend on the vehicle that it is flown with later.
-    centre = resolve_pwm_centre(config.pwm_centre, vehicle) if config.vehicle else config.pwm_centre
+    if config.observe_vehicle:
+        options["observe_vehicle"] = True
+    # What a policy's actions command must not depend on the vehicle that it is flown with later, unless that
+    # is asked for.
+    fixed = config.vehicle and config.pwm_centre != OWN
+    centre = resolve_pwm_centre(config.pwm_centre, vehicle) if fixed else config.pwm_centre
     return make_task(config.task, vehicle, pwm_centre=centre, pwm_span=config.pwm_span, **options)
 
 

@@ -65,6 +65,13 @@ def take_over(model: PPO, policy: Policy) -> None:
     shapes = [(layer.in_features, layer.out_features) for layer in actor]
     if policy.task.history > task.history:
         raise UserError(f"policy {policy.path} goes on with --history {policy.task.history} or more")
+    if policy.task.observe_vehicle != task.observe_vehicle:
+        how = "with" if policy.task.observe_vehicle else "without"
+        raise UserError(f"policy {policy.path} goes on {how} --observe-vehicle")
+    if policy.task.observe_vehicle and policy.task.history != task.history:
+        raise UserError(f"policy {policy.path} is told its vehicle, and goes on with its own history only")
+    if policy.task.own_hover != task.own_hover:
+        raise UserError(f"policy {policy.path} goes on with its own PWM at action 0 only")
     known = len(policy.centre)
     more = (task.history - policy.task.history) * (len(task.observation_names) + len(task.action_names))
     first, *others = policy.weights

@@ -39,6 +39,7 @@ COLUMNS = {name: column for column, name in enumerate(STATE_NAMES)}  # of the st
 ACTIONS = {"thrust": PWM, "roll": ROLL_COMMAND, "pitch": PITCH_COMMAND, "yaw rate": YAW_RATE_COMMAND}
 _UNKNOWN: Any = None
 LONGEST_HISTORY = 50  # steps
+OWN = "own"  # a PWM at action 0 that is the hover of whatever vehicle is flown
 
 
 @dataclasses.dataclass
@@ -58,6 +59,15 @@ class Start:
         contact = None if self.contact is None else {name: x[ids] for name, x in self.contact.items()}
         of = self.state[ids], self.inclination[ids], self.present[ids], self.goal_size[ids]
         return Start(*of, contact, azimuth)
+
+    def put(self, rows: np.ndarray, other: Start) -> None:
+        """Replace some of the starts, by their rows, by the starts of `other`."""
+        for field in dataclasses.fields(self):
+            own, new = getattr(self, field.name), getattr(other, field.name)
+            pairs = [(own[key], new[key]) for key in own] if isinstance(own, dict) else [(own, new)]
+            for array, values in pairs:
+                if array is not None:
+                    array[rows] = values
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,9 +153,10 @@ class Task(abc.ABC):
     """A task for vehicles of one kind. Everything but the first four and the two methods has a default.
 
     `options` is what `make_task(name, **options)` needs to build the task again; `history` is how many past
-    steps its policy is given besides the observation (`envs.history`); `angle_limit` [rad] is that of the
-    attitude commands where it is not the vehicle's, and then that of `vehicle`; `conditions` is what a
-    curriculum may ease, None where there is nothing to ease.
+    steps its policy is given besides the observation, `observe_vehicle` whether it is told the numbers of its
+    vehicle (`envs.history`); `angle_limit` [rad] is that of the attitude commands where it is not the
+    vehicle's, and then that of `vehicle`; `conditions` is what a curriculum may ease, None where there is
+    nothing to ease.
     """
 
     name: str
@@ -179,6 +190,7 @@ class Task(abc.ABC):
         pwm_centre: float | str = "hover",
         pwm_span: float | None = None,
         history: int = 0,
+        observe_vehicle: bool = False,
     ):
         self.vehicle = limited(vehicle or load_vehicle(), angle_limit)
         self.pwm_centre = resolve_pwm_centre(pwm_centre, self.vehicle)
@@ -193,6 +205,11 @@ class Task(abc.ABC):
             self.options["history"] = self.history
         if angle_limit is not None:
             self.options["angle_limit"] = self.vehicle.command_angle_limit
+        if not isinstance(observe_vehicle, bool):
+            raise UserError(f"observe_vehicle must be True or False, not {shown(repr(observe_vehicle), 40)}")
+        self.observe_vehicle = observe_vehicle
+        if self.observe_vehicle:
+            self.options["observe_vehicle"] = True
 
     # --- what every task must say ----------------------------------------------------------------
 
@@ -228,11 +245,20 @@ class Task(abc.ABC):
             found.append(Channel(name, ACTIONS[name], *numbers))
         return tuple(found)
 
-    def commands(self, actions: np.ndarray) -> np.ndarray:
-        """Plant commands (n, 4) for actions (n, a) in [-1, 1]."""
+    @property
+    def own_hover(self) -> bool:
+        """Is action 0 the hover of each vehicle (`pwm_centre="own"`), not one PWM for all."""
+        return self.options["pwm_centre"] == OWN
+
+    def commands(self, actions: np.ndarray, pwm_centre: np.ndarray | None = None) -> np.ndarray:
+        """Plant commands (n, 4) for actions (n, a) in [-1, 1].
+
+        pwm_centre (n,): the PWM at thrust action 0 of each vehicle, where they are others than the task's.
+        """
         u = np.zeros((len(actions), COMMAND_SIZE))
         for channel, action in zip(self.channels, actions.T):
-            command = np.clip(channel.centre + channel.span * action, channel.low, channel.high)
+            centre = channel.centre if pwm_centre is None or channel.column != PWM else pwm_centre
+            command = np.clip(centre + channel.span * action, channel.low, channel.high)
             u[:, channel.column] = command if channel.idle is None else command * (action > channel.idle)
         return u
 
@@ -337,16 +363,22 @@ class Task(abc.ABC):
 
 
 def resolve_pwm_centre(centre, vehicle: Vehicle) -> float:
-    """PWM at action 0: a number, "paper" (42 000) or "hover" (`equations.settled_hover`)."""
+    """PWM at action 0: a number, "paper" (42 000), "hover" or "own" (`equations.settled_hover`).
+
+    Hover is the vehicle's that a policy is trained for, and stays its PWM on others; own is that of each
+    vehicle that it is flown on.
+    """
     if isinstance(centre, str) and centre == "paper":
         return vehicle.command_pwm_centre
-    if isinstance(centre, str) and centre == "hover":
+    if isinstance(centre, str) and centre in ("hover", OWN):
         return settled_hover(vehicle)
     low, high = vehicle.command_pwm_range
     if isinstance(centre, (int, float)) and low <= centre <= high:
         return float(centre)
     said = shown(repr(centre), 40)
-    raise UserError(f"pwm_centre must be 'paper', 'hover' or a PWM from {low:g} to {high:g}, not {said}")
+    raise UserError(
+        f"pwm_centre must be 'paper', 'hover', 'own' or a PWM from {low:g} to {high:g}, not {said}"
+    )
 
 
 def resolve_pwm_span(span, vehicle: Vehicle) -> float:

@@ -86,9 +86,15 @@ class Setpoint(Task):
         pwm_centre: float | str = "hover",
         pwm_span: float | None = None,
         history: int = 0,
+        observe_vehicle: bool = False,
     ):
         super().__init__(
-            vehicle, angle_limit=angle_limit, pwm_centre=pwm_centre, pwm_span=pwm_span, history=history
+            vehicle,
+            angle_limit=angle_limit,
+            pwm_centre=pwm_centre,
+            pwm_span=pwm_span,
+            history=history,
+            observe_vehicle=observe_vehicle,
         )
         self.conditions = Conditions()
 

@@ -132,6 +132,7 @@ class InclinedTouchdown(InclinedLanding):
         pwm_span: float | None = None,
         observe_contact: bool = False,
         history: int = 0,
+        observe_vehicle: bool = False,
     ):
         super().__init__(
             vehicle,
@@ -144,6 +145,7 @@ class InclinedTouchdown(InclinedLanding):
             pwm_centre=pwm_centre,
             pwm_span=pwm_span,
             history=history,
+            observe_vehicle=observe_vehicle,
         )
         self.observe_contact = bool(observe_contact)
         self.options["observe_contact"] = self.observe_contact

@@ -62,7 +62,7 @@ class Flown:
             your own, written module:Class or file.py:Class, which is then imported.
         plant: the physics to fly in.
         inclination: of the platform in degrees, where it differs from the training's.
-        vehicle: vehicle file (TOML), where it differs from the shipped one.
+        vehicle: vehicle file (TOML), or a shipped vehicle by name, where it is not the Crazyflie 2.1.
     """
 
     task: TaskName = None

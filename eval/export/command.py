@@ -10,7 +10,7 @@ import tyro
 
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import import_task, is_path
-from inclined_landing.eval.base.options import Folder, TaskName
+from inclined_landing.eval.base.options import Folder, TaskName, VehicleFile
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.base.runs import check_new_run, staged_run
 from inclined_landing.eval.base.tables import printer
@@ -19,11 +19,19 @@ from inclined_landing.eval.export.network import Network
 from inclined_landing.eval.export.vectors import Vectors
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.parameters import load_vehicle
 
 FormatName = Annotated[str, tyro.conf.arg(metavar="{onnx,c,numpy}")]
 
 
-def command(policy: AnyPolicy, /, format: FormatName, out: Folder, task: TaskName = None) -> None:
+def command(
+    policy: AnyPolicy,
+    /,
+    format: FormatName,
+    out: Folder,
+    task: TaskName = None,
+    vehicle: VehicleFile = None,
+) -> None:
     """A policy as ONNX, as C for a microcontroller or for NumPy, with contract and test vectors.
 
     Args:
@@ -32,10 +40,13 @@ def command(policy: AnyPolicy, /, format: FormatName, out: Folder, task: TaskNam
         out: new folder for the export.
         task: the task the policy must be for; needed for a plain Stable-Baselines3 file, and for a task of
             your own, written module:Class or file.py:Class, which is then imported.
+        vehicle: vehicle file (TOML), or a shipped vehicle by name, that is flown, where it is not that of the
+            training; what a policy is told of its vehicle becomes part of the network.
     """
     check_format(format)
     check_new_run(out)
-    loaded = contract.load(policy, import_task(task).name if is_path(task) else task)
+    flown = None if vehicle is None else load_vehicle(vehicle)
+    loaded = contract.load(policy, import_task(task).name if is_path(task) else task, flown)
     terms = write(loaded, format, out)
     say = printer().print
     say(f"{loaded.name} as {format} in {out}; contract.md says what goes in and out")
@@ -53,6 +64,7 @@ def write(policy: Policy, format: str, out: str | Path) -> dict:
     folder exists and is not empty or cannot be written.
     """
     check_format(format)
+    policy = policy.for_its_vehicle()
     network = Network.of(policy)
     terms = contract.of(policy, network)
     tested = vectors.of(policy)

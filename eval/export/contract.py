@@ -50,10 +50,13 @@ _QUANTITIES = {
 _TRAINING = ("seed", "steps", "plant", "curriculum", "command", "ranges", "versions")  # of the stamp
 
 
-def load(name: str, task: str | None = None) -> Policy:
-    """The policy for the task and the vehicle of its training. Raises UserError when there is none."""
-    policy = load_policy(name, task)
-    if not policy.metadata.get("vehicle"):
+def load(name: str, task: str | None = None, vehicle: Vehicle | None = None) -> Policy:
+    """The policy for the task and the vehicle of its training, or for another one.
+
+    Raises UserError when there is none.
+    """
+    policy = load_policy(name, task, vehicle=vehicle)
+    if vehicle is not None or not policy.metadata.get("vehicle"):
         return policy
     return load_policy(name, task, vehicle=_trained_vehicle(policy))
 
@@ -194,11 +197,11 @@ def _check_channels(policy: Policy) -> None:
 
 def _vehicle(policy: Policy) -> dict:
     file = resources.files("inclined_landing.models").joinpath("crazyflie.toml")
-    constants = storage.to_json(dataclasses.asdict(policy.task.vehicle))
+    constants, shipped = storage.to_json(dataclasses.asdict(policy.task.vehicle)), load_vehicle()
     return {
         "file": file.name,
         "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
-        "differences": policy.metadata.get("vehicle") or {},
+        "differences": {k: v for k, v in vars(policy.task.vehicle).items() if v != getattr(shipped, k)},
         "constants_sha256": hashlib.sha256(constants.encode()).hexdigest(),
     }
 

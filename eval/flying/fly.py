@@ -155,7 +155,7 @@ def load(
 
     Raises UserError for a policy that is for another task or another slope.
     """
-    from inclined_landing.envs.policy import action_map, history_of, load_policy, trained_for
+    from inclined_landing.envs.policy import action_map, history_of, load_policy, told_vehicle, trained_for
     from inclined_landing.envs.tasks import make_task
     from inclined_landing.envs.tasks.landing import PAPER_STARTS
     from inclined_landing.models.parameters import load_vehicle
@@ -170,6 +170,7 @@ def load(
             )
         centre, span = action_map(name)
         options |= {"pwm_centre": centre, "pwm_span": span, "history": history_of(name)}
+        options["observe_vehicle"] = told_vehicle(name)
         return load_policy(name, make_task(task, room, **options))
 
     angle = room.platform_inclination if inclination is None else math.radians(inclination)

@@ -9,8 +9,8 @@ import numpy as np
 from inclined_landing.models import equations, geometry
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
-from inclined_landing.models.plants.base import Attitude, Plant
-from inclined_landing.models.scene import compile_scene
+from inclined_landing.models.plants.base import Attitude, Plant, sizes_differ
+from inclined_landing.models.scene import build_spec, compile_scene
 from inclined_landing.models.unrest import Seed
 
 
@@ -40,7 +40,9 @@ class AnalyticPlant(Plant):
         if substeps < 1:
             raise UserError(f"substeps must be at least 1, not {substeps}")
         self.substeps = substeps
-        self.shapes = geometry.shapes_of(compile_scene(self.vehicle))
+        others = self.pool if sizes_differ(self._vehicles) else ()
+        models = (build_spec(v, visuals=False, pooled=0.0).compile() for v in others)
+        self._meet([geometry.shapes_of(model) for model in (compile_scene(self.vehicle), *models)])
         self._position, _ = geometry.platform_poses(self.inclination, self.present, self.vehicle)
         self._distance = np.empty((n, 3, 3))
         self._ambient = equations.free_air(n)
@@ -82,9 +84,8 @@ class AnalyticPlant(Plant):
         if self.unrest:
             self.unrest.step()
         self.delays.push_state(self.state)
-        geometry.clearances(
-            self.state, self.inclination, self._position, self.shapes, self._distance, self.azimuth
-        )
+        where = self.inclination, self._position, self.fleet
+        geometry.clearances(self.state, *where, self._distance, self.azimuth, self.size)
         np.less(self._distance, self.keep_out, out=self.contacts.near)
         np.less(self._distance, 0.0, out=self.contacts.touch)
 

@@ -19,11 +19,10 @@ from inclined_landing.models.unrest import Seed, Unrest
 
 Attitude = Literal["rate_loop", "kinematic"]
 DECK_SIZE = WZ + 1  # columns of a vehicle's state but for the lag
-# What all vehicles of a plant have in common: other shapes are another scene, other commands another task.
+# What all vehicles of a plant have in common: another slab is another scene, other commands another task.
 _SHARED = (
-    *("rotor_arm", "rotor_height", "rotor_radius", "slab_half_length", "platform_depth"),
-    *("platform_thickness", "platform_max_inclination", "command_control_period", "command_pwm_range"),
-    *("command_angle_limit", "command_yaw_rate_limit"),
+    *("slab_half_length", "platform_depth", "platform_thickness", "platform_max_inclination"),
+    *("command_control_period", "command_pwm_range", "command_angle_limit", "command_yaw_rate_limit"),
 )
 
 
@@ -67,11 +66,21 @@ class Snapshot:
     arrays: dict[str, np.ndarray]
 
 
+_SIZE = ("rotor_arm", "rotor_height", "rotor_radius")  # what shapes depend on
+
+
+def sizes_differ(vehicles: Sequence[Vehicle]) -> bool:
+    """Have vehicles of one plant other shapes than the first of them?"""
+    return any(_differ(field, member, vehicles[0]) for member in vehicles[1:] for field in _SIZE)
+
+
 class Plant:
     """What both plants share: platform poses, perturbations, unrest of the air, snapshots.
 
+    shapes, fleet: the collision shapes of the plant's own vehicle, and of all that it has.
+
     pool: vehicles that `assign` may give to single ones instead of the plant's own, which all are at first.
-        They have its shapes and commands.
+        They have its platform and commands; their own rotors and arms may be others.
 
     unrest: seed of the vehicle file's unrest, None for still air. It acts on every control period as
     acceleration and torque (`unrest.py`); with kinematic attitude the torque has no effect.
@@ -96,6 +105,8 @@ class Plant:
         if control_period is not None and not (math.isfinite(control_period) and control_period > 0):
             raise UserError(f"control_period must be positive, not {control_period!r}")
         self.n = n
+        self.shapes: geometry.Shapes
+        self.fleet: geometry.Fleet
         self.vehicle = vehicle or load_vehicle()
         self.pool = tuple(pool)
         self._vehicles = (self.vehicle, *self.pool)
@@ -117,6 +128,7 @@ class Plant:
         self.present = np.ones(n, bool)
         self.perturbation = perturbation.neutral(n)
         self.delays = Delays(n, self._vehicles, self.control_period)
+        self._alike = np.zeros(n, int)
         self.choice = np.zeros(
             n, int
         )  # whose constants each has: 0 the plant's own, k those of the k-th of the pool
@@ -236,6 +248,23 @@ class Plant:
         """See `geometry.platform_poses`; of the vehicles `ids`."""
         where = self.inclination[ids], self.present[ids]
         return geometry.platform_poses(*where, self.vehicle, self._height[ids], self.azimuth[ids])
+
+    def _meet(self, shapes: Sequence[geometry.Shapes]) -> None:
+        """The shapes of the plant's own vehicle and, where they are others, of those of its pool."""
+        self.shapes, self.fleet = shapes[0], geometry.Fleet.of(shapes)
+
+    @property
+    def size(self) -> np.ndarray:
+        """(n,) which member of `fleet` each vehicle is."""
+        return self.choice if len(self.fleet.reach) > 1 else self._alike
+
+    def clearance(self, ids: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """(k,) distance [m] of the shapes of the vehicles `ids`, would they be in `state` (k, 13), to their
+        platforms; negative where they overlap, inf without a platform."""
+        position, _ = self._platform_poses(ids)
+        where = self.inclination[ids], position, self.fleet
+        distance = geometry.clearances(state, *where, azimuth=self.azimuth[ids], which=self.size[ids])
+        return distance[:, :2].min(axis=(1, 2))
 
     def perturb(self, **changes) -> None:
         """Set named deviations (see `perturbation.NAMES`) to a number or an (n,) array."""

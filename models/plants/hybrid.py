@@ -78,7 +78,7 @@ class HybridPlant(MujocoPlant):
             own, acting, model.actuator_ctrlrange, push, self._limited, self.torque_needs_motors,
             self._constants, self.perturbation, model.opt.timestep, self.substeps,
             self.deck, fastest, self.present, self._mocap_pos, *self._boxes,
-            self.shapes.reach - self.foot_height, self.foot_height, self._contact, self.keep_out,
+            self.fleet.reach, self.size, self.foot_height, self._contact, self.keep_out,
             self.state, self._qpos, self._qvel, self._act, self._ctrl, self._time, self._warmstart,
             self._history, model.actuator_history[:, 0], model.actuator_historyadr,
             c.near, c.touch, c.force, self.in_engine, self._near,
@@ -96,7 +96,7 @@ functools.update_wrapper(HybridPlant.__init__, MujocoPlant.__init__)  # with its
 @numba.njit(cache=True)
 def _fly(
     ids, acting, ranges, push, limited, needs_motors, vehicle, p, dt, substeps,
-    deck, fastest, present, mocap, boxes, sizes, bodies, above_feet, nominal, contact, zone,
+    deck, fastest, present, mocap, boxes, sizes, bodies, reach, size, nominal, contact, zone,
     state, qpos, qvel, act, ctrl, time, warmstart, history, samples, addresses,
     near, touch, force, in_engine, left,
 ):  # fmt: skip
@@ -130,7 +130,7 @@ def _fly(
         around[equations.TIME], around[equations.VOLTAGE] = time[i], math.nan
         around[equations.INCLINATION], around[equations.PRESENT] = d[PITCH], present[i]
         around[equations.AZIMUTH] = d[YAW]
-        radius = above_feet + max(nominal, contact[i, 3])
+        radius = reach[size[i]] + max(0.0, contact[i, 3] - nominal)
         equations.take(state[i], y)
         out_of_reach = not (moving and present[i] and v.effects.ground_effect != 0.0)
         for step in range(substeps if out_of_reach else 0):

@@ -30,7 +30,7 @@ from inclined_landing.models.attitude import (
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle
-from inclined_landing.models.plants.base import Attitude, Plant, Snapshot
+from inclined_landing.models.plants.base import Attitude, Plant, Snapshot, sizes_differ
 from inclined_landing.models.plants.decks import Decks
 from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.scene import build_spec, compile_scene
@@ -99,7 +99,8 @@ class MujocoPlant(Plant):
         self.model = compile_scene(self.vehicle, **options)
         others = [build_spec(v, visuals=False, **options).compile() for v in self.pool]
         self._fields = _differing([self.model, *others])
-        self.shapes = geometry.shapes_of(self.model)
+        of_all = [self.model, *others] if sizes_differ(self._vehicles) else [self.model]
+        self._meet([geometry.shapes_of(model) for model in of_all])
         threads = min(threads or len(os.sched_getaffinity(0)), n)
         self.batch = mujoco.batch.Batch(self.model, n, threads)
         bind = self.batch.bind

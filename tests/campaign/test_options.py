@@ -19,6 +19,7 @@ NEEDED = {
     "demo": ("--out", "{place}/out"),
     "success": ("landing",),
     "touchdown": ("touchdown",),
+    "vehicles": ("landing", "--out", "{place}/out"),
     "robustness": ("landing", "--out", "{place}/out"),
     "export": ("landing", "--format", "numpy", "--out", "{place}/out"),
     "figure": ("landing", "--out", "{place}/out"),

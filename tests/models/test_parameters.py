@@ -67,7 +67,7 @@ def _without(line_start: str):
 
 
 WRONG = {
-    "missing entry": (_without("mass "), r"lacks entries: body\.mass$"),
+    "missing entry": (_without("mass "), r"lacks entries: body\.mass; one that holds only"),
     "unknown entry": (
         lambda t: t.replace(
             "[thrust]", '[thrust]\nlag = { value = 1, unit = "1", source = "x", uncertainty = 0 }'

@@ -146,7 +146,7 @@ def test_deviations_act_on_top_of_the_pools():
 
 
 @pytest.mark.parametrize("changed, sentence", [
-    ({"rotor_arm": 0.04}, "rotor.arm cannot differ from vehicle to vehicle"),
+    ({"command_angle_limit": 0.4}, "command.angle_limit cannot differ from vehicle to vehicle"),
     ({"platform_width": 1.0}, "slab.half_length cannot differ"),
     ({"command_pwm_range": (0.0, 60_000.0)}, "command.pwm_range cannot differ"),
     ({"body_mass": -1.0}, "body.mass is -1 kg"),

@@ -1,0 +1,1 @@
+"""Landing policies on other quadrotors: `landing-eval vehicles`."""

@@ -1,0 +1,99 @@
+"""Vehicles of different size in one plant, and the files that describe them."""
+
+import numpy as np
+import pytest
+
+from inclined_landing.models import geometry
+from inclined_landing.models.attitude import LAG, Z
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle, vehicle_names
+from inclined_landing.models.plants import make_plant
+from inclined_landing.models.scene import compile_scene
+
+V = load_vehicle()
+NAMES = vehicle_names()
+FLEET = [load_vehicle(name) for name in NAMES]
+PLANTS = "analytic", "mujoco", "hybrid"
+
+
+def dropped(plant, vehicles):
+    """States, contacts and forces of a fall onto the slab, thrust at half of the hover's at first."""
+    ids = np.arange(plant.n)
+    plant.set_platform(ids, V.platform_inclination)
+    state = np.zeros((plant.n, 13))
+    state[:, Z] = 1.6
+    state[:, LAG] = [0.5 * vehicle.hover_lag for vehicle in vehicles]
+    plant.reset(ids, state)
+    rows = []
+    for _ in range(60):
+        plant.step(np.tile([12_000.0, 0.0, 0.0, 0.0], (plant.n, 1)))
+        seen = plant.state, plant.contacts.touch, plant.contacts.force
+        rows.append(np.concatenate([x.reshape(plant.n, -1) for x in seen], axis=1))
+    return np.stack(rows, axis=1)
+
+
+@pytest.mark.parametrize("kind", PLANTS)
+def test_each_size_flies_and_touches_as_in_a_plant_of_its_own(kind):
+    """Bit for bit; in contact too, where arms and rotors count."""
+    plant = make_plant(kind, len(FLEET), V, pool=FLEET)
+    plant.assign(np.arange(len(FLEET)), 1 + np.arange(len(FLEET)))
+    together = dropped(plant, FLEET)
+    for k, vehicle in enumerate(FLEET):
+        alone = dropped(make_plant(kind, 1, vehicle), [vehicle])[0]
+        np.testing.assert_array_equal(together[k], alone, err_msg=NAMES[k])
+    touched = together[:, :, 13:22].any(axis=2)
+    assert touched.any(axis=1).all()
+    height = [rows[first, Z] for rows, first in zip(together, touched.argmax(axis=1))]
+    big = NAMES.index("hummingbird")
+    assert height[big] > max(np.delete(height, big)) + 0.02  # its rotors reach the slab first
+
+
+def test_the_clearance_of_each_is_that_of_its_own_shapes():
+    plant = make_plant("hybrid", len(FLEET), V, pool=FLEET, threads=1)
+    ids = np.arange(len(FLEET))
+    plant.assign(ids, 1 + ids)
+    plant.set_platform(ids, V.platform_inclination)
+    state = np.zeros((len(ids), 13))
+    state[:, 0], state[:, Z] = 0.3, 1.55
+    found = plant.clearance(ids, state)
+    position, _ = geometry.platform_poses(plant.inclination, plant.present, V)
+    for k, vehicle in enumerate(FLEET):
+        shapes = geometry.shapes_of(compile_scene(vehicle))
+        alone = geometry.clearances(state[k : k + 1], plant.inclination[:1], position[:1], shapes)
+        assert found[k] == alone[0, :2].min()
+    plant.set_platform(ids, V.platform_inclination, False)
+    assert (plant.clearance(ids, state) > 50.0).all()  # parked far below
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_vehicles_are_possible_ones(name):
+    """They hover within their commands, with a thrust to weight that quadrotors have."""
+    vehicle = load_vehicle(name)
+    low, high = vehicle.command_pwm_range
+    assert low < vehicle.hover_pwm < high
+    assert 1.5 < high / vehicle.hover_pwm < 4.0
+    # Platform, arena and commands are one: a policy meets the same task.
+    for field, value in vars(vehicle).items():
+        if field.startswith(("platform_", "arena_", "command_", "environment_")):
+            assert value == getattr(V, field), field
+
+
+def test_a_file_that_is_based_on_the_shipped_one_holds_only_what_differs(tmp_path):
+    path = tmp_path / "light.toml"
+    mass = 'mass = { value = 0.03, unit = "kg", source = "scales", uncertainty = 0.001 }'
+    path.write_text(f'based_on = "crazyflie-2.1"\n[body]\n{mass}\n', "utf-8")
+    assert load_vehicle(path) == V.changed(body_mass=0.03)
+    path.write_text(f"[body]\n{mass}\n", "utf-8")
+    with pytest.raises(UserError, match=r'lacks entries: .*begins with based_on = "crazyflie-2.1"'):
+        load_vehicle(path)
+    for wrong in ('"hummingbird"', "1", '["crazyflie-2.1"]'):
+        path.write_text(f"based_on = {wrong}\n[body]\n{mass}\n", "utf-8")
+        with pytest.raises(UserError, match=r'based_on can only be "crazyflie-2\.1", not '):
+            load_vehicle(path)
+
+
+def test_shipped_vehicles_are_found_by_name():
+    assert load_vehicle("crazyflie-2.1") == V
+    assert set(NAMES) >= {"crazyflie-2.0", "crazyflie-2.1", "crazyflie-2.1-brushless", "hummingbird"}
+    with pytest.raises(UserError, match="vehicle file crazyflie-3 does not exist"):
+        load_vehicle("crazyflie-3")
