@@ -10,8 +10,8 @@ reward. Options of both, which are the keyword arguments of `gymnasium.make` and
 |---|---|---|
 | `plant` | "mujoco" | "mujoco", "hybrid" or "analytic" |
 | `plant_options` | {} | arguments of the plant: `{"integrator": "implicitfast"}`, `{"unrest": 0}` ... |
-| `vehicle` | shipped | a `Vehicle`, or the path of a vehicle file |
-| others | | arguments of the task, such as `inclination` [rad], `pwm_centre` or `history` |
+| `vehicle` | shipped | a `Vehicle`, the path of a vehicle file, or the name of a shipped vehicle |
+| others | | arguments of the task: `inclination` [rad], `pwm_centre`, `history`, `observe_vehicle` ... |
 
 and of the single environment, which alone renders:
 

@@ -1,5 +1,6 @@
 """Vehicles that are drawn for every episode: their file, their pool, and whom they reach."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -214,3 +215,67 @@ def test_every_entry_is_taken_or_cannot_differ(tmp_path):
         *("body", "environment", "thrust", "motor", "drag", "attitude", "platform", "contact"),
         *("unrest", "effects"),
     }
+
+
+ROW = "crazyflie-2.0", "crazyflie-2.1", "crazyflie-2.1-brushless", "hummingbird"
+
+
+def test_vehicles_between_named_ones_are_possible(tmp_path):
+    """Mass, arms and thrust go together: every drawn vehicle flies as one of its neighbours could."""
+    ranges = written(tmp_path, f"vehicles = {list(ROW)}")
+    named = [load_vehicle(name) for name in ROW]
+    pool = ranges.draw(V, 0, 120)
+    assert pool == ranges.draw(V, 0, 120)
+    for value in ("body_mass", "rotor_arm", "hover_pwm", "thrust_lag_rate"):
+        found, ends = ([getattr(v, value) for v in vehicles] for vehicles in (pool, named))
+        assert min(ends) * (1 - 1e-12) <= min(found) and max(found) <= max(ends) * (1 + 1e-12)
+    between = [v for v in pool if 0.0393 < v.body_mass < 0.5]
+    assert len(between) == 40  # a third of the row is between the last two
+    mass = np.array([v.body_mass for v in between])
+    # Arms between two vehicles are a power of the mass.
+    power = np.log(0.1202 / 0.0354) / np.log(0.5 / 0.0393)
+    arm = [v.rotor_arm for v in between]
+    np.testing.assert_allclose(arm, 0.0354 * (mass / 0.0393) ** power, rtol=1e-12)
+    for vehicle in pool:  # and all else is the plant's
+        assert vehicle.platform_width == V.platform_width and vehicle.command_pwm_range == V.command_pwm_range
+
+
+def test_the_shipped_row_of_vehicles_has_a_thrust_to_weight_that_quadrotors_have():
+    for seed in (0, 1):
+        pool = read_ranges("vehicles").draw(V, seed)
+        ratio = np.array([v.command_pwm_range[1] / v.hover_pwm for v in pool])
+        assert 1.5 < ratio.min() < 1.75 and 2.7 < ratio.max() < 4.0
+        # And attitude commands that reach into the goal box of the slope.
+        task = make_task("landing")
+        needed = abs(task.inclination) - task.goal_half_widths[4]
+        assert min(v.attitude_gain * v.command_angle_limit for v in pool) > needed
+        mass = [v.body_mass for v in pool]
+        assert min(mass) < 0.0285 and max(mass) > 0.4
+
+
+@pytest.mark.parametrize("text, sentence", [
+    ("vehicles = []", "vehicles must be two or more files or names .*crazyflie-2.0.*, not "),
+    ("vehicles = ['hummingbird']", "vehicles must be two or more"),
+    ("vehicles = 'hummingbird'", "vehicles must be two or more"),
+    ("vehicles = ['hummingbird', 3]", "vehicles must be two or more"),
+    ("vehicles = ['hummingbird', 'sparrow']", "vehicle file sparrow does not exist"),
+])  # fmt: skip
+def test_wrong_rows_of_vehicles_are_refused(text, sentence, tmp_path):
+    with pytest.raises(UserError, match=sentence) as refused:
+        written(tmp_path, text)
+    assert str(refused.value).startswith(f"randomise file {tmp_path}")
+
+
+def test_no_vehicle_begins_in_its_platform():
+    """Though the task knows the smallest: those of other sizes draw other starts."""
+    pool = [load_vehicle("hummingbird")]
+    env = BatchEnv(make_task("landing"), make_plant("analytic", 400, pool=pool, keep_out=0.04), 0, 0.5)
+    env.task.conditions = dataclasses.replace(env.task.conditions, start_reach=0.5)
+    env.reset()
+    clear = env.plant.clearance(np.arange(400), env.plant.state)
+    assert clear.min() > 0.04 and 0 < env.plant.choice.mean() < 1
+    plain = BatchEnv(make_task("landing"), make_plant("analytic", 400), 0)
+    plain.task.conditions = env.task.conditions
+    plain.reset()
+    env.plant.assign(np.arange(400), np.ones(400, int))
+    assert env.plant.clearance(np.arange(400), plain.plant.state).min() < 0.0

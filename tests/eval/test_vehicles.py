@@ -1,0 +1,86 @@
+"""`landing-eval vehicles`: policies on named and on drawn vehicles."""
+
+import json
+
+import pytest
+
+from inclined_landing.eval import cli
+from inclined_landing.eval.base.style import styled
+from inclined_landing.eval.policies.vehicles.figure import vehicles_figure
+from inclined_landing.eval.policies.vehicles.study import Entry, evaluate, parse_entry
+from inclined_landing.models.errors import UserError
+
+NAMED = ("crazyflie-2.1", "hummingbird")
+OPTIONS = {"draws": 6, "starts": 2, "plant": "analytic", "seed": 5}
+
+
+@pytest.fixture(scope="module")
+def report():
+    entries = [
+        parse_entry("plain=landing"),
+        parse_entry("both=landing+landing-robust"),
+        parse_entry("own@hummingbird=landing"),
+    ]
+    return evaluate(entries, NAMED, "vehicles", **OPTIONS)
+
+
+def test_entries():
+    assert parse_entry("runs/a/final.zip") == Entry("final", ("runs/a/final.zip",))
+    assert parse_entry("told=a.zip+b.zip") == Entry("told", ("a.zip", "b.zip"))
+    assert parse_entry("own@hummingbird=a.zip") == Entry("own", ("a.zip",), "hummingbird")
+    for wrong in ("=a.zip", "told=", "told=a.zip+", "own@=a.zip", "@x=a.zip"):
+        with pytest.raises(UserError, match="policies are written LABEL=POLICY"):
+            parse_entry(wrong)
+
+
+def test_every_policy_is_counted_on_every_vehicle_it_is_for(report):
+    small, big = report["vehicles"]
+    assert list(small["outcomes"]) == ["plain", "both"] and list(big["outcomes"]) == ["plain", "both", "own"]
+    plain, both = (small["outcomes"][label] for label in ("plain", "both"))
+    assert plain["strict"]["of"] == 251 and plain["strict"]["share"] > 0.9
+    assert both["strict"]["of"] == 502
+    assert both["strict"]["count"] == sum(p["strict"]["count"] for p in both["policies"])
+    # With wider rotors fewer starts of the grid are clear; its thrust at action 0 is another: none arrives.
+    assert 200 < big["outcomes"]["own"]["strict"]["of"] < 251
+    assert big["outcomes"]["own"]["strict"]["count"] == 0
+    assert big["mass"] == 0.5
+
+
+def test_drawn_vehicles_are_those_of_the_ranges(report):
+    draws = report["draws"]
+    assert set(draws["outcomes"]) == {"plain", "both"} and draws["flown_each"] == {"plain": 2, "both": 4}
+    for label, outcome in draws["outcomes"].items():
+        assert outcome["strict"]["count"] == sum(m["strict"][label] for m in draws["members"])
+        assert outcome["strict"]["of"] == 6 * draws["flown_each"][label]
+    assert len({m["mass"] for m in draws["members"]}) == 6
+
+
+def test_the_figure_shows_them(report):
+    with styled():
+        figure = vehicles_figure(report)
+    lines = [line for axes in figure.axes for line in axes.lines]
+    assert sum(line.get_gid() == "drawn" for line in lines) == 4
+    assert sum(line.get_gid() == "named" for line in lines) == 6
+
+
+def test_the_command_writes_a_whole_folder(tmp_path, capsys):
+    words = ["landing", "--vehicle", "crazyflie-2.0", "--draws", "0", "--plant", "analytic"]
+    assert cli.main(["vehicles", *words, "--out", str(tmp_path / "out")]) == 0
+    assert "crazyflie-2.0" in capsys.readouterr().out
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"vehicles.json", "vehicles.png"}
+    assert json.loads((tmp_path / "out/vehicles.json").read_text())["draws"] is None
+
+
+@pytest.mark.parametrize("words, sentence", [
+    (["landing", "--vehicle", "sparrow"], "vehicle file sparrow does not exist"),
+    (["landing", "--ranges", "sparrow"], "randomise file sparrow does not exist"),
+    (["setpoint"], "policy setpoint is for the task setpoint, not for landing"),
+    (["a@sparrow=landing"], "a is for the vehicle sparrow, which is not flown"),
+    (["a=landing+"], "policies are written LABEL=POLICY"),
+    (["landing", "--plant", "paper"], "unknown plant 'paper'"),
+    ([], "name at least one policy"),
+])  # fmt: skip
+def test_wrong_input_is_one_sentence_and_writes_nothing(words, sentence, tmp_path, capsys):
+    assert cli.main(["vehicles", *words, "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr()
+    assert sentence in said.err and not said.out and not (tmp_path / "out").exists()
