@@ -199,7 +199,7 @@ def test_the_paper_can_not_command_its_own_hover_less_than_needed():
 
 
 @pytest.mark.parametrize("options, sentence", [
-    ({"pwm_centre": "static"}, "pwm_centre must be 'paper', 'hover' or a PWM from 10000 to 60000"),
+    ({"pwm_centre": "static"}, "pwm_centre must be 'paper', 'hover', 'own' or a PWM from 10000 to 60000"),
     ({"pwm_centre": 9_999}, "not 9999"),
     ({"pwm_centre": math.nan}, "not nan"),
     ({"pwm_centre": None}, "not None"),
