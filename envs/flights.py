@@ -10,8 +10,10 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.models import geometry
+from inclined_landing.models.attitude import PITCH, YAW, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import MujocoPlant, make_plant
+from inclined_landing.models.plants.base import DECK_SIZE
 from inclined_landing.models.plants.recorder import STEP, present_forces
 
 _FREE = 0.01  # m from every surface, where nothing can touch
@@ -31,6 +33,15 @@ class Track:
     state: np.ndarray  # (T, 13), columns of `models.attitude`
     commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s
     inclination: float | None  # of the platform, rad; None without one
+    # (T, 12), columns as `Plant.deck`: where the platform is. None where it stands still and is not turned.
+    deck: np.ndarray | None = None
+
+    def __post_init__(self):
+        if self.inclination is None:
+            self.deck = None
+        elif self.deck is None:
+            self.deck = np.zeros((len(self.t), DECK_SIZE))
+            self.deck[:, Z], self.deck[:, PITCH] = self.task.vehicle.platform_surface_height, self.inclination
 
     @property
     def goals(self) -> list[np.ndarray]:
@@ -84,7 +95,8 @@ def record_flights(
     state = np.empty((limit + 1, n, states.shape[1]))
     actions = np.empty((limit + 1, n, len(policy.task.action_names)))
     commands, reward = np.empty((limit + 1, n, 4)), np.zeros((limit + 1, n))
-    state[0] = plant.state
+    deck = np.empty((limit + 1, n, DECK_SIZE))
+    state[0], deck[0] = plant.state, plant.deck
     ended = np.zeros(n, int)  # index of the last row; 0 while flying
     success, touched = np.zeros(n, bool), np.zeros(n, bool)
     last = 0
@@ -94,7 +106,7 @@ def record_flights(
         observation = step.observation
         commands[last] = env.commands
         last += 1
-        state[last], reward[last] = plant.state, step.reward
+        state[last], reward[last], deck[last] = plant.state, step.reward, plant.deck
         now = (ended == 0) & (step.terminated | step.truncated | (last == limit))
         ended[now] = last
         success[now], touched[now] = step.success[now], env.touched[now]
@@ -112,7 +124,8 @@ def record_flights(
                 actions=a,
                 commands=u,
                 reward=reward[rows, i].copy(),
-                inclination=float(plant.inclination[i]) if plant.present[i] else None,
+                inclination=float(deck[0, i, PITCH]) if plant.present[i] else None,
+                deck=deck[rows, i].copy() if plant.present[i] else None,
                 success=bool(success[i]),
                 touched=bool(touched[i]),
             )
@@ -137,6 +150,7 @@ class Steps:
     commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s
     points: list[np.ndarray]  # T arrays (k, 3) m, contacts that carry force
     forces: list[np.ndarray]  # T arrays (k, 3) N, on the vehicle
+    deck: np.ndarray | None  # (T, 12), as `Track.deck`
 
 
 def refly(flight: Flight, cut: float = 0.0) -> Steps:
@@ -148,15 +162,20 @@ def refly(flight: Flight, cut: float = 0.0) -> Steps:
     vehicle = flight.task.vehicle
     held = round(vehicle.command_control_period / STEP)
     plant = MujocoPlant(1, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True, threads=1)
-    plant.set_platform([0], flight.inclination or 0.0, flight.inclination is not None)
+    if flight.deck is None:
+        plant.set_platform([0], 0.0, False)
+    else:
+        plant.set_platform([0], flight.deck[0, PITCH], azimuth=flight.deck[0, YAW])
     plant.reset([0], flight.state[:1])
-    shapes = geometry.shapes_of(plant.model)
-    platform = geometry.platform_poses(plant.inclination, plant.present, vehicle)[0]
+    shapes, slope = geometry.shapes_of(plant.model), (plant.inclination, plant.present)
+    platform = geometry.platform_poses(*slope, vehicle, azimuth=plant.azimuth)[0]
 
     def seen():
-        """State, points and forces of now; far from everything there are none."""
-        free = geometry.clearances(plant.state, plant.inclination, platform, shapes).min() > _FREE
-        return plant.state[0].copy(), *((_NONE, _NONE) if free else present_forces(plant, 0))
+        """State, deck, points and forces of now; far from everything there are none."""
+        to = geometry.clearances(plant.state, plant.inclination, platform, shapes, azimuth=plant.azimuth)
+        free = to.min() > _FREE
+        met = (_NONE, _NONE) if free else present_forces(plant, 0)
+        return plant.state[0].copy(), plant.deck[0].copy(), *met
 
     off = np.zeros((round(cut / STEP), 4))
     commands = np.concatenate([np.repeat(flight.commands[:-1], held, axis=0), off])
@@ -164,6 +183,7 @@ def refly(flight: Flight, cut: float = 0.0) -> Steps:
     for command in commands:
         plant.step(command[None])
         rows.append(seen())
-    states, points, forces = (list(column) for column in zip(*rows))
+    states, decks, points, forces = (list(column) for column in zip(*rows))
     t = STEP * np.arange(len(rows))
-    return Steps(t, np.array(states), np.concatenate([commands, commands[-1:]]), points, forces)
+    deck = None if flight.deck is None else np.array(decks)
+    return Steps(t, np.array(states), np.concatenate([commands, commands[-1:]]), points, forces, deck)

@@ -47,7 +47,6 @@ from inclined_landing.envs.batch import check_seed, numbers
 from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import TASKS, Task
-from inclined_landing.models import geometry
 from inclined_landing.models.errors import UserError, shown
 
 _HISTORY = "\nVersion history: v0.\n"
@@ -146,15 +145,17 @@ class TaskEnv(gym.Env):
         "human", which follows every step by itself."""
         if self.render_mode != "rgb_array":
             return None
-        from inclined_landing.envs.rendering import make_renderer
-        from inclined_landing.envs.rendering.pose import Pose, qpos_of_state
+        from inclined_landing.envs.rendering import make_renderer, pose_on
 
         if self._renderer is None:
             self._renderer = make_renderer(vehicle=self.task.vehicle, backend=self._backend, **self._picture)
+        return self._renderer.render(pose_on(self.batch.plant.state[0], self._deck))
+
+    @property
+    def _deck(self) -> np.ndarray | None:
+        """The platform's state (12,), see `Plant.deck`; None without one."""
         plant = self.batch.plant
-        platform = geometry.platform_poses(plant.inclination, plant.present, self.task.vehicle)
-        position, quaternion = (array[0, 0] for array in platform)
-        return self._renderer.render(Pose(qpos_of_state(plant.state[0]), position, quaternion))
+        return plant.deck[0].copy() if plant.present[0] else None
 
     def _show(self, seconds: float) -> None:
         """Show the present moment in the window, `seconds` after the one before, where there is one."""
@@ -164,9 +165,7 @@ class TaskEnv(gym.Env):
             from inclined_landing.envs.rendering.window import Window
 
             self._window = Window(self.task.vehicle)
-        plant = self.batch.plant
-        inclination = float(plant.inclination[0]) if plant.present[0] else None
-        self._window.show(plant.state[0], self.batch.commands[0], inclination, seconds=seconds)
+        self._window.show(self.batch.plant.state[0], self.batch.commands[0], self._deck, seconds=seconds)
 
     def close(self) -> None:
         if self._window is not None:

@@ -17,7 +17,7 @@ import math
 import numba
 import numpy as np
 
-from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, WX, WY, WZ, YAW, Z, body_rates, rotation
+from inclined_landing.models.attitude import PITCH, ROLL, VX, WX, WY, WZ, body_rates
 from inclined_landing.models.errors import UserError
 
 MODES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
@@ -99,13 +99,6 @@ class Motion:
         return deck
 
 
-def velocity_at(deck: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Velocity (n, 3) [m/s] of decks (n, 12) at points (n, 3) of the world that move along with them."""
-    velocities = np.empty((len(deck), 3))
-    _velocities_at(np.ascontiguousarray(deck), np.ascontiguousarray(points), velocities)
-    return velocities
-
-
 def _widened(array: np.ndarray, waves: int) -> np.ndarray:
     """(n, 6, w) with zeros up to (n, 6, waves)."""
     return np.pad(array, ((0, 0), (0, 0), (0, waves - array.shape[2])))
@@ -152,13 +145,3 @@ def where_now(ids, times, rest, velocity, amplitude, frequency, phase, deck):
             d[VX + k] = now[1, k]
             d[ROLL + k] = rest[i, ROLL + k] + now[0, 3 + k]
         d[WX], d[WY], d[WZ] = body_rates(d[ROLL], d[PITCH], now[1, 3], now[1, 4], now[1, 5])
-
-
-@numba.njit(cache=True)
-def _velocities_at(deck, points, out):
-    for i in range(len(deck)):
-        d = deck[i]
-        r = rotation(d[ROLL], d[PITCH], d[YAW])
-        turn = r @ d[WX : WZ + 1]
-        arm = points[i] - d[: Z + 1]
-        out[i] = d[VX : VZ + 1] + np.cross(turn, arm)

@@ -10,7 +10,7 @@ import math
 import numba
 import numpy as np
 
-from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, YAW, X, Z
+from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, WX, WZ, YAW, X, Z, rotation
 
 # Columns of `heading_frame` that follow those of a vehicle's state up to its pitch.
 SLOPE_ROLL, SLOPE_PITCH = PITCH + 1, PITCH + 2
@@ -79,3 +79,37 @@ def standing(inclination, turn) -> tuple[np.ndarray, np.ndarray]:
     his heading [rad]: azimuth less yaw."""
     x, _, z = np.moveaxis(normal_of(inclination), -1, 0)
     return np.arctan2(-x * np.sin(turn), z), np.arcsin(x * np.cos(turn))
+
+
+def normals(deck: np.ndarray) -> np.ndarray:
+    """Unit normals (n, 3) of decks (n, 12), columns as `Plant.deck`."""
+    roll, pitch, yaw = deck[:, ROLL], deck[:, PITCH], deck[:, YAW]
+    ahead, left = np.sin(pitch), -np.sin(roll) * np.cos(pitch)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return np.column_stack([cos * ahead - sin * left, sin * ahead + cos * left, np.cos(roll) * np.cos(pitch)])
+
+
+def relative(state: np.ndarray, deck: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vehicles (n, 12 or more) as seen from their decks (n, 12), of which they may be carried along.
+
+    Returns positions (n, 3) from the decks' centres, and velocities (n, 3) relative to the decks' points
+    where the vehicles are, both along the world's axes [m, m/s]; and rates (n, 3) relative to the decks,
+    about the vehicles' own axes [rad/s].
+    """
+    position, velocity, rate = np.empty((3, len(state), 3))
+    _relative(np.asarray(state, float), np.asarray(deck, float), position, velocity, rate)
+    return position, velocity, rate
+
+
+@numba.njit(cache=True)
+def _relative(state, deck, position, velocity, rate):
+    for i in range(len(state)):
+        s, d = state[i], deck[i]
+        turn = d[WX : WZ + 1]
+        position[i] = s[: Z + 1] - d[: Z + 1]
+        velocity[i] = s[VX : VX + 3] - d[VX : VX + 3]
+        rate[i] = s[WX : WZ + 1]
+        if turn[0] != 0.0 or turn[1] != 0.0 or turn[2] != 0.0:
+            turning = rotation(d[ROLL], d[PITCH], d[YAW]) @ turn  # world
+            velocity[i] -= np.cross(turning, position[i])
+            rate[i] -= rotation(s[ROLL], s[PITCH], s[YAW]).T @ turning

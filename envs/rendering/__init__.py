@@ -14,7 +14,7 @@ import numpy as np
 from inclined_landing.envs.rendering.camera import View, look_at
 from inclined_landing.envs.rendering.contacts import contact_arrows
 from inclined_landing.envs.rendering.ghost import Ghost
-from inclined_landing.envs.rendering.pose import Pose, qpos_of_state
+from inclined_landing.envs.rendering.pose import Pose, pose_on, qpos_of_state
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle
 
@@ -31,6 +31,7 @@ __all__ = [
     "contact_arrows",
     "look_at",
     "make_renderer",
+    "pose_on",
     "qpos_of_state",
 ]
 

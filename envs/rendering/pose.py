@@ -7,7 +7,7 @@ import dataclasses
 import mujoco
 import numpy as np
 
-from inclined_landing.models.attitude import quaternion
+from inclined_landing.models.attitude import ROLL, YAW, Z, quaternion
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
@@ -38,10 +38,18 @@ def qpos_of_state(state) -> np.ndarray:
     return np.concatenate([state[..., :3], turned], axis=-1)
 
 
-def pose_of(scene, vehicle: Vehicle, inclination: float | None = None) -> Pose:
+def pose_on(state, deck) -> Pose:
+    """The pose of a state (13,) and its platform's state (12,), see `Plant.deck`; None: without one."""
+    if deck is None:
+        return Pose(qpos_of_state(state), np.array([0.0, 0.0, 10.0 * _PARKED]), np.array([1.0, 0, 0, 0]))
+    deck = np.asarray(deck, float)
+    return Pose(qpos_of_state(state), deck[: Z + 1].copy(), np.array(quaternion(*deck[ROLL : YAW + 1])))
+
+
+def pose_of(scene, vehicle: Vehicle, inclination: float | None = None, azimuth: float = 0.0) -> Pose:
     """The pose in an MjData, a qpos (7,), a state (13,) or a Pose; None: far from the scene.
 
-    inclination [rad] poses the platform where `scene` does not say; default: the vehicle file's.
+    inclination and azimuth [rad] pose the platform where `scene` does not say; default: as the vehicle file.
     Raises UserError for anything else.
     """
     if isinstance(scene, Pose):
@@ -58,6 +66,6 @@ def pose_of(scene, vehicle: Vehicle, inclination: float | None = None) -> Pose:
             qpos = qpos_of_state(qpos)
         if qpos.shape != (7,):
             raise UserError(f"a vehicle pose is a qpos (7,) or a state (13,), not {qpos.shape}")
-    angle = 0.5 * (vehicle.platform_inclination if inclination is None else inclination)
+    pitch = vehicle.platform_inclination if inclination is None else inclination
     position = np.array([0.0, 0.0, vehicle.platform_surface_height])
-    return Pose(qpos, position, np.array([np.cos(angle), 0.0, np.sin(angle), 0.0]))
+    return Pose(qpos, position, np.array(quaternion(0.0, pitch, azimuth)))

@@ -16,9 +16,9 @@ import numpy as np
 
 from inclined_landing.envs.rendering import scenery
 from inclined_landing.envs.rendering.camera import look_at
-from inclined_landing.envs.rendering.pose import qpos_of_state
+from inclined_landing.envs.rendering.pose import pose_on
 from inclined_landing.models import geometry
-from inclined_landing.models.attitude import LAG, VX, WX
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, WX, WZ, YAW, X, Y
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.scene import build_spec
@@ -99,25 +99,29 @@ class Window:
         self,
         state: np.ndarray,
         commands: np.ndarray,
-        inclination: float | None,
+        deck: np.ndarray | None,
         *,
         text: str = "",
         seconds: float = 0.0,
     ) -> None:
         """Show a state (13,) under commands (4,); does nothing once the window is closed.
 
-        inclination: of the platform [rad], None without one. seconds: since the moment shown before; waits so
-        long that the flight is seen in real time.
+        deck: the platform's state (12,), see `Plant.deck`; None without one. seconds: since the moment shown
+        before; waits so long that the flight is seen in real time.
         """
         if not self.open:
             return
         now = time.monotonic()
         self._due = max(self._due + seconds, now - 0.1)  # what came late is not made up for
         time.sleep(max(0.0, self._due - now))
-        places = geometry.platform_poses([inclination or 0.0], [inclination is not None], self._vehicle)
+        pose = pose_on(state, deck)
+        there = np.zeros(WZ + 1) if deck is None else deck
+        based = deck is not None and not there[[X, Y, VX, VX + 1, VZ, ROLL]].any()  # what moves has no base
+        places = geometry.platform_poses([there[PITCH]], [based], self._vehicle, azimuth=[there[YAW]])
+        places[0][0, 0], places[1][0, 0] = pose.platform_pos, pose.platform_quat
         with self._viewer.lock():
             data = self.data
-            data.qpos[:7] = qpos_of_state(state)
+            data.qpos[:7] = pose.qpos
             data.qvel[:3], data.qvel[3:6] = state[VX : VX + 3], state[WX : WX + 3]
             data.act[0] = state[LAG]
             data.ctrl[:] = commands

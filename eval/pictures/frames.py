@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from inclined_landing.envs.flights import Flight
-from inclined_landing.envs.rendering import Ghost, Pose, make_renderer, qpos_of_state
+from inclined_landing.envs.rendering import Ghost, make_renderer, pose_on, qpos_of_state
 from inclined_landing.eval.pictures.labels import CUT, draw_labels, ended, tempo
 from inclined_landing.eval.pictures.to_rest import Landing
 from inclined_landing.eval.pictures.way import progress, spread_copies
@@ -26,10 +26,8 @@ _EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # al
 
 
 def scene_of(flight: Flight, k: int):
-    """What the renderers are given for sample k: the state, or a pose that says there is no platform."""
-    if flight.inclination is not None:
-        return flight.state[k]
-    return Pose(qpos_of_state(flight.state[k]), np.array([0.0, 0.0, -100.0]), np.array([1.0, 0, 0, 0]))
+    """What the renderers are given for sample k: where vehicle and platform are, or that there is none."""
+    return pose_on(flight.state[k], None if flight.deck is None else flight.deck[k])
 
 
 def caption_of(flight: Flight, k: int) -> str:
@@ -77,7 +75,6 @@ def render_flight(
         for k in frames:
             frame = drawing.render(
                 scene_of(flight, k),
-                inclination=flight.inclination,
                 trail=None if close else flight.state[: k + 1],
                 ghosts=ghosts,
                 caption=caption_of(flight, k),
@@ -117,7 +114,6 @@ def strobe(
     with _opened(renderer, flight, width, height, camera, backend) as drawing:
         return drawing.render(
             scene_of(flight, -1),
-            inclination=flight.inclination,
             trail=flight.state,
             trail_colour=colours,
             ghosts=ghosts,

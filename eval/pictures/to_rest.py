@@ -11,6 +11,7 @@ import dataclasses
 import numpy as np
 
 from inclined_landing.envs.flights import Flight
+from inclined_landing.models.attitude import PITCH, YAW
 from inclined_landing.models.geometry import SURFACES
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import Recorder, still
@@ -41,18 +42,19 @@ def to_rest(flight: Flight) -> Flight:
     It goes on for up to 2 s after the goal, until the vehicle has not moved for 0.3 s. A flight that did not
     succeed, or whose task cuts no motors, comes back as it is.
     """
-    if not (flight.success and flight.task.cut_at_success and flight.inclination is not None):
+    if not (flight.success and flight.task.cut_at_success and flight.deck is not None):
         return flight
     vehicle = flight.task.vehicle
     plant = MujocoPlant(1, vehicle, torque_needs_motors=True)
-    plant.set_platform([0], flight.inclination)
+    plant.set_platform([0], flight.deck[-1, PITCH], azimuth=flight.deck[-1, YAW])
     recorder = Recorder(plant, flight.state[-1:])
     period = plant.control_period
-    states, settled, steps = [], 0, 0
+    states, decks, settled, steps = [], [], 0, 0
     while steps < round(LONGEST / period) and steps - settled < round(HELD / period):
         recorder.step(np.zeros((1, 4)))
         steps += 1
         states.append(plant.state[0].copy())
+        decks.append(plant.deck[0].copy())
         if not still(plant.state[0]):
             settled = steps
     cut = len(flight.t) - 1
@@ -61,6 +63,7 @@ def to_rest(flight: Flight) -> Flight:
     extended = {
         "t": np.concatenate([flight.t, flight.t[-1] + period * np.arange(1, steps + 1)]),
         "state": np.concatenate([flight.state, states]),
+        "deck": np.concatenate([flight.deck, decks]),
         "actions": np.pad(flight.actions, [(0, steps), (0, 0)], mode="edge"),
         "commands": commands,
         "reward": np.pad(flight.reward, (0, steps)),

@@ -16,7 +16,7 @@ import numpy as np
 from inclined_landing.envs.flights import Flight, refly
 from inclined_landing.eval.pictures.labels import CUT, ended
 from inclined_landing.models import surface
-from inclined_landing.models.attitude import PWM, VX, VZ
+from inclined_landing.models.attitude import PWM
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.recorder import REST_SPEED, STEP
@@ -33,7 +33,7 @@ class Touchdown:
     t: np.ndarray  # (T,) s since the flight's start
     state: np.ndarray  # (T, 13), columns of `models.attitude`
     commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s, that led to the state
-    inclination: float  # rad, of the platform
+    deck: np.ndarray  # (T, 12), of the platform, see `Plant.deck`
     vehicle: Vehicle
     points: Sequence[np.ndarray]  # T arrays (k, 3) m, contacts that carry force
     forces: Sequence[np.ndarray]  # T arrays (k, 3) N, on the vehicle
@@ -42,8 +42,9 @@ class Touchdown:
     @property
     def net(self) -> np.ndarray:
         """Net normal force and size of the net tangential force (T, 2) on the vehicle [N]."""
-        total = np.array([force.sum(axis=0) for force in self.forces])
-        return np.stack(surface.split(total, self.inclination), axis=1)
+        total, normal = np.array([force.sum(axis=0) for force in self.forces]), surface.normals(self.deck)
+        away = (total * normal).sum(axis=1)
+        return np.stack([away, np.linalg.norm(total - away[:, None] * normal, axis=1)], axis=1)
 
     def said(self, k: int) -> list[tuple[str, str]]:
         """The label of step k: are the motors cut for good, is it at rest."""
@@ -68,7 +69,7 @@ def watch(flight: Flight) -> Touchdown:
     flight: of the landing or the touchdown task, nominal physics. Raises UserError for one without a
     platform, and where nothing touches it.
     """
-    if flight.inclination is None:
+    if flight.deck is None:
         raise UserError("contact forces need a flight that touches something; this task has no platform")
     vehicle = flight.task.vehicle
     steps = refly(flight, AFTER_CUT if flight.task.cut_at_success else 0.0)
@@ -78,14 +79,16 @@ def watch(flight: Flight) -> Touchdown:
     if not touching:
         x, z = flight.state[0, [0, 2]]
         raise UserError(f"nothing touches in the flight from x {x:g}, z {z:g} m: no contact force to draw")
-    moving = np.flatnonzero(np.linalg.norm(states[:, VX : VZ + 1], axis=1) > REST_SPEED)
+    deck = steps.deck[1:]
+    _, velocity, _ = surface.relative(states, deck)
+    moving = np.flatnonzero(np.linalg.norm(velocity, axis=1) > REST_SPEED)
     begin, settled = max(touching[0] - round(LEAD / STEP), 0), moving[-1] + 1
     part = slice(begin, settled + round(STILL / STEP))
     return Touchdown(
         steps.t[1:][part],
         states[part],
         commands[part],
-        flight.inclination,
+        deck[part],
         vehicle,
         points[part],
         forces[part],

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from PIL import Image, ImageDraw
 
-from inclined_landing.envs.rendering import View, look_at, make_renderer
+from inclined_landing.envs.rendering import View, look_at, make_renderer, pose_on
 from inclined_landing.envs.rendering.overlay import FORCE, arrow_outline, arrow_width
 from inclined_landing.eval.pictures.labels import draw_labels, font, tempo
 from inclined_landing.eval.pictures.touch import Touchdown
@@ -47,8 +47,7 @@ def render_touchdowns(
             frames = range(0, len(touchdown.t), every)
             for k in frames:
                 frame = renderer.render(
-                    touchdown.state[k],
-                    inclination=touchdown.inclination,
+                    pose_on(touchdown.state[k], touchdown.deck[k]),
                     forces=list(zip(touchdown.points[k], metres_per_newton * touchdown.forces[k])),
                     caption=caption_of(touchdown, k),
                 )
@@ -61,7 +60,7 @@ def _look(touchdown: Touchdown, width: int, height: int) -> View:
     """From the side and a little above, at where the vehicle first touches and where it ends."""
     first = next(k for k, force in enumerate(touchdown.forces) if len(force))
     middle = 0.5 * (touchdown.state[first, :3] + touchdown.state[-1, :3])
-    target = middle + _AIM * surface.normal_of(touchdown.inclination)
+    target = middle + _AIM * surface.normals(touchdown.deck[first : first + 1])[0]
     return look_at(middle + _FROM, target, width, height, fovy=33.0)
 
 
@@ -85,11 +84,11 @@ class Gauge:
         self._size = round(300 * unit), round(180 * unit)
         self._at = (round(16 * unit / _FINE),) * 2
         self._top = _nice(float(self._force.max()), up=True)
-        view = renderer.view(touchdown.state[-1], touchdown.inclination)
+        view = renderer.view(pose_on(touchdown.state[-1], touchdown.deck[-1]))
         depth = view.project(touchdown.state[-1:, :3])[1]
         self._pixels_per_newton = metres_per_newton / float(view.pixel_size(depth)[0])
         self._shaft = arrow_width(renderer.height)
-        self._back = self._draw_back(touchdown.weight * math.cos(touchdown.inclination))
+        self._back = self._draw_back(touchdown.weight * surface.normals(touchdown.deck[-1:])[0, 2])
 
     def _point(self, t: float, force: float) -> tuple[float, float]:
         """Where time [s] and force [N] are in the panel."""

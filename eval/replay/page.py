@@ -36,7 +36,7 @@ def write(
     scenes: dict[tuple, dict] = {}
     flights = []
     for recording in thinned:
-        key = (recording.vehicle, recording.inclination)
+        key = (recording.vehicle, recording.inclination, recording.azimuth)
         if key not in scenes:
             scenes[key] = scene(*key)
         flights.append(_packed(recording) | {"scene": list(scenes).index(key)})

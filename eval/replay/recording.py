@@ -9,7 +9,7 @@ import numpy as np
 
 from inclined_landing.envs.flights import Flight, refly
 from inclined_landing.eval.pictures.to_rest import Landing, to_rest
-from inclined_landing.models.attitude import ROLL, VX
+from inclined_landing.models.attitude import ROLL, VX, YAW
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.recorder import still
 
@@ -40,6 +40,7 @@ class Recording:
     forces: Sequence[np.ndarray] | None = None  # T arrays (k, 3) N, on the vehicle
     events: list[tuple[float, str]] = dataclasses.field(default_factory=list)  # time [s] and what happens
     anew: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, int))  # rows that begin a part
+    azimuth: float = 0.0  # of the platform, rad
     goal: np.ndarray | None = None  # (13,) the task's goal as a state
     goal_size: float | None = None  # half width of its box, m
 
@@ -97,6 +98,7 @@ def of_flight(flight: Flight, name: str, plant: str) -> Recording:
         points=None if steps is None else steps.points,
         forces=None if steps is None else steps.forces,
         events=sorted(events),
+        azimuth=0.0 if flight.deck is None else float(flight.deck[0, YAW]),
         goal=task.goal_state,
         goal_size=task.goal_size,
     )

@@ -22,13 +22,13 @@ _KINDS = {
 }
 
 
-def scene(vehicle: Vehicle, inclination: float | None) -> dict[str, Any]:
+def scene(vehicle: Vehicle, inclination: float | None, azimuth: float = 0.0) -> dict[str, Any]:
     """Geoms of the world and of the vehicle in its true size, with names, sizes [m], poses and colours.
 
     The world's are in its frame, the vehicle's in the body's. `low`: height of the foot tips in the body's
     frame; `feet`: their spheres; `scale`: how much larger a vehicle is drawn to be seen.
     """
-    pose = pose_of(np.array([0, 0, 0, 1, 0, 0, 0]), vehicle, inclination)
+    pose = pose_of(np.array([0, 0, 0, 1, 0, 0, 0]), vehicle, inclination, azimuth)
     platform = (None, None) if inclination is None else (pose.platform_pos, pose.platform_quat)
     model = scenery.rendering_model(vehicle, platform=platform, scale=1.0)
     data = mujoco.MjData(model)

@@ -55,6 +55,7 @@ def play(window: Window, flight: Flight, plant: str, slow: float) -> None:
     """
     flight = to_rest(flight)
     whole = refly(flight) if plant == "mujoco" else flight
+    decks = [None] * len(whole.t) if whole.deck is None else whole.deck
     stride = max(1, round(1.0 / (_FPS * slow * (whole.t[1] - whole.t[0]))))
     rows = [*range(0, len(whole.t), stride), len(whole.t) - 1]
     waited = 0.0
@@ -63,9 +64,9 @@ def play(window: Window, flight: Flight, plant: str, slow: float) -> None:
             return
         text = f"t {whole.t[k]:.2f} s   PWM {whole.commands[k, 0]:.0f}"
         pause = slow * (whole.t[k] - waited)
-        window.show(whole.state[k], whole.commands[k], flight.inclination, text=text, seconds=pause)
+        window.show(whole.state[k], whole.commands[k], decks[k], text=text, seconds=pause)
         waited = whole.t[k]
     for _ in range(round(_LINGERS * _FPS)):
         if not window.open:
             return
-        window.show(whole.state[-1], whole.commands[-1], flight.inclination, text=text, seconds=1.0 / _FPS)
+        window.show(whole.state[-1], whole.commands[-1], decks[-1], text=text, seconds=1.0 / _FPS)
