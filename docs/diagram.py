@@ -24,9 +24,10 @@ COLOURS = {"train": "#fdf1e7", "eval": "#f1f6fc", "envs": "#e9f6f1", "models": "
 # Box: its middle, width, and what it is for. y counts rows from the bottom.
 BOXES = {
     "train": (5.0, 7, 9.2, "PPO in batches, curricula, runs that resume"),
-    "eval.cli": (3.9, 6, 7.1, "landing-eval: the table of commands"),
+    "eval.cli": (4.75, 6, 8.8, "landing-eval: the table of commands"),
     "eval.proof": (5.1, 5, 1.9, "does gap work?"),
     "eval.replay": (6.9, 5, 1.2, "flights to see"),
+    "eval.mission": (8.2, 5, 1.2, "whole flights"),
     "eval.gap": (4.85, 4, 1.9, "which effect is missing?"),
     "eval.landings": (1.35, 4, 1.9, "what happens on touching?"),
     "eval.machine": (3.1, 4, 1.4, "doctor, benchmark"),
@@ -44,10 +45,11 @@ _PLACES = {  # x at the start and at the end of arrows that go beside other boxe
     ("train", "eval.pictures"): (8.1, 8.1),
     ("eval.truth", "eval.logs"): (6.33, 6.33),
     ("train", "eval.policies"): (9.1, 9.1),
-    ("eval.cli", "eval.policies"): (7.42, 8.8),
+    ("eval.cli", "eval.policies"): (8.98, 8.98),
     ("eval.cli", "eval.truth"): (6.17, 6.17),
     ("eval.replay", "eval.gap"): (6.5, 5.6),
-    ("eval.replay", "eval.pictures"): (7.4, 8.05),
+    ("eval.replay", "eval.pictures"): (7.49, 7.8),
+    ("eval.mission", "eval.pictures"): (8.15, 8.15),
 }
 _HIGH, _ROW = 0.62, 1.06
 

@@ -29,6 +29,10 @@ COMMANDS = {
         "Success table of a policy: how often, how fast, how hard it reaches its goal.",
     ),
     "touchdown": ("policies", "Touchdown policy beside a landing policy whose motors are cut (minutes)."),
+    "mission": (
+        "",
+        "Whole missions: from anywhere in the room to the slope, onto it, and to rest, counted and filmed.",
+    ),
     "robustness": (
         "policies",
         "Landing policies over thrust and under every effect of the library: curve, matrix, page (minutes).",

@@ -122,15 +122,16 @@ class Setpoint(Task):
         shown[:, X : Z + 1] = np.clip(np.array(GOAL) - (goal - state[:, X : Z + 1]), low, high)
         return shown
 
-    def across(self, state: np.ndarray, y: float) -> np.ndarray:
-        """States (n, 13) `shifted` to the goal at y [m], and at it in all that moves nothing along y.
+    def across(self, state: np.ndarray, y: float | np.ndarray) -> np.ndarray:
+        """States (n, 13) `shifted` to a goal at y [m], (n,) or a number, and at it in all but motion along y.
 
         The roll that answers them holds a planar flight in its plane.
         """
         shown = np.zeros_like(state)
         shown[:, [VY, ROLL, LAG]] = state[:, [VY, ROLL, LAG]]
         shown[:, Y] = state[:, Y]
-        goal = np.array([0.0, y, 0.0])
+        goal = np.zeros((len(state), 3))
+        goal[:, Y] = y
         return self.shifted(shown, goal)
 
     def judge(self, moment: Moment) -> Judgement:

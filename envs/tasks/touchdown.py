@@ -233,9 +233,13 @@ class InclinedTouchdown(InclinedLanding):
         """
         if start.azimuth is None:
             return state
-        state, half = state.copy(), 0.5 * self.vehicle.platform_depth
+        state = state.copy()
+        half = 0.5 * self.vehicle.platform_depth
         state[:, Y] += rng.uniform(-_CLOSE_ACROSS * half, _CLOSE_ACROSS * half, len(state))
-        state = surface.turned(state, start.azimuth)
+        sin, cos = np.sin(start.azimuth), np.cos(start.azimuth)
+        for first in (X, VX):
+            x, y = state[:, first].copy(), state[:, first + 1].copy()
+            state[:, first], state[:, first + 1] = cos * x - sin * y, sin * x + cos * y
         state[:, YAW] = start.state[:, YAW]
         return state
 

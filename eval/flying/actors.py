@@ -5,13 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from inclined_landing.envs.history import History
+from inclined_landing.envs.hover import Trim
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Moment, Setpoint
-from inclined_landing.models.attitude import ROLL_COMMAND, X, Z
-
-TRIM_GAIN = 0.5  # 1/s: how fast the set-point flight learns what holds it beside its target
-TRIM_LIMIT = 0.3  # m
-TRIM_REACH = 0.3  # m from the target within which it learns
+from inclined_landing.models.attitude import ROLL_COMMAND, X, Y, Z
 
 
 class BadAction(Exception):
@@ -52,25 +49,19 @@ class Actor:
 
 
 class Hover:
-    """The set-point policy, flying to any point: it is told where it is from its own goal.
-
-    It flies with the thrust that it was trained for; what a vehicle with less of it sinks below the target is
-    learnt as a trim of the target, as an integral controller does.
-    """
+    """The set-point policy, flying to any point: it is told where it is from its own goal."""
 
     def __init__(self, policy: Policy):
         self.actor = Actor(policy)
+        self.trim = Trim(1)
         self._task: Setpoint = policy.task  # type: ignore[assignment]
-        self.trim = np.zeros(3)  # m
 
     def fly(self, state: np.ndarray, target: np.ndarray, dt: float) -> np.ndarray:
         """Command (4,) for a state (13,) towards a target (3,) [m], dt [s] after the last one."""
-        away = target - state[X : Z + 1]
-        if np.linalg.norm(away) < TRIM_REACH:
-            self.trim = np.clip(self.trim + TRIM_GAIN * dt * away, -TRIM_LIMIT, TRIM_LIMIT)
-        return self.actor.act(self._task.shifted(state[None], target + self.trim)[0])[1]
+        self.trim.learn((target - state[X : Z + 1])[None], dt)
+        return self.actor.act(self._task.shifted(state[None], target + self.trim.offset)[0])[1]
 
     def roll_to(self, state: np.ndarray, y: float) -> float:
         """Roll command [rad] that holds a planar flight at y [m]: the policy's, all else at its goal."""
-        shown = self._task.across(state[None], y + self.trim[1])[0]
+        shown = self._task.across(state[None], y + self.trim.offset[0, Y])[0]
         return float(self.actor.act(shown)[1][ROLL_COMMAND])

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME, YAW_GAIN
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, IDLE_ACTION, REST_SPEED
@@ -49,8 +50,6 @@ from inclined_landing.models.attitude import (
 
 TICKS = 4  # looks at the motion capture per control period: 200 Hz sees every pose of a system of 120 Hz
 APPROACH_SPEED, RETREAT_SPEED = 0.6, 0.4  # m/s, of the point that the set-point policy follows
-HAND_OVER_SPEED, HAND_OVER_TIME = 0.15, 0.4  # m/s, s; within the set-point task's tolerance of the start
-YAW_GAIN = 2.0  # 1/s, heading error to yaw rate command
 LIFT_OFF = 0.05  # m above where it stood
 STUCK_TIME = 0.5  # s without sinking at the end of a retreat: it stands
 WATCHED = (

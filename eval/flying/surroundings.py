@@ -6,13 +6,13 @@ import itertools
 
 import numpy as np
 
+from inclined_landing.envs.hover import CLEAR
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import STATE_SIZE
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.scene import compile_scene
 
-CLEAR = 0.25  # m that a planned way keeps to the platform: twice the vehicle's half width, and some
 LEAVING = 0.3  # m of a way that may begin closer to it
 IMPACT_REACH = 0.1  # m within which a touch may have happened unseen
 TOUCHING = 0.01  # m: closer counts as touching; the platform's height is known to 5 mm

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.flights import Track
+from inclined_landing.envs.mission import Mission
 from inclined_landing.envs.rendering import Ghost, make_renderer, pose_on, qpos_of_state
 from inclined_landing.eval.pictures.labels import CUT, draw_labels, ended, tempo
+from inclined_landing.eval.pictures.legs import along, named
 from inclined_landing.eval.pictures.to_rest import Landing
 from inclined_landing.eval.pictures.way import progress, spread_copies
 from inclined_landing.models import storage
@@ -25,12 +27,12 @@ _SPACING = 0.13  # m; copies in a strobe picture are at least this apart
 _EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # along a strobe picture
 
 
-def scene_of(flight: Flight, k: int):
+def scene_of(flight: Track, k: int):
     """What the renderers are given for sample k: where vehicle and platform are, or that there is none."""
     return pose_on(flight.state[k], None if flight.deck is None else flight.deck[k])
 
 
-def caption_of(flight: Flight, k: int) -> str:
+def caption_of(flight: Track, k: int) -> str:
     """The line under frame k."""
     s, pwm = flight.state[k], flight.commands[k, 0]
     planar = np.abs(flight.state[:, 1]).max() < 0.01
@@ -41,17 +43,19 @@ def caption_of(flight: Flight, k: int) -> str:
     )
 
 
-def said(flight: Flight, k: int) -> list[tuple[str, str]]:
-    """The label of sample k: are the motors cut, how did the flight end."""
+def said(flight: Track, k: int) -> list[tuple[str, str]]:
+    """The labels of sample k: which leg is flown, are the motors cut, how did the flight end."""
+    last = k == len(flight.t) - 1
+    if isinstance(flight, Mission):
+        return [named(flight, k), *([ended(flight.words, flight.success)] if last else [])]
     if isinstance(flight, Landing) and k >= flight.cut:
         settled = k >= flight.settled
         return [ended(flight.ending, flight.at_rest) if settled else CUT]
-    last = k == len(flight.t) - 1
     return [ended(flight.task.flight_words(flight), flight.success)] if last else []
 
 
 def render_flight(
-    flight: Flight,
+    flight: Track,
     *,
     camera: str = "arena",
     width: int = 640,
@@ -68,14 +72,15 @@ def render_flight(
     """
     times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
     frames = np.minimum(np.searchsorted(flight.t, times - 1e-9), len(flight.t) - 1)
-    goal = flight.task.goal_state
     close = camera in ("closeup", "onboard")
-    ghosts = [] if goal is None or close else [Ghost(qpos_of_state(goal))]
+    ghosts = [] if close else [Ghost(qpos_of_state(goal)) for goal in flight.goals]
+    colours = along(flight) if isinstance(flight, Mission) else None
     with _opened(renderer, flight, width, height, camera, backend) as drawing:
         for k in frames:
             frame = drawing.render(
                 scene_of(flight, k),
                 trail=None if close else flight.state[: k + 1],
+                trail_colour=None if colours is None else colours[: k + 1],
                 ghosts=ghosts,
                 caption=caption_of(flight, k),
             )
@@ -83,7 +88,7 @@ def render_flight(
             yield frame
 
 
-def _opened(renderer, flight: Flight, *look):
+def _opened(renderer, flight: Track, *look):
     """Context of a renderer: of the given one, which stays open, or of a new one for this look."""
     if renderer is not None:
         return contextlib.nullcontext(renderer)
@@ -91,7 +96,7 @@ def _opened(renderer, flight: Flight, *look):
 
 
 def strobe(
-    flight: Flight,
+    flight: Track,
     *,
     camera: str = "hero",
     width: int = 1280,
@@ -102,11 +107,13 @@ def strobe(
 ) -> np.ndarray:
     """One picture of the whole flight: copies of the vehicle along its way, the last one solid.
 
-    At most `copies` before the last, coloured from early (violet) to late (orange). renderer: as in
-    `render_flight`.
+    At most `copies` before the last, coloured from early (violet) to late (orange), a mission's by leg.
+    renderer: as in `render_flight`.
     """
     chosen = spread_copies(flight.state, copies + 1, _SPACING)[:-1]
     colours = _EARLY + progress(flight.state)[:, None] * (_LATE - _EARLY)
+    if isinstance(flight, Mission):
+        colours = along(flight)
     ghosts = [
         Ghost(qpos_of_state(flight.state[k]), tuple(colours[k]), alpha=0.8, tint=0.7, shadow=True)
         for k in chosen

@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.flights import Track
 from inclined_landing.envs.rendering import check_look
 from inclined_landing.eval.base.options import File, Flag, Flat, Flown, Look, Range, Starts
 from inclined_landing.eval.base.policies import AnyPolicy
@@ -85,7 +85,7 @@ def command(
     files = {out: 1}
     if gif and out.suffix.lower() != ".gif":
         files[out.with_suffix(".gif")] = math.ceil(rate / GIF_FPS - 1e-9)
-    _write(files, frames, total, rate)
+    write(files, frames, total, rate)
     for path in files:
         print(path)
     for k, flight in enumerate(flights):
@@ -93,7 +93,7 @@ def command(
 
 
 def film(
-    flights: Sequence[Flight], sampled: float, slow: float, **look
+    flights: Sequence[Track], sampled: float, slow: float, **look
 ) -> tuple[Iterator[np.ndarray], int, float]:
     """Frames of flights after each other, how many they are, and how many are shown in a second.
 
@@ -126,7 +126,7 @@ def film_touchdowns(
     return frames(), sum(len(range(0, len(x.t), every)) + rest for x in touchdowns), rate
 
 
-def _write(files: Mapping[Path, int], frames: Iterator[np.ndarray], total: int, rate: float) -> None:
+def write(files: Mapping[Path, int], frames: Iterator[np.ndarray], total: int, rate: float) -> None:
     """Write the videos, each of every so many-th frame, with a progress bar on stderr."""
     names = " and ".join(str(path) for path in files)
     with Progress(console=Console(stderr=True), transient=True) as progress:

@@ -20,6 +20,7 @@ NEEDED = {
     "success": ("landing",),
     "touchdown": ("touchdown",),
     "vehicles": ("landing", "--out", "{place}/out"),
+    "mission": (),
     "robustness": ("landing", "--out", "{place}/out"),
     "export": ("landing", "--format", "numpy", "--out", "{place}/out"),
     "figure": ("landing", "--out", "{place}/out"),

@@ -1,0 +1,366 @@
+"""The whole way from anywhere in the room to rest on the slope: several policies, one after the other.
+
+A mission has up to four legs, each flown by a policy for its own task:
+
+1. climb: a vehicle that begins well below the hand-over point goes up where it is, so that its way leads
+   over the platform (set-point policy);
+2. approach: to the hand-over point, in the plane y = 0, until the vehicle has been near it and slow for a
+   short time (set-point policy);
+3. landing: until the task of the landing policy calls it a success, which is the goal box;
+4. touchdown: until the vehicle rests on its feet with motors at idle, by the touchdown policy's own command.
+
+Policies for planar tasks command no roll: there the set-point policy's holds y (`Setpoint.across`). The
+heading is held in all legs. What a policy commands by itself, it commands alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.flights import Track
+from inclined_landing.envs.history import History
+from inclined_landing.envs.hover import CLEAR, HAND_OVER_SPEED, HAND_OVER_TIME, YAW_GAIN, Trim
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks import InclinedLanding, InclinedTouchdown, Moment, Setpoint, hover_states
+from inclined_landing.envs.tasks.setpoint import START_BOX, TOLERANCE
+from inclined_landing.models.attitude import ROLL_COMMAND, VX, VZ, YAW, YAW_RATE_COMMAND, X, Y, Z
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.geometry import SURFACES
+from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.plants import MujocoPlant
+
+LEGS = ("climb", "approach", "landing", "touchdown")
+CLIMB, APPROACH, LANDING, TOUCHDOWN = range(len(LEGS))
+ENDS = ("at rest", "time limit", "fell to the floor", "left the arena")
+AT_REST, LATE, FLOOR, OUTSIDE = range(len(ENDS))
+FLYING = -1
+HAND_OVER = (-1.0, 1.8)  # m, x and z: before the lower edge, higher than the upper one
+CLIMB_BELOW = 0.25  # m under the hand-over point; who is higher flies straight to it
+APPROACH_LIMIT = 10.0  # s, climb included
+LEAVE_LIMIT = 0.3  # m outside the arena
+_STEP = 0.05  # m between the points at which a way is checked
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """Who flies, and when the landing policy takes over.
+
+    Raises UserError for policies that do not go together and for a point too close to the platform.
+    """
+
+    setpoint: Policy
+    landing: Policy
+    touchdown: Policy
+    hand_over: tuple[float, float] = HAND_OVER  # x, z of the point [m], in the plane y = 0
+    near: float = TOLERANCE  # m from it
+    slow: float = HAND_OVER_SPEED  # m/s
+    dwell: float = HAND_OVER_TIME  # s that the vehicle is both
+    hold: bool = True  # does the set-point policy's roll hold y where none is commanded
+
+    def __post_init__(self):
+        wanted = ("setpoint", Setpoint), ("landing", InclinedLanding), ("touchdown", InclinedTouchdown)
+        for policy, (leg, kind) in zip(self.policies, wanted):
+            own = policy.task
+            boxless = kind is InclinedLanding and own.goal_size is None
+            if not isinstance(own, kind) or boxless:
+                raise UserError(f"the {leg} policy {policy.name} is for the task {own.name}")
+        slopes = [math.degrees(policy.task.inclination) for policy in (self.landing, self.touchdown)]  # type: ignore[attr-defined]
+        if abs(slopes[0] - slopes[1]) > 1e-6:
+            raise UserError(
+                f"the landing policy is for a slope of {slopes[0]:.1f} deg, the touchdown policy for "
+                f"{slopes[1]:.1f} deg"
+            )
+        v, (x, z) = self.vehicle, self.hand_over
+        top = v.platform_surface_height + v.slab_half_length * abs(math.sin(self.task.inclination))
+        low, high = (v.arena_x[0] + CLEAR, top + CLEAR), (v.arena_x[1] - CLEAR, v.arena_z[1] - CLEAR)
+        if not (low[0] <= x <= high[0] and low[1] <= z <= high[1]):
+            raise UserError(
+                f"the hand-over point must lie above the platform and {CLEAR:g} m inside the arena, x from "
+                f"{low[0]:g} to {high[0]:g} m and z from {low[1]:.2f} to {high[1]:g} m, not at {x:g},{z:g}"
+            )
+
+    @property
+    def policies(self) -> tuple[Policy, Policy, Policy]:
+        """For set-point flight, landing and touchdown."""
+        return self.setpoint, self.landing, self.touchdown
+
+    @property
+    def task(self) -> InclinedTouchdown:
+        """That of the last leg."""
+        return self.touchdown.task  # type: ignore[return-value]
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The tasks' own, with the widest angle that one of them commands."""
+        limit = max(policy.task.vehicle.command_angle_limit for policy in self.policies)
+        return dataclasses.replace(self.task.vehicle, command_angle_limit=limit)
+
+    @property
+    def point(self) -> np.ndarray:
+        """The hand-over point (3,) [m]."""
+        return np.array([self.hand_over[0], 0.0, self.hand_over[1]])
+
+    def in_box(self, state: np.ndarray) -> np.ndarray:
+        """(n,) bool: near the hand-over point and slow."""
+        away = np.linalg.norm(state[:, X : Z + 1] - self.point, axis=1)
+        return (away < self.near) & (np.linalg.norm(state[:, VX : VZ + 1], axis=1) < self.slow)
+
+    def free(self, starts: np.ndarray) -> np.ndarray:
+        """(k,) bool: may a mission begin at starts (k, 3) [m]?
+
+        They lie in the set-point task's START_BOX, and a climb from there to the hand-over point's height
+        keeps CLEAR to the platform.
+        """
+        landing: InclinedLanding = self.landing.task  # type: ignore[assignment]
+        low, high = np.array(START_BOX).T
+        free = ((starts >= low) & (starts <= high)).all(axis=1)
+        for height in np.arange(low[Z], self.hand_over[1] + _STEP, _STEP):
+            raised = starts[free]
+            raised[:, Z] = np.maximum(raised[:, Z], height)
+            states = hover_states(raised, self.vehicle)
+            free[free] = landing.start_clearance(landing.start(states)) >= CLEAR
+        return free
+
+    def check_starts(self, starts: np.ndarray) -> None:
+        """Raise UserError, naming the first, unless all starts (k, 3) [m] are `free`."""
+        for start in starts[~self.free(starts)][:1]:
+            said = ",".join(f"{value:g}" for value in start)
+            box = ", ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in zip("xyz", START_BOX))
+            raise UserError(
+                f"start {said} lies within {CLEAR:g} m of the platform, under it, or outside the set-point "
+                f"task's starts ({box} m)"
+            )
+
+    def sample(self, rng: np.random.Generator, n: int) -> np.ndarray:
+        """n starts (n, 3) [m], uniform over the set-point task's, where they are `free`.
+
+        Fewer starts are the first ones of many.
+        """
+        low, high = np.array(START_BOX).T
+        found = np.empty((0, 3))
+        while len(found) < n:
+            drawn = rng.uniform(low, high, (n, 3))
+            found = np.concatenate([found, drawn[self.free(drawn)]])
+        return found[:n]
+
+
+@dataclasses.dataclass(frozen=True)
+class Leg:
+    """One leg of a mission."""
+
+    name: str  # of LEGS
+    began: float  # s
+    duration: float  # s
+    done: bool  # did it hand over to the next one, or come to rest
+    state: np.ndarray  # (13,) at its end
+    touched: tuple[str, ...]  # of SURFACES
+
+
+@dataclasses.dataclass(kw_only=True)
+class Mission(Track):
+    """One mission as it was flown."""
+
+    plan: Plan
+    leg: np.ndarray  # (T,) index into LEGS: who commands from t[k] on
+    legs: tuple[Leg, ...]  # those that were flown
+    end: str  # of ENDS
+
+    @property
+    def success(self) -> bool:
+        """At rest on the feet with motors at idle."""
+        return self.end == ENDS[AT_REST]
+
+    @property
+    def goals(self) -> list[np.ndarray]:
+        """The hand-over point and rest on the slope."""
+        return [*hover_states(self.plan.point[None], self.plan.vehicle), *super().goals]
+
+    @property
+    def words(self) -> str:
+        """How it ended, in one line."""
+        if self.success:
+            return f"at rest on the slope after {self.t[-1]:.2f} s"
+        return f"{self.end} in the {self.legs[-1].name} after {self.t[-1]:.2f} s"
+
+    def flown(self, name: str) -> Leg | None:
+        """The leg of this name, None where it was not flown."""
+        return next((leg for leg in self.legs if leg.name == name), None)
+
+
+def fly_missions(plan: Plan, starts: np.ndarray) -> list[Mission]:
+    """Fly a mission from each of starts (n, 3) [m], hovering there: all at once in MuJoCo (RK4, 4 ms).
+
+    A mission does not depend on how many others are flown. Raises UserError for a start where none can begin.
+    """
+    starts = np.atleast_2d(np.asarray(starts, float))
+    plan.check_starts(starts)
+    flying = _Flying(plan, hover_states(starts, plan.vehicle))
+    while (flying.end == FLYING).any():
+        flying.step()
+    return flying.missions()
+
+
+class _Flying:
+    """Missions on their way: n vehicles of one plant, each in its own leg."""
+
+    def __init__(self, plan: Plan, states: np.ndarray):
+        n = len(states)
+        everyone = np.arange(n)
+        self.plan, self.plant = plan, MujocoPlant(n, plan.vehicle)
+        self.hover: Setpoint = plan.setpoint.task  # type: ignore[assignment]
+        self.past, self.trim = History(self.hover, n), Trim(n)
+        pilots = {LANDING: plan.landing, TOUCHDOWN: plan.touchdown}
+        self.pilots = {leg: (policy, BatchEnv(policy.task, self.plant)) for leg, policy in pilots.items()}
+        self.plant.set_platform(everyone, plan.task.inclination)
+        self.plant.reset(everyone, states)
+        self.leg, self.end = np.full(n, CLIMB), np.full(n, FLYING)
+        self.target = states[:, X : Z + 1].copy()  # (n, 3) m, of set-point flight
+        self.target[:, Z] = plan.hand_over[1]
+        self.near = np.zeros(n, int)  # control steps in a row in the hand-over box
+        self.began = np.full((n, len(LEGS)), -1)  # control step in which each leg began; -1: never
+        self.last = np.zeros(n, int)  # control step in which the mission ended
+        self.touched = np.zeros((n, len(LEGS), len(SURFACES)), bool)
+        self.states = [self.plant.state.copy()]
+        self.commands: list[np.ndarray] = []
+        self.legs: list[np.ndarray] = []
+        self._enter(CLIMB, everyone >= 0)
+        self._enter(APPROACH, self._high())
+        self._enter(LANDING, plan.in_box(self.plant.state))
+
+    @property
+    def tick(self) -> int:
+        """Control steps so far."""
+        return len(self.commands)
+
+    def step(self) -> None:
+        """One control step of all that still fly."""
+        self.legs.append(self.leg.copy())
+        self.commands.append(self._command())
+        self.plant.step(self.commands[-1], self.end == FLYING)
+        self.states.append(self.plant.state.copy())
+        self._judge()
+
+    def _command(self) -> np.ndarray:
+        """Commands (n, 4): the set-point policy's, and instead what the policies of later legs command."""
+        plan, seen = self.plan, self._seen()
+        actions = plan.setpoint.predict(self.past.behind(seen))
+        self.past.note(seen, actions)
+        commands = self.hover.commands(actions)
+        limit = plan.vehicle.command_yaw_rate_limit
+        commands[:, YAW_RATE_COMMAND] = np.clip(-YAW_GAIN * self.plant.measurement[:, YAW], -limit, limit)
+        if not plan.hold:
+            commands[self.leg > APPROACH, ROLL_COMMAND] = 0.0
+        for leg, (policy, env) in self.pilots.items():
+            ids = self._in(leg)
+            if len(ids):
+                actions = np.zeros((env.n, len(env.task.action_names)))
+                actions[ids] = policy.predict(env.observe(ids))
+                env.act(actions)
+                own = np.ix_(ids, [channel.column for channel in env.task.channels])
+                commands[own] = env.commands[own]
+        return commands
+
+    def _seen(self) -> np.ndarray:
+        """(n, o) what the set-point policy is shown: the way to the target, or what it is to hold across."""
+        state, trim = self.plant.measurement, self.trim.offset
+        target, across = self.hover.shifted(state, self.target + trim), self.hover.across(state, trim[:, Y])
+        return self.hover.observe(Moment(np.where(self.leg[:, None] <= APPROACH, target, across)))
+
+    def _judge(self) -> None:
+        """What the step has led to: who goes on to the next leg, and who has come to an end."""
+        plan, state, contacts = self.plan, self.plant.state, self.plant.contacts
+        period = self.plant.control_period
+        flying = np.flatnonzero(self.end == FLYING)
+        self.touched[flying, self.leg[flying]] |= contacts.touch[flying].any(axis=2)
+        outcomes = {leg: env.outcome() for leg, (_, env) in self.pilots.items() if len(self._in(leg))}
+        settling = (self.leg <= APPROACH) & (np.linalg.norm(state[:, VX : VZ + 1], axis=1) < HAND_OVER_SPEED)
+        self.trim.learn(self.target - state[:, X : Z + 1], period, settling)
+        self.near = np.where(plan.in_box(state), self.near + 1, 0)
+        arrived = (self.leg == APPROACH) & (self.near * period >= max(plan.dwell, period) - 1e-9)
+        self._stop(OUTSIDE, self._outside())
+        self._stop(FLOOR, contacts.touch[:, SURFACES.index("floor")].any(axis=1))
+        late = (self.leg <= APPROACH) & ~arrived
+        self._stop(LATE, late & (self.tick * period >= APPROACH_LIMIT - 1e-9))
+        for leg, outcome in outcomes.items():
+            over = (outcome.terminated | outcome.truncated) & ~outcome.success
+            self._stop(LATE, over & (self.leg == leg))
+            if leg == TOUCHDOWN:
+                self._stop(AT_REST, outcome.success & (self.leg == leg))
+        if LANDING in outcomes:
+            self._enter(TOUCHDOWN, outcomes[LANDING].success & (self.leg == LANDING))
+        self._enter(LANDING, arrived)
+        self._enter(APPROACH, (self.leg == CLIMB) & self._high())
+
+    def _in(self, leg: int) -> np.ndarray:
+        """The vehicles that fly this leg."""
+        return np.flatnonzero((self.leg == leg) & (self.end == FLYING))
+
+    def _high(self) -> np.ndarray:
+        """(n,) bool: high enough to fly straight to the hand-over point."""
+        return self.plant.state[:, Z] >= self.plan.hand_over[1] - CLIMB_BELOW
+
+    def _outside(self) -> np.ndarray:
+        """(n,) bool: too far outside the arena."""
+        v, place = self.plan.vehicle, self.plant.state[:, X : Z + 1]
+        low, high = np.array([v.arena_x, v.arena_y, v.arena_z]).T
+        return ((place < low - LEAVE_LIMIT) | (place > high + LEAVE_LIMIT)).any(axis=1)
+
+    def _stop(self, end: int, who: np.ndarray) -> None:
+        """The missions of `who` (n,) bool end, but for those that have."""
+        now = who & (self.end == FLYING)
+        self.end[now], self.last[now] = end, self.tick
+
+    def _enter(self, leg: int, who: np.ndarray) -> None:
+        """The missions of `who` (n,) bool go on in this leg, but for those that have ended."""
+        ids = np.flatnonzero(who & (self.end == FLYING))
+        if not len(ids):
+            return
+        self.leg[ids], self.began[ids, leg] = leg, self.tick
+        if leg == APPROACH:
+            self.target[ids] = self.plan.point
+        self.past.begin(ids, self._seen()[ids])
+        if leg in self.pilots:
+            self.pilots[leg][1].take_over(ids)
+
+    def missions(self) -> list[Mission]:
+        """What was flown."""
+        every = np.array(self.states), np.array(self.commands), np.array(self.legs)
+        return [self._mission(k, *(rows[:, k] for rows in every)) for k in range(len(self.end))]
+
+    def _mission(self, k: int, state: np.ndarray, commands: np.ndarray, leg: np.ndarray) -> Mission:
+        """That of vehicle k, of rows (T, 13), (T - 1, 4) and (T - 1,) from the start to the end of all."""
+        last = self.last[k]
+        rows = np.minimum(np.arange(last + 1), last - 1)
+        return Mission(
+            task=self.plan.task,
+            t=self.plant.control_period * np.arange(last + 1),
+            state=state[: last + 1].copy(),
+            commands=commands[rows],
+            inclination=self.plan.task.inclination,
+            plan=self.plan,
+            leg=leg[rows],
+            legs=self._legs(k, state),
+            end=ENDS[self.end[k]],
+        )
+
+    def _legs(self, k: int, state: np.ndarray) -> tuple[Leg, ...]:
+        """The legs that vehicle k flew for a step or more."""
+        period = self.plant.control_period
+        entered = np.flatnonzero(self.began[k] >= 0)
+        ends = [*self.began[k, entered[1:]], self.last[k]]
+        return tuple(
+            Leg(
+                name=LEGS[leg],
+                began=float(period * began),
+                duration=float(period * (end - began)),
+                done=leg != entered[-1] or self.end[k] == AT_REST,
+                state=state[end].copy(),
+                touched=tuple(name for name, was in zip(SURFACES, self.touched[k, leg]) if was),
+            )
+            for leg, began, end in zip(entered, self.began[k, entered], ends)
+            if end > began
+        )

@@ -1,0 +1,1 @@
+"""The whole mission: set-point flight, landing and touchdown as one flight."""

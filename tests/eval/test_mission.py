@@ -1,0 +1,89 @@
+"""`landing-eval mission`: what it counts and draws, and wrong input."""
+
+import json
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image
+
+from inclined_landing.envs.mission import fly_missions
+from inclined_landing.eval import cli
+from inclined_landing.eval.mission.command import HandOver, make_plan
+from inclined_landing.eval.pictures import frames
+from inclined_landing.eval.pictures.labels import ended
+
+
+def test_missions_are_counted_and_drawn(tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ["mission", "--start=-1,0.05,1.75", "--start=-1.3,0,1.5", "--no-film", "--out", str(out)]
+    assert cli.main(words) == 0
+    table = capsys.readouterr().out
+    assert "2 missions, at rest on the feet: 100.0" in table and "slab 2" in table
+    assert {path.name for path in out.iterdir()} == {"mission.json", "mission.png", "mission.pdf"}
+    report = json.loads((out / "mission.json").read_text())
+    assert report["at_rest"]["count"] == report["missions"] == 2 and report["seed"] is None
+    assert report["ends"]["at rest"] == 2 and report["legs"]["climb"]["flown"] == 1
+    assert report["legs"]["touchdown"]["touched"] == {"slab": 2}
+    first = report["flights"][0]
+    np.testing.assert_allclose(first["start"], [-1, 0.05, 1.75])
+    assert [leg["name"] for leg in first["legs"]] == ["approach", "landing", "touchdown"]
+    assert first["time"] == pytest.approx(sum(leg["duration"] for leg in first["legs"]))
+
+
+@pytest.mark.slow
+def test_the_first_mission_is_filmed(tmp_path):
+    out = tmp_path / "out"
+    small = ("--width", "160", "--height", "90", "--backend", "ray")
+    assert cli.main(["mission", "--start=-1,0.05,1.75", *small, "--out", str(out)]) == 0
+    time = json.loads((out / "mission.json").read_text())["flights"][0]["time"]
+    reader = imageio_ffmpeg.read_frames(str(out / "flight.mp4"))
+    assert next(reader)["size"] == (160, 90)
+    assert len(list(reader)) == round(50 * time) + 51  # the last one stays for a second
+    assert (out / "flight.gif").stat().st_size and Image.open(out / "flight.png").size == (160, 90)
+
+
+def test_labels_name_the_leg_and_the_end():
+    plan = make_plan(("setpoint", "landing", "touchdown"), HandOver(), None, None)
+    mission = fly_missions(plan, [-1.0, 0.0, 1.8])[0]
+    last = len(mission.t) - 1
+    begun = [frames.said(mission, k)[0][0] for k in (0, np.argmax(mission.leg == 3), last)]
+    assert begun == ["landing: policy landing", *["touchdown: policy touchdown"] * 2]
+    assert len(frames.said(mission, 0)) == 1 and frames.said(mission, last)[1] == ended(mission.words, True)
+    assert len(mission.goals) == 2 and mission.goals[0][2] == 1.8
+
+
+def test_the_same_seed_gives_the_same_missions(capsys):
+    reports = []
+    for _ in range(2):
+        assert cli.main(["mission", "--missions", "2", "--seed", "9", "--json"]) == 0
+        reports.append(json.loads(capsys.readouterr().out))
+    assert reports[0]["flights"] == reports[1]["flights"] and len(reports[0]["flights"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--landing", "touchdown"], "the landing policy touchdown is for the task touchdown"),
+        (["--setpoint", "landing"], "trained for the task landing, not for setpoint"),
+        (["--touchdown", "landing"], "trained for the task landing, not for touchdown"),
+        (["--start", "1,2"], "--start is X,Y,Z in metres, not '1,2'"),
+        (["--start", "0,0,nan"], "--start is X,Y,Z in metres"),
+        (["--start", "0,0,1.2"], "start 0,0,1.2 lies within 0.25 m of the platform, under it"),
+        (["--start", "9,0,1"], "outside the set-point task's starts (x -2.5 to 2.5"),
+        (["--start=-1,0,1.5", "--missions", "5"], "leave it out with --start"),
+        (["--hand-over", "0,1"], "the hand-over point must lie above the platform"),
+        (["--hand-over", "above"], "--hand-over is X,Z in metres, not 'above'"),
+        (["--missions", "0"], "--missions must lie from 1 to 10000"),
+        (["--near", "0"], "--near must lie from 0.005 to 0.5"),
+        (["--width", "161"], "a video has an even number of pixels a side"),
+        (["--camera", "moon"], "unknown camera"),
+        (["--inclination", "80"], "inclination"),
+        (["--landing", "none.zip"], "policy none.zip does not exist"),
+        (["--vehicle", "none.toml"], "none.toml"),
+    ],
+)
+def test_wrong_input(arguments, sentence, capsys, tmp_path):
+    assert cli.main(["mission", *arguments, "--out", str(tmp_path / "new")]) == 2
+    printed = capsys.readouterr()
+    assert sentence in printed.err and not printed.out and not (tmp_path / "new").exists()
