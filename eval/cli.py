@@ -51,6 +51,10 @@ COMMANDS = {
     "curves": ("pictures", "Learning curves of training runs of one task; seeds with median and range."),
     "replay": ("", "Flights of policies and logs as one page for the browser, to be seen from all sides."),
     "view": ("replay", "Watch a policy fly in MuJoCo's viewer, in real time; needs a display."),
+    "beyond": (
+        "sweeps",
+        "The results of sweeps on one page: question, answer, numbers with their bars, figure, video.",
+    ),
     "equivalence": ("truth", "Is the MuJoCo vehicle the paper's model? One page of claims with tolerances."),
     "contact-truth": ("truth", "Can contact be believed? Rest, slip, drops, energy ... as page and figures."),
     "landings": ("", "Landing study: thousands of touchdowns over friction, speeds ..., each classified."),

@@ -231,12 +231,15 @@ def _read(recipe: Recipe, data: dict) -> Result:
     found = [(m.variant, m.number.name) for m in measured]
     if sorted(found) != sorted(wanted):
         raise UserError("measured has not every number of every variant once; run the sweep again")
+    ran = [_ran(entry) for entry in _list(data, "runs")]
+    if sorted((r.variant, r.seed) for r in ran) != sorted(recipe.runs()):
+        raise UserError("runs are not those of the recipe; run the sweep again")
     return Result(
         **texts,
         versions={shown(name, 60): shown(text, 200) for name, text in versions.items()},
         load=(float(load[0]), float(load[1])),
         measured=tuple(measured),
-        runs=tuple(map(_ran, _list(data, "runs"))),
+        runs=tuple(ran),
     )
 
 

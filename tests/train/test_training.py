@@ -621,7 +621,7 @@ def test_resolved_configurations_stay_as_they_are(tmp_path):
         once = TrainConfig(task=task).resolved()
         assert once.resolved() == once
         left = {f.name for f in dataclasses.fields(once) if getattr(once, f.name) is None}
-        free = {"max_seconds", "max_cpu_seconds", "vehicle", "inclination", "randomise"} | (
+        free = {"max_seconds", "max_cpu_seconds", "vehicle", "inclination", "randomise", "without"} | (
             set() if kind.training.start_from else {"start_from"}
         )
         free |= set().union(*ALGORITHMS.values()) - set(ALGORITHMS["ppo"])

@@ -96,13 +96,13 @@ def sweep(name: str, out: Path | None, count: int, on: str, address: str | None,
         raise UserError(f"cannot create the folder {folder}: {storage.reason(error)}") from error
     with runs.held(folder):
         storage.write_bytes(folder / f"{recipe.name}.toml", storage.read_bytes(path, "recipe"))
-        return _run(recipe, path if recorded else None, folder, todo, last, count, on, address)
+        return _run(recipe, name, path if recorded else None, folder, todo, last, count, on, address)
 
 
 def _check_folder(folder: Path, recipe: Recipe) -> None:
     """Raise UserError for a folder that is there and not of a sweep of this recipe."""
     storage.check_folder(folder)
-    if not (folder / f"{recipe.name}.toml").is_file():
+    if not ((folder / jobs.STEPS).is_dir() and (folder / f"{recipe.name}.toml").is_file()):
         runs.check_new_run(folder)
 
 
@@ -110,6 +110,7 @@ def _check_words(todo) -> None:
     """Raise UserError for a command whose words do not fit, before hours are spent on those before it."""
     from inclined_landing.eval import cli
     from inclined_landing.train.config import TrainConfig
+    from inclined_landing.train.curriculum import make_curriculum
 
     known: set[tuple[str, ...]] = set()
     for job in todo:
@@ -121,7 +122,8 @@ def _check_words(todo) -> None:
             try:
                 program, *rest = job.filled(words)
                 if program == "landing-train":
-                    parse(TrainConfig, program, rest).resolved()
+                    config = parse(TrainConfig, program, rest).resolved()
+                    make_curriculum(config.curriculum, config.task, config.gamma, config.without or "")
                 elif rest[0] not in cli.COMMANDS:
                     raise UserError(f"landing-eval has no command {shown(rest[0], 40)!r}")
                 else:
@@ -133,6 +135,7 @@ def _check_words(todo) -> None:
 
 def _run(
     recipe: Recipe,
+    name: str,
     path: Path | None,
     folder: Path,
     todo: dict[tuple[str, int], Job],
@@ -152,7 +155,8 @@ def _run(
     done = here if on == "local" else _on_ray(todo, address)
     columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn())
     try:
-        with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        screen = Console(stderr=True)
+        with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as progress:
             bar = progress.add_task("", total=len(todo))
             for key, steps in done:
                 found[key] = steps
@@ -167,7 +171,7 @@ def _run(
         print(f"landing-train sweep: {text}", file=sys.stderr)
     if wrong:
         return FAILED
-    result = _result(recipe, folder, todo, found)
+    result = _result(recipe, shlex.join(["landing-train", "sweep", name]), todo, found)
     storage.write_json(folder / RESULT, result.record())
     _show(console, recipe, result)
     if path is not None:
@@ -222,18 +226,22 @@ def _on_worker(job: Job) -> list[Step]:
         children.stop()
 
 
-def _result(recipe: Recipe, folder: Path, todo: dict, found: dict) -> measured.Result:
-    """The numbers over the seeds, and what the runs took."""
+def _result(recipe: Recipe, again: str, todo: dict, found: dict) -> measured.Result:
+    """The numbers over the seeds, and what the runs took. again: the command."""
     numbers = []
     for variant in recipe.variants:
         for number in recipe.numbers.values():
             taken = [measured.take(number, todo[variant, seed].run) for seed in recipe.seeds]
             numbers.append(measured.sum_up(variant, number, taken))
-    loads = [step.load for steps in found.values() for step in steps]
-    versions = {name: str(text) for name, text in runs.versions().items() if text is not None}
+    done = [step for steps in found.values() for step in steps]
+    loads = [step.load for step in done]
+    versions = {
+        name: " and ".join(dict.fromkeys(step.versions[name] for step in done if name in step.versions))
+        for name in done[0].versions
+    }
     return measured.Result(
-        command=shlex.join(["landing-train", "sweep", recipe.name]),
-        machine=f"{versions.pop('cpu')}, {versions.pop('cores')} cores",
+        command=again,
+        machine=f"{versions.pop('cpu', 'unknown')}, {versions.pop('cores', '?')} cores",
         versions=versions,
         load=(min(loads), max(loads)),
         measured=tuple(numbers),

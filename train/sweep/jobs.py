@@ -13,6 +13,7 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
+from inclined_landing.eval.base import runs
 from inclined_landing.eval.sweeps.recipe import Recipe, filled, run_name
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
@@ -61,6 +62,7 @@ class Step:
     cpu_seconds: float = 0.0  # of all attempts that ended
     wall_seconds: float = 0.0
     load: float = 0.0  # of the machine when it ended
+    versions: dict[str, str] = dataclasses.field(default_factory=dict)  # and what it ran with, and on
 
     @property
     def done(self) -> bool:
@@ -122,7 +124,7 @@ def work(job: Job, children: Children, threads: int) -> list[Step]:
         step.attempts += 1
         _write(job, steps)
         ended = children.run(words, job.log, threads)
-        step.code, step.load = ended.code, ended.load
+        step.code, step.load, step.versions = ended.code, ended.load, _versions()
         step.cpu_seconds += ended.cpu_seconds
         step.wall_seconds += ended.wall_seconds
         _write(job, steps)
@@ -173,6 +175,10 @@ def _within(out: Path, job: Job) -> bool:
     return ".." not in parts and len(parts) >= (1 if job.name == TOGETHER else 2) and parts[0] != STEPS
 
 
+def _versions() -> dict[str, str]:
+    return {name: str(text) for name, text in runs.versions().items() if text is not None}
+
+
 def _write(job: Job, steps: Sequence[Step]) -> None:
     storage.write_json(job.record, [dataclasses.asdict(step) for step in steps])
 
@@ -182,6 +188,8 @@ def _recorded(path: Path) -> list[Step]:
         return []
     data = storage.read_json(path, "record", storage.LARGEST)
     try:
+        if not isinstance(data, list):
+            raise ValueError
         return [_step(entry) for entry in data]
     except (TypeError, KeyError, ValueError) as error:
         raise UserError(f"record {path} is damaged; choose another --out") from error
@@ -191,6 +199,9 @@ def _step(entry: dict) -> Step:
     step = Step(**entry)
     numbers = (step.attempts, step.cpu_seconds, step.wall_seconds, step.load)
     good = isinstance(step.words, list) and step.words and all(isinstance(w, str) for w in step.words)
+    good = (
+        good and isinstance(step.versions, dict) and all(isinstance(v, str) for v in step.versions.values())
+    )
     good = good and all(type(n) in (int, float) and n >= 0 for n in numbers)
     if not good or type(step.code) not in (int, type(None)):
         raise ValueError

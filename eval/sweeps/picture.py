@@ -1,0 +1,70 @@
+"""The numbers of every variant as a figure: seeds as dots, median and range."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from inclined_landing.eval.base.style import BLUE, INK, MUTED, ORANGE, styled
+from inclined_landing.eval.sweeps.measured import Measured, Result
+from inclined_landing.eval.sweeps.recipe import Number, Recipe
+
+_ROW, _PANEL = 0.27, 2.1  # inches: of a variant, of a number
+_HEAD, _FOOT, _RIGHT = 0.75, 0.62, 0.2
+_LETTER = 0.078  # width of one
+
+
+def variants_figure(recipe: Recipe, result: Result) -> Figure:
+    """A panel for each number, a row for each variant; a seed that never got there stands as a cross at the
+    worse end, and the bar is a dashed line."""
+    variants, numbers = list(recipe.variants), list(recipe.numbers.values())
+    left = 0.35 + _LETTER * max(map(len, variants))
+    width = left + len(numbers) * _PANEL + _RIGHT
+    height = _HEAD + _FOOT + _ROW * len(variants)
+    with styled():
+        figure = Figure(figsize=(width, height))
+        figure.text(0.12 / width, 1 - 0.22 / height, recipe.title, weight="bold", va="center")
+        for k, number in enumerate(numbers):
+            box = (left + k * _PANEL + 0.1, _FOOT, _PANEL - 0.3, height - _HEAD - _FOOT)
+            axes = figure.add_axes((box[0] / width, box[1] / height, box[2] / width, box[3] / height))
+            _panel(axes, number, [result.of(variant, number.name) for variant in variants])
+            axes.set_yticks(range(len(variants)), variants if k == 0 else [])
+        return figure
+
+
+def _panel(axes, number: Number, found: list[Measured]) -> None:
+    worse = _worse_end(number, found)
+    for row, measured in enumerate(found):
+        if measured.present:
+            axes.hlines(row, min(measured.present), max(measured.present), color=BLUE, alpha=0.35, lw=5)
+        axes.plot(measured.present, np.full(len(measured.present), row), "o", color=BLUE, ms=3.5, alpha=0.8)
+        missing = len(measured.values) - len(measured.present)
+        if missing:
+            axes.plot(worse, row, "x", color=ORANGE, ms=6, mew=1.6)
+            if len(measured.values) > 1:
+                axes.annotate(
+                    f"{missing}", (worse, row), (5, 0), textcoords="offset points", color=ORANGE, va="center"
+                )
+        if measured.median is not None:
+            axes.plot(measured.median, row, "|", color=INK, ms=13, mew=2)
+    if number.bar is not None:
+        axes.axvline(number.bar, color=MUTED, lw=1, ls="--", zorder=0)
+    axes.set_ylim(len(found) - 0.5, -0.5)
+    axes.grid(axis="x")
+    axes.margins(x=0.08)
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+    axes.locator_params(axis="x", nbins=4)
+    low, high = axes.get_xlim()
+    if max(abs(low), abs(high)) >= 1e4:
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value / 1000:g}k")
+    axes.set_title(number.title, fontsize=9, wrap=True)
+    axes.set_xlabel(number.unit if number.unit != "1" else "")
+
+
+def _worse_end(number: Number, found: list[Measured]) -> float:
+    """Where a seed stands that never got there."""
+    present = [value for measured in found for value in measured.present] or [0.0, 1.0]
+    low, high = min(present), max(present)
+    aside = 0.12 * (high - low or abs(high) or 1.0)
+    return high + aside if number.better == "lower" else low - aside
