@@ -32,7 +32,7 @@ _KEYS = {
     *("numbers", "figure", "video", "result"),
 }
 _NUMBER_KEYS = {"title", "file", "path", "unit", "factor", "better", "bar", "over"}
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}")
 _LONGEST, _WORD, _MOST_WORDS = 1000, 500, 200  # characters of a text and of a word; words of a command
 _DEEPEST = 20  # steps of a path
 _SEEDS = 2**32
@@ -125,7 +125,7 @@ def only(table: Mapping, known: Iterable[str], where: str) -> None:
 def _parse(data: dict, name: str) -> Recipe:
     only(data, _KEYS, "it")
     if not _NAME.fullmatch(name):
-        raise UserError("its name is not made of letters, digits, - and _")
+        raise UserError("its name is not made of letters, digits, dots, - and _")
     train = data.get("train")
     if train is not None:
         train = _words(train, "train", ())
@@ -240,7 +240,7 @@ def _variants(value, trained: bool) -> dict[str, tuple[str, ...]]:
 def _check_name(name: str, where: str) -> None:
     if not _NAME.fullmatch(name):
         said = shown(repr(name), 60)
-        raise UserError(f"{where}: {said} must be made of at most 40 letters, digits, - and _")
+        raise UserError(f"{where}: {said} must be made of at most 40 letters, digits, dots, - and _")
 
 
 def _numbers(value) -> dict[str, Number]:
