@@ -5,8 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from inclined_landing.envs import hover
+from inclined_landing.envs.hover import Trim
 from inclined_landing.envs.mission import APPROACH, CLIMB, LANDING, LEGS, Plan, fly_missions
 from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.attitude import VX, VZ, YAW, Y
 from inclined_landing.models.errors import UserError
 
@@ -81,6 +84,42 @@ def test_roll_holds_the_plane_and_drifts_without():
         assert abs(one.state[-1, Y]) < 0.05 < abs(other.state[-1, Y])
         assert not other.commands[other.leg >= LANDING, 1].any()
     assert np.abs([mission.state[:, YAW] for mission in held[:1]]).max() < 0.1
+
+
+class Leaning:
+    """A landing policy in three dimensions that leans and turns, come what may."""
+
+    name = "leaning"
+
+    def __init__(self):
+        self.task = make_task("landing", dimensions=3)
+
+    def predict(self, observation):
+        names = self.task.action_names
+        action = {"thrust": 0.0, "roll": 0.2, "pitch": 0.0, "yaw rate": 0.1}
+        return np.tile([action[name] for name in names], (len(observation), 1))
+
+
+def test_a_landing_in_three_dimensions_commands_its_own_roll():
+    leaning = Leaning()
+    mission = fly_missions(Plan(POLICIES[0], leaning, POLICIES[2]), PLAN.point)[0]
+    assert mission.legs[0].name == "landing" and not mission.success
+    own = mission.commands[mission.leg == LANDING]
+    for channel in leaning.task.channels:
+        action = leaning.predict([0])[0][leaning.task.action_names.index(channel.name)]
+        np.testing.assert_allclose(own[:, channel.column], channel.centre + channel.span * action)
+
+
+def test_trim_holds_what_sinks():
+    """A vehicle that hangs 4 cm below where it is told to be gets there; far away nothing is learnt."""
+    trim = Trim(2)
+    for _ in range(2000):
+        hangs = trim.offset[0] - (0.0, 0.0, 0.04)
+        trim.learn(np.array([-hangs, (1.0, 0.0, 0.0)]), 0.02)
+    np.testing.assert_allclose(trim.offset, [[0.0, 0.0, 0.04], [0.0, 0.0, 0.0]], atol=1e-6)
+    for _ in range(200):
+        trim.learn(np.full((2, 3), 0.15), 0.02, np.array([False, True]))
+    np.testing.assert_allclose(trim.offset, [[0.0, 0.0, 0.04], [hover.LIMIT] * 3], atol=1e-6)
 
 
 def test_time_runs_out():
