@@ -15,22 +15,23 @@ from inclined_landing.train.curriculum import Curriculum
 
 
 class Clock:
-    """Seconds of training, evaluation and video apart, and CPU seconds, continued after a resume."""
+    """Seconds of training, evaluation and video apart, continued after a resume.
+
+    `cpu` has those that the process computed for the training, on all cores together.
+    """
 
     def __init__(self, spent: dict[str, float] | None = None, cpu: float = 0.0):
-        self._cpu = cpu - time.process_time()
         self.spent = {"training": 0.0, "evaluation": 0.0, "video": 0.0, **(spent or {})}
-        self._name, self._since = "training", time.monotonic()
+        self.cpu = cpu
+        self._name, self._since, self._cpu_since = "training", time.monotonic(), time.process_time()
 
     def switch(self, name: str) -> None:
         """Charge the time since the last switch, then charge to `name`."""
-        now = time.monotonic()
+        now, cpu = time.monotonic(), time.process_time()
         self.spent[self._name] += now - self._since
-        self._name, self._since = name, now
-
-    def cpu(self) -> float:
-        """Seconds that this process computed on all cores since the run began."""
-        return self._cpu + time.process_time()
+        if self._name == "training":
+            self.cpu += cpu - self._cpu_since
+        self._name, self._since, self._cpu_since = name, now, cpu
 
     def total(self) -> float:
         """Seconds charged to anything so far."""

@@ -137,7 +137,8 @@ class TrainConfig:
     max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
     """Stop at this wall time; the checkpoint allows to resume."""
     max_cpu_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
-    """The same by the process's time on all cores, which other work on the machine does not use up."""
+    """Stop after so much computing for the training, on all cores together and without evaluations: unlike
+    wall time, other work on the machine does not use it up."""
     resume: bool = False
     """Continue the run in --out from its last checkpoint; task and all else are those of the run."""
     report: bool = True

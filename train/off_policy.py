@@ -42,6 +42,7 @@ def build_model(config: TrainConfig, env: BatchVecEnv) -> OffPolicyAlgorithm:
         buffer_size=config.buffer_size,
         learning_starts=config.learning_starts,
         train_freq=1,  # step of all vehicles
+        tau=0.02,  # SB3's 0.005 is for an update after every sample, and these have fewer
         gradient_steps=config.gradient_steps,
         policy_kwargs={
             "net_arch": [64, 64],

@@ -316,7 +316,7 @@ class Run:
         row = {
             "steps": int(self.model.num_timesteps),
             "training_seconds": self.clock.spent["training"],
-            "cpu_seconds": self.clock.cpu(),
+            "cpu_seconds": self.clock.cpu,
             **result,
         }
         if not self.evaluations or result["score"] >= max(e["score"] for e in self.evaluations):
@@ -346,7 +346,7 @@ class Run:
     def _in_time(self, iteration: int) -> bool:
         """False, with a checkpoint, when the wall time or the CPU time is used up."""
         limits = (self.config.max_seconds, self.config.max_cpu_seconds)
-        used = (self.clock.total(), self.clock.cpu())
+        used = (self.clock.total(), self.clock.cpu)
         if not any(limit is not None and time >= limit for time, limit in zip(used, limits)):
             return True
         self.checkpoint(iteration)
@@ -370,7 +370,7 @@ class Run:
             "history": self.history,
             "evaluations": self.evaluations,
             "spent": dict(self.clock.spent),
-            "cpu": self.clock.cpu(),
+            "cpu": self.clock.cpu,
         }
         checkpoint.write(self.folder / CHECKPOINT, checkpoint.Checkpoint(state, arrays, self.best))
         self._write_histories()
@@ -473,7 +473,7 @@ class Run:
             "ended": self._ended(),
             "steps": int(self.model.num_timesteps),
             "seconds": {name: round(value, 2) for name, value in self.clock.spent.items()},
-            "cpu_seconds": round(self.clock.cpu(), 2),
+            "cpu_seconds": round(self.clock.cpu, 2),
             "steps_per_second": self.model.num_timesteps / max(1e-9, self.clock.spent["training"]),
             "evaluations": {
                 "starts": len(self._judge.starts),
@@ -540,7 +540,7 @@ class _History(BaseCallback):
             {
                 "steps": int(self.num_timesteps),
                 "training_seconds": self.run.clock.spent["training"],
-                "cpu_seconds": self.run.clock.cpu(),
+                "cpu_seconds": self.run.clock.cpu,
                 "episode_reward": mean["r"],
                 "episode_length": mean["l"],
                 **self.run.curriculum.log(),

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from inclined_landing.eval.base.options import File
-from inclined_landing.eval.pictures.figures import learning_curves, save_figure
+from inclined_landing.eval.pictures.figures import comparison_curves, learning_curves, save_figure
 from inclined_landing.models import storage
 
 
@@ -16,12 +16,16 @@ def command(
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR [DIR ...]")],
     /,
     out: File,
+    by: Annotated[tuple[str, ...], tyro.conf.arg(metavar="OPTION [OPTION ...]")] = (),
 ) -> None:
     """Learning curves of training runs of one task; seeds with median and range.
 
     Args:
         runs: run folders of landing-train.
         out: .png or .pdf file.
+        by: compare kinds of runs that differ in these options, like algorithm: the score of each kind, over
+            environment steps and over CPU time. The runs may then be of several tasks.
     """
     storage.check_file(out)
-    print(save_figure(learning_curves(runs), out))
+    names = [name.removeprefix("--").replace("-", "_") for name in by]
+    print(save_figure(comparison_curves(runs, names) if by else learning_curves(runs), out))

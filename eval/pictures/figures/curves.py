@@ -1,4 +1,4 @@
-"""Learning curves of one or several training runs."""
+"""Learning curves of training runs: seeds of one kind, or kinds beside each other."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import io
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,11 +16,24 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from inclined_landing.envs.tasks import is_path, known, task_class
 from inclined_landing.envs.tasks.base import ScoreCurve
-from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, styled
+from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, literal, styled
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
 _LARGEST = 1e12  # number in the tables of a run
+
+
+class _Against(NamedTuple):
+    """What curves are drawn against."""
+
+    column: str
+    unit: float
+    label: str
+
+
+_STEPS = _Against("steps", 1e6, "environment steps [10⁶]")
+_AGAINST = (_STEPS, _Against("cpu_seconds", 1.0, "CPU time of the training [s]"))
+_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, INK, MUTED)
 
 _LEVEL = ScoreCurve("level", "curriculum level", 1.0, (-0.03, 1.08))
 _LENGTH = ScoreCurve("episode_length", "episode length [steps]", 1.0, None)
@@ -28,10 +42,12 @@ _REWARD = ScoreCurve("episode_reward", "episode reward", 1.0, None)
 _LEARNING = {_LEVEL: PURPLE, _LENGTH: GREEN, _REWARD: ORANGE}
 
 
-def read_run(folder: str | Path) -> tuple[str, dict[str, pd.DataFrame]]:
+def read_run(
+    folder: str | Path, against: Sequence[_Against] = (_STEPS,)
+) -> tuple[str, dict[str, pd.DataFrame]]:
     """The task of a run folder, and its tables `learning` and `evaluations`.
 
-    Raises UserError, naming the file, if it is not one.
+    against: what they are drawn against. Raises UserError, naming the file, if it is not one.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -43,7 +59,9 @@ def read_run(folder: str | Path) -> tuple[str, dict[str, pd.DataFrame]]:
     except (TypeError, KeyError, UserError) as error:
         raise UserError(f"{folder / 'run.json'} does not say which task was trained") from error
     tables = {
-        name: _table(folder / f"{name}.csv", ["steps", *(curve.column for curve in curves)])
+        name: _table(
+            folder / f"{name}.csv", [*(axis.column for axis in against), *(curve.column for curve in curves)]
+        )
         for name, curves in drawn.items()
     }
     if tables["learning"].empty:
@@ -106,9 +124,10 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
         figure = Figure(figsize=(3.4 * columns, 0.45 + 2.05 * rows), layout="constrained")
         grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
         for axes, (table, curve, colour) in zip(grid.ravel(), curves):
-            _draw(axes, curve, colour, [run[table] for run in read])
+            _draw(axes, curve, colour, [run[table] for run in read], _STEPS)
+            _frame(axes, curve)
         for axes in grid[-1]:
-            axes.set_xlabel("environment steps [10⁶]")
+            axes.set_xlabel(_STEPS.label)
         final = max(run["learning"]["steps"].max() for run in read) / 1e6
         grid[0, 0].set_xlim(0, 1.01 * final)
         if len(read) > 1:
@@ -121,15 +140,59 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
     return figure
 
 
-def _draw(axes: Axes, shown: ScoreCurve, colour: str, tables: list[pd.DataFrame]) -> None:
-    axes.grid(True)
-    axes.set_ylabel(shown.label)
+def comparison_curves(runs: Sequence[str | Path], by: Sequence[str]) -> Figure:
+    """Figure of the score of evaluations against environment steps and CPU seconds of the training.
+
+    runs: run folders; those with the same values of the options `by`, as run.json calls them, are seeds of
+    one group and have one colour: thin lines, their median, and the range from the lowest to the highest.
+    Tasks have a row each. Raises UserError for folders that are no runs, unknown options and too many groups.
+    """
+    if not runs:
+        raise UserError("curves need at least one run folder")
+    read = [(*read_run(folder, _AGAINST), _group(Path(folder), by)) for folder in runs]
+    tasks, groups = (list(dict.fromkeys(run[k] for run in read)) for k in (0, 2))
+    if len(groups) > len(_COLOURS):
+        raise UserError(f"the runs are of {len(groups)} kinds; at most {len(_COLOURS)} are told apart")
+    with styled():
+        figure = Figure(figsize=(6.8, 0.55 + 2.5 * len(tasks)), layout="constrained")
+        grid = figure.subplots(len(tasks), len(_AGAINST), sharey="row", squeeze=False)
+        for row, task in zip(grid, tasks):
+            curve = _score_curve(task)
+            for axes, against in zip(row, _AGAINST):
+                for group, colour in zip(groups, _COLOURS):
+                    tables = [of[1]["evaluations"] for of in read if (of[0], of[2]) == (task, group)]
+                    _draw(axes, curve, colour, tables, against)
+                _frame(axes, curve)
+                axes.set_xlim(left=0)
+                axes.set_xlabel(against.label)
+            row[1].set_ylabel("")
+            row[0].set_title(task, loc="left")
+        handles = []
+        for group, colour in zip(groups, _COLOURS):
+            count = sum(of[2] == group for of in read)
+            label = f"{literal(group)}, {count} run{'s' if count > 1 else ''}"
+            handles += grid[0, 0].plot([], [], color=colour, lw=2.2, label=label)
+        figure.legend(handles=handles, loc="outside upper center", ncols=min(3, len(handles)))
+    return figure
+
+
+def _group(folder: Path, by: Sequence[str]) -> str:
+    """The values of options of a run, in words."""
+    config = storage.read_json(folder / "run.json", "run").get("config", {})
+    for name in by:
+        if name not in config:
+            raise UserError(f"the run {folder} has no option {shown(name, 40)!r}")
+    return ", ".join("-" if config[name] is None else shown(config[name], 40) for name in by)
+
+
+def _draw(axes: Axes, curve: ScoreCurve, colour: str, tables: list[pd.DataFrame], against: _Against) -> None:
+    """Curves of several seeds: a thin line each, from two on their median and range."""
     lines = []
     for table in tables:
-        rows = table[["steps", shown.column]].dropna() if shown.column in table else table.iloc[:0]
+        rows = table[[against.column, curve.column]].dropna() if curve.column in table else table.iloc[:0]
         if len(rows):
             values = rows.to_numpy(float)
-            lines.append((values[:, 0] / 1e6, shown.factor * values[:, 1]))
+            lines.append((values[:, 0] / against.unit, curve.factor * values[:, 1]))
     several = len(lines) > 1
     for x, y in lines:
         style = {"lw": 0.7, "alpha": 0.6} if several else {"lw": 2.0}
@@ -139,18 +202,24 @@ def _draw(axes: Axes, shown: ScoreCurve, colour: str, tables: list[pd.DataFrame]
         x, middle, low, high = band(lines)
         axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0, gid="band")
         axes.plot(x, middle, color=colour, lw=2.2, gid="median")
-    if not lines:
+
+
+def _frame(axes: Axes, curve: ScoreCurve) -> None:
+    """Labels, limits and what the curves are compared with."""
+    axes.grid(True)
+    axes.set_ylabel(curve.label)
+    if not axes.lines:
         axes.text(0.5, 0.5, "no evaluations yet", transform=axes.transAxes, ha="center", color=MUTED)
-    if shown.reference:
-        value, text = shown.reference
+    if curve.reference:
+        value, text = curve.reference
         axes.axhline(value, color="black", lw=1.1, ls=(0, (5, 2)), zorder=1.5, gid="reference")
         axes.annotate(
             text, (0.02, value), xycoords=axes.get_yaxis_transform(), xytext=(0, 2), size=8.5,
             textcoords="offset points", ha="left", va="bottom",
         )  # fmt: skip
-    if shown.limits:
-        axes.set_ylim(*shown.limits)
-    if shown.logarithmic:
+    if curve.limits:
+        axes.set_ylim(*curve.limits)
+    if curve.logarithmic:
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.yaxis.set_major_formatter("{x:g}")
