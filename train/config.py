@@ -38,7 +38,7 @@ _ON_POLICY = {
     **dict.fromkeys(("start_from", "epochs", "log_std_init")),
     **{"gae_lambda": 0.95, "entropy": 0.0, "update": "fast", "checkpoint_every": 20},
 }
-_OFF_POLICY = {"buffer_size": 300_000, "learning_starts": 5_000, "gradient_steps": 4}
+_OFF_POLICY = {"buffer_size": 300_000, "learning_starts": 5_000, "gradient_steps": 2}
 # By algorithm: the options that others refuse.
 ALGORITHMS: dict[str, dict] = {
     "ppo": _ON_POLICY,
@@ -46,6 +46,8 @@ ALGORITHMS: dict[str, dict] = {
     "td3": _OFF_POLICY | {"action_noise": 0.2},
 }
 _REPLAYED = {"learning_rate": 1e-3, "batch_size": 256}  # of those with a replay buffer, not the task's
+# Rewards are multiplied by this. SAC's are small beside its price of entropy otherwise.
+REWARD_SCALE = {"ppo": 0.1, "sac": 1.0, "td3": 0.1}
 
 CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its own task
 
@@ -255,7 +257,11 @@ class TrainConfig:
         Range(0, 1),
         _by_algorithm("Standard deviation of the noise on actions", "action_noise"),
     ] = None
-    reward_scale: Annotated[float, Range(0, 1000, open=True)] = 0.1
+    reward_scale: Annotated[
+        float | None,
+        Range(0, 1000, open=True),
+        tyro.conf.arg(help_behavior_hint="(default: 0.1; sac 1)"),
+    ] = None
     """Rewards are multiplied by this before the algorithm sees them."""
 
     evaluate_every: Annotated[int, _INTERVAL] = 16
@@ -285,6 +291,7 @@ class TrainConfig:
         for name in self.slopes():
             if name not in known:
                 raise UserError(f"{option(name)} is no option of the task {kind.name}")
+        own["reward_scale"] = REWARD_SCALE[self.algorithm]
         given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}
         defaults = {name: getattr(training, name) for name in given} | own
         filled = {k: value if getattr(self, k) is None else getattr(self, k) for k, value in defaults.items()}
