@@ -46,7 +46,7 @@ class Track:
     @property
     def goals(self) -> list[np.ndarray]:
         """The states (13,) that it is to reach."""
-        goal = self.task.goal_state
+        goal = self.task.goal_on(None if self.deck is None else self.deck[-1])
         return [] if goal is None else [goal]
 
 

@@ -41,6 +41,10 @@ COMMANDS = {
         "policies",
         "One landing policy on many quadrotors, named and drawn, beside one policy for each (a minute).",
     ),
+    "slopes": (
+        "policies",
+        "Landing policies over all slopes that they know: curve over the angle, map of all directions.",
+    ),
     "export": (
         "",
         "A policy as ONNX, as C for a microcontroller or for NumPy, with contract and test vectors.",

@@ -299,6 +299,10 @@ class Task(abc.ABC):
                 state[COLUMNS[name]] = value
         return state
 
+    def goal_on(self, deck: np.ndarray | None) -> np.ndarray | None:
+        """The goal as a state (13,) where the platform is as deck (12,) says, see `Plant.deck`."""
+        return self.goal_state
+
     @property
     def judged_steps(self) -> int | None:
         """Control steps that an evaluated flight lasts at most; None: all."""

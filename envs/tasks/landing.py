@@ -71,7 +71,7 @@ from inclined_landing.envs.tasks.base import (
     hover_states,
 )
 from inclined_landing.models import geometry, surface
-from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Y, Z
+from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Y, Z, rotation
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.scene import compile_scene
@@ -250,15 +250,17 @@ class InclinedLanding(Task):
             return None
         return np.array(goal_box(self.goal_size), float)
 
-    def goal_over(self, inclination: float, azimuth: float = 0.0) -> np.ndarray:
-        """The goal as a state (13,) over a slope of this inclination and azimuth [rad], turned to face it."""
+    def goal_on(self, deck: np.ndarray | None) -> np.ndarray | None:
+        """The goal as a state (13,) over the slope of a deck (12,), with its heading."""
+        return self._over(deck, GOAL_HEIGHT) if self.sees_slope else super().goal_on(deck)
+
+    def _over(self, deck: np.ndarray | None, height: float) -> np.ndarray | None:
+        """A state (13,) as the deck's (12,), height [m] over it along its normal; None without a deck."""
+        if deck is None:
+            return None
         state = np.zeros(STATE_SIZE)
-        state[[X, Z]] = 0.0, self.vehicle.platform_surface_height + GOAL_HEIGHT
-        if self.sees_slope:
-            out = GOAL_HEIGHT * math.sin(inclination)
-            state[[X, Y]] = out * math.cos(azimuth), out * math.sin(azimuth)
-            state[Z] += GOAL_HEIGHT * (math.cos(inclination) - 1.0)
-        state[[PITCH, YAW]] = inclination, azimuth
+        state[: len(deck)] = deck
+        state[: Z + 1] += height * rotation(*deck[ROLL : YAW + 1])[:, 2]
         return state
 
     @property

@@ -171,13 +171,9 @@ class InclinedTouchdown(InclinedLanding):
         rest = [*self.rest_position, 0.0, 0.0, self.inclination]
         return np.array(rest + [1.0] * self.observe_contact)
 
-    def goal_over(self, inclination: float, azimuth: float = 0.0) -> np.ndarray:
-        """Rest in the middle of such a slope as a state (13,)."""
-        state = super().goal_over(inclination, azimuth)
-        out = self._rest_height * math.sin(inclination)
-        state[[X, Y]] = out * math.cos(azimuth), out * math.sin(azimuth)
-        state[Z] = self.vehicle.platform_surface_height + self._rest_height * math.cos(inclination)
-        return state
+    def goal_on(self, deck: np.ndarray | None) -> np.ndarray | None:
+        """Rest in the middle of a deck (12,) as a state (13,), with its heading."""
+        return self._over(deck, self._rest_height) if self.sees_slope else super().goal_on(deck)
 
     @property
     def observation_centre(self) -> np.ndarray:

@@ -12,16 +12,17 @@ import numpy as np
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.tasks import Task
+from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.statistics import mean, proportion, spread
 from inclined_landing.eval.policies.motors_cut import cut_motors
-from inclined_landing.models.attitude import PITCH, VX, VZ
+from inclined_landing.models import surface
+from inclined_landing.models.attitude import PITCH, VX, VZ, YAW
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
-from inclined_landing.models.surface import split
+from inclined_landing.models.surface import split, turned
 
 RANDOM_STARTS = 200
 
@@ -33,9 +34,9 @@ class Flights:
     frozen = "random"  # the group of starts from which effects are tried
     report_scales: tuple[float, ...] = (1.0,)  # thrust scales of the report after a training
 
-    def groups(self, task: Task, seed: int) -> dict[str, np.ndarray]:
-        """Groups of starts, states (k, 13) each, by name."""
-        return {"random": task.sample(np.random.default_rng(seed), RANDOM_STARTS).state}
+    def groups(self, task: Task, seed: int) -> dict[str, Start]:
+        """Groups of starts by name."""
+        return {"random": task.sample(np.random.default_rng(seed), RANDOM_STARTS)}
 
     def summary(self, task: Task, flights: Sequence[Flight]) -> dict:
         """What is counted of the flights from one group."""
@@ -50,8 +51,8 @@ class Flights:
         """The entry of one thrust scale in the report."""
         return self.summary(task, flown["random"])
 
-    def effect(self, task: Task, flights: Sequence[Flight], vehicle: Vehicle, inclination: float) -> dict:
-        """The entry of one effect; vehicle, inclination [rad]: what was flown."""
+    def effect(self, task: Task, flights: Sequence[Flight], vehicle: Vehicle) -> dict:
+        """The entry of one effect; vehicle: what was flown."""
         return self.summary(task, flights)
 
     def headline(self, condition: dict) -> dict:
@@ -82,14 +83,14 @@ class Landings(Flights):
     frozen = "grid"
     report_scales = (1.0, 1.05, 0.95)
 
-    def groups(self, task, seed: int) -> dict[str, np.ndarray]:
+    def groups(self, task, seed: int) -> dict[str, Start]:
         """The starts of `envs.starts`."""
         starts = {
             "paper_starts": landing_starts.paper(),
             "scattered_starts": landing_starts.scattered(seed),
             "grid": landing_starts.clear(task, landing_starts.grid()),
         }
-        return {name: landing_starts.at_rest(task, group) for name, group in starts.items()}
+        return {name: task.start(landing_starts.at_rest(task, group)) for name, group in starts.items()}
 
     def summary(self, task, flights: Sequence[Flight]) -> dict:
         """Success, strict success, platform touches and time to the goal box of landing flights."""
@@ -104,30 +105,47 @@ class Landings(Flights):
     def condition(self, task, flown: Mapping[str, Sequence[Flight]], scale: float) -> dict:
         """Each group, the entry into the goal box, and what follows when the motors are cut there."""
         condition = {name: self.summary(task, flights) for name, flights in flown.items()}
-        left_out = len(landing_starts.grid()) - len(flown["grid"])  # too close at this inclination
-        condition["grid"]["left_out"] = left_out
-        arrived = [f for f in flown["grid"] if f.success]
+        if "grid" in flown:
+            left_out = len(landing_starts.grid()) - len(flown["grid"])  # too close at this inclination
+            condition["grid"]["left_out"] = left_out
+        arrived = [f for f in flown[self.frozen] if f.success]
         condition["entry"] = _entry(arrived) if arrived else None
         condition["motors_cut"] = _motors_cut(arrived, task, scale) if arrived else None
         return condition
 
-    def effect(self, task, flights: Sequence[Flight], vehicle: Vehicle, inclination: float) -> dict:
-        """The frozen grid; how many rest after their motors were cut, and how fast they touched [m/s]."""
-        arrived = [f.state[-1] for f in flights if f.success]
-        after = cut_motors(np.array(arrived), inclination, vehicle) if arrived else None
+    def effect(self, task, flights: Sequence[Flight], vehicle: Vehicle) -> dict:
+        """The frozen starts; how many rest after their motors were cut, and how fast they touched [m/s]."""
+        arrived = [f for f in flights if f.success]
+        after = cut_motors(*_in_plane(arrived), vehicle) if arrived else None
         return self.summary(task, flights) | {
             "at_rest_on_feet": proportion(after.at_rest.sum() if after else 0, len(flights)),
             "normal_speed": spread(after.normal_speed if after else []),
         }
 
     def headline(self, condition: dict) -> dict:
-        """The frozen grid and the entry into the goal box."""
-        grid = condition["grid"]
+        """The frozen starts and the entry into the goal box."""
+        frozen = condition[self.frozen]
         scale, entry = condition["thrust_scale"], condition["entry"]
-        return {"thrust_scale": scale, "strict": grid["strict"], "success": grid["success"], "entry": entry}
+        return {
+            "thrust_scale": scale,
+            "strict": frozen["strict"],
+            "success": frozen["success"],
+            "entry": entry,
+        }
 
 
-JUDGES = {"flights": Flights(), "error": Errors(), "goal_box": Landings()}
+class Slopes(Landings):
+    """The frozen set over the angles, for policies that observe the slope."""
+
+    paper = None
+    frozen = "slopes"
+
+    def groups(self, task, seed: int) -> dict[str, Start]:
+        """The starts of `envs.starts.over_slopes`."""
+        return {"slopes": landing_starts.over_slopes(task).start}
+
+
+JUDGES = {"flights": Flights(), "error": Errors(), "goal_box": Landings(), "slopes": Slopes()}
 
 
 def judge_of(task: Task) -> Flights:
@@ -144,6 +162,7 @@ def report_of(command: str, policy: Policy, plant: str, seed: int) -> dict:
         "policy": str(policy.path),
         "trained": policy.metadata,
         "task": policy.task.name,
+        "table": policy.task.table,
         "task_options": policy.task.options,
         "plant": plant,
         "seed": int(seed),
@@ -151,23 +170,29 @@ def report_of(command: str, policy: Policy, plant: str, seed: int) -> dict:
     }
 
 
+def _in_plane(arrived: Sequence[Flight]) -> tuple[np.ndarray, np.ndarray]:
+    """Last states (n, 13) of flights, turned so that their slopes have azimuth 0; and the inclinations."""
+    deck = np.array([f.deck[-1] for f in arrived])
+    return turned(np.array([f.state[-1] for f in arrived]), -deck[:, YAW]), deck[:, PITCH]
+
+
 def _entry(arrived: Sequence[Flight]) -> dict:
     """Velocities [m/s] and pitch error [rad] of the flights at the entry into the goal box."""
-    state = np.array([f.state[-1] for f in arrived])
+    state, inclination = _in_plane(arrived)
     velocity = state[:, VX : VZ + 1]
-    away, along = split(velocity, arrived[0].inclination)
+    away, along = split(velocity, inclination)
+    _, standing = surface.standing(inclination, -state[:, YAW])
     return {
         "speed": spread(np.linalg.norm(velocity, axis=1)),
         "normal_speed": spread(-away),  # towards the surface
         "tangential_speed": spread(along),
         "moving_away": proportion((away > 0).sum(), len(arrived)),
-        "pitch_error": spread(np.abs(state[:, PITCH] - arrived[0].inclination)),
+        "pitch_error": spread(np.abs(state[:, PITCH] - standing)),
     }
 
 
 def _motors_cut(arrived: Sequence[Flight], task, scale: float) -> dict:
-    states = np.array([f.state[-1] for f in arrived])
-    after = cut_motors(states, task.inclination, task.vehicle, scale)
+    after = cut_motors(*_in_plane(arrived), task.vehicle, scale)
     return {
         "touchdown": proportion(after.touched.sum(), len(arrived)),
         "normal_speed": spread(after.normal_speed),

@@ -35,9 +35,9 @@ class Aftermath:
 
 
 def cut_motors(
-    states: np.ndarray, inclination: float, vehicle: Vehicle, thrust_scale: float = 1.0
+    states: np.ndarray, inclination: float | np.ndarray, vehicle: Vehicle, thrust_scale: float = 1.0
 ) -> Aftermath:
-    """Cut the motors at `states` (n, 13) over a platform inclined by `inclination` [rad].
+    """Cut the motors at `states` (n, 13) over platforms inclined by `inclination` (n,) or one for all [rad].
 
     thrust_scale: of the thrust that still decays.
     """

@@ -1,7 +1,8 @@
 """`landing-eval success`: how often, how fast and how hard a policy reaches its goal.
 
 Landing: the deterministic policy flies from the paper's three starts, from ten scattered starts
-around each, and from the frozen grid (`envs/starts.py`). *Success* is reaching the goal box
+around each, and from the frozen grid (`envs/starts.py`); one that observes the slope from the frozen set over
+its slopes. *Success* is reaching the goal box
 (0.10, 0.10, 1.5, 1.5, 0.025) within 300 control steps; *strict* success also means that no part
 touched the platform before. The goal box is not yet a landing, so the velocity at its entry is
 reported too, and what happens when the motors are cut there (`motors_cut.py`).
@@ -28,6 +29,7 @@ from rich.progress import track
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks.base import joined
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flag, Flat, Flown, NewFolder, Seed
 from inclined_landing.eval.base.policies import AnyPolicy
@@ -110,8 +112,8 @@ def command(
 def _evaluate(policy: Policy, plant: str, thrust_scales: Sequence[float], unrest: bool, seed: int):
     task, judge = policy.task, judge_of(policy.task)
     groups = judge.groups(task, seed)
-    names = np.repeat(list(groups), [len(states) for states in groups.values()])
-    starts = np.concatenate(list(groups.values()))
+    names = np.repeat(list(groups), [len(starts) for starts in groups.values()])
+    starts = joined(list(groups.values()))
     conditions, rows = [], []
     for scale in track(thrust_scales, "flying", console=Console(stderr=True), transient=True):
         fleet = make_plant(plant, len(starts), task.vehicle, unrest=0 if unrest else None)

@@ -7,6 +7,7 @@ frozen grid, and where they arrive their motors are cut; set-point policies fly 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
@@ -15,6 +16,7 @@ from rich.progress import track
 
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks import Start
 from inclined_landing.eval.policies.judges import judge_of, report_of
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.effects import LIBRARY, Effect
@@ -36,10 +38,10 @@ def evaluate(policy: Policy, *, plant: str = "mujoco", seed: int = 0) -> dict:
         name = "none" if effect is None else effect.name
         vehicle = policy.task.vehicle if effect is None else effect.apply(policy.task.vehicle, values)
         try:
-            flights, inclination = fly(policy, plant, vehicle, starts)
+            flights = fly(policy, plant, vehicle, starts)
         except FloatingPointError as error:
             raise UserError(f"effect {name}: {error}") from error
-        outcome = judge.effect(policy.task, flights, vehicle, inclination)
+        outcome = judge.effect(policy.task, flights, vehicle)
         rows.append(
             {"effect": name, "parameters": {} if effect is None else sizes(effect, values), **outcome}
         )
@@ -52,17 +54,13 @@ def sizes(effect: Effect, values: Mapping[str, float]) -> dict:
     return {name: {"value": value, "unit": units[name]} for name, value in values.items()}
 
 
-def fly(policy: Policy, plant: str, vehicle: Vehicle, starts: np.ndarray) -> tuple[list[Flight], float]:
-    """Flights of `vehicle`, of which the policy knows nothing, from `starts` (n, 13) of its own vehicle.
-
-    With them the inclination of the platform there [rad]; 0 without one.
-    """
-    task, starts = policy.task, starts.copy()
-    starts[:, LAG] *= task.vehicle.thrust_lag_rate / vehicle.thrust_lag_rate  # the same load
+def fly(policy: Policy, plant: str, vehicle: Vehicle, starts: Start) -> list[Flight]:
+    """Flights of `vehicle`, of which the policy knows nothing, from `starts` of its own vehicle."""
+    task, starts = policy.task, dataclasses.replace(starts, state=starts.state.copy())
+    starts.state[:, LAG] *= task.vehicle.thrust_lag_rate / vehicle.thrust_lag_rate  # the same load
     tilt = vehicle.platform_inclination - task.vehicle.platform_inclination
     fleet = make_plant(plant, len(starts), vehicle)
-    flights = record_flights(policy, _Tilted(fleet, tilt) if tilt else fleet, starts, steps=task.judged_steps)
-    return flights, task.options.get("inclination", 0.0) + tilt
+    return record_flights(policy, _Tilted(fleet, tilt) if tilt else fleet, starts, steps=task.judged_steps)
 
 
 class _Tilted:

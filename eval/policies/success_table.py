@@ -6,13 +6,13 @@ import math
 
 from rich.table import Table
 
-from inclined_landing.envs.tasks import task_class
 from inclined_landing.eval.base.tables import new_table, printer, share_cell, spread_cell
 
 _GROUPS = {
     "paper_starts": "paper's three",
     "scattered_starts": "paper's +-0.1 m",
     "grid": "frozen grid",
+    "slopes": "frozen, all slopes",
 }
 
 
@@ -45,6 +45,7 @@ _COLUMNS = {
         ("duration [s]", "duration", spread_cell),
     ),
 }
+_COLUMNS["slopes"] = _COLUMNS["goal_box"]
 _CAPTIONS = {
     "goal_box": "success: the goal box within 300 steps; strict: and no touch before; "
     "95 % Wilson intervals; time to the goal: median (5 % to 95 %)",
@@ -56,15 +57,19 @@ _CAPTIONS = {
 def show(report: dict) -> None:
     """Print the report of `success.evaluate` or of `success_effects.evaluate`."""
     console = printer()
-    kind = task_class(report["task"]).table
+    kind = report["table"]
     if "effects" in report:
         labels = ("effect", "size")
         rows = [((row["effect"], size_words(row["parameters"])), row) for row in report["effects"]]
         blocks = [rows[:1], rows[1:]]
-    elif "grid" in report["conditions"][0]:
+    elif any(name in report["conditions"][0] for name in _GROUPS):
         labels = ("starts", "thrust")
         blocks = [
-            [((label, _thrust(condition)), condition[name]) for name, label in _GROUPS.items()]
+            [
+                ((label, _thrust(condition)), condition[name])
+                for name, label in _GROUPS.items()
+                if name in condition
+            ]
             for condition in report["conditions"]
         ]
     else:
@@ -81,7 +86,7 @@ def show(report: dict) -> None:
         if "of" in result:
             share += f" ({result['count']} of {result['of']})"
         table.add_row("paper's results", "", "", share)
-    table.caption = _CAPTIONS[kind]
+    table.caption = _CAPTIONS["goal_box" if kind == "slopes" else kind]
     if "at_rest_on_feet" in blocks[0][0][1]:
         table.caption += "; at rest on feet: 2 s after the motors were cut in the goal box"
     console.print(table)
@@ -94,8 +99,16 @@ def _title(report: dict) -> str:
     effects = " with one effect each" if "effects" in report else ""
     title = f"{report['policy']}: {report['task']}{effects}, {plant} plant, seed {report['seed']}"
     if "inclination" in report["task_options"]:
-        title += f", {math.degrees(report['task_options']['inclination']):.1f} deg"
+        title += f", {slope_words(report['task_options'])}"
     return title
+
+
+def slope_words(options: dict) -> str:
+    """The slopes of a task by its options: "-25.7 deg", "to +-25.7 deg" or "to 30 deg all around"."""
+    if options.get("steepest") is None:
+        return f"{math.degrees(options['inclination']):.1f} deg"
+    steepest = f"{math.degrees(options['steepest']):.3g} deg"
+    return f"to +-{steepest}" if options.get("dimensions", 2) == 2 else f"to {steepest} all around"
 
 
 def _thrust(condition: dict) -> str:
@@ -114,7 +127,7 @@ def size_words(parameters: dict) -> str:
 
 
 def _entry(conditions: list[dict]) -> Table:
-    title = "At goal-box entry, and after cutting the motors there (frozen grid)"
+    title = "At goal-box entry, and after cutting the motors there (frozen starts)"
     table = new_table(title, "", *(f"thrust {_thrust(condition)}" for condition in conditions))
 
     def row(label, source, key, text=spread_cell, **options):

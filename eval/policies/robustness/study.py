@@ -85,6 +85,8 @@ def evaluate(
     for policy in policies:
         if not policy.task.cut_at_success:
             raise UserError(f"policy {policy.path} is for the task {policy.task.name}, not for landing")
+        if policy.task.table != "goal_box":
+            raise UserError(f"policy {policy.path} observes the slope; robustness flies from the grid of one")
         if not math.isclose(policy.task.inclination, policies[0].task.inclination):
             raise UserError(
                 f"policies {policies[0].name} and {policy.name} are for platforms of different inclination"
@@ -99,10 +101,10 @@ def evaluate(
         outcomes = []
         for k, policy in enumerate(policies):
             try:
-                flights, inclination = success_effects.fly(policy, plant, vehicle, starts)
+                flights = success_effects.fly(policy, plant, vehicle, starts)
             except FloatingPointError as error:
                 raise UserError(f"{names[k]}, {case.words}: {error}") from error
-            outcomes.append(judge.effect(policy.task, flights, vehicle, inclination))
+            outcomes.append(judge.effect(policy.task, flights, vehicle))
             landed[c, k] = [flight.strict for flight in flights]
         effect, values = case.effect or LIBRARY[_THRUST], case.values
         sizes = success_effects.sizes(effect, values)
