@@ -17,6 +17,16 @@ SLOPE_ROLL, SLOPE_PITCH = PITCH + 1, PITCH + 2
 HEADING_SIZE = SLOPE_PITCH + 1
 
 
+def turned(state: np.ndarray, angle) -> np.ndarray:
+    """States (n, 13) turned about the vertical axis through the origin by angle (n,) [rad]."""
+    state, sin, cos = state.copy(), np.sin(angle), np.cos(angle)
+    for first in (X, VX):
+        x, y = state[:, first].copy(), state[:, first + 1].copy()
+        state[:, first], state[:, first + 1] = cos * x - sin * y, sin * x + cos * y
+    state[:, YAW] += angle
+    return state
+
+
 def normal_of(inclination) -> np.ndarray:
     """Unit normal (..., 3) of surfaces inclined by `inclination` (...)."""
     a = np.asarray(inclination, float)

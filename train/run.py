@@ -476,7 +476,7 @@ class Run:
             "cpu_seconds": round(self.clock.cpu, 2),
             "steps_per_second": self.model.num_timesteps / max(1e-9, self.clock.spent["training"]),
             "evaluations": {
-                "starts": len(self._judge.starts),
+                "starts": len(self._judge.starts.state),
                 "final": self.evaluations[-1] if self.evaluations else None,
                 "best": max(self.evaluations, key=lambda e: e["score"], default=None),
                 "first_at_99_percent": reached[0] if reached else None,
@@ -499,15 +499,13 @@ class _Judge:
         rng = np.random.default_rng(ppo.evaluation_seed(config))
         count = EVALUATION_STARTS if config.success is None else ENDING_STARTS
         start = self.task.evaluation_starts(rng, count)
-        self.starts = start.state
+        self.starts = start
         drawn = ppo.drawn(config, vehicle, ppo.evaluation_seed(config), count // 2)
         self.plant = make_plant("hybrid", count, vehicle, threads=config.threads, **drawn)
         if self.plant.pool:
             others = np.arange(1, count, 2)
             self.plant.assign(others, 1 + np.arange(len(others)))
-            self.starts[:, LAG] *= self.plant.hover_share
-        if start.contact is not None:
-            self.plant.set_contact(np.arange(count), **start.contact)
+            self.starts.state[:, LAG] *= self.plant.hover_share
         self.film_start = self.task.states_at(self.task.film_starts[:1])
 
     def __call__(self, policy: Policy) -> dict:

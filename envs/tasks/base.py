@@ -53,6 +53,9 @@ class Start:
     contact: dict[str, Any] | None = None  # arguments (k,) of the plant's set_contact
     azimuth: np.ndarray | None = None  # (k,) of the slope's direction, rad; None: towards +x everywhere
 
+    def __len__(self) -> int:
+        return len(self.state)
+
     def __getitem__(self, ids) -> Start:
         """Those of the episodes `ids`."""
         azimuth = None if self.azimuth is None else self.azimuth[ids]
@@ -68,6 +71,18 @@ class Start:
             for array, values in pairs:
                 if array is not None:
                     array[rows] = values
+
+
+def joined(starts: Sequence[Start]) -> Start:
+    """All of them in one, in their order; they have an azimuth and a contact all of them, or none."""
+    parts: dict[str, Any] = {}
+    for field in dataclasses.fields(Start):
+        own = [getattr(start, field.name) for start in starts]
+        if isinstance(own[0], dict):
+            parts[field.name] = {name: np.concatenate([x[name] for x in own]) for name in own[0]}
+        else:
+            parts[field.name] = None if own[0] is None else np.concatenate(own)
+    return Start(**parts)
 
 
 @dataclasses.dataclass(frozen=True)

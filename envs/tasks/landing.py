@@ -209,6 +209,8 @@ class InclinedLanding(Task):
         self._shapes = geometry.shapes_of(compile_scene(v))
         self.sees_slope = self.steepest is not None or self.dimensions == 3
         if self.sees_slope:
+            if self.table == InclinedLanding.table:
+                self.table = "slopes"
             self._seen = np.array(PLANAR if self.dimensions == 2 else range(surface.HEADING_SIZE))
             self.observation_names = tuple(SEEN[column] for column in self._seen)
             self.observation_scale = SEEN_SCALE[self._seen]
@@ -292,30 +294,38 @@ class InclinedLanding(Task):
 
     def sample(self, rng: np.random.Generator, k: int) -> Start:
         """k starts at rest, uniform over the conditions' box, clear of the platform."""
-        c = self.conditions
-        low, high = self.start_box()
-        present = rng.random(k) < c.platform
+        present = rng.random(k) < self.conditions.platform
         start = self._start(hover_states(np.zeros((k, 3)), self.vehicle), present)
-        self._draw_slopes(rng, start)
-        todo = np.arange(k)
-        for _ in range(1000):
-            start.state[np.ix_(todo, self._axes)] = rng.uniform(low, high, (len(todo), len(low)))
-            todo = todo[self.start_clearance(start[todo]) < START_CLEARANCE]
-            if not len(todo):
-                return start
-        raise UserError(f"no start clear of the platform was found within {c.start_reach:g} m of the goal")
-
-    def _draw_slopes(self, rng: np.random.Generator, start: Start) -> None:
-        """Give random starts the slopes and headings that the options ask for."""
-        k = len(start.state)
         if self.steepest is not None:
             low, high = self._slopes
             start.inclination = rng.uniform(low if self.dimensions == 2 else 0.0, high, k)
             start.inclination *= self.conditions.tilt
             if self.dimensions == 3:
                 start.azimuth = rng.uniform(-math.pi, math.pi, k)
+        return self._place(rng, start)
+
+    def sample_over(self, rng: np.random.Generator, inclination: np.ndarray, azimuth: np.ndarray) -> Start:
+        """Random starts as in `sample` over slopes (k,) [rad] that are given."""
+        k = len(inclination)
+        start = self._start(hover_states(np.zeros((k, 3)), self.vehicle), np.ones(k, bool))
+        start.inclination = np.array(inclination, float)
+        if self.dimensions == 3:
+            start.azimuth = np.array(azimuth, float)
+        return self._place(rng, start)
+
+    def _place(self, rng: np.random.Generator, start: Start) -> Start:
+        """Starts at random places, and headings where the options ask for that."""
+        low, high = self.start_box()
+        todo = np.arange(len(start.state))
         if self.random_yaw:
-            start.state[:, YAW] = rng.uniform(-math.pi, math.pi, k)
+            start.state[:, YAW] = rng.uniform(-math.pi, math.pi, len(todo))
+        for _ in range(1000):
+            start.state[np.ix_(todo, self._axes)] = rng.uniform(low, high, (len(todo), len(low)))
+            todo = todo[self.start_clearance(start[todo]) < START_CLEARANCE]
+            if not len(todo):
+                return start
+        reach = self.conditions.start_reach
+        raise UserError(f"no start clear of the platform was found within {reach:g} m of the goal")
 
     def start(self, state: np.ndarray) -> Start:
         """Starts from given states (k, 13) under the present conditions, with a platform."""

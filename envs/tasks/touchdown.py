@@ -229,13 +229,9 @@ class InclinedTouchdown(InclinedLanding):
         """
         if start.azimuth is None:
             return state
-        state = state.copy()
-        half = 0.5 * self.vehicle.platform_depth
+        state, half = state.copy(), 0.5 * self.vehicle.platform_depth
         state[:, Y] += rng.uniform(-_CLOSE_ACROSS * half, _CLOSE_ACROSS * half, len(state))
-        sin, cos = np.sin(start.azimuth), np.cos(start.azimuth)
-        for first in (X, VX):
-            x, y = state[:, first].copy(), state[:, first + 1].copy()
-            state[:, first], state[:, first + 1] = cos * x - sin * y, sin * x + cos * y
+        state = surface.turned(state, start.azimuth)
         state[:, YAW] = start.state[:, YAW]
         return state
 

@@ -311,7 +311,7 @@ def test_half_of_the_evaluated_flights_have_drawn_vehicles(tmp_path):
     plant = begun._judge.plant
     assert (plant.choice[::2] == 0).all() and len(set(plant.choice[1::2])) == plant.n // 2
     assert not set(plant.pool) & set(begun.env.env.plant.pool)
-    np.testing.assert_allclose(begun._judge.starts[:, LAG], plant.hover_share * plant.vehicle.hover_lag)
+    np.testing.assert_allclose(begun._judge.starts.state[:, LAG], plant.hover_share * plant.vehicle.hover_lag)
     begun.execute()
     last = begun.evaluations[-1]
     assert last["score"] == pytest.approx((last["score_nominal"] + last["score_drawn"]) / 2)
@@ -505,10 +505,10 @@ def test_the_length_of_a_run_is_fixed_or_open(tmp_path):
 
 def test_evaluation_starts_are_neither_training_starts_nor_another_seeds(tmp_path):
     judges = [Run(config(tmp_path / str(seed), seed=seed))._judge for seed in (0, 1)]
-    assert not np.array_equal(judges[0].starts, judges[1].starts)
+    assert not np.array_equal(judges[0].starts.state, judges[1].starts.state)
     trained = Run(config(tmp_path / "c", seed=0, curriculum="none"))
     trained.env.reset()
-    assert not set(trained.env.env.plant.state[:, 0]) & set(judges[0].starts[:, 0])
+    assert not set(trained.env.env.plant.state[:, 0]) & set(judges[0].starts.state[:, 0])
 
 
 # --- wrong input -------------------------------------------------------------------------------------
