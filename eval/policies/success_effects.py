@@ -72,5 +72,5 @@ class _Tilted:
     def __getattr__(self, name):
         return getattr(self._plant, name)
 
-    def set_platform(self, ids, inclination, present=True) -> None:
-        self._plant.set_platform(ids, np.asarray(inclination) + self._tilt, present)
+    def set_platform(self, ids, inclination, present=True, azimuth=0.0) -> None:
+        self._plant.set_platform(ids, np.asarray(inclination) + self._tilt, present, azimuth)
