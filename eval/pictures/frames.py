@@ -63,11 +63,13 @@ def render_flight(
     backend: str = "auto",
     fps: float = FPS,
     slow: float = 1.0,
+    title: str | None = None,
     renderer: Any = None,
 ) -> Iterator[np.ndarray]:
     """Frames (height, width, 3) uint8, `fps` of them for a second of flight.
 
-    slow: how much slower they will be shown, which is said in the picture; so is how the flight ended.
+    slow: how much slower they will be shown, which is said in the picture; so is how the flight ended, and
+    what it is called, where it has a title.
     renderer: draw with this one, made for the same look, and leave it open: it keeps its background.
     """
     times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
@@ -84,7 +86,8 @@ def render_flight(
                 ghosts=ghosts,
                 caption=caption_of(flight, k),
             )
-            draw_labels(frame, tempo(slow) + said(flight, k))
+            named = [] if title is None else [(title, None)]
+            draw_labels(frame, named + tempo(slow) + said(flight, k))
             yield frame
 
 

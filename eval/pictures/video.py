@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import tyro
 from rich.console import Console
 from rich.progress import Progress
 
@@ -25,6 +26,7 @@ from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 GIF_FPS = 25.0  # players slow down faster ones
+Beside = Annotated[tuple[str, ...], tyro.conf.arg(metavar="VEHICLE [VEHICLE ...]")]
 _REST = 1.0  # s that the last frame of a flight stays
 
 
@@ -38,6 +40,7 @@ def command(
     slow: Annotated[float, Range(0.1, 20)] = 1.0,
     forces: Flag = False,
     until: Until = "rest",
+    beside: Beside = (),
     flown: Flat[Flown] = Flown(),
 ) -> None:
     """Video of flights, one after the other.
@@ -54,6 +57,7 @@ def command(
             the touchdown from nearby.
         until: where the video of a landing ends: rest goes on after the goal box with the motors cut, by
             MuJoCo, until the vehicle is at rest; goal ends with the policy's flight.
+        beside: vehicle files, or shipped vehicles by name, that fly the same, each in a part of the picture.
     """
     if out.suffix.lower() not in (".mp4", ".gif"):
         raise UserError(f"a video is an .mp4 or .gif file, not {out.name!r}")
@@ -63,6 +67,10 @@ def command(
     storage.check_file(out)
     if look.camera != "touch":
         check_look(**dataclasses.asdict(look))
+    if beside and (forces or flown.vehicle is not None):
+        raise UserError(
+            "--beside shows whole flights of the vehicles it names: leave --forces and --vehicle out"
+        )
     loaded = flown.load(policy)
     if forces and not loaded.task.has_platform:
         raise UserError(f"--forces is for tasks with a platform: a {loaded.task.name} flight touches nothing")
@@ -74,14 +82,24 @@ def command(
         raise UserError("--camera touch is drawn with rays: leave --backend gl out")
     if forces and until == "goal":
         raise UserError("--forces films what follows the goal box: leave --until goal out")
-    flights = fly(loaded, points(start, loaded.task), flown.plant)
+    others = {name: dataclasses.replace(flown, vehicle=Path(name)).load(policy) for name in beside}
+    flights = [] if beside else fly(loaded, points(start, loaded.task), flown.plant)
     shown = dataclasses.asdict(look)
     if forces:
         frames, total, rate = film_touchdowns([watch(flight) for flight in flights], slow, **shown)
     else:
-        flights = finish(flights, until)
         most = GIF_FPS if out.suffix.lower() == ".gif" else FPS
-        frames, total, rate = film(flights, min(FPS, most * slow), slow, **shown)  # there are no more states
+        sampled = min(FPS, most * slow)  # there are no more states
+        if beside:
+            each = {
+                name: fly(other, points(start, other.task), flown.plant) for name, other in others.items()
+            }
+            rows = [finish(flights, until) for flights in each.values()]
+            flights = list(itertools.chain(*rows))
+            frames, total, rate = film_beside(list(zip(*rows)), tuple(each), sampled, slow, **shown)
+        else:
+            flights = finish(flights, until)
+            frames, total, rate = film(flights, sampled, slow, **shown)
     files = {out: 1}
     if gif and out.suffix.lower() != ".gif":
         files[out.with_suffix(".gif")] = math.ceil(rate / GIF_FPS - 1e-9)
@@ -109,6 +127,36 @@ def film(
 
     total = sum(round(flight.t[-1] * sampled) + 1 + rest for flight in flights)
     return frames(), total, sampled / slow
+
+
+def film_beside(
+    takes: Sequence[Sequence[Flight]], titles: Sequence[str], sampled: float, slow: float, **look
+) -> tuple[Iterator[np.ndarray], int, float]:
+    """The same of flights beside each other, one of each title in a take; who has ended waits."""
+    columns = math.ceil(math.sqrt(len(titles)))
+    lines = math.ceil(len(titles) / columns)
+    tile = look | {"width": look["width"] // columns // 2 * 2, "height": look["height"] // lines // 2 * 2}
+    rest = round(_REST * sampled / slow)
+    lengths = [1 + max(round(flight.t[-1] * sampled) for flight in take) for take in takes]
+
+    def frames():
+        for take, length in zip(takes, lengths):
+            films = [
+                render_flight(flight, fps=sampled, slow=slow, title=title, **tile)
+                for flight, title in zip(take, titles)
+            ]
+            seen = [next(each) for each in films]
+            seen += [np.full_like(seen[0], 255)] * (columns * lines - len(seen))
+            for _ in range(length):
+                picture = [
+                    np.concatenate(seen[k : k + columns], axis=1) for k in range(0, len(seen), columns)
+                ]
+                picture = np.concatenate(picture)
+                yield picture
+                seen[: len(films)] = [next(each, last) for each, last in zip(films, seen)]
+            yield from itertools.repeat(picture, rest)
+
+    return frames(), sum(lengths) + rest * len(lengths), sampled / slow
 
 
 def film_touchdowns(

@@ -20,7 +20,8 @@ import pytest
 from hypothesis import strategies as st
 
 from inclined_landing.envs.flights import record_flights
-from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.history import History, input_centre, input_names, input_scale
+from inclined_landing.envs.policy import Policy, locate
 from inclined_landing.envs.tasks import Start, Task, make_task
 from inclined_landing.envs.tasks.base import COLUMNS
 from inclined_landing.eval import cli
@@ -656,3 +657,25 @@ def test_policies_of_sac_and_of_another_vehicle(tmp_path):
         cli.main(["export", str(path), "--task", "landing", "--format", "c", "--out", str(tmp_path / "elu")])
         == 2
     )
+
+
+def test_what_a_policy_is_told_of_its_vehicle_is_part_of_its_export(tmp_path):
+    """For the Hummingbird: the reader is given the plain observation, and answers as the policy does."""
+    vehicle = load_vehicle("hummingbird")
+    task = make_task("landing", vehicle, observe_vehicle=True, pwm_centre="own")
+    rng = np.random.default_rng(0)
+    weight = rng.normal(0.0, 0.3, (len(input_names(task)), 2))
+    scaling = input_centre(task), input_scale(task), 10.0
+    told = Policy(task, {}, locate("landing"), *scaling, (weight,), (np.zeros(2),), "Tanh")
+    terms = write(told, "numpy", tmp_path / "out")
+    assert terms["input"]["names"] == list(task.observation_names)
+    assert terms["action"][0]["centre"] == pytest.approx(vehicle.hover_pwm)
+    assert terms["vehicle"]["differences"]["body_mass"] == 0.5
+    spec = importlib.util.spec_from_file_location("told_reader", tmp_path / "out/landing_policy.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    reader = module.LandingPolicy(tmp_path / "out/policy.npz")
+    rows = rng.normal(scale=0.5, size=(20, 5)).astype(np.float32)
+    inputs = History(task, 20).behind(rows)
+    for row, given in zip(rows, inputs):
+        np.testing.assert_allclose(reader.act(row), told.predict(given), rtol=0.0, atol=TOLERANCE)

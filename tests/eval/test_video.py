@@ -15,6 +15,7 @@ from inclined_landing.eval.pictures.flown import fly
 from inclined_landing.eval.pictures.frames import caption_of, render_flight, said, strobe, write_video
 from inclined_landing.eval.pictures.labels import draw_labels, tempo
 from inclined_landing.eval.pictures.to_rest import to_rest
+from inclined_landing.eval.pictures.video import film_beside
 from inclined_landing.eval.policies.motors_cut import cut_motors
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants.recorder import still
@@ -38,6 +39,18 @@ def test_frames_follow_the_clock():
     assert all(frame.shape == (120, 160, 3) and frame.dtype == np.uint8 for frame in frames)
     assert len(list(render_flight(flight(), fps=25, **options))) == 11
     assert (frames[0] != frames[-1]).any()
+
+
+def test_flights_beside_each_other_wait_for_the_longest():
+    takes = [(flight(0.2), flight(0.4), flight(0.1))]
+    frames, total, rate = film_beside(takes, ("a", "b", "c"), 50.0, 2.0, width=242, height=160, backend="ray")
+    frames = list(frames)
+    assert len(frames) == total == 21 + 25 and rate == 25.0  # a second of rest, shown at half the speed
+    assert all(frame.shape == (160, 240, 3) for frame in frames)
+    left, right = frames[10][:80, :120], frames[10][:80, 120:]
+    np.testing.assert_array_equal(left, frames[20][:80, :120])  # ended at 0.2 s
+    assert (right != frames[20][:80, 120:]).any()
+    assert (frames[0][80:, 120:] == 255).all()  # nothing in the fourth part
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])
