@@ -130,7 +130,7 @@ def film(
 
 
 def film_beside(
-    takes: Sequence[Sequence[Flight]], titles: Sequence[str], sampled: float, slow: float, **look
+    takes: Sequence[Sequence[Track]], titles: Sequence[str], sampled: float, slow: float, **look
 ) -> tuple[Iterator[np.ndarray], int, float]:
     """The same of flights beside each other, one of each title in a take; who has ended waits."""
     columns = math.ceil(math.sqrt(len(titles)))
