@@ -12,7 +12,8 @@ from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import PITCH, YAW, Z
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.plants import MujocoPlant, make_plant
+from inclined_landing.models.motion import MODES, Motion
+from inclined_landing.models.plants import MujocoPlant, Plant, make_plant
 from inclined_landing.models.plants.base import DECK_SIZE
 from inclined_landing.models.plants.recorder import STEP, present_forces
 
@@ -35,6 +36,7 @@ class Track:
     inclination: float | None  # of the platform, rad; None without one
     # (T, 12), columns as `Plant.deck`: where the platform is. None where it stands still and is not turned.
     deck: np.ndarray | None = None
+    motion: Motion | None = None  # (1) of the platform; None of one that stands on its base
 
     def __post_init__(self):
         if self.inclination is None:
@@ -126,6 +128,7 @@ def record_flights(
                 reward=reward[rows, i].copy(),
                 inclination=float(deck[0, i, PITCH]) if plant.present[i] else None,
                 deck=deck[rows, i].copy() if plant.present[i] else None,
+                motion=plant.motion[[i]] if plant.motion is not None and plant.present[i] else None,
                 success=bool(success[i]),
                 touched=bool(touched[i]),
             )
@@ -153,19 +156,32 @@ class Steps:
     deck: np.ndarray | None  # (T, 12), as `Track.deck`
 
 
+def put_platform(plant: Plant, flight: Track, time: float = 0.0) -> None:
+    """Put the platform of a flight under the one vehicle of a plant, as it is `time` [s] after its start."""
+    if flight.deck is None:
+        return plant.set_platform([0], 0.0, False)
+    pitch, yaw = flight.deck[0, [PITCH, YAW]]
+    if flight.motion is None:
+        return plant.set_platform([0], pitch, azimuth=yaw)
+    swing = dict(zip(MODES, flight.motion.at(flight.t[0])[0][0]))
+    plant.set_platform([0], pitch - swing["pitch"], azimuth=yaw - swing["yaw"])
+    plant.set_motion([0], flight.motion, time)
+
+
 def refly(flight: Flight, cut: float = 0.0) -> Steps:
     """Fly the commands of a flight again in the MuJoCo plant, one engine step at a time, with all contacts.
 
-    For flights of that plant in still air: the states of a flight come out the same, bit for bit. cut:
-    seconds that it goes on for with its motors cut.
+    For flights of that plant in still air: the states of a flight come out the same, bit for bit, over a
+    moving platform to the micrometre that it is off within a control period. cut: seconds that it goes on
+    for with its motors cut.
     """
     vehicle = flight.task.vehicle
     held = round(vehicle.command_control_period / STEP)
-    plant = MujocoPlant(1, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True, threads=1)
-    if flight.deck is None:
-        plant.set_platform([0], 0.0, False)
-    else:
-        plant.set_platform([0], flight.deck[0, PITCH], azimuth=flight.deck[0, YAW])
+    moving = flight.motion is not None
+    plant = MujocoPlant(
+        1, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True, threads=1, moving=moving
+    )
+    put_platform(plant, flight)
     plant.reset([0], flight.state[:1])
     shapes, slope = geometry.shapes_of(plant.model), (plant.inclination, plant.present)
     platform = geometry.platform_poses(*slope, vehicle, azimuth=plant.azimuth)[0]
@@ -173,7 +189,7 @@ def refly(flight: Flight, cut: float = 0.0) -> Steps:
     def seen():
         """State, deck, points and forces of now; far from everything there are none."""
         to = geometry.clearances(plant.state, plant.inclination, platform, shapes, azimuth=plant.azimuth)
-        free = to.min() > _FREE
+        free = to.min() > _FREE and not moving
         met = (_NONE, _NONE) if free else present_forces(plant, 0)
         return plant.state[0].copy(), plant.deck[0].copy(), *met
 

@@ -18,7 +18,7 @@ import numpy as np
 from inclined_landing.envs.rendering import overlay, scenery
 from inclined_landing.envs.rendering.camera import View, view_of
 from inclined_landing.envs.rendering.ghost import Ghost
-from inclined_landing.envs.rendering.pose import pose_of
+from inclined_landing.envs.rendering.pose import Pose, pose_of
 from inclined_landing.envs.rendering.stage import Stage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
@@ -143,6 +143,11 @@ class GLRenderer(Stage):
         self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._mjr)
         self._vehicle_root = model.body("crazyflie").id
+
+    def _move_platform(self, pose: Pose) -> None:
+        k = int(self.model.body("platform").mocapid[0])
+        for data in (self.data, self._ghost_data):
+            data.mocap_pos[k], data.mocap_quat[k] = pose.platform_pos, pose.platform_quat
 
     def close(self) -> None:
         """Free the OpenGL context."""

@@ -16,17 +16,23 @@ _PARKED = -10.0  # m; a platform below this height is absent
 
 @dataclasses.dataclass(frozen=True)
 class Pose:
-    """The vehicle's qpos (7,): position [m], quaternion; the slab's position and quaternion."""
+    """The vehicle's qpos (7,): position [m], quaternion; the slab's position and quaternion.
+
+    based: the slab stands on its base. Without one it can move, at no cost to a renderer.
+    """
 
     qpos: np.ndarray
     platform_pos: np.ndarray
     platform_quat: np.ndarray
+    based: bool = True
 
     @property
     def platform_key(self):
-        """Equal for equal platform poses, None for an absent platform."""
+        """Equal where the same model is drawn, None for an absent platform."""
         if self.platform_pos[2] < _PARKED:
             return None
+        if not self.based:
+            return "moving"
         return (*np.round(self.platform_pos, 9), *np.round(self.platform_quat, 9))
 
 
@@ -38,12 +44,14 @@ def qpos_of_state(state) -> np.ndarray:
     return np.concatenate([state[..., :3], turned], axis=-1)
 
 
-def pose_on(state, deck) -> Pose:
+def pose_on(state, deck, based: bool = True) -> Pose:
     """The pose of a state (13,) and its platform's state (12,), see `Plant.deck`; None: without one."""
     if deck is None:
         return Pose(qpos_of_state(state), np.array([0.0, 0.0, 10.0 * _PARKED]), np.array([1.0, 0, 0, 0]))
     deck = np.asarray(deck, float)
-    return Pose(qpos_of_state(state), deck[: Z + 1].copy(), np.array(quaternion(*deck[ROLL : YAW + 1])))
+    return Pose(
+        qpos_of_state(state), deck[: Z + 1].copy(), np.array(quaternion(*deck[ROLL : YAW + 1])), based
+    )
 
 
 def pose_of(scene, vehicle: Vehicle, inclination: float | None = None, azimuth: float = 0.0) -> Pose:
@@ -60,6 +68,8 @@ def pose_of(scene, vehicle: Vehicle, inclination: float | None = None, azimuth: 
         k = int(body.mocapid[0])
         if inclination is None and k >= 0:
             return Pose(qpos, scene.mocap_pos[k].copy(), scene.mocap_quat[k].copy())
+        if inclination is None:  # a moving one
+            return Pose(qpos, scene.xpos[body.id].copy(), scene.xquat[body.id].copy(), based=False)
     else:
         qpos = np.array([0, 0, -100, 1, 0, 0, 0] if scene is None else scene, float)
         if qpos.shape == (13,):

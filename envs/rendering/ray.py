@@ -16,7 +16,7 @@ import numpy as np
 from inclined_landing.envs.rendering import overlay, scenery
 from inclined_landing.envs.rendering.camera import FAR, View, dot, view_of
 from inclined_landing.envs.rendering.ghost import Ghost
-from inclined_landing.envs.rendering.pose import pose_of
+from inclined_landing.envs.rendering.pose import Pose, pose_of
 from inclined_landing.envs.rendering.stage import Stage
 from inclined_landing.models.parameters import Vehicle
 
@@ -108,6 +108,13 @@ class _Scene:
         centre = self.data.geom_xpos[self.casters] @ self.sun[:2].T
         bound = self.model.geom_rbound[self.casters][:, None] + 2.0 * _SUN_RADIUS * _TALLEST
         return np.stack([(centre - bound).min(axis=0), (centre + bound).max(axis=0)])
+
+    def move_platform(self, position: np.ndarray, quaternion: np.ndarray) -> None:
+        """Put the slab of a model without base where it is now."""
+        k = int(self.model.body("platform").mocapid[0])
+        self.data.mocap_pos[k], self.data.mocap_quat[k] = position, quaternion
+        mujoco.mj_kinematics(self.model, self.data)
+        self.shadow_box = self._shadow_box()
 
     def place(self, qpos: np.ndarray) -> None:
         self.data.qpos[self.qpos : self.qpos + 7] = qpos
@@ -257,6 +264,9 @@ class RayRenderer(Stage):
         self._scene = _Scene(model)
         self._background_of = (None, None)
 
+    def _move_platform(self, pose: Pose) -> None:
+        self._scene.move_platform(pose.platform_pos, pose.platform_quat)
+
     def close(self) -> None:
         """Forget the kept background."""
         self._background_of = (None, None)
@@ -321,7 +331,12 @@ class RayRenderer(Stage):
 
     def _background(self, view: View) -> _Background:
         """The picture without the vehicle: kept while neither camera nor platform moves."""
-        key = (view.origin.tobytes(), view.axes.tobytes())
+        key = (
+            view.origin.tobytes(),
+            view.axes.tobytes(),
+            self._scene.data.mocap_pos.tobytes(),
+            self._scene.data.mocap_quat.tobytes(),
+        )
         if key != self._background_of[0]:
             model = self._scene.model
             fixed = isinstance(self.camera, View) or model.camera(self.camera).bodyid[0] == 0

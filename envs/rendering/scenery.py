@@ -39,6 +39,7 @@ def rendering_model(
     vehicle: Vehicle | None = None,
     *,
     platform=None,
+    based: bool = True,
     scale: float = SCALE,
     aspect: float = 4 / 3,
     far: bool = False,
@@ -47,7 +48,8 @@ def rendering_model(
 
     aspect: width over height of the picture. far: draw the edges for a camera that sees all of them.
     platform: (position (3,), quaternion (4,)) of the slab, (None, None) for an arena without one;
-    default: as in the vehicle file. scale: size of the drawn vehicle, see `scale_vehicle`.
+    default: as in the vehicle file. based: it has a base; without one it can be moved, a mocap body.
+    scale: size of the drawn vehicle, see `scale_vehicle`.
     """
     vehicle = vehicle or load_vehicle()
     spec = build_spec(vehicle)
@@ -55,15 +57,16 @@ def rendering_model(
     add_frame(spec, vehicle, _FAR_FRAME_RADIUS if far else _FRAME_RADIUS)
     add_arena_camera(spec, vehicle, aspect)
     scale_vehicle(spec, scale)
+    for name in _BASE_GEOMS:
+        spec.geom(name).group = _HIDDEN_GROUP
     body = spec.body("platform")
     position, quaternion = (body.pos, body.quat) if platform is None else platform
     if position is None:
         spec.delete(body)
-        for name in _BASE_GEOMS:
-            spec.geom(name).group = _HIDDEN_GROUP
     else:
         body.pos, body.quat = position, quaternion
-        add_prism(spec, position, quaternion)
+        if based:
+            add_prism(spec, position, quaternion)
     for geom in spec.geoms:  # the engine's ray culling knows colliding geoms only
         geom.contype = geom.conaffinity = 1
     return spec.compile()
@@ -110,7 +113,7 @@ def drawn_points(model: mujoco.MjModel, qpos, points, factor: float) -> np.ndarr
 
 
 def add_prism(spec: mujoco.MjSpec, position, quaternion) -> None:
-    """Replace the base's collision blocks by the closed prism between the slab and the floor.
+    """The base as a closed prism between the slab and the floor.
 
     Its eight corners are the slab's lower corners and their projections on the floor, for any pose
     of the slab.
@@ -135,8 +138,6 @@ def add_prism(spec: mujoco.MjSpec, position, quaternion) -> None:
         name="prism", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="prism", group=1,
         contype=0, conaffinity=0, material="base",
     )  # fmt: skip
-    for name in _BASE_GEOMS:
-        spec.geom(name).group = _HIDDEN_GROUP
 
 
 def arena_corners(vehicle: Vehicle) -> np.ndarray:

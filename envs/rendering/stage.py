@@ -12,7 +12,7 @@ from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 
 class Stage:
-    """Holds the picture's size, the camera and the model of the latest platform pose."""
+    """Holds the picture's size, the camera and the model of the latest platform."""
 
     def __init__(
         self,
@@ -31,14 +31,19 @@ class Stage:
         self.stage(pose_of(None, self.vehicle))
 
     def stage(self, pose: Pose) -> None:
-        """Rebuild the drawn model if `pose` has another platform than the one before."""
-        if pose.platform_key == self._platform:
-            return
+        """Put the platform where `pose` has it: a drawn model is rebuilt for each that stands on a base."""
+        if pose.platform_key != self._platform:
+            self._rebuild(pose)
+        if not pose.based:
+            self._move_platform(pose)
+
+    def _rebuild(self, pose: Pose) -> None:
         absent = pose.platform_key is None
         platform = (None, None) if absent else (pose.platform_pos, pose.platform_quat)
         model = scenery.rendering_model(
             self.vehicle,
             platform=platform,
+            based=pose.based,
             scale=self.scale,
             aspect=self.width / self.height,
             far=self.camera == "arena",
@@ -49,6 +54,9 @@ class Stage:
                 raise UserError(f"unknown camera {self.camera!r}; known are {', '.join(names)}")
         self._prepare(model)
         self._platform = pose.platform_key
+
+    def _move_platform(self, pose: Pose) -> None:
+        raise NotImplementedError
 
     def _prepare(self, model: mujoco.MjModel) -> None:
         raise NotImplementedError

@@ -29,7 +29,8 @@ _EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # al
 
 def scene_of(flight: Track, k: int):
     """What the renderers are given for sample k: where vehicle and platform are, or that there is none."""
-    return pose_on(flight.state[k], None if flight.deck is None else flight.deck[k])
+    deck = None if flight.deck is None else flight.deck[k]
+    return pose_on(flight.state[k], deck, based=flight.motion is None)
 
 
 def caption_of(flight: Track, k: int) -> str:
@@ -75,7 +76,9 @@ def render_flight(
     times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
     frames = np.minimum(np.searchsorted(flight.t, times - 1e-9), len(flight.t) - 1)
     close = camera in ("closeup", "onboard")
-    ghosts = [] if close else [Ghost(qpos_of_state(goal)) for goal in flight.goals]
+    ghosts = (
+        [] if close or flight.motion is not None else [Ghost(qpos_of_state(goal)) for goal in flight.goals]
+    )
     colours = along(flight) if isinstance(flight, Mission) else None
     with _opened(renderer, flight, width, height, camera, backend) as drawing:
         for k in frames:

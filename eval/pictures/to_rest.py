@@ -10,8 +10,7 @@ import dataclasses
 
 import numpy as np
 
-from inclined_landing.envs.flights import Flight
-from inclined_landing.models.attitude import PITCH, YAW
+from inclined_landing.envs.flights import Flight, put_platform
 from inclined_landing.models.geometry import SURFACES
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import Recorder, still
@@ -45,8 +44,8 @@ def to_rest(flight: Flight) -> Flight:
     if not (flight.success and flight.task.cut_at_success and flight.deck is not None):
         return flight
     vehicle = flight.task.vehicle
-    plant = MujocoPlant(1, vehicle, torque_needs_motors=True)
-    plant.set_platform([0], flight.deck[-1, PITCH], azimuth=flight.deck[-1, YAW])
+    plant = MujocoPlant(1, vehicle, torque_needs_motors=True, moving=flight.motion is not None)
+    put_platform(plant, flight, flight.t[-1])
     recorder = Recorder(plant, flight.state[-1:])
     period = plant.control_period
     states, decks, settled, steps = [], [], 0, 0
@@ -55,7 +54,7 @@ def to_rest(flight: Flight) -> Flight:
         steps += 1
         states.append(plant.state[0].copy())
         decks.append(plant.deck[0].copy())
-        if not still(plant.state[0]):
+        if not still(plant.state, plant.deck)[0]:
             settled = steps
     cut = len(flight.t) - 1
     off = np.zeros((steps, flight.commands.shape[1]))
@@ -86,6 +85,6 @@ def _ending(recorder: Recorder) -> str:
         return "at rest on its feet"
     if touch[_FLOOR].any():
         return "fell to the floor"
-    if still(plant.state[0]):
+    if still(plant.state, plant.deck)[0]:
         return "at rest, but not on its feet alone"
     return "still sliding" if touch[_SLAB].any() else "still moving"

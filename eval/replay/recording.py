@@ -10,6 +10,7 @@ import numpy as np
 from inclined_landing.envs.flights import Flight, refly
 from inclined_landing.eval.pictures.to_rest import Landing, to_rest
 from inclined_landing.models.attitude import ROLL, VX, YAW
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.recorder import still
 
@@ -68,8 +69,10 @@ def of_flight(flight: Flight, name: str, plant: str) -> Recording:
     """A policy's flight, a landing until it is at rest.
 
     Of the MuJoCo plant at every engine step with its contacts, see `refly`; of others at the control rate,
-    without contacts.
+    without contacts. Raises UserError for a flight over a moving platform.
     """
+    if flight.motion is not None:
+        raise UserError("the replay page shows platforms that stand still; landing-eval video draws this one")
     task, outcome = flight.task, flight.task.flight_words(flight)
     events = [(flight.duration, "goal box")] if flight.success and task.goal_size is not None else []
     flight = to_rest(flight)
@@ -81,7 +84,7 @@ def of_flight(flight: Flight, name: str, plant: str) -> Recording:
         touched = [k for k, force in enumerate(steps.forces) if len(force)]
         if touched:
             events.append((float(steps.t[touched[0]]), "first touch"))
-        moving = np.flatnonzero(~still(steps.state))
+        moving = np.flatnonzero(~still(steps.state, steps.deck))
         if len(steps.forces[-1]) and len(moving) and moving[-1] + 1 < len(steps.t):
             events.append((float(steps.t[moving[-1] + 1]), "at rest"))
     return Recording(

@@ -231,10 +231,16 @@ class Plant:
         self.deck[ids] = rows
         self.present[ids] = present
 
-    def set_motion(self, ids, motion: Motion) -> None:
-        """Move the platforms of the vehicles `ids` (k,) about where they are set; time 0 is at `reset`.
+    @property
+    def motion(self) -> Motion | None:
+        """Of the n platforms; None in a plant whose platforms cannot move."""
+        return None
 
-        Only plants made with `moving=True` can: of the others UserError.
+    def set_motion(self, ids, motion: Motion, time=0.0) -> None:
+        """Move the platforms of the vehicles `ids` (k,) about where they are set.
+
+        time: of the motions [s] at the vehicles' `reset`, (k,) or a number. Only plants made with
+        `moving=True` can: of the others UserError.
         """
         raise UserError(
             "the platforms of this plant stand still: make a mujoco or hybrid one with moving=True"

@@ -39,6 +39,7 @@ class Decks:
         n = len(deck)
         self.motion = Motion.still(n)
         self.rest = deck.copy()
+        self.begun = np.zeros(n)  # s, time of the motions at the vehicles' reset
         self._deck = deck
         joints = [model.joint(f"deck_{name}") for name in _JOINTS]
         places = np.array([int(joint.qposadr[0]) for joint in joints])
@@ -58,7 +59,7 @@ class Decks:
     def arrays(self) -> dict[str, np.ndarray]:
         """What a snapshot of the plant needs of them."""
         names = ("deck_velocity", "deck_amplitude", "deck_frequency", "deck_phase")
-        return {"deck_rest": self.rest, **dict(zip(names, self.motion.arrays))}
+        return {"deck_rest": self.rest, "deck_begun": self.begun, **dict(zip(names, self.motion.arrays))}
 
     def make_room(self, arrays: dict[str, np.ndarray]) -> None:
         """Have as many waves as a snapshot's arrays."""
@@ -66,25 +67,29 @@ class Decks:
 
     def stop(self, ids, rest: np.ndarray) -> None:
         """Leave the decks `ids` standing at `rest` (k, 12)."""
-        self.rest[ids] = rest
+        self.rest[ids], self.begun[ids] = rest, 0.0
         self.motion[ids] = Motion.still(len(rest))
 
-    def set(self, ids, moves: Motion) -> None:
-        """Give the decks `ids` (k,) the motions (k); raises UserError for another number of them."""
+    def set(self, ids, moves: Motion, time=0.0) -> None:
+        """See `Plant.set_motion`; raises UserError for another number of motions."""
         if len(moves) != len(self.rest[ids]):
             raise UserError(f"{len(self.rest[ids])} decks need as many motions, not {len(moves)}")
-        self.motion[ids] = moves
+        self.motion[ids], self.begun[ids] = moves, time
+
+    def at(self, times) -> np.ndarray:
+        """States (n, 12) of the decks at times (n,) or a number [s] since the vehicles' reset."""
+        return self.motion.decks(times + self.begun, self.rest)
 
     def place(self, ids: np.ndarray, present: np.ndarray) -> None:
         """Put the decks `ids` where their motions have them now, in the engine and in `deck`."""
-        motion.where_now(ids, self._time, self.rest, *self.motion.arrays, self._deck)
-        clock = self._time, self._step, self._late
+        clock = self._time + self.begun, self._step, self._late
+        motion.where_now(ids, clock[0], self.rest, *self.motion.arrays, self._deck)
         _place(ids, *clock, present, self.rest, *self.motion.arrays, self._inertia, *self._engine)
 
     def forces(self, ids: np.ndarray, present: np.ndarray) -> np.ndarray:
         """Forces (k, substeps, nv) that move the decks `ids` through the control period that begins."""
         out, at = self._forces[: len(ids)], self._engine[-1]
-        clock = self._time, self._step, self._late
+        clock = self._time + self.begun, self._step, self._late
         _forces(ids, *clock, present, *self.motion.arrays, self._inertia, at, out)
         return out
 

@@ -215,16 +215,21 @@ class MujocoPlant(Plant):
             self._mocap_pos[ids, mocap] = position[:, k]
             self._mocap_quat[ids, mocap] = quat[:, k]
 
-    def set_motion(self, ids, motion: Motion) -> None:
+    @property
+    def motion(self) -> Motion | None:
+        """See `Plant.motion`."""
+        return self.decks.motion if self.decks else None
+
+    def set_motion(self, ids, motion: Motion, time=0.0) -> None:
         """See `Plant.set_motion`."""
         if self.decks is None:
-            return super().set_motion(ids, motion)
-        self.decks.set(ids, motion)
+            return super().set_motion(ids, motion, time)
+        self.decks.set(ids, motion, time)
         self._place_decks(ids)
 
     def deck_at(self, times) -> np.ndarray:
         """See `Plant.deck_at`."""
-        return self.decks.motion.decks(times, self.decks.rest) if self.decks else super().deck_at(times)
+        return self.decks.at(times) if self.decks else super().deck_at(times)
 
     def _place_decks(self, ids) -> None:
         if self.decks:

@@ -19,12 +19,13 @@ import numba
 import numpy as np
 
 from inclined_landing.models import surface
-from inclined_landing.models.attitude import VX, VZ, WX, WZ
+from inclined_landing.models.attitude import VX, VZ, WZ
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import CONTACT_GEOMS, PARTS
 from inclined_landing.models.plants.mujoco import MujocoPlant
 from inclined_landing.models.plausible import ENGINE_STEP
 
+_COLUMNS = {"qpos": 7, "qvel": 6, "act": 1}  # the vehicle's; those of a moving platform follow
 STEP = ENGINE_STEP  # s, where nothing else is asked for
 # Still: slower than these.
 REST_SPEED = 0.02  # m/s
@@ -71,8 +72,8 @@ class Recorder:
         self.touch = Touch(np.full(n, np.nan), np.full((n, 7), np.nan), np.full((n, 6), np.nan))
         self.feet_force = np.zeros(n)  # N, largest normal force on the feet, sampled at the engine's steps
         plant.reset(np.arange(n), states)
-        self._engine = {name: plant.batch.bind(name) for name in ("qpos", "qvel", "act")}
-        self._older = self._engine["qpos"].copy(), self._engine["qvel"].copy()
+        self._engine = {name: plant.batch.bind(name) for name in _COLUMNS}
+        self._older = tuple(self._engine[name][:, : _COLUMNS[name]].copy() for name in ("qpos", "qvel"))
         self._time = 0.0
 
     def step(self, commands: np.ndarray, ids: np.ndarray | None = None) -> Steps:
@@ -89,10 +90,11 @@ class Recorder:
         plant, own = self.plant, np.arange(self.plant.n) if ids is None else ids
         begun = {name: field[own, None] for name, field in self._engine.items()}
         seen = plant.advance(commands, ids, record=tuple(begun))
-        moved = (np.concatenate([begun[name], seen[name]], axis=1) for name in begun)
+        both = {name: np.concatenate([begun[name], seen[name]], axis=1) for name in begun}
+        moved = (np.ascontiguousarray(field[..., : _COLUMNS[name]]) for name, field in both.items())
         steps = Steps(self._clock(), seen["sensordata"], *moved)
         slab = plant.contact_sensors[SLAB]
-        _record(steps, own, slab, plant.inclination, self.touch, *self._older, self.feet_force)
+        _record(steps, own, slab, surface.normals(plant.deck), self.touch, *self._older, self.feet_force)
         return steps
 
     def _clock(self) -> np.ndarray:
@@ -108,21 +110,30 @@ class Recorder:
         return ~np.isnan(self.touch.time)
 
     def touch_speeds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Speeds (n,) [m/s] of the centre of mass into the surface, and along it, unsigned, at the touch."""
-        away, along = surface.split(self.touch.qvel[:, :3], self.plant.inclination)
-        return -away, along
+        """Speeds (n,) [m/s] of the centre of mass into the surface, and along it, unsigned, at the touch.
+
+        Of moving platforms: relative to their points where the vehicles are.
+        """
+        deck = self.plant.deck_at(self.touch.time - self.plant.model.opt.timestep)
+        seen = np.zeros((self.plant.n, WZ + 1))
+        seen[:, :VX], seen[:, VX : VZ + 1] = self.touch.qpos[:, :3], self.touch.qvel[:, :3]
+        _, velocity, _ = surface.relative(seen, deck)
+        normal = surface.normals(deck)
+        away = (velocity * normal).sum(axis=1)
+        return -away, np.linalg.norm(velocity - away[:, None] * normal, axis=1)
 
     def at_rest(self) -> np.ndarray:
         """(n,) bool: still now, and in the last control period feet and nothing else on the slab alone."""
         touch = self.plant.contacts.touch
         on_feet = touch[:, 0, FEET] & (touch.sum(axis=(1, 2)) == 1)
-        return still(self.plant.state) & on_feet
+        return still(self.plant.state, self.plant.deck) & on_feet
 
 
-def still(state: np.ndarray) -> np.ndarray:
-    """(...,) bool for states (..., 13): slower than REST_SPEED and REST_RATE."""
-    speed = np.linalg.norm(state[..., VX : VZ + 1], axis=-1)
-    return (speed < REST_SPEED) & (np.linalg.norm(state[..., WX : WZ + 1], axis=-1) < REST_RATE)
+def still(state: np.ndarray, deck: np.ndarray | None) -> np.ndarray:
+    """(n,) bool for states (n, 13): slower than REST_SPEED and REST_RATE, relative to decks (n, 12)."""
+    around = np.zeros((len(state), WZ + 1)) if deck is None else deck
+    _, velocity, rate = surface.relative(state, around)
+    return (np.linalg.norm(velocity, axis=1) < REST_SPEED) & (np.linalg.norm(rate, axis=1) < REST_RATE)
 
 
 def fly(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
@@ -136,15 +147,15 @@ def fly(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True)
-def _record(steps, ids, slab, inclination, touch, older_qpos, older_qvel, feet_force):
+def _record(steps, ids, slab, normals, touch, older_qpos, older_qvel, feet_force):
     """Fold a control period of the vehicles `ids` into the rows of their records."""
     feet = slab[0]
     for i in range(len(ids)):
         own = ids[i]
-        sin, cos = math.sin(inclination[own]), math.cos(inclination[own])
+        x, y, z = normals[own]
         for k in range(len(steps.time)):
             row = steps.sensors[i, k]
-            push = abs(sin * row[feet + 1] + cos * row[feet + 3])
+            push = abs(x * row[feet + 1] + y * row[feet + 2] + z * row[feet + 3])
             feet_force[own] = max(feet_force[own], push)
             touching = row[slab[0]] > 0.0 or row[slab[1]] > 0.0 or row[slab[2]] > 0.0
             if touching and math.isnan(touch.time[own]):

@@ -30,10 +30,13 @@ def trajectory_figure(flight: Flight, *, copies: int | None = None) -> Figure:
     """Figure of one flight: vehicles in time order along the way, PWM and pitch over time.
 
     copies: how many vehicles are drawn at most (default: 11 landing, 8 set-point).
-    Raises UserError for a flight of less than two samples or with states that are not finite.
+    Raises UserError for a flight of less than two samples or with states that are not finite, and over a
+    moving platform.
     """
     if len(flight.t) < 2 or not np.isfinite(flight.state).all():
         raise UserError("a trajectory figure needs a flight of at least two samples with finite states")
+    if flight.motion is not None:
+        raise UserError("a trajectory figure shows a platform that stands still")
     vehicle, landing = flight.task.vehicle, flight.inclination is not None
     chosen = spread_copies(flight.state, copies or (11 if landing else 8), _SPACING, _TURN)
     gap, foot = 0.33, 0.50
