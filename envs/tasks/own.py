@@ -30,23 +30,35 @@ def is_path(name) -> bool:
 
 def import_class(path: str) -> type[Task]:
     """The class that `path` names, imported and checked; raises UserError if it is none."""
-    source, _, name = path.rpartition(":")
-    if not source or not name.isidentifier():
-        raise UserError(f"a task of your own is written module:Class or file.py:Class, not {shown(path, 60)}")
     what = f"task {shown(path, 60)}"
-    try:
-        module = _from_file(Path(source)) if source.endswith(".py") else _from_module(source)
-    except (Exception, SystemExit) as error:  # whatever the code does
-        raise UserError(f"{what} cannot be imported: {type(error).__name__}: {shown(error, 120)}") from error
-    kind = getattr(module, name, None)
+    kind = import_named(path, "task", "Class")
     if not (isinstance(kind, type) and issubclass(kind, Task)):
+        source, _, name = path.rpartition(":")
         raise UserError(f"{what}: {source} has no class {name} derived from inclined_landing.envs.tasks.Task")
     _check(kind, what)
     return kind
 
 
+def import_named(path: str, what: str, kind: str):
+    """What `path`, `module:NAME` or `file.py:NAME`, names, imported; None where the module has no such name.
+
+    what, kind: how sentences call it, and its NAME. Raises UserError where the code cannot be imported.
+    """
+    source, _, name = path.rpartition(":")
+    if not source or not name.isidentifier():
+        raise UserError(
+            f"a {what} of your own is written module:{kind} or file.py:{kind}, not {shown(path, 60)}"
+        )
+    try:
+        module = _from_file(Path(source)) if source.endswith(".py") else _from_module(source)
+    except (Exception, SystemExit) as error:  # whatever the code does
+        said = f"{type(error).__name__}: {shown(error, 120)}"
+        raise UserError(f"{what} {shown(path, 60)} cannot be imported: {said}") from error
+    return getattr(module, name, None)
+
+
 def _from_file(path: Path) -> ModuleType:
-    name = f"_task_{path.stem}"
+    name = f"_own_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path.resolve(strict=True))
     if spec is None or spec.loader is None:
         raise ImportError(f"{path} is no Python file")

@@ -54,7 +54,7 @@ from inclined_landing.envs.tasks.base import (
 from inclined_landing.envs.tasks.landing import START_CLEARANCE, InclinedLanding
 from inclined_landing.envs.tasks.landing import Conditions as LandingConditions
 from inclined_landing.models import geometry, surface
-from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VZ, WX, WZ, YAW, X, Y, Z
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Y, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
@@ -276,25 +276,15 @@ class InclinedTouchdown(InclinedLanding):
             raise UserError("this touchdown task observes the feet's contact; give it to observe")
         return np.column_stack([observation, moment.contacts.touch[:, 0, 0].astype(np.float32)])
 
-    def wrong_contact(self, contacts) -> np.ndarray:
-        """(n,) bool: body or rotors touch the slab, or anything touches the base."""
-        return contacts.touch[:, 0, 1:].any(axis=1) | contacts.touch[:, 1].any(axis=1)
-
-    def holding(self, state: np.ndarray, idle: np.ndarray, contacts) -> np.ndarray:
+    def holding(self, state: np.ndarray, idle: np.ndarray, contacts, deck: np.ndarray) -> np.ndarray:
         """(n,) bool: at rest on the feet with motors at idle (n,) now; see the module's docstring."""
-        return (
-            idle
-            & contacts.touch[:, 0, 0]
-            & ~self.wrong_contact(contacts)
-            & (np.linalg.norm(state[:, VX : VZ + 1], axis=1) < REST_SPEED)
-            & (np.linalg.norm(state[:, WX : WZ + 1], axis=1) < REST_RATE)
-        )
+        return resting(state, deck, idle, contacts)
 
     def judge(self, moment: Moment) -> Judgement:
         """See the module's docstring."""
         c, state, contacts = self.conditions, moment.state, moment.contacts
-        wrong = self.wrong_contact(contacts)
-        holding = self.holding(state, moment.actions[:, 0] <= IDLE_ACTION, contacts)
+        wrong = wrong_contact(contacts)
+        holding = self.holding(state, moment.actions[:, 0] <= IDLE_ACTION, contacts, moment.deck)
         excess = np.maximum(contacts.force[:, 0, 0] / self._weight - GENTLE_FORCE, 0.0)
         terms = {
             "time": -1.0 * ~holding,
@@ -330,3 +320,25 @@ class InclinedTouchdown(InclinedLanding):
     def flight_words(self, flight) -> str:
         """When a flight came to rest, if it did."""
         return f"at rest on the slope after {flight.duration:.2f} s" if flight.success else "not at rest"
+
+
+def wrong_contact(contacts) -> np.ndarray:
+    """(n,) bool: body or rotors touch the slab, or anything touches the base."""
+    return contacts.touch[:, 0, 1:].any(axis=1) | contacts.touch[:, 1].any(axis=1)
+
+
+def resting(
+    state: np.ndarray, deck: np.ndarray, idle: np.ndarray, contacts, speed=REST_SPEED, rate=REST_RATE
+) -> np.ndarray:
+    """(n,) bool: on the feet and nothing else, slower than `speed` [m/s], turning slower than `rate` [rad/s].
+
+    Both are relative to the deck (n, 12) and its point where the vehicle is. idle: (n,) bool, of the motors.
+    """
+    _, velocity, turning = surface.relative(state, deck)
+    return (
+        idle
+        & contacts.touch[:, 0, 0]
+        & ~wrong_contact(contacts)
+        & (np.linalg.norm(velocity, axis=1) < speed)
+        & (np.linalg.norm(turning, axis=1) < rate)
+    )

@@ -1,0 +1,134 @@
+"""What may be scored: policies, the planner, and controllers of others.
+
+A controller is called once per control period with t [s], the states of n vehicles (n, 12) and of their decks
+(n, 12), both with the columns x y z, vx vy vz, roll pitch yaw, wx wy wz (m, m/s, rad, rad/s of the body;
+attitude Rz(yaw) Rx(roll) Ry(pitch)), as they are now. It answers with commands (n, 4): PWM, roll, pitch
+[rad], yaw rate [rad/s]. PWM 0 or less stops the motors, other commands are cut to what the vehicle takes.
+
+Others' are named `module:function`, `file.py:function`, or a class, which is called with the vehicle and
+must make such a function; one is made for every scenario, so that it may remember.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from inclined_landing.envs.history import History
+from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.envs.tasks import Moment, is_path
+from inclined_landing.envs.tasks.landing import GOAL_SIZE
+from inclined_landing.envs.tasks.own import import_named
+from inclined_landing.eval.policies.moving.planner import Planner
+from inclined_landing.models.attitude import COMMAND_SIZE, PWM, WZ
+from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.parameters import Vehicle
+
+PLANNER = "planner"
+_SEEN = WZ + 1  # columns of a state that a controller is given: all but the rotors' lag
+
+
+class Pilot(Protocol):
+    """A controller of n vehicles through one scenario."""
+
+    def __call__(self, t: float, moment: Moment) -> np.ndarray:
+        """Commands (n, 4) at time t [s], for states, contacts and decks of now."""
+
+
+class Controller:
+    """Something to score, by a name; `pilot(n)` begins a scenario."""
+
+    def __init__(self, name: str, kind: str, vehicle: Vehicle, make: Callable[[int], Pilot]):
+        self.name, self.kind, self.vehicle, self.pilot = name, kind, vehicle, make
+
+
+def find(name: str, vehicle: Vehicle) -> Controller:
+    """The controller that is called `name`: the planner, a policy, or `module:NAME` of others."""
+    if name == PLANNER:
+        return Controller(PLANNER, "planner", vehicle, lambda n: _Told(Planner(vehicle), PLANNER, vehicle))
+    if is_path(name):
+        return _own(name, vehicle)
+    policy = load_policy(name)
+    if "roll" not in policy.task.action_names:
+        raise UserError(
+            f"policy {policy.path} flies in a plane; the scenarios need one of three dimensions, such as "
+            "those of landing-train touchdown --dimensions 3"
+        )
+    kind = "motor cut" if policy.task.cut_at_success else "policy"
+    return Controller(policy.name, kind, vehicle, lambda n: _PolicyPilot(policy, n))
+
+
+class _PolicyPilot:
+    """Flies a policy; one whose task ends in a goal box gets its motors cut there."""
+
+    def __init__(self, policy: Policy, n: int):
+        self._policy, self._task = policy, policy.task
+        self._past = History(self._task, n)
+        self._cut = np.zeros(n, bool)
+
+    def __call__(self, t: float, moment: Moment) -> np.ndarray:
+        observation = self._task.observe(moment)
+        if t == 0.0:
+            self._past.begin(slice(None), observation)
+        actions = self._policy.predict(self._past.behind(observation)).astype(float)
+        self._past.note(observation, actions)
+        commands = self._task.commands(actions)
+        if self._task.cut_at_success:
+            self._cut |= self._task.in_goal(moment.state, moment.deck, GOAL_SIZE)
+            commands[self._cut, PWM] = 0.0
+        return commands
+
+
+class _Told:
+    """A controller as the module's docstring says, whose answers are checked."""
+
+    def __init__(self, answer: Callable[[float, np.ndarray, np.ndarray], Any], name: str, vehicle: Vehicle):
+        self._answer, self._name = answer, shown(name, 60)
+        angle, yaw = vehicle.command_angle_limit, vehicle.command_yaw_rate_limit
+        self._low = np.array([vehicle.command_pwm_range[0], -angle, -angle, -yaw])
+        self._high = np.array([vehicle.command_pwm_range[1], angle, angle, yaw])
+
+    def __call__(self, t: float, moment: Moment) -> np.ndarray:
+        given = moment.state[:, :_SEEN].copy(), moment.deck.copy()
+        where = f"controller {self._name} at {t:.2f} s"
+        try:
+            answer = self._answer(t, *given)
+        except UserError:
+            raise
+        except (Exception, SystemExit) as error:  # whatever the code does
+            raise UserError(f"{where} raised {type(error).__name__}: {shown(error, 120)}") from error
+        try:
+            commands = np.array(answer, float)
+        except (TypeError, ValueError, OverflowError):
+            raise UserError(f"{where} must answer with numbers, not {shown(repr(answer), 60)}") from None
+        wanted = (len(moment.state), COMMAND_SIZE)
+        if commands.shape != wanted:
+            raise UserError(f"{where} must answer with commands of shape {wanted}, not {commands.shape}")
+        if not np.isfinite(commands).all():
+            raise UserError(f"{where} answered with NaN or infinity")
+        stopped = commands[:, PWM] <= 0.0
+        commands = np.clip(commands, self._low, self._high)
+        commands[stopped, PWM] = 0.0
+        return commands
+
+
+def _own(name: str, vehicle: Vehicle) -> Controller:
+    found = import_named(name, "controller", "NAME")
+    what = f"controller {shown(name, 60)}"
+    if not callable(found):
+        raise UserError(f"{what}: {name.rpartition(':')[0]} has no function or class of this name")
+
+    def pilot(n: int) -> Pilot:
+        if not isinstance(found, type):
+            return _Told(found, name, vehicle)
+        try:
+            made = found(vehicle)
+        except (Exception, SystemExit) as error:
+            raise UserError(f"{what} raised {type(error).__name__}: {shown(error, 120)}") from error
+        if not callable(made):
+            raise UserError(f"{what} cannot be called with t, states and decks: it lacks __call__")
+        return _Told(made, name, vehicle)
+
+    return Controller(name.rpartition(":")[2], "controller", vehicle, pilot)

@@ -1,0 +1,118 @@
+"""Flights of a controller through a scenario, judged relative to the deck.
+
+All are flown in the MuJoCo plant, RK4 in steps of 4 ms, one vehicle and one deck each, at 50 Hz. A vehicle
+under PWM 0 has no attitude torque. A flight ends with rest on the deck as the scenario says, on the floor,
+or with its time.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pandas as pd
+
+from inclined_landing.envs.tasks import Moment
+from inclined_landing.envs.tasks.touchdown import resting
+from inclined_landing.eval.policies.moving.controllers import Controller
+from inclined_landing.eval.policies.moving.scenario import Drawn, Scenario
+from inclined_landing.models import surface
+from inclined_landing.models.attitude import (
+    PWM,
+    ROLL,
+    STATE_SIZE,
+    VX,
+    VZ,
+    WX,
+    WZ,
+    YAW,
+    Z,
+    euler_angles,
+    rotations,
+)
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.plants.recorder import STEP, Recorder
+
+FIELDS = ("at_rest", "time", "normal_speed", "tangential_speed", "tilt", "off_centre")
+
+
+def plant_of(scenario: Scenario, drawn: Drawn, vehicle: Vehicle) -> MujocoPlant:
+    """The plant of a scenario's flights, with its decks in motion; the vehicles are not there yet."""
+    ids = np.arange(len(drawn.start))
+    plant = MujocoPlant(len(ids), vehicle, timestep=STEP, torque_needs_motors=True, moving=True)
+    plant.set_platform(ids, drawn.inclination, azimuth=drawn.azimuth)
+    plant.set_motion(ids, drawn.motion)
+    plant.set_contact(ids, friction=scenario.friction)
+    return plant
+
+
+def fly(scenario: Scenario, controller: Controller, flights: int | None = None) -> pd.DataFrame:
+    """Fly a scenario, or its first flights; one row each.
+
+    at_rest; time [s] until it was held; at the first touch, relative to the deck: normal_speed into it and
+    tangential_speed along it [m/s], tilt [rad] between the vehicle's axis and the deck's normal; off_centre
+    [m]: from the deck's centre at rest. NaN where there was none.
+    """
+    drawn = scenario.draw(controller.vehicle, flights)
+    n, period, rest = len(drawn.start), controller.vehicle.command_control_period, scenario.success
+    plant = plant_of(scenario, drawn, controller.vehicle)
+    recorder = Recorder(plant, drawn.start)
+    pilot = _begun(controller, scenario, n)
+    held, ended = np.zeros(n, int), np.zeros(n, bool)
+    time, off_centre = np.full(n, np.nan), np.full(n, np.nan)
+    for tick in range(round(rest.within / period)):
+        commands = _asked(
+            pilot, tick * period, Moment(plant.state, plant.contacts, deck=plant.deck), scenario
+        )
+        recorder.step(commands, np.flatnonzero(~ended))
+        idle = commands[:, PWM] == 0.0
+        holding = resting(plant.state, plant.deck, idle, plant.contacts, rest.speed, rest.rate)
+        held = np.where(holding, held + 1, 0)
+        rests = ~ended & (held >= math.ceil(rest.hold / period - 1e-9))
+        time[rests] = (tick + 1) * period
+        off_centre[rests] = np.linalg.norm(surface.relative(plant.state, plant.deck)[0], axis=1)[rests]
+        ended |= rests | plant.contacts.touch[:, 2].any(axis=1)
+        if ended.all():
+            break
+    columns = (~np.isnan(time), time, *_touch(recorder), off_centre)
+    return pd.DataFrame(dict(zip(FIELDS, columns)))
+
+
+def _begun(controller: Controller, scenario: Scenario, n: int):
+    return _named(lambda: controller.pilot(n), scenario)
+
+
+def _asked(pilot, t: float, moment: Moment, scenario: Scenario) -> np.ndarray:
+    return _named(lambda: pilot(t, moment), scenario)
+
+
+def _named(work, scenario: Scenario):
+    """What `work` answers; its UserError says in which scenario."""
+    try:
+        return work()
+    except UserError as error:
+        raise UserError(f"scenario {scenario.name}: {error}") from error
+
+
+def _touch(recorder: Recorder) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normal and tangential speed and tilt (n,) at the first touch, from the last state before it."""
+    touch = recorder.touch
+    result = np.full((3, len(touch.time)), np.nan)
+    own = np.flatnonzero(recorder.touched)
+    if not len(own):
+        return tuple(result)
+    deck = recorder.plant.deck_at(np.nan_to_num(touch.time - STEP))[own]
+    state = np.zeros((len(own), STATE_SIZE))
+    state[:, : Z + 1], state[:, VX : VZ + 1] = touch.qpos[own, :3], touch.qvel[own, :3]
+    state[:, ROLL : YAW + 1] = [euler_angles(*quaternion) for quaternion in touch.qpos[own, 3:7]]
+    state[:, WX : WZ + 1] = touch.qvel[own, 3:6]
+    normal = surface.normals(deck)
+    _, velocity, _ = surface.relative(state, deck)
+    away = (velocity * normal).sum(axis=1)
+    result[0, own] = -away
+    result[1, own] = np.linalg.norm(velocity - away[:, None] * normal, axis=1)
+    upright = rotations(np.ascontiguousarray(state[:, ROLL : YAW + 1]))[:, :, 2]
+    result[2, own] = np.arccos(np.clip((upright * normal).sum(axis=1), -1.0, 1.0))
+    return tuple(result)

@@ -1,0 +1,156 @@
+"""A planner without learning: hover over the deck, then a jerk-minimal way onto it.
+
+Everything is planned in the frame that moves along with the deck's centre. A vehicle first flies to a place
+beside the deck's normal from which the last way is short. From there a polynomial of the fifth degree, the
+way of least squared jerk, leads to the deck: onto its centre, sinking by `SINK`, and with the acceleration
+that a vehicle has whose thrust is along the deck's normal, so that it arrives aligned with it. The way's
+end is planned anew in every control period, as a deck tilts. Commands follow the way by its acceleration, a
+proportional and a derivative term, and the deck's own acceleration, differenced; attitude commands lead by
+the loop's time constant. The motors stop at `CUT` over the height at rest.
+
+Mellinger and Kumar, Minimum snap trajectory generation and control for quadrotors, ICRA 2011, for flat
+outputs; Mueller, Hehn and D'Andrea, A computationally efficient motion primitive, T-RO 31 (2015), for ways
+of least jerk.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from inclined_landing.models import geometry, surface
+from inclined_landing.models.attitude import VX, VZ, YAW, Z
+from inclined_landing.models.equations import settled_hover
+from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.scene import compile_scene
+
+# Chosen by hand on starts that no scenario has.
+ABOVE = 0.45  # m over the deck, where the last way begins
+CLEAR = 0.35  # m over the deck's plane, that it keeps until then
+WAY = 0.9  # s it takes
+SINK = 0.25  # m/s into the deck at its end
+CUT = 0.015  # m over the height at rest
+NEAR, SLOW = 0.12, 0.35  # m and m/s from where the last way begins
+STIFFNESS, DAMPING = 9.0, 5.0  # 1/s2 and 1/s, of the errors that are steered against
+FARTHEST = 0.6  # m of error that is steered against at once
+LEAST = 0.15  # s: shorter ways are not planned anew
+_CALMING = 0.01  # of a normal that tilts to and fro, per period
+_FILTER = 0.3  # of the deck's differenced acceleration, per period
+
+
+class Planner:
+    """Called as all controllers are; see `controllers`."""
+
+    def __init__(self, vehicle: Vehicle):
+        self._period, self._gravity = vehicle.command_control_period, vehicle.environment_gravity
+        self._hover, self._gain = settled_hover(vehicle), vehicle.attitude_gain
+        self._lead, self._limit = vehicle.attitude_time_constant, vehicle.command_angle_limit
+        self._rest = float(geometry.reach_below(geometry.shapes_of(compile_scene(vehicle)), part="feet"))
+        self._begun = False
+
+    def _begin(self, n: int, deck: np.ndarray) -> None:
+        self._begun = True
+        self._calm = surface.normals(deck)
+        self._left = np.full(n, np.inf)  # s until touching; inf: not on the last way yet
+        self._stopped = np.zeros(n, bool)
+        self._way = np.zeros(
+            (3, n, 3)
+        )  # place, velocity, acceleration on the last way, from the deck's centre
+        self._deck_speed, self._deck_push = deck[:, VX : VZ + 1].copy(), np.zeros((n, 3))
+        self._thrust = np.zeros((n, 3))
+        self._thrust[:, Z] = self._gravity
+
+    def __call__(self, t: float, state: np.ndarray, deck: np.ndarray) -> np.ndarray:
+        """Commands (n, 4)."""
+        if not self._begun:
+            self._begin(len(state), deck)
+        speed = deck[:, VX : VZ + 1]
+        self._deck_push += _FILTER * ((speed - self._deck_speed) / self._period - self._deck_push)
+        self._deck_speed = speed.copy()
+        place = state[:, : Z + 1] - deck[:, : Z + 1]
+        velocity = state[:, VX : VZ + 1] - speed
+        normal = surface.normals(deck)
+
+        waiting = np.isinf(self._left)
+        self._calm += _CALMING * (normal - self._calm)
+        first = self._entry(self._calm)
+        error, drift = place - first, velocity
+        ready = (np.linalg.norm(error, axis=1) < NEAR) & (np.linalg.norm(drift, axis=1) < SLOW)
+        begins = waiting & ready
+        self._left[begins] = WAY
+        self._way[0, begins], self._way[1, begins] = place[begins], velocity[begins]
+        self._way[2, begins] = 0.0
+        waiting &= ~ready
+        self._follow(~waiting, normal)
+
+        target = np.where(waiting[:, None], first, self._way[0])
+        behind = target - place
+        far = np.linalg.norm(behind, axis=1, keepdims=True)
+        behind *= np.minimum(1.0, FARTHEST / np.maximum(far, 1e-9))
+        height = (place * normal).sum(axis=1) - self._rest
+        behind += (waiting * np.maximum(0.0, CLEAR - height))[:, None] * normal
+        wanted = STIFFNESS * behind + DAMPING * (np.where(waiting[:, None], 0.0, self._way[1]) - velocity)
+        wanted += np.where(waiting[:, None], 0.0, self._way[2]) + self._deck_push
+        commands = self._commands(wanted, state[:, YAW])
+        self._stopped |= ~waiting & ((height < CUT) | (self._left < 0.0))
+        commands[self._stopped, 0] = 0.0
+        return commands
+
+    def _end(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Place, velocity and acceleration (n, 3) at the end of the way, from the deck's centre."""
+        down = np.array([0.0, 0.0, -self._gravity])
+        along = (
+            down - (normal @ down)[:, None] * normal
+        )  # what is left of gravity under thrust that bears the rest
+        return self._rest * normal, -SINK * normal, along
+
+    def _entry(self, normal: np.ndarray) -> np.ndarray:
+        """Where the last way begins (n, 3): over the deck, and downhill of it, from where it is flown
+        uphill."""
+        end, _, along = self._end(normal)
+        return end + ABOVE * normal + 0.1 * WAY**2 * along
+
+    def _follow(self, on: np.ndarray, normal: np.ndarray) -> None:
+        """Go on by a period on the ways of least jerk from where they are to where the decks are now."""
+        left = np.maximum(self._left, LEAST)
+        left[~on] = 1.0
+        end = np.array(self._end(normal))
+        place, velocity, push = self._way
+        s = left[:, None]
+        # The jerk, its rate and its second rate at the beginning of the way that is left.
+        gap = end[0] - place - velocity * s - 0.5 * push * s**2
+        rush = end[1] - velocity - push * s
+        turn = end[2] - push
+        jerk = (60.0 * gap / s**3) - (24.0 * rush / s**2) + (3.0 * turn / s)
+        snap = -(360.0 * gap / s**4) + (168.0 * rush / s**3) - (24.0 * turn / s**2)
+        crackle = (720.0 * gap / s**5) - (360.0 * rush / s**4) + (60.0 * turn / s**3)
+        h = self._period
+        moved = (
+            place
+            + velocity * h
+            + push * h**2 / 2
+            + jerk * h**3 / 6
+            + snap * h**4 / 24
+            + crackle * h**5 / 120,
+            velocity + push * h + jerk * h**2 / 2 + snap * h**3 / 6 + crackle * h**4 / 24,
+            push + jerk * h + snap * h**2 / 2 + crackle * h**3 / 6,
+        )
+        for row, value in zip(self._way, moved):
+            row[on] = value[on]
+        self._left[on] -= h
+
+    def _commands(self, wanted: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+        """Commands (n, 4) for accelerations (n, 3) [m/s2]; attitudes lead by the loop's time constant."""
+        thrust = wanted + [0.0, 0.0, self._gravity]
+        thrust[:, Z] = np.maximum(thrust[:, Z], 0.3 * self._gravity)
+        rate = (thrust - self._thrust) / self._period
+        self._thrust = thrust
+        ahead = thrust + np.clip(self._lead * rate, -0.5 * self._gravity, 0.5 * self._gravity)
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        x, y, z = cos * ahead[:, 0] + sin * ahead[:, 1], cos * ahead[:, 1] - sin * ahead[:, 0], ahead[:, 2]
+        pitch = np.arcsin(x / np.linalg.norm(ahead, axis=1)) / self._gain
+        roll = np.arctan2(-y, z) / self._gain
+        pwm = self._hover * np.linalg.norm(thrust, axis=1) / self._gravity
+        angles = np.clip(np.column_stack([roll, pitch]), -self._limit, self._limit)
+        return np.column_stack([np.clip(pwm, 1.0, math.inf), angles, -yaw])
