@@ -175,6 +175,8 @@ class BatchEnv:
         inclination = start.inclination + self.plant.tilt[ids]
         azimuth = 0.0 if start.azimuth is None else start.azimuth
         self.plant.set_platform(ids, inclination, start.present, azimuth)
+        if start.motion is not None:
+            self.plant.set_motion(ids, start.motion)
 
     def _draw_starts(self, ids: np.ndarray) -> Start:
         """Random starts of the vehicles `ids`; where they have sizes of their own, none in its platform."""

@@ -85,7 +85,7 @@ def record_flights(
     start = states if isinstance(states, Start) else None
     states = np.atleast_2d(np.asarray(states, float)) if start is None else start.state
     if isinstance(plant, str):
-        plant = make_plant(plant, len(states), policy.task.vehicle)
+        plant = make_plant(plant, len(states), policy.task.vehicle, **policy.task.plant_options)
     if plant.n != len(states):
         raise UserError(f"the plant has {plant.n} vehicles, but {len(states)} starts were given")
     env = BatchEnv(policy.task, plant, seed=0)

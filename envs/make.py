@@ -60,7 +60,9 @@ def make_batch(
             )
     _check_options(options, task_class(task), f"the task {task}")
     built = make_task(task, vehicle, **options)
-    return BatchEnv(built, make_plant(plant, n, built.vehicle, **(plant_options or {})), seed)
+    return BatchEnv(
+        built, make_plant(plant, n, built.vehicle, **built.plant_options | (plant_options or {})), seed
+    )
 
 
 def _check_options(given: dict, kind: Any, what: str) -> None:

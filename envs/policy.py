@@ -41,7 +41,7 @@ _ACTIVATIONS = ("Tanh", "ReLU")  # index is the code in the compiled loop
 _LIMIT = 10.0  # of `features.ScaledObservation`
 _WEIGHTS = "policy.pth"  # member with the network
 # Options of tasks that change what a policy meets: it is not to be flown with others unnoticed.
-_TRAINED_WITH = ("dimensions", "steepest", "angle_limit")
+_TRAINED_WITH = ("dimensions", "steepest", "fastest", "swell", "angle_limit")
 _LARGEST_TABLE = 10_000_000  # bytes of the header and of the stamp
 # Beyond, sums of products could overflow.
 _LARGEST_WEIGHT, _DEEPEST, _WIDEST = 1e6, 16, 8192

@@ -10,7 +10,7 @@ import math
 import numba
 import numpy as np
 
-from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, WX, WZ, YAW, X, Z, rotation
+from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, WX, WZ, YAW, X, Z, rotation, rotations
 
 # Columns of `heading_frame` that follow those of a vehicle's state up to its pitch.
 SLOPE_ROLL, SLOPE_PITCH = PITCH + 1, PITCH + 2
@@ -73,6 +73,29 @@ def heading_frame(state: np.ndarray, deck: np.ndarray) -> np.ndarray:
     and the roll and pitch [rad] that it would have standing on the surface with this heading.
     """
     return _heading_frame(state, deck, np.empty((len(state), HEADING_SIZE)))
+
+
+def deck_motion(state: np.ndarray, deck: np.ndarray) -> np.ndarray:
+    """Velocity [m/s] and rates [rad/s] of decks (n, 12), (n, 6), along axes turned by the vehicles' yaw.
+
+    state (n, 13): of the vehicles.
+    """
+    turning = np.einsum(
+        "nij,nj->ni", rotations(np.ascontiguousarray(deck[:, ROLL : YAW + 1])), deck[:, WX : WZ + 1]
+    )
+    moving = np.concatenate([deck[:, VX : VZ + 1], turning], axis=1)
+    cos, sin = np.cos(state[:, YAW]), np.sin(state[:, YAW])
+    for first in (0, 3):
+        x, y = moving[:, first].copy(), moving[:, first + 1].copy()
+        moving[:, first], moving[:, first + 1] = cos * x + sin * y, cos * y - sin * x
+    return moving
+
+
+def slope_of(deck: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Inclination (n,) and azimuth (n,) [rad] of slopes with the normals of decks (n, 12)."""
+    x, y, z = normals(deck).T
+    flat = np.hypot(x, y)
+    return np.arctan2(flat, z), np.arctan2(y, x)
 
 
 def standing_normal(roll, pitch) -> np.ndarray:

@@ -127,6 +127,10 @@ class TrainConfig:
     """3: fly in space, with roll, and not in a plane (default: as the task is)."""
     random_yaw: bool = False
     """With three dimensions: every episode begins with a heading of its own."""
+    fastest: Annotated[float | None, Range(0, 10), tyro.conf.arg(metavar="M/S")] = None
+    """With three dimensions: decks that travel steadily, any way, at up to this speed, which is observed."""
+    swell: Annotated[float | None, Range(0, 2)] = None
+    """With --fastest: decks that heave, roll and pitch too; 1: by up to 0.24 m and 16 deg (default: 0)."""
     angle_limit: Annotated[float | None, Range(1, 80), tyro.conf.arg(metavar="DEG")] = None
     """Of roll and pitch commands in degrees, where it differs from the vehicle file's."""
     vehicle: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
@@ -399,6 +403,8 @@ class TrainConfig:
             "steepest": None if self.steepest is None else math.radians(self.steepest),
             "dimensions": self.dimensions,
             "random_yaw": self.random_yaw or None,
+            "fastest": self.fastest,
+            "swell": self.swell,
             "angle_limit": None if self.angle_limit is None else math.radians(self.angle_limit),
         }
         return {name: value for name, value in given.items() if value is not None}

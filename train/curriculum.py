@@ -129,7 +129,8 @@ def _stage(c: Conditions) -> dict[str, float]:
 class AdaptiveCurriculum:
     """One difficulty variable, raised when the measured success of training episodes allows it.
 
-    With level l from 0 to 1: starts spread from 0.5 m to 3.3 m by l = 0.8, the goal tilts by l = 0.6,
+    With level l from 0 to 1: starts spread from 0.5 m to 3.3 m and decks move, where they do, by l = 0.8, the
+    goal tilts by l = 0.6,
     the platform appears in more and more episodes from l = 0.25 to 0.45, the goal box shrinks from
     0.25 to 0.10 from l = 0.4 on.
 
@@ -167,6 +168,7 @@ class AdaptiveCurriculum:
             AIDED,
             start_reach=0.5 + 2.8 * min(1.0, l / 0.8),
             tilt=min(1.0, l / 0.6),
+            motion=min(1.0, l / 0.8),
             goal_size=float(EASIEST_GOAL_SIZE + (GOAL_SIZE - EASIEST_GOAL_SIZE) * shrink),
             platform=float(np.clip((l - 0.25) / 0.2, 0.0, 1.0)),
         )

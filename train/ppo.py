@@ -56,7 +56,7 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
     if config.plant != "analytic":
         options |= {"integrator": config.integrator, "threads": config.threads}
     task = build_task(config)
-    options |= drawn(config, task.vehicle, config.seed)
+    options |= drawn(config, task.vehicle, config.seed) | task.plant_options
     plant = make_plant(config.plant, config.environments, task.vehicle, **options)
     nominal = None if config.randomise is None else read_ranges(config.randomise).nominal
     return BatchVecEnv(BatchEnv(task, plant, config.seed, nominal), reward_scale=config.reward_scale)

@@ -336,7 +336,7 @@ class Run:
 
         self.clock.switch("video")
         policy = self._policy()
-        plant = make_plant("mujoco", 1, policy.task.vehicle)
+        plant = make_plant("mujoco", 1, policy.task.vehicle, **policy.task.plant_options)
         flight = record_flight(policy, plant, self._judge.film_start)
         (self.folder / "videos").mkdir(exist_ok=True)
         frames = render_flight(flight, camera="arena")
@@ -501,7 +501,9 @@ class _Judge:
         start = self.task.evaluation_starts(rng, count)
         self.starts = start
         drawn = ppo.drawn(config, vehicle, ppo.evaluation_seed(config), count // 2)
-        self.plant = make_plant("hybrid", count, vehicle, threads=config.threads, **drawn)
+        self.plant = make_plant(
+            "hybrid", count, vehicle, threads=config.threads, **drawn | self.task.plant_options
+        )
         if self.plant.pool:
             others = np.arange(1, count, 2)
             self.plant.assign(others, 1 + np.arange(len(others)))

@@ -32,6 +32,7 @@ from inclined_landing.models.attitude import (
 )
 from inclined_landing.models.equations import settled_hover
 from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle, constants, load_vehicle
 from inclined_landing.models.plants import Contacts
 
@@ -52,6 +53,7 @@ class Start:
     goal_size: np.ndarray  # (k,) d of the goal box; NaN for tasks without one
     contact: dict[str, Any] | None = None  # arguments (k,) of the plant's set_contact
     azimuth: np.ndarray | None = None  # (k,) of the slope's direction, rad; None: towards +x everywhere
+    motion: Motion | None = None  # of the k decks; None: they stand still
 
     def __len__(self) -> int:
         return len(self.state)
@@ -60,8 +62,9 @@ class Start:
         """Those of the episodes `ids`."""
         azimuth = None if self.azimuth is None else self.azimuth[ids]
         contact = None if self.contact is None else {name: x[ids] for name, x in self.contact.items()}
+        motion = None if self.motion is None else self.motion[ids]
         of = self.state[ids], self.inclination[ids], self.present[ids], self.goal_size[ids]
-        return Start(*of, contact, azimuth)
+        return Start(*of, contact, azimuth, motion)
 
     def put(self, rows: np.ndarray, other: Start) -> None:
         """Replace some of the starts, by their rows, by the starts of `other`."""
@@ -237,6 +240,11 @@ class Task(abc.ABC):
         """Reward terms, success and end of the step that led to this moment."""
 
     # --- what an environment asks ----------------------------------------------------------------
+
+    @property
+    def plant_options(self) -> dict[str, Any]:
+        """Options that a plant of this task needs, whoever makes it."""
+        return {}
 
     def prepare(self, plant) -> None:  # noqa: B027 (many have nothing to set up)
         """Set a plant up for this task; raises UserError for one that cannot serve it."""

@@ -48,6 +48,13 @@ In space the actions are thrust, roll and pitch. The goal lies 0.10 m over the s
 widths of x, vx and pitch, about the attitude of standing. Starts come from the upper half of the arena in all
 three directions, and its bounds in y are bounds too. Steep slopes need attitudes beyond 30 deg: `angle_limit`
 [rad] takes the place of the vehicle's. `inclination` and `azimuth` are then the slope of given starts.
+
+Moving decks: with `fastest` [m/s], in space, every deck travels steadily, any way, at up to this speed, and
+with `swell` it heaves, rolls and pitches too (`envs.swell`). The vehicle starts at rest in the room.
+Everything is observed and judged relative to the deck: velocities are against its centre, and six more
+observations are its own velocity and rates, along the axes of the heading frame. The arena is carried along
+with the deck's centre, and wider by the way of half a second at `fastest`, so that there is room to catch up.
+Given starts have decks that stand still.
 """
 
 from __future__ import annotations
@@ -60,6 +67,7 @@ from typing import Any
 
 import numpy as np
 
+from inclined_landing.envs import swell as swells
 from inclined_landing.envs.tasks.base import (
     COLUMNS,
     Judgement,
@@ -74,6 +82,7 @@ from inclined_landing.models import geometry, surface
 from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Y, Z, rotation
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.plants.base import DECK_SIZE
 from inclined_landing.models.scene import compile_scene
 
 GOAL_HEIGHT = 0.10  # of the goal above the centre of the surface, m
@@ -85,6 +94,9 @@ START_MARGIN = 0.10  # and this one to the arena's bounds, m
 LOWEST_START = 1.2  # random starts lie in the upper half of the arena, m
 SEEN = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "slope roll", "slope pitch")  # of any slope
 SEEN_SCALE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5, 0.5])
+SEEN_MOVING = ("deck vx", "deck vy", "deck vz", "deck wx", "deck wy", "deck wz")  # of moving decks besides
+SEEN_MOVING_SCALE = np.array([1.0, 1.0, 0.5, 0.5, 0.5, 0.5])
+CATCHING_UP = 0.5  # s of the fastest deck's way by which the arena of moving decks is wider
 PLANAR = (X, Z, VX, VZ, PITCH, surface.SLOPE_PITCH)  # of them in the plane
 PAPER_STARTS = ((0.0, 2.0), (-1.5, 1.6), (1.5, 1.8))  # x, z of the paper's table
 FILM_STARTS = ((1.5, 0.6, 1.8), (0.0, -0.8, 2.0), (-1.5, 0.3, 1.6))  # m, in space
@@ -104,6 +116,7 @@ class Conditions:
     start_reach: float = 3.3  # starts lie within this of the goal in x and y, m
     start_reach_z: float | None = None  # and in z; None: the same
     tilt: float = 1.0  # goal and platform inclination as a share of the task's
+    motion: float = 1.0  # speed and swell of decks as a share of the task's
     goal_size: float = GOAL_SIZE  # d
     platform: float = 1.0  # share of the episodes with a platform
     lowest_start: float = LOWEST_START  # m
@@ -164,6 +177,8 @@ class InclinedLanding(Task):
     dimensions = 2
     azimuth = 0.0
     random_yaw = False
+    fastest: float | None = None
+    swell = 0.0
 
     def __init__(
         self,
@@ -174,6 +189,8 @@ class InclinedLanding(Task):
         dimensions: int = 2,
         azimuth: float = 0.0,
         random_yaw: bool = False,
+        fastest: float | None = None,
+        swell: float = 0.0,
         angle_limit: float | None = None,
         pwm_centre: float | str = "hover",
         pwm_span: float | None = None,
@@ -201,8 +218,9 @@ class InclinedLanding(Task):
         if self.dimensions == 2 and (self.azimuth or self.random_yaw):
             named = "azimuth" if self.azimuth else "random_yaw"
             raise UserError(f"{named} needs dimensions=3: in the plane a vehicle cannot follow it")
+        self._check_motion(fastest, swell)
         self.options = {"inclination": self.inclination, **self.options}
-        for name in ("steepest", "dimensions", "azimuth", "random_yaw"):
+        for name in ("steepest", "dimensions", "azimuth", "random_yaw", "fastest", "swell"):
             if getattr(self, name) != getattr(InclinedLanding, name):
                 self.options[name] = getattr(self, name)
         self.conditions = Conditions()
@@ -214,6 +232,9 @@ class InclinedLanding(Task):
             self._seen = np.array(PLANAR if self.dimensions == 2 else range(surface.HEADING_SIZE))
             self.observation_names = tuple(SEEN[column] for column in self._seen)
             self.observation_scale = SEEN_SCALE[self._seen]
+        if self.fastest is not None:
+            self.observation_names += SEEN_MOVING
+            self.observation_scale = np.append(self.observation_scale, SEEN_MOVING_SCALE)
         if self.dimensions == 3:
             self.action_names, self.start_axes = ("thrust", "roll", "pitch"), ("x", "y", "z")
             self.film_starts = FILM_STARTS
@@ -228,6 +249,25 @@ class InclinedLanding(Task):
             said = shown(repr(steepest), 40)
             raise UserError(f"steepest must be an angle above 0 and up to {limit:.3g} rad, not {said}")
         return float(steepest)
+
+    def _check_motion(self, fastest, swell) -> None:
+        """Take the options of moving decks; raises UserError for those that fit nothing."""
+        for name, value, most in (("fastest", fastest, 10.0), ("swell", swell, 2.0)):
+            if value is not None and not (isinstance(value, (int, float)) and 0.0 <= value <= most):
+                said = shown(repr(value), 40)
+                raise UserError(f"{name} must be a number from 0 to {most:g}, not {said}")
+        if fastest is None and swell:
+            raise UserError("swell is of moving decks: give it fastest too, which may be 0")
+        if fastest is not None and self.dimensions == 2:
+            raise UserError("fastest needs dimensions=3: in the plane a vehicle cannot follow a deck")
+        self.fastest = None if fastest is None else float(fastest)
+        self.swell = float(swell)
+        self._room = CATCHING_UP * (self.fastest or 0.0)  # m by which the arena is wider
+
+    @property
+    def plant_options(self) -> dict[str, Any]:
+        """A moving plant where decks move."""
+        return {} if self.fastest is None else {"moving": True}
 
     @property
     def _slopes(self) -> tuple[float, float]:
@@ -270,7 +310,8 @@ class InclinedLanding(Task):
         """The goal, level: (5,), or as many as are observed."""
         if not self.sees_slope:
             return np.array([*self.goal_position, 0.0, 0.0, 0.0])
-        return np.where(self._seen == Z, GOAL_HEIGHT, 0.0)
+        still = np.where(self._seen == Z, GOAL_HEIGHT, 0.0)
+        return np.append(still, np.zeros(len(self.observation_names) - len(still)))
 
     def observe(self, moment: Moment) -> np.ndarray:
         """See the module's docstring, (n, o) float32; where the slope is observed it needs the decks."""
@@ -278,7 +319,10 @@ class InclinedLanding(Task):
             return super().observe(moment)
         if moment.deck is None:
             raise UserError(f"this {self.name} task observes the slope; give observe the deck")
-        return surface.heading_frame(moment.state, moment.deck)[:, self._seen].astype(np.float32)
+        seen = surface.heading_frame(moment.state, moment.deck)[:, self._seen]
+        if self.fastest is not None:
+            seen = np.concatenate([seen, surface.deck_motion(moment.state, moment.deck)], axis=1)
+        return seen.astype(np.float32)
 
     def start_box(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper corner, (2,) as x, z or (3,) as x, y, z [m], of the box of random starts."""
@@ -302,6 +346,9 @@ class InclinedLanding(Task):
             start.inclination *= self.conditions.tilt
             if self.dimensions == 3:
                 start.azimuth = rng.uniform(-math.pi, math.pi, k)
+        if self.fastest is not None:
+            share = self.conditions.motion
+            start.motion = swells.draw(rng, k, share * self.fastest, share * self.swell)
         return self._place(rng, start)
 
     def sample_over(self, rng: np.random.Generator, inclination: np.ndarray, azimuth: np.ndarray) -> Start:
@@ -339,11 +386,41 @@ class InclinedLanding(Task):
 
     def start_clearance(self, start: Start) -> np.ndarray:
         """(k,) distance of the real shapes to the platform [m]; inf without a platform."""
+        start = self.stopped(start)
         azimuth = 0.0 if start.azimuth is None else start.azimuth
         slope = start.inclination
         position, _ = geometry.platform_poses(slope, start.present, self.vehicle, azimuth=azimuth)
         distance = geometry.clearances(start.state, slope, position, self._shapes, azimuth=azimuth)
         return distance[:, :2].min(axis=(1, 2))
+
+    def stopped(self, start: Start) -> Start:
+        """Starts as they are over decks that stand still, where these have the slopes of the first moment.
+
+        Positions are then relative to decks in their usual place.
+        """
+        if start.motion is None:
+            return start
+        deck = self.decks(start)
+        state = start.state.copy()
+        state[:, : Z + 1] -= deck[:, : Z + 1]
+        state[:, Z] += self.vehicle.platform_surface_height
+        slope, azimuth = surface.slope_of(deck)
+        return dataclasses.replace(start, state=state, inclination=slope, azimuth=azimuth, motion=None)
+
+    def decks(self, start: Start, t: float = 0.0) -> np.ndarray:
+        """States (k, 12) of the decks of starts, t [s] after."""
+        rest = np.zeros((len(start.state), DECK_SIZE))
+        rest[:, Z], rest[:, PITCH] = self.vehicle.platform_surface_height, start.inclination
+        rest[:, YAW] = 0.0 if start.azimuth is None else start.azimuth
+        return rest if start.motion is None else start.motion.decks(t, rest)
+
+    def carried(self, moment: Moment) -> np.ndarray:
+        """States (n, 13) in an arena that is carried along with the decks' centres."""
+        if self.fastest is None:
+            return moment.state
+        state = moment.state.copy()
+        state[:, : Y + 1] -= moment.deck[:, : Y + 1]
+        return state
 
     def check_start(self, point: tuple[float, ...]) -> None:
         """Raise UserError where a vehicle there would touch the platform or be in the hollow under it."""
@@ -387,18 +464,22 @@ class InclinedLanding(Task):
         )
 
     def near_bounds(self, state: np.ndarray, m: float = BOUND_MARGIN) -> np.ndarray:
-        """(n,) bool: within m [m] of the arena's bounds in x or z, in space in y too, or beyond."""
+        """(n,) bool: within m [m] of the arena's bounds in x or z, in space in y too, or beyond.
+
+        state (n, 13): in an arena that moves, see `carried`.
+        """
         (x0, x1), (z0, z1) = self.vehicle.arena_x, self.vehicle.arena_z
-        x, z = state[:, X], state[:, Z]
-        near = (x < x0 + m) | (x > x1 - m) | (z < z0 + m) | (z > z1 - m)
+        x, z, side = state[:, X], state[:, Z], m - self._room
+        near = (x < x0 + side) | (x > x1 - side) | (z < z0 + m) | (z > z1 - m)
         if self.dimensions == 3:
             (y0, y1), y = self.vehicle.arena_y, state[:, Y]
-            near |= (y < y0 + m) | (y > y1 - m)
+            near |= (y < y0 + side) | (y > y1 - side)
         return near
 
     def judge(self, moment: Moment) -> Judgement:
         """See the module's docstring."""
         c, state, start = self.conditions, moment.state, moment.start
+        carried = self.carried(moment)
         if self.sees_slope:
             goal = self.in_goal_over(state, moment.deck, start.goal_size)
         else:
@@ -409,12 +490,12 @@ class InclinedLanding(Task):
         paid = ~goal
         terms = {
             "time": -1.0 * paid,
-            "bounds": -1.0 * (paid & ~obstacle & self.near_bounds(state)),
+            "bounds": -1.0 * (paid & ~obstacle & self.near_bounds(carried)),
             "obstacle": -6.0 * (paid & obstacle),
         }
         gone, cut = np.zeros_like(goal), np.zeros_like(goal)
         if c.leave_limit < math.inf:
-            gone |= self.near_bounds(state, -c.leave_limit) | moment.contacts.touch[:, 2].any(axis=1)
+            gone |= self.near_bounds(carried, -c.leave_limit) | moment.contacts.touch[:, 2].any(axis=1)
             gone &= ~goal
         if c.contact_limit:
             cut |= moment.in_contact >= c.contact_limit

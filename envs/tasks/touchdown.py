@@ -22,8 +22,8 @@ Action, float32, from -1 to 1; roll and yaw-rate commands are zero:
 Motors at idle make no attitude torque either.
 
 A moment is *held* when feet and nothing else touch the slab, nothing touches the base, the vehicle is
-slower than 0.05 m/s and turns slower than 1 rad/s, and the motors are at idle by command. Success is
-0.3 s (15 steps) held without a break.
+slower than 0.05 m/s and turns slower than 1 rad/s, both against the slab where it stands, and the motors
+are at idle by command. Success is 0.3 s (15 steps) held without a break.
 
 Reward per step: 0 while held; otherwise -1 (`time`), a further -1 near the bounds of the arena
 (`bounds`), a further -6 when body or rotors touch the slab or anything touches the base (`obstacle`);
@@ -127,6 +127,8 @@ class InclinedTouchdown(InclinedLanding):
         dimensions: int = 2,
         azimuth: float = 0.0,
         random_yaw: bool = False,
+        fastest: float | None = None,
+        swell: float = 0.0,
         angle_limit: float | None = None,
         pwm_centre: float | str = "hover",
         pwm_span: float | None = None,
@@ -141,6 +143,8 @@ class InclinedTouchdown(InclinedLanding):
             dimensions=dimensions,
             azimuth=azimuth,
             random_yaw=random_yaw,
+            fastest=fastest,
+            swell=swell,
             angle_limit=angle_limit,
             pwm_centre=pwm_centre,
             pwm_span=pwm_span,
@@ -192,10 +196,10 @@ class InclinedTouchdown(InclinedLanding):
         start = super().sample(rng, k)
         if c.beside > 0.0:
             beside = (rng.random(k) < c.beside) & start.present
-            start.state[beside] = self._beside(rng, start[beside])
+            start.state[beside] = self._over(start[beside], self._beside(rng, self.stopped(start[beside])))
         if c.close > 0.0:
             close = (rng.random(k) < c.close) & start.present
-            start.state[close] = self._close(rng, start[close])
+            start.state[close] = self._over(start[close], self._close(rng, self.stopped(start[close])), True)
         contact: dict[str, Any] = {}
         if c.friction is not None:
             contact["friction"] = rng.uniform(*c.friction, k)
@@ -221,6 +225,20 @@ class InclinedTouchdown(InclinedLanding):
             beside.state[todo] = self._into_space(rng, state, start[todo])
             todo = todo[self.start_clearance(beside[todo]) < START_CLEARANCE]
         return beside.state
+
+    def _over(self, start: Start, state: np.ndarray, along: bool = False) -> np.ndarray:
+        """States (k, 13) over decks in their usual place as states over those of the starts.
+
+        along: they move along with the decks' centres.
+        """
+        if start.motion is None:
+            return state
+        deck = self.decks(start)
+        state[:, : Z + 1] += deck[:, : Z + 1]
+        state[:, Z] -= self.vehicle.platform_surface_height
+        if along:
+            state[:, VX : VZ + 1] += deck[:, VX : VZ + 1]
+        return state
 
     def _into_space(self, rng: np.random.Generator, state: np.ndarray, start: Start) -> np.ndarray:
         """States (k, 13) in the plane of their slopes, shifted across it and turned with the slopes.
@@ -283,19 +301,19 @@ class InclinedTouchdown(InclinedLanding):
     def judge(self, moment: Moment) -> Judgement:
         """See the module's docstring."""
         c, state, contacts = self.conditions, moment.state, moment.contacts
-        wrong = wrong_contact(contacts)
+        wrong, carried = wrong_contact(contacts), self.carried(moment)
         holding = self.holding(state, moment.actions[:, 0] <= IDLE_ACTION, contacts, moment.deck)
         excess = np.maximum(contacts.force[:, 0, 0] / self._weight - GENTLE_FORCE, 0.0)
         terms = {
             "time": -1.0 * ~holding,
-            "bounds": -1.0 * (~wrong & self.near_bounds(state)),
+            "bounds": -1.0 * (~wrong & self.near_bounds(carried)),
             "obstacle": -6.0 * wrong,
             "impact": -c.impact * excess,
         }
         success = holding & (moment.held + 1 >= HOLD_STEPS)
         cut = np.zeros_like(success)
         if c.leave_limit < math.inf:
-            cut |= self.near_bounds(state, -c.leave_limit) | contacts.touch[:, 2].any(axis=1)
+            cut |= self.near_bounds(carried, -c.leave_limit) | contacts.touch[:, 2].any(axis=1)
         if c.contact_limit:
             cut |= wrong & (moment.in_contact >= c.contact_limit)
         cut &= ~success

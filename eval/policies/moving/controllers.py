@@ -76,7 +76,7 @@ class _PolicyPilot:
         self._past.note(observation, actions)
         commands = self._task.commands(actions)
         if self._task.cut_at_success:
-            self._cut |= self._task.in_goal(moment.state, moment.deck, GOAL_SIZE)
+            self._cut |= self._task.in_goal_over(moment.state, moment.deck, GOAL_SIZE)
             commands[self._cut, PWM] = 0.0
         return commands
 

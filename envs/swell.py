@@ -1,0 +1,35 @@
+"""Decks that move, drawn for training: steady travel any way, and a swell of heave, roll and pitch.
+
+Ships and cars are no part of it: the benchmark's motions have spectra of their own
+(`eval/policies/moving/scenarios`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from inclined_landing.models.motion import MODES, Motion
+
+WAVES = 2  # per mode
+PERIODS = (1.2, 6.0)  # s, evenly in their logarithm
+# Of a swell of 1, each wave evenly from 0 to these.
+HEAVE_SPEED = 0.35  # m/s
+HEAVE = 0.12  # m, at most
+TILT = math.radians(8.0)  # rad, of roll and of pitch
+TILT_RATE = 0.4  # rad/s, at most
+STEEPEST = WAVES * TILT * math.sqrt(2.0)  # rad: by which a swell of 1 may incline a deck
+
+
+def draw(rng: np.random.Generator, k: int, fastest: float, swell: float) -> Motion:
+    """Motions of k decks: travel at 0 to fastest [m/s], and waves of `swell` times the sizes above."""
+    shape = (k, len(MODES), WAVES)
+    speed, heading = fastest * rng.random(k), rng.uniform(-math.pi, math.pi, k)
+    frequency = 2.0 * math.pi / np.exp(rng.uniform(*np.log(PERIODS), shape))
+    share = swell * rng.random(shape)
+    largest = np.zeros(shape)
+    largest[:, 2] = np.minimum(HEAVE_SPEED / frequency[:, 2], HEAVE)
+    largest[:, 3:5] = np.minimum(TILT_RATE / frequency[:, 3:5], TILT)
+    velocity = np.column_stack([speed * np.cos(heading), speed * np.sin(heading), np.zeros(k)])
+    return Motion(velocity, share * largest, frequency, rng.uniform(-math.pi, math.pi, shape))
