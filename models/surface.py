@@ -91,6 +91,13 @@ def deck_motion(state: np.ndarray, deck: np.ndarray) -> np.ndarray:
     return moving
 
 
+def on_deck(state: np.ndarray, deck: np.ndarray) -> np.ndarray:
+    """Positions (n, 3) [m] of vehicles from the centres of decks (n, 12): along the decks' own axes, z out
+    of them."""
+    frames = rotations(np.ascontiguousarray(deck[:, ROLL : YAW + 1]))
+    return np.einsum("nji,nj->ni", frames, state[:, : Z + 1] - deck[:, : Z + 1])
+
+
 def slope_of(deck: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Inclination (n,) and azimuth (n,) [rad] of slopes with the normals of decks (n, 12)."""
     x, y, z = normals(deck).T

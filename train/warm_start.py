@@ -26,7 +26,8 @@ from inclined_landing.envs.tasks.touchdown import (
     Conditions,
     InclinedTouchdown,
 )
-from inclined_landing.models.attitude import X, Z
+from inclined_landing.models import surface
+from inclined_landing.models.attitude import PITCH, ROLL, X, Y, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
@@ -108,17 +109,25 @@ def take_over(model: PPO, policy: Policy) -> None:
             model.policy.log_std[row] += np.log(gain)
 
 
-def lesson(state: np.ndarray, landing: Policy) -> np.ndarray:
-    """Actions (n, 2) to imitate in states (n, 13)."""
+def lesson(moment: Moment, landing: Policy) -> np.ndarray:
+    """Actions (n, a) to imitate in n states, over their decks."""
     task = landing.task
-    v, slope = task.vehicle, task.inclination
-    action = landing.predict(task.observe(Moment(state))).astype(float)
+    v, state, deck = task.vehicle, moment.state, moment.deck
+    action = landing.predict(task.observe(moment)).astype(float)
     action[:, 0] = np.maximum(action[:, 0], _LOWEST)
-    x, z = state[:, X], state[:, Z] - v.platform_surface_height
-    height, along = x * np.sin(slope) + z * np.cos(slope), x * np.cos(slope) - z * np.sin(slope)
-    over = (height < CUT_HEIGHT) & (np.abs(along) < v.slab_half_length)
-    idle = over | task.in_goal(state, slope, GOAL_SIZE)
-    action[idle] = [_IDLE, slope / (v.attitude_gain * v.command_angle_limit)]
+    place = surface.on_deck(state, deck)
+    over = (place[:, Z] < CUT_HEIGHT) & (np.abs(place[:, X]) < v.slab_half_length)
+    if task.sees_slope:
+        over &= np.abs(place[:, Y]) < 0.5 * v.platform_depth
+        idle = over | task.in_goal_over(state, deck, GOAL_SIZE)
+        standing = surface.heading_frame(state, deck)[:, surface.SLOPE_ROLL :]
+    else:
+        idle = over | task.in_goal(state, task.inclination, GOAL_SIZE)
+        standing = deck[:, ROLL : PITCH + 1]
+    angles = {"roll": standing[:, 0], "pitch": standing[:, 1]}
+    action[idle, 0] = _IDLE
+    for column, name in enumerate(task.action_names[1:], 1):
+        action[idle, column] = angles[name][idle] / (v.attitude_gain * v.command_angle_limit)
     return action
 
 
@@ -143,7 +152,7 @@ def teach_cut(model: PPO, env: BatchEnv, landing: Policy, seed: int) -> None:
     for lap in range(_ROUNDS):
         for _ in range(_STEPS):
             seen.append(env.observe())
-            taught.append(lesson(env.plant.state, landing))
+            taught.append(lesson(Moment(env.plant.state, deck=env.plant.deck), landing))
             action = taught[-1] if lap == 0 else _mean(actor, torch.as_tensor(seen[-1])).detach().numpy()
             step = env.step(action + rng.normal(0.0, _NOISE, action.shape))
             done = step.terminated | step.truncated

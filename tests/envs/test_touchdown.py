@@ -40,10 +40,9 @@ def judge(state=None, action=IDLE, touching=((0, 0),), force=WEIGHT, held=0, con
     for pair in touching:
         contacts.touch[0][pair] = contacts.near[0][pair] = True
         contacts.force[0][pair] = force
-    count = np.ones(1, int)
-    return task.judge(
-        Moment(state, contacts, action[None], task.start(state), count, 9 * count, np.array([held]))
-    )
+    count, start = np.ones(1, int), task.start(state)
+    records = start, count, 9 * count, np.array([held])
+    return task.judge(Moment(state, contacts, action[None], *records, deck=task.decks(start)))
 
 
 def terms(judgement) -> dict:

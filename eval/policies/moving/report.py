@@ -34,7 +34,9 @@ def evaluate(
     """
     rows, flown = [], []
     work = [(scenario, controller) for scenario in scenarios for controller in controllers]
-    for scenario, controller in track(work, "flying", console=Console(stderr=True), transient=True):
+    console = Console(stderr=True)
+    quiet = not console.is_terminal
+    for scenario, controller in track(work, "flying", console=console, transient=True, disable=quiet):
         found = fly(scenario, controller, flights)
         flown.append(found.assign(scenario=scenario.name, controller=controller.name))
         rows.append({"controller": controller.name, **_summary(found)})

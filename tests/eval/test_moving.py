@@ -1,0 +1,209 @@
+"""The frozen benchmark of moving decks: its files, its scorer, controllers of others."""
+
+import hashlib
+import json
+import math
+
+import numpy as np
+import pytest
+
+from inclined_landing.eval.cli import main
+from inclined_landing.eval.policies.moving import controllers, report, spectra
+from inclined_landing.eval.policies.moving.command import vehicle_flown
+from inclined_landing.eval.policies.moving.flying import fly
+from inclined_landing.eval.policies.moving.scenario import read_scenario, shipped
+from inclined_landing.models.errors import UserError
+
+VEHICLE = vehicle_flown()
+# Never edited: a change is another scenario, with another name.
+FROZEN = {
+    "car_road": "f7251e1b1ed916c2",
+    "car_track": "09385131a44130b3",
+    "heave_gentle": "55ea6e80dfecfef3",
+    "heave_strong": "5daed29758740c26",
+    "ship_4_head": "389780e244d29afd",
+    "ship_5_bow": "96c41c42cff6f62e",
+    "ship_6_beam": "a37a4c6f2da8a4a2",
+    "slope_travels": "96e1c1b359e6b8fa",
+    "still_00_deg": "037a959b451d7612",
+    "still_10_deg": "4193cfa8670e5f4e",
+    "still_20_deg": "6ece7d6fad3d3e57",
+    "still_30_deg": "6a1a87d337bce4e2",
+    "still_40_deg": "8f1cf076b39376b2",
+    "still_50_deg": "f38bc4016fda0df4",
+    "tilt_gentle": "c660f685e9951c34",
+    "tilt_strong": "0dd48cc17977a95e",
+    "travel_010_cm_s": "6f0a29ec9b395556",
+    "travel_025_cm_s": "5aee4d78f9403e5e",
+    "travel_050_cm_s": "1b347e16632d932c",
+    "travel_100_cm_s": "a79b602919def348",
+    "travel_150_cm_s": "626ac52f2cdc405e",
+    "travel_200_cm_s": "69bd4b604212e459",
+}
+DRAWN = "38373780da98e06d"
+
+
+def test_the_scenarios_are_frozen():
+    assert {name: read_scenario(name).fingerprint[:16] for name in shipped()} == FROZEN
+
+
+def test_what_the_scenarios_draw_is_frozen():
+    """Starts and motions at 1 s to a micrometre: other generators or waves would be another benchmark."""
+    digest = hashlib.sha256()
+    for name in shipped():
+        drawn = read_scenario(name).draw(VEHICLE)
+        place, rate, _ = drawn.motion.at(1.0)
+        for array in (drawn.start[:, :3], drawn.azimuth[:, None], place, rate):
+            digest.update((np.rint(1e6 * array).astype(np.int64) + 0).tobytes())
+    assert digest.hexdigest()[:16] == DRAWN
+
+
+@pytest.mark.parametrize("name", spectra.MADE)
+def test_ship_and_car_move_as_their_spectra_say(name):
+    scenario, made = read_scenario(name), spectra.MADE[name]()
+    found = scenario.waves.amplitude * np.exp(1j * scenario.waves.phase)
+    # Of the files' digits: 5e-6 m or 5e-4 deg, and 0.05 deg of phase of the largest.
+    wanted = made.amplitude * np.exp(1j * made.phase)
+    for got, want, digits in zip(found, wanted, [5e-6] * 3 + [math.radians(5e-4)] * 3):
+        bound = digits + math.radians(0.05) * np.abs(want).max()
+        np.testing.assert_allclose(got, want, rtol=0, atol=1.5 * bound + 1e-12)
+    np.testing.assert_allclose(scenario.waves.period, made.period, atol=5.1e-5)
+
+
+def test_a_car_on_a_smooth_slow_wave_follows_the_road():
+    """Known truth: far below its resonances, a car moves as the road, and a long wave lifts the ship by
+    itself."""
+    strut = spectra.SPRING + 1j * spectra.DAMPER * 0.01
+    body = strut * spectra.TYRE / ((strut - 1e-4) * (strut + spectra.TYRE - 1.5e-5) - strut**2)
+    assert abs(body) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_the_sea_has_its_height():
+    """Significant height is four times the root of the variance; the components cover most of the
+    spectrum."""
+    _, amplitude = spectra.sea(5)
+    assert 4.0 * math.sqrt(0.5 * (amplitude**2).sum()) == pytest.approx(3.25, rel=0.05)
+
+
+GOOD = (shipped()["ship_5_bow"]).read_text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("version = 1", "version = 2", "version must be 1"),
+        ("seed = 7402", "seed = -1", "seed must be a whole number"),
+        ("seed = 7402", "", "seed is missing"),
+        ("flights = 64", "flights = 0", "flights must be"),
+        ("friction = 0.8", "friction = nan", "friction must be a number"),
+        ("friction = 0.8", "friction = 0.8\ncolour = 1", "unknown entry 'colour'"),
+        ('azimuth_deg = "any"', 'azimuth_deg = "north"', "must be an angle or 'any'"),
+        ("roll = { amplitude = [0.085,", "roll = { amplitude = [70.0,", "together reach"),
+        ("x = [-2.5, 2.5]", "x = [2.5, -2.5]", "goes from"),
+        ("x = [-2.5, 2.5]", "x = 3", "must be a list"),
+        ("hold = 0.3", "", "[success] lacks hold"),
+        ("period = [2.6790,", "period = [0.0,", "period must be a number"),
+        ("heave = {", "lift = {", "unknown entry 'lift'"),
+        ("amplitude = [0.00299,", "amplitude = [", "must be a list of 10 numbers"),
+        ("[waves]", "[[waves]]", "[waves] must be a table"),
+        ("[start]", "[start", "is not TOML"),
+        (GOOD, "", "version is missing"),
+    ],
+)
+def test_a_malformed_scenario_is_one_sentence(tmp_path, capsys, old, new, said):
+    assert old in GOOD
+    file = tmp_path / "mine.toml"
+    file.write_text(GOOD.replace(old, new, 1))
+    assert main(["moving", "planner", "--scenario", str(file), "--out", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert said in err and "mine.toml" in err and err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+BAD = """
+import numpy as np
+def short(t, state, deck): return np.zeros((len(state), 3))
+def nan(t, state, deck): return np.full((len(state), 4), np.nan)
+def words(t, state, deck): return "up"
+def broken(t, state, deck): return 1 / 0
+number = 3
+class Deaf:
+    def __init__(self, vehicle): pass
+class Unmade:
+    def __init__(self): pass
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("short", "commands of shape (2, 4), not (2, 3)"),
+        ("nan", "NaN or infinity"),
+        ("words", "must answer with numbers"),
+        ("broken", "raised ZeroDivisionError: division by zero"),
+        ("number", "no function or class"),
+        ("nothing", "no function or class"),
+        ("Deaf", "lacks __call__"),
+        ("Unmade", "raised TypeError"),
+    ],
+)
+def test_a_bad_controller_is_one_sentence(tmp_path, capsys, name, said):
+    file = tmp_path / "mine.py"
+    file.write_text(BAD)
+    words = ["moving", f"{file}:{name}", "--scenario", "still_00_deg", "--flights", "2"]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert said in err and err.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+def test_a_policy_of_the_plane_is_refused(capsys):
+    assert main(["moving", "touchdown", "--scenario", "still_00_deg"]) == 2
+    assert "flies in a plane" in capsys.readouterr().err
+
+
+def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
+    """On a ship at sea; fewer flights are the first ones, with the same numbers."""
+    scenario, planner = read_scenario("ship_5_bow"), controllers.find("planner", VEHICLE)
+    flown = fly(scenario, planner, 3)
+    assert flown["at_rest"].all() and (flown["normal_speed"] > 0).all()
+    assert fly(scenario, planner, 1).iloc[0].equals(flown.iloc[0])
+    words = ["moving", "planner", "--scenario", "ship_5_bow", "--flights", "3"]
+    assert main([*words, "--out", str(tmp_path / "out"), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads((tmp_path / "out/moving.json").read_text())
+    assert printed["scenarios"][0]["outcomes"][0]["at_rest"]["count"] == 3
+    assert not printed["scenarios"][0]["whole"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
+        *("flights.csv", "index.html", "moving.json", "moving.png")
+    ]
+    assert "not a result" in (tmp_path / "out/index.html").read_text()
+
+
+def test_who_does_nothing_does_not_land(tmp_path):
+    """A vehicle whose motors are off falls to the floor, or onto the deck it started over."""
+    file = tmp_path / "still.py"
+    file.write_text("import numpy as np\ndef off(t, state, deck): return np.zeros((len(state), 4))\n")
+    found = controllers.find(f"{file}:off", VEHICLE)
+    flown = fly(read_scenario("travel_200_cm_s"), found, 4)
+    assert not flown["at_rest"].any()
+    made, _ = report.evaluate([read_scenario("travel_200_cm_s")], [found], 1)
+    assert made["all"][0]["at_rest"]["count"] == 0
+
+
+def test_a_pilot_gets_no_more_than_it_is_told(tmp_path):
+    """Its arrays are copies of 12 columns: what it writes into them changes nothing."""
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "def mine(t, state, deck):\n"
+        "    assert state.shape == deck.shape == (1, 12)\n"
+        "    state[:], deck[:] = 1e9, 1e9\n"
+        "    return [[0, 0, 0, 0]]\n"
+    )
+    assert not fly(read_scenario("still_00_deg"), controllers.find(f"{file}:mine", VEHICLE), 1)["at_rest"][0]
+
+
+def test_unknown_names_are_sentences(capsys):
+    with pytest.raises(UserError, match="does not exist"):
+        read_scenario("ship_9")
+    assert main(["moving", "no-such-policy"]) == 2
+    assert "does not exist" in capsys.readouterr().err
