@@ -23,6 +23,7 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle, locate_vehicle
 from inclined_landing.models.plants import PLANTS
 from inclined_landing.models.scene import INTEGRATORS
+from inclined_landing.train import descent
 from inclined_landing.train.curriculum import RISING
 
 # A field of `envs.tasks.base.Training` that is left at None becomes what the task says there.
@@ -116,7 +117,11 @@ class TrainConfig:
     start_from: Annotated[
         str | None,
         tyro.conf.arg(name="from", metavar="POLICY"),
-        _by_task(f"The policy to go on from, a file or one of {', '.join(SHIPPED)}", "start_from"),
+        _by_task(
+            f"The policy to go on from, a file or one of {', '.join(SHIPPED)}; {descent.NAME}: the law that "
+            "touchdown on moving decks begins with",
+            "start_from",
+        ),
     ] = None
     inclination: Annotated[float | None, Range(-90, 90), tyro.conf.arg(metavar="DEG")] = None
     """Of the platform in degrees, where it differs from the vehicle file's."""
@@ -301,7 +306,9 @@ class TrainConfig:
         filled = {k: value if getattr(self, k) is None else getattr(self, k) for k, value in defaults.items()}
         check_ranges(self)
         _check_gamma(self.gamma)
-        start = filled["start_from"]
+        if self.start_from is None and self.fastest is not None and training.start_from is not None:
+            filled["start_from"] = descent.NAME
+        start = None if filled["start_from"] == descent.NAME else filled["start_from"]
         same = start is not None and trained_for(start) == kind.name
         filled |= self._ending(training, CARRIED_ON if same else training.min_steps)
         out = Path(self.out or f"runs/{kind.name}-{self.seed}")
@@ -310,7 +317,7 @@ class TrainConfig:
         if self.history is None:
             filled["history"] = history_of(start) if same else 0
         filled["observe_vehicle"] = self.observe_vehicle or (same and told_vehicle(start))
-        filled |= self._action_map(filled["start_from"])
+        filled |= self._action_map(start)
         config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)
         if config.algorithm != "ppo":
             config._check_buffer()

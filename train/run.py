@@ -114,7 +114,7 @@ class Run:
         self.curriculum = make_curriculum(config.curriculum, config.task, config.gamma, config.without or "")
         build = ppo.build_model if config.algorithm == "ppo" else off_policy.build_model
         self.model = build(config, self.env)
-        if self.teacher is not None:
+        if isinstance(self.teacher, Policy):
             warm_start.take_over(self.model, self.teacher)
             if self.teacher.task.name == self.env.env.task.name:
                 self.curriculum.skip()

@@ -6,9 +6,13 @@ takes over the landing policy's weights and is then taught by imitation: what th
 that motors go to idle in the goal box and close over the slope (the paper's motor cut, without its external
 signal). The states are those that the learner itself comes through (DAgger). What reinforcement learning adds
 is then in the comparison with the landing policy and a motor cut.
+
+Over moving decks touchdown starts from a feedback law instead (`descent`), taught in the same way.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -30,21 +34,30 @@ from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, ROLL, X, Y, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
+from inclined_landing.train import descent
+from inclined_landing.train.descent import Descent
 
 CRITIC_FIRST = 65_536  # environment steps in which the actor is left alone
 CUT_HEIGHT = 0.08  # m over the surface, of the centre of mass
 _IDLE = IDLE_ACTION - 0.4  # what is taught for idle: far enough from IDLE_ACTION to be kept under noise
 _LOWEST = IDLE_ACTION + 0.05  # and what the landing policy's lowest thrust becomes, as -1 would be idle
 _ROUNDS, _STEPS, _EPOCHS, _BATCH = 4, 200, 15, 1024
+_ROUNDS_OF_LAW = 8
 _RATE, _NOISE = 1e-3, 0.2
 
 
-def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy:
+def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
     """The policy to go on from: one for `task`, or for the task whose policy its training begins with.
 
-    name: a file or a shipped one; vehicle: the run's, where it is not the shipped one. Raises UserError for
-    any other policy.
+    name: a file or a shipped one, or `descent.NAME` for the law; vehicle: the run's, where it is not the
+    shipped one. Raises UserError for any other policy.
     """
+    if name == descent.NAME:
+        if not (isinstance(task, InclinedTouchdown) and task.dimensions == 3):
+            raise UserError(
+                f"--from {name} is for touchdown in three dimensions, not for this {task.name} task"
+            )
+        return Descent(task)
     wanted = task.name if trained_for(name) == task.name else task.training.start_from or task.name
     policy = load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))
     if policy.task.history and wanted != task.name:
@@ -131,14 +144,18 @@ def lesson(moment: Moment, landing: Policy) -> np.ndarray:
     return action
 
 
-def teach(model: PPO, env: BatchEnv, teacher: Policy, seed: int) -> None:
-    """What a task needs besides the teacher's weights: in touchdown, cutting the motors."""
-    if isinstance(env.task, InclinedTouchdown) and teacher.task.name != env.task.name:
-        teach_cut(model, env, teacher, seed)
+def teach(model: PPO, env: BatchEnv, teacher: Policy | Descent, seed: int) -> None:
+    """What a task needs besides the teacher's weights: in touchdown, cutting the motors; or the whole law."""
+    if isinstance(teacher, Descent):
+        teach_law(model, env, lambda moment: teacher(moment, _IDLE), seed, _ROUNDS_OF_LAW)
+    elif isinstance(env.task, InclinedTouchdown) and teacher.task.name != env.task.name:
+        teach_law(model, env, lambda moment: lesson(moment, teacher), seed)
 
 
-def teach_cut(model: PPO, env: BatchEnv, landing: Policy, seed: int) -> None:
-    """Teach the model's actor the lesson on the states it meets in `env`, whose conditions are set back."""
+def teach_law(
+    model: PPO, env: BatchEnv, law: Callable[[Moment], np.ndarray], seed: int, rounds: int = _ROUNDS
+) -> None:
+    """Teach the model's actor a law on the states it meets in `env`, whose conditions are set back."""
     rng, shuffle = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
     actor = model.policy
     before = env.task.conditions
@@ -149,10 +166,10 @@ def teach_cut(model: PPO, env: BatchEnv, landing: Policy, seed: int) -> None:
     optimizer = torch.optim.Adam(learned, lr=_RATE)
     seen, taught = [], []
     env.reset()
-    for lap in range(_ROUNDS):
+    for lap in range(rounds):
         for _ in range(_STEPS):
             seen.append(env.observe())
-            taught.append(lesson(Moment(env.plant.state, deck=env.plant.deck), landing))
+            taught.append(law(Moment(env.plant.state, deck=env.plant.deck)))
             action = taught[-1] if lap == 0 else _mean(actor, torch.as_tensor(seen[-1])).detach().numpy()
             step = env.step(action + rng.normal(0.0, _NOISE, action.shape))
             done = step.terminated | step.truncated

@@ -83,6 +83,8 @@ def joined(starts: Sequence[Start]) -> Start:
         own = [getattr(start, field.name) for start in starts]
         if isinstance(own[0], dict):
             parts[field.name] = {name: np.concatenate([x[name] for x in own]) for name in own[0]}
+        elif isinstance(own[0], Motion):
+            parts[field.name] = Motion(*map(np.concatenate, zip(*(motion.arrays for motion in own))))
         else:
             parts[field.name] = None if own[0] is None else np.concatenate(own)
     return Start(**parts)

@@ -47,24 +47,24 @@ class Planner:
         self._hover, self._gain = settled_hover(vehicle), vehicle.attitude_gain
         self._lead, self._limit = vehicle.attitude_time_constant, vehicle.command_angle_limit
         self._rest = float(geometry.reach_below(geometry.shapes_of(compile_scene(vehicle)), part="feet"))
-        self._begun = False
+        self._left: np.ndarray | None = None
 
-    def _begin(self, n: int, deck: np.ndarray) -> None:
-        self._begun = True
-        self._calm = surface.normals(deck)
-        self._left = np.full(n, np.inf)  # s until touching; inf: not on the last way yet
-        self._stopped = np.zeros(n, bool)
-        self._way = np.zeros(
-            (3, n, 3)
-        )  # place, velocity, acceleration on the last way, from the deck's centre
-        self._deck_speed, self._deck_push = deck[:, VX : VZ + 1].copy(), np.zeros((n, 3))
-        self._thrust = np.zeros((n, 3))
-        self._thrust[:, Z] = self._gravity
+    def begin(self, ids: np.ndarray, deck: np.ndarray) -> None:
+        """Begin anew with the vehicles `ids` (k,), over decks (n, 12); at first with all of them."""
+        if self._left is None:
+            n = len(deck)
+            self._left = np.empty(n)  # s until touching; inf: not on the last way yet
+            self._stopped = np.empty(n, bool)
+            self._way = np.zeros((3, n, 3))  # place, velocity, acceleration on it, from the deck's centre
+            self._calm, self._deck_speed, self._deck_push, self._thrust = np.zeros((4, n, 3))
+        self._left[ids], self._stopped[ids], self._way[:, ids] = np.inf, False, 0.0
+        self._calm[ids], self._deck_speed[ids] = surface.normals(deck[ids]), deck[ids, VX : VZ + 1]
+        self._deck_push[ids], self._thrust[ids] = 0.0, [0.0, 0.0, self._gravity]
 
     def __call__(self, t: float, state: np.ndarray, deck: np.ndarray) -> np.ndarray:
         """Commands (n, 4)."""
-        if not self._begun:
-            self._begin(len(state), deck)
+        if self._left is None:
+            self.begin(np.arange(len(state)), deck)
         speed = deck[:, VX : VZ + 1]
         self._deck_push += _FILTER * ((speed - self._deck_speed) / self._period - self._deck_push)
         self._deck_speed = speed.copy()
