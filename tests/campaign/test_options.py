@@ -22,6 +22,7 @@ NEEDED = {
     "vehicles": ("landing", "--out", "{place}/out"),
     "mission": (),
     "robustness": ("landing", "--out", "{place}/out"),
+    "moving": ("planner", "--out", "{place}/out"),
     "export": ("landing", "--format", "numpy", "--out", "{place}/out"),
     "figure": ("landing", "--out", "{place}/out"),
     "video": ("landing", "--out", "{place}/out.mp4"),
