@@ -199,13 +199,14 @@ def load_policy(
     *,
     vehicle: Vehicle | None = None,
     inclination: float | None = None,
+    azimuth: float | None = None,
 ) -> Policy:
     """Read a policy file, or a shipped policy by name.
 
     task: the task it must be for, by name or as an object, such as that of an environment (which then is
         the policy's task as it is); needed when the file has no stamp. By name, and by default, the task is
         built from the stamp.
-    vehicle, inclination [rad]: of the task that is built, where they differ from the training's.
+    vehicle, inclination, azimuth [rad]: of the task that is built, where they differ from the training's.
         What PWM an action commands stays what it was in training, or, with `pwm_centre="own"`, is about the
         hover of each vehicle.
     Raises UserError when the file is not such a policy or does not fit the task: a task object must have the
@@ -229,7 +230,8 @@ def load_policy(
     if trained and task is None and not known(trained):
         raise _unknown_task(metadata, path)
     if task is None or isinstance(task, str):
-        task = _build_task(trained or wanted, metadata, vehicle, inclination, path)
+        slope = {"inclination": inclination, "azimuth": azimuth}
+        task = _build_task(trained or wanted, metadata, vehicle, slope, path)
     elif metadata:
         _check_meets(task, metadata, inclination, path)
     policy = Policy(task=task, metadata=metadata, path=path, **network)
@@ -350,12 +352,12 @@ def _centre_option(centre: float | str) -> str:
     return repr(centre) if centre == OWN else f"{centre:.15g}"
 
 
-def _build_task(name, metadata, vehicle, inclination, path) -> Task:
+def _build_task(name, metadata, vehicle, slope, path) -> Task:
     options = dict(metadata.get("task_options", {}))
-    if inclination is not None:
-        if not task_class(name).has_platform:
-            raise UserError(f"policy {path} is for the task {name}, which has no inclined platform")
-        options["inclination"] = inclination
+    given = {key: angle for key, angle in slope.items() if angle is not None}
+    if given and not task_class(name).has_platform:
+        raise UserError(f"policy {path} is for the task {name}, which has no inclined platform")
+    options |= given
     try:
         if vehicle is not None:
             options["pwm_centre"], options["pwm_span"] = _action_map(options)

@@ -50,6 +50,7 @@ File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
 VehicleFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 NewFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X,Z")]
+Drawn = Annotated[int, Range(0, 100), tyro.conf.arg(metavar="N")]
 LogFiles = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
 
 
@@ -62,12 +63,14 @@ class Flown:
             your own, written module:Class or file.py:Class, which is then imported.
         plant: the physics to fly in.
         inclination: of the platform in degrees, where it differs from the training's.
+        azimuth: the direction that it faces, in degrees from +x, for policies that fly in space.
         vehicle: vehicle file (TOML), or a shipped vehicle by name, where it is not the Crazyflie 2.1.
     """
 
     task: TaskName = None
     plant: PlantName = "mujoco"
     inclination: Degrees = None
+    azimuth: Degrees = None
     vehicle: VehicleFile = None
 
     def load(self, policy: str) -> Policy:
@@ -84,7 +87,8 @@ class Flown:
         if angle is not None:
             (vehicle or load_vehicle()).check_inclination(angle)
         task = import_task(self.task).name if is_path(self.task) else self.task
-        return load_policy(policy, task, vehicle=vehicle, inclination=angle)
+        turn = None if self.azimuth is None else math.radians(self.azimuth)
+        return load_policy(policy, task, vehicle=vehicle, inclination=angle, azimuth=turn)
 
 
 @dataclasses.dataclass(frozen=True)

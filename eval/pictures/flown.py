@@ -6,11 +6,12 @@ import sys
 from collections.abc import Sequence
 from typing import Annotated
 
+import numpy as np
 import tyro
 
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.tasks import Task
+from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.eval.pictures.to_rest import Landing, to_rest
 from inclined_landing.models.errors import UserError, shown
 
@@ -29,6 +30,19 @@ def points(starts: Sequence[str], task: Task) -> list[tuple[float, ...]]:
 def fly(policy: Policy, points: Sequence[tuple[float, ...]], plant: str, steps: int | None = None):
     """Flights from hover at points of the task's start axes [m], at most `steps` control steps long."""
     return record_flights(policy, plant, policy.task.states_at(points), steps=steps)
+
+
+def begin(task: Task, where: Sequence[tuple[float, ...]], drawn: int, seed: int) -> Start:
+    """Starts from hover at points of the task's axes [m], or so many drawn ones, slopes included."""
+    if drawn:
+        return task.sample(np.random.default_rng(seed), drawn)
+    return task.start(task.states_at(where))
+
+
+def check_drawn(drawn: int, starts: Sequence[str]) -> None:
+    """Raise UserError for starts that are given and drawn."""
+    if drawn and starts:
+        raise UserError("give either --start or --drawn")
 
 
 def check_until(until: str) -> None:

@@ -14,11 +14,19 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from inclined_landing.envs.flights import Track
+from inclined_landing.envs.flights import Track, record_flights
 from inclined_landing.envs.rendering import check_look
-from inclined_landing.eval.base.options import File, Flag, Flat, Flown, Look, Range, Starts
+from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Look, Range, Seed, Starts
 from inclined_landing.eval.base.policies import AnyPolicy
-from inclined_landing.eval.pictures.flown import Until, check_until, finish, fly, points, report
+from inclined_landing.eval.pictures.flown import (
+    Until,
+    begin,
+    check_drawn,
+    check_until,
+    finish,
+    points,
+    report,
+)
 from inclined_landing.eval.pictures.frames import FPS, render_flight, write_videos
 from inclined_landing.eval.pictures.touch import STEP, Touchdown, watch
 from inclined_landing.eval.pictures.touch_video import render_touchdowns
@@ -35,6 +43,8 @@ def command(
     /,
     out: File,
     start: Starts = (),
+    drawn: Drawn = 0,
+    seed: Seed = 0,
     look: Flat[Look] = Look(camera="arena", width=960, height=540),
     gif: Flag = False,
     slow: Annotated[float, Range(0.1, 20)] = 1.0,
@@ -50,6 +60,8 @@ def command(
         out: .mp4 or .gif file.
         start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
             more flights.
+        drawn: so many flights from random starts instead, over random slopes where the policy knows many.
+        seed: of them.
         gif: write a .gif beside the .mp4.
         slow: 2 plays at half speed; the picture says so.
         forces: film the touchdowns only, at the engine's steps, with the contact forces as arrows. A landing
@@ -64,6 +76,7 @@ def command(
     if look.width % 2 or look.height % 2:
         raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
     check_until(until)
+    check_drawn(drawn, start)
     storage.check_file(out)
     if look.camera != "touch":
         check_look(**dataclasses.asdict(look))
@@ -83,7 +96,8 @@ def command(
     if forces and until == "goal":
         raise UserError("--forces films what follows the goal box: leave --until goal out")
     others = {name: dataclasses.replace(flown, vehicle=Path(name)).load(policy) for name in beside}
-    flights = [] if beside else fly(loaded, points(start, loaded.task), flown.plant)
+    where = begin(loaded.task, points(start, loaded.task), drawn, seed)
+    flights = [] if beside else record_flights(loaded, flown.plant, where)
     shown = dataclasses.asdict(look)
     if forces:
         frames, total, rate = film_touchdowns([watch(flight) for flight in flights], slow, **shown)

@@ -12,13 +12,15 @@ from typing import Annotated
 
 import tyro
 
+from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import SHIPPED, Policy
+from inclined_landing.envs.tasks import Start
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.options import File, Flag, Flat, Flown, Range, Starts
+from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Range, Seed, Starts
 from inclined_landing.eval.gap.search.rollout import HORIZON
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.logs.command import parse_units
-from inclined_landing.eval.pictures.flown import fly, points
+from inclined_landing.eval.pictures.flown import begin, check_drawn, points
 from inclined_landing.eval.replay.measured import of_log
 from inclined_landing.eval.replay.page import write
 from inclined_landing.eval.replay.recording import Recording, of_flight
@@ -36,6 +38,8 @@ def command(
     /,
     out: File,
     start: Starts = (),
+    drawn: Drawn = 0,
+    seed: Seed = 0,
     anew: Annotated[float, Range(0.05, 3600)] = HORIZON,
     mapping: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
     unit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=UNIT")] = (),
@@ -53,6 +57,9 @@ def command(
         out: .html file.
         start: where policies fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for more
             flights.
+        drawn: so many flights of each policy from random starts instead, over random slopes where it knows
+            many.
+        seed: of them.
         anew: seconds after which the simulation of a log begins anew at the measured state.
         mapping: shipped mapping or mapping file (TOML), where a log's column names do not tell.
         unit: of a column that states none, roll=deg for example; repeat the option for more.
@@ -63,13 +70,16 @@ def command(
     if out.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"a page is an .html file, not {shown(out.name)!r}")
     storage.check_file(out)
+    check_drawn(drawn, start)
     plant, vehicle, units = _plant(flown), _vehicle(flown), parse_units(unit)
     policies = [source for source in sources if _is_policy(source)]
-    if start and not policies:
-        raise UserError("--start is where a policy flies from, and only logs were named")
+    if (start or drawn) and not policies:
+        raise UserError(
+            f"--{'start' if start else 'drawn'} is where a policy flies from, and only logs were named"
+        )
     # Everything is read before anything flies.
     logs = {s: read_log(s, mapping=mapping, units=units) for s in sources if s not in policies}
-    ready = {source: _ready(source, start, flown) for source in policies}
+    ready = {source: _ready(source, start, drawn, seed, flown) for source in policies}
     recordings: list[Recording] = []
     notes: list[str] = []
     for source in sources:
@@ -107,16 +117,17 @@ def _title(sources: tuple[str, ...]) -> str:
     return ", ".join(names[:2]) + rest
 
 
-def _ready(source: str, start: Starts, flown: Flown) -> tuple[Policy, list[tuple[float, ...]]]:
-    """A policy, and the points [m] that it flies from."""
+def _ready(source: str, start: Starts, drawn: int, seed: int, flown: Flown) -> tuple[Policy, Start]:
+    """A policy, and what it flies from."""
     policy = flown.load(source)
-    return policy, points(start, policy.task) if start else list(policy.task.film_starts)
+    where = points(start, policy.task) if start else policy.task.film_starts
+    return policy, begin(policy.task, where, drawn, seed)
 
 
-def _flights(policy: Policy, where: list[tuple[float, ...]], plant: str) -> list[Recording]:
+def _flights(policy: Policy, where: Start, plant: str) -> list[Recording]:
     """The flights of one policy."""
     found = []
-    for flight in fly(policy, where, plant):
+    for flight in record_flights(policy, plant, where):
         name = f"{shown(policy.name, 60)} from {policy.task.start_words(flight.state[0])}"
         found.append(of_flight(flight, name, plant))
     return found

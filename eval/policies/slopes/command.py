@@ -32,7 +32,7 @@ Policies = Annotated[
     tyro.conf.Positional,
     tyro.conf.arg(
         metavar="POLICY [POLICY ...]",
-        help=f"landing policies, files or shipped ones ({', '.join(SHIPPED)}).",
+        help=f"landing policies: files, shipped ones ({', '.join(SHIPPED)}), or run folders with a final.zip.",
     ),
 ]
 
@@ -62,7 +62,11 @@ def command(
         raise UserError(f"unknown plant {shown(plant, 40)!r}; known are {', '.join(PLANTS)}")
     runs.check_new_run(out)
     known = None if vehicle is None else load_vehicle(vehicle)
-    report = evaluate([load_policy(policy, vehicle=known) for policy in policies], plant=plant, every=every)
+    files = {_name(policy): _file(policy) for policy in policies}
+    if len(files) < len(policies):
+        raise UserError("two of the policies have the same name; the figure could not tell them apart")
+    loaded = {name: load_policy(file, vehicle=known) for name, file in files.items()}
+    report = evaluate(loaded, plant=plant, every=every)
     with runs.staged_run(out) as folder:
         figure = slopes_figure(report)
         save_figure(figure, folder / "slopes.png")
@@ -72,6 +76,18 @@ def command(
         print(storage.to_json(report))
     else:
         show(report)
+
+
+def _file(policy: str) -> str:
+    """The policy of a run folder; others as they are."""
+    final = Path(policy) / "final.zip"
+    return str(final) if policy not in SHIPPED and final.is_file() else policy
+
+
+def _name(policy: str) -> str:
+    """What a policy is called: a run's own by its folder."""
+    path = Path(_file(policy))
+    return path.parent.name if path.name in ("final.zip", "best.zip") and path.parent.name else path.stem
 
 
 def show(report: dict) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from rich.console import Console
@@ -28,25 +28,27 @@ from inclined_landing.models.plants import make_plant
 _HEADINGS_SEED = 25_700_551
 
 
-def evaluate(policies: Sequence[Policy], *, plant: str = "mujoco", every: int = 1) -> dict:
-    """The report as plain numbers, an entry of `policies` for each.
+def evaluate(policies: Mapping[str, Policy], *, plant: str = "mujoco", every: int = 1) -> dict:
+    """The report as plain numbers, an entry of `policies` for each of those that are given by their names.
 
     every: flies from each k-th start only. Raises UserError for policies that do not land.
     """
-    for policy in policies:
+    for policy in policies.values():
         if not (isinstance(policy.task, InclinedLanding) and policy.task.cut_at_success):
             raise UserError(f"policy {policy.path} is for the task {policy.task.name}, not for landing")
     entries = [
-        _entry(policy, plant, every)
-        for policy in track(policies, "flying", console=Console(stderr=True), transient=True)
+        _entry(name, policy, plant, every)
+        for name, policy in track(
+            policies.items(), "flying", console=Console(stderr=True), transient=True, total=len(policies)
+        )
     ]
     return {"command": "slopes", "plant": plant, "policies": entries, "versions": runs.versions()}
 
 
-def _entry(policy: Policy, plant: str, every: int) -> dict:
+def _entry(name: str, policy: Policy, plant: str, every: int) -> dict:
     task = policy.task
     entry = {
-        "name": policy.name,
+        "name": name,
         "policy": str(policy.path),
         "trained": policy.metadata,
         "task_options": task.options,
