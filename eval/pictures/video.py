@@ -24,6 +24,7 @@ from inclined_landing.eval.pictures.flown import (
     check_drawn,
     check_until,
     finish,
+    fly,
     points,
     report,
 )

@@ -32,7 +32,7 @@ Policies = Annotated[
     tyro.conf.Positional,
     tyro.conf.arg(
         metavar="POLICY [POLICY ...]",
-        help=f"landing policies: files, shipped ones ({', '.join(SHIPPED)}), or run folders with a final.zip.",
+        help=f"landing policies, files, shipped ones ({', '.join(SHIPPED)}) or run folders.",
     ),
 ]
 
