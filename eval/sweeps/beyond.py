@@ -80,18 +80,12 @@ class Found:
         return rows if "" not in self.recipe.variants else [row[1:] for row in rows]
 
     @property
-    def cost(self) -> str:
-        """What the runs took, and on which machine."""
-        result, recipe = self.result, self.recipe
-        seeds = ", ".join(map(str, recipe.seeds[:12])) + (" ..." if len(recipe.seeds) > 12 else "")
-        variants = f"{len(recipe.variants)} variants. " if len(recipe.variants) > 1 else ""
-        cpu, wall = (
-            _range([getattr(ran, name) for ran in result.runs]) for name in ("cpu_seconds", "wall_seconds")
-        )
-        return (
-            f"{variants}Seeds {seeds}. A run took {cpu} s of CPU and {wall} s of wall time, training and "
-            f"evaluation, on {result.machine} at a load of {result.load[0]:.1f} to {result.load[1]:.1f}."
-        )
+    def runs(self) -> str:
+        """How often it was done, and what that took."""
+        seeds = self.recipe.seeds
+        named = ", ".join(map(str, seeds[:12])) + (" ..." if len(seeds) > 12 else "")
+        variants = f"{len(self.recipe.variants)} variants. " if len(self.recipe.variants) > 1 else ""
+        return f"{variants}{'Seeds' if len(seeds) > 1 else 'Seed'} {named}. {self.result.cost}"
 
 
 def command(
@@ -168,7 +162,7 @@ def markdown(found: list[Found]) -> str:
         for suffix, what in ((".png", "figure"), (".gif", "a flight")):
             if suffix in one.pictures:
                 lines += ["", f"![{_text(recipe.title)}: {what}]({NAME}/{recipe.name}{suffix})"]
-        lines += ["", f"{one.cost} Once more:", "", "```sh", one.result.command, "```"]
+        lines += ["", f"{one.runs} Once more:", "", "```sh", one.result.command, "```"]
     return "\n".join(lines) + "\n"
 
 
@@ -229,8 +223,3 @@ def _text(text: str) -> str:
     for mark in "\\`<>|*":
         text = text.replace(mark, f"&#{ord(mark)};")
     return text
-
-
-def _range(values: list[float]) -> str:
-    low, high = f"{min(values):.0f}", f"{max(values):.0f}"
-    return low if low == high else f"{low} to {high}"

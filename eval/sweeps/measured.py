@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +136,17 @@ class Result:
     load: tuple[float, float]  # of the machine while it ran, least and most (average of a minute)
     measured: tuple[Measured, ...]
     runs: tuple[Ran, ...]
+
+    @property
+    def cost(self) -> str:
+        """What the runs took, and on which machine, in one sentence."""
+        cpu, wall = (
+            _range([getattr(ran, name) for ran in self.runs]) for name in ("cpu_seconds", "wall_seconds")
+        )
+        return (
+            f"A run took {cpu} s of CPU and {wall} s of wall time, training and evaluation, "
+            f"on {self.machine} at a load of {_range(self.load, 1)}."
+        )
 
     def of(self, variant: str, number: str) -> Measured:
         """One of `measured`."""
@@ -309,3 +321,8 @@ def _ran(entry) -> Ran:
 
 def _finite(value) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+def _range(values: Sequence[float], digits: int = 0) -> str:
+    low, high = (f"{end:.{digits}f}" for end in (min(values), max(values)))
+    return low if low == high else f"{low} to {high}"

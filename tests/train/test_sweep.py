@@ -289,7 +289,7 @@ def test_a_real_sweep_interrupted_and_resumed_ends_as_one_left_alone(tmp_path):
     data = {
         "title": "Tiny",
         "question": "Does it run?",
-        "train": ["landing", "--steps", "40960", *small],
+        "train": ["landing", "--steps", "16384", *small],
         "seeds": [1, 2],
         "evaluate": [["success", "{run}/final.zip", "--plant", "analytic", "--out", "{run}/s"]],
         "numbers": {

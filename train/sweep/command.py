@@ -197,9 +197,14 @@ def _here(todo: dict, children: Children, threads: int, at_once: int) -> Done:
 
 def _on_ray(todo: dict, address: str | None) -> Done:
     """The jobs as Ray tasks of one core each, as they end."""
+    stands = {key: jobs.read(job) for key, job in todo.items()}
+    left = [key for key, steps in stands.items() if not all(step.done for step in steps)]
+    yield from ((key, steps) for key, steps in stands.items() if key not in left)
+    if not left:
+        return
     with cluster.connected(address) as ray:
         remote = ray.remote(num_cpus=1, max_retries=0)(_on_worker)
-        left, flying = list(todo), {}
+        flying: dict = {}
         limit = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
         try:
             while left or flying:
@@ -279,9 +284,5 @@ def _show(console: Console, recipe: Recipe, result: measured.Result) -> None:
     for m in result.measured:
         bar = m.bar_words if m.number.bar is not None else ""
         table.add_row(m.variant, m.number.title, m.words, m.interval_words, bar, verdicts[m.met])
-    cpu, wall = ([getattr(ran, name) for ran in result.runs] for name in ("cpu_seconds", "wall_seconds"))
-    table.caption = (
-        f"CPU of a run {min(cpu):.0f} to {max(cpu):.0f} s, wall time {min(wall):.0f} to {max(wall):.0f} s; "
-        f"{result.machine}, load {result.load[0]:.1f} to {result.load[1]:.1f}"
-    )
+    table.caption = result.cost
     console.print(table)
