@@ -316,8 +316,9 @@ def test_kinds_of_runs_are_compared_over_steps_and_over_time(tmp_path):
     runs = [of_kind(tmp_path / f"{kind}{t}", kind, seconds=t) for kind in kinds for t in kinds[kind]]
     runs += [of_kind(tmp_path / "point", "ppo", "effort", "setpoint")]
     figure = comparison_curves(runs, ["algorithm"])
-    (steps, seconds), (error, _) = (figure.axes[:2], figure.axes[2:])
-    assert steps.get_xlabel().startswith("environment steps") and "CPU time" in seconds.get_xlabel()
+    steps, seconds, level, _, error, _, last, lasting = figure.axes
+    assert last.get_xlabel().startswith("environment steps") and "CPU time" in lasting.get_xlabel()
+    assert level.get_ylabel() == last.get_ylabel() == "curriculum level"
     assert error.get_yscale() == "log" and [a.get_title(loc="left") for a in (steps, error)] == [
         "landing",
         "setpoint",

@@ -141,35 +141,42 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
 
 
 def comparison_curves(runs: Sequence[str | Path], by: Sequence[str]) -> Figure:
-    """Figure of the score of evaluations against environment steps and CPU seconds of the training.
+    """Figure of score and curriculum level against environment steps and CPU seconds of the training.
 
     runs: run folders; those with the same values of the options `by`, as run.json calls them, are seeds of
     one group and have one colour: thin lines, their median, and the range from the lowest to the highest.
-    Tasks have a row each. Raises UserError for folders that are no runs, unknown options and too many groups.
+    Tasks have a row each, and one for the level where it moves. Raises UserError for folders that are no
+    runs, unknown options and too many groups.
     """
     if not runs:
         raise UserError("curves need at least one run folder")
-    read = [(*read_run(folder, _AGAINST), _group(Path(folder), by)) for folder in runs]
-    tasks, groups = (list(dict.fromkeys(run[k] for run in read)) for k in (0, 2))
+    runs_read = [(*read_run(folder, _AGAINST), _group(Path(folder), by)) for folder in runs]
+    tasks, groups = (list(dict.fromkeys(run[k] for run in runs_read)) for k in (0, 2))
     if len(groups) > len(_COLOURS):
         raise UserError(f"the runs are of {len(groups)} kinds; at most {len(_COLOURS)} are told apart")
+    rows = []
+    for task in tasks:
+        rows.append((task, "evaluations", _score_curve(task)))
+        if any(of == task and tables["learning"]["level"].nunique() > 1 for of, tables, _ in runs_read):
+            rows.append((task, "learning", _LEVEL))
     with styled():
-        figure = Figure(figsize=(6.8, 0.55 + 2.5 * len(tasks)), layout="constrained")
-        grid = figure.subplots(len(tasks), len(_AGAINST), sharey="row", squeeze=False)
-        for row, task in zip(grid, tasks):
-            curve = _score_curve(task)
-            for axes, against in zip(row, _AGAINST):
+        figure = Figure(figsize=(6.8, 0.75 + 1.9 * len(rows)), layout="constrained")
+        grid = figure.subplots(len(rows), len(_AGAINST), sharex="col", sharey="row", squeeze=False)
+        for line, (task, name, curve) in zip(grid, rows):
+            for axes, against in zip(line, _AGAINST):
                 for group, colour in zip(groups, _COLOURS):
-                    tables = [of[1]["evaluations"] for of in read if (of[0], of[2]) == (task, group)]
+                    tables = [read[name] for of, read, g in runs_read if (of, g) == (task, group)]
                     _draw(axes, curve, colour, tables, against)
                 _frame(axes, curve)
                 axes.set_xlim(left=0)
-                axes.set_xlabel(against.label)
-            row[1].set_ylabel("")
-            row[0].set_title(task, loc="left")
+            line[1].set_ylabel("")
+            if curve is not _LEVEL:
+                line[0].set_title(task, loc="left")
+        for axes, against in zip(grid[-1], _AGAINST):
+            axes.set_xlabel(against.label)
         handles = []
         for group, colour in zip(groups, _COLOURS):
-            count = sum(of[2] == group for of in read)
+            count = sum(of == group for *_, of in runs_read)
             label = f"{literal(group)}, {count} run{'s' if count > 1 else ''}"
             handles += grid[0, 0].plot([], [], color=colour, lw=2.2, label=label)
         figure.legend(handles=handles, loc="outside upper center", ncols=min(3, len(handles)))
