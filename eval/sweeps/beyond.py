@@ -16,11 +16,12 @@ from typing import Annotated
 import tyro
 
 from inclined_landing.eval.base import page, runs
+from inclined_landing.eval.base.claims import number as rounded
 from inclined_landing.eval.base.options import NewFolder
 from inclined_landing.eval.sweeps import measured
-from inclined_landing.eval.sweeps.measured import Result
+from inclined_landing.eval.sweeps.measured import Measured, Result, bar_words
 from inclined_landing.eval.sweeps.picture import variants_figure
-from inclined_landing.eval.sweeps.recipe import Recipe, read_recipe, run_name
+from inclined_landing.eval.sweeps.recipe import Number, Recipe, read_recipe, run_name
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
@@ -67,17 +68,29 @@ class Found:
     @property
     def heads(self) -> tuple[str, ...]:
         """Headings of its table."""
+        if self._by_variant:
+            return ("variant", *map(_heading, self.recipe.numbers.values()))
         variant = ("variant",) if "" not in self.recipe.variants else ()
         return (*variant, "number", "median (range)", "mean [95 %]", "bar", "")
 
     @property
     def rows(self) -> list[tuple[str, ...]]:
-        """Its table: a row for each number of each variant."""
+        """Its table: a row for each variant, or for each number of each."""
+        recipe, result = self.recipe, self.result
+        if self._by_variant:
+            return [
+                (variant, *(_cell(result.of(variant, name)) for name in recipe.numbers))
+                for variant in recipe.variants
+            ]
         rows = [
-            (m.variant, m.number.title, m.words, m.interval_words, m.bar_words, VERDICTS[m.met])
-            for m in self.result.measured
+            (m.variant, m.number.title, m.words, m.interval_words, bar_words(m.number), VERDICTS[m.met])
+            for m in result.measured
         ]
-        return rows if "" not in self.recipe.variants else [row[1:] for row in rows]
+        return rows if "" not in recipe.variants else [row[1:] for row in rows]
+
+    @property
+    def _by_variant(self) -> bool:
+        return len(self.recipe.variants) > len(self.recipe.numbers)
 
     @property
     def runs(self) -> str:
@@ -187,6 +200,18 @@ def _find(path: Path, pictures: Path | None) -> Found:
     if recipe.figure is None and len(recipe.variants) > 1:
         made[".png"] = page.png(variants_figure(recipe, result))
     return Found(recipe, result, _kept(recipe.name, pictures) | made)
+
+
+def _heading(number: Number) -> str:
+    unit = f" [{number.unit}]" if number.unit != "1" else ""
+    bar = f", {bar_words(number)}" if number.bar is not None else ""
+    return f"{number.title}{unit}: median (range) [95 % of the mean]{bar}"
+
+
+def _cell(m: Measured) -> str:
+    ends = "" if m.interval is None else f" [{', '.join(map(rounded, m.interval))}]"
+    verdict = "" if m.met is None else f", {VERDICTS[m.met]}"
+    return f"{m.range_words}{ends}{m.never_words}{verdict}"
 
 
 def _kept(name: str, folder: Path | None) -> dict[str, bytes]:

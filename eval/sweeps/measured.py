@@ -73,15 +73,24 @@ class Measured:
 
     @property
     def words(self) -> str:
-        """Median and range: "99.6 (99.2 to 100) %"."""
-        missing = len(self.values) - len(self.present)
+        """Median and range with the unit: "99.6 (99.2 to 100) %"."""
+        unit = f" {self.number.unit}" if self.number.unit != "1" and self.present else ""
+        return f"{self.range_words}{unit}{self.never_words}"
+
+    @property
+    def range_words(self) -> str:
+        """Median and range: "99.6 (99.2 to 100)"."""
         if not self.present:
-            return f"never in {missing} of {missing}"
+            return "–"
         low, high = rounded(min(self.present)), rounded(max(self.present))
         text = "never" if self.median is None else rounded(self.median)
-        text += f" ({low} to {high})" if low != high or self.median is None else ""
-        text += f" {self.number.unit}" if self.number.unit != "1" else ""
-        return f"{text}, never in {missing} of {len(self.values)}" if missing else text
+        return text + (f" ({low} to {high})" if low != high or self.median is None else "")
+
+    @property
+    def never_words(self) -> str:
+        """How many seeds never got there: ", never in 1 of 3"."""
+        missing = len(self.values) - len(self.present)
+        return f", never in {missing} of {len(self.values)}" if missing else ""
 
     @property
     def interval_words(self) -> str:
@@ -90,14 +99,6 @@ class Measured:
             return "–"
         ends = "" if self.interval is None else f" [{', '.join(map(rounded, self.interval))}]"
         return rounded(self.mean) + ends
-
-    @property
-    def bar_words(self) -> str:
-        """The bar and what is held against it: "worst at least 99"."""
-        if self.number.bar is None:
-            return "–"
-        side = "at most" if self.number.better == "lower" else "at least"
-        return f"{self.number.over} {side} {rounded(self.number.bar)}"
 
     def record(self) -> dict:
         """Plain data; `read` gives it back."""
@@ -165,6 +166,13 @@ class Result:
             "measured": [measured.record() for measured in self.measured],
             "runs": runs,
         }
+
+
+def bar_words(number: Number) -> str:
+    """The bar and what is held against it: "worst at least 99"."""
+    if number.bar is None:
+        return "–"
+    return f"{number.over} {'at most' if number.better == 'lower' else 'at least'} {rounded(number.bar)}"
 
 
 def take(number: Number, folder: Path) -> tuple[str, Any]:

@@ -221,7 +221,7 @@ def test_a_seed_that_never_got_there_is_said():
     assert (
         found.words == "7 (5 to 7) steps, never in 1 of 3" and found.mean is None and found.interval is None
     )
-    assert sum_up("", number(), [("number", None)] * 2).words == "never in 2 of 2"
+    assert sum_up("", number(), [("number", None)] * 2).words == "–, never in 2 of 2"
 
 
 def test_numbers_are_taken_from_where_they_stand(tmp_path):
@@ -317,6 +317,17 @@ def test_the_page_has_question_answer_verdict_and_pictures(folder, tmp_path, cap
     assert page.count("<img") == 2 and "](beyond/two.png)" in text and "[Two ways](#two-ways)" in text
     assert (tmp_path / "docs" / "beyond" / "two.gif").read_bytes() == GIF
     assert (tmp_path / "out" / "two.png").read_bytes() == PNG
+
+
+def test_many_variants_have_a_row_each(folder, tmp_path):
+    data = GOOD | {"variants": GOOD["variants"] | {"c": []}}
+    recipe = read_recipe(write(folder, data))
+    (folder / "result.json").write_text(json.dumps(result_of(recipe).record()).replace("NaN", "null"))
+    assert cli.main(["beyond", str(folder), "--site", str(tmp_path)]) == 0
+    text = (tmp_path / "beyond.md").read_text("utf-8")
+    assert "| variant | share [%]: median (range) [95 % of the mean], worst at least 90 | steps:" in text
+    for variant in "abc":
+        assert f"\n| {variant} | 90 (80 to 100) [74.4, 96.5], missed | 400\u202f000 (300\u202f000" in text
 
 
 def test_a_recipe_with_its_result_stands_for_its_sweep(folder, tmp_path):

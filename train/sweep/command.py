@@ -282,7 +282,7 @@ def _show(console: Console, recipe: Recipe, result: measured.Result) -> None:
     heads = ("number", "median (range)", "mean [95 %]", "bar", "")
     table = new_table(f"{recipe.title}, {len(recipe.seeds)} seeds", "variant", *heads, left=2)
     for m in result.measured:
-        bar = m.bar_words if m.number.bar is not None else ""
+        bar = measured.bar_words(m.number)
         table.add_row(m.variant, m.number.title, m.words, m.interval_words, bar, verdicts[m.met])
     table.caption = result.cost
     console.print(table)
