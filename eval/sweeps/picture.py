@@ -24,6 +24,10 @@ def variants_figure(recipe: Recipe, result: Result) -> Figure:
     with styled():
         figure = Figure(figsize=(width, height))
         figure.text(0.12 / width, 1 - 0.22 / height, recipe.title, weight="bold", va="center")
+        said = (
+            f"{len(recipe.seeds)} seeds: median, range; cross: never" if len(recipe.seeds) > 1 else "one seed"
+        )
+        figure.text(1 - 0.12 / width, 1 - 0.22 / height, said, color=MUTED, va="center", ha="right")
         for k, number in enumerate(numbers):
             box = (left + k * _PANEL + 0.1, _FOOT, _PANEL - 0.3, height - _HEAD - _FOOT)
             axes = figure.add_axes((box[0] / width, box[1] / height, box[2] / width, box[3] / height))

@@ -280,7 +280,8 @@ def _tell(console: Console, job: Job, steps: list[Step]) -> None:
 def _show(console: Console, recipe: Recipe, result: measured.Result) -> None:
     verdicts = {True: "met", False: "missed", None: ""}
     heads = ("number", "median (range)", "mean [95 %]", "bar", "")
-    table = new_table(f"{recipe.title}, {len(recipe.seeds)} seeds", "variant", *heads, left=2)
+    count = len(recipe.seeds)
+    table = new_table(f"{recipe.title}, {count} seed{'s' * (count > 1)}", "variant", *heads, left=2)
     for m in result.measured:
         bar = measured.bar_words(m.number)
         table.add_row(m.variant, m.number.title, m.words, m.interval_words, bar, verdicts[m.met])
