@@ -68,12 +68,15 @@ class Plan:
             boxless = kind is InclinedLanding and own.goal_size is None
             if not isinstance(own, kind) or boxless:
                 raise UserError(f"the {leg} policy {policy.name} is for the task {own.name}")
-        slopes = [math.degrees(policy.task.inclination) for policy in (self.landing, self.touchdown)]  # type: ignore[attr-defined]
-        if abs(slopes[0] - slopes[1]) > 1e-6:
+        slopes = [policy.task for policy in (self.landing, self.touchdown)]
+        first, last = (math.degrees(task.inclination) for task in slopes)  # type: ignore[attr-defined]
+        if abs(first - last) > 1e-6:
             raise UserError(
-                f"the landing policy is for a slope of {slopes[0]:.1f} deg, the touchdown policy for "
-                f"{slopes[1]:.1f} deg"
+                f"the landing policy is for a slope of {first:.1f} deg, the touchdown policy for "
+                f"{last:.1f} deg"
             )
+        if any(task.azimuth for task in slopes):  # type: ignore[attr-defined]
+            raise UserError("missions are flown to slopes along x: leave the azimuth of the tasks out")
         v, (x, z) = self.vehicle, self.hand_over
         top = v.platform_surface_height + v.slab_half_length * abs(math.sin(self.task.inclination))
         low, high = (v.arena_x[0] + CLEAR, top + CLEAR), (v.arena_x[1] - CLEAR, v.arena_z[1] - CLEAR)

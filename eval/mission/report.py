@@ -38,10 +38,7 @@ def report_of(missions: Sequence[Mission]) -> dict:
         "time": spread([m.t[-1] for m in missions if m.success]),
         "legs": {name: _leg(missions, name) for name in LEGS},
         "handed_over": _handed_over(missions, plan),
-        "rest": {
-            "y": spread([abs(m.state[-1, Y]) for m in missions if m.success]),
-            "largest_y": spread([np.abs(_planar(m)[:, Y]).max() for m in missions if len(_planar(m))]),
-        },
+        "rest": {"y": spread([abs(m.state[-1, Y]) for m in missions if m.success])},
         "flights": [_record(m) for m in missions],
         "versions": runs.versions(),
     }
@@ -71,11 +68,6 @@ def _handed_over(missions: Sequence[Mission], plan: Plan) -> dict:
         "y": spread(np.abs(states[:, Y])),
         "vy": spread(np.abs(states[:, VY])),
     }
-
-
-def _planar(mission: Mission) -> np.ndarray:
-    """The states after the hand-over."""
-    return mission.state[mission.leg >= LANDING]
 
 
 def _record(mission: Mission) -> dict:

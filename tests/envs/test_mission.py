@@ -149,6 +149,10 @@ def test_policies_must_go_together():
         Plan(setpoint, landing, landing)
     with pytest.raises(UserError, match=r"slope of -20\.0 deg, the touchdown policy for -25\.7 deg"):
         Plan(setpoint, load_policy("landing", inclination=np.radians(-20.0)), touchdown)
+    turned = Leaning()
+    turned.task = make_task("landing", dimensions=3, azimuth=1.0)
+    with pytest.raises(UserError, match="slopes along x"):
+        Plan(setpoint, turned, touchdown)
     for point in ((0.0, 1.4), (5.0, 1.8), (0.0, 2.3)):
         with pytest.raises(UserError, match="hand-over point must lie above the platform"):
             Plan(*POLICIES, hand_over=point)
