@@ -56,7 +56,7 @@ def mission_figure(mission: Mission, others: Sequence[Mission] = ()) -> Figure:
         )
         above.add_patch(slab)
         _draw_marks(beside, above, mission)
-        _draw_words(figure, beside, above, mission, len(others))
+        _draw_words(beside, above, mission, others)
     return figure
 
 
@@ -84,13 +84,13 @@ def _draw_marks(beside, above, mission: Mission) -> None:
     above.plot(*end[[X, Y]], "o", ms=6, color=colours[-1], mec="white", zorder=5, gid="end")
 
 
-def _draw_words(figure, beside, above, mission: Mission, others: int) -> None:
+def _draw_words(beside, above, mission: Mission, others: Sequence[Mission]) -> None:
     lines, names = [], []
     for colour, name in zip(COLOURS, LEGS):
-        leg = mission.flown(name)
-        if leg is not None:
+        own = mission.flown(name)
+        if own is not None or any(other.flown(name) for other in others):
             lines.append(Line2D([], [], color=colour, lw=2.2))
-            names.append(f"{name} {leg.duration:.2f} s")
+            names.append(name if own is None else f"{name} {own.duration:.2f} s")
     lines.append(Line2D([], [], color=INK, marker="o", mfc="none", ls="", mew=0.9))
     names.append("hand-over box")
     legend_below(above, handles=lines, labels=names, ncols=len(names), columnspacing=1.1, handlelength=1.3)
@@ -98,7 +98,7 @@ def _draw_words(figure, beside, above, mission: Mission, others: int) -> None:
     title = f"From x {start[X]:.2f}, y {start[Y]:.2f}, z {start[Z]:.2f} m: {mission.words}"
     beside.set_title(title, loc="left", pad=6)
     scale = StampMaker(mission.plan.vehicle).scale
-    behind = f"; thin: {others} other mission{'s' * (others != 1)}" if others else ""
+    behind = f"; thin: {len(others)} other mission{'s' * (len(others) != 1)}" if others else ""
     notes = {beside: f"from the side; quadrotor drawn {scale:g}×", above: f"from above{behind}"}
     for axes, note in notes.items():
         axes.text(0.012, 0.03, note, transform=axes.transAxes, size=8.5, color=MUTED)
