@@ -19,16 +19,6 @@ from inclined_landing.eval.policies.moving.scenario import Drawn, Scenario
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import (
     PWM,
-    ROLL,
-    STATE_SIZE,
-    VX,
-    VZ,
-    WX,
-    WZ,
-    YAW,
-    Z,
-    euler_angles,
-    rotations,
 )
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
@@ -99,20 +89,11 @@ def _named(work, scenario: Scenario):
 def _touch(recorder: Recorder) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normal and tangential speed and tilt (n,) at the first touch, from the last state before it."""
     touch = recorder.touch
-    result = np.full((3, len(touch.time)), np.nan)
+    tilt = np.full(len(touch.time), np.nan)
     own = np.flatnonzero(recorder.touched)
-    if not len(own):
-        return tuple(result)
-    deck = recorder.plant.deck_at(np.nan_to_num(touch.time - STEP))[own]
-    state = np.zeros((len(own), STATE_SIZE))
-    state[:, : Z + 1], state[:, VX : VZ + 1] = touch.qpos[own, :3], touch.qvel[own, :3]
-    state[:, ROLL : YAW + 1] = [euler_angles(*quaternion) for quaternion in touch.qpos[own, 3:7]]
-    state[:, WX : WZ + 1] = touch.qvel[own, 3:6]
-    normal = surface.normals(deck)
-    _, velocity, _ = surface.relative(state, deck)
-    away = (velocity * normal).sum(axis=1)
-    result[0, own] = -away
-    result[1, own] = np.linalg.norm(velocity - away[:, None] * normal, axis=1)
-    upright = rotations(np.ascontiguousarray(state[:, ROLL : YAW + 1]))[:, :, 2]
-    result[2, own] = np.arccos(np.clip((upright * normal).sum(axis=1), -1.0, 1.0))
-    return tuple(result)
+    if len(own):
+        normal = surface.normals(recorder.plant.deck_at(np.nan_to_num(touch.time - STEP)))[own]
+        w, x, y, z = touch.qpos[own, 3:7].T
+        upright = np.column_stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+        tilt[own] = np.arccos(np.clip((upright * normal).sum(axis=1), -1.0, 1.0))
+    return *recorder.touch_speeds(), tilt
