@@ -28,6 +28,7 @@ BOXES = {
     "eval.proof": (5.1, 5, 1.9, "does gap work?"),
     "eval.replay": (6.9, 5, 1.2, "flights to see"),
     "eval.mission": (8.2, 5, 1.2, "whole flights"),
+    "eval.moving": (9.23, 5, 0.74, "decks"),
     "eval.gap": (4.85, 4, 1.9, "which effect is missing?"),
     "eval.landings": (1.35, 4, 1.9, "what happens on touching?"),
     "eval.machine": (3.1, 4, 1.4, "doctor, benchmark"),

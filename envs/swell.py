@@ -1,7 +1,7 @@
 """Decks that move, drawn for training: steady travel any way, and a swell of heave, roll and pitch.
 
 Ships and cars are no part of it: the benchmark's motions have spectra of their own
-(`eval/policies/moving/scenarios`).
+(`eval/moving/scenarios`).
 """
 
 from __future__ import annotations

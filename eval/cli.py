@@ -46,7 +46,7 @@ COMMANDS = {
         "Landing policies over all slopes that they know: curve over the angle, map of all directions.",
     ),
     "moving": (
-        "policies",
+        "",
         "Landings on moving decks: the frozen benchmark, for policies and controllers of your own (minutes).",
     ),
     "export": (

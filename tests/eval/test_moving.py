@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.policies.moving import controllers, report, spectra
-from inclined_landing.eval.policies.moving.command import vehicle_flown
-from inclined_landing.eval.policies.moving.flying import fly
-from inclined_landing.eval.policies.moving.scenario import read_scenario, shipped
+from inclined_landing.eval.moving import controllers, report, spectra
+from inclined_landing.eval.moving.command import vehicle_flown
+from inclined_landing.eval.moving.flying import fly
+from inclined_landing.eval.moving.scenario import read_scenario, shipped
 from inclined_landing.models.errors import UserError
 
 VEHICLE = vehicle_flown()

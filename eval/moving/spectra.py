@@ -23,7 +23,7 @@ import math
 
 import numpy as np
 
-from inclined_landing.eval.policies.moving.scenario import Waves
+from inclined_landing.eval.moving.scenario import Waves
 from inclined_landing.models.motion import MODES
 
 GRAVITY = 9.81  # m/s2

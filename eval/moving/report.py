@@ -16,9 +16,9 @@ from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.statistics import proportion, spread
 from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, literal, styled
 from inclined_landing.eval.base.tables import new_table, printer, share_cell
-from inclined_landing.eval.policies.moving.controllers import Controller
-from inclined_landing.eval.policies.moving.flying import FIELDS, fly
-from inclined_landing.eval.policies.moving.scenario import Scenario
+from inclined_landing.eval.moving.controllers import Controller
+from inclined_landing.eval.moving.flying import FIELDS, fly
+from inclined_landing.eval.moving.scenario import Scenario
 
 _COLOURS = (ORANGE, BLUE, GREEN, PURPLE, MUTED)
 _MARKS = ("o", "s", "^", "D", "v")

@@ -21,7 +21,7 @@ from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import Moment, is_path
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.own import import_named
-from inclined_landing.eval.policies.moving.planner import Planner
+from inclined_landing.eval.moving.planner import Planner
 from inclined_landing.models.attitude import COMMAND_SIZE, PWM, WZ
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle

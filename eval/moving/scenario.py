@@ -148,7 +148,7 @@ class Drawn:
 
 def shipped() -> dict[str, Path]:
     """The frozen scenarios, by name, in the order of the tables."""
-    folder = Path(str(resources.files("inclined_landing.eval.policies.moving") / "scenarios"))
+    folder = Path(str(resources.files("inclined_landing.eval.moving") / "scenarios"))
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 

@@ -7,15 +7,17 @@ or with its time.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pandas as pd
 
-from inclined_landing.envs.tasks import Moment
+from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.tasks import InclinedTouchdown, Moment
 from inclined_landing.envs.tasks.touchdown import resting
-from inclined_landing.eval.policies.moving.controllers import Controller
-from inclined_landing.eval.policies.moving.scenario import Drawn, Scenario
+from inclined_landing.eval.moving.controllers import Controller
+from inclined_landing.eval.moving.scenario import Drawn, Scenario
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import (
     PWM,
@@ -26,6 +28,9 @@ from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP, Recorder
 
 FIELDS = ("at_rest", "time", "normal_speed", "tangential_speed", "tilt", "off_centre")
+
+
+RIDE = 1.5  # s that a film goes on for after rest
 
 
 def plant_of(scenario: Scenario, drawn: Drawn, vehicle: Vehicle) -> MujocoPlant:
@@ -57,9 +62,7 @@ def fly(scenario: Scenario, controller: Controller, flights: int | None = None) 
             pilot, tick * period, Moment(plant.state, plant.contacts, deck=plant.deck), scenario
         )
         recorder.step(commands, np.flatnonzero(~ended))
-        idle = commands[:, PWM] == 0.0
-        holding = resting(plant.state, plant.deck, idle, plant.contacts, rest.speed, rest.rate)
-        held = np.where(holding, held + 1, 0)
+        held = np.where(_rests(scenario, plant, commands), held + 1, 0)
         rests = ~ended & (held >= math.ceil(rest.hold / period - 1e-9))
         time[rests] = (tick + 1) * period
         off_centre[rests] = np.linalg.norm(surface.relative(plant.state, plant.deck)[0], axis=1)[rests]
@@ -68,6 +71,61 @@ def fly(scenario: Scenario, controller: Controller, flights: int | None = None) 
             break
     columns = (~np.isnan(time), time, *_touch(recorder), off_centre)
     return pd.DataFrame(dict(zip(FIELDS, columns)))
+
+
+@dataclasses.dataclass(kw_only=True)
+class Ride(Flight):
+    """A flight that goes on after rest: the vehicle rides along."""
+
+    rested: float  # s, when it had come to rest, or the end
+
+    @property
+    def duration(self) -> float:
+        """Until rest [s]."""
+        return self.rested
+
+
+def ride(scenario: Scenario, controller: Controller) -> Ride:
+    """The first flight of a scenario, to be filmed."""
+    drawn, period = scenario.draw(controller.vehicle, 1), controller.vehicle.command_control_period
+    plant = plant_of(scenario, drawn, controller.vehicle)
+    plant.reset([0], drawn.start)
+    pilot, held, left, touched = controller.pilot(1), 0, math.inf, False
+    rows = [(plant.state[0].copy(), plant.deck[0].copy())]
+    given: list[np.ndarray] = []
+    while len(given) * period < scenario.success.within and left > 0:
+        commands = pilot(len(given) * period, Moment(plant.state, plant.contacts, deck=plant.deck))
+        plant.step(commands)
+        given.append(commands[0])
+        rows.append((plant.state[0].copy(), plant.deck[0].copy()))
+        touched |= bool(plant.contacts.platform[0])
+        held = held + 1 if _rests(scenario, plant, commands)[0] else 0
+        if held * period >= scenario.success.hold and math.isinf(left):
+            left = RIDE
+        left -= period
+    state, deck = map(np.array, zip(*rows))
+    task = InclinedTouchdown(controller.vehicle, dimensions=3)
+    success = not math.isinf(left)
+    return Ride(
+        task=task,
+        actions=np.zeros((len(rows), len(task.action_names))),  # a controller has none
+        reward=np.zeros(len(rows)),
+        success=success,
+        touched=touched,
+        rested=period * (len(given) - (round(RIDE / period) if success else 0)),
+        t=period * np.arange(len(rows)),
+        state=state,
+        commands=np.array([*given, given[-1]]),
+        inclination=scenario.inclination,
+        deck=deck,
+        motion=drawn.motion,
+    )
+
+
+def _rests(scenario: Scenario, plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
+    """(n,) bool: at rest on the deck now, as the scenario says."""
+    success, idle = scenario.success, commands[:, PWM] == 0.0
+    return resting(plant.state, plant.deck, idle, plant.contacts, success.speed, success.rate)
 
 
 def _begun(controller: Controller, scenario: Scenario, n: int):

@@ -13,14 +13,17 @@ from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flag, NewFolder, Range
 from inclined_landing.eval.base.page import embedded, png, render
 from inclined_landing.eval.base.style import save_figure
-from inclined_landing.eval.policies.moving import report as made
-from inclined_landing.eval.policies.moving.controllers import PLANNER, find
-from inclined_landing.eval.policies.moving.scenario import read_scenario, shipped
+from inclined_landing.eval.moving import report as made
+from inclined_landing.eval.moving.controllers import PLANNER, find
+from inclined_landing.eval.moving.flying import ride
+from inclined_landing.eval.moving.scenario import read_scenario, shipped
+from inclined_landing.eval.pictures import video
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 BASELINES = ("touchdown-moving", "landing-moving", PLANNER)
+_FPS, _LOOK = 20.0, {"camera": "chase", "width": 480, "height": 270, "backend": "auto"}  # of the film
 ANGLE_LIMIT = math.radians(55.0)  # of attitude commands: 50 deg of slope and some to steer with
 
 Controllers = Annotated[
@@ -45,6 +48,7 @@ def command(
     /,
     scenario: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME|FILE [NAME|FILE ...]")] = (),
     flights: Annotated[int | None, Range(1, 100_000)] = None,
+    film: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
     json: Flag = False,
     out: NewFolder = None,
 ) -> None:
@@ -54,11 +58,15 @@ def command(
         controllers: what is scored.
         scenario: of the benchmark, or scenario files (default: all of the benchmark).
         flights: only the first ones of each scenario, to try something.
+        film: scenario whose first flight, of the first controller, becomes flight.gif.
         json: print JSON, and nothing else, on standard output.
         out: new folder for index.html, moving.json, flights.csv and the figure.
     """
     if out is not None:
         runs.check_new_run(out)
+    if film is not None and out is None:
+        raise UserError("--film needs --out, the folder that the film is put into")
+    filmed = None if film is None else read_scenario(film)
     vehicle = vehicle_flown()
     scenarios = [read_scenario(name) for name in dict.fromkeys(scenario or shipped())]
     found = [find(name, vehicle) for name in dict.fromkeys(controllers or BASELINES)]
@@ -85,6 +93,9 @@ def command(
             storage.write_text(folder / "index.html", page)
             storage.write_text(folder / "flights.csv", flown.to_csv(index=False, float_format="%.6g"))
             storage.write_json(folder / "moving.json", report)
+            if filmed is not None:
+                frames, total, rate = video.film([ride(filmed, found[0])], _FPS, 1.0, **_LOOK)
+                video.write({folder / "flight.gif": 1}, frames, total, rate)
     if json:
         print(storage.to_json(report))
     else:
