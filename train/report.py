@@ -10,6 +10,10 @@ import numpy as np
 
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.rendering import make_renderer
+from inclined_landing.eval.moving import command as benchmark
+from inclined_landing.eval.moving import controllers
+from inclined_landing.eval.moving import report as moving
+from inclined_landing.eval.moving.scenario import read_scenario, shipped
 from inclined_landing.eval.pictures import figure, video
 from inclined_landing.eval.pictures.figures import curriculum_figure, learning_curves, save_figure
 from inclined_landing.eval.pictures.flown import fly
@@ -102,4 +106,16 @@ def _touchdown(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]
     return lambda: touchdown.show(table)
 
 
-_TABLES = {"touchdown": _touchdown}  # by the `table` of a task, where it is not one of success
+def _moving(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
+    """moving.json: `final.zip` on the benchmark of moving decks."""
+    controller = controllers.of_policy(load(folder / "final.zip"), benchmark.vehicle_flown())
+    table, _ = moving.evaluate([read_scenario(name) for name in shipped()], [controller])
+    storage.write_json(folder / "moving.json", table)
+    metrics["success"] = {"final": table["all"][0]["at_rest"]}
+    return lambda: moving.show(table)
+
+
+_TABLES = {
+    "touchdown": _touchdown,
+    "moving": _moving,
+}  # by the `table` of a task, where it is not one of success

@@ -235,6 +235,7 @@ class InclinedLanding(Task):
         if self.fastest is not None:
             self.observation_names += SEEN_MOVING
             self.observation_scale = np.append(self.observation_scale, SEEN_MOVING_SCALE)
+            self.table = "moving"
         if self.dimensions == 3:
             self.action_names, self.start_axes = ("thrust", "roll", "pitch"), ("x", "y", "z")
             self.film_starts = FILM_STARTS

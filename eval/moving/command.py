@@ -23,7 +23,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 BASELINES = ("touchdown-moving", "landing-moving", PLANNER)
-_FPS, _LOOK = 20.0, {"camera": "chase", "width": 480, "height": 270, "backend": "auto"}  # of the film
+_FPS, _LOOK = 12.5, {"camera": "chase", "width": 400, "height": 226, "backend": "auto"}  # of the film
 ANGLE_LIMIT = math.radians(55.0)  # of attitude commands: 50 deg of slope and some to steer with
 
 Controllers = Annotated[

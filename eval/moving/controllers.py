@@ -50,7 +50,11 @@ def find(name: str, vehicle: Vehicle) -> Controller:
         return Controller(PLANNER, "planner", vehicle, lambda n: _Told(Planner(vehicle), PLANNER, vehicle))
     if is_path(name):
         return _own(name, vehicle)
-    policy = load_policy(name)
+    return of_policy(load_policy(name), vehicle)
+
+
+def of_policy(policy: Policy, vehicle: Vehicle) -> Controller:
+    """A policy as a controller; raises UserError for one that flies in a plane."""
     if "roll" not in policy.task.action_names:
         raise UserError(
             f"policy {policy.path} flies in a plane; the scenarios need one of three dimensions, such as "

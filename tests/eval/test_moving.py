@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -207,3 +208,12 @@ def test_unknown_names_are_sentences(capsys):
         read_scenario("ship_9")
     assert main(["moving", "no-such-policy"]) == 2
     assert "does not exist" in capsys.readouterr().err
+
+
+def test_the_example_lands_and_is_the_one_of_the_page():
+    root = Path(__file__).parents[2]
+    example, page = root / "examples/own_controller.py", (root / "docs/moving.md").read_text()
+    text = example.read_text()
+    assert text[text.index("class Descend") :].strip() in page
+    found = controllers.find(f"{example}:Descend", VEHICLE)
+    assert fly(read_scenario("travel_050_cm_s"), found, 2)["at_rest"].all()
