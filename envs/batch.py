@@ -218,6 +218,7 @@ class BatchEnv:
         self.actions = np.clip(actions, -1.0, 1.0)
         centres = None if self._centres is None else self._centres[self.plant.choice]
         self.commands = self.task.commands(self.actions, *(() if centres is None else (centres,)))
+        self.commands = self.task.headed(self.commands, self.plant.measurement, self.plant.deck)
         if self.task.history:
             self.past.note(self._present(), self.actions)
 

@@ -46,45 +46,68 @@ def split(vector: np.ndarray, inclination) -> tuple[np.ndarray, np.ndarray]:
     return away, np.linalg.norm(vector - away[..., None] * normal, axis=-1)
 
 
+@numba.njit(cache=True, inline="always")
+def seen_from(roll, pitch, turn):
+    """Roll and pitch [rad] of a vehicle with the same thrust axis whose heading is less by `turn` [rad]."""
+    sin, cos = math.sin(turn), math.cos(turn)
+    flat = math.cos(pitch)
+    ahead, left, up = math.sin(pitch), -math.sin(roll) * flat, math.cos(roll) * flat
+    ahead, left = cos * ahead - sin * left, sin * ahead + cos * left
+    return math.atan2(-left, up), math.asin(min(1.0, max(-1.0, ahead)))
+
+
 @numba.njit(cache=True)
 def _heading_frame(state, deck, out):
     for i in range(len(state)):
-        sin, cos = math.sin(state[i, YAW]), math.cos(state[i, YAW])
+        sin, cos = math.sin(deck[i, YAW]), math.cos(deck[i, YAW])
         for first in (X, VX):
             x, y = state[i, first] - deck[i, first], state[i, first + 1] - deck[i, first + 1]
             out[i, first], out[i, first + 1] = cos * x + sin * y, cos * y - sin * x
         out[i, Z], out[i, VZ] = state[i, Z] - deck[i, Z], state[i, VZ] - deck[i, VZ]
-        out[i, ROLL], out[i, PITCH] = state[i, ROLL], state[i, PITCH]
-        turn = deck[i, YAW] - state[i, YAW]
-        sin, cos = math.sin(turn), math.cos(turn)
-        flat = math.cos(deck[i, PITCH])
-        ahead, left = math.sin(deck[i, PITCH]), -math.sin(deck[i, ROLL]) * flat
-        up = math.cos(deck[i, ROLL]) * flat
-        ahead, left = cos * ahead - sin * left, sin * ahead + cos * left
-        out[i, SLOPE_ROLL], out[i, SLOPE_PITCH] = math.atan2(-left, up), math.asin(min(1.0, max(-1.0, ahead)))
+        turn = state[i, YAW] - deck[i, YAW]
+        out[i, ROLL], out[i, PITCH] = seen_from(state[i, ROLL], state[i, PITCH], turn)
+        out[i, SLOPE_ROLL], out[i, SLOPE_PITCH] = deck[i, ROLL], deck[i, PITCH]
     return out
 
 
 def heading_frame(state: np.ndarray, deck: np.ndarray) -> np.ndarray:
-    """Vehicles as seen from their surfaces, turned by their own heading, (n, 10).
+    """Vehicles as seen from their surfaces, along level axes with the surfaces' heading, (n, 10).
 
     state (n, 13), deck (n, 12): see `Plant.deck`. Columns: x, y, z [m] from the surface's centre and vx, vy,
-    vz [m/s] against it, along axes turned by the vehicle's yaw about the vertical; its roll and pitch [rad];
-    and the roll and pitch [rad] that it would have standing on the surface with this heading.
+    vz [m/s] against it, along axes turned by the deck's yaw about the vertical; the roll and pitch [rad] of a
+    vehicle with this heading and the same thrust axis; and those that it has standing on the surface. So a
+    slope looks the same whichever way it faces, and wherever the vehicle's nose points.
     """
     return _heading_frame(state, deck, np.empty((len(state), HEADING_SIZE)))
 
 
-def deck_motion(state: np.ndarray, deck: np.ndarray) -> np.ndarray:
-    """Velocity [m/s] and rates [rad/s] of decks (n, 12), (n, 6), along axes turned by the vehicles' yaw.
+@numba.njit(cache=True)
+def _own_angles(angles, gain, limit, state, deck):
+    for i in range(len(angles)):
+        turn = deck[i, YAW] - state[i, YAW]
+        own = seen_from(gain * angles[i, 0], gain * angles[i, 1], turn)
+        for k in range(2):
+            angles[i, k] = min(limit, max(-limit, own[k] / gain))
+    return angles
 
-    state (n, 13): of the vehicles.
+
+def own_angles(
+    angles: np.ndarray, gain: float, limit: float, state: np.ndarray, deck: np.ndarray
+) -> np.ndarray:
+    """Roll and pitch commands (n, 2) [rad] for vehicles in states (n, 13), of ones in their heading frames.
+
+    gain: attitude that a command leads to over the command; limit [rad]: of each command.
     """
+    return _own_angles(np.array(angles, float), gain, limit, state, deck)
+
+
+def deck_motion(deck: np.ndarray) -> np.ndarray:
+    """Velocity [m/s] and rates [rad/s] of decks (n, 12), (n, 6), along the level axes of `heading_frame`."""
     turning = np.einsum(
         "nij,nj->ni", rotations(np.ascontiguousarray(deck[:, ROLL : YAW + 1])), deck[:, WX : WZ + 1]
     )
     moving = np.concatenate([deck[:, VX : VZ + 1], turning], axis=1)
-    cos, sin = np.cos(state[:, YAW]), np.sin(state[:, YAW])
+    cos, sin = np.cos(deck[:, YAW]), np.sin(deck[:, YAW])
     for first in (0, 3):
         x, y = moving[:, first].copy(), moving[:, first + 1].copy()
         moving[:, first], moving[:, first + 1] = cos * x + sin * y, cos * y - sin * x

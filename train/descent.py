@@ -39,7 +39,7 @@ class Descent:
         place = seen[:, : Z + 1].copy()
         place[:, Z] -= np.clip(FUNNEL * (beside - CENTRE), 0.0, HIGHEST)
         push = np.clip(-STIFFNESS * place - DAMPING * seen[:, VX : VZ + 1], -LARGEST, LARGEST)
-        push[:, :Z] += self._drag * surface.deck_motion(moment.state, moment.deck)[:, :Z]
+        push[:, :Z] += self._drag * surface.deck_motion(moment.deck)[:, :Z]
         wanted = {
             "thrust": self._hover * (1.0 + push[:, Z] / self._gravity),
             "roll": -push[:, Y] / self._gravity,

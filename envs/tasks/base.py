@@ -287,6 +287,13 @@ class Task(abc.ABC):
             u[:, channel.column] = command if channel.idle is None else command * (action > channel.idle)
         return u
 
+    def headed(self, commands: np.ndarray, state: np.ndarray, deck: np.ndarray) -> np.ndarray:
+        """`commands` (n, 4) as vehicles in states (n, 13) over decks (n, 12) are given them: here the same.
+
+        For tasks whose attitude actions are meant along other axes than the vehicles' own.
+        """
+        return commands
+
     def thrust_of(self, other: Task) -> tuple[float, float]:
         """Gain and offset that make a thrust action of `other` the one that commands the same PWM here."""
         return other.pwm_span / self.pwm_span, (other.pwm_centre - self.pwm_centre) / self.pwm_span

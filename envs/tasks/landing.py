@@ -33,8 +33,8 @@ its centre hovers 9 cm above the slope, and entries into it may be moving.
 Any slope: with `steepest` [rad] every episode has an inclination of its own, drawn evenly from -steepest to
 steepest. In space, with `dimensions=3`, it is drawn from 0 to steepest, with an azimuth from 0 to 360 deg:
 the direction that the slope faces, from +x. Without `steepest` all have the one inclination and azimuth. Such
-a task observes the slope, and everything from the centre of its surface in the frame that has the vehicle's
-heading (`models.surface.heading_frame`), so that `random_yaw` asks for nothing new:
+a task observes the slope, and everything from the centre of its surface, along level axes with the surface's
+heading (`models.surface.heading_frame`): a slope looks the same whichever way it faces.
 
 | in the plane | in space | quantity | unit |
 |---|---|---|---|
@@ -43,11 +43,14 @@ heading (`models.surface.heading_frame`), so that `random_yaw` asks for nothing 
 | 4 | 6, 7 | (roll,) pitch | rad |
 | 5 | 8, 9 | (slope roll,) slope pitch: of a vehicle of this heading that stands on it | rad |
 
-In space the actions are thrust, roll and pitch. The goal lies 0.10 m over the surface along its normal, as
-0.10 m straight above would leave 6.4 cm over a slope of 50 deg; in the goal box y, vy and roll have the half
-widths of x, vx and pitch, about the attitude of standing. Starts come from the upper half of the arena in all
-three directions, and its bounds in y are bounds too. Steep slopes need attitudes beyond 30 deg: `angle_limit`
-[rad] takes the place of the vehicle's. `inclination` and `azimuth` are then the slope of given starts.
+In space the actions are thrust, roll and pitch, these along the same axes: roll and pitch are those of a
+vehicle that has the surface's heading and the same thrust axis, and what the vehicle is commanded is turned
+by its own (`headed`). So `random_yaw` asks for nothing new. The goal lies 0.10 m over the surface along its
+normal, as 0.10 m straight above would leave 6.4 cm over a slope of 50 deg; in the goal box y, vy and roll
+have the half widths of x, vx and pitch, about the attitude of standing. Starts come from the upper half of
+the arena in all three directions, and its bounds in y are bounds too. Steep slopes need attitudes beyond 30
+deg: `angle_limit` [rad] takes the place of the vehicle's. `inclination` and `azimuth` are then the slope of
+given starts.
 
 Moving decks: with `fastest` [m/s], in space, every deck travels steadily, any way, at up to this speed, and
 with `swell` it heaves, rolls and pitches too (`envs.swell`). The vehicle starts at rest in the room.
@@ -79,7 +82,20 @@ from inclined_landing.envs.tasks.base import (
     hover_states,
 )
 from inclined_landing.models import geometry, surface
-from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Y, Z, rotation
+from inclined_landing.models.attitude import (
+    PITCH,
+    PITCH_COMMAND,
+    ROLL,
+    ROLL_COMMAND,
+    STATE_SIZE,
+    VX,
+    VZ,
+    YAW,
+    X,
+    Y,
+    Z,
+    rotation,
+)
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.base import DECK_SIZE
@@ -322,8 +338,16 @@ class InclinedLanding(Task):
             raise UserError(f"this {self.name} task observes the slope; give observe the deck")
         seen = surface.heading_frame(moment.state, moment.deck)[:, self._seen]
         if self.fastest is not None:
-            seen = np.concatenate([seen, surface.deck_motion(moment.state, moment.deck)], axis=1)
+            seen = np.concatenate([seen, surface.deck_motion(moment.deck)], axis=1)
         return seen.astype(np.float32)
+
+    def headed(self, commands: np.ndarray, state: np.ndarray, deck: np.ndarray) -> np.ndarray:
+        """In space attitude actions are along the axes of observations that are the surface's."""
+        if self.dimensions == 3:
+            both, v = [ROLL_COMMAND, PITCH_COMMAND], self.vehicle
+            limits = v.attitude_gain, v.command_angle_limit
+            commands[:, both] = surface.own_angles(commands[:, both], *limits, state, deck)
+        return commands
 
     def start_box(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper corner, (2,) as x, z or (3,) as x, y, z [m], of the box of random starts."""

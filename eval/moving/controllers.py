@@ -78,7 +78,7 @@ class _PolicyPilot:
             self._past.begin(slice(None), observation)
         actions = self._policy.predict(self._past.behind(observation)).astype(float)
         self._past.note(observation, actions)
-        commands = self._task.commands(actions)
+        commands = self._task.headed(self._task.commands(actions), moment.state, moment.deck)
         if self._task.cut_at_success:
             self._cut |= self._task.in_goal_over(moment.state, moment.deck, GOAL_SIZE)
             commands[self._cut, PWM] = 0.0
