@@ -149,7 +149,8 @@ class TaskEnv(gym.Env):
 
         if self._renderer is None:
             self._renderer = make_renderer(vehicle=self.task.vehicle, backend=self._backend, **self._picture)
-        return self._renderer.render(pose_on(self.batch.plant.state[0], self._deck))
+        plant = self.batch.plant
+        return self._renderer.render(pose_on(plant.state[0], self._deck, based=plant.motion is None))
 
     @property
     def _deck(self) -> np.ndarray | None:

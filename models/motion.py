@@ -86,7 +86,7 @@ class Motion:
         Rates and accelerations of the angles are those of the Euler angles.
         """
         out = np.empty((len(self), 3, 6))
-        _moved(np.arange(len(self)), _times(times, len(self)), *self.arrays, out)
+        _moved(_times(times, len(self)), *self.arrays, out)
         return out[:, 0], out[:, 1], out[:, 2]
 
     def decks(self, times, rest: np.ndarray) -> np.ndarray:
@@ -95,7 +95,7 @@ class Motion:
         rest (n, 12): the platforms' states where they do not move.
         """
         deck = np.array(rest, float)
-        where_now(np.arange(len(self)), _times(times, len(self)), rest, *self.arrays, deck)
+        _decks(_times(times, len(self)), rest, *self.arrays, deck)
         return deck
 
 
@@ -128,20 +128,24 @@ def moved(i, t, velocity, amplitude, frequency, phase, out):
 
 
 @numba.njit(cache=True)
-def _moved(ids, times, velocity, amplitude, frequency, phase, out):
-    for i in ids:
+def _moved(times, velocity, amplitude, frequency, phase, out):
+    for i in range(len(out)):
         moved(i, times[i], velocity, amplitude, frequency, phase, out[i])
 
 
 @numba.njit(cache=True)
-def where_now(ids, times, rest, velocity, amplitude, frequency, phase, deck):
-    """States of the decks `ids` at times (n,) [s] into their rows of `deck` (n, 12); see `Motion.decks`."""
+def _decks(times, rest, velocity, amplitude, frequency, phase, deck):
     now = np.empty((3, 6))
-    for i in ids:
+    for i in range(len(deck)):
         moved(i, times[i], velocity, amplitude, frequency, phase, now)
-        d = deck[i]
-        for k in range(3):
-            d[k] = rest[i, k] + now[0, k]
-            d[VX + k] = now[1, k]
-            d[ROLL + k] = rest[i, ROLL + k] + now[0, 3 + k]
-        d[WX], d[WY], d[WZ] = body_rates(d[ROLL], d[PITCH], now[1, 3], now[1, 4], now[1, 5])
+        as_state(now, rest[i], deck[i])
+
+
+@numba.njit(cache=True)
+def as_state(now, rest, deck):
+    """The state (12,) of a deck, into `deck`, of what `moved` says and its state at rest (12,)."""
+    for k in range(3):
+        deck[k] = rest[k] + now[0, k]
+        deck[VX + k] = now[1, k]
+        deck[ROLL + k] = rest[ROLL + k] + now[0, 3 + k]
+    deck[WX], deck[WY], deck[WZ] = body_rates(deck[ROLL], deck[PITCH], now[1, 3], now[1, 4], now[1, 5])

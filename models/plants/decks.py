@@ -83,8 +83,8 @@ class Decks:
     def place(self, ids: np.ndarray, present: np.ndarray) -> None:
         """Put the decks `ids` where their motions have them now, in the engine and in `deck`."""
         clock = self._time + self.begun, self._step, self._late
-        motion.where_now(ids, clock[0], self.rest, *self.motion.arrays, self._deck)
-        _place(ids, *clock, present, self.rest, *self.motion.arrays, self._inertia, *self._engine)
+        moves = self.rest, *self.motion.arrays
+        _place(ids, *clock, present, *moves, self._deck, self._inertia, *self._engine)
 
     def forces(self, ids: np.ndarray, present: np.ndarray) -> np.ndarray:
         """Forces (k, substeps, nv) that move the decks `ids` through the control period that begins."""
@@ -107,19 +107,22 @@ class Decks:
 
 @numba.njit(cache=True)
 def _place(
-    ids, time, step, late, present, rest, velocity, amplitude, frequency, phase, inertia,
+    ids, time, step, late, present, rest, velocity, amplitude, frequency, phase, deck, inertia,
     qpos, qvel, force, places, speeds,
 ):  # fmt: skip
     now, then, next_ = np.empty((3, 6)), np.empty((3, 6)), np.empty((3, 6))
     for i in ids:
+        t = time[i]
+        motion.moved(i, t, velocity, amplitude, frequency, phase, now)
+        motion.as_state(now, rest[i], deck[i])
         if not present[i]:
             for k in range(6):
                 qpos[i, places[k]] = qvel[i, speeds[k]] = force[i, speeds[k]] = 0.0
             qpos[i, places[Z]] = PARKED
             continue
-        t = time[i]
-        motion.moved(i, t, velocity, amplitude, frequency, phase, now)
-        motion.moved(i, t - late, velocity, amplitude, frequency, phase, then)
+        then[:] = now
+        if late > 0.0:
+            motion.moved(i, t - late, velocity, amplitude, frequency, phase, then)
         motion.moved(i, t + 0.5 * step - late, velocity, amplitude, frequency, phase, next_)
         for k in range(6):
             qpos[i, places[k]] = rest[i, k if k < 3 else ROLL + k - 3] + now[0, k]

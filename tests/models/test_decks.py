@@ -11,6 +11,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import HybridPlant, MujocoPlant, make_plant
+from inclined_landing.models.plants.recorder import impulses
 from inclined_landing.models.surface import normals, relative
 
 V = load_vehicle()
@@ -135,6 +136,24 @@ def test_force_on_a_heaving_deck(integrator):
             late = 2 * TAU + PERIOD  # the largest of one control period is seen
             assert abs(plant.contacts.force[0, 0, 0] - expected) < MASS * size * turn**3 * late
     assert 0.25 * 4.0**3 * late < 0.3 * 4.0  # m/s2: small beside the acceleration of 4 m/s2
+
+
+def test_impulses_of_contacts_explain_the_motion():
+    """m dv = impulse - m g dt in every engine step of a drop onto a deck.
+
+    To the solver's tolerance: it ends when a step gains less than 1e-15 of the inertia, 6e-10; that is an
+    acceleration of sqrt(2 x 6e-10 / m) = 2e-4 m/s2 and over 4 ms an impulse of 2.6e-8 N s.
+    """
+    plant = MujocoPlant(1, CALM, moving=True, control_period=STEP, threads=1)
+    standing(plant, motion(travel=(0.5, 0.0, 0.0), **SWELL), above=0.01)
+    met = 0.0
+    for _ in range(40):
+        given, before = impulses(plant, OFF)[0], plant.state[0, VX : VZ + 1].copy()
+        plant.step(OFF)
+        gained = MASS * (plant.state[0, VX : VZ + 1] - before)
+        np.testing.assert_allclose(gained, given - [0, 0, MASS * G * STEP], rtol=0, atol=2.6e-8)
+        met = max(met, np.linalg.norm(given))
+    assert met > 5 * MASS * G * STEP
 
 
 def slip(acceleration, friction: float, seconds: float) -> float:
