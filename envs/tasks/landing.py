@@ -17,9 +17,9 @@ Action, float32, from -1 to 1; roll and yaw-rate commands are zero:
 | 0 | thrust | PWM = centre + span a, cut to 10000 .. 60000 | `thrust` |
 | 1 | pitch | 30 deg times a | `pitch` |
 
-The centre is the hover of the vehicle with its effects on the thrust, a number, or the paper's 42000
-(`pwm_centre="paper"`); the span is 16500 as in the paper, or `pwm_span`. A policy knows neither:
-`load_policy(POLICY, task)` refuses one that was trained with others.
+The centre is the hover of the vehicle with its effects on the thrust, a number, the paper's 42000
+(`pwm_centre="paper"`), or the hover of whatever vehicle is flown (`pwm_centre="own"`); the span is 16500
+as in the paper, or `pwm_span`. A policy knows neither: `load_policy(POLICY, task)` refuses one that was trained with others.
 
 Goal s_g = [0, 1.25, 0, 0, inclination]; goal box |s - s_g| < [d, d, min(10d, 1.5), min(10d, 1.5),
 0.25d] with d from 0.25 (easiest) to 0.10 (the task).
