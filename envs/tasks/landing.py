@@ -19,7 +19,8 @@ Action, float32, from -1 to 1; roll and yaw-rate commands are zero:
 
 The centre is the hover of the vehicle with its effects on the thrust, a number, the paper's 42000
 (`pwm_centre="paper"`), or the hover of whatever vehicle is flown (`pwm_centre="own"`); the span is 16500
-as in the paper, or `pwm_span`. A policy knows neither: `load_policy(POLICY, task)` refuses one that was trained with others.
+as in the paper, or `pwm_span`. A policy knows neither: `load_policy(POLICY, task)` refuses one that was
+trained with others.
 
 Goal s_g = [0, 1.25, 0, 0, inclination]; goal box |s - s_g| < [d, d, min(10d, 1.5), min(10d, 1.5),
 0.25d] with d from 0.25 (easiest) to 0.10 (the task).
