@@ -196,10 +196,10 @@ class InclinedTouchdown(InclinedLanding):
         start = super().sample(rng, k)
         if c.beside > 0.0:
             beside = (rng.random(k) < c.beside) & start.present
-            start.state[beside] = self._over(start[beside], self._beside(rng, self.stopped(start[beside])))
+            start.state[beside] = self._along(start[beside], self._beside(rng, self.stopped(start[beside])))
         if c.close > 0.0:
             close = (rng.random(k) < c.close) & start.present
-            start.state[close] = self._over(start[close], self._close(rng, self.stopped(start[close])), True)
+            start.state[close] = self._along(start[close], self._close(rng, self.stopped(start[close])), True)
         contact: dict[str, Any] = {}
         if c.friction is not None:
             contact["friction"] = rng.uniform(*c.friction, k)
@@ -226,17 +226,17 @@ class InclinedTouchdown(InclinedLanding):
             todo = todo[self.start_clearance(beside[todo]) < START_CLEARANCE]
         return beside.state
 
-    def _over(self, start: Start, state: np.ndarray, along: bool = False) -> np.ndarray:
+    def _along(self, start: Start, state: np.ndarray, moving: bool = False) -> np.ndarray:
         """States (k, 13) over decks in their usual place as states over those of the starts.
 
-        along: they move along with the decks' centres.
+        moving: they move along with the decks' centres.
         """
         if start.motion is None:
             return state
         deck = self.decks(start)
         state[:, : Z + 1] += deck[:, : Z + 1]
         state[:, Z] -= self.vehicle.platform_surface_height
-        if along:
+        if moving:
             state[:, VX : VZ + 1] += deck[:, VX : VZ + 1]
         return state
 
