@@ -1,0 +1,175 @@
+"""Landing on any slope and in space: what the options draw, show, judge and refuse."""
+
+import hashlib
+import math
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import inclined_landing  # noqa: F401 (registers the environments)
+from inclined_landing.envs import load_policy, make_batch, starts
+from inclined_landing.envs.policy import locate, stamp
+from inclined_landing.envs.tasks import Moment, make_task
+from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, START_CLEARANCE, Conditions
+from inclined_landing.models.attitude import PITCH, ROLL, VX, YAW, X, Y, Z
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.plants.base import DECK_SIZE
+from inclined_landing.models.surface import turned
+
+STEEP = math.radians(50)
+PLANE = make_task("landing", steepest=STEEP, angle_limit=math.radians(55))
+SPACE = make_task("landing", steepest=0.5, dimensions=3, random_yaw=True)
+
+
+PLANE_DIGEST, SPACE_DIGEST = "c9354facd7c69359", "5cf7c8bcbcd0bae6"  # of the frozen starts
+
+
+def decks(inclination, azimuth):
+    """Decks (n, 12) that stand still."""
+    deck = np.zeros((len(inclination), DECK_SIZE))
+    deck[:, Z], deck[:, PITCH], deck[:, YAW] = 1.15, inclination, azimuth
+    return deck
+
+
+def test_slopes_are_drawn_evenly_and_starts_are_clear():
+    rng = np.random.default_rng(0)
+    plane, space = PLANE.sample(rng, 2000), SPACE.sample(rng, 2000)
+    # Means of 2000 uniform numbers: within four standard errors of their ranges' middles.
+    assert abs(plane.inclination.mean()) < 4 * 2 * STEEP / math.sqrt(12 * 2000)
+    assert plane.inclination.min() < -0.98 * STEEP and plane.inclination.max() > 0.98 * STEEP
+    assert plane.azimuth is None and not plane.state[:, [Y, YAW]].any()
+    assert 0.0 <= space.inclination.min() and 0.49 < space.inclination.max() <= 0.5
+    for angle in (space.azimuth, space.state[:, YAW]):
+        assert abs(angle.mean()) < 4 * 2 * math.pi / math.sqrt(12 * 2000) and np.ptp(angle) > 6.2
+    low, high = SPACE.vehicle.arena_y
+    assert space.state[:, Y].min() < low + 0.2 and space.state[:, Y].max() > high - 0.2
+    assert (space.state[:, Z] >= 1.2).all()
+    for task, start in ((PLANE, plane), (SPACE, space)):
+        assert (task.start_clearance(start) >= START_CLEARANCE).all()
+    SPACE.conditions = Conditions(tilt=0.1)
+    try:
+        assert SPACE.sample(rng, 100).inclination.max() <= 0.05
+    finally:
+        SPACE.conditions = Conditions()
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0, 0.5), st.floats(-3, 3), st.floats(-3, 3), st.integers(0, 10**6))
+def test_what_is_seen_and_judged_does_not_depend_on_where_the_slope_faces(slope, azimuth, yaw, seed):
+    rng = np.random.default_rng(seed)
+    goal = SPACE.goal_on(decks([slope], [0.0])[0])
+    state = np.tile(goal, (8, 1))
+    state[:, :8] += rng.normal(size=(8, 8)) * [0.08, 0.08, 0.08, 0.8, 0.8, 0.8, 0.02, 0.02]
+    state[0] = goal
+    deck, other = decks([slope] * 8, [0.0] * 8), decks([slope] * 8, [azimuth] * 8)
+    moved = turned(state, np.full(8, azimuth))
+    seen = SPACE.observe(Moment(state, deck=deck))
+    np.testing.assert_allclose(SPACE.observe(Moment(moved, deck=other)), seen, atol=1e-5)  # float32
+    inside = SPACE.in_goal_over(state, deck, np.full(8, 0.1))
+    assert inside[0] and (SPACE.in_goal_over(moved, other, np.full(8, 0.1)) == inside).all()
+
+
+@pytest.mark.parametrize("inclination", [-STEEP, -0.3, 0.0, STEEP])
+def test_goal_lies_along_the_normal_with_the_papers_half_widths(inclination):
+    deck = decks([inclination], [0.0])
+    goal = PLANE.goal_on(deck[0])
+    height = goal[X] * math.sin(inclination) + (goal[Z] - 1.15) * math.cos(inclination)
+    assert height == pytest.approx(GOAL_HEIGHT) and goal[PITCH] == inclination
+    for column, width in (
+        (X, 0.1),
+        (Y, 0.1),
+        (Z, 0.1),
+        (VX, 1.0),
+        (VX + 1, 1.0),
+        (ROLL, 0.025),
+        (PITCH, 0.025),
+    ):
+        for sign in (-1, 1):
+            for share, inside in ((0.999, True), (1.001, False)):
+                state = goal.copy()
+                state[column] += sign * share * width
+                assert PLANE.in_goal_over(state[None], deck, np.array([0.1]))[0] == inside
+
+
+def test_the_plain_task_is_as_it_was():
+    """Names, options and the stream of random starts."""
+    task = make_task("landing")
+    assert set(task.options) == {"inclination", "pwm_centre", "pwm_span"}
+    assert task.observation_names == ("x", "z", "vx", "vz", "pitch") and task.table == "goal_box"
+    rng = np.random.default_rng(3)
+    assert (rng.random(1) < 1.0).all()
+    x, z = rng.uniform([-3.3, 1.2], [3.3, 2.3], (1, 2))[0]
+    np.testing.assert_array_equal(task.sample(np.random.default_rng(3), 1).state[0, :3], [x, 0.0, z])
+
+
+def test_attitude_limit_is_that_of_task_plant_and_actions():
+    batch = make_batch("landing", 1, plant="analytic", angle_limit=math.radians(55))
+    assert batch.plant.vehicle.command_angle_limit == pytest.approx(math.radians(55))
+    assert batch.task.commands(np.array([[0.0, 1.0]]))[0, 2] == pytest.approx(math.radians(55))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"steepest": 0.45, "dimensions": 3}, {"steepest": 0.8, "angle_limit": 0.96}, {"dimensions": 3}],
+    ids=str,
+)
+def test_gymnasium_checks_it(options):
+    env = gymnasium.make("InclinedLanding-v0", plant="analytic", **options)
+    check_env(env.unwrapped, skip_render_check=True)
+    env.close()
+
+
+@pytest.mark.parametrize(
+    "options, sentence",
+    [
+        ({"steepest": 2.0}, "steepest must be an angle above 0 and up to 0.873 rad"),
+        ({"steepest": math.nan}, "steepest must be"),
+        ({"steepest": "wide"}, "steepest must be"),
+        ({"dimensions": 4}, "dimensions must be 2 or 3, not 4"),
+        ({"dimensions": True}, "dimensions must be 2 or 3"),
+        ({"random_yaw": True}, "random_yaw needs dimensions=3"),
+        ({"azimuth": 1.0}, "azimuth needs dimensions=3"),
+        ({"azimuth": math.inf, "dimensions": 3}, "azimuth must be an angle in rad"),
+        ({"angle_limit": 3.0}, "angle_limit must be an angle from 0.01 to 1.4 rad, not 3.0"),
+    ],
+    ids=str,
+)
+def test_wrong_options_are_refused_by_a_sentence(options, sentence):
+    with pytest.raises(UserError, match=sentence):
+        make_task("landing", **options)
+
+
+@pytest.mark.parametrize(
+    "trained, name",
+    [
+        ({"steepest": 0.4}, "steepest"),
+        ({"dimensions": 3}, "dimensions"),
+        ({"angle_limit": 0.9}, "angle_limit"),
+    ],
+    ids=str,
+)
+def test_a_policy_of_other_options_is_refused(tmp_path, trained, name):
+    path = tmp_path / "policy.zip"
+    path.write_bytes(locate("landing").read_bytes())
+    stamp(path, {"task": "landing", "task_options": trained})
+    with pytest.raises(UserError, match=f"was trained with {name}=.*give it {name}="):
+        load_policy(path, make_task("landing"))
+
+
+def test_frozen_starts_over_slopes_never_change():
+    """The digests stand here so that an edit of the set is seen."""
+    for task, digest, shape in ((PLANE, PLANE_DIGEST, (21, 2)), (SPACE, SPACE_DIGEST, (7, 13))):
+        fixed = make_task("landing", **{k: v for k, v in task.options.items() if k != "random_yaw"})
+        found = starts.over_slopes(fixed)
+        assert (len(found.inclinations), len(found.azimuths)) == shape
+        numbers = [found.start.state[:, :3], found.start.inclination, found.cell]
+        text = " ".join(f"{x:.6f}" for rows in numbers for x in np.ravel(rows))
+        assert hashlib.sha256(text.encode()).hexdigest()[:16] == digest
+        low, high = (found.inclinations[found.cell[0] + k] for k in (0, 1))
+        assert ((found.start.inclination >= low) & (found.start.inclination <= high)).all()
+    with pytest.raises(UserError, match="has one slope, and does not observe it"):
+        starts.over_slopes(make_task("landing"))
