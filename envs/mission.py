@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -68,6 +69,10 @@ class Plan:
             boxless = kind is InclinedLanding and own.goal_size is None
             if not isinstance(own, kind) or boxless:
                 raise UserError(f"the {leg} policy {policy.name} is for the task {own.name}")
+            if _without_limit(own.vehicle) != _without_limit(self.task.vehicle):
+                raise UserError(
+                    f"the {leg} policy {policy.name} has another vehicle than the touchdown policy"
+                )
         slopes = [policy.task for policy in (self.landing, self.touchdown)]
         first, last = (math.degrees(task.inclination) for task in slopes)  # type: ignore[attr-defined]
         if abs(first - last) > 1e-6:
@@ -100,7 +105,7 @@ class Plan:
     def vehicle(self) -> Vehicle:
         """The tasks' own, with the widest angle that one of them commands."""
         limit = max(policy.task.vehicle.command_angle_limit for policy in self.policies)
-        return dataclasses.replace(self.task.vehicle, command_angle_limit=limit)
+        return self.task.vehicle.changed(command_angle_limit=limit)
 
     @property
     def point(self) -> np.ndarray:
@@ -194,16 +199,25 @@ class Mission(Track):
         return next((leg for leg in self.legs if leg.name == name), None)
 
 
-def fly_missions(plan: Plan, starts: np.ndarray) -> list[Mission]:
+def _without_limit(vehicle: Vehicle) -> Vehicle:
+    """The vehicle but for the limit of its attitude commands, which is the task's."""
+    return dataclasses.replace(vehicle, command_angle_limit=0.0)
+
+
+def fly_missions(
+    plan: Plan, starts: np.ndarray, ended: Callable[[int], None] = lambda count: None
+) -> list[Mission]:
     """Fly a mission from each of starts (n, 3) [m], hovering there: all at once in MuJoCo (RK4, 4 ms).
 
-    A mission does not depend on how many others are flown. Raises UserError for a start where none can begin.
+    A mission does not depend on how many others are flown. ended: told after every control step how many
+    missions are over. Raises UserError for a start where none can begin.
     """
     starts = np.atleast_2d(np.asarray(starts, float))
     plan.check_starts(starts)
     flying = _Flying(plan, hover_states(starts, plan.vehicle))
     while (flying.end == FLYING).any():
         flying.step()
+        ended(int((flying.end != FLYING).sum()))
     return flying.missions()
 
 

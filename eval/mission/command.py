@@ -9,6 +9,8 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from rich.console import Console
+from rich.progress import Progress
 
 from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME
 from inclined_landing.envs.mission import HAND_OVER, Mission, Plan, fly_missions
@@ -63,7 +65,7 @@ def command(
     landing: PolicyName = "landing",
     touchdown: PolicyName = "touchdown",
     start: Starts = (),
-    missions: Annotated[int | None, Range(1, 10_000)] = None,
+    missions: Annotated[int | None, Range(1, 2000)] = None,
     seed: Seed = 0,
     given: Flat[HandOver] = HandOver(),
     inclination: Degrees = None,
@@ -106,7 +108,7 @@ def command(
         plan.check_starts(starts)
     else:
         starts = plan.sample(np.random.default_rng(seed), DRAWN if missions is None else missions)
-    flown = fly_missions(plan, starts)
+    flown = fly(plan, starts)
     report = report_of(flown) | {
         "seed": None if start else seed,
         "vehicle": str(vehicle) if vehicle is not None else "crazyflie.toml",
@@ -134,6 +136,13 @@ def make_plan(
         _point(given.hand_over, "hand-over", "X,Z"),
         *(given.near, given.slow, given.dwell, not given.drift),
     )
+
+
+def fly(plan: Plan, starts: np.ndarray) -> list[Mission]:
+    """The missions from starts (n, 3) [m], with a progress bar on stderr."""
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        bar = progress.add_task("missions", total=len(starts))
+        return fly_missions(plan, starts, lambda count: progress.update(bar, completed=count))
 
 
 def _point(text: str, option: str, form: str) -> tuple[float, ...]:

@@ -149,6 +149,9 @@ def test_policies_must_go_together():
         Plan(setpoint, landing, landing)
     with pytest.raises(UserError, match=r"slope of -20\.0 deg, the touchdown policy for -25\.7 deg"):
         Plan(setpoint, load_policy("landing", inclination=np.radians(-20.0)), touchdown)
+    heavy = PLAN.vehicle.changed(body_mass=0.04)
+    with pytest.raises(UserError, match="landing policy landing is for another vehicle than the last"):
+        Plan(setpoint, load_policy("landing", vehicle=heavy), touchdown)
     turned = Leaning()
     turned.task = make_task("landing", dimensions=3, azimuth=1.0)
     with pytest.raises(UserError, match="slopes along x"):

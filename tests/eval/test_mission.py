@@ -74,7 +74,7 @@ def test_the_same_seed_gives_the_same_missions(capsys):
         (["--start=-1,0,1.5", "--missions", "5"], "leave it out with --start"),
         (["--hand-over", "0,1"], "the hand-over point must lie above the platform"),
         (["--hand-over", "above"], "--hand-over is X,Z in metres, not 'above'"),
-        (["--missions", "0"], "--missions must lie from 1 to 10000"),
+        (["--missions", "0"], "--missions must lie from 1 to 2000"),
         (["--near", "0"], "--near must lie from 0.005 to 0.5"),
         (["--width", "161"], "a video has an even number of pixels a side"),
         (["--camera", "moon"], "unknown camera"),
