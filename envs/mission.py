@@ -70,9 +70,7 @@ class Plan:
             if not isinstance(own, kind) or boxless:
                 raise UserError(f"the {leg} policy {policy.name} is for the task {own.name}")
             if _without_limit(own.vehicle) != _without_limit(self.task.vehicle):
-                raise UserError(
-                    f"the {leg} policy {policy.name} has another vehicle than the touchdown policy"
-                )
+                raise UserError(f"the {leg} policy {policy.name} is for another vehicle than the last one")
         slopes = [policy.task for policy in (self.landing, self.touchdown)]
         first, last = (math.degrees(task.inclination) for task in slopes)  # type: ignore[attr-defined]
         if abs(first - last) > 1e-6:
