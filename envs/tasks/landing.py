@@ -232,6 +232,8 @@ class InclinedLanding(Task):
         if not (isinstance(azimuth, (int, float)) and math.isfinite(azimuth)):
             raise UserError(f"azimuth must be an angle in rad, not {shown(repr(azimuth), 40)}")
         self.azimuth, self.random_yaw = float(azimuth), bool(random_yaw)
+        if self.dimensions == 3 and steepest is not None and self.inclination < 0.0:  # as slopes are drawn
+            self.inclination, self.azimuth = -self.inclination, self.azimuth + math.pi
         if self.dimensions == 2 and (self.azimuth or self.random_yaw):
             named = "azimuth" if self.azimuth else "random_yaw"
             raise UserError(f"{named} needs dimensions=3: in the plane a vehicle cannot follow it")

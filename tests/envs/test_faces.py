@@ -153,7 +153,7 @@ def test_options_reach_task_plant_and_vehicle(tmp_path):
     with pytest.raises(UserError, match="unknown plant"):
         InclinedLandingEnv(plant="gazebo")
     with pytest.raises(
-        UserError, match="setpoint has no option .inclination.; it has angle_limit, pwm_centre"
+        UserError, match="setpoint has no option 'inclination'; it has angle_limit, pwm_centre"
     ):
         SetpointEnv(inclination=0.1)
 
