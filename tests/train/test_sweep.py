@@ -130,6 +130,14 @@ def test_what_was_interrupted_is_resumed_and_what_was_half_done_begun_again(plac
     assert sweep("--out", "other", "--jobs", "1") == 0 and len(calls()) == 2  # that one, and all together
 
 
+def test_an_interrupted_run_that_keeps_no_checkpoint_is_begun_again(place):
+    Path("interrupted").touch()
+    assert sweep("--jobs", "1") == 1 and calls()
+    Path("runs/pretended/a-5/run.json").write_text('{"config": {"algorithm": "sac"}}')
+    assert sweep("--jobs", "1") == 0  # the pretended training asserts that its folder is gone
+    assert "--resume" not in calls()[0]
+
+
 def test_a_failed_run_leaves_the_others_and_no_result(place, capsys):
     Path("fails").write_text("6")
     assert sweep("--record") == 1
