@@ -168,6 +168,8 @@ def load(
             raise UserError(
                 f"policy {shown(name)} is for the task {shown(task, 40)}; wanted is {' or '.join(wanted)}"
             )
+        if getattr(load_policy(name).task, "sees_slope", False):
+            raise UserError(f"policy {shown(name)} observes the slope; the pilot flies policies of one slope")
         centre, span = action_map(name)
         options |= {"pwm_centre": centre, "pwm_span": span, "history": history_of(name)}
         options["observe_vehicle"] = told_vehicle(name)
