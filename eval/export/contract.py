@@ -38,6 +38,13 @@ FRAMES = {
     "accelerates towards +x, positive roll towards -y",
     "body": "the vehicle's own axes: x ahead, z along the thrust",
 }
+# Of tasks that observe the slope, everything.
+_SURFACE = (
+    "from the centre of the platform's surface, along level axes turned about the vertical by the azimuth "
+    "that the slope faces. Roll and pitch are those of a vehicle of that heading with the same thrust axis, "
+    "and so are roll and pitch commands: turn them by azimuth less yaw before a vehicle of another heading "
+    "gets them. Slope roll and slope pitch are those of one that stands there"
+)
 # Quantity and frame of what a task may observe; units are those of the state.
 _QUANTITIES = {
     **{axis: (f"position {axis}", "arena") for axis in "xyz"},
@@ -76,7 +83,7 @@ def of(policy: Policy, network: Network) -> dict:
         "task": _task(task),
         "control_period": task.vehicle.command_control_period,
         "rate": 1.0 / task.vehicle.command_control_period,
-        "frames": FRAMES,
+        "frames": FRAMES | ({"surface": _SURFACE} if _sees_slope(task) else {}),
         "observation": _observation(task),
         "input": _input(policy),
         "network": {
@@ -132,12 +139,17 @@ def _task(task: Task) -> dict:
     return {
         "name": task.name,
         "options": task.options,
-        "inclination": getattr(task, "inclination", None),
+        "inclination": None if _sees_slope(task) else getattr(task, "inclination", None),
         "max_steps": task.max_steps,
         "goal": named(goal),
         "goal_half_widths": named(half),
         "motors_cut_at_goal": task.cut_at_success,
     }
+
+
+def _sees_slope(task: Task) -> bool:
+    """Does the policy observe the slope, and everything from it."""
+    return getattr(task, "sees_slope", False)
 
 
 def _observation(task: Task) -> list[dict]:
@@ -147,6 +159,9 @@ def _observation(task: Task) -> list[dict]:
         quantity, frame = _QUANTITIES.get(name, (name, None))
         unit = STATE_UNITS[COLUMNS[name]] if name in COLUMNS else "1" if name in _QUANTITIES else None
         arena = getattr(task.vehicle, f"arena_{name}", None) if name in ("x", "y", "z") else None
+        if _sees_slope(task) and name != "feet":
+            frame, arena = "surface", None
+            unit = "rad" if name.startswith("slope") else unit
         rows.append(
             {
                 "index": k,

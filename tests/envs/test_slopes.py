@@ -173,3 +173,10 @@ def test_frozen_starts_over_slopes_never_change():
         assert ((found.start.inclination >= low) & (found.start.inclination <= high)).all()
     with pytest.raises(UserError, match="has one slope, and does not observe it"):
         starts.over_slopes(make_task("landing"))
+
+
+def test_in_space_a_slope_is_always_told_as_the_drawn_ones_are():
+    """Down to -x is up to +x: given starts have inclinations from 0 on too, turned by half a circle."""
+    task = make_task("landing", steepest=0.5, dimensions=3, inclination=-0.3, azimuth=0.2)
+    start = task.start(task.states_at([(1.5, 0.0, 1.8)]))
+    assert start.inclination[0] == pytest.approx(0.3) and start.azimuth[0] == pytest.approx(0.2 + math.pi)

@@ -1,0 +1,63 @@
+"""`landing-eval slopes`, and what other commands make of policies that observe the slope."""
+
+import json
+
+import numpy as np
+import pytest
+
+from inclined_landing.envs.policy import SHIPPED, load_policy
+from inclined_landing.eval.cli import main
+from inclined_landing.eval.export import contract
+from inclined_landing.eval.export.network import Network
+from inclined_landing.eval.policies.slopes.study import evaluate
+
+NAMES = [name for name in SHIPPED if load_policy(name).task.table == "slopes"]
+
+
+def test_curve_and_table_of_a_policy(tmp_path, capsys):
+    out = tmp_path / "slopes"
+    options = ["--plant", "analytic", "--every", "25", "--out", str(out)]
+    assert main(["slopes", NAMES[0], "landing", *options]) == 0
+    text = capsys.readouterr().out
+    assert NAMES[0] in text and "alone" in text
+    report = json.loads((out / "slopes.json").read_text())
+    own, plain = report["policies"]
+    assert sum(p["strict"]["of"] for p in own["curve"]) == own["all"]["strict"]["of"] == 40
+    assert sum(p["strict"]["count"] for p in own["curve"]) == own["all"]["strict"]["count"]
+    assert "curve" not in plain and len(plain["single"]) == 1
+    assert (out / "slopes.png").stat().st_size > 10_000
+
+
+def test_each_policy_stands_under_its_own_name(tmp_path, capsys):
+    assert main(["slopes", "landing", "landing", "--out", str(tmp_path / "a")]) == 2
+    assert "same name" in capsys.readouterr().err
+    assert main(["slopes", "setpoint", "--out", str(tmp_path / "a")]) == 2
+    assert "not for landing" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_contract_says_where_things_are_seen_from(name):
+    policy = load_policy(name)
+    said = contract.of(policy, Network.of(policy))
+    assert said["task"]["inclination"] is None and "azimuth" in said["frames"]["surface"]
+    assert {row["frame"] for row in said["observation"]} == {"surface"}
+    assert all(row["unit"] for row in said["observation"])
+
+
+@pytest.mark.parametrize("words", (["robustness", "--out", "x"], ["fly", "--simulated"]), ids=lambda w: w[0])
+def test_what_is_for_one_slope_says_so(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    command, *options = words
+    assert main([command, NAMES[0], *options]) == 2
+    assert "observes the slope" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_policies_land_on_all_slopes(name):
+    """A sample of the frozen set: 1000 / 10 or 1080 / 10 flights. With a true share of 97 % fewer than 90 of
+    100 would be seen once in 1000 times."""
+    entry = evaluate({name: load_policy(name)}, plant="hybrid", every=10)["policies"][0]
+    assert entry["all"]["strict"]["share"] >= 0.9
+    if "any_heading" in entry:
+        assert entry["any_heading"]["strict"]["share"] >= 0.9
+    assert np.mean([row["strict"]["share"] for row in entry["single"]]) >= 0.9
