@@ -79,9 +79,11 @@ class Measured:
 
     @property
     def range_words(self) -> str:
-        """Median and range: "99.6 (99.2 to 100)"."""
+        """Median and range: "99.6 (99.2 to 100)"; of true and false the share alone."""
         if not self.present:
             return "–"
+        if self.kind == "share":
+            return "–" if self.mean is None else rounded(self.mean)
         low, high = rounded(min(self.present)), rounded(max(self.present))
         text = "never" if self.median is None else rounded(self.median)
         return text + (f" ({low} to {high})" if low != high or self.median is None else "")

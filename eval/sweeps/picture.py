@@ -16,7 +16,7 @@ _LETTER = 0.078  # width of one
 
 def variants_figure(recipe: Recipe, result: Result) -> Figure:
     """A panel for each number, a row for each variant; a seed that never got there stands as a cross at the
-    worse end, and the bar is a dashed line."""
+    worse end, and the bar is a dashed line. Of true and false there is the share alone."""
     variants, numbers = list(recipe.variants), list(recipe.numbers.values())
     left = 0.35 + _LETTER * max(map(len, variants))
     width = left + len(numbers) * _PANEL + _RIGHT
@@ -39,9 +39,11 @@ def variants_figure(recipe: Recipe, result: Result) -> Figure:
 def _panel(axes, number: Number, found: list[Measured]) -> None:
     worse = _worse_end(number, found)
     for row, measured in enumerate(found):
-        if measured.present:
+        share = measured.kind == "share"
+        if measured.present and not share:
             axes.hlines(row, min(measured.present), max(measured.present), color=BLUE, alpha=0.35, lw=5)
-        axes.plot(measured.present, np.full(len(measured.present), row), "o", color=BLUE, ms=3.5, alpha=0.8)
+        dots = [] if share else measured.present
+        axes.plot(dots, np.full(len(dots), row), "o", color=BLUE, ms=3.5, alpha=0.8)
         missing = len(measured.values) - len(measured.present)
         if missing:
             axes.plot(worse, row, "x", color=ORANGE, ms=6, mew=1.6)
@@ -49,8 +51,9 @@ def _panel(axes, number: Number, found: list[Measured]) -> None:
                 axes.annotate(
                     f"{missing}", (worse, row), (5, 0), textcoords="offset points", color=ORANGE, va="center"
                 )
-        if measured.median is not None:
-            axes.plot(measured.median, row, "|", color=INK, ms=13, mew=2)
+        middle = measured.mean if share else measured.median
+        if middle is not None:
+            axes.plot(middle, row, "|", color=INK, ms=13, mew=2)
     if number.bar is not None:
         axes.axvline(number.bar, color=MUTED, lw=1, ls="--", zorder=0)
     axes.set_ylim(len(found) - 0.5, -0.5)
