@@ -69,7 +69,7 @@ def of(policy: Policy, seed: int = 0) -> Vectors:
 def _flown(policy: Policy, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """States and observations of flights from random starts, evenly spaced in time."""
     task = policy.task
-    env = BatchEnv(task, make_plant("hybrid", _FLIGHTS, task.vehicle), seed)
+    env = BatchEnv(task, make_plant("hybrid", _FLIGHTS, task.vehicle, **task.plant_options), seed)
     given = env.reset()
     states, observations, length = [], [], np.full(_FLIGHTS, task.max_steps - 1)
     try:

