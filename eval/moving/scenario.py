@@ -23,6 +23,7 @@ An axis moves by sum over w of amplitude cos(2 pi t / period + phase + the fligh
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import hashlib
 import math
 import os
@@ -159,7 +160,10 @@ def read_scenario(name: str | Path) -> Scenario:
     """
     path = shipped().get(str(name), Path(name))
     if not os.path.lexists(path):
-        raise UserError(f"scenario {shown(path, 200)} does not exist (frozen ones: {', '.join(shipped())})")
+        known = shipped()
+        near = difflib.get_close_matches(str(name), known, 1) or list(known)
+        frozen = f"the {len(known)} frozen ones are such as {near[0]}"
+        raise UserError(f"scenario {shown(path, 200)} does not exist; {frozen}")
     content = storage.read_bytes(path, "scenario")
     try:
         return _parse(path.stem, storage.read_toml(path, "scenario"), hashlib.sha256(content).hexdigest())
