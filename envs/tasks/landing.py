@@ -410,8 +410,6 @@ class InclinedLanding(Task):
         k, c = len(state), self.conditions
         azimuth = np.full(k, self.azimuth) if self.dimensions == 3 else None
         slope = np.full(k, self.inclination * c.tilt)
-        if azimuth is not None and self.steepest is not None and self.inclination < 0.0:
-            slope, azimuth = -slope, azimuth + math.pi  # the same slope, as those that are drawn say it
         return Start(state, slope, present, np.full(k, c.goal_size), azimuth=azimuth)
 
     def start_clearance(self, start: Start) -> np.ndarray:

@@ -17,15 +17,25 @@ NAMES = [name for name in SHIPPED if load_policy(name).task.table == "slopes"]
 def test_curve_and_table_of_a_policy(tmp_path, capsys):
     out = tmp_path / "slopes"
     options = ["--plant", "analytic", "--every", "25", "--out", str(out)]
-    assert main(["slopes", NAMES[0], "landing", *options]) == 0
+    assert main(["slopes", "landing-slopes", "landing", *options]) == 0
     text = capsys.readouterr().out
-    assert NAMES[0] in text and "alone" in text
+    assert "landing-slopes" in text and "alone" in text
     report = json.loads((out / "slopes.json").read_text())
     own, plain = report["policies"]
     assert sum(p["strict"]["of"] for p in own["curve"]) == own["all"]["strict"]["of"] == 40
     assert sum(p["strict"]["count"] for p in own["curve"]) == own["all"]["strict"]["count"]
     assert "curve" not in plain and len(plain["single"]) == 1
     assert (out / "slopes.png").stat().st_size > 10_000
+
+
+def test_map_of_a_policy_in_space(tmp_path):
+    """Also where a cell has no flight at all."""
+    out = tmp_path / "slopes"
+    assert main(["slopes", "landing-3d", "--plant", "analytic", "--every", "25", "--out", str(out)]) == 0
+    entry = json.loads((out / "slopes.json").read_text())["policies"][0]
+    counted = sum(cell["of"] for row in entry["cells"] for cell in row)
+    assert counted == entry["all"]["strict"]["of"] == entry["any_heading"]["strict"]["of"] == 44
+    assert entry["single"][0]["inclination"] > 0.0 and (out / "slopes.png").stat().st_size > 10_000
 
 
 def test_each_policy_stands_under_its_own_name(tmp_path, capsys):

@@ -24,6 +24,7 @@ _COLOURS = (BLUE, ORANGE, GREEN, PURPLE, MUTED)
 _MARKS = ("o", "s", "^", "D", "v")
 _HEAT = LinearSegmentedColormap.from_list("lost", ["#8f3205", "#e66f22", "#fbc58e", "#fdf0e2", "#f4f8fb"])
 _MAPS = 3  # at most
+_ROUND = 10  # parts that a cell's arc is drawn in
 
 
 def slopes_figure(report: dict) -> Figure:
@@ -31,7 +32,7 @@ def slopes_figure(report: dict) -> Figure:
     entries = report["policies"]
     maps = [entry for entry in entries if len(entry.get("azimuths", ())) > 2][:_MAPS]
     shares = [p["strict"]["share"] for e in entries for p in (*e.get("curve", ()), *e["single"])]
-    lowest = 100 * min([0.9, *shares])
+    lowest = 100 * min(0.9 if share is None else share for share in (0.9, *shares))
     with styled():
         figure = Figure(figsize=(6.4 + 3.1 * len(maps), 3.9), layout="constrained")
         axes = figure.add_subplot(1, 2 + len(maps), (1, 2))
@@ -45,7 +46,7 @@ def _curves(axes: Axes, entries: list[dict], lowest: float) -> None:
     axes.grid(True)
     for k, entry in enumerate(entries):
         colour, mark = _COLOURS[k % len(_COLOURS)], _MARKS[k % len(_MARKS)]
-        curve = entry.get("curve", [])
+        curve = [p for p in entry.get("curve", []) if p["strict"]["of"]]
         if len(curve) > 1:
             angle = np.degrees([0.5 * (p["from"] + p["to"]) for p in curve])
             share = 100 * np.array([p["strict"]["share"] for p in curve])
@@ -74,10 +75,16 @@ def _curves(axes: Axes, entries: list[dict], lowest: float) -> None:
 
 def _map(figure: Figure, axes: Axes, entry: dict) -> None:
     """Azimuth as the direction, inclination as the radius."""
-    share = 100 * np.array([[cell["share"] for cell in row] for row in entry["cells"]])
-    edges = np.array(entry["azimuths"]), np.degrees(entry["inclinations"])
-    lowest = 10 * np.floor(min(80.0, share.min()) / 10)
-    mesh = axes.pcolormesh(*edges, share, cmap=_HEAT, vmin=lowest, vmax=100, edgecolors=RULE, lw=0.5)
+    share = 100 * np.array([[cell["share"] for cell in row] for row in entry["cells"]], float)
+    fine = np.linspace(entry["azimuths"][0], entry["azimuths"][-1], share.shape[1] * _ROUND + 1)
+    share = share.repeat(_ROUND, axis=1)  # for round edges
+    edges = fine, np.degrees(entry["inclinations"])
+    lowest = 10 * np.floor(np.nanmin([80.0, *share.ravel()]) / 10)
+    mesh = axes.pcolormesh(*edges, share, cmap=_HEAT, vmin=lowest, vmax=100)
+    for angle in edges[1][1:]:
+        axes.plot(fine, np.full(len(fine), angle), color=RULE, lw=0.5)
+    for azimuth in entry["azimuths"]:
+        axes.plot([azimuth] * 2, edges[1][[0, -1]], color=RULE, lw=0.5)
     axes.grid(False)
     axes.set_rlabel_position(15)
     axes.set_yticks([t for t in (10, 20, 30, 40, 50) if t <= edges[1][-1] + 0.1])

@@ -90,7 +90,7 @@ def _single(policy: Policy, inclination: float, plant: str, every: int) -> dict:
     task = type(policy.task)(policy.task.vehicle, **options)
     grid = landing_starts.clear(task, landing_starts.grid())[::every]
     start = task.start(landing_starts.at_rest(task, grid))
-    return {"inclination": inclination} | summary(_fly(policy, plant, start))
+    return {"inclination": task.inclination} | summary(_fly(policy, plant, start))
 
 
 def _fly(policy: Policy, plant: str, start: Start) -> list[Flight]:
