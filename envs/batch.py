@@ -156,8 +156,13 @@ class BatchEnv:
         return self._begin(ids, start)
 
     def take_over(self, ids) -> np.ndarray:
-        """Begin episodes of the vehicles `ids` where the plant has them now; return their observations."""
-        return self._begin(np.asarray(ids), self.task.start(self.plant.state[ids].copy()))
+        """Begin episodes of the vehicles `ids` where the plant has them now, over the task's own platforms.
+
+        Returns their observations.
+        """
+        ids, start = np.asarray(ids), self.task.start(self.plant.state[ids].copy())
+        self._place(ids, start)
+        return self._begin(ids, start)
 
     def _begin(self, ids: np.ndarray, start: Start) -> np.ndarray:
         for name in _START:

@@ -71,14 +71,12 @@ class Plan:
                 raise UserError(f"the {leg} policy {policy.name} is for the task {own.name}")
             if _without_limit(own.vehicle) != _without_limit(self.task.vehicle):
                 raise UserError(f"the {leg} policy {policy.name} is for another vehicle than the last one")
-        slopes = [policy.task for policy in (self.landing, self.touchdown)]
-        first, last = (math.degrees(task.inclination) for task in slopes)  # type: ignore[attr-defined]
-        if abs(first - last) > 1e-6:
-            raise UserError(
-                f"the landing policy is for a slope of {first:.1f} deg, the touchdown policy for "
-                f"{last:.1f} deg"
-            )
-        if any(task.azimuth for task in slopes):  # type: ignore[attr-defined]
+        first, last = _facing(self.landing.task), _facing(self.task)
+        if not np.allclose(first, last, atol=1e-6):
+            slopes = (math.degrees(math.acos(facing[2])) for facing in (first, last))
+            said = "landing policy for one of {:.1f} deg, touchdown policy for {:.1f} deg".format(*slopes)
+            raise UserError(f"the policies are for different slopes: {said}")
+        if abs(last[1]) > 1e-6:
             raise UserError("missions are flown to slopes along x: leave the azimuth of the tasks out")
         v, (x, z) = self.vehicle, self.hand_over
         top = v.platform_surface_height + v.slab_half_length * abs(math.sin(self.task.inclination))
@@ -195,6 +193,14 @@ class Mission(Track):
     def flown(self, name: str) -> Leg | None:
         """The leg of this name, None where it was not flown."""
         return next((leg for leg in self.legs if leg.name == name), None)
+
+
+def _facing(task) -> np.ndarray:
+    """Unit normal (3,) of a task's slope: the same for one of -20 deg and one of 20 deg turned by half."""
+    flat = math.sin(task.inclination)
+    return np.array(
+        [flat * math.cos(task.azimuth), flat * math.sin(task.azimuth), math.cos(task.inclination)]
+    )
 
 
 def _without_limit(vehicle: Vehicle) -> Vehicle:

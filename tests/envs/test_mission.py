@@ -110,6 +110,13 @@ def test_a_landing_in_three_dimensions_commands_its_own_roll():
         np.testing.assert_allclose(own[:, channel.column], channel.centre + channel.span * action)
 
 
+def test_the_shipped_landing_in_three_dimensions():
+    plan = Plan(POLICIES[0], load_policy("landing-3d"), POLICIES[2])
+    flown = fly_missions(plan, np.array([[1.5, 1.0, 0.6], [-1.0, 0.0, 1.8]]))
+    assert [mission.end for mission in flown] == ["at rest"] * 2
+    assert np.ptp(flown[0].commands[flown[0].leg == LANDING, 1]) > 0.0  # it rolls as it likes
+
+
 def test_trim_holds_what_sinks():
     """A vehicle that hangs 4 cm below where it is told to be gets there; far away nothing is learnt."""
     trim = Trim(2)
@@ -147,14 +154,14 @@ def test_policies_must_go_together():
         Plan(landing, landing, touchdown)
     with pytest.raises(UserError, match="the touchdown policy landing is for the task landing"):
         Plan(setpoint, landing, landing)
-    with pytest.raises(UserError, match=r"slope of -20\.0 deg, the touchdown policy for -25\.7 deg"):
+    with pytest.raises(UserError, match=r"landing policy for one of 20\.0 deg, touchdown policy for 25\.7"):
         Plan(setpoint, load_policy("landing", inclination=np.radians(-20.0)), touchdown)
     heavy = PLAN.vehicle.changed(body_mass=0.04)
     with pytest.raises(UserError, match="landing policy landing is for another vehicle than the last"):
         Plan(setpoint, load_policy("landing", vehicle=heavy), touchdown)
     turned = Leaning()
     turned.task = make_task("landing", dimensions=3, azimuth=1.0)
-    with pytest.raises(UserError, match="slopes along x"):
+    with pytest.raises(UserError, match="for different slopes"):
         Plan(setpoint, turned, touchdown)
     for point in ((0.0, 1.4), (5.0, 1.8), (0.0, 2.3)):
         with pytest.raises(UserError, match="hand-over point must lie above the platform"):
