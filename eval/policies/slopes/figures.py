@@ -34,7 +34,7 @@ def slopes_figure(report: dict) -> Figure:
     shares = [p["strict"]["share"] for e in entries for p in (*e.get("curve", ()), *e["single"])]
     lowest = 100 * min(0.9 if share is None else share for share in (0.9, *shares))
     with styled():
-        figure = Figure(figsize=(6.4 + 3.1 * len(maps), 3.9), layout="constrained")
+        figure = Figure(figsize=(6.4 + 3.1 * len(maps), 4.3), layout="constrained")
         axes = figure.add_subplot(1, 2 + len(maps), (1, 2))
         _curves(axes, entries, lowest)
         for k, entry in enumerate(maps):
@@ -66,10 +66,11 @@ def _curves(axes: Axes, entries: list[dict], lowest: float) -> None:
     axes.set_xlabel("inclination [deg]")
     axes.set_ylabel("strict success [%]")
     handles, labels = axes.get_legend_handles_labels()
-    axes.legend(
+    axes.figure.legend(
         [*handles, Patch(fc=MUTED, alpha=0.3), axes.plot([], [], "o", mfc="white", mec=INK, ms=6.5)[0]],
         [*labels, "95 % interval", "one slope alone, frozen grid"],
-        loc="lower center",
+        loc="outside lower center",
+        ncols=3,
     )
 
 
