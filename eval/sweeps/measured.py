@@ -86,7 +86,8 @@ class Measured:
             return "–" if self.mean is None else rounded(self.mean)
         low, high = rounded(min(self.present)), rounded(max(self.present))
         text = "never" if self.median is None else rounded(self.median)
-        return text + (f" ({low} to {high})" if low != high or self.median is None else "")
+        ends = low if low == high else f"{low} to {high}"
+        return text if text == ends else f"{text} ({ends})"
 
     @property
     def never_words(self) -> str:
