@@ -296,15 +296,15 @@ class TrainConfig:
         own = self._of_the_algorithm(kind)
         if self.inclination is not None and not kind.has_platform:
             raise UserError(f"--inclination: the task {kind.name} has no inclined platform")
-        known = inspect.signature(kind).parameters
-        for name in self.slopes():
-            if name not in known:
-                raise UserError(f"{option(name)} is no option of the task {kind.name}")
         own["reward_scale"] = REWARD_SCALE[self.algorithm]
         given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}
         defaults = {name: getattr(training, name) for name in given} | own
         filled = {k: value if getattr(self, k) is None else getattr(self, k) for k, value in defaults.items()}
         check_ranges(self)
+        known = inspect.signature(kind).parameters
+        for name in self.slopes():
+            if name not in known:
+                raise UserError(f"{option(name)} is no option of the task {kind.name}")
         _check_gamma(self.gamma)
         if self.start_from is None and self.fastest is not None and training.start_from is not None:
             filled["start_from"] = descent.NAME
