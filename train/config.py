@@ -175,8 +175,8 @@ class TrainConfig:
         str | None, _by_task(f"What eases the task at first; {_CURRICULA}", "curriculum")
     ] = None
     without: Annotated[str | None, tyro.conf.arg(metavar="PART[,PART...]")] = None
-    """Parts of the landing's curriculum to leave out: start, tilt, goal and platform are the task's from the
-    first step on; without departure, a vehicle that leaves is cut and pays nothing."""
+    """Parts of the landing's curriculum to leave out: start, tilt, motion, goal and platform are the task's
+    from the first step on; without departure, a vehicle that leaves is cut and pays nothing."""
     pwm_centre: Annotated[
         float | str | None,
         tyro.conf.arg(

@@ -23,6 +23,7 @@ SETTLING = 400_000  # environment steps
 PARTS = {
     "start": ("start_reach", "start_reach_z", "lowest_start"),
     "tilt": ("tilt",),
+    "motion": ("motion",),
     "goal": ("goal_size",),
     "platform": ("platform",),
     "departure": ("departure",),

@@ -280,7 +280,7 @@ def test_what_is_left_out_is_the_task_and_nothing_else_changes(name, part):
 
 
 def test_several_parts_are_left_out_at_once():
-    c = make_curriculum("adaptive", "landing", 0.98, "start, tilt,goal,platform")
+    c = make_curriculum("adaptive", "landing", 0.98, "start, tilt,motion,goal,platform")
     assert as_task(c.conditions()) == TASK and c.conditions().departure > 0
 
 
