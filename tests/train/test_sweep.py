@@ -217,7 +217,7 @@ def test_wrong_input_is_one_sentence_and_nothing_begins(change, words, sentence,
 def test_a_recipe_that_is_not_there_and_ray_that_is_not_installed(place, capsys, monkeypatch):
     assert cli.main(["sweep", "none.toml"]) == 2
     said = capsys.readouterr().err
-    assert "shipped ones: ablations, " in said and " landing" in said
+    assert "recipe none.toml does not exist (shipped ones: " in said and " landing," in said
     monkeypatch.setitem(sys.modules, "ray", None)
     assert sweep("--on", "ray") == 2
     assert capsys.readouterr().err == (
