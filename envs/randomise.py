@@ -27,9 +27,11 @@ is then the range:
 
     vehicles = ["crazyflie-2.0", "crazyflie-2.1", "hummingbird"]
 
-Drawn vehicles are spread evenly over the whole row. Between two neighbours all numbers of the tables body,
-thrust, motor, rotor, drag and attitude go the same share of the way, geometrically where both ends have the
-same sign: so power laws, ratios and thrust to weight lie between too. Entries and effects are set on top.
+Drawn vehicles are spread evenly over the whole row and half a place beyond both ends, which is the end
+itself: so all named vehicles have the same share of what is drawn. Between two neighbours all numbers of the
+tables body, thrust, motor, rotor, drag and attitude go the same share of the way, geometrically where both
+ends have the same sign: so power laws, ratios and thrust to weight lie between too. Entries and effects are
+set on top.
 
 `landing-train --randomise FILE` reads it. `robust` is shipped, the whole library of effects, a little farther
 than a real vehicle may well have them; and `vehicles`, quadrotors from 28 g to 0.5 kg.
@@ -99,7 +101,8 @@ class Ranges:
             name: {parameter: spread(*r) for parameter, r in ranges.items()}
             for name, ranges in self.effects.items()
         }
-        places = spread(0.0, len(self.vehicles) - 1.0) if self.vehicles else None
+        last = len(self.vehicles) - 1.0
+        places = np.clip(spread(-0.5, last + 0.5), 0.0, last) if self.vehicles else None
         drawn = []
         for k in range(count):
             base = vehicle if places is None else between(self.vehicles, float(places[k]), vehicle)

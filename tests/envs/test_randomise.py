@@ -230,7 +230,7 @@ def test_vehicles_between_named_ones_are_possible(tmp_path):
         found, ends = ([getattr(v, value) for v in vehicles] for vehicles in (pool, named))
         assert min(ends) * (1 - 1e-12) <= min(found) and max(found) <= max(ends) * (1 + 1e-12)
     between = [v for v in pool if 0.0393 < v.body_mass < 0.5]
-    assert len(between) == 40  # a third of the row is between the last two
+    assert len(between) == 30  # each end has half a place of its own beside the three between
     mass = np.array([v.body_mass for v in between])
     # Arms between two vehicles are a power of the mass.
     power = np.log(0.1202 / 0.0354) / np.log(0.5 / 0.0393)
