@@ -36,13 +36,19 @@ from inclined_landing.models.plants import make_plant
 
 VEHICLES = 256
 _BLOCK = 25  # control steps in one timed block
-_PLANTS = (
-    ("mujoco RK4", "mujoco", {}),
-    ("mujoco implicitfast", "mujoco", {"integrator": "implicitfast"}),
-    ("hybrid", "hybrid", {}),
-    ("hybrid implicitfast", "hybrid", {"integrator": "implicitfast"}),
-    ("analytic", "analytic", {}),
-)
+_FAST = {"integrator": "implicitfast"}
+# Plant and its options, options of the landing task.
+_ENVIRONMENTS = {
+    "mujoco RK4": ("mujoco", {}, {}),
+    "mujoco implicitfast": ("mujoco", _FAST, {}),
+    "hybrid": ("hybrid", {}, {}),
+    "hybrid implicitfast": ("hybrid", _FAST, {}),
+    "  any slope": ("hybrid", _FAST, {"steepest": 0.45}),
+    "  any slope, in space": ("hybrid", _FAST, {"steepest": 0.45, "dimensions": 3}),
+    "  decks that travel and heave": ("hybrid", _FAST, {"dimensions": 3, "fastest": 0.5, "swell": 1.0}),
+    "  told its vehicle": ("hybrid", _FAST, {"observe_vehicle": True}),
+    "analytic": ("analytic", {}, {}),
+}
 _PICTURE = {"width": 640, "height": 480, "camera": "hero"}
 
 
@@ -105,13 +111,14 @@ def environments(repeats: int, seed: int, vehicle: Vehicle | None = None) -> lis
     plant: for MuJoCo `mujoco.batch.Batch.step` and nothing else. `in_engine` is the share of vehicle steps
     that MuJoCo made.
     """
-    return [_environment(*plant, repeats, seed, vehicle) for plant in _PLANTS]
+    return [_environment(label, *how, repeats, seed, vehicle) for label, how in _ENVIRONMENTS.items()]
 
 
-def _environment(label: str, kind: str, options: dict, repeats: int, seed: int, vehicle) -> dict:
+def _environment(label: str, kind: str, options: dict, task_options: dict, repeats, seed, vehicle) -> dict:
     rng = np.random.default_rng(seed)
-    task = make_task("landing", vehicle, pwm_centre="hover")
-    plant, bare = (make_plant(kind, VEHICLES, vehicle, **options) for _ in range(2))
+    task = make_task("landing", vehicle, pwm_centre="hover", **task_options)
+    options = task.plant_options | options
+    plant, bare = (make_plant(kind, VEHICLES, task.vehicle, **options) for _ in range(2))
     env = BatchEnv(task, plant, seed)
     face = BatchVecEnv(env)
     face.reset()
@@ -119,12 +126,13 @@ def _environment(label: str, kind: str, options: dict, repeats: int, seed: int, 
     whole, physics, contact, engine = [], [], [], []
     for repeat in range(repeats + 2):
         actions = rng.uniform(-1, 1, (_BLOCK, VEHICLES, len(task.action_names)))
-        commands = [task.commands(a) for a in actions]
+        commands = []
         before = plant.save()
         flown_by_engine = np.zeros(_BLOCK)
         began = time.perf_counter()
         for k, a in enumerate(actions):
             face.step(a)
+            commands.append(env.commands)
             flown_by_engine[k] = _in_engine(plant)
         between = time.perf_counter()
         bare.restore(before)

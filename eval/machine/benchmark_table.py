@@ -25,7 +25,7 @@ def _environments(report: dict) -> Table:
     table = new_table(
         f"Control steps per second, {rows[0]['vehicles']} vehicles",
         *(
-            "plant",
+            "plant, options of the task",
             "environment",
             "bare stepping",
             "task, reward, resets [%]",
