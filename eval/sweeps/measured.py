@@ -220,7 +220,7 @@ def sum_up(variant: str, number: Number, taken: list[tuple[str, Any]]) -> Measur
         mean = interval = None
     return Measured(
         variant=variant,
-        number=number,
+        number=number.of(variant),
         kind=kind,
         values=tuple(None if value is None else factor * value for value in values),
         mean=None if mean is None else factor * mean,
@@ -302,9 +302,10 @@ def _measured(recipe: Recipe, entry) -> Measured:
         raise UserError("measured: interval must be two numbers")
     if entry.get("kind") not in KINDS:
         raise UserError(f"measured: kind must be {', '.join(KINDS[:-1])} or {KINDS[-1]}")
+    variant = _text(entry, "variant")
     return Measured(
-        variant=_text(entry, "variant"),
-        number=recipe.numbers[entry["number"]],
+        variant=variant,
+        number=recipe.numbers[entry["number"]].of(variant),
         kind=entry["kind"],
         values=found,
         mean=mean,

@@ -31,7 +31,7 @@ _KEYS = {
     *("title", "question", "answer", "train", "seeds", "variants", "evaluate", "together"),
     *("numbers", "figure", "video", "result"),
 }
-_NUMBER_KEYS = {"title", "file", "path", "unit", "factor", "better", "bar", "over"}
+_NUMBER_KEYS = {"title", "file", "path", "unit", "factor", "better", "bar", "over", "bar_for"}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}")
 _LONGEST, _WORD, _MOST_WORDS = 1000, 500, 200  # characters of a text and of a word; words of a command
 _DEEPEST = 20  # steps of a path
@@ -51,6 +51,13 @@ class Number:
     better: str  # one of BETTER
     bar: float | None  # in the unit
     over: str  # one of OVER
+    bar_for: tuple[str, ...] = ()  # variants that have to meet the bar; none: all
+
+    def of(self, variant: str) -> Number:
+        """The number as it is for a variant, which may have no bar to meet."""
+        if not self.bar_for or variant in self.bar_for:
+            return self
+        return dataclasses.replace(self, bar=None)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,7 +154,7 @@ def _parse(data: dict, name: str) -> Recipe:
         variants=variants,
         evaluate=evaluate,
         together=_commands(data.get("together", []), "together", OF_THE_SWEEP),
-        numbers=_numbers(data.get("numbers")),
+        numbers=_numbers(data.get("numbers"), variants),
         figure=_picture(data, "figure", ".png"),
         video=_picture(data, "video", ".gif"),
         result=_table(data.get("result"), "result") if "result" in data else None,
@@ -243,15 +250,15 @@ def _check_name(name: str, where: str) -> None:
         raise UserError(f"{where}: {said} must be made of at most 40 letters, digits, dots, - and _")
 
 
-def _numbers(value) -> dict[str, Number]:
+def _numbers(value, variants: Iterable[str]) -> dict[str, Number]:
     if not isinstance(value, dict) or not value:
         raise UserError("there is no table [numbers.NAME]: a recipe has at least one number")
     for name in value:
         _check_name(name, "numbers")
-    return {name: _number(name, _table(entry, f"number {name}")) for name, entry in value.items()}
+    return {name: _number(name, _table(entry, f"number {name}"), variants) for name, entry in value.items()}
 
 
-def _number(name: str, entry: dict) -> Number:
+def _number(name: str, entry: dict, variants: Iterable[str]) -> Number:
     where = f"number {name}: "
     only(entry, _NUMBER_KEYS, f"number {name}")
     file = _text(entry, "file", required=True, where=where)
@@ -260,6 +267,9 @@ def _number(name: str, entry: dict) -> Number:
     bar = entry.get("bar")
     if bar is not None:
         bar = _real(bar, f"{where}bar")
+    held = entry.get("bar_for", [])
+    if not isinstance(held, list) or not all(isinstance(v, str) and v in variants for v in held):
+        raise UserError(f"{where}bar_for must be a list of variants, not {shown(repr(held), 60)}")
     factor = _real(entry.get("factor", 1), f"{where}factor")
     if not factor > 0:
         raise UserError(f"{where}factor must be above 0, not {factor:g}")
@@ -273,6 +283,7 @@ def _number(name: str, entry: dict) -> Number:
         better=_one_of(entry.get("better"), BETTER, f"{where}better"),
         bar=bar,
         over=_one_of(entry.get("over", OVER[0]), OVER, f"{where}over"),
+        bar_for=tuple(held),
     )
 
 

@@ -148,6 +148,7 @@ def test_what_is_wrong_is_named(change, sentence, tmp_path):
         ({"better": "more"}, "better must be higher or lower"),
         ({"over": "best"}, "over must be median or mean or worst"),
         ({"bar": math.nan}, "bar must be a number"),
+        ({"bar_for": ["nobody"]}, "bar_for must be a list of variants"),
         ({"factor": 0}, "factor must be above 0"),
         ({"places": 2}, "unknown entry 'places'"),
     ],
@@ -381,3 +382,9 @@ def test_the_page_says_where_it_cannot_stand(folder, tmp_path, capsys):
     assert "stands there twice" in capsys.readouterr().err
     assert cli.main(["beyond", str(folder), "--out", str(folder)]) == 2
     assert "not empty" in capsys.readouterr().err
+
+
+def test_only_the_variants_that_are_named_have_to_meet_the_bar():
+    held = number(bar=97.0, bar_for=("hover",))
+    assert held.of("hover").bar == 97.0 and held.of("drift").bar is None
+    assert number(bar=97.0).of("drift").bar == 97.0
