@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import os
 import re
 import string
 from pathlib import Path
@@ -23,7 +24,7 @@ from inclined_landing.eval.sweeps.measured import Measured, Result, bar_words
 from inclined_landing.eval.sweeps.picture import variants_figure
 from inclined_landing.eval.sweeps.recipe import Number, Recipe, read_recipe, run_name
 from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 TITLE = "Beyond the paper"
 INTRODUCTION = (
@@ -112,7 +113,7 @@ def command(
     Args:
         sweeps: folders of landing-train sweep, or recipes with a result.
         out: new folder for beyond.html, which holds its pictures, and for these as files.
-        site: folder of the documentation: beyond.md there, pictures in its folder beyond; what is there is
+        site: folder of a documentation: beyond.md there, pictures in its folder beyond; what is there is
             replaced.
     """
     if out is None and site is None:
@@ -120,6 +121,8 @@ def command(
     if out is not None:
         runs.check_new_run(out)
     if site is not None:
+        if not os.path.isdir(site):
+            raise UserError(f"--site {shown(site, 60)} is no folder")
         storage.check_file(site / f"{NAME}.md")
         storage.check_folder(site / NAME)
     found = [_find(path, None if site is None else site / NAME) for path in sweeps]

@@ -14,6 +14,8 @@ from campaign.test_logs import NAMES, a_flight, text
 from campaign.test_studies import STUDY
 from inclined_landing.eval import cli
 
+RECIPE = resources.files("inclined_landing.train") / "recipes" / "landing.toml"
+
 # What each command needs to start its work, {place} being a folder with the files below.
 NEEDED = {
     "demo": ("--out", "{place}/out"),
@@ -29,6 +31,8 @@ NEEDED = {
     "picture": ("landing", "--out", "{place}/out.png"),
     "replay": ("landing", "{place}/log.csv", "--out", "{place}/out.html"),
     "view": ("landing",),
+    "beyond": (str(RECIPE), "--out", "{place}/out"),
+    "slopes": ("landing-slopes", "--out", "{place}/out"),
     "curves": ("{place}", "--out", "{place}/out.png"),
     "equivalence": ("--out", "{place}/out"),
     "contact-truth": ("--out", "{place}/out"),
@@ -134,6 +138,8 @@ def evil_options():
             for k, value in enumerate(NUMBERS if numeric else TEXTS):
                 if option == "inclination" and value == "-1":
                     continue  # slopes down either way
+                if option == "site" and value == "":
+                    continue  # the folder one is in
                 yield run(f"{name} {option} {k}", name, [f"--{option}={value}"])
     for k, name in enumerate((*NAMES, "x" * 5000, "")):
         yield Case(f"command {k}", place, lambda _, name=name: command(cli.main, [name]), named="")

@@ -302,6 +302,7 @@ def test_a_damaged_result_is_refused_in_one_sentence(data, tmp_path_factory):
 
 
 def test_the_page_has_question_answer_verdict_and_pictures(folder, tmp_path, capsys):
+    (tmp_path / "docs").mkdir()
     assert (
         cli.main(["beyond", str(folder), "--out", str(tmp_path / "out"), "--site", str(tmp_path / "docs")])
         == 0
@@ -333,6 +334,7 @@ def test_many_variants_have_a_row_each(folder, tmp_path):
 
 def test_a_recipe_with_its_result_stands_for_its_sweep(folder, tmp_path):
     docs = tmp_path / "docs"
+    docs.mkdir()
     assert cli.main(["beyond", str(folder), "--site", str(docs)]) == 0
     before = {path: path.read_bytes() for path in docs.rglob("*") if path.is_file()}
     recipe = read_recipe(folder / "two.toml")

@@ -627,7 +627,7 @@ def test_resolved_configurations_stay_as_they_are(tmp_path):
         free = {"max_seconds", "max_cpu_seconds", "vehicle", "inclination", "randomise", "without"} | (
             set() if kind.training.start_from else {"start_from"}
         )
-        free |= {"steepest", "dimensions", "angle_limit"}
+        free |= {"steepest", "dimensions", "angle_limit", "fastest", "swell"}
         free |= set().union(*ALGORITHMS.values()) - set(ALGORITHMS["ppo"])
         assert left == free | set(ENDING[:1] if kind.training.success else ENDING[1:])
     with pytest.raises(UserError):
