@@ -351,6 +351,7 @@ def test_variants_without_a_figure_of_their_own_get_one(folder, tmp_path):
 
 
 def test_what_a_recipe_says_is_text_on_the_page(folder, tmp_path):
+    (tmp_path / "d").mkdir()
     evil = "<script>alert(1)</script> | `x` ![y](z)"
     write(folder, GOOD | {"title": f"T {evil}", "question": evil, "answer": evil})
     assert cli.main(["beyond", str(folder), "--out", str(tmp_path / "o"), "--site", str(tmp_path / "d")]) == 0
