@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -11,7 +13,7 @@ from inclined_landing.eval.sweeps.recipe import Number, Recipe
 
 _ROW, _PANEL = 0.27, 2.1  # inches: of a variant, of a number
 _HEAD, _FOOT, _RIGHT = 0.75, 0.62, 0.2
-_LETTER = 0.078  # width of one
+_LETTER, _LINE = 0.078, 0.16  # width of one, height of one more line
 
 
 def variants_figure(recipe: Recipe, result: Result) -> Figure:
@@ -20,7 +22,8 @@ def variants_figure(recipe: Recipe, result: Result) -> Figure:
     variants, numbers = list(recipe.variants), list(recipe.numbers.values())
     left = 0.35 + _LETTER * max(map(len, variants))
     width = left + len(numbers) * _PANEL + _RIGHT
-    height = _HEAD + _FOOT + _ROW * len(variants)
+    head = _HEAD + _LINE * max(_wrapped(number).count("\n") for number in numbers)
+    height = head + _FOOT + _ROW * len(variants)
     with styled():
         figure = Figure(figsize=(width, height))
         figure.text(0.12 / width, 1 - 0.22 / height, recipe.title, weight="bold", va="center")
@@ -29,7 +32,7 @@ def variants_figure(recipe: Recipe, result: Result) -> Figure:
         )
         figure.text(1 - 0.12 / width, 1 - 0.22 / height, said, color=MUTED, va="center", ha="right")
         for k, number in enumerate(numbers):
-            box = (left + k * _PANEL + 0.1, _FOOT, _PANEL - 0.3, height - _HEAD - _FOOT)
+            box = (left + k * _PANEL + 0.1, _FOOT, _PANEL - 0.3, height - head - _FOOT)
             axes = figure.add_axes((box[0] / width, box[1] / height, box[2] / width, box[3] / height))
             _panel(axes, number, [result.of(variant, number.name) for variant in variants])
             axes.set_yticks(range(len(variants)), variants if k == 0 else [])
@@ -65,8 +68,13 @@ def _panel(axes, number: Number, found: list[Measured]) -> None:
     low, high = axes.get_xlim()
     if max(abs(low), abs(high)) >= 1e4:
         axes.xaxis.set_major_formatter(lambda value, _: f"{value / 1000:g}k")
-    axes.set_title(number.title, fontsize=9, wrap=True)
+    axes.set_title(_wrapped(number), fontsize=9)
     axes.set_xlabel(number.unit if number.unit != "1" else "")
+
+
+def _wrapped(number: Number) -> str:
+    """The title of a panel, in lines as long as it is wide."""
+    return textwrap.fill(number.title, 26)
 
 
 def _worse_end(number: Number, found: list[Measured]) -> float:
