@@ -216,6 +216,7 @@ def quick_run(tmp_path_factory):
     return cli.main(["equivalence", "--out", str(out), "--quick", "--seed", "5"]), out
 
 
+@pytest.mark.slow
 def test_command_writes_page_json_and_figures(quick_run):
     code, out = quick_run
     record = json.loads((out / "report.json").read_text())
@@ -232,6 +233,7 @@ def test_command_writes_page_json_and_figures(quick_run):
     assert {p.name for p in out.iterdir()} == {*files, "report.html", "report.json"}
 
 
+@pytest.mark.slow
 def test_failing_claims_give_exit_code_1(tmp_path, capsys, monkeypatch, quick_run):
     """The same report with a tolerance of zero."""
     failing = Claim("water is dry", 1.0, 0.0, "m", "it is not, so this claim has to fail")

@@ -144,6 +144,7 @@ def test_thrust_and_mass_are_one_class(weak):
     assert "Weigh the vehicle" in d.separating_manoeuvre
 
 
+@pytest.mark.slow
 def test_correction_closes_the_gap_in_both_plants(weak):
     """Thrust x0.88 costs some 0.6 m in one second; corrected, both plants are near the noise."""
     d = diagnose(weak, VEHICLE, plants=("analytic", "mujoco"))
@@ -158,6 +159,7 @@ def test_correction_closes_the_gap_in_both_plants(weak):
     assert measure_gap(corrected, weak)["error"] < 0.1 * measure_gap(VEHICLE, weak)["error"]
 
 
+@pytest.mark.slow
 def test_judged_on_flights_left_out(weak):
     d = diagnose(weak[:4], VEHICLE, heldout=weak[4:], plants=("analytic",))
     assert d.heldout == (weak[4].name,)

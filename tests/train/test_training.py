@@ -282,7 +282,8 @@ acceleration_time = [[0.3, 0.3], [0.3, 0.3], [0.3, 0.3]]
 """
 
 
-@pytest.mark.parametrize("plant", ["hybrid", pytest.param("analytic", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("plant", ["hybrid", "analytic"])
 def test_a_randomised_run_is_resumed_bit_for_bit_with_its_copy(plant, tmp_path):
     ranges = tmp_path / "ranges.toml"
     ranges.write_text(DRAWN, "utf-8")
@@ -305,6 +306,7 @@ def test_a_randomised_run_is_resumed_bit_for_bit_with_its_copy(plant, tmp_path):
     assert not np.array_equal(a["action_net.weight"], b["action_net.weight"])
 
 
+@pytest.mark.slow
 def test_half_of_the_evaluated_flights_have_drawn_vehicles(tmp_path):
     """Others than the training's; a shipped file goes by its name."""
     begun = Run(config(tmp_path / "run", randomise=Path("robust"), steps=256, evaluate_every=1))
