@@ -1,19 +1,29 @@
-# make            install into .venv (again after a change of the C++ or the dependencies)
+# make            install into .venv what training and evaluation need (again after a change of C++ or dependencies)
 # make demo       train, evaluate and film a short landing run into runs/demo
-# make test       style, import contracts, types and tests
+# make test       style, import contracts, types and the tests: three minutes
+# make test-all   the slow tests too, and those that need OpenGL, a browser or an extra: an hour
 # make lint       style, formatting, import contracts and types
 # make bench      simulation speed
 # make diagram    docs/architecture.svg, drawn from the imports
 # make docs       the documentation site in build/site, every link in it checked
 # make wheel      sdist and Linux wheel in dist: installed from there, no compiler is needed
+# make release    the same, and whether they are fit to be published: one line for each check
+# make lock       constraints.txt: exact versions that go together on every supported Python
 #
 # PYTHON=python3.12  the interpreter to build .venv with
-# PIP_ARGS=...       extra arguments for pip (constraints.txt says how to choose a torch build)
+# TORCH=default      PyTorch as your package index has it; on Linux that brings gigabytes of CUDA along
+# PIP_ARGS=...       extra arguments for pip
 
 PYTHON ?= python3
 PIP_ARGS ?=
+TORCH ?= cpu
+CPU_BUILDS := https://download.pytorch.org/whl/cpu
 BIN := .venv/bin
-INSTALLED := .venv/.installed
+PIP = $(BIN)/pip --disable-pip-version-check install $(PIP_ARGS) -c constraints.txt
+# One file for each group of dependencies (an extra of pyproject.toml) that is installed.
+INSTALLED := .venv/.installed-train
+PYTEST = $(BIN)/pytest -n logical --maxprocesses 8 --dist worksteal
+OLDEST := 3.11.0
 MACHINE := $(shell uname -m)
 GLIBC := 2.27
 # The type checker does not see through the editable installation: it gets the folders as the package.
@@ -22,7 +32,7 @@ TYPES = mkdir -p .venv/types/inclined_landing && touch .venv/types/inclined_land
   && MYPYPATH=.venv/types $(BIN)/mypy --cache-dir .venv/mypy -p inclined_landing.models -p inclined_landing.envs
 SOURCES := pyproject.toml constraints.txt models/crazyflie.toml $(wildcard models/plugin/*)
 
-.PHONY: install demo test lint bench diagram docs wheel
+.PHONY: install demo test test-all lint bench diagram docs wheel release lock
 install: $(INSTALLED)
 
 demo: $(INSTALLED)
@@ -31,13 +41,16 @@ demo: $(INSTALLED)
 	$(BIN)/landing-eval video runs/demo/final.zip --out runs/demo/landing.mp4 --gif \
 	  --camera hero --start 1.5,1.8 --start 0,2 --start=-1.5,1.6
 
-test: $(INSTALLED)
+test: .venv/.installed-test
 	$(BIN)/ruff check
 	$(BIN)/lint-imports --no-logo
 	$(TYPES)
-	$(BIN)/pytest -n 2 --dist loadfile
+	$(PYTEST)
 
-lint: $(INSTALLED)
+test-all: .venv/.installed-test-all
+	$(PYTEST) -m 'slow or gl or browser or not slow'
+
+lint: .venv/.installed-test
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/lint-imports --no-logo
@@ -46,16 +59,21 @@ lint: $(INSTALLED)
 bench: $(INSTALLED)
 	$(BIN)/landing-eval benchmark
 
-diagram: $(INSTALLED)
+diagram: .venv/.installed-test
 	$(BIN)/python docs/diagram.py
 
-docs: $(INSTALLED)
+docs: .venv/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# What is pinned stays as long as it goes together; `rm constraints.txt` before, and all is the newest. A line with a
+# condition is for some Pythons or systems only. pip reads the file as it is.
+lock: .venv/.installed-test
+	$(BIN)/uv pip compile -q --universal --python-version $(OLDEST) --all-extras --no-annotate \
+	  --custom-compile-command 'make lock' -o constraints.txt pyproject.toml
 
 # Zig's C++ compiler, from the package index, links against the oldest C library that MuJoCo's own wheel runs
 # with: so one wheel serves all Linuxes that MuJoCo serves, wherever it is built. libmujoco is MuJoCo's.
-wheel: $(INSTALLED)
-	$(BIN)/pip install -q $(PIP_ARGS) -c constraints.txt -e '.[wheel]'
+wheel: .venv/.installed-wheel
 	rm -rf dist build/wheel
 	CXX="$(CURDIR)/$(BIN)/python -m ziglang c++ -target $(MACHINE)-linux-gnu.$(GLIBC)" \
 	  $(BIN)/python -m build --outdir build/wheel
@@ -63,7 +81,24 @@ wheel: $(INSTALLED)
 	  --only-plat --plat manylinux_$(subst .,_,$(GLIBC))_$(MACHINE) --wheel-dir dist build/wheel/*.whl
 	mv build/wheel/*.tar.gz dist
 
-$(INSTALLED): $(SOURCES)
+release: wheel
+	$(BIN)/python .ci/release.py
+
+# A group of dependencies, on top of what is there.
+.venv/.installed-%: $(SOURCES) | .venv/.torch
+	$(PIP) -e '.[$*]'
+	@touch $@
+
+# PyTorch alone, first: training here uses the processor only, and the CPU build is a tenth of the default one.
+.venv/.torch: | .venv/.created
+	@$(BIN)/python -c 'import torch' 2>/dev/null || test '$(TORCH)' != cpu || \
+	  $(PIP) --no-deps --retries 1 --index-url $(CPU_BUILDS) torch || \
+	  { echo "error: PyTorch's builds without CUDA ($(CPU_BUILDS)) cannot be had from here." \
+	         "'make TORCH=default' takes your package index's build instead, on Linux with some" \
+	         "gigabytes of CUDA." >&2; exit 2; }
+	@touch $@
+
+.venv/.created:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
 	  { echo "error: $(PYTHON) is missing or older than Python 3.11; name another one with" \
 	         "'make PYTHON=python3.12'." >&2; exit 2; }
@@ -74,5 +109,4 @@ $(INSTALLED): $(SOURCES)
 	  echo "error: no C++ compiler was found for the native plugins; install one (on Debian and" \
 	       "Ubuntu: apt install g++) or name it in CXX." >&2; exit 2
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install $(PIP_ARGS) -c constraints.txt -e '.[all,test]'
 	@touch $@

@@ -1,6 +1,14 @@
 """Settings of the whole suite."""
 
+# ruff: noqa: E402
+
+import os
 import sys
+
+# Every worker of the suite, and every process that a test starts, has one core: thread pools of the linear
+# algebra would only wait for each other. Before NumPy is imported.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_name] = "1"
 
 import hypothesis
 import pytest

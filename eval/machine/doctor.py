@@ -20,7 +20,7 @@ from inclined_landing.models.errors import UserError
 _OLDEST_PYTHON = (3, 11)
 _COMPILERS = ("c++", "g++", "clang++")
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-_FOR_DEVELOPERS = {"all", "docs", "test", "wheel"}  # extras that nothing of the program asks for
+_FOR_DEVELOPERS = {"all", "docs", "test", "test-all", "wheel"}  # extras that nothing of the program asks for
 
 
 @dataclasses.dataclass
@@ -147,7 +147,7 @@ def _missing(extra: str) -> list[str]:
     missing = []
     for requirement in importlib.metadata.requires("inclined-landing") or []:
         name, _, condition = requirement.partition(";")
-        wanted = re.search(r"extra == ['\"](\w+)", condition)
+        wanted = re.search(r"extra == ['\"]([\w-]+)", condition)
         if (wanted.group(1) if wanted else "") != extra:
             continue
         name = re.match(r"[A-Za-z0-9._-]+", name).group()

@@ -1,0 +1,57 @@
+"""constraints.txt goes together on every supported Python, from the very first release of the oldest."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+OLDEST, NEWEST = "3.11.0", "3.14"
+# What people install; only `mocap` has no wheel for the newest Python.
+EXTRAS = ("test-all", "wheel", "export")
+SOURCES_ONLY = "moviepy"  # the last version that goes with today's pillow has no wheel
+
+
+def uv(*words, cwd=ROOT) -> subprocess.CompletedProcess:
+    """`uv pip compile WORDS`, from the package index."""
+    program = shutil.which("uv", path=str(Path(sys.executable).parent))
+    done = subprocess.run(
+        [program, "pip", "compile", "--no-config", *words], capture_output=True, text=True, cwd=cwd
+    )
+    if "Failed to fetch" in done.stderr:
+        pytest.skip("the package index is not reached from here")
+    return done
+
+
+def resolve(python: str, constraints: Path) -> subprocess.CompletedProcess:
+    """All of EXTRAS on Linux with that Python, from wheels alone."""
+    extras = (word for extra in EXTRAS for word in ("--extra", extra))
+    wheels = ("--only-binary", ":all:", "--no-binary", SOURCES_ONLY, "--no-header", "--no-annotate")
+    where = ("--python-version", python, "--python-platform", "x86_64-manylinux_2_28")
+    return uv("pyproject.toml", *extras, *where, *wheels, "-c", str(constraints))
+
+
+@pytest.mark.parametrize("python", [OLDEST, NEWEST])
+def test_it_goes_together(python):
+    done = resolve(python, ROOT / "constraints.txt")
+    assert done.returncode == 0, done.stderr  # names the package
+    pinned = {line.split(";")[0].strip() for line in (ROOT / "constraints.txt").read_text().splitlines()}
+    assert set(done.stdout.splitlines()) <= pinned, "something is not pinned: run `make lock`"
+
+
+def test_a_package_that_is_too_new_is_named(tmp_path):
+    """Its version 13.1 needs Python 3.11.5: Debian 12 has 3.11.2."""
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    wrong = [line for line in lines if not line.startswith("pymdown-extensions")]
+    (tmp_path / "constraints.txt").write_text("\n".join([*wrong, "pymdown-extensions==13.1"]))
+    done = resolve(OLDEST, tmp_path / "constraints.txt")
+    assert done.returncode != 0 and "pymdown-extensions==13.1 depends on Python>=3.11.5" in " ".join(
+        done.stderr.split()
+    )
+
+
+def test_the_oldest_python_is_that_of_the_package():
+    assert f"OLDEST := {OLDEST}\n" in (ROOT / "Makefile").read_text()
+    assert f'requires-python = ">={OLDEST.removesuffix(".0")}"' in (ROOT / "pyproject.toml").read_text()
