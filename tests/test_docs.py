@@ -1,9 +1,7 @@
-"""The documents: the site builds, links lead somewhere, code blocks run, commands have their options."""
+"""The documents: code blocks run, commands have their options."""
 
 import itertools
-import logging
 import re
-import shutil
 from pathlib import Path
 
 import documents
@@ -11,8 +9,6 @@ import numpy as np
 import pytest
 from documents import ROOT
 from log_files import a_log
-from mkdocs.commands.build import build
-from mkdocs.config import load_config
 
 from inclined_landing.eval.logs import write_log
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
@@ -117,20 +113,6 @@ def test_a_wrong_option_in_a_sentence_is_found():
     documents.check_span("landing-eval success ... --plant hybrid")
     with pytest.raises(AssertionError, match="has no option --planet"):
         documents.check_span("landing-eval success ... --planet hybrid")
-
-
-def test_the_site_builds_without_a_warning(tmp_path, monkeypatch):
-    """Strictly: pages and anchors that links lead to, pages that the navigation lacks, names to document."""
-    monkeypatch.setenv("NO_MKDOCS_2_WARNING", "1")
-    before = logging.getLogger("mkdocs").level
-    build(load_config(str(ROOT / "mkdocs.yml"), strict=True, site_dir=str(tmp_path)))
-    logging.getLogger("mkdocs").setLevel(before)
-    commands = (tmp_path / "reference/commands.html").read_text("utf-8")
-    assert 'id="success"' in commands and "--thrust-scale" in commands
-    page = (tmp_path / "index.html").read_text("utf-8")
-    assert "landing.gif" in page and (tmp_path / "landing.gif").is_file()
-    assert "https://arxiv.org/abs/2103.09043\n" in (tmp_path / "external_links.txt").read_text("utf-8")
-    shutil.rmtree(tmp_path)  # some megabytes
 
 
 def test_every_number_of_a_vehicle_and_every_effect_is_on_its_page():

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("models", "envs", "eval", "train")
 # What the plugins and three.js are built from, and figures of the documentation.
@@ -59,7 +60,6 @@ def test_a_source_distribution_holds_what_a_build_needs(tmp_path, sources):
     assert not [name for name in names if name.startswith((".ci", "runs", ".venv", "dist"))]
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="building without the package index needs cmake")
 def test_an_installed_wheel_flies_without_a_compiler(tmp_path):
     wheel = build("build_wheel", tmp_path)

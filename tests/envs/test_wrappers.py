@@ -63,6 +63,7 @@ def test_normalised_observations_have_mean_zero_and_variance_one():
     assert np.abs(late.mean(axis=0)).max() < 0.67 and 0.3 < late.std(axis=0).min()
 
 
+@pytest.mark.slow
 def test_record_video_writes_a_film_that_plays(tmp_path):
     pytest.importorskip("moviepy", reason="moviepy is not installed")
     env = wrappers.RecordVideo(gym.make(ID, plant="analytic", **PICTURE), str(tmp_path), disable_logger=True)
@@ -136,6 +137,7 @@ def test_next_step_and_disabled_resets_are_gymnasiums():
         gym.make_vec(ID, num_envs=2, autoreset_mode="sometimes")
 
 
+@pytest.mark.slow
 def test_vectors_are_filmed_one_by_one(tmp_path):
     pytest.importorskip("moviepy", reason="moviepy is not installed")
     with pytest.raises(UserError, match="vectorization_mode='sync'"):

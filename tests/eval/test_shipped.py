@@ -48,9 +48,8 @@ except ValueError as error:
 
 def every(names):
     """Engine and every scale take minutes: quickly, the hybrid plant, which lands alike (test_hybrid)."""
-    slow = [pytest.param(name, "mujoco", marks=pytest.mark.slow) for name in names if name != "landing"]
-    quick = [(name, "mujoco" if name == "landing" else "hybrid") for name in names]
-    return pytest.mark.parametrize("name, plant", quick + slow)
+    slow = [pytest.param(name, "mujoco", marks=pytest.mark.slow) for name in names]
+    return pytest.mark.parametrize("name, plant", [(name, "hybrid") for name in names] + slow)
 
 
 ONE_SLOPE = [
