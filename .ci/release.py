@@ -1,7 +1,7 @@
-"""`make release`: are the files in dist fit to be published? One line for each check; exit code 1 where one failed.
+"""`make release`: are the files in dist fit to be published?
 
-With `--tag v0.1.0`, what the workflow of a release asks first: is this the tag of this version? For that a bare
-Python is enough.
+One line for each check; exit code 1 when one failed. With `--tag v0.1.0`, what the workflow of a release asks
+first: is this the tag of this version? For that a bare Python is enough.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def main() -> int:
     if tag is None:
         checks += [("committed", committed), ("files", files), ("twine", twine), ("auditwheel", auditwheel)]
         checks += [(f"Python {name}", lambda name=name: flies(name)) for name in supported()]
-    return 0 if all([passed(*check) for check in checks]) else 1
+    return 0 if all([passed(*check) for check in checks]) else 1  # a list: each is run
 
 
 def passed(title: str, check: Callable[[], str]) -> bool:
@@ -113,7 +113,7 @@ def twine() -> str:
 
 def auditwheel() -> str:
     """The plugins need no newer C library than the name of the wheel says, and nothing but it and MuJoCo."""
-    # Its own verdict counts libmujoco as missing, which is MuJoCo's wheel's and is there when the plugins are loaded.
+    # Its own verdict counts libmujoco as missing: MuJoCo's wheel brings it, and loads it before the plugins.
     found = json.loads(run(sys.executable, "-m", "auditwheel", "show", "--json", wheel()))
     foreign = [name for name in found["external_libs"] if not name.startswith("libmujoco.so.")]
     if foreign:
@@ -139,17 +139,16 @@ def supported() -> Iterator[str]:
 
 def interpreter(name: str) -> str | None:
     """A Python by its version: this one, one on the PATH, or one that uv knows."""
-    candidates = [[sys.executable], [f"python{name}"]]
+    candidates = [sys.executable, f"python{name}"]
     beside = Path(sys.executable).with_name("uv")
     uv = str(beside) if beside.is_file() else shutil.which("uv")
     if uv:
-        candidates.append([uv, "run", "--no-project", "--no-python-downloads", "--python", name, "python"])
+        words = [uv, "python", "find", "--no-project", "--system", "--no-python-downloads", name]
+        candidates.append(subprocess.run(words, capture_output=True, text=True).stdout.strip())
     code = "import sys; print('%d.%d' % sys.version_info[:2], sys.executable)"
-    for words in candidates:
-        done = None
-        if shutil.which(words[0]):
-            done = subprocess.run([*words, "-c", code], capture_output=True, text=True, cwd="/")
-        if done and done.returncode == 0 and done.stdout.split()[0] == name:
+    for candidate in filter(shutil.which, candidates):
+        done = subprocess.run([candidate, "-c", code], capture_output=True, text=True, cwd="/")
+        if done.returncode == 0 and done.stdout.split()[0] == name:
             return done.stdout.split(maxsplit=1)[1].strip()
     return None
 
@@ -176,7 +175,7 @@ def flies(name: str) -> str:
         if not found["native plugins"]["ok"] or str(clean) not in found["native plugins"]["detail"]:
             raise Failed(f"The plugins of the wheel are not found: {found['native plugins']['detail']}.")
         if found["C++ compiler"]["ok"]:
-            raise Failed(f"There is a compiler, {found['C++ compiler']['detail']}: nothing is shown by this.")
+            raise Failed(f"There is a compiler, {found['C++ compiler']['detail']}: this shows nothing.")
     took = (
         f"install {installed - began:.0f} s, demo {flown - installed:.0f} s, together {flown - began:.0f} s"
     )
