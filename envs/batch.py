@@ -23,11 +23,17 @@ _START = ("state", "inclination", "present", "goal_size")  # what is recorded of
 
 
 def numbers(value, what: str) -> np.ndarray:
-    """`value` as an array of floats; raises UserError, naming it as `what`, when it is none."""
+    """`value` as an array of floats; raises UserError, naming it as `what`, when it is none.
+
+    Complex numbers, texts and dates are none, though NumPy would make floats of them.
+    """
     try:
-        return np.asarray(value, float)
-    except (TypeError, ValueError, OverflowError):
-        raise UserError(f"{what} must be an array of numbers") from None
+        array = np.asarray(value)
+        if array.dtype.kind in "biufO":
+            return array.astype(float, copy=False)
+    except Exception:  # whatever the conversion of another library's array raises
+        pass
+    raise UserError(f"{what} must be an array of real numbers")
 
 
 def check_seed(seed) -> None:

@@ -140,6 +140,8 @@ def check_folder(path: str | Path) -> None:
     """
     path = Path(path)
     _check_name(path)
+    if path.name == ".." and not path.exists():
+        raise UserError(f"cannot write into {path}: it leads through a folder that does not exist")
     try:
         there = next(p for p in (path, *path.absolute().parents) if os.path.lexists(p))
         if not there.is_dir():

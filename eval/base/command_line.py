@@ -6,6 +6,7 @@ Imports nothing heavy: the rooms and tyro are imported when a command is run.
 from __future__ import annotations
 
 import contextlib
+import errno
 import functools
 import inspect
 import io
@@ -32,17 +33,21 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
     """
     import tyro
 
-    for word in sys.argv[1:] if arguments is None else arguments:
-        number = word.rpartition("=")[2]
-        if number.isdigit() and not number.isascii():
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    for k, word in enumerate(words):
+        option, sign, value = word.partition("=") if word.startswith("--") else ("", "", word)
+        if not value and (sign or not option):
+            option = option or (words[k - 1] if k and words[k - 1].startswith("--") else "a word")
+            raise UserError(f"{shown(option)} is empty; was a variable of the shell not set?")
+        if value.isdigit() and not value.isascii():
             raise UserError(f"{shown(word)}: numbers are written with the digits 0 to 9")
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
-            return tyro.cli(target, prog=prog, args=arguments)
+            return tyro.cli(target, prog=prog, args=words)
     except SystemExit as end:
         if end.code:
-            raise UserError(_sentence(said.getvalue(), prog)) from end
+            raise UserError(_sentence(said.getvalue(), words, prog)) from end
         print(manual(target, prog).page(shutil.get_terminal_size().columns))
         raise
 
@@ -80,7 +85,11 @@ def exit_code(prog: str, work: Callable[[], int | None], extra: str = "eval") ->
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names that are no UTF-8
     try:
-        return work() or 0
+        try:
+            return work() or 0
+        finally:
+            if sys.stdout is not None:
+                sys.stdout.flush()  # here it can be said if that fails
     except ModuleNotFoundError as error:
         sentence = not_installed(error, extra)
     except (UserError, ImportError) as error:
@@ -90,18 +99,52 @@ def exit_code(prog: str, work: Callable[[], int | None], extra: str = "eval") ->
     except MemoryError:
         sentence = "there is not enough memory for this"
     except BrokenPipeError:  # whoever read the output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return 128 + signal.SIGPIPE
     except OSError as error:
-        sentence = f"{(error.strerror or str(error)).lower()}: {shown(error.filename)}"
+        sentence = (error.strerror or str(error)).lower()
+        if error.filename is not None:
+            sentence = f"{sentence}: {shown(error.filename)}"
+        elif error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
+            sentence = f"the output cannot be written: {sentence}"
+            _drop_output()
     print(f"{prog}: {sentence}", file=sys.stderr)
     return 2
 
 
-def _sentence(box: str, prog: str) -> str:
+def _drop_output() -> None:
+    """Let go of what was printed and cannot be written: Python would try again, and fail, at its end."""
+    if sys.stdout is not None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _sentence(box: str, words: Sequence[str], prog: str) -> str:
     """What is in tyro's box as one sentence: without colours, title, frame and closing line."""
     rows = [row.strip(" │") for row in re.sub("\x1b\\[[0-9;]*m", "", box).splitlines()[1:]]
     ruled = itertools.groupby(rows, lambda row: not row.strip("─-╭╮╰╯"))
     parts = [" ".join(" ".join(part).split()).rstrip(".") for rule, part in ruled if not rule]
     wrong = [part.removeprefix("Argument helptext: ") for part in parts if not part.startswith("For full")]
+    option = re.match("Error parsing (--[a-z0-9-]+): ", wrong[0] if wrong else "")
+    if option is not None:  # of the types of options, numbers alone can be of another
+        said = " ".join(wrong)
+        whole = re.search(r"\bint\(\)|integer string", said) is not None
+        one = "a whole number" if whole else "a number" if "to float" in said else "numbers"
+        given = _not_a_number(option[1], words, int if whole else float)
+        wrong = [f"{option[1]} takes {one}, not {shown(repr(given), 40)}"]
     return "; ".join([shown("; ".join(wrong), 200), f"{prog} --help says what is right"])
+
+
+def _not_a_number(option: str, words: Sequence[str], kind: type) -> str:
+    """The first value of an option that is no int or no float."""
+    given: list[str] = []
+    for k, word in enumerate(words):
+        name, sign, value = word.partition("=")
+        if name.replace("_", "-") == option:
+            rest = itertools.takewhile(lambda other: not other.startswith("--"), words[k + 1 :])
+            given += [value] if sign else rest
+    for value in given:
+        try:
+            kind(value)
+        except ValueError:
+            return value
+    return " ".join(given)

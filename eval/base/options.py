@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
@@ -32,7 +32,8 @@ class Range:
         return self.low < value < self.high if self.open else self.low <= value <= self.high
 
     def __str__(self) -> str:
-        return f"{'between' if self.open else 'from'} {self.low} {'and' if self.open else 'to'} {self.high}"
+        low, high = (f"{end:.15g}" for end in (self.low, self.high))
+        return f"above {low} and below {high}" if self.open else f"from {low} to {high}"
 
 
 T = TypeVar("T")
@@ -149,7 +150,7 @@ class FlightSource(LogSource):
 
 
 def check_ranges(group: object, hints: Mapping[str, Any] | None = None) -> None:
-    """Raise UserError unless every number lies in the `Range` with which its option is annotated.
+    """Raise UserError unless every number is finite, and in the `Range` with which its option is annotated.
 
     group: options by name, or a dataclass of them; groups within are checked too. hints: the annotations,
     where `group` does not have its own.
@@ -159,7 +160,19 @@ def check_ranges(group: object, hints: Mapping[str, Any] | None = None) -> None:
     for name, value in values.items():
         if dataclasses.is_dataclass(value):
             check_ranges(value)
+        option = "from" if name == "start_from" else name.replace("_", "-")
+        for number in _numbers(value):
+            if not math.isfinite(number):
+                raise UserError(f"--{option} takes finite numbers, not {number}")
         for limits in getattr(hints.get(name), "__metadata__", ()):
             if isinstance(limits, Range) and value is not None and value not in limits:
-                option = "from" if name == "start_from" else name.replace("_", "-")
                 raise UserError(f"--{option} must lie {limits}, not {shown(value, 40)}")
+
+
+def _numbers(value: object) -> Iterator[float]:
+    """The floats of an option, which may be a list, or a list of lists of them."""
+    if isinstance(value, float):
+        yield value
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from _numbers(item)

@@ -97,19 +97,26 @@ def held(folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def staged_run(path: str | Path) -> Iterator[Path]:
-    """A folder beside `path` to write a run into; it becomes `path` when everything is written.
+    """A folder to write a run into; when everything is written, it becomes `path`.
 
-    On any error, an interruption included, nothing of it stays. Raises UserError where `new_run` does and
-    when the disk is full.
+    An empty folder that is there already, perhaps a mounted one or the one that the shell is in, stays and
+    gets the files. On any error, an interruption included, nothing of the run stays. Raises UserError where
+    `new_run` does and when the disk is full.
     """
     check_new_run(path)
     path = Path(path)
-    part = path.with_name(f".{path.name[:40]}.{os.getpid()}.part")
+    there = path.is_dir()
+    beside = path if there else path.parent
+    part = beside / f".{path.name[:40] or 'run'}.{os.getpid()}.part"
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.mkdir(parents=True, exist_ok=True)
         part.mkdir()
         yield part
-        os.replace(part, path)
+        if not there:
+            os.replace(part, path)
+        else:
+            for item in sorted(part.iterdir()):
+                os.replace(item, path / item.name)
     except OSError as error:
         raise UserError(f"cannot write the run folder {path}: {storage.reason(error)}") from error
     finally:

@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from inclined_landing.envs.batch import numbers
 from inclined_landing.envs.history import History
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import Moment, is_path
@@ -104,9 +105,9 @@ class _Told:
         except (Exception, SystemExit) as error:  # whatever the code does
             raise UserError(f"{where} raised {type(error).__name__}: {shown(error, 120)}") from error
         try:
-            commands = np.array(answer, float)
-        except (TypeError, ValueError, OverflowError):
-            raise UserError(f"{where} must answer with numbers, not {shown(repr(answer), 60)}") from None
+            commands = numbers(answer, where)
+        except UserError:
+            raise UserError(f"{where} must answer with real numbers, not {shown(repr(answer), 60)}") from None
         wanted = (len(moment.state), COMMAND_SIZE)
         if commands.shape != wanted:
             raise UserError(f"{where} must answer with commands of shape {wanted}, not {commands.shape}")

@@ -192,6 +192,11 @@ def _parse(name: str, data: dict, fingerprint: str) -> Scenario:
         raise UserError(
             f"slope, roll and pitch together reach {math.degrees(tilt):.0f} deg; {_STEEPEST:g} at most"
         )
+    rest = Success(*(_number(success, key, "[success] ") for key in _TABLES["success"]))
+    if rest.hold >= rest.within:
+        raise UserError(
+            f"[success] hold is {rest.hold:g} s, but must be shorter than within, {rest.within:g} s"
+        )
     return Scenario(
         name=name,
         title=_text(data, "title"),
@@ -205,7 +210,7 @@ def _parse(name: str, data: dict, fingerprint: str) -> Scenario:
         course=_angle_or_any(motion, "course_deg", "[motion] "),
         waves=waves,
         start=np.array([_box(tables["start"], axis) for axis in "xyz"]),
-        success=Success(*(_number(success, key, "[success] ") for key in _TABLES["success"])),
+        success=rest,
         fingerprint=fingerprint,
     )
 

@@ -199,7 +199,8 @@ def test_wrong_resets_and_actions_are_one_sentence(task):
     state = hovering((1, 0, 1.8))[0]
     for env, given, sentence in (
         (single, {"options": {"state": state[:12]}}, r"\(1, 13\), not \(1, 12\)"),
-        (single, {"options": {"state": "somewhere"}}, "start state must be an array of numbers"),
+        (single, {"options": {"state": "somewhere"}}, "start state must be an array of real numbers"),
+        (single, {"options": {"state": state + 0j}}, "start state must be an array of real numbers"),
         (single, {"options": {"start": state}}, "reset has no option 'start'; it has state"),
         (single, {"options": [state]}, "options of reset must be a dictionary"),
         (single, {"seed": -1}, "a seed must be a whole number from 0 on, not -1"),
@@ -211,7 +212,7 @@ def test_wrong_resets_and_actions_are_one_sentence(task):
         with pytest.raises(UserError, match=sentence):
             env.reset(**given)
     single.reset(seed=2**70)
-    with pytest.raises(UserError, match="the action must be an array of numbers"):
+    with pytest.raises(UserError, match="the action must be an array of real numbers"):
         single.step(["up", "down"])
     for wrong in (0.0, float("nan"), float("inf"), "small"):
         with pytest.raises(UserError, match="reward_scale must be a positive number"):

@@ -65,7 +65,7 @@ def test_a_command_and_its_module_are_called_alike(name):
     (["success"], "Missing from landing-eval success: POLICY policy file"),
     (["success", "x", "--seed", "one"], "--seed takes a whole number, not 'one'; landing-eval success"),
     (["success", "x", "--inclination=steep"], "--inclination takes a number, not 'steep'; landing-eval succ"),
-    (["success", "x", "--thrust-scale", "1", "--thrust-scale", "2", "x"], "--thrust-scale takes numbers, not 'x'"),
+    (["success", "x", "--thrust-scale", "1", "x"], "--thrust-scale takes numbers, not 'x'"),
     (["moving", "--flights", "nan"], "--flights takes a whole number, not 'nan'; landing-eval moving"),
     (["success", "x", "--inclination", "nan"], "--inclination takes finite numbers, not nan"),
     (["success", "x", "--thrust-scale", "1", "inf"], "--thrust-scale takes finite numbers, not inf"),
@@ -97,9 +97,9 @@ def test_words_that_do_not_fit_are_one_sentence(words, sentence, capsys):
     )
 
 
-@pytest.mark.parametrize("words", [["effects"], ["--help"], ["--version"], ["success", "--help"]])
 @pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_output_that_cannot_be_written_is_one_sentence(words, unbuffered, tmp_path):
+@pytest.mark.parametrize("words", [["--version"], ["success", "--help"]])
+def test_output_that_cannot_be_written_is_one_sentence(words, unbuffered):
     with open("/dev/full", "w") as full:
         done = subprocess.run(
             [sys.executable, "-m", "inclined_landing.eval", *words],

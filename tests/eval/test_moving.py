@@ -104,6 +104,7 @@ GOOD = (shipped()["ship_5_bow"]).read_text()
         ("x = [-2.5, 2.5]", "x = [2.5, -2.5]", "goes from"),
         ("x = [-2.5, 2.5]", "x = 3", "must be a list"),
         ("hold = 0.3", "", "[success] lacks hold"),
+        ("hold = 0.3", "hold = 30", "must be shorter than within"),
         ("period = [2.6790,", "period = [0.0,", "period must be a number"),
         ("heave = {", "lift = {", "unknown entry 'lift'"),
         ("amplitude = [0.00299,", "amplitude = [", "must be a list of 10 numbers"),
@@ -127,6 +128,7 @@ import numpy as np
 def short(t, state, deck): return np.zeros((len(state), 3))
 def nan(t, state, deck): return np.full((len(state), 4), np.nan)
 def words(t, state, deck): return "up"
+def complex(t, state, deck): return np.zeros((len(state), 4)) + 1j
 def broken(t, state, deck): return 1 / 0
 number = 3
 class Deaf:
@@ -141,7 +143,8 @@ class Unmade:
     [
         ("short", "commands of shape (2, 4), not (2, 3)"),
         ("nan", "NaN or infinity"),
-        ("words", "must answer with numbers"),
+        ("words", "must answer with real numbers"),
+        ("complex", "must answer with real numbers"),
         ("broken", "raised ZeroDivisionError: division by zero"),
         ("number", "no function or class"),
         ("nothing", "no function or class"),

@@ -81,6 +81,27 @@ def test_a_staged_run_appears_whole_or_not_at_all(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["deep"]
 
 
+def test_an_empty_folder_that_is_there_gets_the_files_and_stays(tmp_path, monkeypatch):
+    """As the one that the shell is in, which must not be replaced under it, and a mounted one."""
+    monkeypatch.chdir(tmp_path)
+    before = os.stat(".").st_ino
+    for out in (".", tmp_path):
+        with pytest.raises(UserError, match="gone"), runs.staged_run(out) as folder:
+            (folder / "x").write_text("half")
+            raise UserError("gone")
+        assert not os.listdir(".")
+    (tmp_path / ".x.1.part").mkdir()  # of a killed process
+    with runs.staged_run(".") as folder:
+        (folder / "figures").mkdir()
+        (folder / "figures" / "x").write_text("1")
+        (folder / "y").write_text("2")
+    assert sorted(os.listdir(".")) == [".x.1.part", "figures", "y"] and os.stat(tmp_path).st_ino == before
+    with pytest.raises(UserError, match="not empty"), runs.staged_run("."):
+        pass
+    with pytest.raises(UserError, match="leads through a folder that does not exist"):
+        runs.check_new_run("new/..")
+
+
 def test_a_run_without_a_name_gets_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = runs.new_run(None, "success")

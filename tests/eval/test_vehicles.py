@@ -74,6 +74,7 @@ def test_the_command_writes_a_whole_folder(tmp_path, capsys):
 @pytest.mark.parametrize("words, sentence", [
     (["landing", "--vehicle", "sparrow"], "vehicle file sparrow does not exist"),
     (["landing", "--ranges", "sparrow"], "randomise file sparrow does not exist"),
+    (["landing", "--ranges", "sparrow", "--draws", "0"], "randomise file sparrow does not exist"),
     (["setpoint"], "policy setpoint is for the task setpoint, not for landing"),
     (["a@sparrow=landing"], "a is for the vehicle sparrow, which is not flown"),
     (["a=landing+"], "policies are written LABEL=POLICY"),

@@ -72,7 +72,8 @@ def evaluate(
                 f"{entry.label} is for the vehicle {shown(entry.vehicle, 40)}, which is not flown"
             )
     known = {name: load_vehicle(name) for name in vehicles}
-    pool = read_ranges(ranges).draw(load_vehicle(), seed, draws) if ranges is not None and draws else []
+    drawn_from = None if ranges is None else read_ranges(ranges)
+    pool = drawn_from.draw(load_vehicle(), seed, draws) if drawn_from is not None and draws else []
     for entry in entries:
         for policy in entry.policies:
             if not (task := load_policy(policy).task).cut_at_success:
