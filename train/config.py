@@ -445,8 +445,9 @@ class TrainConfig:
 def _check_gamma(gamma: float | str | None) -> None:
     if gamma is None or gamma == RISING:
         return
-    if isinstance(gamma, str) or gamma not in Range(0, 1, open=True):
-        raise UserError(f"--gamma must lie between 0 and 1, or be {RISING}, not {shown(gamma, 40)}")
+    limits = Range(0, 1, open=True)
+    if isinstance(gamma, str) or gamma not in limits:
+        raise UserError(f"--gamma must lie {limits}, or be {RISING}, not {shown(gamma, 40)}")
 
 
 # What an annotation takes, and what sentences call it.

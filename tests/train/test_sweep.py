@@ -197,7 +197,7 @@ def test_the_result_is_recorded_and_comments_stay(place):
         ({}, ["--out", "pretended.py"], "is not a folder"),
         ({}, ["--out", "."], "exists and is not empty"),
         ({"train": ["landing", "--step", "3"]}, [], "--step"),
-        ({"train": ["landing", "--gamma", "2"]}, [], "--gamma must lie between 0 and 1"),
+        ({"train": ["landing", "--gamma", "2"]}, [], "--gamma must lie above 0 and below 1"),
         ({"train": ["--help"]}, [], "--help does no work"),
         ({"variants": {"a": ["--curriculum", "steep"]}}, [], "unknown curriculum"),
         ({"evaluate": [["sucess", "x"]]}, [], "landing-eval has no command 'sucess'"),
