@@ -171,10 +171,6 @@ def test_what_limits_the_answer_is_said_beside_it(logs):
         assert re.search(words, notes), notes
 
 
-def test_one_flight_is_used_with_a_stated_limit(logs):
-    assert "1 flight only" in notes_on(logs(count=1))
-
-
 def test_options_that_cannot_be_used_are_refused(logs, gap, tmp_path):
     files = logs()
     for arguments, words in (
@@ -199,7 +195,7 @@ def test_an_occupied_folder_stays_as_it_is(logs, tmp_path, capsys):
 
 
 def test_a_full_disk_costs_the_files_but_not_the_answer(logs, tmp_path, capsys, monkeypatch):
-    files = logs(count=2)
+    files = logs(count=1)
 
     def full(self, data):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -110,10 +110,10 @@ def test_nothing_hidden(matched):
         pytest.param("motor_lag", {"scale": 1.7}, marks=pytest.mark.slow),
         pytest.param("attitude_delay", {"delay": 0.03}, marks=pytest.mark.slow),
         ("mocap_delay", {"delay": 0.02}),
-        ("attitude_gain", {"scale": 0.85}),
+        pytest.param("attitude_gain", {"scale": 0.85}, marks=pytest.mark.slow),
         pytest.param("thrust_fade", {"rate": 0.005}, marks=pytest.mark.slow),
         pytest.param("axial_inflow", {"coefficient": 0.08}, marks=pytest.mark.slow),
-        ("yaw_drift", {"rate": 0.1}),
+        pytest.param("yaw_drift", {"rate": 0.1}, marks=pytest.mark.slow),
     ],
 )
 def test_hidden_effect_is_named(name, values):

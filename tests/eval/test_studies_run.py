@@ -86,7 +86,6 @@ def test_neither_chunks_nor_threads_change_a_bit(study, tmp_path, reference):
     assert design.run_chunk(read, 1, 5, threads=1).equals(design.run_chunk(read, 1, 5, threads=2))
 
 
-@pytest.mark.slow
 def test_an_interrupted_study_goes_on(study, tmp_path, reference, monkeypatch):
     real = engines.local
 
@@ -121,6 +120,7 @@ def check(part, written):
     assert part.stat().st_mtime_ns == written
 
 
+@pytest.mark.slow
 def test_kill_9_and_resume(study, tmp_path, reference):
     code = (
         "import sys; from inclined_landing.eval.landings import command, engines; import pathlib, time\n"
@@ -145,6 +145,7 @@ def test_kill_9_and_resume(study, tmp_path, reference):
     assert bits(out) == bits(reference)
 
 
+@pytest.mark.slow
 def test_ray_gives_the_same_bits(study, tmp_path, reference):
     if not hasattr(pytest.importorskip("ray", reason="Ray is not installed (extra `ray`)"), "init"):
         pytest.skip("a folder named ray is no Ray (extra `ray`)")
