@@ -93,9 +93,9 @@ release: wheel
 .venv/.torch: | .venv/.created
 	@$(BIN)/python -c 'import torch' 2>/dev/null || test '$(TORCH)' != cpu || \
 	  $(PIP) --no-deps --retries 1 --index-url $(CPU_BUILDS) torch || \
-	  { echo "error: PyTorch's builds without CUDA ($(CPU_BUILDS)) cannot be had from here." \
-	         "'make TORCH=default' takes your package index's build instead, on Linux with some" \
-	         "gigabytes of CUDA." >&2; exit 2; }
+	  echo "note: $(CPU_BUILDS) has no PyTorch for this machine, or is not reached from here. What follows" \
+	       "takes your package index's build, on Linux some 3 GB with CUDA. To avoid that, stop (Ctrl-C)," \
+	       "install a build without CUDA with $(BIN)/pip, and go on."
 	@touch $@
 
 .venv/.created:
