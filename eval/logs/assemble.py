@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.logs.limits import LARGEST_VALUE
@@ -16,6 +17,20 @@ from inclined_landing.models.errors import UserError
 _POSITION = ("x", "y", "z")
 _VELOCITY = ("vx", "vy", "vz")
 _EULER = ("roll", "pitch", "yaw")
+# What no flight exceeds, in SI units. A column beyond that throughout has another unit, which the checks say;
+# a few values that are beyond alone were not measured.
+_POSSIBLE = {
+    **dict.fromkeys(_POSITION, (-200.0, 200.0)),
+    **dict.fromkeys(_VELOCITY, (-100.0, 100.0)),
+    **dict.fromkeys(("roll", "pitch"), (-np.pi - 0.01, np.pi + 0.01)),
+    **dict.fromkeys(("cmd_roll", "cmd_pitch"), (-np.pi / 2, np.pi / 2)),
+    "yaw": (-100.0, 100.0),
+    **dict.fromkeys(QUATERNION, (-1.1, 1.1)),
+    "cmd_thrust_pwm": (-0.5, 65535.5),
+    "cmd_yaw_rate": (-15.0, 15.0),
+    "vbat": (-1.0, 100.0),
+}
+_FEW = 0.005  # of the rows
 
 
 def assemble(
@@ -152,24 +167,43 @@ def _check_angle(path: str, key: str, channel: Channel) -> None:
     else:
         degrees = largest > np.pi + 0.01
     if degrees:
+        t = channel.t[np.argmax(np.abs(channel.value))]
         raise UserError(
-            f"{path}: column {channel.column} ({key}) reaches {largest:.3g} rad: these look like degrees; "
-            "state the unit in a row of units, a mapping or the option"
+            f"{path}: column {channel.column} ({key}) reaches {largest:.3g} rad at t = {t:.6g} s: "
+            "these look like degrees; state the unit in a row of units, a mapping or the option"
         )
 
 
 def _cleaned(key: str, channel: Channel, notes: list[str]) -> Channel:
-    """Without rows that have no number, and with one value per instant."""
+    """Without rows that have no number or a lone impossible one, and with one value per instant."""
     finite = np.abs(channel.value) < LARGEST_VALUE
     lost = int((~finite).sum())
     if lost:
         share = f"{lost} of {len(finite)} rows"
         notes.append(f"column {channel.column} ({key}) is empty or not a number in {share}")
+    lone = _lone(channel.value, finite, _POSSIBLE.get(key, (-np.inf, np.inf)))
+    if len(lone):
+        where = f"row {lone[0] + 1} of the data (t = {channel.t[lone[0]]:.6g} s)"
+        often = where if len(lone) == 1 else f"{len(lone)} rows, first in {where}"
+        holds = f"column {channel.column} ({key}) holds {channel.value[lone[0]]:.4g}"
+        notes.append(f"{holds}, which no flight has, in {often}: left out")
+        finite[lone] = False
     t, value = channel.t[finite], channel.value[finite]
     later = np.r_[True, np.diff(t) > 0]
     if not later.all():
         notes.append(f"{int((~later).sum())} rows of {channel.column} repeat an instant and were dropped")
     return Channel(t[later], value[later], channel.column)
+
+
+def _lone(value: np.ndarray, finite: np.ndarray, possible: tuple[float, float]) -> np.ndarray:
+    """Rows of impossible values among possible ones; none where there are more than a few."""
+    low, high = possible
+    rows = np.flatnonzero(finite)
+    beyond = (value[rows] < low) | (value[rows] > high)
+    if not 0 < beyond.sum() <= max(1, _FEW * len(rows)):
+        return rows[:0]
+    usual = median_filter(value[rows], size=5, mode="nearest")
+    return rows[beyond & (low <= usual) & (usual <= high)]
 
 
 def _interpolated(

@@ -196,10 +196,16 @@ def _check_clock(where: str, t: np.ndarray, column: str) -> None:
         raise UserError(f"{where}: {column} has no number in row {bad[0] + 1} of the data")
     back = np.flatnonzero(t[1:] < t[:-1])
     if back.size:
-        a, b = t[back[0] : back[0] + 2]
+        k = back[0] + 1
+        for lone in (k - 1, k):  # without this row, the clock goes on
+            if 0 < lone < len(t) - 1 and t[lone - 1] <= t[lone + 1]:
+                raise UserError(
+                    f"{where}: {column} holds {t[lone]:g} s in row {lone + 1} of the data, between "
+                    f"{t[lone - 1]:g} and {t[lone + 1]:g} s: correct or remove that row"
+                )
         raise UserError(
-            f"{where}: {column} goes back from {a:g} to {b:g} s "
-            f"in row {back[0] + 2} of the data; are two flights in one file?"
+            f"{where}: {column} goes back from {t[k - 1]:g} to {t[k]:g} s "
+            f"in row {k + 1} of the data; are two flights in one file?"
         )
     if t[-1] - t[0] > limits.LONGEST:
         row = int(np.argmax(np.diff(t)))

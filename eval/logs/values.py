@@ -19,10 +19,10 @@ HARDEST = 40.0  # m/s2
 FASTEST = 15.0  # m/s
 FARTHEST = 200.0  # m
 MOTORS_OFF = 10_000.0  # PWM
-TURNED_BY = (  # command, the largest in SI units, and what is said of a larger one
-    ("cmd_roll", np.pi / 2, "rad: degrees"),
-    ("cmd_pitch", np.pi / 2, "rad: degrees"),
-    ("cmd_yaw_rate", 15.0, "rad/s: degrees per second"),
+TURNED_BY = (  # command, the largest in SI units, its unit
+    ("cmd_roll", np.pi / 2, "rad"),
+    ("cmd_pitch", np.pi / 2, "rad"),
+    ("cmd_yaw_rate", 15.0, "rad/s"),
 )
 
 
@@ -77,28 +77,33 @@ def _position(log: FlightLog) -> Iterator[Finding]:
         yield refuse("x, y, z", "columns x, y, z never change: not a flight, or not a measurement")
         return
     speed = np.linalg.norm(np.diff(log.position, axis=0), axis=1) / np.maximum(np.diff(log.t), 1 / log.rate)
-    if np.percentile(speed, 90) > FASTEST or np.ptp(log.position, axis=0).max() > FARTHEST:
-        top = np.percentile(speed, 90)
-        yield refuse("x, y, z", f"columns x, y, z move at {top:.3g} m/s: wrong unit (millimetres?)")
+    # Of nearly all rows: a few of them, wherever they lie, are no reason to doubt the unit.
+    top, span = np.percentile(speed, 90), np.ptp(np.percentile(log.position, (10, 90), axis=0), axis=0).max()
+    if top > FASTEST or span > FARTHEST:
+        moves = f"move at {top:.3g} m/s" if top > FASTEST else f"span {span:.3g} m"
+        yield refuse("x, y, z", f"columns x, y, z {moves}: wrong unit (millimetres?)")
         return
     spikes, jumps = _discontinuities(log)
     if len(spikes) + len(jumps) > 0.02 * len(log):
         count = len(spikes) + len(jumps)
         yield refuse("x, y, z", f"columns x, y, z jump in {count} of {len(log)} rows: tracking was lost")
         return
-    if len(spikes):
-        at = log.t[spikes[0]]
-        text = (
-            f"position jumps away and back in {len(spikes)} rows, first at t = {at:.2f} s: these are left out"
+    near = _around(jumps, log)
+    kept = np.delete(np.arange(len(log)), np.union1d(spikes, near))
+    away = np.abs(log.position - np.median(log.position, axis=0)).max(axis=1)
+    far = kept[away[kept] > FARTHEST]
+    if len(far):
+        where = f"in {len(far)} rows, first in row {far[0] + 1} (t = {log.t[far[0]]:.2f} s)"
+        yield refuse(
+            "x, y, z", f"columns x, y, z lie {away[far[0]]:.3g} m from the flight {where}: tracking was lost"
         )
+        return
+    if len(spikes):
+        at = f"row {spikes[0] + 1} (t = {log.t[spikes[0]]:.2f} s)"
+        often = f"{at}: it is" if len(spikes) == 1 else f"{len(spikes)} rows, first in {at}: these are"
+        text = f"position jumps away and back in {often} left out"
         yield limit("x, y, z", text, rows=tuple(map(int, spikes)))
     if len(jumps):
-        # Wide enough to be a hole: what comes before and after is not predicted from one another.
-        width = 0.6 * max(GAP_STEPS / log.rate, GAP_SECONDS)
-        before = np.maximum(np.searchsorted(jumps, np.arange(len(log))) - 1, 0)
-        after = np.minimum(before + 1, len(jumps) - 1)
-        away = [np.abs(log.t - log.t[jumps[k]]) for k in (before, after)]
-        near = np.flatnonzero(np.minimum(*away) <= width)
         often = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
         text = f"position jumps for good {often} at t = {log.t[jumps[0]]:.2f} s"
         yield limit("x, y, z", f"{text}: the rows around are left out", rows=tuple(map(int, near)))
@@ -132,6 +137,17 @@ def _discontinuities(log: FlightLog) -> tuple[np.ndarray, np.ndarray]:
     return spikes, kept[jumps + 1]
 
 
+def _around(jumps: np.ndarray, log: FlightLog) -> np.ndarray:
+    """Rows so near to jumps that a hole is left: what comes before and after does not predict one another."""
+    if not len(jumps):
+        return jumps
+    width = 0.6 * max(GAP_STEPS / log.rate, GAP_SECONDS)
+    before = np.maximum(np.searchsorted(jumps, np.arange(len(log))) - 1, 0)
+    after = np.minimum(before + 1, len(jumps) - 1)
+    distance = [np.abs(log.t - log.t[jumps[k]]) for k in (before, after)]
+    return np.flatnonzero(np.minimum(*distance) <= width)
+
+
 def _attitude(log: FlightLog) -> Iterator[Finding]:
     for name, column in zip(("roll", "pitch"), log.attitude.T):
         if np.isnan(column).all():
@@ -153,8 +169,9 @@ def _thrust(log: FlightLog) -> Iterator[Finding]:
         return
     top, bottom = pwm.max(), pwm.min()
     if top > 65535.5 or bottom < 0:
-        value = top if top > 65535.5 else bottom
-        yield refuse("cmd_thrust_pwm", f"column cmd_thrust_pwm holds {value:.6g}, but PWM is 0 to 65535")
+        row = int(pwm.argmax() if top > 65535.5 else pwm.argmin())
+        text = f"column cmd_thrust_pwm holds {pwm[row]:.6g} at t = {log.t[row]:.2f} s, but PWM is 0 to 65535"
+        yield refuse("cmd_thrust_pwm", text)
     elif top <= 100.0:
         unit = "fraction" if top <= 1.5 else "%"
         yield refuse(
@@ -177,13 +194,16 @@ def _thrust(log: FlightLog) -> Iterator[Finding]:
 
 
 def _turn_commands(log: FlightLog) -> Iterator[Finding]:
-    for (name, most, words), column in zip(TURNED_BY, log.command[:, 1:].T):
+    for (name, most, unit), column in zip(TURNED_BY, log.command[:, 1:].T):
         if np.isnan(column).all():
             continue
         if np.ptp(column) < 1e-6 and name != "cmd_yaw_rate":
             yield limit(name, f"column {name} is always {column[0]:.3g}: its loop cannot be judged")
         elif np.abs(column).max() > most:
-            yield refuse(name, f"column {name} reaches {np.abs(column).max():.3g} {words}? State its unit")
+            row = int(np.abs(column).argmax())
+            top = f"{abs(column[row]):.3g} {unit} at t = {log.t[row]:.2f} s"
+            taken = unit.replace("rad", "degrees")
+            yield refuse(name, f"column {name} reaches {top}: {taken}? State its unit")
 
 
 def _voltage(log: FlightLog) -> Iterator[Finding]:
@@ -191,7 +211,8 @@ def _voltage(log: FlightLog) -> Iterator[Finding]:
         return
     low, high = log.voltage.min(), log.voltage.max()
     if high > 100.0:
-        yield refuse("vbat", f"column vbat reaches {high:.4g} V: millivolt? State its unit")
+        at = log.t[log.voltage.argmax()]
+        yield refuse("vbat", f"column vbat reaches {high:.4g} V at t = {at:.2f} s: millivolt? State its unit")
     elif high - low < 1e-3:
         text = f"column vbat is always {high:.4g} V: no measurement of a battery in use, left out"
         yield limit("vbat", text, without="voltage")

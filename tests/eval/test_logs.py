@@ -193,7 +193,11 @@ BAD = {
     "ragged": ("t,x,y,z\n0,0,0,0\n0,0,0,0,0,0\n", "rows of different length"),
     "time back": (
         "t,x,y,z,roll,cmd_thrust_pwm\n0,0,0,0,0,1\n2,0,0,0,0,1\n1,0,0,0,0,1\n",
-        "column t goes back from 2 to 1",
+        "column t holds 2 s in row 2 of the data, between 0 and 1 s",
+    ),
+    "two flights": (
+        "t,x,y,z,roll,cmd_thrust_pwm\n0,0,0,0,0,1\n1,0,0,0,0,1\n2,0,0,0,0,1\n0,0,0,0,0,1\n1,0,0,0,0,1\n",
+        "column t goes back from 2 to 0 s in row 4 of the data; are two flights in one file",
     ),
     "time nan": ("t,x,y,z,roll,cmd_thrust_pwm\n0,0,0,0,0,1\n,0,0,0,0,1\n", "column t has no number in row 2"),
     "degrees": (

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pandas
 import pytest
 
 from inclined_landing.eval.cli import main
@@ -136,7 +137,7 @@ def mistakes(log: FlightLog) -> dict[str, tuple[FlightLog, str]]:
         ),
         "rate degrees": (
             change(log, cmd_yaw_rate=30 * np.sin(log.t)),
-            "cmd_yaw_rate reaches 30 rad/s: degrees",
+            "cmd_yaw_rate reaches 30 rad/s at .*: degrees/s",
         ),
         "too much PWM": (
             change(log, cmd_thrust_pwm=pwm * 1.6),
@@ -145,7 +146,10 @@ def mistakes(log: FlightLog) -> dict[str, tuple[FlightLog, str]]:
         "fraction": (change(log, cmd_thrust_pwm=pwm / 65535), "state its unit .fraction"),
         "constant thrust": (change(log, cmd_thrust_pwm=42_000), "cmd_thrust_pwm is always 42000"),
         "on the ground": (change(log, cmd_thrust_pwm=pwm / 10), "never exceeds .* this is no flight"),
-        "millivolt": (dataclasses.replace(log, voltage=1e3 * log.voltage), "vbat reaches 4100 V: millivolt"),
+        "millivolt": (
+            dataclasses.replace(log, voltage=1e3 * log.voltage),
+            "vbat reaches 4100 V at t = 0.00 s: millivolt",
+        ),
     }
 
 
@@ -191,12 +195,46 @@ def test_limits_are_noted_and_what_cannot_be_believed_is_left_out():
         assert (used.velocity is None) == words.startswith("v") ^ words.startswith("vbat")
 
 
+IMPOSSIBLE = {"x": 500.0, "z": -1e5, "roll": 500.0, "yaw": 500.0, "cmd_roll": 3.0, "cmd_thrust_pwm": -1e5}
+IMPOSSIBLE |= {"vx": 500.0, "vbat": 500.0, "cmd_yaw_rate": 1e3}
+
+
+@pytest.mark.parametrize("column", IMPOSSIBLE)
+def test_a_lone_impossible_value_is_named_and_left_out(column, tmp_path):
+    """It decides nothing about the unit of its column, and all else is as without it."""
+    path, log = tmp_path / "a.csv", flight()
+    write_log(path, log)
+    table = pandas.read_csv(path)
+    table.loc[[300, 700], column] = IMPOSSIBLE[column]
+    table.to_csv(path, index=False)
+    used = read_log(path)
+    words = f"column {column} ({column}) holds {IMPOSSIBLE[column]:.4g}, which no flight has"
+    assert f"{words}, in 2 rows, first in row 301 of the data (t = 3 s): left out" in used.notes
+    others = [note for note in used.notes if column not in note and "clocks of their own" not in note]
+    assert others == [] and len(used) == len(log) - 2 * (column == "x")
+    near = np.isin(log.t, used.t)
+    assert np.abs(used.position - log.position[near]).max() < 0.01
+    assert np.abs(used.attitude - log.attitude[near]).max() < 0.05
+    assert np.abs(used.velocity - log.velocity[near]).max() < 0.1
+    np.testing.assert_allclose(used.voltage, log.voltage[near], rtol=0, atol=1e-9)
+
+
+def test_a_stretch_far_away_was_not_measured_and_says_nothing_about_the_unit():
+    log = flight()
+    position = log.position.copy()
+    position[300:340, 0] += 500.0
+    refused = found(dataclasses.replace(log, position=position), "refuse")
+    assert len(refused) == 1 and "500 m from the flight in" in refused[0]
+    assert "(t = 3.0" in refused[0] and "unit" not in refused[0]
+
+
 def test_jumps_of_the_position():
     log = flight()
     position = log.position.copy()
     position[[300, 700]] += 0.5
     used = enforce(dataclasses.replace(log, position=position))
-    assert len(used) == len(log) - 2 and "jumps away and back in 2 rows" in used.notes[0]
+    assert len(used) == len(log) - 2
+    assert "jumps away and back in 2 rows, first in row 301 (t = 3.00 s)" in used.notes[0]
     position = log.position.copy()
     position[500:, 0] += 0.2
     used = enforce(dataclasses.replace(log, position=position))
