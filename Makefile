@@ -92,8 +92,8 @@ release: wheel
 # PyTorch alone, first: training here uses the processor only, and the CPU build is a tenth of the default one.
 .venv/.torch: | .venv/.created
 	@$(BIN)/python -c 'import torch' 2>/dev/null || test '$(TORCH)' != cpu || \
-	  $(PIP) --no-deps --retries 1 --index-url $(CPU_BUILDS) torch || \
-	  echo "note: $(CPU_BUILDS) has no PyTorch for this machine, or is not reached from here. What follows" \
+	  $(PIP) --no-deps --retries 1 --index-url $(CPU_BUILDS) torch 2>.venv/torch.log || \
+	  echo "note: $(CPU_BUILDS) has no PyTorch for this machine, or is not reached from here (.venv/torch.log). What follows" \
 	       "takes your package index's build, on Linux some 3 GB with CUDA. To avoid that, stop (Ctrl-C)," \
 	       "install a build without CUDA with $(BIN)/pip, and go on."
 	@touch $@
