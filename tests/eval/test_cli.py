@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -38,17 +37,15 @@ def landing_policy(tmp_path_factory):
     return path
 
 
-def test_help_is_fast_and_light():
+def test_help_is_light():
     code = (
         "import sys; from inclined_landing.eval import cli\n"
         "cli.main(['--help'])\n"
         "assert not {'torch', 'mujoco', 'numba', 'scipy', 'tyro', 'numpy'} & set(sys.modules), 'heavy'"
     )
-    began = time.monotonic()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert all(name in done.stdout for name in cli.COMMANDS)
-    assert time.monotonic() - began < 3.0  # 0.15 s on a quiet machine
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
