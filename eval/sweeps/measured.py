@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -243,6 +244,8 @@ def read(recipe: Recipe, data: Any) -> Result:
 def _read(recipe: Recipe, data: dict) -> Result:
     only(data, _RESULT, "it")
     texts = {key: _text(data, key) for key in ("command", "machine")}
+    if not _is_sweep(texts["command"]):
+        raise UserError("command must be that of the sweep, landing-train sweep RECIPE")
     versions = data.get("versions")
     if not isinstance(versions, dict) or not all(isinstance(text, str) for text in versions.values()):
         raise UserError("versions must be a table of texts")
@@ -264,6 +267,15 @@ def _read(recipe: Recipe, data: dict) -> Result:
         measured=tuple(measured),
         runs=tuple(ran),
     )
+
+
+def _is_sweep(command: str) -> bool:
+    """Would a shell run `landing-train sweep`, and nothing else: people copy it from the page."""
+    try:
+        words = shlex.split(command)
+    except ValueError:
+        return False
+    return words[:2] == ["landing-train", "sweep"] and len(words) > 2 and shlex.join(words) == command
 
 
 def _text(data: dict, key: str) -> str:
@@ -303,7 +315,7 @@ def _measured(recipe: Recipe, entry) -> Measured:
     if entry.get("kind") not in KINDS:
         raise UserError(f"measured: kind must be {', '.join(KINDS[:-1])} or {KINDS[-1]}")
     variant = _text(entry, "variant")
-    return Measured(
+    result = Measured(
         variant=variant,
         number=recipe.numbers[entry["number"]].of(variant),
         kind=entry["kind"],
@@ -311,6 +323,12 @@ def _measured(recipe: Recipe, entry) -> Measured:
         mean=mean,
         interval=None if interval is None else (float(interval[0]), float(interval[1])),
     )
+    stated = _value(entry.get("median"))
+    if "median" in entry and (
+        stated is None or result.median is None or not math.isclose(stated, result.median)
+    ):
+        raise UserError(f"measured: median is {shown(repr(entry['median']), 40)}, not that of the values")
+    return result
 
 
 def _value(value) -> float | None:

@@ -120,7 +120,7 @@ def test_whatever_stands_in_a_recipe_is_read_or_refused_in_one_sentence(data, tm
         ({"train": ["landing", "--seed", "3"]}, "--seed is not the recipe's to say"),
         ({"variants": {"a": ["--no_report"]}}, "--no_report is not the recipe's to say"),
         ({"seeds": []}, "seeds must be a list"),
-        ({"seeds": [1, 1]}, "one stands there twice"),
+        ({"seeds": [1, 1]}, "a seed is listed twice"),
         ({"seeds": [True]}, "True is not a whole number"),
         ({"evaluate": [["success", "{file}"]]}, "{file} is not known there"),
         ({"together": [["curves", "{seed}"]]}, "{seed} is not known there"),
@@ -281,6 +281,15 @@ def test_a_result_comes_back_from_json_and_from_toml(tmp_path):
     assert measured.read(recipe, result.record()) == result
     again = read_recipe(write(tmp_path, GOOD | {"result": result.record()}, "again.toml"))
     assert measured.read(again, again.result) == result
+
+
+@pytest.mark.parametrize("wrong", ["most", math.nan, 1e9, None, True])
+def test_a_median_that_is_not_that_of_the_values_is_refused(wrong, tmp_path):
+    recipe = read_recipe(write(tmp_path, GOOD))
+    record = result_of(recipe).record()
+    next(entry for entry in record["measured"] if "median" in entry)["median"] = wrong
+    with pytest.raises(UserError, match=r"\[result\] measured: .*(is no number|not that of the values)"):
+        measured.read(recipe, record)
 
 
 @given(data=st.data())
