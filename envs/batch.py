@@ -11,14 +11,13 @@ import numpy as np
 
 from inclined_landing.envs.history import History
 from inclined_landing.envs.tasks import Task
-from inclined_landing.envs.tasks.base import Judgement, Moment, Start
+from inclined_landing.envs.tasks.base import FARTHEST, Judgement, Moment, Start
 from inclined_landing.envs.vehicle_numbers import vehicle_numbers
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.equations import settled_hover
 from inclined_landing.models.errors import UserError, shown
 
 _TRIES = 1000
-FARTHEST = 1e4  # of any entry of a start state, SI units: no flight is there, and the engine diverges
 _START = ("state", "inclination", "present", "goal_size")  # what is recorded of a start
 
 

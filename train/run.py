@@ -35,6 +35,7 @@ from inclined_landing.envs.flights import record_flight, record_flights
 from inclined_landing.envs.policy import Policy, load_policy, stamp
 from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.tasks import is_path
+from inclined_landing.envs.tasks.guard import TaskError
 from inclined_landing.eval.base import runs
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import LAG
@@ -52,6 +53,7 @@ from inclined_landing.train.callbacks import (
 )
 from inclined_landing.train.config import COPIED, TrainConfig, option
 from inclined_landing.train.curriculum import make_curriculum
+from inclined_landing.train.rehearsal import rehearse
 
 RECORD = "run.json"
 CHECKPOINT = "checkpoint.pt"
@@ -93,6 +95,8 @@ class Run:
             self.record = _record(config)
         self.config = config
         ppo.check_memory(config)
+        if is_path(config.task):
+            rehearse(config)
         saved = self._read_checkpoint() if self.resumed else None
         try:
             self._make(config, fresh=saved is None)
@@ -134,12 +138,15 @@ class Run:
             storage.remove_parts(self.folder)
             if self.metrics is not None:
                 return self.metrics
-            if self._begun >= 0:
-                self._return_to_checkpoint()
-            else:
-                self._begin()
-            self._learn()
-            return self._end()
+            try:
+                if self._begun >= 0:
+                    self._return_to_checkpoint()
+                else:
+                    self._begin()
+                self._learn()
+                return self._end()
+            except TaskError as error:
+                raise UserError(f"{error}; {self._left()}") from error
 
     def _begin(self) -> None:
         """From the beginning, perhaps of a run that was stopped before its first checkpoint."""
@@ -219,6 +226,13 @@ class Run:
         metrics = self._metrics()
         storage.write_json(self.folder / "metrics.json", metrics)
         return metrics
+
+    def _left(self) -> str:
+        """What is left of a run that cannot go on."""
+        steps, folder = self.model.num_timesteps, shown(self.folder, 100)
+        if not self.config.resumable:
+            return f"{folder} stays as it is after {steps} steps; nothing goes on from it"
+        return f"after {steps} steps; {folder} has a checkpoint: with the task corrected, --resume goes on"
 
     def _finished(self) -> dict | None:
         """metrics.json of a run that has come to its end."""

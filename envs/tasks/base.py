@@ -40,6 +40,7 @@ COLUMNS = {name: column for column, name in enumerate(STATE_NAMES)}  # of the st
 ACTIONS = {"thrust": PWM, "roll": ROLL_COMMAND, "pitch": PITCH_COMMAND, "yaw rate": YAW_RATE_COMMAND}
 _UNKNOWN: Any = None
 LONGEST_HISTORY = 50  # steps
+FARTHEST = 1e4  # of any entry of a start state, SI units: no flight is there, and the engine diverges
 OWN = "own"  # a PWM at action 0 that is the hover of whatever vehicle is flown
 
 

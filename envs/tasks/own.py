@@ -17,6 +17,7 @@ from types import ModuleType
 import numpy as np
 
 from inclined_landing.envs.tasks.base import ACTIONS, Task
+from inclined_landing.envs.tasks.guard import guarded
 from inclined_landing.models.errors import UserError, shown
 
 _NAME = re.compile("[a-z][a-z0-9_-]{0,40}")
@@ -28,15 +29,21 @@ def is_path(name) -> bool:
     return isinstance(name, str) and ":" in name
 
 
+def would_import(text: str) -> bool:
+    """Would a task or controller of this name be imported: is it `module:NAME` or `file.py:NAME`."""
+    source, _, name = text.rpartition(":")
+    return bool(source) and name.isidentifier()
+
+
 def import_class(path: str) -> type[Task]:
-    """The class that `path` names, imported and checked; raises UserError if it is none."""
+    """The class that `path` names, imported, checked and guarded; raises UserError if it is none."""
     what = f"task {shown(path, 60)}"
     kind = import_named(path, "task", "Class")
     if not (isinstance(kind, type) and issubclass(kind, Task)):
         source, _, name = path.rpartition(":")
         raise UserError(f"{what}: {source} has no class {name} derived from inclined_landing.envs.tasks.Task")
     _check(kind, what)
-    return kind
+    return guarded(kind, path)
 
 
 def import_named(path: str, what: str, kind: str):
@@ -44,11 +51,11 @@ def import_named(path: str, what: str, kind: str):
 
     what, kind: how sentences call it, and its NAME. Raises UserError where the code cannot be imported.
     """
-    source, _, name = path.rpartition(":")
-    if not source or not name.isidentifier():
+    if not would_import(path):
         raise UserError(
             f"a {what} of your own is written module:{kind} or file.py:{kind}, not {shown(path, 60)}"
         )
+    source, _, name = path.rpartition(":")
     try:
         module = _from_file(Path(source)) if source.endswith(".py") else _from_module(source)
     except (Exception, SystemExit) as error:  # whatever the code does
@@ -86,7 +93,20 @@ def _check(kind: type[Task], what: str) -> None:
         raise UserError(
             f"{what} has the name {shown(repr(kind.name), 40)}; it takes small letters and digits"
         )
-    if not kind.action_names or not set(kind.action_names) <= set(ACTIONS):
+    for name in ("observation_names", "action_names"):
+        names = getattr(kind, name)
+        good = isinstance(names, (tuple, list)) and names and all(isinstance(text, str) for text in names)
+        if not good or len(set(names)) < len(names):
+            raise UserError(
+                f"{what} has {name} {shown(repr(names), 60)}; it takes a tuple of different names"
+            )
+    if not set(kind.action_names) <= set(ACTIONS):
         raise UserError(f"{what} has actions {tuple(kind.action_names)}; known are {', '.join(ACTIONS)}")
-    if np.shape(kind.observation_scale) != (len(kind.observation_names),):
+    try:
+        scale = np.asarray(kind.observation_scale, float)
+    except (TypeError, ValueError):
+        scale = np.zeros(0)
+    if scale.shape != (len(kind.observation_names),):
         raise UserError(f"{what} has not one observation_scale for each of its observation_names")
+    if not ((scale > 0.0) & (scale < np.inf)).all():
+        raise UserError(f"{what} has an observation_scale that is not a finite number above 0")
