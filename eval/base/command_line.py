@@ -34,6 +34,8 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
     import tyro
 
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if words and words[0].replace("_", "-").startswith("--tyro-"):  # would write a file
+        raise UserError(f"{shown(words[0])} is no option; {prog} --help says what is right")
     for k, word in enumerate(words):
         option, sign, value = word.partition("=") if word.startswith("--") else ("", "", word)
         if not value and (sign or not option):

@@ -36,6 +36,13 @@ class Range:
         return f"above {low} and below {high}" if self.open else f"from {low} to {high}"
 
 
+@dataclasses.dataclass(frozen=True)
+class AtMost:
+    """How many values an option takes."""
+
+    count: int
+
+
 T = TypeVar("T")
 Flat = Annotated[T, tyro.conf.arg(name="")]
 Seed = Annotated[int, Range(0, 2**32 - 1)]
@@ -52,6 +59,7 @@ VehicleFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 NewFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X,Z")]
 Drawn = Annotated[int, Range(0, 100), tyro.conf.arg(metavar="N")]
+COMPARED = AtMost(10)  # more side by side no table and no figure tells apart
 LogFiles = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
 
 
@@ -150,7 +158,7 @@ class FlightSource(LogSource):
 
 
 def check_ranges(group: object, hints: Mapping[str, Any] | None = None) -> None:
-    """Raise UserError unless every number is finite, and in the `Range` with which its option is annotated.
+    """Raise UserError unless numbers are finite, in their `Range`, and no more than `AtMost` allows.
 
     group: options by name, or a dataclass of them; groups within are checked too. hints: the annotations,
     where `group` does not have its own.
@@ -167,6 +175,8 @@ def check_ranges(group: object, hints: Mapping[str, Any] | None = None) -> None:
         for limits in getattr(hints.get(name), "__metadata__", ()):
             if isinstance(limits, Range) and value is not None and value not in limits:
                 raise UserError(f"--{option} must lie {limits}, not {shown(value, 40)}")
+            if isinstance(limits, AtMost) and len(value) > limits.count:
+                raise UserError(f"{option}: at most {limits.count} stand side by side, not {len(value)}")
 
 
 def _numbers(value: object) -> Iterator[float]:

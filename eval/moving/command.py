@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.options import Flag, NewFolder, Range
+from inclined_landing.eval.base.options import COMPARED, Flag, NewFolder, Range
 from inclined_landing.eval.base.page import embedded, png, render
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.moving import report as made
@@ -35,6 +35,7 @@ Controllers = Annotated[
         "module:NAME or file.py:NAME.",
         help_behavior_hint=f"(default: {' '.join(BASELINES)})",
     ),
+    COMPARED,
 ]
 
 

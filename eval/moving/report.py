@@ -147,7 +147,7 @@ def figure(report: dict) -> Figure:
                 share, low, top = _shares(level, k)
                 colour = _COLOURS[k % len(_COLOURS)]
                 axes.fill_between(speeds, low, top, color=colour, alpha=0.2, lw=0)
-                mark = _MARKS[k % len(_MARKS)]
+                mark = _MARKS[(k + k // 5) % 5]
                 handles += axes.plot(speeds, share, "-", color=colour, marker=mark, ms=4, label=literal(name))
             axes.set_title("Level decks that travel steadily", loc="left")
             axes.set_xlabel("speed of the deck [m/s]")
@@ -160,7 +160,7 @@ def figure(report: dict) -> Figure:
             for k, name in enumerate(names):
                 share, low, top = _shares(others, k)
                 at = rows + _APART * (k - 0.5 * (len(names) - 1))
-                style = {"color": _COLOURS[k % len(_COLOURS)], "fmt": _MARKS[k % len(_MARKS)]}
+                style = {"color": _COLOURS[k % len(_COLOURS)], "fmt": _MARKS[(k + k // 5) % 5]}
                 around = np.maximum(0.0, [share - low, top - share])
                 bars = axes.errorbar(share, at, xerr=around, ms=4, lw=1.2, label=literal(name), **style)
                 handles += [bars] * (not level)

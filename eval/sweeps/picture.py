@@ -12,8 +12,9 @@ from inclined_landing.eval.sweeps.measured import Measured, Result
 from inclined_landing.eval.sweeps.recipe import Number, Recipe
 
 _ROW, _PANEL = 0.27, 2.1  # inches: of a variant, of a number
-_HEAD, _FOOT, _RIGHT = 0.75, 0.62, 0.2
-_LETTER, _LINE = 0.078, 0.16  # width of one, height of one more line
+_ACROSS = 6  # panels beside each other at most
+_ABOVE, _HEAD, _FOOT, _RIGHT = 0.42, 0.33, 0.62, 0.2  # over all panels; over, under and beside each
+_LETTER, _BOLD, _LINE = 0.078, 0.095, 0.16  # width of one, height of one more line
 
 
 def variants_figure(recipe: Recipe, result: Result) -> Figure:
@@ -21,21 +22,30 @@ def variants_figure(recipe: Recipe, result: Result) -> Figure:
     worse end, and the bar is a dashed line. Of true and false there is the share alone."""
     variants, numbers = list(recipe.variants), list(recipe.numbers.values())
     left = 0.35 + _LETTER * max(map(len, variants))
-    width = left + len(numbers) * _PANEL + _RIGHT
+    across = min(len(numbers), _ACROSS)
+    width = left + across * _PANEL + _RIGHT
     head = _HEAD + _LINE * max(_wrapped(number).count("\n") for number in numbers)
-    height = head + _FOOT + _ROW * len(variants)
+    band = head + _ROW * len(variants) + _FOOT  # from the top of a row of panels to the next
+    seeds = len(recipe.seeds)
+    said = f"{seeds} seeds: median, range; cross: never" if seeds > 1 else "one seed"
+    title = textwrap.wrap(recipe.title, int((width - 0.24) / _BOLD))
+    if len(title) > 1 or _BOLD * len(recipe.title) + _LETTER * len(said) > width - 0.5:
+        title.append("")  # a line of its own for what is said
+    above = _ABOVE + _LINE * (len(title) - 1)
+    height = above + band * -(-len(numbers) // across)
     with styled():
         figure = Figure(figsize=(width, height))
-        figure.text(0.12 / width, 1 - 0.22 / height, recipe.title, weight="bold", va="center")
-        said = (
-            f"{len(recipe.seeds)} seeds: median, range; cross: never" if len(recipe.seeds) > 1 else "one seed"
-        )
-        figure.text(1 - 0.12 / width, 1 - 0.22 / height, said, color=MUTED, va="center", ha="right")
+        for k, line in enumerate(title):
+            figure.text(0.12 / width, 1 - (0.22 + _LINE * k) / height, line, weight="bold", va="center")
+        last = 1 - (0.22 + _LINE * (len(title) - 1)) / height
+        figure.text(1 - 0.12 / width, last, said, color=MUTED, va="center", ha="right")
         for k, number in enumerate(numbers):
-            box = (left + k * _PANEL + 0.1, _FOOT, _PANEL - 0.3, height - head - _FOOT)
+            row, column = divmod(k, across)
+            low = height - above - (row + 1) * band + _FOOT
+            box = (left + column * _PANEL + 0.1, low, _PANEL - 0.3, band - head - _FOOT)
             axes = figure.add_axes((box[0] / width, box[1] / height, box[2] / width, box[3] / height))
             _panel(axes, number, [result.of(variant, number.name) for variant in variants])
-            axes.set_yticks(range(len(variants)), variants if k == 0 else [])
+            axes.set_yticks(range(len(variants)), variants if column == 0 else [])
         return figure
 
 
@@ -46,7 +56,8 @@ def _panel(axes, number: Number, found: list[Measured]) -> None:
         if measured.present and not share:
             axes.hlines(row, min(measured.present), max(measured.present), color=BLUE, alpha=0.35, lw=5)
         dots = [] if share else measured.present
-        axes.plot(dots, np.full(len(dots), row), "o", color=BLUE, ms=3.5, alpha=0.8)
+        alpha = 0.8 if len(dots) <= 12 else 0.3  # of many the dense places show
+        axes.plot(dots, np.full(len(dots), row), "o", color=BLUE, ms=3.5, alpha=alpha)
         missing = len(measured.values) - len(measured.present)
         if missing:
             axes.plot(worse, row, "x", color=ORANGE, ms=6, mew=1.6)

@@ -25,7 +25,14 @@ OF_THE_SWEEP = ("run", "runs", "sweep", "here")
 OF_THE_PAGE = ("run", "sweep")
 # What the sweep itself says to landing-train.
 TAKEN = ("--seed", "--out", "--resume", "--threads", "--report", "--no-report")
-MOST_RUNS = 10_000
+# The commands of landing-eval that judge and draw policies and runs, and write nothing but --out. Others are
+# not a recipe's: they fly a vehicle, open a radio or a window, or are about something else.
+COMMANDS = (
+    *("success", "touchdown", "mission", "robustness", "vehicles", "slopes", "moving"),
+    *("figure", "picture", "video", "replay", "curves"),
+)
+# More than people use, few enough for tables and figures to be read.
+MOST_SEEDS, MOST_VARIANTS, MOST_RUNS, MOST_NUMBERS = 100, 100, 1000, 50
 
 _KEYS = {
     *("title", "question", "answer", "train", "seeds", "variants", "evaluate", "together"),
@@ -34,6 +41,8 @@ _KEYS = {
 _NUMBER_KEYS = {"title", "file", "path", "unit", "factor", "better", "bar", "over", "bar_for"}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}")
 _LONGEST, _WORD, _MOST_WORDS = 1000, 500, 200  # characters of a text and of a word; words of a command
+_TITLE, _UNIT = 120, 30  # characters of what stands in tables and figures
+_MOST_COMMANDS = 50
 _DEEPEST = 20  # steps of a path
 _SEEDS = 2**32
 
@@ -140,13 +149,16 @@ def _parse(data: dict, name: str) -> Recipe:
     variants = _variants(data.get("variants", {}), train is not None)
     seeds = _seeds(data.get("seeds"))
     if len(seeds) * len(variants) > MOST_RUNS:
-        raise UserError(f"seeds and variants make {len(seeds) * len(variants)} runs, more than {MOST_RUNS}")
+        raise UserError(
+            f"{len(seeds)} seeds of {len(variants)} variants are {len(seeds) * len(variants)} runs; a recipe "
+            f"has at most {MOST_RUNS}"
+        )
     evaluate = _commands(data.get("evaluate", []), "evaluate", OF_A_RUN)
     if train is None and not evaluate:
         raise UserError("it has neither train nor evaluate: there is nothing to do")
     recipe = Recipe(
         name=name,
-        title=_text(data, "title", required=True),
+        title=_text(data, "title", required=True, longest=_TITLE),
         question=_text(data, "question", required=True),
         answer=_text(data, "answer"),
         train=train,
@@ -175,14 +187,14 @@ def _table(value, where: str) -> dict:
     return value
 
 
-def _text(table: dict, key: str, required: bool = False, where: str = "") -> str:
+def _text(table: dict, key: str, required: bool = False, where: str = "", longest: int = _LONGEST) -> str:
     value = table.get(key, "")
-    if not isinstance(value, str) or len(value) > _LONGEST:
-        raise UserError(f"{where}{key} must be text of at most {_LONGEST} characters")
+    if not isinstance(value, str) or len(value) > longest:
+        raise UserError(f"{where}{key} must be text of at most {longest} characters")
     text = " ".join(value.split())
     if required and not text:
         raise UserError(f"{where}{key} is missing")
-    return shown(text, _LONGEST)
+    return shown(text, longest)
 
 
 def _words(value, where: str, names: Iterable[str]) -> tuple[str, ...]:
@@ -200,11 +212,12 @@ def _words(value, where: str, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def _check_names(word: str, names: Iterable[str], where: str) -> None:
-    for name in re.findall(r"\{(\w+)\}", word):
-        if name not in names:
+    """Raise UserError for braces around anything but one of `names`, and for single ones."""
+    for name in re.findall(r"\{[^{}]*\}|[{}]", word):
+        if name[1:-1] not in names:
             known = ", ".join(f"{{{n}}}" for n in names)
-            raise UserError(f"{where}: {{{shown(name, 40)}}} is not known there; {known or 'no name'} is")
-        if name == "runs" and word != "{runs}":
+            raise UserError(f"{where}: {shown(name, 40)} is not known there; {known or 'no name'} is")
+        if name == "{runs}" and word != "{runs}":
             raise UserError(f"{where}: {{runs}} must be a word of its own")
 
 
@@ -215,25 +228,34 @@ def _check_taken(words: Iterable[str], where: str) -> None:
 
 
 def _commands(value, where: str, names: Iterable[str]) -> tuple[tuple[str, ...], ...]:
-    if not isinstance(value, list) or len(value) > _MOST_WORDS:
-        raise UserError(f"{where} must be a list of at most {_MOST_WORDS} commands, each a list of words")
-    return tuple(_words(words, f"{where} {k}", names) for k, words in enumerate(value, 1))
+    if not isinstance(value, list) or len(value) > _MOST_COMMANDS:
+        raise UserError(f"{where} must be a list of at most {_MOST_COMMANDS} commands, each a list of words")
+    commands = tuple(_words(words, f"{where} {k}", names) for k, words in enumerate(value, 1))
+    for k, (command, *_) in enumerate(commands, 1):
+        if command not in COMMANDS:
+            raise UserError(
+                f"{where} {k}: {shown(repr(command), 40)} is no command that a recipe may run: those are "
+                f"{', '.join(COMMANDS)}"
+            )
+    return commands
 
 
 def _seeds(value) -> tuple[int, ...]:
-    if not isinstance(value, list) or not 0 < len(value) <= MOST_RUNS:
-        raise UserError(f"seeds must be a list of 1 to {MOST_RUNS} whole numbers")
+    if not isinstance(value, list) or not 0 < len(value) <= MOST_SEEDS:
+        raise UserError(f"seeds must be a list of 1 to {MOST_SEEDS} whole numbers")
     for seed in value:
         if type(seed) is not int or not 0 <= seed < _SEEDS:
             raise UserError(f"seeds: {shown(repr(seed), 40)} is not a whole number from 0, below 2^32")
     if len(set(value)) < len(value):
-        raise UserError("seeds: one stands there twice")
+        raise UserError("seeds: a seed is listed twice")
     return tuple(value)
 
 
 def _variants(value, trained: bool) -> dict[str, tuple[str, ...]]:
     if not _table(value, "variants"):
         return {"": ()}
+    if len(value) > MOST_VARIANTS:
+        raise UserError(f"variants: {len(value)} of them; a recipe has at most {MOST_VARIANTS}")
     found = {}
     for name, words in value.items():
         _check_name(name, "variants")
@@ -253,6 +275,8 @@ def _check_name(name: str, where: str) -> None:
 def _numbers(value, variants: Iterable[str]) -> dict[str, Number]:
     if not isinstance(value, dict) or not value:
         raise UserError("there is no table [numbers.NAME]: a recipe has at least one number")
+    if len(value) > MOST_NUMBERS:
+        raise UserError(f"numbers: {len(value)} of them; a recipe has at most {MOST_NUMBERS}")
     for name in value:
         _check_name(name, "numbers")
     return {name: _number(name, _table(entry, f"number {name}"), variants) for name, entry in value.items()}
@@ -262,6 +286,7 @@ def _number(name: str, entry: dict, variants: Iterable[str]) -> Number:
     where = f"number {name}: "
     only(entry, _NUMBER_KEYS, f"number {name}")
     file = _text(entry, "file", required=True, where=where)
+    _check_names(file, (), f"{where}file")
     if not file.endswith(".json") or Path(file).is_absolute() or ".." in Path(file).parts:
         raise UserError(f"{where}file must be a JSON file in the run folder, not {shown(repr(file), 60)}")
     bar = entry.get("bar")
@@ -275,10 +300,10 @@ def _number(name: str, entry: dict, variants: Iterable[str]) -> Number:
         raise UserError(f"{where}factor must be above 0, not {factor:g}")
     return Number(
         name=name,
-        title=_text(entry, "title", where=where) or name,
+        title=_text(entry, "title", where=where, longest=_TITLE) or name,
         file=file,
         path=_path(entry.get("path"), where),
-        unit=_text(entry, "unit", required=True, where=where),
+        unit=_text(entry, "unit", required=True, where=where, longest=_UNIT),
         factor=factor,
         better=_one_of(entry.get("better"), BETTER, f"{where}better"),
         bar=bar,

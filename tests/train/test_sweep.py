@@ -18,6 +18,7 @@ from inclined_landing.eval.sweeps.recipe import read_recipe
 from inclined_landing.models.errors import UserError
 from inclined_landing.train import cli
 from inclined_landing.train.sweep import children, command, jobs, record
+from inclined_landing.train.sweep.check import check
 from inclined_landing.train.sweep.children import Children, Stopped
 
 # In place of landing-train and landing-eval: notes its words, writes what the recipe looks for.
@@ -68,6 +69,7 @@ def place(tmp_path, monkeypatch):
     """A folder with a recipe, in which the two programs are pretended."""
     (tmp_path / "pretended.py").write_text(PRETENDED)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
     monkeypatch.setattr(children, "PROGRAMS", dict.fromkeys(children.PROGRAMS, "pretended"))
     monkeypatch.chdir(tmp_path)
     write(RECIPE)
@@ -200,7 +202,7 @@ def test_the_result_is_recorded_and_comments_stay(place):
         ({"train": ["landing", "--gamma", "2"]}, [], "--gamma must lie above 0 and below 1"),
         ({"train": ["--help"]}, [], "--help does no work"),
         ({"variants": {"a": ["--curriculum", "steep"]}}, [], "unknown curriculum"),
-        ({"evaluate": [["sucess", "x"]]}, [], "landing-eval has no command 'sucess'"),
+        ({"evaluate": [["sucess", "x"]]}, [], "'sucess' is no command that a recipe may run"),
         ({"evaluate": [["success"]]}, [], "POLICY"),
         ({"seeds": "many"}, [], "seeds must be a list"),
     ],
@@ -274,8 +276,8 @@ def test_only_what_the_sweep_wrote_makes_room(tmp_path):
     inside = {"{run}/s": True, "{run}": False, "{sweep}": False, "{sweep}/steps/x": False, "/tmp": False}
     for out, expected in inside.items():
         (words,) = job.filled([out])
-        assert jobs._within(Path(words), job) is expected, out
-    assert not jobs._within(job.run / ".." / ".." / "x", job)
+        assert (job.inside(Path(words)) is not None) is expected, out
+    assert not job.inside(job.run / ".." / ".." / "x")
 
 
 def test_a_recipe_that_cannot_be_written_is_said_before(tmp_path):
@@ -287,7 +289,7 @@ def test_shipped_recipes_are_right():
     for name, path in command.shipped().items():
         recipe = read_recipe(path)
         runs = jobs.of_runs(recipe, Path("runs", name), path.parent)
-        command._check_words([*runs.values(), jobs.of_all(recipe, Path("runs", name), path.parent)])
+        check(recipe, runs, jobs.of_all(recipe, Path("runs", name), path.parent))
         if recipe.result is not None:
             command.measured.read(recipe, recipe.result)
 

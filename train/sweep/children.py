@@ -11,7 +11,8 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from pathlib import Path
+
+from inclined_landing.train.sweep import child
 
 PROGRAMS = {"landing-train": "inclined_landing.train", "landing-eval": "inclined_landing.eval"}
 # Libraries that otherwise start a thread for each core.
@@ -41,28 +42,31 @@ class Children:
         self._running: set[subprocess.Popen] = set()
         self._stopped = False
 
-    def run(self, words: Sequence[str], log: Path, threads: int) -> Ended:
-        """Run `landing-train ...` or `landing-eval ...` to its end; its output is appended to `log`.
+    def run(self, words: Sequence[str], log: int, threads: int) -> Ended:
+        """Run `landing-train ...` or `landing-eval ...` to its end, or to that of this process.
 
-        threads: that its libraries may start. Raises Stopped when the sweep has ended.
+        log: descriptor of the file for what it prints. threads: that its libraries may start. Raises Stopped
+        when the sweep has ended.
         """
-        command = [sys.executable, "-m", PROGRAMS[words[0]], *words[1:]]
+        # Unbuffered, so that the last line of the log is the last that was said; without the present folder
+        # among those that are imported from, as the programs themselves are started.
+        command = [sys.executable, "-u", "-P", "-m", child.__name__, str(os.getpid())]
+        command += [PROGRAMS[words[0]], *words[1:]]
         environment = os.environ | dict.fromkeys(_THREADS, str(threads))
         began = time.monotonic()
-        with log.open("ab") as output:
-            with self._lock:
-                if self._stopped:
-                    raise Stopped
-                process = subprocess.Popen(
-                    command,
-                    stdin=subprocess.DEVNULL,
-                    stdout=output,
-                    stderr=subprocess.STDOUT,
-                    env=environment,
-                    start_new_session=True,  # Ctrl-C reaches this process alone, which ends the others
-                )
-                self._running.add(process)
-            os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        with self._lock:
+            if self._stopped:
+                raise Stopped
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                start_new_session=True,  # Ctrl-C reaches this process alone, which ends the others
+            )
+            self._running.add(process)
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
         with self._lock:  # its number is its own until it is waited for
             _, status, used = os.wait4(process.pid, 0)
             self._running.discard(process)

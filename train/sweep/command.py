@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shlex
 import sys
@@ -16,7 +17,6 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from inclined_landing.eval.base import cluster, runs
-from inclined_landing.eval.base.command_line import bound, parse
 from inclined_landing.eval.base.options import Flag, NewFolder, Range
 from inclined_landing.eval.base.tables import new_table, printer
 from inclined_landing.eval.sweeps import measured
@@ -27,7 +27,6 @@ from inclined_landing.train.sweep import jobs, record
 from inclined_landing.train.sweep.children import Children
 from inclined_landing.train.sweep.jobs import Job, Step
 
-RESULT = "result.json"  # of a sweep that is finished, beside a copy of its recipe
 PLACES = ("local", "ray")
 FAILED = 1  # exit code
 _AHEAD = 2  # jobs in flight per core of a cluster
@@ -43,6 +42,7 @@ def command(
     on: Annotated[str, tyro.conf.arg(metavar="{local,ray}")] = "local",
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     record: Flag = False,
+    allow: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="FILE.py:NAME")] = (),
 ) -> int:
     """Train and judge what a recipe says, for every seed and variant; the numbers over the seeds.
 
@@ -56,8 +56,10 @@ def command(
         on: on this machine, or on a Ray cluster whose machines all see the folder.
         address: of a running Ray cluster; without it, Ray is started on this machine.
         record: write the result into the recipe, as its table [result].
+        allow: Python that the recipe may have imported, a task or a controller, file.py:NAME or module:NAME;
+            repeat the option for more. A recipe that names any other is refused.
     """
-    return sweep(recipe, out, jobs, on, address, record)
+    return sweep(recipe, out, jobs, on, address, record, allow)
 
 
 def shipped() -> dict[str, Path]:
@@ -66,8 +68,18 @@ def shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
-def sweep(name: str, out: Path | None, count: int, on: str, address: str | None, recorded: bool) -> int:
+def sweep(
+    name: str,
+    out: Path | None,
+    count: int,
+    on: str,
+    address: str | None,
+    recorded: bool,
+    allowed: tuple[str, ...],
+) -> int:
     """See `command`."""
+    from inclined_landing.train.sweep.check import check
+
     path = shipped().get(name, Path(name))
     if not os.path.lexists(path):
         raise UserError(f"recipe {shown(path, 200)} does not exist (shipped ones: {', '.join(shipped())})")
@@ -88,15 +100,19 @@ def sweep(name: str, out: Path | None, count: int, on: str, address: str | None,
     _check_folder(folder, recipe)
     for job in (*todo.values(), last):
         jobs.read(job)
-    _check_words(todo.values())
-    _check_words([last])
+    try:
+        check(recipe, todo, last, allowed)
+    except UserError as error:
+        raise UserError(f"recipe {shown(path, 200)}: {error}") from error
     try:
         (folder / jobs.STEPS).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot create the folder {folder}: {storage.reason(error)}") from error
     with runs.held(folder):
         storage.write_bytes(folder / f"{recipe.name}.toml", storage.read_bytes(path, "recipe"))
-        return _run(recipe, name, path if recorded else None, folder, todo, last, count, on, address)
+        named = [word for python in allowed for word in ("--allow", python)]
+        again = shlex.join(["landing-train", "sweep", name, *named])
+        return _run(recipe, again, path if recorded else None, folder, todo, last, count, on, address)
 
 
 def _check_folder(folder: Path, recipe: Recipe) -> None:
@@ -106,36 +122,9 @@ def _check_folder(folder: Path, recipe: Recipe) -> None:
         runs.check_new_run(folder)
 
 
-def _check_words(todo) -> None:
-    """Raise UserError for a command whose words do not fit, before hours are spent on those before it."""
-    from inclined_landing.eval import cli
-    from inclined_landing.train.config import TrainConfig
-    from inclined_landing.train.curriculum import make_curriculum
-
-    known: set[tuple[str, ...]] = set()
-    for job in todo:
-        for words in job.commands:
-            like = tuple(word for word in words if not word.isdigit())
-            if like in known:  # but for its seed the same as one before
-                continue
-            known.add(like)
-            try:
-                program, *rest = job.filled(words)
-                if program == "landing-train":
-                    config = parse(TrainConfig, program, rest).resolved()
-                    make_curriculum(config.curriculum, config.task, config.gamma, config.without or "")
-                elif rest[0] not in cli.COMMANDS:
-                    raise UserError(f"landing-eval has no command {shown(rest[0], 40)!r}")
-                else:
-                    parse(bound(cli.find(rest[0])), f"{program} {rest[0]}", rest[1:])
-            except (UserError, SystemExit) as error:
-                said = error if isinstance(error, UserError) else "--help does no work"
-                raise UserError(f"{shown(shlex.join(words), 120)}: {said}") from error
-
-
 def _run(
     recipe: Recipe,
-    name: str,
+    again: str,
     path: Path | None,
     folder: Path,
     todo: dict[tuple[str, int], Job],
@@ -144,7 +133,11 @@ def _run(
     on: str,
     address: str | None,
 ) -> int:
-    """Do all jobs; write and print the numbers. path: of the recipe to write the result into."""
+    """Do all jobs; write and print the numbers.
+
+    again: the command. path: of the recipe to write the result into. Raises UserError as soon as a run has
+    ended that lacks a number; it would lack it in the others too.
+    """
     cores = len(os.sched_getaffinity(0))
     at_once = min(count or cores, len(todo))
     threads = max(1, cores // at_once)
@@ -158,10 +151,13 @@ def _run(
         screen = Console(stderr=True)
         with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as progress:
             bar = progress.add_task("", total=len(todo))
-            for key, steps in done:
-                found[key] = steps
-                progress.update(bar, advance=1)
-                _tell(console, todo[key], steps)
+            with contextlib.closing(done):
+                for key, steps in done:
+                    found[key] = steps
+                    progress.update(bar, advance=1)
+                    _tell(console, todo[key], steps)
+                    if jobs.failure(todo[key], steps) is None:
+                        _check_numbers(recipe, todo[key])
         wrong = [text for key, job in todo.items() if (text := jobs.failure(job, found[key]))]
         if not wrong and last.commands:
             wrong += filter(None, [jobs.failure(last, jobs.work(last, children, cores))])
@@ -171,14 +167,23 @@ def _run(
         print(f"landing-train sweep: {text}", file=sys.stderr)
     if wrong:
         return FAILED
-    result = _result(recipe, shlex.join(["landing-train", "sweep", name]), todo, found)
-    storage.write_json(folder / RESULT, result.record())
+    result = _result(recipe, again, todo, found)
+    storage.write_json(folder / jobs.RESULT, result.record())
     _show(console, recipe, result)
     if path is not None:
         record.write(path, result.record())
         console.print(f"the result is in {path}")
     console.print(f"everything about this sweep is in {folder}")
     return 0
+
+
+def _check_numbers(recipe: Recipe, job: Job) -> None:
+    """Raise UserError where a run that has ended lacks a number of the recipe."""
+    try:
+        for number in recipe.numbers.values():
+            measured.take(number, job.run)
+    except UserError as error:
+        raise UserError(f"{error}; the sweep stops: correct the recipe and give the same command") from error
 
 
 def _here(todo: dict, children: Children, threads: int, at_once: int) -> Done:

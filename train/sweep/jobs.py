@@ -20,7 +20,14 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.train.sweep.children import Children
 
 STEPS = "steps"  # folder of the records in that of the sweep
+RESULT = "result.json"  # of a sweep that is finished, beside a copy of its recipe
 TOGETHER = "together"  # the job that is not a run
+# What a training writes into its run folder: the files with numbers, and the others (see `train.run`).
+NUMBERS = ("metrics.json", "run.json")
+OTHERS = (
+    *("vehicle.toml", "randomise.toml", "learning.csv", "evaluations.csv", "tensorboard", "videos"),
+    *("checkpoint.pt", "best.zip", "final.zip"),
+)
 DONE = (0, 3)  # exit codes of a command with a result: 3 says that it is not the one that was hoped for
 
 
@@ -36,6 +43,12 @@ class Job:
     run: Path
     sweep: Path
     here: Path  # the folder of the recipe
+    taken: frozenset[str]  # what stands in its folder that is not its commands' to write
+
+    @property
+    def folder(self) -> Path:
+        """Where its commands write: the run folder, or that of the sweep."""
+        return self.sweep if self.name == TOGETHER else self.run
 
     @property
     def record(self) -> Path:
@@ -50,6 +63,15 @@ class Job:
     def filled(self, words: Sequence[str]) -> list[str]:
         """A command as it is run."""
         return filled(words, {"run": str(self.run), "sweep": str(self.sweep), "here": str(self.here)})
+
+    def inside(self, out: Path) -> Path | None:
+        """`out` from the folder of the job on; None where its commands may not write, also by a link."""
+        root = self.sweep.resolve() / self.folder.relative_to(self.sweep)
+        try:
+            below = out.resolve().relative_to(root)
+        except (ValueError, OSError, RuntimeError):  # elsewhere, or links in a circle
+            return None
+        return below if below.parts and below.parts[0] not in self.taken else None
 
 
 @dataclasses.dataclass
@@ -82,7 +104,8 @@ def of_runs(recipe: Recipe, sweep: Path, here: Path) -> dict[tuple[str, int], Jo
         own = () if recipe.train is not None else more
         commands += [("landing-eval", *filled((*words, *own), names)) for words in recipe.evaluate]
         name = run_name(variant, seed)
-        made[variant, seed] = Job(name, tuple(commands), sweep / name, sweep, here)
+        taken = frozenset(() if recipe.train is None else (*NUMBERS, *OTHERS))
+        made[variant, seed] = Job(name, tuple(commands), sweep / name, sweep, here, taken)
     return made
 
 
@@ -91,7 +114,8 @@ def of_all(recipe: Recipe, sweep: Path, here: Path) -> Job:
     runs = [run_name(variant, seed) for variant, seed in recipe.runs()]
     names = {"run": "{run}", "sweep": "{sweep}", "here": "{here}", "runs": [f"{{sweep}}/{r}" for r in runs]}
     commands = tuple(("landing-eval", *filled(words, names)) for words in recipe.together)
-    return Job(TOGETHER, commands, sweep / runs[0], sweep, here)
+    taken = frozenset((*runs, STEPS, RESULT, f"{recipe.name}.toml"))
+    return Job(TOGETHER, commands, sweep / runs[0], sweep, here, taken)
 
 
 def read(job: Job) -> list[Step]:
@@ -155,10 +179,17 @@ def _prepared(job: Job, step: Step, threads: int) -> list[str]:
         resumed = ["--resume"] if (job.run / "run.json").is_file() else []
         return [*words, *resumed, "--threads", str(threads)]
     job.run.mkdir(parents=True, exist_ok=True)
-    out = dict(itertools.pairwise(words)).get("--out")
-    if step.attempts and out is not None and _within(Path(out), job):
+    out = _out(words)
+    if step.attempts and out is not None and job.inside(Path(out)) is not None:
         shutil.rmtree(out, ignore_errors=True)
     return words
+
+
+def _out(words: Sequence[str]) -> str | None:
+    """What the last --out of a command says."""
+    found = [word.partition("=")[2] for word in words if word.startswith("--out=")]
+    found += [value for word, value in itertools.pairwise(words) if word == "--out"]
+    return found[-1] if found else None
 
 
 def _keeps_checkpoints(run: Path) -> bool:
@@ -167,12 +198,6 @@ def _keeps_checkpoints(run: Path) -> bool:
         return storage.read_json(run / "run.json", "run record")["config"]["algorithm"] == "ppo"
     except (UserError, KeyError, TypeError):
         return True  # --resume says what is wrong
-
-
-def _within(out: Path, job: Job) -> bool:
-    """Is it in the folder of the sweep, and neither a run nor the records."""
-    parts = out.parts[len(job.sweep.parts) :] if out.is_relative_to(job.sweep) else ()
-    return ".." not in parts and len(parts) >= (1 if job.name == TOGETHER else 2) and parts[0] != STEPS
 
 
 def _versions() -> dict[str, str]:

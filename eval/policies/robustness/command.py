@@ -17,7 +17,7 @@ import tyro
 
 from inclined_landing.envs.policy import SHIPPED, load_policy
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.options import Flag, PlantName, Range, VehicleFile
+from inclined_landing.eval.base.options import COMPARED, Flag, PlantName, Range, VehicleFile
 from inclined_landing.eval.base.page import embedded, png, render
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.base.tables import new_table, printer
@@ -38,6 +38,7 @@ Policies = Annotated[
         help=f"landing policies, files or shipped ones ({', '.join(SHIPPED)}); the first is what the others "
         "are compared with.",
     ),
+    COMPARED,
 ]
 
 _EFFECTS = tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="(default: all)")

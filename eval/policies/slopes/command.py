@@ -16,7 +16,7 @@ import tyro
 
 from inclined_landing.envs.policy import SHIPPED, load_policy
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.options import Flag, PlantName, Range, VehicleFile
+from inclined_landing.eval.base.options import COMPARED, Flag, PlantName, Range, VehicleFile
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.base.tables import new_table, printer, share_cell, spread_cell
 from inclined_landing.eval.policies.slopes.figures import slopes_figure
@@ -34,6 +34,7 @@ Policies = Annotated[
         metavar="POLICY [POLICY ...]",
         help=f"landing policies, files, shipped ones ({', '.join(SHIPPED)}) or run folders.",
     ),
+    COMPARED,
 ]
 
 

@@ -45,7 +45,7 @@ def slopes_figure(report: dict) -> Figure:
 def _curves(axes: Axes, entries: list[dict], lowest: float) -> None:
     axes.grid(True)
     for k, entry in enumerate(entries):
-        colour, mark = _COLOURS[k % len(_COLOURS)], _MARKS[k % len(_MARKS)]
+        colour, mark = _COLOURS[k % 5], _MARKS[(k + k // 5) % 5]
         curve = [p for p in entry.get("curve", []) if p["strict"]["of"]]
         if len(curve) > 1:
             angle = np.degrees([0.5 * (p["from"] + p["to"]) for p in curve])

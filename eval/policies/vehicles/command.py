@@ -13,7 +13,7 @@ from typing import Annotated
 import tyro
 
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.options import Flag, NewFolder, PlantName, Range, Seed
+from inclined_landing.eval.base.options import COMPARED, AtMost, Flag, NewFolder, PlantName, Range, Seed
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.base.tables import new_table, printer, share_cell
 from inclined_landing.eval.policies.vehicles.figure import vehicles_figure
@@ -30,7 +30,7 @@ _POLICIES = tyro.conf.arg(
 
 
 def command(
-    policies: Annotated[tuple[str, ...], tyro.conf.Positional, _POLICIES],
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional, _POLICIES, AtMost(100)],
     /,
     vehicle: Annotated[tuple[str, ...], tyro.conf.arg(metavar="VEHICLE [VEHICLE ...]")] = NAMED,
     ranges: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = Path("vehicles"),
@@ -61,6 +61,8 @@ def command(
     if out is not None:
         runs.check_new_run(out)
     entries = [parse_entry(text) for text in policies]
+    if (labels := len({entry.label for entry in entries})) > COMPARED.count:
+        raise UserError(f"policies: at most {COMPARED.count} labels stand side by side, not {labels}")
     named = tuple(dict.fromkeys(vehicle))
     options = {"draws": draws, "starts": starts, "plant": plant, "seed": seed}
     report = evaluate(entries, named, None if ranges is None else str(ranges), **options)

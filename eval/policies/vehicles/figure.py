@@ -28,7 +28,7 @@ def vehicles_figure(report: dict) -> Figure:
             axes.grid(True)
             axes.axhline(_BAR, color=INK, lw=0.9, ls=(0, (2, 2)))
             for k, label in enumerate(report["labels"]):
-                _draw(axes, report, label, key, factor[key], _COLOURS[k % 5], _MARKS[k % 5])
+                _draw(axes, report, label, key, factor[key], _COLOURS[k % 5], _MARKS[(k + k // 5) % 5])
             axes.set_xlabel(axis[key])
             axes.set_ylim(-3, 103)
         panels[0].set_xscale("log")

@@ -28,6 +28,8 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import make_plant
 
+MOST_SEEDS, LONGEST_LABEL = 100, 40  # policies that count as one; characters of their name
+
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
@@ -49,6 +51,12 @@ def parse_entry(text: str) -> Entry:
         raise UserError(
             f"policies are written LABEL=POLICY+POLICY or LABEL@VEHICLE=POLICY, not {shown(repr(text), 60)}"
         )
+    if len(label) > LONGEST_LABEL or not label.isprintable():
+        raise UserError(f"label {shown(label, 40)}: at most {LONGEST_LABEL} printable characters are read")
+    if len(policies) > MOST_SEEDS:
+        raise UserError(f"{label} has {len(policies)} policies; at most {MOST_SEEDS} count as one")
+    if len(set(policies)) < len(policies):
+        raise UserError(f"{label} has a policy twice; each counts once")
     return Entry(label, policies, vehicle or None)
 
 
