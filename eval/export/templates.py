@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
+import re
 from importlib import resources
 
 import jinja2
 
+from inclined_landing.models.errors import shown
+
+LONGEST = 2000  # characters of a value
+# What Markdown or HTML would read as its own within a line; `_` not within a word, `]` where a link goes on.
+_SPECIAL = re.compile(r"[\\`*<>|~$&#]|(?<![^\W_])_|_(?![^\W_])|\](?=[(\[:])")
+
 
 def render(template: str, **content) -> str:
-    """A template of this room filled in, as plain text."""
+    """A template of this room filled in, as plain text; in Markdown every value as `markdown` has it."""
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(text),
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
         undefined=jinja2.StrictUndefined,
+        finalize=markdown if template.endswith(".md.j2") else None,
     )
     return environment.get_template(template).render(content)
+
+
+def markdown(value: object) -> str:
+    """A value as Markdown shows it letter by letter: one line, and no formatting, link or HTML of its own."""
+    return _SPECIAL.sub(r"\\\g<0>", shown(value, LONGEST))
 
 
 def text(name: str) -> str:

@@ -18,19 +18,21 @@ import numpy as np
 import onnxruntime
 import pytest
 from hypothesis import strategies as st
+from markdown_it import MarkdownIt
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.history import History, input_centre, input_names, input_scale
-from inclined_landing.envs.policy import Policy, locate
+from inclined_landing.envs.policy import Policy, load_policy, locate, stamp
 from inclined_landing.envs.tasks import Start, Task, make_task
 from inclined_landing.envs.tasks.base import COLUMNS
 from inclined_landing.eval import cli
 from inclined_landing.eval.export import c_source, compiled, contract, numpy_file, onnx_file, vectors
 from inclined_landing.eval.export.command import FORMATS, write
 from inclined_landing.eval.export.network import Network
+from inclined_landing.eval.export.templates import LONGEST, markdown
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import quaternion
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 
 POLICIES = ("landing", "landing-history", "setpoint", "touchdown")
@@ -330,6 +332,49 @@ def test_the_contract_alone_tells_what_the_vectors_hold(exported, name):
         np.testing.assert_allclose(table["observations"][:, k], states[word], rtol=1e-6, atol=1e-6)
 
 
+HOSTILE = (
+    "<img src=x onerror=alert(1)>|[a](b:c)`<b>`*b* _b_ ~~b~~ &lt; $x$ \\| # ![i](j) \"'\n# x\n\n| y |\u202e"
+)
+READER = MarkdownIt("commonmark", {"html": True}).enable(["table", "strikethrough"])
+
+
+def markdown_of(path):
+    """Types of blocks and of what is in their lines, and the text of each block."""
+    tokens = READER.parse(path.read_text("utf-8"))
+    children = [child for token in tokens for child in token.children or ()]
+    types = [token.type for token in tokens], {child.type for child in children} - {"text_special"}
+    return types, ["".join(child.content for child in token.children or ()) for token in tokens]
+
+
+def test_names_and_stamps_do_not_become_markdown_or_html(tmp_path):
+    """Whatever the file is called and the stamp says: the page of a harmless one, with other words."""
+    pages = {}
+    for k, words in enumerate(("harmless", HOSTILE)):
+        path = tmp_path / f"{words.replace('/', '')}.zip"
+        shutil.copyfile(locate("landing"), path)
+        metadata = load_policy(str(path)).metadata
+        stamp(path, metadata | {"command": words, "plant": words, "curriculum": {words: 1}, "seed": words})
+        policy = contract.load(str(path))
+        write(policy, "c", tmp_path / str(k))
+        pages[k] = [markdown_of(tmp_path / str(k) / name) for name in ("contract.md", "README.md")]
+        for _, lines in pages[k]:
+            assert f"Policy {shown(policy.name, LONGEST)}" in "\n".join(lines)
+    for (plain, before), (evil, after) in zip(pages[0], pages[1]):
+        assert evil == plain and "html_inline" not in plain[1] and len(before) == len(after)
+    assert any(shown(HOSTILE, LONGEST) in line for line in pages[1][0][1])
+
+
+@hypothesis.given(
+    st.text(st.sampled_from("[]()!<>*_`~|\\&#;$ab /:\"'=-+.é\n"), max_size=25) | st.text(max_size=25)
+)
+def test_markdown_shows_a_value_letter_by_letter(value):
+    value = f"a{value}z"
+    for text in (f"# {markdown(value)}, b", f"| a |\n|---|\n| {markdown(value)}, b |"):
+        (*_, line) = (token for token in READER.parse(text) if token.type == "inline")
+        assert {child.type for child in line.children} <= {"text", "text_special"}
+        assert "".join(child.content for child in line.children) == f"{shown(value)}, b"
+
+
 def test_the_contract_is_the_task_the_stamp_and_the_vehicle():
     policy = contract.load("landing")
     terms, task = contract.of(policy, Network.of(policy)), policy.task
@@ -618,8 +663,6 @@ def test_what_a_format_cannot_hold_is_refused(tmp_path):
 def test_policies_of_sac_and_of_another_vehicle(tmp_path):
     from stable_baselines3 import SAC
     from torch import nn
-
-    from inclined_landing.envs.policy import stamp
 
     network = SAC(
         "MlpPolicy", Spaces(), seed=0, device="cpu", buffer_size=1, policy_kwargs={"net_arch": [32, 16]}
