@@ -1,15 +1,28 @@
-"""A Ray cluster, for whoever asks for one."""
+"""A Ray cluster as an executor of `concurrent.futures`."""
 
 from __future__ import annotations
 
 import contextlib
+import logging
+import os
+import signal
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
+from typing import Any
 
+from inclined_landing.eval.base import runs
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
 _PATIENCE = 5.0  # s to wait for a connection
+_RETRIES = 3  # of a call whose process or machine was lost
+# Of the connection to a cluster; Ray's own patience is a quarter of an hour, and it reports every attempt.
+_CONNECTING = {
+    "RAY_NUM_REDIS_GET_RETRIES": "1",
+    "RAY_py_gcs_connect_timeout_s": "10",
+    "RAY_BACKEND_LOG_LEVEL": "fatal",
+}
 
 
 def check(address: str | None, option: str) -> None:
@@ -17,6 +30,9 @@ def check(address: str | None, option: str) -> None:
 
     option: the one that asks for Ray, as sentences name it.
     """
+    if address is not None:  # read when Ray is imported
+        for name, value in _CONNECTING.items():
+            os.environ.setdefault(name, value)
     import_ray(option)
     if address is not None:
         _knock(address)
@@ -32,39 +48,95 @@ def import_ray(option: str = "Ray"):
         raise UserError(
             f"{option} needs Ray, which is not installed; pip install 'inclined-landing[ray]'"
         ) from error
+    logging.getLogger("ray").setLevel(logging.ERROR)
     return ray
 
 
+class Cluster(Executor):
+    """Calls functions on the machines of a Ray cluster, each call on one core.
+
+    A call whose process or machine is lost is made again, on another machine, up to three times: what is
+    called has to bear that. What it raises comes back as a subclass of its exception and of Ray's.
+    """
+
+    def __init__(self, ray):
+        self._ray = ray
+        self._remote = ray.remote(num_cpus=1, max_retries=_RETRIES)(_called)
+        self._versions = runs.packages()
+
+    def submit(self, function: Callable, /, *arguments: Any) -> Future:  # type: ignore[override]
+        """The future result of a call; functions and arguments have to be picklable."""
+        remote = self._remote.options(name=function.__name__)
+        return remote.remote(self._versions, function, *arguments).future()
+
+    def share(self, value: Any) -> Any:
+        """What stands for `value` among arguments, so that it is sent to a machine once."""
+        return self._ray.put(value)
+
+
 @contextlib.contextmanager
-def connected(address: str | None) -> Iterator:
-    """Ray, connected to the cluster at the address; None starts it on this machine."""
+def connected(address: str | None) -> Iterator[Cluster]:
+    """The cluster at the address HOST:PORT; without one, Ray is started on this machine and for it alone.
+
+    Raises UserError where it cannot be reached, and for calls that it could not carry out. Calls under way
+    end with the context.
+    """
     ray = import_ray()
-    began = not ray.is_initialized()
-    if began:
-        try:
-            ray.init(address=address, include_dashboard=False, log_to_driver=False, configure_logging=False)
-        except (ConnectionError, ValueError, RuntimeError, OSError) as error:
-            where = f"at {address}" if address else "on this machine"
-            raise UserError(f"Ray cannot be reached {where}: {shown(error, 150)}") from error
     try:
-        yield ray
-    finally:
-        if began:
-            ray.shutdown()
-
-
-def answer(ray, reference, what: str):
-    """The result of a task; raises UserError, beginning with `what`, where it has none."""
+        with _own_signals():
+            _connect(ray, address)
+    except (OSError, ValueError, RuntimeError, ImportError) as error:
+        where = f"at {shown(address)}" if address else "on this machine"
+        hint = "; is this machine one of its nodes, with its token?" if address else ""
+        raise UserError(f"Ray cannot be reached {where}: {shown(error, 150)}{hint}") from error
     try:
-        return ray.get(reference)
+        yield Cluster(ray)
     except ray.exceptions.RayError as error:
+        if isinstance(cause := getattr(error, "cause", None), UserError):
+            raise cause from error
         last = (str(error).strip().splitlines() or ["no reason given"])[-1]
-        raise UserError(f"{what} failed on Ray: {last}") from error
+        raise UserError(f"Ray gave up: {shown(last, 400)}") from error
+    finally:
+        ray.shutdown()
+
+
+def _connect(ray, address: str | None) -> None:
+    quiet = {"include_dashboard": False, "log_to_driver": False, "configure_logging": False}
+    if address is None:
+        # Not 127.0.0.1, which Ray takes for the machine's name in the network.
+        ray.init("local", _node_ip_address="127.0.0.2", **quiet)
+    else:
+        # Ray looks for the token that `ray start` has left on its machines only where it finds the address
+        # by itself.
+        os.environ["RAY_ADDRESS"] = address
+        ray.init("auto", **quiet)
+
+
+@contextlib.contextmanager
+def _own_signals() -> Iterator[None]:
+    """Keep the answer to SIGTERM, which Ray replaces."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ValueError):  # not in the main thread
+            signal.signal(signal.SIGTERM, before)
+
+
+def _called(versions: dict, function: Callable, *arguments: Any) -> Any:
+    """The call, on a machine of the cluster."""
+    for name, own in runs.packages().items():
+        if own != versions[name]:
+            raise UserError(
+                f"{os.uname().nodename} has {name} {own}, and this machine {versions[name]}: the machines of "
+                "a cluster need the same packages"
+            )
+    return function(*arguments)
 
 
 def _knock(address: str) -> None:
-    """Raise UserError unless something listens at the address: Ray itself would try for minutes."""
-    host, _, port = address.removeprefix("ray://").rpartition(":")
+    """Raise UserError unless something listens at the address: Ray itself would try for longer."""
+    host, _, port = address.rpartition(":")
     if not host or not (port.isascii() and port.isdigit() and len(port) <= 5) or not 0 < int(port) < 65536:
         raise UserError(f"--address must be HOST:PORT, not {shown(repr(address))}")
     try:

@@ -79,20 +79,36 @@ def hand_over(
 
 
 @contextlib.contextmanager
-def held(folder: Path) -> Iterator[None]:
-    """The run folder for this process alone; raises UserError when another one works in it."""
-    handle = os.open(folder, os.O_RDONLY)
+def held(folder: Path, log: Path | None = None, patience: float = 0.0) -> Iterator[int]:
+    """The run folder for this process alone, and for those that it gives the descriptor that it gets.
+
+    log: the file that is opened, to append to it: a folder is not locked for other machines that share it.
+    patience: for how long [s] another process is waited for. Raises UserError when it still works there.
+    """
+    handle = (
+        os.open(folder, os.O_RDONLY)
+        if log is None
+        else os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+    )
+    until = time.monotonic() + patience
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        os.close(handle)
-        raise UserError(f"another process works in the run folder {folder}; wait for its end") from error
-    except OSError:  # a file system without locks
-        pass
-    try:
-        yield
+        while not _locked(handle):
+            if time.monotonic() >= until:
+                raise UserError(f"another process works in the run folder {folder}; wait for its end")
+            time.sleep(0.2)
+        yield handle
     finally:
         os.close(handle)
+
+
+def _locked(handle: int) -> bool:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        pass
+    return True
 
 
 @contextlib.contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import as_completed
 
 import pyarrow as pa
 
@@ -12,7 +13,6 @@ from inclined_landing.eval.landings.study import Study
 from inclined_landing.models.errors import UserError, shown
 
 ENGINES = ("local", "ray")
-_AHEAD = 2  # chunks in flight per core of the cluster
 
 Chunks = Iterator[tuple[int, pa.Table]]
 
@@ -24,21 +24,16 @@ def local(study: Study, chunks: Sequence[int], size: int) -> Chunks:
 
 
 def on_ray(study: Study, chunks: Sequence[int], size: int, address: str | None) -> Chunks:
-    """Chunks as Ray tasks of one core each, in the order in which they end.
+    """Chunks on one core of a Ray cluster each, in the order in which they end.
 
     address: of a running cluster, on whose machines this package must be installed; None starts Ray
     on this machine.
     """
     with cluster.connected(address) as ray:
-        remote = ray.remote(num_cpus=1, max_retries=3)(run_chunk)
-        shared, todo, flying = ray.put(study), list(chunks), {}
-        limit = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
-        while todo or flying:
-            while todo and len(flying) < limit:
-                chunk = todo.pop(0)
-                flying[remote.remote(shared, chunk, size, 1)] = chunk
-            (done,), _ = ray.wait(list(flying), num_returns=1)
-            yield flying.pop(done), cluster.answer(ray, done, "a chunk of the study")
+        shared = ray.share(study)
+        flying = {ray.submit(run_chunk, shared, chunk, size, 1): chunk for chunk in chunks}
+        for future in as_completed(flying):
+            yield flying.pop(future), future.result()
 
 
 def check(engine: str, address: str | None) -> None:

@@ -242,7 +242,7 @@ def test_processes_end_when_the_sweep_does(tmp_path, monkeypatch):
     monkeypatch.setitem(children.PROGRAMS, "landing-eval", "sleeper")
     group, ended = Children(), []
     threads = [
-        threading.Thread(target=lambda: ended.append(group.run(["landing-eval"], tmp_path / "log", 1)))
+        threading.Thread(target=lambda: ended.append(group.run(["landing-eval"], subprocess.DEVNULL, 1)))
         for _ in range(2)
     ]
     for thread in threads:
@@ -254,7 +254,7 @@ def test_processes_end_when_the_sweep_does(tmp_path, monkeypatch):
         thread.join(10)
     assert [one.code for one in ended] == [-signal.SIGTERM] * 2
     with pytest.raises(Stopped):
-        group.run(["landing-eval"], tmp_path / "log", 1)
+        group.run(["landing-eval"], subprocess.DEVNULL, 1)
 
 
 def test_what_a_process_takes_is_measured_with_its_own_children(tmp_path, monkeypatch):
@@ -264,7 +264,7 @@ def test_what_a_process_takes_is_measured_with_its_own_children(tmp_path, monkey
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setitem(children.PROGRAMS, "landing-eval", "busy")
-    ended = Children().run(["landing-eval"], tmp_path / "log", 1)
+    ended = Children().run(["landing-eval"], subprocess.DEVNULL, 1)
     assert ended.code == 0 and 0.3 <= ended.cpu_seconds < 5 and ended.wall_seconds > 0.3
 
 

@@ -6,8 +6,6 @@ import contextlib
 import os
 import shlex
 import sys
-from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
@@ -26,12 +24,9 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.train.sweep import jobs, record
 from inclined_landing.train.sweep.children import Children
 from inclined_landing.train.sweep.jobs import Job, Step
+from inclined_landing.train.sweep.spread import PLACES, spread
 
-PLACES = ("local", "ray")
 FAILED = 1  # exit code
-_AHEAD = 2  # jobs in flight per core of a cluster
-
-Done = Iterator[tuple[tuple[str, int], list[Step]]]
 
 
 def command(
@@ -144,8 +139,7 @@ def _run(
     console = printer()
     children = Children()
     found: dict[tuple[str, int], list[Step]] = {}
-    here = _here(todo, children, threads, at_once)
-    done = here if on == "local" else _on_ray(todo, address)
+    done = spread(todo, on, address, children, threads, at_once)
     columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn())
     try:
         screen = Console(stderr=True)
@@ -184,56 +178,6 @@ def _check_numbers(recipe: Recipe, job: Job) -> None:
             measured.take(number, job.run)
     except UserError as error:
         raise UserError(f"{error}; the sweep stops: correct the recipe and give the same command") from error
-
-
-def _here(todo: dict, children: Children, threads: int, at_once: int) -> Done:
-    """The jobs on this machine, some at once, as they end."""
-    with ThreadPoolExecutor(at_once) as pool:
-        try:
-            flying = {pool.submit(jobs.work, job, children, threads): key for key, job in todo.items()}
-            while flying:
-                for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                    yield flying.pop(future), future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            children.stop()
-            raise
-
-
-def _on_ray(todo: dict, address: str | None) -> Done:
-    """The jobs as Ray tasks of one core each, as they end."""
-    stands = {key: jobs.read(job) for key, job in todo.items()}
-    left = [key for key, steps in stands.items() if not all(step.done for step in steps)]
-    yield from ((key, steps) for key, steps in stands.items() if key not in left)
-    if not left:
-        return
-    with cluster.connected(address) as ray:
-        remote = ray.remote(num_cpus=1, max_retries=0)(_on_worker)
-        flying: dict = {}
-        limit = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
-        try:
-            while left or flying:
-                while left and len(flying) < limit:
-                    key = left.pop(0)
-                    flying[remote.remote(todo[key])] = key
-                (ended,), _ = ray.wait(list(flying), num_returns=1)
-                key = flying.pop(ended)
-                yield key, cluster.answer(ray, ended, todo[key].name)
-        except BaseException:
-            for reference in flying:
-                ray.cancel(reference)
-            raise
-
-
-def _on_worker(job: Job) -> list[Step]:
-    """A job on a machine of the cluster."""
-    if not job.record.parent.is_dir():
-        raise UserError(f"{os.uname().nodename} does not see {job.sweep}: all machines must share it")
-    children = Children()
-    try:
-        return jobs.work(job, children, 1)
-    finally:
-        children.stop()
 
 
 def _result(recipe: Recipe, again: str, todo: dict, found: dict) -> measured.Result:

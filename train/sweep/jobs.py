@@ -138,22 +138,28 @@ def read(job: Job) -> list[Step]:
     return steps
 
 
-def work(job: Job, children: Children, threads: int) -> list[Step]:
-    """Do what is left of a job, until a command fails; returns its steps."""
-    steps = read(job)
-    for step in steps:
-        if step.done:
-            continue
-        words = _prepared(job, step, threads)
-        step.attempts += 1
-        _write(job, steps)
-        ended = children.run(words, job.log, threads)
-        step.code, step.load, step.versions = ended.code, ended.load, _versions()
-        step.cpu_seconds += ended.cpu_seconds
-        step.wall_seconds += ended.wall_seconds
-        _write(job, steps)
-        if not step.done:
-            break
+def work(job: Job, children: Children, threads: int, patience: float = 0.0) -> list[Step]:
+    """Do what is left of a job, until a command fails; returns its steps.
+
+    patience: for how long [s] another process that does the same job is waited for. Raises UserError when it
+    still does.
+    """
+    job.log.parent.mkdir(parents=True, exist_ok=True)
+    with runs.held(job.run, job.log, patience) as log:
+        steps = read(job)
+        for step in steps:
+            if step.done:
+                continue
+            words = _prepared(job, step, threads)
+            step.attempts += 1
+            _write(job, steps)
+            ended = children.run(words, log, threads)
+            step.code, step.load, step.versions = ended.code, ended.load, _versions()
+            step.cpu_seconds += ended.cpu_seconds
+            step.wall_seconds += ended.wall_seconds
+            _write(job, steps)
+            if not step.done:
+                break
     return steps
 
 
@@ -172,7 +178,6 @@ def failure(job: Job, steps: Sequence[Step]) -> str | None:
 def _prepared(job: Job, step: Step, threads: int) -> list[str]:
     """The command of a step as it is run now: resumed, or with room made for what it writes."""
     words = job.filled(step.words)
-    job.log.parent.mkdir(parents=True, exist_ok=True)
     if step.words[0] == "landing-train":
         if not _keeps_checkpoints(job.run):
             shutil.rmtree(job.run, ignore_errors=True)

@@ -1,0 +1,62 @@
+"""The jobs of a sweep side by side: in threads of this process, or on a Ray cluster."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
+
+from inclined_landing.eval.base import cluster
+from inclined_landing.models.errors import UserError
+from inclined_landing.train.sweep import jobs
+from inclined_landing.train.sweep.children import Children
+from inclined_landing.train.sweep.jobs import Job, Step
+
+PLACES = ("local", "ray")
+# s for a lost machine to notice that it is lost, and to end its training: Ray takes one minute, a file server
+# that holds its lock one or two.
+_PATIENCE = 600.0
+
+Key = tuple[str, int]
+
+
+def spread(
+    todo: Mapping[Key, Job],
+    on: str,
+    address: str | None,
+    children: Children,
+    threads: int,
+    at_once: int,
+) -> Iterator[tuple[Key, list[Step]]]:
+    """The jobs with their steps, as they end; those first with which nothing is left to do.
+
+    on: "local", where `at_once` of them have `threads` each, or "ray", where each has a core of the cluster
+    at the address (see `cluster.connected`). Raises UserError for a job that could not be carried out.
+    """
+    stands = {key: jobs.read(job) for key, job in todo.items()}
+    left = [key for key, steps in stands.items() if not all(step.done for step in steps)]
+    yield from ((key, steps) for key, steps in stands.items() if key not in left)
+    if not left:
+        return
+    work = functools.partial(jobs.work, children=children, threads=threads) if on == "local" else _on_worker
+    with ThreadPoolExecutor(at_once) if on == "local" else cluster.connected(address) as pool:
+        try:
+            flying = {pool.submit(work, todo[key]): key for key in left}
+            for future in as_completed(flying):
+                yield flying[future], future.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            children.stop()
+            raise
+
+
+def _on_worker(job: Job) -> list[Step]:
+    """A job on a machine of the cluster, perhaps for the second time: after the loss of the first machine."""
+    if not job.record.parent.is_dir():
+        raise UserError(f"{os.uname().nodename} does not see {job.sweep}: all machines must share it")
+    children = Children()
+    try:
+        return jobs.work(job, children, 1, _PATIENCE)
+    finally:
+        children.stop()
