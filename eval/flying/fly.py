@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import logging
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from inclined_landing.envs.policy import Policy
     from inclined_landing.envs.tasks.landing import InclinedLanding
     from inclined_landing.eval.flying.interfaces import Clock, MotionCapture
-    from inclined_landing.eval.flying.pilot import Plan, Report
+    from inclined_landing.eval.flying.pilot import Pilot, Plan, Report
 
 LISTENED = 3  # times that the checks may take: a second without a glimpse of the markers can happen
 WORD = "arm"  # typed before the motors may turn
@@ -49,7 +50,7 @@ def command(
     inclination: Degrees = None,
     arena: VehicleFile = None,
     stand: Annotated[float | None, Range(0.0, 2.0), tyro.conf.arg(metavar="M")] = None,
-    heading: Annotated[float | None, Range(0.0, 360.0), tyro.conf.arg(metavar="DEG")] = None,
+    heading: Annotated[float | None, Range(-360.0, 360.0), tyro.conf.arg(metavar="DEG")] = None,
     dry_run: Flag = False,
     yes: Flag = False,
     vehicle: Annotated[str | None, tyro.conf.arg(metavar="nominal|hidden|FILE")] = None,
@@ -83,6 +84,7 @@ def command(
         out: new folder for the logs and fly.json; default runs/fly-DATE-TIME.
     """
     from inclined_landing.eval.base.runs import check_new_run, new_run
+    from inclined_landing.eval.flying.link import check_uri
     from inclined_landing.eval.flying.pilot import Plan
     from inclined_landing.models import storage
 
@@ -104,6 +106,7 @@ def command(
         )
         if uri is None or mocap is None:
             raise UserError("name the vehicle and its motion capture, --uri and --mocap, or fly --simulated")
+        check_uri(uri)
         if yes and not uri.startswith("udp://"):
             raise UserError("--yes is for simulated vehicles alone; before a real one flies, a word is typed")
     landing, hover, starts = load(policy, setpoint, start, inclination, arena)
@@ -113,14 +116,18 @@ def command(
         session = _simulated("nominal" if vehicle is None else vehicle, inclination, fault, seed or 0)
     else:
         session = _real(uri, mocap, mocap_latency or 0.0)
-    folder = new_run(out, "fly")
-    logging.getLogger("cflib").setLevel(logging.ERROR)  # it warns that tables of contents are not kept
+    logging.getLogger("cflib").setLevel(
+        logging.CRITICAL
+    )  # it prints tracebacks of what is said in a sentence
+    folder: Path | None = None  # not before a vehicle is there, and ready
     results: list[dict[str, Any]] = []
     for k in range(flights):
         plan = Plan(landing, hover, starts[k % len(starts)], stand or 0.0, math.radians(heading or 0.0))
-        log = None if dry_run else folder / f"flight_{k + 1:02d}.csv"
         print(f"flight {k + 1} of {flights}, landing from x {plan.start[0]:g}, z {plan.start[1]:g} m")
-        report = session.fly(k, plan, log, dry_run, yes)
+        with session.ready(k, plan, dry_run, yes) as pilot:
+            folder = folder or new_run(out, "fly")
+            log = None if dry_run else folder / f"flight_{k + 1:02d}.csv"
+            report = pilot.fly(log)
         results.append(summary(report, plan, log))
         storage.write_json(
             folder / "fly.json",
@@ -185,20 +192,25 @@ def load(
 
 @dataclasses.dataclass
 class Session:
-    """What the flights of one command have in common: how one comes to a connected vehicle."""
+    """What the flights of one command have in common: how one comes to a connected vehicle.
+
+    guarded: around a flight with motors, what stops them should this process die.
+    """
 
     simulated: bool
     connect: Callable[[int, float, bool], tuple[Any, Clock, MotionCapture]]
+    guarded: Callable[[], contextlib.AbstractContextManager[Any]] = contextlib.nullcontext
 
-    def fly(self, k: int, plan: Plan, log: Path | None, dry: bool, yes: bool) -> Report:
-        """Flight k, from the connection to motors off. Raises UserError where a check fails."""
+    @contextlib.contextmanager
+    def ready(self, k: int, plan: Plan, dry: bool, yes: bool) -> Iterator[Pilot]:
+        """The pilot of flight k, whose checks have passed. Raises UserError where one fails."""
         from inclined_landing.eval.flying import safety
         from inclined_landing.eval.flying.pilot import Pilot
 
         radio, clock, mocap = self.connect(k, plan.landing.task.vehicle.command_angle_limit, dry)
         try:
             patience = VIRTUAL_PATIENCE if self.simulated else safety.HANG_LIMIT
-            pilot = Pilot(radio, clock, mocap, plan, log=log, hang_limit=patience)
+            pilot = Pilot(radio, clock, mocap, plan, hang_limit=patience)
             for _ in range(LISTENED):
                 checks = pilot.check()
                 failed = [check for check in checks if not check.passed]
@@ -210,9 +222,10 @@ class Session:
                 raise UserError(
                     "not ready to fly: " + "; ".join(f"{check.name}: {check.found}" for check in failed)
                 )
-            if not (dry or yes or self.simulated):
-                confirm()
-            return pilot.fly()
+            with contextlib.nullcontext() if dry else self.guarded():
+                if not (dry or yes or self.simulated):
+                    confirm()
+                yield pilot
         finally:
             radio.close()
 
@@ -299,10 +312,13 @@ def _real(uri: str, mocap: str, latency: float) -> Session:
         from cflib.crazyflie import Crazyflie
     except ModuleNotFoundError as error:
         raise UserError(not_installed(error)) from error
+    from inclined_landing.eval.flying.dead_man import DeadManSwitch
+    from inclined_landing.eval.flying.link import find_radio
     from inclined_landing.eval.flying.motion_capture import open_capture
     from inclined_landing.eval.flying.real_clock import RealClock
     from inclined_landing.eval.flying.vehicle import Radio
 
+    find_radio(uri)
     clock = RealClock()
     capture = open_capture(mocap, clock, latency)
     cflib.crtp.init_drivers()
@@ -316,4 +332,4 @@ def _real(uri: str, mocap: str, latency: float) -> Session:
         radio.connect(uri)
         return radio, clock, capture
 
-    return Session(False, connect)
+    return Session(False, connect, lambda: DeadManSwitch(uri))

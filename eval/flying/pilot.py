@@ -57,6 +57,8 @@ WATCHED = (
 )
 DRY_RUN = 30.0  # s
 SHOWN_EVERY = 0.5  # s, of a dry run
+# Of Ctrl-C, `kill`, a closed terminal, Ctrl-\ and Ctrl-Z.
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,8 +97,7 @@ class Report:
 class Pilot:
     """Flies one connected vehicle; a new pilot for every flight.
 
-    say: told what happens, line by line. log: the flight's CSV, None for none. hang_limit [s]: see
-    `Watchdog`.
+    say: told what happens, line by line. hang_limit [s]: see `Watchdog`.
     """
 
     def __init__(
@@ -106,7 +107,6 @@ class Pilot:
         mocap: MotionCapture,
         plan: Plan,
         *,
-        log: Path | None = None,
         say: Callable[[str], None] = print,
         hang_limit: float = safety.HANG_LIMIT,
     ):
@@ -118,7 +118,7 @@ class Pilot:
         self.around = Surroundings(self.vehicle, self.task.inclination)
         self.home: np.ndarray | None = None
         self._say, self._hang_limit = say, hang_limit
-        self._log_path, self._log = log, None
+        self._log: FlightLog | None = None
         self._estimator = Estimator(Noise.of(self.vehicle), plan.heading)
         self._guard = safety.Guard(self.vehicle)
         self._coherence = Coherence(self.vehicle.environment_gravity)
@@ -158,10 +158,11 @@ class Pilot:
 
     # --- the flight ------------------------------------------------------------------------------
 
-    def fly(self) -> Report:
+    def fly(self, log: Path | None = None) -> Report:
         """Fly, and return how it went; whatever happens, the motors are off then.
 
-        `check` must have passed. Errors and interruptions end up in the report, not in the caller.
+        log: the CSV that is written, None for none. `check` must have passed. Errors and interruptions end up
+        in the report, not in the caller.
         """
         from inclined_landing.eval.flying.watchdog import Watchdog
 
@@ -177,8 +178,8 @@ class Pilot:
         self._hover.actor.begin()
         with contextlib.ExitStack() as stack:
             try:
-                if self._log_path is not None:
-                    self._log = stack.enter_context(FlightLog(self._log_path, self.clock.now()))
+                if log is not None:
+                    self._log = stack.enter_context(FlightLog(log, self.clock.now()))
                     self._note_before()
                 with _interruptible(), Watchdog(self._hang_limit, self.radio.emergency_stop) as watchdog:
                     self._began = self._phase_began = self.clock.now()
@@ -446,19 +447,22 @@ class Pilot:
 
 @contextlib.contextmanager
 def _interruptible() -> Iterator[None]:
-    """SIGTERM and SIGHUP interrupt as Ctrl-C does (where this is the main thread)."""
+    """The other signals that a terminal sends interrupt as Ctrl-C does (where this is the main thread).
+
+    Ctrl-Z would stop the pilot in mid-air.
+    """
 
     def interrupt(number, frame):
         raise KeyboardInterrupt
 
-    with _handlers({signal.SIGINT: interrupt, signal.SIGTERM: interrupt, signal.SIGHUP: interrupt}):
+    with _handlers(dict.fromkeys(_SIGNALS, interrupt)):
         yield
 
 
 @contextlib.contextmanager
 def _uninterruptible() -> Iterator[None]:
     """A second Ctrl-C does not interrupt the stopping."""
-    with _handlers({signal.SIGINT: signal.SIG_IGN, signal.SIGTERM: signal.SIG_IGN}):
+    with _handlers(dict.fromkeys(_SIGNALS, signal.SIG_IGN)):
         yield
 
 

@@ -63,7 +63,7 @@ FLOOR = 0.3  # m: descents below, in the air, are nobody's intention before the 
 
 INTERRUPTED = Cause(
     "interrupted",
-    "Ctrl-C, SIGTERM, or the terminal is closed",
+    "Ctrl-C, Ctrl-Z, `kill`, or the terminal is closed",
     Reaction.OFF,
     "whoever interrupts wants it to stop now",
 )

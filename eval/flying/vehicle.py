@@ -12,7 +12,8 @@ import numpy as np
 from inclined_landing.eval.flying import frames
 from inclined_landing.eval.flying.estimate import Attitude, LogClock
 from inclined_landing.eval.flying.interfaces import Clock
-from inclined_landing.models.errors import UserError
+from inclined_landing.eval.flying.link import remedy
+from inclined_landing.models.errors import UserError, shown
 
 CONNECTING = 30.0  # s that a connection may take: tables of contents come over the radio
 ATTITUDE_PERIOD = 10  # ms: 100 Hz. cflib asks in steps of 10 ms; the paper's 80 Hz lie between two of them
@@ -61,7 +62,8 @@ class Radio:
             if self.lost is not None or self.clock.now() > end:
                 reason = (self.lost or f"no answer for {CONNECTING:g} s").strip().partition("\n")[0]
                 self.close()
-                raise UserError(f"no connection to {uri}: {reason}")
+                reason = reason.removeprefix("Couldn't load link driver: ")
+                raise UserError(f"no connection to {shown(uri)}: {shown(reason, 200)}{remedy(uri)}")
             self.clock.wait_until(self.clock.now() + 0.02)
         felt = ("stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw", "acc.z")
         self._log("attitude", ATTITUDE_PERIOD, felt, self._attitude)

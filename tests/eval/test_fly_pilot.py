@@ -48,13 +48,11 @@ def flown(policies, tmp_path=None, *, dry=False, setting=SETTING, start=NEAR, se
     radio = Radio(flight.crazyflie, flight.clock, policies[0].task.vehicle.command_angle_limit, dry=dry)
     radio.connect(flight.uri)
     options = {"say": lambda line: None, "hang_limit": 30.0} | options
-    if tmp_path is not None:
-        options["log"] = tmp_path / "flight.csv"
     pilot = Pilot(radio, flight.clock, flight.motion_capture, Plan(*policies, start), **options)
     assert all(check.passed for check in pilot.check())
     if before is not None:
         before(pilot)
-    report = pilot.fly()
+    report = pilot.fly(None if tmp_path is None else tmp_path / "flight.csv")
     radio.close()
     return pilot, report, flight.world
 
@@ -270,20 +268,24 @@ def test_motion_capture_by_library():
 
 
 @pytest.mark.parametrize(
-    "connect, said",
-    [("while True: pass", "no answer in 2 s"), ("raise RuntimeError('no such type')", "no such type")],
+    ("connect", "limit", "said"),
+    [
+        ("import time; time.sleep(60)", 0.5, "no answer in 0.5 s"),
+        ("raise RuntimeError('no such type')", 20.0, "no such type"),
+    ],
+    ids=["silent", "refuses"],
 )
-def test_motion_capture_that_is_silent_or_refuses_is_said(connect, said, tmp_path, monkeypatch):
+def test_motion_capture_that_is_silent_or_refuses_is_said(connect, limit, said, tmp_path, monkeypatch):
     (tmp_path / "motioncapture.py").write_text(f"def connect(kind, options):\n    {connect}\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setitem(sys.modules, "motioncapture", SimpleNamespace())
-    monkeypatch.setattr(motion_capture, "CONNECTING", 2.0)
+    monkeypatch.setattr(motion_capture, "CONNECTING", limit)
     with pytest.raises(UserError, match=said):
         open_capture("vicon:nowhere:cf", RealClock())
 
 
 def test_the_command_writes_what_happened(tmp_path, capsys):
-    words = ["fly", "landing", "--simulated", "--start=-1,1.6", "--out", str(tmp_path / "out"), "--seed=2"]
+    words = ["fly", "landing", "--simulated", "--start=1,1.5", "--out", str(tmp_path / "out"), "--seed=2"]
     assert cli.main(words) == 0
     assert "1 of 1 landed" in capsys.readouterr().out
     told = json.loads((tmp_path / "out" / "fly.json").read_text("utf-8"))
@@ -293,6 +295,7 @@ def test_the_command_writes_what_happened(tmp_path, capsys):
         ["--stand=0.1"],
         ["--inclination=-10"],
         ["--setpoint=landing"],
+        ["--fault=mocap-frozen@0"],  # the checks fail
     ):
         assert cli.main([*words[:4], "--out", str(tmp_path / "new"), *wrong]) == 2
     for wrong in (["fly"], ["fly", "--yes", "--uri=radio://0", "--mocap=poses:1"], ["fly", "--seed=1"]):

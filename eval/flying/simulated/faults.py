@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 SWAP = 0.3  # m by which the pose jumps when markers are swapped
 STORM, STORM_LENGTH = 0.9, 1.0  # share of the packets lost, both ways, and for how long [s]
+SWITCHED = 0.12  # s from the pilot's end to the stop of `dead_man`: the slowest of six over UDP
 SAG_RATE, FLAT = 0.5, 2.8  # V/s by which a failing battery falls, down to this voltage
 EVENTS = ("start", "air", "low", "near")
 
@@ -34,8 +35,9 @@ def _link_lost(world: World) -> None:
     world.at(world.time + link.attempts * link.again, world.give_up_link)
 
 
-def _silence(world: World) -> None:
+def _killed(world: World) -> None:
     world.up.down = world.down.down = True
+    world.at(world.time + SWITCHED, lambda: world.firmware.stop_now())
 
 
 def _storm(world: World) -> None:
@@ -55,7 +57,10 @@ def _swap(world: World) -> None:
 # Name: what it is, and what begins.
 FAULTS: dict[str, tuple[str, Callable[[World], None]]] = {
     "link-lost": ("no packet gets through, either way; cflib's driver gives up soon after", _link_lost),
-    "pilot-killed": ("the pilot's process is gone, and nobody says so", _silence),
+    "pilot-killed": (
+        f"the pilot's process is gone; the one that outlives it sends a stop {SWITCHED:g} s later",
+        _killed,
+    ),
     "uplink-lost": ("set-points do not arrive; the log goes on", _set("up", down=True)),
     "downlink-lost": ("the log stops; set-points arrive", _set("down", down=True)),
     "packet-storm": (f"{STORM:.0%} of the packets are lost for {STORM_LENGTH:g} s, both ways", _storm),

@@ -15,7 +15,7 @@ from inclined_landing.eval.flying.interfaces import Clock
 from inclined_landing.eval.flying.pilot import Pilot, Plan
 from inclined_landing.eval.flying.simulated import firmware
 from inclined_landing.eval.flying.simulated.crazyflie import SimulatedFlight
-from inclined_landing.eval.flying.simulated.faults import FAULTS, Fault
+from inclined_landing.eval.flying.simulated.faults import FAULTS, SWITCHED, Fault
 from inclined_landing.eval.flying.simulated.world import Setting
 from inclined_landing.eval.proof.flight_table.chain import Flown, fly_once
 from inclined_landing.eval.proof.flight_table.table import Loaded, flight_record
@@ -50,7 +50,12 @@ ALONE = 6.0  # m: a vehicle that goes on with the last thrust for 1 s, then fall
 STUCK, LATE = 4.0, 2.0  # s and m: a fault that shows only when the vehicle accelerates
 WITHIN = 0.0
 CASES = (
-    _of("pilot-killed", WATCHDOG, ALONE, _BY_ITSELF),
+    _of(
+        "pilot-killed",
+        SWITCHED + firmware.PERIOD + REACTION,
+        WITHIN,
+        "a process outlives it, and sends a stop",
+    ),
     _of("link-lost", WATCHDOG, ALONE, _BY_ITSELF),
     _of("uplink-lost", WATCHDOG, ALONE, _BY_ITSELF),
     _of("downlink-lost", safety.ATTITUDE_LIMIT + REACTION, WITHIN, _DEAF),

@@ -1,0 +1,151 @@
+"""Vehicles that cannot be reached: one sentence with the remedy, exit code 2, nothing on disk."""
+
+import itertools
+import re
+
+import hypothesis
+import hypothesis.strategies as st
+import pytest
+
+pytest.importorskip("cflib", reason="the extra fly is not installed")
+
+from inclined_landing.eval import cli
+from inclined_landing.eval.flying import vehicle
+from inclined_landing.eval.flying.link import UDEV, check_uri
+from inclined_landing.models.errors import UserError
+
+RADIO = "radio://0/80/2M/E7E7E7E7E7"
+GOOD = (
+    *(RADIO, "radio://0/80", "radio://0/80/250K", "radio://12/0/1M", "radio://0/125/2M/00000000a1"),
+    *("radio://e7e7e7e7e7/80/2M", RADIO + "?rate_limit=100", "usb://0", "udp://127.0.0.1:19850"),
+)
+# Of every part what it must not be, in an URI that is right otherwise.
+PARTS = {
+    "scheme": ("", "RADIO", "Radio", "http", "tcp", "serial", "prrt", "file", "simulated", "udp", "radio:"),
+    "dongle": ("", "-1", "a", "0x0", "9999", "１", "0 ", "E7", "*"),
+    "channel": ("", "-1", "126", "200", "1e1", "8.0", "８０", "9" * 5000, "80\n"),
+    "rate": ("", "2m", "3M", "2MB", "250", "１M", "2M\0"),
+    "address": ("", "E7", "E7E7E7E7", "E7E7E7E7E7E7", "G7E7E7E7E7", "0xE7E7E7E7", "Ｅ7E7E7E7E7"),
+    "query": ("?", "?rate_limit=0", "?rate_limit=fast", "?safelink=0", "#here", "/", "?rate_limit=1" * 2),
+}
+RIGHT = {
+    "scheme": "radio",
+    "dongle": "0",
+    "channel": "80",
+    "rate": "2M",
+    "address": "E7E7E7E7E7",
+    "query": "",
+}
+OTHERS = (
+    *("radio", "radio:", "radio:/", "radio://", "radio:///", "radio://0", "radio://0/", "80/2M", "E7E7E7E7"),
+    *("usb", "usb://", "usb://x", "usb://-1", "usb://0/1", "usb://0 ", "usb://00000", "tcp://192.168.4.1:50"),
+    *("udp://", "udp://:19850", "udp://127.0.0.1", "udp://127.0.0.1:", "udp://127.0.0.1:0", "udp://[::1]:1"),
+    *("udp://127.0.0.1:65536", "udp://a@127.0.0.1:1", "udp://127.0.0.1:1/", "udp://a:1?x", "udp://a b:1"),
+    *("", " ", "-", "..", "/dev/ttyACM0", RADIO + " ", " " + RADIO, RADIO * 2, "é", "\u202e", "\0", "\n"),
+    *("x" * 10_000, "radio://" + "0/" * 5000, RADIO + "E" * 10_000, "\udcff", "😀://0"),
+)
+
+
+def with_part(name, value):
+    p = RIGHT | {name: value}
+    return f"{p['scheme']}://{p['dongle']}/{p['channel']}/{p['rate']}/{p['address']}{p['query']}"
+
+
+BAD = (*(with_part(name, value) for name, values in PARTS.items() for value in values), *OTHERS)
+
+
+def is_a_sentence(text):
+    return text.isprintable() and 20 < len(text) < 600
+
+
+@pytest.mark.parametrize("uri", GOOD)
+def test_what_cflib_flies_is_accepted(uri):
+    check_uri(uri)
+
+
+def test_what_cflib_would_refuse_or_misread_is_refused_in_a_sentence():
+    assert with_part("query", "") == RADIO and len(set(BAD)) == len(BAD) > 90
+    for uri in BAD:
+        with pytest.raises(UserError) as caught:
+            check_uri(uri)
+        assert is_a_sentence(str(caught.value)), uri
+
+
+pieces = st.sampled_from(sorted({*itertools.chain(*PARTS.values()), *RIGHT.values(), "/", "://", "?", "0"}))
+
+
+@hypothesis.given(st.one_of(st.text(max_size=40), st.lists(pieces, max_size=9).map("".join)))
+def test_any_text_is_a_uri_or_refused_in_a_sentence(uri):
+    hypothesis.assume(not uri.startswith("udp://"))  # whose host is looked up
+    try:
+        check_uri(uri)
+    except UserError as error:
+        assert is_a_sentence(str(error))
+    else:
+        assert re.fullmatch(
+            r"usb://\d{1,3}|radio://[0-9A-Fa-f]{1,32}/\d{1,3}[0-9A-Fa-fKM/]*(\?rate_limit=\d+)?", uri
+        )
+
+
+def refused(words, folder, capfd):
+    """The sentence with which `fly` ends."""
+    assert cli.main(["fly", *words, "--mocap=poses:0.0.0.0:1", f"--out={folder / 'first'}"]) == 2
+    said = capfd.readouterr().err
+    assert "Traceback" not in said and said.count("\n") == 1 and is_a_sentence(said.strip()), said
+    assert list(folder.iterdir()) == []
+    return said
+
+
+@pytest.mark.parametrize("uri", ["radio://0/200/2M/E7E7E7E7E7", "tcp://127.0.0.1:1", "udp://", "x" * 5000])
+def test_the_command_says_what_a_uri_looks_like(uri, tmp_path, capfd):
+    assert RADIO in refused([f"--uri={uri}"], tmp_path, capfd)
+
+
+def radios(monkeypatch, answer):
+    """Let pyusb find radios with serial numbers, or fail."""
+
+    def find():
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    monkeypatch.setattr("cflib.drivers.crazyradio.get_serials", find)
+
+
+@pytest.mark.parametrize(
+    ("found", "uri", "sentence"),
+    [
+        ((), RADIO, f"no Crazyradio found: plug it in.*{UDEV}"),
+        (ValueError("The device has no langid\n"), RADIO, f"cannot be opened.*langid.*udev.*{UDEV}"),
+        (("AB12",), "radio://1/80/2M", "no Crazyradio 1: found 0 to 0, serial numbers AB12"),
+        (("E7E7E7E7E8",), "radio://e7e7e7e7e7/80/2M", "no Crazyradio e7e7e7e7e7"),
+    ],
+    ids=["none", "no access", "too few", "another"],
+)
+def test_without_a_crazyradio_the_remedy_is_said(found, uri, sentence, tmp_path, capfd, monkeypatch):
+    radios(monkeypatch, found)
+    assert re.search(sentence, refused([f"--uri={uri}"], tmp_path, capfd))
+
+
+@pytest.mark.parametrize(
+    ("uri", "sentence"),
+    [
+        (RADIO, "no connection to .*: Cannot find a Crazyradio Dongle; is the vehicle on"),
+        ("usb://7", "no connection to usb://7: .*; is the vehicle connected by its cable"),
+        ("udp://127.0.0.1:1", "no connection to .*; does anything answer there"),
+    ],
+)
+def test_a_link_that_fails_is_one_sentence_without_tracebacks(uri, sentence, tmp_path, capfd, monkeypatch):
+    """By cflib's own drivers, which log tracebacks; the radio is unplugged after it was found."""
+    radios(monkeypatch, ("E7E7E7E7E7",))
+    monkeypatch.setattr(vehicle, "CONNECTING", 0.2)
+    monkeypatch.setattr("inclined_landing.eval.flying.motion_capture.open_capture", lambda *_: None)
+    assert re.search(sentence, refused([f"--uri={uri}"], tmp_path, capfd))
+
+
+def test_a_heading_may_be_given_to_either_side(tmp_path, capfd, monkeypatch):
+    radios(monkeypatch, ())
+    for heading in ("-90", "-360", "270"):
+        assert "no Crazyradio" in refused([f"--uri={RADIO}", f"--heading={heading}"], tmp_path, capfd)
+    for heading in ("-361", "nan"):
+        assert "--heading" in refused([f"--uri={RADIO}", f"--heading={heading}"], tmp_path, capfd)
