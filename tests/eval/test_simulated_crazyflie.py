@@ -18,7 +18,7 @@ from cflib.crazyflie.log import LogConfig
 from inclined_landing.eval.flying import pose_stream
 from inclined_landing.eval.flying.interfaces import Pose
 from inclined_landing.eval.flying.simulated import crtp, firmware
-from inclined_landing.eval.flying.simulated.body import firmware_attitude, plant_command
+from inclined_landing.eval.flying.simulated.body import Body, firmware_attitude, plant_command
 from inclined_landing.eval.flying.simulated.cameras import Cameras, MarkerView
 from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
 from inclined_landing.eval.flying.simulated.faults import FAULTS, Fault
@@ -27,6 +27,7 @@ from inclined_landing.eval.flying.simulated.gaps import HIDDEN, vehicle_named
 from inclined_landing.eval.flying.simulated.process import Process
 from inclined_landing.eval.flying.simulated.radio import Link, Way
 from inclined_landing.eval.flying.simulated.world import Setting, World
+from inclined_landing.models import attitude
 from inclined_landing.models.attitude import PITCH, ROLL, VX, VY, YAW, X, Z, rotation
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -117,6 +118,54 @@ def test_the_onboard_yaw_begins_at_zero_whatever_the_heading():
     assert abs(rows[-1][2]["stateEstimate.yaw"]) < 0.6  # noise of 0.1 deg
     r = Rotation.from_quat(flight.motion_capture.latest().attitude, scalar_first=True)
     assert r.as_euler("ZXY")[0] == pytest.approx(0.5, abs=0.02)  # noise of 4 mrad
+
+
+# --- the accelerometer --------------------------------------------------------------------------------
+
+
+def placed(inclination=None, **columns):
+    """A body in a state of its own."""
+    body, state = Body(load_vehicle(), start=(1.0, 0.0), inclination=inclination), np.zeros((1, 13))
+    for name, value in columns.items():
+        state[0, getattr(attitude, name)] = value
+    body.plant.reset([0], state)
+    body._now = body.plant.state[0].copy()
+    return body
+
+
+def felt(body, setpoint, seconds):
+    """(T, 3) of every engine step."""
+    return np.array([(body.step(setpoint), body.felt)[1] for _ in range(round(seconds / body.step_length))])
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_accelerometer_feels_nothing_in_a_fall_and_gravity_s_reaction_on_the_slope(sign):
+    v = load_vehicle()
+    angle = sign * v.platform_inclination
+    height = v.platform_surface_height + 0.025  # the feet 5 mm above the slope: a fall of 30 ms
+    body = placed(angle, X=0.025 * math.sin(angle), Z=height, PITCH=angle)
+    assert np.abs(felt(body, Setpoint(), 0.02)).max() < 1e-3  # drag at 0.2 m/s
+    resting = felt(body, Setpoint(), 0.6)[-1]
+    state = body.state
+    assert body.touching[0] and np.linalg.norm(state[VX : VX + 3]) < 1e-3
+    assert state[PITCH] == pytest.approx(angle, abs=0.01)
+    assert resting == pytest.approx([-math.sin(state[PITCH]), 0.0, math.cos(state[PITCH])], abs=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.8, 1.0, 1.3])
+def test_the_accelerometer_feels_the_thrust_in_flight(share):
+    """Thrust over weight, along the body's axis whatever its lean: 1 in hover."""
+    v = load_vehicle()
+    body = placed(Z=1.5, LAG=share * v.hover_lag, PITCH=0.2)
+    command = Setpoint(thrust=share * v.hover_pwm, pitch=-math.degrees(0.2))
+    # Drag at 0.1 m/s, and the turning of a body that is not held still, in 20 ms.
+    assert felt(body, command, 0.02) == pytest.approx(np.tile([0.0, 0.0, share], (5, 1)), abs=5e-3)
+
+
+def test_a_touch_is_felt():
+    body = placed(X=1.0, Z=0.1)
+    hit = felt(body, Setpoint(), 0.8)
+    assert hit[:, 2].max() > 2.0 and hit[-1] == pytest.approx([0.0, 0.0, 1.0], abs=1e-3)
 
 
 # --- the firmware's rules ----------------------------------------------------------------------------

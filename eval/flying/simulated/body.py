@@ -84,7 +84,10 @@ class Body:
 
     @property
     def felt(self) -> np.ndarray:
-        """(3,) what an accelerometer shows along the body's axes [g], mean over the last step."""
+        """(3,) specific force that an accelerometer shows along the body's axes [g], mean over the last step.
+
+        Of all forces but gravity: 1 up at rest, 0 in free fall.
+        """
         return self._felt
 
     @property

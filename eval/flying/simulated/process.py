@@ -15,6 +15,7 @@ from inclined_landing.eval.flying import pose_stream
 from inclined_landing.eval.flying.interfaces import Pose
 from inclined_landing.eval.flying.simulated.body import FLOOR
 from inclined_landing.eval.flying.simulated.crtp import LARGEST, Packet
+from inclined_landing.eval.flying.simulated.firmware import State
 from inclined_landing.eval.flying.simulated.world import World
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.storage import reason
@@ -23,6 +24,8 @@ _PROBE = b"\xff"  # cflib's scan: any answer will do
 _TURN = 0.002  # s between two looks at the clock
 _BEHIND = 0.2  # s that the simulation may lag behind the clock before it lets that time go
 _STILL = 0.02  # m/s
+# The firmware calls it so, also on the console, whether the vehicle is in the air or on the ground.
+_NAMES = {State.FREE_FALL: 'motors stopped (state "free fall")'}
 
 
 class Process:
@@ -95,7 +98,7 @@ class Process:
         world = self.world
         if world.firmware.state is not self._mode:
             self._mode = world.firmware.state
-            self._tell(f"supervisor: {self._mode.name.lower().replace('_', ' ')}")
+            self._tell(f"supervisor: {_NAMES.get(self._mode) or self._mode.name.lower().replace('_', ' ')}")
         if (world.thrust > 0.0) != (self._thrust > 0.0):
             x, y, z = world.body.state[:3]
             self._tell(f"motors {'on' if world.thrust > 0.0 else 'off'} at {x:.2f}, {y:.2f}, {z:.2f} m")

@@ -191,7 +191,7 @@ class World:
         self.services = Services(self.firmware, lambda time: self.sensors.values(time))
 
     def _print(self, line: str) -> None:
-        self.said(line)
+        self.said(f"console: {line}")
         for packet in self.services.console(line):
             self._send_down(self.body.time, packet)
 
