@@ -1,8 +1,10 @@
 """A task of one's own by import path: trained, resumed, judged and filmed; no file alone has it imported."""
 
+import inspect
 import json
 import sys
 
+import numpy as np
 import pytest
 from campaign.training import assert_same_policy
 
@@ -90,7 +92,10 @@ def test_all_the_way(path, own, tmp_path, capsys):
         ("hopping.py:Hop", "Hop.name = 'a b'", "has the name 'a b'; it takes small letters and digits"),
         ("hopping.py:Hop", "del Hop.action_names", "lacks action_names"),
         ("hopping.py:Hop", "Hop.action_names = ('lift',)", "known are thrust, roll, pitch, yaw rate"),
+        ("hopping.py:Hop", "Hop.action_names = ()", "has action_names (); it takes"),
+        ("hopping.py:Hop", "Hop.observation_names = ('z', 'z')", "it takes a tuple of different names"),
         ("hopping.py:Hop", "Hop.observation_names = ('z',)", "has not one observation_scale for each"),
+        ("hopping.py:Hop", "Hop.observation_scale[0] = 0", "has an observation_scale that is not a finite"),
         ("hopping.py:Bare", "class Bare(Task): pass", "lacks judge and sample"),
         ("hopping.py:Hop", "1 / 0", "cannot be imported: ZeroDivisionError: division by zero"),
         ("hopping.py:Hop", "raise SystemExit", "cannot be imported: SystemExit"),
@@ -102,3 +107,91 @@ def test_what_is_no_task_is_refused_in_a_sentence(path, code, sentence, own, tmp
     error = capsys.readouterr().err
     assert sentence in error and error.count("\n") == 1
     assert not (tmp_path / "run").exists()
+
+
+JUDGED = "up = moment.state[:, 2] > 1.5; return Judgement({'up': 1.0 * up}, up, up, np.zeros_like(up))"
+
+
+@pytest.mark.parametrize(
+    ("method", "sentence"),
+    [
+        ("judge(self, moment): return 1 / 0", "judge raised ZeroDivisionError: division by zero (line 20)"),
+        ("judge(self, moment): raise SystemExit", "judge raised SystemExit (line 20)"),
+        ("judge(self, moment): return None", "judge returned nothing, not a Judgement"),
+        (f"judge(self, moment): {JUDGED.replace('1.0 * up', '1.0')}", "the term up of shape (), not (2,)"),
+        (
+            f"judge(self, moment): {JUDGED.replace('1.0 * up', 'np.nan * up')}",
+            "judge returned NaN in the term up",
+        ),
+        (
+            f"judge(self, moment): {JUDGED.replace('up, up, np', '1.0 * up, up, np')}",
+            "success of float64, not",
+        ),
+        ("sample(self, rng, k): return 3", "sample returned int 3, not a Start"),
+        (
+            "sample(self, rng, k): return self.start(np.full((k, 13), np.nan))",
+            "sample returned NaN in states for x",
+        ),
+        (
+            "sample(self, rng, k): return self.start(np.zeros((1, 13)))",
+            "states of shape (1, 13), not (2, 13)",
+        ),
+        ("observe(self, moment): return moment.state[:, :1]", "observations of shape (2, 1), not (2, 2)"),
+        (
+            "observe(self, moment): return moment.state[:, :2] + [0, np.inf]",
+            "observe returned inf in observations for vz",
+        ),
+        (
+            "observe(self, moment): return [['a', 'b']] * 2",
+            "observe returned observations of <U1, not of numbers",
+        ),
+        ("commands(self, actions): return actions", "commands returned commands of shape (2, 1), not (2, 4)"),
+        ("score(self, flights): return {}", 'score returned dict {}, not a dictionary with "score"'),
+        ("score(self, flights): return {'score': np.nan}", "score returned NaN in score"),
+        ("goal(self): return np.zeros(3)", "goal returned numbers of shape (3,), not (2,)"),
+        ("__init__(self, *given, **named): pass", "__init__ does not call that of the class"),
+        ("__init__(self): pass", "__init__ raised TypeError"),
+    ],
+)
+def test_what_is_wrong_with_its_code_is_said_before_the_training(method, sentence, own, tmp_path, capsys):
+    property_ = "    @property\n" if method.startswith("goal") else ""
+    (tmp_path / "hopping.py").write_text(f"{CODE}\n{property_}    def {method}\n", "utf-8")
+    assert train(["hopping.py:Hop", "--out", "run", *SIZE]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("landing-train: task hopping.py:Hop: ") and sentence in error
+    assert error.count("\n") == 1 and not (tmp_path / "run").exists()
+
+
+def test_what_goes_wrong_in_the_midst_of_it_leaves_a_run_that_goes_on(own, tmp_path, capsys):
+    late = "Hop.n += 1; return Judgement({'up': up * [1, np.nan][Hop.n > 100]}, up, up, up & False)"
+    wrong = f"    n = 0\n    def judge(self, moment): up = moment.state[:, 2] > 1.5; {late}\n"
+    (tmp_path / "hopping.py").write_text(f"{CODE}\n{wrong}", "utf-8")
+    assert train(["hopping.py:Hop", "--out", "cut", *SIZE]) == 2
+    error = capsys.readouterr().err
+    assert "task hopping.py:Hop: judge returned NaN in the term up; after " in error
+    assert "cut has a checkpoint: with the task corrected, --resume goes on" in error
+    (tmp_path / "hopping.py").write_text(CODE, "utf-8")
+    own()
+    assert train(["hopping.py:Hop", "--out", "cut", "--resume", "--no-report"]) == 0
+    capsys.readouterr()
+
+
+def test_commands_say_it_too(own, tmp_path, capsys):
+    assert train(["hopping.py:Hop", "--out", "run", *SIZE]) == 0
+    own()
+    (tmp_path / "hopping.py").write_text(f"{CODE}\n    def judge(self, moment): return 1 / 0\n", "utf-8")
+    capsys.readouterr()
+    assert evaluate(["success", "run/final.zip", "--plant", "analytic", "--task", "hopping.py:Hop"]) == 2
+    assert capsys.readouterr().err.endswith("judge raised ZeroDivisionError: division by zero (line 20)\n")
+
+
+def test_a_guarded_task_is_the_task(own):
+    kind = tasks.import_task("hopping:Hop")
+    assert issubclass(kind, sys.modules["hopping"].Hop) and kind.__doc__ == "Be higher than 1.5 m."
+    assert inspect.signature(kind) == inspect.signature(sys.modules["hopping"].Hop)
+    task = tasks.make_task("hop", history=2)
+    assert task.history == 2 and task.goal is None and len(task.sample(np.random.default_rng(0), k=3)) == 3
+    moment = tasks.Moment(np.full((2, 13), 2.0))
+    verdict = task.judge(moment)
+    assert verdict.reward.tolist() == [1.0, 1.0] and verdict.terminated.all()
+    assert task.observe(moment).dtype == np.float32
