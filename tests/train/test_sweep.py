@@ -13,6 +13,7 @@ import psutil
 import pytest
 import tomlkit
 from campaign.training import assert_same_policy
+from test_own_task import CODE as OWN_TASK
 
 from inclined_landing.eval.sweeps.recipe import read_recipe
 from inclined_landing.models.errors import UserError
@@ -31,7 +32,7 @@ with open("calls.txt", "a") as calls:
     print(*words, os.environ["OMP_NUM_THREADS"], file=calls)
 print("said", *words)
 out = Path(given["--out"])
-if words[0] == "landing":
+if "--no-report" in words:  # a training
     if os.path.exists("fails") and given["--seed"] == Path("fails").read_text():
         sys.exit("error: it diverged")
     assert out.exists() == ("--resume" in words), out
@@ -201,6 +202,8 @@ def test_the_result_is_recorded_and_comments_stay(place):
         ({"train": ["landing", "--step", "3"]}, [], "--step"),
         ({"train": ["landing", "--gamma", "2"]}, [], "--gamma must lie above 0 and below 1"),
         ({"train": ["--help"]}, [], "--help does no work"),
+        ({"train": ["--tyro-write-completion", "bash", "x"]}, [], "--tyro-write-completion is no option"),
+        ({"evaluate": [["moving", "--tyro_write-completion", "bash", "x"]]}, [], "is no option"),
         ({"variants": {"a": ["--curriculum", "steep"]}}, [], "unknown curriculum"),
         ({"evaluate": [["sucess", "x"]]}, [], "'sucess' is no command that a recipe may run"),
         ({"evaluate": [["success"]]}, [], "POLICY"),
@@ -214,6 +217,133 @@ def test_wrong_input_is_one_sentence_and_nothing_begins(change, words, sentence,
     said = capsys.readouterr().err
     assert sentence in said and said.count("\n") == 1 and said.startswith("landing-train: ")
     assert sorted(place.rglob("*")) == before
+
+
+# A recipe is data. Imported, this would leave a file.
+FOREIGN = "from pathlib import Path\nPath('imported').touch()\ndef fly(t, states, decks): pass\n"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"train": ["foreign.py:Hop"]},
+        {"train": ["foreign:Hop", "--steps", "100"]},
+        {"variants": {"a": [], "b": ["--from", "foreign.py:Hop"]}},
+        {"evaluate": [["success", "x.zip", "--task=foreign.py:Hop", "--out", "{run}/s"]]},
+        {"evaluate": [["moving", "planner", "{here}/foreign.py:fly", "--out", "{run}/s"]]},
+        {
+            "together": [
+                ["video", "x.zip", "--task", "{here}/../{sweep}/foreign:Hop", "--out", "{sweep}/v.gif"]
+            ]
+        },
+    ],
+)
+def test_python_that_nobody_named_is_not_imported(change, place, capsys):
+    Path("foreign.py").write_text(FOREIGN)
+    write(RECIPE | change)
+    before = sorted(place.rglob("*"))
+    assert sweep() == 2
+    said = capsys.readouterr().err
+    assert "would run Python, which a recipe alone may not" in said and "name it: --allow " in said
+    assert said.count("\n") == 1 and sorted(place.rglob("*")) == before and "foreign" not in sys.modules
+
+
+def test_python_that_is_named_is_imported(place, capsys):
+    Path("foreign.py").write_text(FOREIGN)
+    write(RECIPE | {"evaluate": [["moving", "{here}/foreign.py:fly", "--out", "{run}/s"]]})
+    for words, sentence in (
+        (["--allow", "foreign.py:land"], "--allow ./foreign.py:fly"),
+        (["--allow", "foreign"], "--allow takes module:NAME or FILE.py:NAME, not foreign"),
+        (
+            ["--allow", "foreign.py:fly", "--allow", "os:system"],
+            "--allow os:system: the recipe names no such",
+        ),
+    ):
+        assert sweep(*words) == 2 and sentence in capsys.readouterr().err
+    assert sweep("--allow", str(place / "foreign.py:fly"), "--record") == 0
+    assert any("moving ./foreign.py:fly" in line for line in calls())
+    assert "sweep pretended.toml --allow /" in read_recipe("pretended.toml").result["command"]
+    Path("hop.py").write_text(OWN_TASK)
+    write(RECIPE | {"train": ["hop.py:Hop"]})
+    assert sweep("--allow", "hop.py:Hop", "--out", "own") == 0
+
+
+@pytest.fixture
+def begun(place):
+    """The folder of a sweep that was begun."""
+    folder = place / "runs" / "pretended"
+    (folder / "steps").mkdir(parents=True)
+    (folder / "pretended.toml").write_text("")
+    return folder
+
+
+@pytest.mark.parametrize(
+    "out",
+    ["/tmp/x", "x", "{sweep}/../../x", "{run}/../x", "{run}", "{sweep}/x", "{run}/link/x", "{here}/x",
+     "{run}/metrics.json", "{run}/tensorboard/x"],
+)  # fmt: skip
+def test_a_run_writes_into_its_folder_alone(out, place, begun, capsys):
+    for run in ("a-5", "b-5"):
+        (begun / run).mkdir()
+        (begun / run / "link").symlink_to(place)
+    write(RECIPE | {"evaluate": [["success", "landing", f"--out={out}"], *RECIPE["evaluate"]]})
+    before = sorted(place.rglob("*"))
+    assert sweep() == 2 and not calls()
+    assert "--out must be a new name in {run}, beside what is there" in capsys.readouterr().err
+    assert sorted(place.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "out", ["/tmp/x", "{sweep}", "{sweep}/..", "{run}", "{run}/x", "{sweep}/steps/x", "{sweep}/result.json"]
+)
+def test_what_is_done_together_writes_beside_the_runs(out, place, capsys):
+    write(RECIPE | {"together": [["success", "landing", "--out", out]]})
+    assert sweep() == 2 and "--out must be a new name in {sweep}, beside its runs" in capsys.readouterr().err
+
+
+def test_a_run_folder_that_leads_elsewhere_is_refused(place, begun, capsys):
+    (begun / "a-6").symlink_to(place)
+    assert sweep() == 2 and "out of the sweep" in capsys.readouterr().err
+
+
+def test_a_number_or_picture_that_nothing_writes_is_refused(place, capsys):
+    share = RECIPE["numbers"]["share"]
+    for change, sentence in (
+        (
+            {"numbers": {"n": share | {"file": "t/success.json"}}},
+            "number n: a run will have no t/success.json;",
+        ),
+        ({"figure": "{sweep}/all/x.png", "video": "{run}/x.gif"}, "video: no command of the recipe writes"),
+    ):
+        write(RECIPE | change)
+        assert sweep() == 2 and sentence in capsys.readouterr().err and not calls()
+    data = {key: value for key, value in RECIPE.items() if key not in ("train", "variants")}
+    write(data)  # metrics.json is of a training
+    assert sweep() == 2 and "it has what is in s" in capsys.readouterr().err
+
+
+def test_a_number_that_is_not_found_costs_one_run(place, capsys):
+    wrong = {"share": RECIPE["numbers"]["share"] | {"path": "shares"}}
+    write(RECIPE | {"numbers": wrong})
+    assert sweep("--jobs", "1") == 2
+    said = capsys.readouterr().err
+    assert "success.json has no shares; the sweep stops: correct the recipe" in said and said.count("\n") == 1
+    assert len(calls()) <= 2 * 2  # the next run may have begun when the first had ended
+    assert not Path("runs/pretended/result.json").exists()
+    write(RECIPE)
+    assert sweep() == 0
+    assert not [line for line in calls() if "pretended/a-5" in line and "--seed 5" in line]
+
+
+def test_the_programs_import_nothing_from_where_they_are_run(tmp_path, monkeypatch):
+    (tmp_path / "modules").mkdir()
+    (tmp_path / "modules" / "quiet.py").write_text("import json, numpy\n")
+    for name in ("json.py", "numpy.py", "runpy.py", "inclined_landing.py"):
+        (tmp_path / name).write_text("raise SystemExit('foreign')\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "modules"))
+    monkeypatch.setitem(children.PROGRAMS, "landing-eval", "quiet")
+    assert Children().run(["landing-eval"], subprocess.DEVNULL, 1).code == 0
 
 
 def test_a_recipe_that_is_not_there_and_ray_that_is_not_installed(place, capsys, monkeypatch):
