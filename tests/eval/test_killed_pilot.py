@@ -17,6 +17,7 @@ pytest.importorskip("cflib", reason="the extra fly is not installed")
 
 from inclined_landing.eval.flying.dead_man import DeadManSwitch
 from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
+from inclined_landing.eval.logs import read_log
 from inclined_landing.models.errors import UserError
 
 # Stop, emergency stop and that of older firmware: port, channel and two bits that are set in a byte, data.
@@ -91,7 +92,7 @@ def test_the_firmware_stops_the_motors_a_second_after_any_pilot(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_dead_man_s_switch_stops_them_at_once(tmp_path):
+def test_the_dead_man_s_switch_stops_them_at_once_and_a_log_is_left(tmp_path):
     with killed_in_flight("fly", tmp_path) as (vehicle, killed):
         off = awaited(vehicle, "motors off")
         if off < killed:
@@ -100,6 +101,7 @@ def test_the_dead_man_s_switch_stops_them_at_once(tmp_path):
         assert off - killed < 0.25
         assert awaited(vehicle, "supervisor: locked") - off < 0.1
         assert awaited(vehicle, "at rest on the (floor|platform)") - off < 3.0
+    assert read_log(tmp_path / "out" / "flight_01.unfinished.csv").duration > 1.0
 
 
 class Listener:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("cflib", reason="the extra fly is not installed")
 from cflib.crazyflie.log import LogConfig
 
+from inclined_landing.eval import cli
 from inclined_landing.eval.flying import pose_stream
 from inclined_landing.eval.flying.interfaces import Pose
 from inclined_landing.eval.flying.simulated import crtp, firmware
@@ -27,6 +28,7 @@ from inclined_landing.eval.flying.simulated.gaps import HIDDEN, vehicle_named
 from inclined_landing.eval.flying.simulated.process import Process
 from inclined_landing.eval.flying.simulated.radio import Link, Way
 from inclined_landing.eval.flying.simulated.world import Setting, World
+from inclined_landing.eval.logs import read_log
 from inclined_landing.models import attitude
 from inclined_landing.models.attitude import PITCH, ROLL, VX, VY, YAW, X, Z, rotation
 from inclined_landing.models.errors import UserError
@@ -517,3 +519,12 @@ def test_the_process_answers_packets_and_streams_poses():
     receiver.close()
     assert all(np.abs(pose.position[:2] - (1.0, 0.0)).max() < 0.01 for pose in poses)
     assert any("connected" in line for line in lines) and X == 0
+
+
+def test_the_command_writes_what_truly_happened(tmp_path):
+    out = tmp_path / "truth.csv"
+    words = ["crazyflie", "--port=0", "--poses=127.0.0.1:9", "--seconds=0.05", f"--out={out}"]
+    assert cli.main(words) == 0
+    log = read_log(out)
+    assert log.duration >= 0.9 and not log.command[:, 0].any()  # a second to start up
+    assert np.abs(log.position[:, :2] - (1.0, 0.0)).max() < 1e-3 and log.contact.all()
