@@ -57,6 +57,7 @@ _PHI, _THETA, _PSI, _OMEGA, _RATES, _SIZE = 6, 7, 8, 9, 10, 13
 AMBIENT_SIZE = 5
 TIME, VOLTAGE, INCLINATION, PRESENT, AZIMUTH = range(AMBIENT_SIZE)
 # Entries of [effects] that are no terms here: what other entries refer to, and what the plants do.
+STILL = np.empty((0, 6))  # no push; None would be another type, and compile everything once more
 _NO_TERMS = frozenset(
     "battery_reference voltage_reference voltage_open voltage_drop voltage_discharge "
     "ground_fading thrust_delay attitude_delay mocap_tilt mocap_delay".split()
@@ -406,9 +407,10 @@ def _beyond_limits(y, dy, v, limits):
 def _derivative(y, u, ambient, push, i, limits, v, p, rate_loop, r, f, dy):
     """dy/dt of the integrated vector y (13,) under command u (4,); r (3, 3) and f (5,) are scratch.
 
-    push (n, 6), or None: of it row i is further acceleration [m/s2] and torque [N m] in the world's axes.
+    push (n, 6), or `STILL`: of it row i is further acceleration [m/s2] and torque [N m] in the world's axes.
     limits (3,), or None: of the rate loops' torques about the body's axes [N m].
     """
+    pushed = len(push) > 0
     sr, cr = math.sin(y[_PHI]), math.cos(y[_PHI])
     sp, cp = math.sin(y[_THETA]), math.cos(y[_THETA])
     sy, cy = math.sin(y[_PSI]), math.cos(y[_PSI])
@@ -420,7 +422,7 @@ def _derivative(y, u, ambient, push, i, limits, v, p, rate_loop, r, f, dy):
     for k in range(3):
         dy[k] = y[VX + k]
         dy[VX + k] = (r[k, 0] * f[0] + r[k, 1] * f[1] + r[k, 2] * f[2]) / mass
-        if push is not None:
+        if pushed:
             dy[VX + k] += push[i, k]
     dy[VZ] -= v.environment.gravity
     dy[_OMEGA] = lag_derivative(y[_OMEGA], u[PWM], v, p)
@@ -438,7 +440,7 @@ def _derivative(y, u, ambient, push, i, limits, v, p, rate_loop, r, f, dy):
         if limits is not None:
             beyond_x, beyond_y, beyond_z = _beyond_limits(y, dy, v, limits)
             tx, ty, tz = tx + beyond_x, ty + beyond_y, tz + beyond_z
-        if push is not None:
+        if pushed:
             tx += r[0, 0] * push[i, 3] + r[1, 0] * push[i, 4] + r[2, 0] * push[i, 5]
             ty += r[0, 1] * push[i, 3] + r[1, 1] * push[i, 4] + r[2, 1] * push[i, 5]
             tz += r[0, 2] * push[i, 3] + r[1, 2] * push[i, 4] + r[2, 2] * push[i, 5]
@@ -468,7 +470,8 @@ def scratch():
 @numba.njit(cache=True, inline="always")
 def take(s, y):
     """A state s (13,) with the columns of `attitude.py` as the integrated vector y (13,)."""
-    y[:9] = s[:9]
+    for j in range(9):
+        y[j] = s[j]
     y[_OMEGA] = s[LAG]
     y[_RATES], y[_RATES + 1], y[_RATES + 2] = euler_rates(s[ROLL], s[PITCH], s[WX], s[WY], s[WZ])
 
@@ -476,7 +479,8 @@ def take(s, y):
 @numba.njit(cache=True, inline="always")
 def give(y, s):
     """The inverse of `take`."""
-    s[:9] = y[:9]
+    for j in range(9):
+        s[j] = y[j]
     s[LAG] = y[_OMEGA]
     s[WX], s[WY], s[WZ] = body_rates(y[_PHI], y[_THETA], y[_RATES], y[_RATES + 1], y[_RATES + 2])
 
@@ -509,13 +513,13 @@ def rk4(y, u, around, push, i, limits, v, p, rate_loop, dt, work):
 
 
 @numba.njit(cache=True)
-def advance(state, commands, ambient, vehicle, p, rate_loop, dt, substeps, push=None):
+def advance(state, commands, ambient, vehicle, p, rate_loop, dt, substeps, push):
     """Advance every vehicle, and its time, in place by substeps * dt with RK4.
 
-    state (n, 13) with the columns of `attitude.py`, commands (n, 4) held constant, ambient (n, 4) with
-    the columns time, voltage, inclination, present, vehicle from `pack`, (1,) for all or (n,) with a record
+    state (n, 13) with the columns of `attitude.py`, commands (n, 4) held constant, ambient
+    (n, AMBIENT_SIZE), vehicle from `pack`, (1,) for all or (n,) with a record
     for each, p (n, 7) perturbations, rate_loop: which attitude model, push (n, 6) further accelerations
-    [m/s2] and torques [N m] in the world's axes.
+    [m/s2] and torques [N m] in the world's axes, or `STILL`.
     With the kinematic model the body rates in the state are those of the first-order loops at the end of
     the step, and torques have no effect.
     """
@@ -541,7 +545,7 @@ def derivative(state: np.ndarray, command: np.ndarray, vehicle: Vehicle, rate_lo
     y[:9], y[_OMEGA] = state[:9], state[LAG]
     y[_RATES:] = euler_rates(state[ROLL], state[PITCH], state[WX], state[WY], state[WZ])
     v, p, command = pack(vehicle)[0], np.array(NEUTRAL), np.asarray(command, float)
-    still = free_air(1)[0], None, 0, None
+    still = free_air(1)[0], STILL, 0, None
     _derivative(y, command, *still, v, p, rate_loop, np.empty((3, 3)), np.zeros(5), dy)
     result = {
         "acceleration": dy[VX : VZ + 1].copy(),

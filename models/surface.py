@@ -167,12 +167,21 @@ def relative(state: np.ndarray, deck: np.ndarray) -> tuple[np.ndarray, np.ndarra
 @numba.njit(cache=True)
 def _relative(state, deck, position, velocity, rate):
     for i in range(len(state)):
-        s, d = state[i], deck[i]
-        turn = d[WX : WZ + 1]
-        position[i] = s[: Z + 1] - d[: Z + 1]
-        velocity[i] = s[VX : VX + 3] - d[VX : VX + 3]
-        rate[i] = s[WX : WZ + 1]
-        if turn[0] != 0.0 or turn[1] != 0.0 or turn[2] != 0.0:
-            turning = rotation(d[ROLL], d[PITCH], d[YAW]) @ turn  # world
-            velocity[i] -= np.cross(turning, position[i])
-            rate[i] -= rotation(s[ROLL], s[PITCH], s[YAW]).T @ turning
+        s, d, x, v, w = state[i], deck[i], position[i], velocity[i], rate[i]
+        for k in range(3):
+            x[k], v[k], w[k] = s[k] - d[k], s[VX + k] - d[VX + k], s[WX + k]
+        a, b, c = d[WX], d[WX + 1], d[WX + 2]
+        if a != 0.0 or b != 0.0 or c != 0.0:
+            r = rotation(d[ROLL], d[PITCH], d[YAW])
+            # The deck's rates along the world's axes.
+            a, b, c = (
+                r[0, 0] * a + r[0, 1] * b + r[0, 2] * c,
+                r[1, 0] * a + r[1, 1] * b + r[1, 2] * c,
+                r[2, 0] * a + r[2, 1] * b + r[2, 2] * c,
+            )
+            v[0] -= b * x[2] - c * x[1]
+            v[1] -= c * x[0] - a * x[2]
+            v[2] -= a * x[1] - b * x[0]
+            r = rotation(s[ROLL], s[PITCH], s[YAW])
+            for k in range(3):
+                w[k] -= r[0, k] * a + r[1, k] * b + r[2, k] * c

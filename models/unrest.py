@@ -104,8 +104,8 @@ class Unrest:
 def _push(now, state, inertia, torque, out):
     each = len(inertia) > 1
     for i in range(len(now)):
-        out[i, :3] = now[i, :3]
-        out[i, 3:] = 0.0
+        for k in range(3):
+            out[i, k], out[i, 3 + k] = now[i, k], 0.0
         if torque:
             r, own = rotation(state[i, ROLL], state[i, PITCH], state[i, YAW]), inertia[i if each else 0]
             for k in range(3):

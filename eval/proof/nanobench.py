@@ -199,7 +199,7 @@ def by_commands(flown: Flown, vehicle: Vehicle) -> Motion:
     for k in range(steps):
         around[:, 1:] = ambient[:, k, 1:]
         now = np.ascontiguousarray(commands[:, k])
-        equations.advance(state, now, around, packed, neutral(n), True, starts.dt, 1)
+        equations.advance(state, now, around, packed, neutral(n), True, starts.dt, 1, equations.STILL)
         found[:, k] = state[:, :LAG]
     attitude = found[..., ROLL : ROLL + 3].reshape(-1, 3).copy()
     if any(tilt):

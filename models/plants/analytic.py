@@ -74,7 +74,9 @@ class AnalyticPlant(Plant):
         """Advance every vehicle by one control period under commands (n, 4), whichever are wanted."""
         commands = np.ascontiguousarray(commands, dtype=float)
         dt = self.control_period / self.substeps
-        push = None if self.unrest is None else self.unrest.push(self.state, self.attitude == "rate_loop")
+        push = equations.STILL
+        if self.unrest is not None:
+            push = self.unrest.push(self.state, self.attitude == "rate_loop")
         self.delays.push_commands(commands)
         if self.delays.of_commands:
             for k in range(self.substeps):
@@ -89,7 +91,7 @@ class AnalyticPlant(Plant):
         np.less(self._distance, self.keep_out, out=self.contacts.near)
         np.less(self._distance, 0.0, out=self.contacts.touch)
 
-    def _advance(self, commands: np.ndarray, dt: float, substeps: int, push: np.ndarray | None) -> None:
+    def _advance(self, commands: np.ndarray, dt: float, substeps: int, push: np.ndarray) -> None:
         rate_loop = self.attitude == "rate_loop"
         vehicles = self.state, commands, self._ambient, self._constants, self.perturbation
         equations.advance(*vehicles, rate_loop, dt, substeps, push)

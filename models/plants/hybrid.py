@@ -40,6 +40,8 @@ _MARGIN = 1e-3  # m
 _LARGEST_ANGLE = 1.2  # rad, of roll and pitch: cos(roll) is far from 0
 # In a time step; RK4 is then within _TURN^5/120 = 1e-7 rad of the true attitude.
 _TURN = 0.1  # rad
+# Decks that stand, and an engine without delays: the same types as those of others, so one compiled kernel.
+_STANDING, _NO_HISTORY = np.empty(0), np.empty((0, 0))
 _FIRST_RATE = 10  # entry of the integrated vector of `equations.take`
 
 
@@ -67,12 +69,14 @@ class HybridPlant(MujocoPlant):
             self.in_engine[own] = True
             return super().advance(commands, ids, record)
         push = self._give(np.asarray(commands, float), own)
-        acting = self._ctrl[None]
+        acting, step = self._acting[:1], self.control_period / self.substeps
         if self.delays.of_commands:
-            acting, step = self._acting, self.control_period / self.substeps
+            acting = self._acting
             for k in range(self.substeps):
                 acting[k] = self.delays.acting(k * step, step)
-        fastest = self.decks.fastest(own) if self.decks else None
+        else:
+            acting[0] = self._ctrl
+        fastest = self.decks.fastest(own) if self.decks else _STANDING
         c, model = self.contacts, self.model
         near = self._near[: _fly(
             own, acting, model.actuator_ctrlrange, push, self._limited, self.torque_needs_motors,
@@ -80,7 +84,8 @@ class HybridPlant(MujocoPlant):
             self.deck, fastest, self.present, self._mocap_pos, *self._boxes,
             self.fleet.reach, self.size, self.foot_height, self._contact, self.keep_out,
             self.state, self._qpos, self._qvel, self._act, self._ctrl, self._time, self._warmstart,
-            self._history, model.actuator_history[:, 0], model.actuator_historyadr,
+            _NO_HISTORY if self._history is None else self._history,
+            model.actuator_history[:, 0], model.actuator_historyadr,
             c.near, c.touch, c.force, self.in_engine, self._near,
         )]  # fmt: skip
         if len(near):
@@ -106,7 +111,7 @@ def _fly(
     others are what it would have made of them, without a warm start of its solver, which had no contact.
     """
     each, held, work = len(vehicle) > 1, len(acting) == 1, equations.scratch()
-    moving = fastest is not None
+    moving, remembered = len(fastest) > 0, len(history) > 0
     y, u, around = np.zeros(13), np.empty(4), np.empty(equations.AMBIENT_SIZE)
     own_limits, poses = np.empty(3), np.empty((len(bodies), 3))
     count = 0
@@ -114,16 +119,18 @@ def _fly(
         i = ids[row]
         d = deck[i]
         v = vehicle[i if each else 0]
-        own_limits[:2], own_limits[2] = v.attitude.torque_limit, v.attitude.yaw_torque_limit
-        if not limited:
-            own_limits[:] = math.inf
-        elif needs_motors and not ctrl[i, PWM] > 0.0:
-            own_limits[:] = 0.0
+        for k in range(3):
+            own_limits[k] = v.attitude.yaw_torque_limit if k == 2 else v.attitude.torque_limit
+            if not limited:
+                own_limits[k] = math.inf
+            elif needs_motors and not ctrl[i, PWM] > 0.0:
+                own_limits[k] = 0.0
         for b in range(len(bodies)):
-            poses[b] = mocap[i, bodies[b]]
+            for k in range(3):
+                poses[b, k] = mocap[i, bodies[b], k]
         comes = 0.0  # what the slab can have come nearer in a time step
-        if fastest is not None:
-            poses[0] = d[: Z + 1]
+        if moving:
+            poses[0, X], poses[0, Y], poses[0, Z] = d[X], d[Y], d[Z]
             if not present[i]:
                 poses[0, Z] = geometry.PARKED
             comes = dt * fastest[row]
@@ -165,7 +172,7 @@ def _fly(
             qvel[i, k], qvel[i, 3 + k] = s[VX + k], s[9 + k]
         act[i, 0] = s[12]
         for _ in range(substeps):
-            if history is not None:
+            if remembered:
                 _note(history[i], samples, addresses, ctrl[i], time[i])
             time[i] += dt
         warmstart[i] = 0.0

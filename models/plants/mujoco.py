@@ -21,7 +21,6 @@ from inclined_landing.models.attitude import (
     ROLL,
     VX,
     WX,
-    WZ,
     YAW,
     body_rates,
     euler_angles,
@@ -292,10 +291,10 @@ class MujocoPlant(Plant):
         self.delays.push_state(self.state, own)
         return seen
 
-    def _give(self, commands: np.ndarray, own) -> np.ndarray | None:
+    def _give(self, commands: np.ndarray, own) -> np.ndarray:
         """What holds for the control period that begins for the vehicles `own`: commands (n, 4), unrest.
 
-        Returns the unrest's push (n, 6), see `Unrest.push`, or None in still air.
+        Returns the unrest's push (n, 6), see `Unrest.push`, or `equations.STILL`.
         """
         self._ctrl[:] = commands
         if self._history is not None and self._held is not None and self.delays.fresh.any():
@@ -304,7 +303,7 @@ class MujocoPlant(Plant):
             self._history[fresh] = empty + commands[fresh] @ held
         self.delays.push_commands(commands, own)
         self.allow_torque(commands)
-        return self._disturb(self.unrest, own) if self.unrest else None
+        return self._disturb(self.unrest, own) if self.unrest else equations.STILL
 
     def _synchronise(self, own) -> None:
         """Give the vehicles `own` that touch nothing the body rates of the first-order loops."""
@@ -405,10 +404,9 @@ def _held_histories(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
 def _write_state(ids, state, qpos, qvel, act):
     for k in range(len(ids)):
         i, s = ids[k], state[k]
-        qpos[i, :3] = s[:3]
+        for j in range(3):
+            qpos[i, j], qvel[i, j], qvel[i, 3 + j] = s[j], s[VX + j], s[WX + j]
         qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6] = quaternion(s[ROLL], s[PITCH], s[YAW])
-        qvel[i, :3] = s[VX : VX + 3]
-        qvel[i, 3:6] = s[WX : WX + 3]
         act[i, 0] = s[LAG]
 
 
@@ -416,10 +414,9 @@ def _write_state(ids, state, qpos, qvel, act):
 def _read_state(ids, qpos, qvel, act, state):
     for i in ids:
         q, s = qpos[i], state[i]
-        s[:3] = q[:3]
-        s[VX : VX + 3] = qvel[i, :3]
+        for j in range(3):
+            s[j], s[VX + j], s[WX + j] = q[j], qvel[i, j], qvel[i, 3 + j]
         s[ROLL], s[PITCH], s[YAW] = euler_angles(q[3], q[4], q[5], q[6])
-        s[WX : WZ + 1] = qvel[i, 3:6]
         s[LAG] = act[i, 0]
 
 
@@ -478,12 +475,13 @@ def _read_contacts(sensors, ids, addresses, zone, near, touch, force):
             for surface in range(3):
                 for part in range(3):
                     found = False
-                    net[:] = 0.0
+                    net[0] = net[1] = net[2] = 0.0
                     for geom in range(len(geometry.GEOM_SURFACE)):
                         k = addresses[geom, part]
                         if geometry.GEOM_SURFACE[geom] == surface and row[k] > 0.0:
                             found = True
-                            net += row[k + 1 : k + 4]
+                            for j in range(3):
+                                net[j] += row[k + 1 + j]
                     if found:
                         near[own, surface, part] = True
                         size = np.sqrt(net[0] ** 2 + net[1] ** 2 + net[2] ** 2)

@@ -63,7 +63,7 @@ def _fly(vehicle, rng, seconds, name, voltage, distort):
             received[0] = sent[max(0, len(sent) - 1 - late[0])][0]
             if voltage is not None:
                 around[0, 1] = voltage(t)
-            equations.advance(state, received[None], around, c, p, True, h, 1)
+            equations.advance(state, received[None], around, c, p, True, h, 1, equations.STILL)
     pose += NOISE * rng.standard_normal(pose.shape)
     t = np.arange(m) * STEP
     volts = None if voltage is None else np.array([voltage(x) for x in t])

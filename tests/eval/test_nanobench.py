@@ -43,7 +43,7 @@ def flight(tmp_path):
     for k in range(m):
         states[k] = state[0]
         arguments = (equations.free_air(1), equations.pack(vehicle), neutral(1), True, dt / 2, 2)
-        equations.advance(state, commands[k : k + 1], *arguments)
+        equations.advance(state, commands[k : k + 1], *arguments, equations.STILL)
     angles = states[:, [YAW, ROLL, PITCH]]
     quaternion = Rotation.from_euler("ZXY", angles).as_quat()
     asked = Rotation.from_euler("XY", commands[:, 1:3]).as_euler("ZYX")

@@ -30,7 +30,8 @@ def fly(state, commands, duration, steps, rate_loop=False, vehicle=V) -> np.ndar
     state = np.array(state)
     commands = np.broadcast_to(np.asarray(commands, float), (len(state), 4)).copy()
     around, p = equations.free_air(len(state)), neutral(len(state))
-    equations.advance(state, commands, around, equations.pack(vehicle), p, rate_loop, duration / steps, steps)
+    how = p, rate_loop, duration / steps, steps, equations.STILL
+    equations.advance(state, commands, around, equations.pack(vehicle), *how)
     return state
 
 
@@ -256,7 +257,7 @@ def test_vehicles_do_not_influence_each_other():
         (others, np.concatenate([equations.pack(v) for v in others])),
     ):
         together, around = states.copy(), equations.free_air(7)
-        equations.advance(together, commands, around, packed, neutral(7), True, 0.004, 5)
+        equations.advance(together, commands, around, packed, neutral(7), True, 0.004, 5, equations.STILL)
         for i, v in enumerate(vehicles):
             alone = fly(states[i : i + 1], commands[i], 0.02, 5, True, v)[0]
             np.testing.assert_array_equal(alone, together[i])

@@ -158,9 +158,8 @@ def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
     around[:, 0] -= 0.5 * starts.dt
     for k in range(starts.rows):
         around[:, 1:] = ambient[:, k, 1:]
-        equations.advance(
-            state, np.ascontiguousarray(commands[:, k]), around, c, p, True, starts.dt / substeps, substeps
-        )
+        command, dt = np.ascontiguousarray(commands[:, k]), starts.dt / substeps
+        equations.advance(state, command, around, c, p, True, dt, substeps, equations.STILL)
         pose[:, k + 1] = state[:, _POSE]
     return pose
 

@@ -41,7 +41,8 @@ def pilot(ref, position, velocity, yaw, integral, c, command):
         tilt = ref[REF_TILT]
         above = position[0] * math.sin(tilt) + (position[2] - ref[REF_SURFACE]) * math.cos(tilt)
         if above < ref[REF_CUT_HEIGHT] or command[0] == 0.0:
-            command[:] = 0.0
+            for k in range(4):
+                command[k] = 0.0
             return
     step = ref[REF_MODE] == STEP
     wanted_x = wanted_y = wanted_z = 0.0
@@ -112,7 +113,8 @@ def flight_controller(pwm, setpoint, roll, pitch, gyro, memory, dt, c, b, w, tar
     (3,); memory (MEMORY,), all zero before the first call.
     """
     if pwm <= 0.0:
-        target[:] = 0.0
+        for k in range(4):
+            target[k] = 0.0
         memory[AWAKE] = 0.0
         return
     fast, slow = math.exp(-dt / c.setpoint_filter), math.exp(-dt / c.yaw_filter)

@@ -122,7 +122,7 @@ def derivative(s, target, air, anchor, time, c, b, w, r, contact, ds):
     if w.contact != 0.0:
         tx, ty, tz = feet(s, tx, ty, tz, anchor, mass, c, w, r, contact, ds)
     # Rotation.
-    jx, jy, jz = c.inertia
+    jx, jy, jz = c.inertia[0], c.inertia[1], c.inertia[2]
     p, q, o = s[RATES], s[RATES + 1], s[RATES + 2]
     ds[RATES] = (tx - (jz - jy) * q * o) / jx + air[5]
     ds[RATES + 1] = (ty - (jx - jz) * o * p) / jy + air[6]
@@ -308,21 +308,18 @@ def move_anchors(s, r, anchor, contact, c, w):
 def advance(s, target, air, anchor, time, dt, c, b, w, work, r, contact):
     """Advance state s (23,) in place by dt [s] with classical RK4; work (4, 23) is scratch."""
     k, z, total = work[0], work[1], work[2]
-    derivative(s, target, air, anchor, time, c, b, w, r, contact, k)
     for j in range(SIZE):
-        total[j] = k[j]
-        z[j] = s[j] + 0.5 * dt * k[j]
-    derivative(z, target, air, anchor, time + 0.5 * dt, c, b, w, r, contact, k)
+        z[j], total[j] = s[j], 0.0
+    for stage in range(4):
+        later = 0.0 if stage == 0 else dt if stage == 3 else 0.5 * dt
+        derivative(z, target, air, anchor, time + later, c, b, w, r, contact, k)
+        weight = 2.0 if 0 < stage < 3 else 1.0
+        ahead = dt if stage == 2 else 0.5 * dt
+        for j in range(SIZE):
+            total[j] += weight * k[j]
+            z[j] = s[j] + ahead * k[j]
     for j in range(SIZE):
-        total[j] += 2.0 * k[j]
-        z[j] = s[j] + 0.5 * dt * k[j]
-    derivative(z, target, air, anchor, time + 0.5 * dt, c, b, w, r, contact, k)
-    for j in range(SIZE):
-        total[j] += 2.0 * k[j]
-        z[j] = s[j] + dt * k[j]
-    derivative(z, target, air, anchor, time + dt, c, b, w, r, contact, k)
-    for j in range(SIZE):
-        s[j] += dt / 6.0 * (total[j] + k[j])
+        s[j] += dt / 6.0 * total[j]
     norm = 0.0
     for j in range(QUATERNION, QUATERNION + 4):
         norm += s[j] * s[j]

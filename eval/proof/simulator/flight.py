@@ -8,7 +8,17 @@ import numba
 import numpy as np
 
 from . import control, dynamics
-from .vehicle import CONTROL_RATE, PHYSICS_RATE, PILOT_RATE, TRACK_RATE, Build, Constants, World, constants
+from .vehicle import (
+    CONTROL_RATE,
+    PHYSICS_RATE,
+    PILOT_RATE,
+    TRACK_RATE,
+    Build,
+    Constants,
+    World,
+    constants,
+    record,
+)
 
 WARM_UP = 4.0  # s flown before the log begins: filters and pilot settle
 _LEVEL_TIME = 60.0  # s, in which an accelerometer's level wanders
@@ -73,7 +83,8 @@ def _fly(s, reference, air, gyro_noise, mocap_noise, level, heard, warm_up, subs
     work, r, contact = np.zeros((4, dynamics.SIZE)), np.zeros((3, 3)), np.zeros(4)
     anchor = np.full((4, 3), np.nan)
     target, memory = s[dynamics.ROTORS : dynamics.ROTORS + 4].copy(), np.zeros(control.MEMORY)
-    asked[0] = target
+    for j in range(4):
+        asked[0, j] = target[j]
     command, setpoint, gyro, force = np.zeros(4), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, c.gravity])
     position, velocity, integral = s[:3].copy(), np.zeros(3), np.zeros(3)
     measured = np.zeros(6)
@@ -131,7 +142,8 @@ def _fly(s, reference, air, gyro_noise, mocap_noise, level, heard, warm_up, subs
             _capture(poses[max(0, k - log_delay)], mocap_noise[k], roll, pitch, b, w, measured)
             _write(measured, command, volts, contact, log[i])
             _write_truth(s, poses[k], c, truth[i])
-        force[:] = s[dynamics.VELOCITY : dynamics.VELOCITY + 3]
+        for j in range(3):
+            force[j] = s[dynamics.VELOCITY + j]
         for j in range(substeps):
             dynamics.advance(s, target, air[k], anchor, time + j * h, h, c, b, w, work, r, contact)
         _specific_force(s, r, dt, c, force)
@@ -219,8 +231,11 @@ def _received(command, w, setpoint):
 @numba.njit(cache=True)
 def _write(measured, command, volts, contact, row):
     """A row (12,) of the log."""
-    row[:6], row[6:10], row[10] = measured, command, volts
+    for j in range(6):
+        row[j] = measured[j]
+    row[10] = volts
     for j in range(4):
+        row[6 + j] = command[j]
         if contact[j] > 0.0:
             row[11] = 1.0
 
@@ -228,7 +243,9 @@ def _write(measured, command, volts, contact, row):
 @numba.njit(cache=True)
 def _write_truth(s, pose, c, row):
     """A row (16,) of `Recording.truth`."""
-    row[:6], row[6:9], row[9:12] = s[:6], pose[3:6], s[dynamics.RATES : dynamics.RATES + 3]
+    for j in range(3):
+        row[j], row[3 + j], row[6 + j] = s[j], s[3 + j], pose[3 + j]
+        row[9 + j] = s[dynamics.RATES + j]
     for j in range(4):
         row[12 + j] = c.thrust_per_speed * s[dynamics.ROTORS + j] ** 2
 
@@ -281,7 +298,7 @@ def fly(
     s = initial_state(rows[0, :3], rows[0, control.REF_YAW], c, world)
     substeps = physics_rate // CONTROL_RATE
     air, heard = _air(rng, ticks, b, world), _heard(rng, ticks, world.command_jitter)
-    _fly(s, rows, air, gyro, mocap, level, heard, warm_up, substeps, c, b, world, log, truth)
+    _fly(s, rows, air, gyro, mocap, level, heard, warm_up, substeps, *map(record, (c, b, world)), log, truth)
     log, truth = log[first:], truth[first:]
     t = np.arange(len(log)) * per_log / CONTROL_RATE
     if b.stamp_jitter > 0.0:
