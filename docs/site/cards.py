@@ -1,0 +1,423 @@
+"""The cards of the shipped policies, `envs/shipped/README.md`: what each was trained on, and how it does.
+
+    python docs/site/cards.py                # writes the page
+    python docs/site/cards.py --fly [NAME]   # flies all policies, or the one named, before (ten minutes)
+
+Nothing is copied by hand. What a policy was trained on is in its file. What it reaches was flown with the
+commands of `cards.toml` and lies in `cards.json`, with the hash of the file that flew. Results of three seeds
+are those of `train/recipes`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from generated import table  # beside this file
+
+from inclined_landing.envs.history import input_names
+from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
+from inclined_landing.eval.sweeps import measured
+from inclined_landing.eval.sweeps.recipe import Recipe, read_recipe
+from inclined_landing.models.effects import LIBRARY
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+PAGE = ROOT / "envs" / "shipped" / "README.md"
+DESCRIBED, FLOWN = HERE / "cards.toml", HERE / "cards.json"
+ENOUGH = 0.95  # share of flights below which a condition is listed as one that it fails in
+OF_THE_RUN = ("--seed", "--out", "--threads", "--video-every", "--evaluate-every", "--no-report")
+
+
+class Stale(Exception):
+    """A policy and what is recorded of it do not belong together."""
+
+
+def main() -> None:
+    """Write the page."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--fly", nargs="*", metavar="NAME", help="policies to fly first (default: all)")
+    names = parser.parse_args().fly
+    if names is not None:
+        described, flown = _described(), json.loads(FLOWN.read_text("utf-8")) if FLOWN.is_file() else {}
+        for name in names or SHIPPED:
+            flown[name] = {
+                "sha256": digest(name),
+                "judged": [fly(name, w) for w in described[name]["judged"]],
+            }
+            FLOWN.write_text(_recorded(flown), "utf-8")
+    PAGE.write_text(page(), "utf-8")
+
+
+# --- flights -------------------------------------------------------------------------------------
+
+
+def fly(name: str, words: str) -> dict:
+    """What a policy reaches: the rows of one command, with the versions that flew."""
+    command, *options = shlex.split(words)
+    print(f"landing-eval {command} {name} {' '.join(options)}", flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "out"
+        program = [sys.executable, "-m", "inclined_landing.eval", command, name, *options, "--out", str(out)]
+        subprocess.run(program, check=True, stdout=subprocess.DEVNULL)
+        report = json.loads((out / f"{command}.json").read_text("utf-8"))
+    versions = {key: report["versions"][key] for key in ("mujoco", "inclined-landing")}
+    return {"command": words, "versions": versions, "rows": list(ROWS[command](report))}
+
+
+def _row(what: str, found: dict, group: str = "", measure: str = "strict") -> dict:
+    """A share with its interval; of rows of one group only those below ENOUGH are shown."""
+    row = {"what": what, "measure": measure, "count": found["count"], "of": found["of"]}
+    return row | {"interval": _rounded(found["interval"])} | ({"group": group} if group else {})
+
+
+def _value(what: str, value: float, unit: str, interval=None) -> dict:
+    return {"what": what, "value": _rounded(value), "unit": unit, "interval": interval and _rounded(interval)}
+
+
+def _rounded(value):
+    """Six digits."""
+    return [_rounded(each) for each in value] if isinstance(value, list) else float(f"{value:.6g}")
+
+
+def _success(report: dict) -> Iterator[dict]:
+    for condition in report["conditions"]:
+        thrust = condition["thrust_scale"]
+        at = "" if thrust == 1 else f", thrust x {thrust:g}"
+        if report["table"] == "error":
+            mean = condition["error"]
+            yield _value(
+                f"mean error after 3 s{at}", 100 * mean["mean"], "cm", [100 * x for x in mean["interval"]]
+            )
+            yield _row(f"within 5 cm after 3 s{at}", condition["within"], measure="")
+        else:
+            starts = "grid" if "grid" in condition else "slopes"
+            name = {"grid": "frozen grid", "slopes": "frozen starts over all slopes"}[starts]
+            yield _row(name + at, condition[starts]["strict"])
+            if thrust == 1:
+                cut = condition["motors_cut"]["at_rest_on_feet"]
+                yield _row("at rest 2 s after the motors are cut in the goal box", cut, measure="")
+
+
+def _slopes(report: dict) -> Iterator[dict]:
+    (found,) = report["policies"]
+    steepest = np.degrees(found["task_options"]["steepest"])
+    every = f"slopes up to {steepest:.3g} deg" + (", facing any way" if "any_heading" in found else "")
+    yield _row(every, found["all"]["strict"])
+    if "any_heading" in found:
+        yield _row("the same with any heading", found["any_heading"]["strict"])
+    for single in found["single"]:
+        yield _row(f"{np.degrees(single['inclination']):.3g} deg alone, frozen grid", single["strict"])
+    for part in found["curve"]:
+        low, high = np.degrees([part["from"], part["to"]])
+        yield _row(f"from {low:.3g} to {high:.3g} deg", part["strict"], "ranges of slopes")
+
+
+def _vehicles(report: dict) -> Iterator[dict]:
+    (label,) = report["labels"]
+    drawn = report["draws"]
+    yield _row(f"{drawn['count']} vehicles drawn from the range", drawn["outcomes"][label]["strict"])
+    for vehicle in report["vehicles"]:
+        yield _row(f"`{vehicle['vehicle']}`, frozen grid", vehicle["outcomes"][label]["strict"])
+
+
+def _touchdown(report: dict) -> Iterator[dict]:
+    found = report["all"]["touchdown"]
+    yield _row("at rest, all frictions and restitutions", found["at_rest"], measure="")
+    yield _value("speed into the slope at the first touch, median", found["normal_speed"]["median"], "m/s")
+    for one in report["conditions"]:
+        title = f"friction {one['friction']:g}, restitution {one['restitution']:g}"
+        yield _row(title, one["touchdown"]["at_rest"], "frictions and restitutions", "at rest")
+
+
+def _moving(report: dict) -> Iterator[dict]:
+    (everything,) = report["all"]
+    yield _row("at rest, all flights of the benchmark", everything["at_rest"], measure="")
+    for scenario in report["scenarios"]:
+        (outcome,) = scenario["outcomes"]
+        yield _row(f"`{scenario['name']}`", outcome["at_rest"], "scenarios", "at rest")
+
+
+SIZES = {"weak": "at half a plausible size", "medium": "at a plausible size", "strong": "at twice that size"}
+
+
+def _robustness(report: dict) -> Iterator[dict]:
+    for condition in (*report["thrust"], *report["effects"]):
+        (outcome,) = condition["outcomes"]
+        if condition["size"]:
+            yield _row(condition["effect"], outcome["strict"], f"effects {SIZES[condition['size']]}")
+        else:
+            (scale,) = condition["parameters"].values()
+            yield _row(f"thrust x {scale['value']:g}", outcome["strict"], "thrusts")
+
+
+ROWS: dict[str, Callable[[dict], Iterator[dict]]] = {
+    "success": _success,
+    "slopes": _slopes,
+    "vehicles": _vehicles,
+    "touchdown": _touchdown,
+    "moving": _moving,
+    "robustness": _robustness,
+}
+
+
+def _recorded(flown: dict) -> str:
+    """JSON with every row on a line of its own."""
+    text = json.dumps(flown, indent=1, sort_keys=True, ensure_ascii=False)
+    for pattern in (r"\{[^{}]*\}", r"\[[^][{}]*\]"):
+        text = re.sub(pattern, lambda match: re.sub(r"\n *", " ", match[0]), text)
+    return text + "\n"
+
+
+# --- the page --------------------------------------------------------------------------------------
+
+
+INTRODUCTION = """\
+# Shipped policies
+
+<!-- Made by `python docs/site/cards.py`; what is written here by hand is lost. -->
+
+Stable-Baselines3 files with metadata (`inclined_landing.json` in the zip: task, options, command, seed,
+steps, versions). `load_policy("landing")` and every `landing-eval` command take them by name.
+
+All are the *final* policies of their runs, each of the first seed of its series: 0 or 2, 10 for `touchdown`
+(its recipe was last changed with 0, 1 and 2), or that of its recipe. *Strict* is reaching the goal box within
+300 steps without touching the platform before. Intervals are 95 % intervals, of shares Wilson's. A policy is
+said to fail in conditions in which it reaches less than {enough:.0f} %.
+"""
+
+END = """\
+## A further policy
+
+It is found by the name of its file, `TASK-NAME.zip` in `envs/shipped`. What it is for and how it is judged is
+an entry of `docs/site/cards.toml`; `python docs/site/cards.py --fly TASK-NAME` flies it and makes this page
+anew.
+
+`robust.toml` and `vehicles.toml` are ranges for `landing-train --randomise robust` and `--randomise
+vehicles`: see `envs/randomise.py`.
+"""
+
+
+def page() -> str:
+    """Markdown of all cards; raises Stale where a policy is not the one that was flown."""
+    described, flown = _described(), json.loads(FLOWN.read_text("utf-8"))
+    if not set(SHIPPED) == set(described) == set(flown):
+        raise Stale(
+            f"cards.toml, cards.json and envs/shipped do not have the same policies: {', '.join(SHIPPED)}"
+        )
+    for name in SHIPPED:
+        if (
+            flown[name]["sha256"] != digest(name)
+            or [done["command"] for done in flown[name]["judged"]] != described[name]["judged"]
+        ):
+            raise Stale(f"{name} is not what was flown: run `python docs/site/cards.py --fly {name}`")
+    rows = []
+    for name in SHIPPED:
+        first = flown[name]["judged"][0]["rows"][0]
+        rows.append([f"[`{name}`](#{name})", described[name]["about"], f"{_shown(first)} ({_what(first)})"])
+    overview = table(["policy", "for", "reaches"], rows)
+    cards = [card(name, described[name], flown[name]["judged"]) for name in SHIPPED]
+    return "\n".join([INTRODUCTION.format(enough=100 * ENOUGH), overview, *cards, END])
+
+
+def card(name: str, described: dict, judged: list[dict]) -> str:
+    """The section of one policy."""
+    policy = load_policy(name)
+    facts = {
+        "Task": _task(policy),
+        "Observes": _observes(policy),
+        "Commands": f"{', '.join(policy.task.action_names)}; PWM {_pwm(policy)}",
+        "Network": f"{'-'.join(str(n) for n in _layers(policy))}, {policy.activation}",
+        "Trained by": f"`{policy.metadata['command']}`",
+        "Training": _training(policy.metadata),
+        "Randomised": _randomised(policy.metadata),
+        "With": ", ".join(f"{k} {v}" for k, v in policy.metadata["versions"].items() if k in _VERSIONS),
+        "File": f"`{policy.path.name}`, {policy.path.stat().st_size // 1000} kB, SHA-256 `{digest(name)}`",
+        "Licence": LICENCE,
+    }
+    parts = [
+        f"## {name}\n",
+        described["about"] + "\n",
+        table(["", ""], [list(pair) for pair in facts.items()]),
+    ]
+    shown = [row for done in judged for row in done["rows"] if "group" not in row]
+    rows = [[_what(row), _shown(row), str(row.get("of", ""))] for row in shown]
+    parts.append(table(["reaches", "", "flights"], rows))
+    failed = [line for done in judged for line in _fails(done["rows"])]
+    parts.append("Where it fails:\n")
+    parts += [f"- {line}" for line in (*failed, *described.get("notes", ()))] or [
+        "- nowhere in what was flown"
+    ]
+    commands = "\n".join(_line(name, done["command"]) for done in judged)
+    versions = {", ".join(f"{k} {v}" for k, v in done["versions"].items()) for done in judged}
+    parts.append(f"\nFlown with {' and '.join(sorted(versions))}:\n\n```sh\n{commands}\n```\n")
+    found = recipe_of(policy.metadata)
+    return "\n".join([*parts, *([_recipe(*found)] if found else [])])
+
+
+_VERSIONS = ("mujoco", "stable-baselines3", "torch", "inclined-landing", "git revision")
+LICENCE = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["license"]
+
+
+def digest(name: str) -> str:
+    """SHA-256 of a policy's file."""
+    return hashlib.sha256((PAGE.parent / f"{name}.zip").read_bytes()).hexdigest()
+
+
+def _described() -> dict:
+    return tomllib.loads(DESCRIBED.read_text("utf-8"))
+
+
+def _line(name: str, words: str) -> str:
+    command, _, options = words.partition(" ")
+    out = " --out DIR" if command in ("slopes", "robustness") else ""
+    return f"landing-eval {command} {name} {options}".rstrip() + out
+
+
+# What a policy was trained on, from its own file.
+
+
+def _task(policy: Policy) -> str:
+    options = policy.metadata["task_options"]
+    words = [f"`{policy.metadata['task']}`" + (", in space" if options.get("dimensions") == 3 else "")]
+    if "steepest" in options:
+        any_way = ", facing any way" if options.get("dimensions") == 3 else " to both sides"
+        words.append(f"slopes up to {np.degrees(options['steepest']):.3g} deg{any_way}")
+    elif "inclination" in options:
+        words.append(f"a slope of {np.degrees(options['inclination']):.3g} deg")
+    if "angle_limit" in options:
+        words.append(f"attitudes up to {np.degrees(options['angle_limit']):.3g} deg")
+    if "fastest" in options:
+        words.append(f"decks that travel at up to {options['fastest']:g} m/s")
+    if options.get("swell"):
+        words.append(f"swell {options['swell']:g}")
+    return ", ".join(words)
+
+
+def _observes(policy: Policy) -> str:
+    names = [name for name in input_names(policy.task) if "[-" not in name]
+    past = policy.task.history
+    return ", ".join(names) + (f"; the same and the commands of the last {past} steps" if past else "")
+
+
+def _pwm(policy: Policy) -> str:
+    about = "each vehicle's hover" if policy.task.own_hover else f"{policy.task.pwm_centre:.0f}"
+    return f"{about} ± {policy.task.pwm_span:.0f}"
+
+
+def _layers(policy: Policy) -> list[int]:
+    return [len(policy.centre), *(bias.size for bias in policy.biases)]
+
+
+def _training(metadata: dict) -> str:
+    algorithm = metadata.get("algorithm", "PPO")  # early files do not say
+    plant = {"mujoco": "MuJoCo", "hybrid": "the hybrid plant", "analytic": "the equations"}[metadata["plant"]]
+    steps = f"{metadata['steps']:,}".replace(",", " ")
+    seed, curriculum = metadata["seed"], metadata["curriculum"]
+    return f"{algorithm}, {steps} steps in {plant}, seed {seed}, curriculum `{curriculum}`"
+
+
+def _randomised(metadata: dict) -> str:
+    ranges = metadata.get("ranges")
+    if not ranges:
+        return "nothing: every episode has the model's vehicle"
+    for file in sorted(PAGE.parent.glob("*.toml")):
+        if tomllib.loads(file.read_text("utf-8")) == ranges:
+            named = f"as [`{file.name}`]({file.name}) says, "
+            break
+    else:
+        named = ""
+    vehicles = ranges.get("vehicles", [])
+    rows = f"; between {' and '.join((vehicles[0], vehicles[-1]))}" if vehicles else ""
+    return f"{named}{len(ranges['effects'])} effects of the library of {len(LIBRARY)}{rows}"
+
+
+# What it reaches.
+
+
+def _what(row: dict) -> str:
+    return f"{row['measure']}, {row['what']}" if row.get("measure") else row["what"]
+
+
+def _shown(row: dict) -> str:
+    if "value" in row:
+        ends = f" [{', '.join(f'{x:.3g}' for x in row['interval'])}]" if row["interval"] else ""
+        return f"{row['value']:.3g}{ends} {row['unit']}"
+    low, high = row["interval"]
+    return f"{_percent(row['count'] / row['of'])} % [{_percent(low)}, {_percent(high)}]"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f}"
+
+
+def _fails(rows: list[dict]) -> Iterator[str]:
+    """One line for each group of conditions in which some are below ENOUGH."""
+    groups: dict[str, list[dict]] = {}
+    for row in rows:
+        if "count" in row:
+            groups.setdefault(row.get("group", ""), []).append(row)
+    for group, members in groups.items():
+        low = [row for row in members if row["count"] / row["of"] < ENOUGH]
+        low.sort(key=lambda row: row["count"] / row["of"])
+        if low and group:
+            said = "; ".join(f"{row['what']}: {_shown(row)}" for row in low)
+            yield f"{len(low)} of {len(members)} {group} ({low[0]['measure']}): {said}"
+        else:
+            yield from (f"{_what(row)}: {_shown(row)}" for row in low)
+
+
+# Three seeds of its recipe.
+
+
+def recipe_of(metadata: dict) -> tuple[Recipe, str] | None:
+    """The recipe, and its variant, whose training of its first seed made a policy."""
+    made = _words(shlex.split(metadata["command"])[1:])
+    for file in sorted((ROOT / "train" / "recipes").glob("*.toml")):
+        recipe = read_recipe(file)
+        for variant, more in recipe.variants.items():
+            if recipe.train and recipe.result and metadata["seed"] == recipe.seeds[0]:
+                if _words([*recipe.train, *more]) == made:
+                    return recipe, variant
+    return None
+
+
+def _words(words: list[str]) -> set[tuple[str, ...]]:
+    """Options with their values, in no order, without those of a run alone."""
+    groups: list[tuple[str, ...]] = []
+    for word in words:
+        if word.startswith("--") or not groups:
+            groups.append((word,))
+        else:
+            groups[-1] += (word,)
+    return {group for group in groups if group[0] not in OF_THE_RUN}
+
+
+def _recipe(recipe: Recipe, variant: str) -> str:
+    result = measured.read(recipe, recipe.result)
+    rows = []
+    for number in recipe.numbers.values():
+        found: Any = result.of(variant, number.name)
+        unit = "" if number.unit == "1" else f" {number.unit}"
+        each = ", ".join("never" if value is None else f"{value:.4g}" for value in found.values)
+        rows.append([number.title, f"{found.interval_words}{unit}", each])
+    seeds = ", ".join(map(str, recipe.seeds))
+    return (
+        f"The same training with the seeds {seeds} (`{result.command}`), all together and by seed:\n\n"
+        + table(["", "all", "by seed"], rows)
+    )
+
+
+if __name__ == "__main__":
+    main()

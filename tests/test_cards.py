@@ -1,0 +1,81 @@
+"""The cards of the shipped policies are what their generator makes, and what was flown are these files."""
+
+import json
+import shutil
+import subprocess
+
+import documents  # finds docs/site
+import pytest
+
+from inclined_landing.envs.policy import SHIPPED, load_policy
+
+import cards  # isort: skip
+
+
+def test_the_page_is_what_the_generator_makes():
+    assert cards.PAGE.read_text("utf-8") == cards.page(), "run `python docs/site/cards.py`"
+    assert cards.PAGE == documents.ROOT / "envs" / "shipped" / "README.md"
+
+
+def test_a_card_names_the_file_and_how_it_was_made():
+    text = cards.PAGE.read_text("utf-8")
+    for name in SHIPPED:
+        _, _, section = text.partition(f"\n## {name}\n")
+        section, _, _ = section.partition("\n## ")
+        policy = load_policy(name)
+        done = subprocess.run(["sha256sum", policy.path], capture_output=True, text=True, check=True)
+        assert done.stdout.split()[0] in section
+        assert policy.metadata["command"] in section and f"seed {policy.metadata['seed']}" in section
+
+
+def test_a_policy_that_did_not_fly_is_refused(tmp_path, monkeypatch):
+    folder = shutil.copytree(cards.PAGE.parent, tmp_path / "shipped")
+    (folder / "landing.zip").write_bytes(b"another")
+    monkeypatch.setattr(cards, "PAGE", folder / "README.md")
+    with pytest.raises(cards.Stale, match=r"landing is not what was flown: run .*--fly landing"):
+        cards.page()
+
+
+@pytest.mark.parametrize(
+    ("name", "recipe"),
+    [
+        ("landing-slopes", "slopes"),
+        ("landing-vehicles", "vehicles"),
+        ("touchdown-moving", "moving"),
+        ("landing", None),
+    ],
+)
+def test_the_recipe_is_the_one_that_made_it(name, recipe):
+    found = cards.recipe_of(load_policy(name).metadata)
+    assert (found[0].name if found else None) == recipe
+
+
+def test_conditions_that_it_fails_in_are_listed_worst_first():
+    def row(what, count, group="effects"):
+        return {
+            "what": what,
+            "measure": "strict",
+            "count": count,
+            "of": 100,
+            "interval": [0, 1],
+            "group": group,
+        }
+
+    rows = [row("wind", 95), row("mass", 94), row("lag", 10), row("friction", 99, "others")]
+    (line,) = cards._fails(rows)
+    assert line.startswith("2 of 3 effects (strict): lag: 10.0 %")
+    assert "mass: 94.0 %" in line and "wind" not in line
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["landing", "landing-slopes", "landing-vehicles", "setpoint"])
+def test_what_is_recorded_is_what_it_does(name):
+    """The first command of its card, flown again: equal on one machine, a flight or two apart on another."""
+    recorded = json.loads(cards.FLOWN.read_text("utf-8"))[name]["judged"][0]
+    flown = cards.fly(name, recorded["command"])
+    for before, now in zip(recorded["rows"], flown["rows"], strict=True):
+        assert before["what"] == now["what"]
+        if "count" in before:
+            assert before["of"] == now["of"] and abs(before["count"] - now["count"]) <= 2
+        else:
+            assert now["value"] == pytest.approx(before["value"], rel=0.05)
