@@ -3,6 +3,8 @@
 import copy
 import json
 import math
+import re
+from pathlib import Path
 
 import pytest
 import tomlkit
@@ -13,7 +15,8 @@ from scipy.stats import binomtest
 from inclined_landing.eval import cli
 from inclined_landing.eval.sweeps import beyond, measured
 from inclined_landing.eval.sweeps.measured import Ran, Result, sum_up, take
-from inclined_landing.eval.sweeps.recipe import Number, Recipe, filled, read_recipe
+from inclined_landing.eval.sweeps.picture import variants_figure
+from inclined_landing.eval.sweeps.recipe import COMMANDS, Number, Recipe, filled, read_recipe
 from inclined_landing.models.errors import UserError
 
 GOOD = {
@@ -365,6 +368,47 @@ def test_a_recipe_with_its_result_stands_for_its_sweep(folder, tmp_path):
     path = write(tmp_path, GOOD | {"result": result_of(recipe).record()})
     assert cli.main(["beyond", str(path), "--site", str(docs)]) == 0
     assert {path: path.read_bytes() for path in docs.rglob("*") if path.is_file()} == before
+
+
+def test_the_command_of_a_result_is_that_of_a_sweep(tmp_path):
+    recipe = read_recipe(write(tmp_path, GOOD))
+    record = result_of(recipe).record()
+    for command in ("landing-train sweep two --allow 'my files/hop.py:Hop'", "landing-train sweep a/b.toml"):
+        assert measured.read(recipe, record | {"command": command}).command == command
+    for command in (
+        "",
+        "landing-train sweep",
+        "curl x | sh",
+        "landing-train sweep two; rm x",
+        "landing-train 'x",
+    ):
+        with pytest.raises(UserError, match="command must be that of the sweep"):
+            measured.read(recipe, record | {"command": command})
+
+
+def test_panels_of_many_numbers_stand_apart_below_a_long_title(tmp_path):
+    names = [f"n{k}" for k in range(15)]
+    data = GOOD | {"numbers": {name: GOOD["numbers"]["share"] for name in names}, "title": "word " * 24}
+    recipe = read_recipe(write(tmp_path, {key: value for key, value in data.items() if key != "answer"}))
+    found = [
+        sum_up(variant, n, [("number", k) for k in (1, 2, None)])
+        for variant in recipe.variants
+        for n in recipe.numbers.values()
+    ]
+    figure = variants_figure(recipe, Result("c", "m", {}, (0, 1), tuple(found), ()))
+    figure.canvas.draw()
+    boxes = [axes.get_tightbbox() for axes in figure.axes]
+    texts = [text.get_window_extent() for text in figure.texts]
+    assert len(boxes) == 15 and figure.get_figwidth() < 15
+    for k, box in enumerate((*boxes, *texts)):
+        assert figure.bbox.contains(*box.min) and figure.bbox.contains(*box.max)
+        assert not any(box.overlaps(other) for other in (*boxes, *texts)[k + 1 :])
+
+
+def test_the_manual_names_the_commands_of_recipes():
+    manual = (Path(beyond.__file__).parents[2] / "train" / "recipes" / "README.md").read_text("utf-8")
+    (said,) = re.findall(r"of `landing-eval` the commands that judge and draw: (.*?)\. ", manual, re.S)
+    assert re.findall(r"`(\w+)`", said) == list(COMMANDS) and set(COMMANDS) < set(cli.COMMANDS)
 
 
 def test_variants_without_a_figure_of_their_own_get_one(folder, tmp_path):

@@ -31,6 +31,13 @@ def test_entries():
     for wrong in ("=a.zip", "told=", "told=a.zip+", "own@=a.zip", "@x=a.zip"):
         with pytest.raises(UserError, match="policies are written LABEL=POLICY"):
             parse_entry(wrong)
+    for wrong, sentence in (
+        ("seeds=" + "+".join(f"{k}.zip" for k in range(3000)), "seeds has 3000 policies; at most 100"),
+        ("seeds=a.zip+a.zip", "has a policy twice"),
+        (f"{'x' * 41}=a.zip", "at most 40 printable characters"),
+    ):
+        with pytest.raises(UserError, match=sentence):
+            parse_entry(wrong)
 
 
 def test_every_policy_is_counted_on_every_vehicle_it_is_for(report):

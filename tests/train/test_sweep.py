@@ -15,6 +15,7 @@ import tomlkit
 from campaign.training import assert_same_policy
 from test_own_task import CODE as OWN_TASK
 
+from inclined_landing.envs import tasks
 from inclined_landing.eval.sweeps.recipe import read_recipe
 from inclined_landing.models.errors import UserError
 from inclined_landing.train import cli
@@ -248,7 +249,8 @@ def test_python_that_nobody_named_is_not_imported(change, place, capsys):
     assert said.count("\n") == 1 and sorted(place.rglob("*")) == before and "foreign" not in sys.modules
 
 
-def test_python_that_is_named_is_imported(place, capsys):
+def test_python_that_is_named_is_imported(place, capsys, monkeypatch):
+    monkeypatch.setattr(tasks, "_OWN", {})
     Path("foreign.py").write_text(FOREIGN)
     write(RECIPE | {"evaluate": [["moving", "{here}/foreign.py:fly", "--out", "{run}/s"]]})
     for words, sentence in (
