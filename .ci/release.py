@@ -180,7 +180,10 @@ def flies(name: str) -> str:
         f"install {installed - began:.0f} s, demo {flown - installed:.0f} s, together {flown - began:.0f} s"
     )
     if flown - began > LONGEST:
-        raise Failed(f"It flies, but too late: {took}, more than {LONGEST} s.")
+        load, cores = os.getloadavg()[0], os.cpu_count()
+        raise Failed(
+            f"It flies, but too late: {took}, more than {LONGEST} s, at a load of {load:.1f} on {cores} cores."
+        )
     return f"plugins found, no compiler; {took}"
 
 

@@ -7,6 +7,7 @@ that shows the file.
 
 from __future__ import annotations
 
+import json
 import posixpath
 import re
 from collections.abc import Iterator
@@ -118,8 +119,19 @@ def _shown(path: str, config) -> File:
     if suffix in PICTURES:
         return File.generated(config, path, abs_src_path=str(ROOT / path))
     code = (ROOT / path).read_text("utf-8")
+    if suffix == ".ipynb":
+        return File.generated(config, f"source/{path}.md", content=_notebook(code))
     longest = max(map(len, re.findall("`+", code)), default=0)
     fence = "`" * max(3, longest + 1)
     opening = fence + LANGUAGES.get(suffix, "text")
     text = f"# {PurePosixPath(path).name}\n\n`{path}`\n\n{opening}\n{code}\n{fence}\n"
     return File.generated(config, f"source/{path}.md", content=text)
+
+
+def _notebook(text: str) -> str:
+    """Markdown of a notebook: its text, and its code in blocks."""
+    parts = []
+    for cell in json.loads(text)["cells"]:
+        source = "".join(cell["source"])
+        parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+    return "\n\n".join(parts)
