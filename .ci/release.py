@@ -180,10 +180,8 @@ def flies(name: str) -> str:
         f"install {installed - began:.0f} s, demo {flown - installed:.0f} s, together {flown - began:.0f} s"
     )
     if flown - began > LONGEST:
-        load, cores = os.getloadavg()[0], os.cpu_count()
-        raise Failed(
-            f"It flies, but too late: {took}, more than {LONGEST} s, at a load of {load:.1f} on {cores} cores."
-        )
+        busy = f"at a load of {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+        raise Failed(f"It flies, but too late: {took}, more than {LONGEST} s, {busy}.")
     return f"plugins found, no compiler; {took}"
 
 
