@@ -41,13 +41,13 @@ demo: $(INSTALLED)
 	$(BIN)/landing-eval video runs/demo/final.zip --out runs/demo/landing.mp4 --gif \
 	  --camera hero --start 1.5,1.8 --start 0,2 --start=-1.5,1.6
 
-test: .venv/.installed-test
+test: .venv/.compiled
 	$(BIN)/ruff check
 	$(BIN)/lint-imports --no-logo
 	$(TYPES)
 	$(PYTEST)
 
-test-all: .venv/.installed-test-all
+test-all: .venv/.installed-test-all .venv/.compiled
 	$(PYTEST) -m 'slow or gl or browser or not slow'
 
 lint: .venv/.installed-test
@@ -87,6 +87,11 @@ release: wheel
 # A group of dependencies, on top of what is there.
 .venv/.installed-%: $(SOURCES) | .venv/.torch
 	$(PIP) -e '.[$*]'
+	@touch $@
+
+# Compiled functions that most tests call: once, before the workers of the tests start and each of them would do it.
+.venv/.compiled: tests/compile.py $(wildcard models/*.py models/plants/*.py) | .venv/.installed-test
+	$(BIN)/python tests/compile.py >/dev/null
 	@touch $@
 
 # PyTorch alone, first: training here uses the processor only, and the CPU build is a tenth of the default one.

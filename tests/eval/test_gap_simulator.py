@@ -21,6 +21,7 @@ from inclined_landing.eval.proof.simulator import (
     landing,
     ordinary,
 )
+from inclined_landing.eval.proof.simulator.vehicle import record
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import AnalyticPlant
 
@@ -44,8 +45,9 @@ def state(**parts):
 def advance(s, seconds, world=NEUTRAL, target=IDLE, rate=2000, build=Build(), anchor=None):  # noqa: B008
     work, r, contact = np.zeros((4, dynamics.SIZE)), np.zeros((3, 3)), np.zeros(4)
     anchor = np.full((4, 3), np.nan) if anchor is None else anchor
+    vehicle = [record(part) for part in (C, build, world)]
     for _ in range(round(seconds * rate)):
-        dynamics.advance(s, target, np.zeros(8), anchor, 0.0, 1 / rate, C, build, world, work, r, contact)
+        dynamics.advance(s, target, np.zeros(8), anchor, 0.0, 1 / rate, *vehicle, work, r, contact)
     return contact
 
 

@@ -97,10 +97,10 @@ def files(folder):
     return {name for name in found if not name.startswith("tensorboard/events")}
 
 
-@pytest.mark.parametrize("dies_at", [5, pytest.param("each", marks=pytest.mark.slow)])
-def test_killed_while_writing_a_file(processes, whole, tmp_path, dies_at):
-    """The first best.zip; with `slow` every file that is written."""
-    for k in range(40) if dies_at == "each" else [dies_at]:
+@pytest.mark.slow
+def test_killed_while_writing_a_file(processes, whole, tmp_path):
+    """Every file that is written."""
+    for k in range(40):
         folder = tmp_path / str(k)
         folder.mkdir()
         process = begin(processes, folder, arguments("landing"), dies_at=k)
