@@ -30,6 +30,7 @@ OWN = {
         ".txt",
         ".json",
         ".csv",
+        ".ipynb",
     ),
     *(".png", ".gif", ".svg", ".zip"),
 }
