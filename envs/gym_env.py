@@ -56,12 +56,13 @@ _METADATA: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps
 
 def _reset_option(options, name: str, known: tuple[str, ...]):
     """The entry `name` of what `reset` was given, or None; raises UserError for entries that are none."""
-    if not isinstance(options or {}, dict):
+    options = {} if options is None else options
+    if not isinstance(options, dict):
         raise UserError(f"the options of reset must be a dictionary, not {shown(repr(options), 40)}")
-    for key in options or {}:
+    for key in options:
         if key not in known:
             raise UserError(f"reset has no option {shown(repr(key), 40)}; it has {' and '.join(known)}")
-    return (options or {}).get(name)
+    return options.get(name)
 
 
 class TaskEnv(gym.Env):

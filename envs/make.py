@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import typing
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +80,9 @@ def _check_options(given: dict, kind: Any, what: str) -> None:
 
 def _fits(value, kind) -> bool:
     if typing.get_origin(kind) is typing.Literal:
-        return value in typing.get_args(kind)
+        return isinstance(value, str) and value in typing.get_args(kind)
+    if typing.get_origin(kind) is Sequence:
+        return isinstance(value, (list, tuple)) and all(_fits(one, typing.get_args(kind)[0]) for one in value)
     if typing.get_args(kind):
         return any(_fits(value, one) for one in typing.get_args(kind))
     if kind is float:
@@ -95,4 +98,8 @@ def _words(kind) -> str:
         bool: "True or False",
         type(None): "None",
     }
-    return " or ".join(names.get(one, repr(one)) for one in typing.get_args(kind) or (kind,))
+    if typing.get_origin(kind) is Sequence:
+        return f"a list of {' or '.join(one.__name__ for one in typing.get_args(kind))}"
+    if typing.get_origin(kind) is typing.Literal:
+        return " or ".join(map(repr, typing.get_args(kind)))
+    return " or ".join(names.get(one) or f"a {one.__name__}" for one in typing.get_args(kind) or (kind,))

@@ -49,7 +49,7 @@ import numpy as np
 
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.errors import UserError, choices, shown
 from inclined_landing.models.parameters import (
     Constant,
     Vehicle,
@@ -205,7 +205,7 @@ _UNKNOWN = {
 
 def _of_effect(name: str, lines: dict, what: str) -> dict[str, Range]:
     if name not in LIBRARY:
-        raise UserError(f"{what}: unknown effect {shown(name, 40)}; known are {', '.join(LIBRARY)}")
+        raise UserError(f"{what}: unknown effect {shown(name, 40)}; {choices(LIBRARY, name)}")
     known = {p.name: p for p in LIBRARY[name].parameters}
     ranges = {key: value for key, value in lines.items() if key != "probability"}
     for key in ranges:

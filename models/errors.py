@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 # Packages by the extra that installs them; all others come with `eval`.
 _EXTRAS = {
@@ -16,6 +17,7 @@ _EXTRAS = {
     "mocap": ("motioncapture",),
 }
 LONGEST = 2000  # characters of a sentence; beyond, its middle is left out
+LONGEST_LIST = 200  # characters of names that are known
 LONG_WORD = r"[^\s/]{151,}"  # shortened in sentences; names of files are rarely that long
 
 
@@ -47,6 +49,16 @@ def not_installed(error: ModuleNotFoundError, extra: str = "eval") -> str:
         return str(error)
     extra = next((name for name, packages in _EXTRAS.items() if package in packages), extra)
     return f"{package} is not installed; pip install 'inclined-landing[{extra}]'"
+
+
+def choices(names: Iterable[str], given: str) -> str:
+    """What may be named, as the end of a sentence: all, or of many those nearest to `given`."""
+    names = list(names)
+    every = f"known are {', '.join(names)}"
+    if len(every) <= LONGEST_LIST:
+        return every
+    near = difflib.get_close_matches(given, names, 3, 0.5) or names[:3]
+    return f"known are {len(names)}, such as {', '.join(near)}"
 
 
 def shown(name: object, longest: int = 80) -> str:

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from inclined_landing.models.effects import LIBRARY, Effect
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, choices, shown
 
 
 def command(
@@ -22,7 +22,7 @@ def command(
     """
     for name in names:
         if name not in LIBRARY:
-            raise UserError(f"unknown effect {name!r}; known are {', '.join(LIBRARY)}")
+            raise UserError(f"unknown effect {shown(name, 40)!r}; {choices(LIBRARY, name)}")
     console = Console()
     if not names:
         console.print(_overview())

@@ -141,6 +141,8 @@ def _resumed(wanted: Study, out: Path) -> tuple[Study, int]:
     storage.check_file(out / RESULTS)
     storage.check_folder(out / PARTS)
     record = storage.read_json(out / RECORD, "record")
+    if not isinstance(record, dict):
+        raise UserError(f"record {out / RECORD} is damaged: it holds no table")
     try:
         begun, chunk = Study.from_dict(record["study"]), record["chunk"]
         if type(chunk) is not int or not 0 < chunk <= MOST_LANDINGS:

@@ -101,7 +101,8 @@ def _opened(path: Path) -> Iterator[AnyReader]:
 
 
 def _words(error: Exception) -> str:
-    return shown(" ".join(str(error).split()) or type(error).__name__, 120)
+    said = " ".join(str(error).split()).partition(": ")[0]  # what follows may be words of Python
+    return shown(said or type(error).__name__, 120)
 
 
 def _stamp(message) -> float | None:

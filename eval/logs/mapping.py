@@ -78,14 +78,16 @@ def _load(path: Path, heirs: tuple[Path, ...]) -> ColumnMap:
     """The mapping file, or the shipped mapping of that name, which `heirs` inherit."""
     if str(path) in shipped():
         return shipped()[str(path)]
-    if path.resolve() in heirs:
-        raise UserError(f"{heirs[0]}: inherit leads back to {path}")
     if not os.path.lexists(path):
         whose = f"{heirs[-1]}: inherit: " if heirs else ""
-        raise UserError(f"{whose}no mapping {shown(path)}: neither a file nor one of {', '.join(shipped())}")
+        files = f"neither a file nor one of {', '.join(shipped())}"
+        raise UserError(f"{whose}no mapping {shown(path, 240)}: {files}")
+    real = Path(os.path.realpath(path))
+    if real in heirs:
+        raise UserError(f"{heirs[0]}: inherit leads back to {path}")
     if len(heirs) > DEEPEST:
         raise UserError(f"{heirs[0]}: inherit goes through more than {DEEPEST} files")
-    return _parse(str(path), storage.read_toml(path, "mapping"), (*heirs, path.resolve()))
+    return _parse(str(path), storage.read_toml(path, "mapping"), (*heirs, real))
 
 
 def detect(names: Sequence[str], where: str) -> ColumnMap:
