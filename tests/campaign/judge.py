@@ -2,48 +2,54 @@
 
 A case is an input (a file, a folder, an option) and something that takes it. Taking it ends in one of
 two ways: it works, and what was read then flies and stays finite; or it is refused in one sentence: one
-printable line of at most 300 characters that names the file, no traceback, exit code 2, nothing new on
-disk, nothing changed, within bounded time and memory.
+printable line of at most 300 characters that names the file and leaks no words of Python, no traceback,
+exit code 2, nothing new on disk, nothing changed, within bounded time and memory.
 
-To add a kind of input, write a module `test_<kind>.py` beside this one with
+To add a kind of input:
 
-1. a generator of `Case`s: loops over fields and `EVIL` values, or over seeded `mutations` of a good
-   file; never a list written by hand;
-2. one test over them, with the marks of `parametrised`: a fixed sample runs by default, the rest with
-   `-m slow`.
+- a TOML file: an entry of `READERS` in `test_toml.py`, a good file and what reads it. Nothing else.
+- a command or an option: its words in `NEEDED` of `commands.py`, where it cannot begin without any.
+- anything else: a module `test_<kind>.py` beside this one, with generators of `Case`s (loops over fields
+  and `EVIL` values, over `spoilt` tables or over `mutations` of a good file; never a list written by hand)
+  and one test over them:
 
-        def cases():
+        def evil_cells():
             for name, value in EVIL.items():
                 yield Case(
-                    f"study seed {name}",
-                    make=lambda folder: write(folder / "study.toml", f"seed = {toml(value)}"),
-                    take=lambda path: study.read(path),
-                    works=lambda study: fly(study),
+                    f"cell {name}",
+                    make=lambda folder, value=value: write(folder / "a.csv", f"x\n{value}\n"),
+                    take=read_log,
+                    works=fly,
                 )
 
-        @parametrised(cases(), sample=20)
-        def test_studies_are_flown_or_refused(case, tmp_path):
+        @parametrised(evil_cells, packed_tables, each=3)
+        def test_logs_are_used_or_refused(case, tmp_path):
             judge(case, tmp_path)
 
-`take` calls the reader itself where it can (fast); `command(main, [...])` and `process([...])` run a
-whole command and turn exit code 2 with its sentence into a UserError, everything else into an error.
-Import as `from campaign.judge import Case, judge`; `mutations` damages the bytes of a good file.
-Loop variables are bound by default arguments (`value=value`).
+By default `each` cases of every generator run, with `-m slow` the others. To choose them, all are named in
+every process: generators must be cheap, so whatever takes time is done in `make`, which writes the input, or
+in `take`. Loop variables are bound by default arguments (`value=value`) or `functools.partial`.
+
+`take` calls the reader itself where it can (fast); `command(main, [...])` runs a whole command and turns exit
+code 2 with its sentence into a UserError, everything else into an error.
 """
 
 from __future__ import annotations
 
 import contextlib
+import copy
 import dataclasses
 import datetime
+import functools
 import hashlib
 import io
+import itertools
+import json
 import math
 import os
 import random
+import re
 import resource
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -54,6 +60,9 @@ from inclined_landing.models.errors import UserError
 
 whole = True  # are slow cases wanted; `conftest.py` knows
 LONGEST_SENTENCE = 300  # characters, the path of the case not counted
+LEAKS = re.compile(
+    r"Traceback|invalid literal|could not convert|instantiated|<class|NoneType|object at 0x|\[Errno|: None$"
+)
 SECONDS = 20.0  # of processor time for taking a case, at most; first calls compile
 MEMORY = 3 * 2**30  # bytes of address space on top of what the test process has
 
@@ -91,6 +100,20 @@ EVIL: dict[str, object] = {
     "nested": [[[[[[[[[[1.0]]]]]]]]]],
     "empty table": {},
     "table": {"value": 1.0},
+}
+# What a text file may hold that is neither TOML nor JSON of the right kind.
+TEXTS: dict[str, bytes] = {
+    "empty": b"",
+    "white": b"\n" * 1000,
+    "noise": b"\xff" * 999,
+    "zero bytes": bytes(999),
+    "list": b"[1]",
+    "null": b"null",
+    "number": b"1",
+    "table": b"{}",
+    "nested": b"[" * 100_000,
+    "nested tables": b'{"a":' * 20_000,
+    "XML": b"<mujoco/>",
 }
 
 
@@ -135,23 +158,24 @@ def judge(case: Case, folder: Path) -> str:
     return sentence
 
 
-def parametrised(cases: Iterable[Case], sample: int, seed: int = 0):
-    """The mark for a test over `case`: a fixed sample of them by default, the rest marked slow.
+def parametrised(*generators: Callable[[], Iterable[Case]], each: int):
+    """The mark for a test over `case`: by default `each` cases of every generator, the rest marked slow.
 
-    Where no slow test is asked for they are left out: making 20 000 of them takes 20 s.
+    Which ones is decided by their names alone: a new case displaces one other at most. Where no slow test is
+    asked for, the rest is left out.
     """
-    cases = list(cases)
-    names = [case.name for case in cases]
-    assert len(set(names)) == len(names), "names of cases must differ"
-    chosen = set(random.Random(seed).sample(range(len(cases)), min(sample, len(cases))))
-    return pytest.mark.parametrize(
-        "case",
-        [
-            pytest.param(case, marks=() if k in chosen else pytest.mark.slow, id=case.name)
-            for k, case in enumerate(cases)
-            if k in chosen or whole
-        ],
-    )
+    every, names = [], set()
+    for generator in generators:
+        ranked = sorted(generator(), key=_rank)
+        for k, case in enumerate(ranked if whole else ranked[:each]):
+            assert case.name not in names, f"two cases are called {case.name}"
+            names.add(case.name)
+            every.append(pytest.param(case, marks=() if k < each else pytest.mark.slow, id=case.name))
+    return pytest.mark.parametrize("case", every)
+
+
+def _rank(case: Case) -> bytes:
+    return hashlib.blake2b(case.name.encode("utf-8", "surrogateescape"), digest_size=8).digest()
 
 
 def command(main: Callable[[list[str]], int], arguments: list[str]) -> str:
@@ -162,43 +186,76 @@ def command(main: Callable[[list[str]], int], arguments: list[str]) -> str:
             code = main(arguments)
         except SystemExit as stop:
             code = stop.code
-    return _ended(code, out.getvalue(), err.getvalue())
+    said = err.getvalue()
+    if code in (0, None):
+        return out.getvalue()
+    if code == 2 and said.endswith("\n") and said[:-1].isprintable():
+        raise UserError(said[:-1])
+    raise Wrong(f"exit code {code}: {said[-1500:]}")
 
 
-def process(arguments: list[str], seconds: float = 60.0) -> str:
-    """Standard output of `python ARGUMENTS` as a process of its own; exit code 2 becomes a UserError."""
-    limit = MEMORY + 2**33  # libraries reserve much that they never touch
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        capture_output=True,
-        timeout=seconds,
-        stdin=subprocess.DEVNULL,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
-        check=False,
-    )
-    return _ended(done.returncode, done.stdout.decode("utf-8"), done.stderr.decode("utf-8"))
-
-
-def mutations(content: bytes, number: int, seed: int = 0) -> Iterator[tuple[str, bytes]]:
-    """Seeded damages of a file's bytes, (name, content): cut, flipped, doubled, dropped and swapped parts."""
-    rng = random.Random(seed)
+def mutations(content: bytes, number: int) -> Iterator[tuple[str, Callable[[], bytes]]]:
+    """Damages of a file's bytes, (name, what makes them): parts cut, flipped, doubled, dropped, swapped."""
     for k in range(number):
         kind = ("cut", "flip", "double", "drop", "noise", "swap", "zeros")[k % 7]
-        a, b = sorted(rng.randrange(len(content)) for _ in range(2))
-        b = min(b, a + 200) if kind != "cut" else b
-        noise = bytes(rng.randrange(256) for _ in range(b - a)) if kind == "noise" else b""
-        yield (
-            f"{kind} {k}",
-            {
-                "cut": content[:a],
-                "flip": content[:a] + bytes([content[a] ^ (1 << rng.randrange(8))]) + content[a + 1 :],
-                "double": content[:b] + content[a:],
-                "drop": content[:a] + content[b:],
-                "noise": content[:a] + noise + content[b:],
-                "swap": content[b:] + content[:b],
-                "zeros": content[:a] + bytes(b - a) + content[b:],
-            }[kind],
-        )
+        yield f"{kind} {k}", functools.partial(_damaged, content, kind, k)
+
+
+def _damaged(content: bytes, kind: str, seed: int) -> bytes:
+    rng = random.Random(seed)
+    a, b = sorted(rng.randrange(len(content)) for _ in range(2))
+    b = min(b, a + 200) if kind != "cut" else b
+    return {
+        "cut": lambda: content[:a],
+        "flip": lambda: content[:a] + bytes([content[a] ^ (1 << rng.randrange(8))]) + content[a + 1 :],
+        "double": lambda: content[:b] + content[a:],
+        "drop": lambda: content[:a] + content[b:],
+        "noise": lambda: content[:a] + rng.randbytes(b - a) + content[b:],
+        "swap": lambda: content[b:] + content[:b],
+        "zeros": lambda: content[:a] + bytes(b - a) + content[b:],
+    }[kind]()
+
+
+def spoilt(
+    good: dict | list, where: Callable[[tuple], bool] = lambda keys: True
+) -> Iterator[tuple[str, Callable[[dict], dict]]]:
+    """Ways to spoil one entry of tables that are like `good`, (name, what returns a spoilt copy).
+
+    Each entry at any depth, of lists the first one, and one more in each table gets every evil value; and
+    each entry is left out. where: of the keys that lead to an entry, whether it is one of them.
+    """
+    for keys in filter(where, _entries(good)):
+        name = ".".join(map(str, keys))
+        for evil, value in EVIL.items():
+            yield f"{name} {evil}", functools.partial(changed, keys=keys, value=value)
+        if keys[-1] != "unknown":
+            yield f"{name} missing", functools.partial(changed, keys=keys, value=...)
+
+
+def _entries(table: dict | list) -> Iterator[tuple]:
+    for key, value in table.items() if isinstance(table, dict) else enumerate(table[:1]):
+        yield (key,)
+        if isinstance(value, (dict, list)):
+            yield from ((key, *rest) for rest in _entries(value))
+    if isinstance(table, dict):
+        yield ("unknown",)
+
+
+def changed(tables: dict, keys: tuple, value: object) -> dict:
+    """A copy of tables with another value (...: none) at the end of `keys`."""
+    result = inner = copy.deepcopy(tables)
+    for key in keys[:-1]:
+        inner = inner[key]
+    if value is ...:
+        del inner[keys[-1]]
+    else:
+        inner[keys[-1]] = value
+    return result
+
+
+def respelt(old: bytes, change: Callable[[dict], dict]) -> bytes:
+    """The bytes of a JSON file after a change of what it holds."""
+    return json.dumps(change(json.loads(old)), default=str).encode()
 
 
 def places(name: str, take: Callable[[Path], object]) -> Iterator[Case]:
@@ -218,7 +275,7 @@ def places(name: str, take: Callable[[Path], object]) -> Iterator[Case]:
     yield there("a loop", lambda path: path.symlink_to(path))
     yield there("a process's memory", lambda path: path.symlink_to("/proc/self/mem"))
     yield there("gigabytes", lambda path: (write(path, ""), os.truncate(path, 2**34)))
-    yield there("empty", lambda path: write(path, ""))
+    yield there("nothing in it", lambda path: write(path, ""))
     yield Case("below a file", lambda folder: write(folder / "x", "") / name, take)
     yield Case("NUL in the name", lambda folder: folder / "a\0b", take, named="a\\x00b")
     yield Case("long name", lambda folder: folder / ("x" * 300), take, named="x" * 50)
@@ -244,27 +301,14 @@ def write(path: Path, content: str | bytes) -> Path:
     return path
 
 
-def somewhere(name: str, folder: Path) -> list[str]:
-    """Options that a `landing-eval` command of this name needs to write into a folder, or to begin at all."""
-    more = {"view": [], "export": ["--format", "c"], "fly": ["--simulated"]}.get(name, [])
-    file = {"video": "out.mp4", "replay": "out.html"}.get(name, "out.png")
-    return more if name == "view" else [*more, "--out", str(folder / file)]
-
-
-def _ended(code, out: str, err: str) -> str:
-    if code in (0, None):
-        return out
-    if code == 2 and err.endswith("\n") and err[:-1].isprintable():
-        raise UserError(err[:-1])
-    raise Wrong(f"exit code {code}: {err[-1500:]}")
-
-
 def _check_sentence(sentence: str, case: Case, path: Path, folder: Path) -> None:
     plain = sentence.replace(str(folder), "").replace(path.name, "")
     if not sentence.isprintable() or not sentence.strip():
         raise Wrong(f"{case.name}: not one printable line: {sentence[:500]!r}")
     if len(plain) > LONGEST_SENTENCE:
         raise Wrong(f"{case.name}: {len(plain)} characters: {plain}")
+    if LEAKS.search(re.sub(r" raised \w+: .*", "", plain)):  # what code of others raised is quoted
+        raise Wrong(f"{case.name}: leaks words of Python: {sentence}")
     named = case.named if case.named is not None else path.name
     if named not in sentence:
         raise Wrong(f"{case.name}: does not name {named}: {sentence}")
@@ -274,10 +318,7 @@ def _listing(folder: Path) -> dict[str, str]:
     """Everything below a folder with a digest of its first megabyte."""
     found = {}
     for place, folders, files in os.walk(folder):
-        for name in folders:
-            found[os.path.join(place, name)] = ""
-        for name in files:
-            path = Path(place, name)
+        for path in map(Path(place).joinpath, itertools.chain(folders, files)):
             found[str(path)] = ""
             if path.is_file() and not path.is_symlink():
                 with path.open("rb") as file:

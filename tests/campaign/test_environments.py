@@ -1,7 +1,8 @@
 """Environments: every option, reset, seed and action is taken or refused in one sentence."""
 
+import functools
 import inspect
-import itertools
+from functools import partial
 
 import numpy as np
 
@@ -9,13 +10,15 @@ from campaign.judge import EVIL, Case, Wrong, judge, parametrised
 from inclined_landing.envs import gym_env
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.sb3 import BatchVecEnv
-from inclined_landing.envs.tasks import TASKS, make_task
+from inclined_landing.envs.tasks import TASKS, Moment, make_task
 from inclined_landing.envs.tasks.base import hover_states
+from inclined_landing.eval.moving.controllers import _Told
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
 
 STATE = hover_states(np.array([[1.0, 0.0, 1.8]]), load_vehicle())[0]
 ARRAYS = {"object array": np.array([None]), "complex": 1j, "bytes": b"x", "none in a list": [None]}
+ARRAYS |= {"complex array": np.zeros(2, complex), "text array": np.array(["1", "2"])}
 EVERY = EVIL | ARRAYS
 CALLED = {"width": "pixels", "height": "pixels", "render_backend": "backend", "plant_options": "plant"}
 SMALL = {"render_mode": "rgb_array", "width": 32, "height": 32, "render_backend": "ray"}
@@ -42,63 +45,93 @@ def case(name, take, works=lambda result: None, named=""):
 
 def options():
     """Every option of the faces, tasks and plants times every evil value."""
-    for task in TASKS.values():
-        face = getattr(gym_env, f"{task.__name__}Env")
-        for option, (evil, value) in itertools.product(keywords(task), EVERY.items()):
-            given = {option: value}
-            yield case(f"{task.name} {option} {evil}", lambda f=face, g=given: f(**g), flies, option)
     face = gym_env.SetpointEnv
-    for option, (evil, value) in itertools.product(keywords(face), EVERY.items()):
-        if (option, evil) == ("vehicle", "long text"):
-            continue  # a path, which is repeated as it is
-        given = SMALL | {option: value}
-        yield case(f"face {option} {evil}", lambda g=given: face(**g), flies, CALLED.get(option, option))
-    for plant, kind in PLANTS.items():
-        for option, (evil, value) in itertools.product(keywords(kind), EVERY.items()):
-            given = {"plant": plant, "plant_options": {option: value}}
-            yield case(f"{plant} {option} {evil}", lambda g=given: face(**g), flies, option.split("_")[0])
     for evil, value in EVERY.items():
-        many = gym_env.InclinedLandingVectorEnv
-        yield case(f"num_envs {evil}", lambda v=value, m=many: m(v, plant="analytic"), flies, "num_envs")
-        batch = BatchEnv(make_task("landing"), make_plant("analytic", 2))
-        make = lambda v, b=batch: BatchVecEnv(b, reward_scale=v)  # noqa: E731
-        yield case(f"reward_scale {evil}", lambda v=value, m=make: m(v), named="reward_scale")
+        for task in TASKS.values():
+            own = getattr(gym_env, f"{task.__name__}Env")
+            for option in keywords(task):
+                given = {option: value}
+                yield case(f"{task.name} {option} {evil}", partial(own, **given), flies, option)
+        for option in keywords(face):
+            if (option, evil) != ("vehicle", "long text"):  # a path, which is repeated as it is
+                make = partial(face, **SMALL | {option: value})
+                yield case(f"face {option} {evil}", make, flies, CALLED.get(option, option))
+        for plant, kind in PLANTS.items():
+            for option in keywords(kind):
+                make = partial(face, plant=plant, plant_options={option: value})
+                yield case(f"{plant} {option} {evil}", make, flies, option.split("_")[0])
+        many = partial(gym_env.InclinedLandingVectorEnv, value, plant="analytic")
+        yield case(f"num_envs {evil}", many, flies, "num_envs")
+        scaled = lambda v=value: BatchVecEnv(landings(), reward_scale=v)  # noqa: E731
+        yield case(f"reward_scale {evil}", scaled, named="reward_scale")
+
+
+@functools.cache
+def landings() -> BatchEnv:
+    return BatchEnv(make_task("landing"), make_plant("analytic", 2))
+
+
+@functools.cache
+def env(kind: str):
+    """One environment of each kind for all inputs."""
+    return gym_env.InclinedLandingEnv() if kind == "Env" else gym_env.InclinedLandingVectorEnv(2)
 
 
 def inputs():
     """Resets, seeds and actions."""
-    single, vector = gym_env.InclinedLandingEnv(), gym_env.InclinedLandingVectorEnv(2)
-    for env, (evil, value) in itertools.product((single, vector), EVERY.items()):
-        size = type(env).__name__.removeprefix("InclinedLanding")
-        yield case(f"{size} seed {evil}", lambda e=env, v=value: e.reset(seed=v), named="seed")
-        yield case(f"{size} options {evil}", lambda e=env, v=value: e.reset(options=v), named="reset")
-        state = {"options": {"state": value}}
-        yield case(f"{size} state {evil}", lambda e=env, g=state: e.reset(**g), named="state")
-        yield case(f"{size} action {evil}", lambda e=env, v=value: acted(e, v), named="action")
     for evil, value in EVERY.items():
+        for kind in ("Env", "VectorEnv"):
+            for named, given in {
+                "seed": {"seed": value},
+                "reset": {"options": value},
+                "state": {"options": {"state": value}},
+            }.items():
+                take = lambda kind=kind, given=given: env(kind).reset(**given)  # noqa: E731
+                yield case(f"{kind} {named} {evil}", take, named=named)
+            yield case(f"{kind} action {evil}", partial(acted, kind, value), named="action")
         mask = {"options": {"reset_mask": value}}
-        yield case(f"mask {evil}", lambda g=mask: vector.reset(**g), named="reset_mask")
-        if not isinstance(value, (int, float)):
-            continue
-        for column in range(len(STATE)):
+        yield case(f"mask {evil}", lambda mask=mask: env("VectorEnv").reset(**mask), named="reset_mask")
+        for column in range(len(STATE)) if isinstance(value, (int, float, complex)) else ():
             state = STATE.astype(object)
             state[column] = value
-            flown = lambda s=state: (single.reset(options={"state": s}), acted(single, [0.0, 0.0]))  # noqa: E731
+
+            def flown(state=state):
+                env("Env").reset(options={"state": state})
+                acted("Env", [0.0, 0.0])
+
             yield case(f"state {column} {evil}", flown, named="state")
 
 
-def acted(env, action):
-    env.reset(seed=0) if env.unwrapped.batch.length.any() else None
-    observation, *_ = env.step(action)
+ANSWERS = {
+    "rows": np.zeros((2, 4)),
+    "three columns": np.zeros((2, 3)),
+    "one row": np.zeros((1, 4)),
+    "complex rows": np.zeros((2, 4), complex),
+    "rows of text": np.full((2, 4), "1"),
+    "rows of dates": np.full((2, 4), "2020-01-01", "datetime64[D]"),
+    "rows of nan": np.full((2, 4), np.nan),
+}
+
+
+def answers():
+    """What a controller of others answers with."""
+    for evil, value in (EVERY | ANSWERS).items():
+        yield case(f"answer {evil}", partial(answered, value), named="controller mine at 0.00 s")
+
+
+def answered(value):
+    controller = _Told(lambda t, state, deck: value, "mine", load_vehicle())
+    commands = controller(0.0, Moment(np.stack([STATE, STATE]), None, deck=np.zeros((2, 12))))
+    assert commands.shape == (2, 4) and np.isfinite(commands).all()
+
+
+def acted(kind, action):
+    env(kind).reset(seed=0) if env(kind).unwrapped.batch.length.any() else None
+    observation, *_ = env(kind).step(action)
     if not np.isfinite(observation).all():
         raise Wrong("an observation is not finite")
 
 
-@parametrised(options(), sample=25)
-def test_options_are_flown_or_refused(case, tmp_path):
-    judge(case, tmp_path)
-
-
-@parametrised(inputs(), sample=40)
-def test_inputs_are_flown_or_refused(case, tmp_path):
+@parametrised(options, inputs, answers, each=4)
+def test_environments_fly_or_refuse(case, tmp_path):
     judge(case, tmp_path)

@@ -11,25 +11,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from campaign.judge import EVIL, Case, command, judge, mutations, parametrised
+from campaign.judge import TEXTS, Case, command, judge, mutations, parametrised, spoilt
 from inclined_landing.eval import cli
 from inclined_landing.eval.truth.contact_truth import touchdowns
 
 CELLS = (
-    "nan",
-    "inf",
-    "-inf",
-    "1e300",
-    "-1",
-    "0",
-    "",
-    "abc",
-    "1e-300",
-    "9" * 40,
-    "True",
-    "[1]",
-    '"x',
-    "é\x00",
+    *("nan", "inf", "-inf", "1e300", "-1", "0", "", "abc", "1e-300", "9" * 40, "True", "[1]", '"x', "é\x00"),
 )
 RUN = {
     "run.json": json.dumps({"config": {"task": "landing"}}),
@@ -66,27 +53,27 @@ def _curves(run: Path) -> None:
         command(cli.main, ["curves", str(run), "--out", f"{away}/curves.png"])
 
 
-def _damaged():
-    for name in ("learning", "evaluations"):
-        text = RUN[f"{name}.csv"]
-        yield from ((f"{name} {what}", {f"{name}.csv": new}) for what, new in _cells(text))
-        bytes_ = mutations(text.encode(), 12, seed=3)
-        yield from ((f"{name} bytes {k}", {f"{name}.csv": new}) for k, (_, new) in enumerate(bytes_))
-    for name, value in EVIL.items():
-        if not isinstance(value, (int, float, str, list, dict)):
-            continue
-        for k, record in enumerate((value, {"config": value}, {"config": {"task": value}})):
-            yield f"run.json {name} {k}", {"run.json": json.dumps(record)}
+def tables():
+    """Learning curves and evaluations with wrong cells, and their bytes damaged."""
+    for file in ("learning.csv", "evaluations.csv"):
+        for what, new in _cells(RUN[file]):
+            yield _case(f"{file} {what}", {file: new})
+        for what, make in mutations(RUN[file].encode(), 12):
+            yield _case(f"{file} {what}", {file: make()})
 
 
-def run_cases():
-    for name, changed in _damaged():
-        yield Case(
-            f"curves of {name}",
-            make=lambda folder, changed=changed: _run(folder, changed),
-            take=_curves,
-            named="run",
+def records():
+    """The record of a run with a wrong entry."""
+    for name, change in spoilt({"config": {"task": ""}}):
+        yield _case(
+            f"run.json {name}", {"run.json": json.dumps(change({"config": {"task": ""}}), default=str)}
         )
+    for name, content in TEXTS.items():
+        yield _case(f"run.json {name}", {"run.json": content})
+
+
+def _case(name: str, changed: dict[str, str | bytes]) -> Case:
+    return Case(f"curves of {name}", lambda folder: _run(folder, changed), _curves, named="run")
 
 
 @functools.cache
@@ -108,22 +95,17 @@ def _flights(folder: Path, column: str, cell: str, count: int) -> Path:
     return folder
 
 
-def flight_cases():
-    for column, cell in itertools.product(touchdowns._COLUMNS, CELLS):
-        for count in (1, 400):
-            yield Case(
-                f"touchdowns of {column} {CELLS.index(cell)} {count}",
-                make=lambda folder, c=column, x=cell, k=count: _flights(folder, c, x, k),
-                take=lambda folder: touchdowns.find_touchdowns(touchdowns.read_flights(folder)),
-                named="nb_a.csv.gz",
-            )
+def flights():
+    """Measured flights with wrong cells."""
+    for column, cell, count in itertools.product(touchdowns._COLUMNS, CELLS, (1, 400)):
+        yield Case(
+            f"touchdowns of {column} {CELLS.index(cell)} {count}",
+            make=functools.partial(_flights, column=column, cell=cell, count=count),
+            take=lambda folder: touchdowns.find_touchdowns(touchdowns.read_flights(folder)),
+            named="nb_a.csv.gz",
+        )
 
 
-@parametrised(run_cases(), sample=12)
-def test_run_folders_are_drawn_or_refused(case, tmp_path):
-    judge(case, tmp_path)
-
-
-@parametrised(flight_cases(), sample=12)
-def test_measured_touchdowns_are_read_or_refused(case, tmp_path):
+@parametrised(tables, records, flights, each=2)
+def test_what_others_wrote_is_read_or_refused(case, tmp_path):
     judge(case, tmp_path)

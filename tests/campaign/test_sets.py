@@ -1,9 +1,10 @@
 """Hidden-effect sets that go on in damaged folders."""
 
+import functools
 import json
 from pathlib import Path
 
-from campaign.judge import EVIL, Case, judge, mutations, parametrised, write
+from campaign.judge import TEXTS, Case, judge, mutations, parametrised, respelt, spoilt, write
 from inclined_landing.eval.proof.gap_blind import cases as drawn
 from inclined_landing.eval.proof.gap_blind import command as blind
 
@@ -44,30 +45,26 @@ def case(title: str, file: str, change) -> Case:
     return Case(title, make, resumed, named="out")
 
 
-def damages():
-    for file in ("set.json", "sealed/labels.json", "report"):
-        for what, content in {
-            "empty": b"",
-            "missing": None,
-            "noise": b"\xff" * 99,
-            "list": b"[1]",
-            "null": b"null",
-            "nested": b"[" * 100_000,
-            "table": b"{}",
-        }.items():
-            yield case(f"{file} {what}", file, lambda old, content=content: content)
-        for k in range(21):
-            yield case(f"{file} damage {k}", file, lambda old, k=k: list(mutations(old, k + 1))[k][1])
-    for name, value in EVIL.items():
-        for file, keys in (("report", REPORT), ("set.json", SET)):
-            for key in keys:
-
-                def change(old: bytes, key=key, value=value) -> bytes:
-                    return json.dumps(json.loads(old) | {key: value}, default=str).encode()
-
-                yield case(f"{file} {key} {name}", file, change)
+def damages(file: str):
+    for what, content in (TEXTS | {"missing": None}).items():
+        yield case(f"{file} {what}", file, lambda old, content=content: content)
+    for k in range(21):
+        yield case(f"{file} damage {k}", file, lambda old, k=k: list(mutations(old, k + 1))[k][1]())
 
 
-@parametrised(damages(), sample=15)
+def entries(file: str, like: dict):
+    for name, change in spoilt(like):
+        yield case(f"{file} {name}", file, functools.partial(respelt, change=change))
+
+
+FILES = ("set.json", "sealed/labels.json", "report")
+
+
+@parametrised(
+    *(functools.partial(damages, file) for file in FILES),
+    functools.partial(entries, "set.json", SET),
+    functools.partial(entries, "report", REPORT),
+    each=1,
+)
 def test_sets_go_on_or_say_why_not(case, tmp_path):
     judge(case, tmp_path)

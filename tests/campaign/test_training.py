@@ -2,7 +2,6 @@
 
 import functools
 import io
-import json
 import os
 import shutil
 import tempfile
@@ -14,9 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from campaign.judge import EVIL, Case, command, judge, mutations, parametrised, write
-from inclined_landing.envs.randomise import read_ranges
-from inclined_landing.models.parameters import load_vehicle
+from campaign.judge import EVIL, TEXTS, Case, command, judge, mutations, parametrised, respelt, spoilt, write
 from inclined_landing.train import run
 from inclined_landing.train.checkpoint import read
 from inclined_landing.train.checkpoint import write as write_checkpoint
@@ -26,34 +23,31 @@ from inclined_landing.train.run import CHECKPOINT, RECORD, Run
 
 TINY = {"environments": 2, "rollout": 4, "batch_size": 8, "steps": 16, "epochs": 1, "threads": 1,
         "evaluate_every": 1, "video_every": 0}  # fmt: skip
-OTHER = {"text": "heavy", "empty": "", "long": "x" * 2000, "control": "a\nb\x1b[31m\u202e", "list": "[1.0]"}
 NUMBERS = {name: value for name, value in EVIL.items() if type(value) in (int, float)}
 
 
-def option_cases():
-    kinds = typing.get_type_hints(TrainConfig)
-    for name in kinds:
-        if name in ("out", "resume", "report"):
+def numbers():
+    """Every numeric option with every evil number; texts are in `test_options.py`."""
+    for name, kind in typing.get_type_hints(TrainConfig).items():
+        if kind not in (int, float, int | None, float | None):
             continue
-        number = kinds[name] in (int, float, int | None, float | None)
-        for kind, value in ((NUMBERS if number else {}) | OTHER).items():
-            option = {"task": [], "start_from": ["--from"]}.get(name, ["--" + name.replace("_", "-")])
-            words = [f"{option[0]}={value}"] if option else [str(value)]
+        for evil, value in NUMBERS.items():
             yield Case(
-                f"{name} {kind}",
+                f"{name} {evil}",
                 make=lambda folder: folder,
-                take=lambda folder, words=words, name=name: try_option(folder, words, name),
-                named=option[0] if number else "",
+                take=lambda folder, name=name, value=value: try_option(folder, name, value),
+                named=name.replace("_", "-"),
             )
 
 
-def try_option(folder, words, name):
+def try_option(folder, name, value):
     """landing-train with one odd option and otherwise as little work as there can be."""
     left_out = {name, "evaluate_every"} | ({"steps"} if name in ENDING else set())
     tiny = [f"--{k.replace('_', '-')}={v}" for k, v in TINY.items() if k not in left_out]
     steps = ["--max-seconds=0.001"] if name in ENDING else []
     evaluate = "--evaluate-every=1" if name in ENDING[1:] else "--evaluate-every=0"
-    given = [*tiny, *steps, f"--out={folder / 'run'}", evaluate, "--no-report", *words]
+    odd = f"--{name.replace('_', '-')}={value}"
+    given = [*tiny, *steps, f"--out={folder / 'run'}", evaluate, "--no-report", odd]
     with unittest.mock.patch.object(run, "ENDING_STARTS", 2):
         return command(trained, given)
 
@@ -95,15 +89,6 @@ def folder_case(name, file, change):
     return Case(name, make=make, take=resume)
 
 
-def with_entry(path, keys, value):
-    record = json.loads(path.read_text("utf-8"))
-    inside = record
-    for key in keys[:-1]:
-        inside = inside[key]
-    inside[keys[-1]] = value
-    write(path, json.dumps(record))
-
-
 def with_state(path, change):
     saved = read(path)
     change(saved.state)
@@ -126,15 +111,6 @@ EVIL_ARRAYS = {
     "a record": lambda a: np.zeros(a.shape, [("x", float)]),
     "nan": lambda a: np.full(a.shape, np.nan, a.dtype) if a.dtype.kind == "f" else np.full(a.shape, np.nan),
 }
-WHOLE = {
-    "nothing": lambda path: write(path, b""),
-    "a folder": lambda path: (path.unlink(), path.mkdir()),
-    "a pipe": lambda path: (path.unlink(), os.mkfifo(path)),
-    "text": lambda path: write(path, "steps: 3\n"),
-    "a list": lambda path: write(path, "[]"),
-    "nested": lambda path: write(path, "[" * 100_000),
-    "a pickle": lambda path: torch.save({"command": print}, path),
-}
 
 
 class Harmful:
@@ -144,94 +120,63 @@ class Harmful:
         return os.mkdir, ("harm",)
 
 
-def folder_cases():
-    date = {"date"}  # no JSON
-    names = TrainConfig.__dataclass_fields__
-    for kind, value in EVIL.items():
-        if kind in date:
+def records():
+    """The record of a run with a wrong entry."""
+    names = [name for name in TrainConfig.__dataclass_fields__ if name not in ("out", "max_seconds")]
+    for name, change in spoilt({"config": dict.fromkeys(names)}):
+
+        def spoil(path, change=change):
+            write(path, respelt(path.read_bytes(), change))
+
+        yield folder_case(f"{RECORD} {name}", RECORD, spoil)
+
+
+def checkpoints():
+    """A checkpoint with a wrong entry of its state, or a wrong array."""
+    for name, change in spoilt(dict.fromkeys(run._STATE)):
+        if name.endswith("date"):  # JSON has none
             continue
-        for keys in (
-            *(("config", name) for name in names if name not in ("out", "max_seconds")),
-            ("config",),
-        ):
-            yield folder_case(
-                f"{RECORD} {' '.join(keys)} {kind}",
-                RECORD,
-                lambda path, keys=keys, value=value: with_entry(path, keys, value),
-            )
-        for name in run._STATE:
-            yield folder_case(
-                f"{CHECKPOINT} {name} {kind}",
-                CHECKPOINT,
-                lambda path, name=name, value=value: with_state(path, lambda s: s.update({name: value})),
-            )
+
+        def spoil(state, change=change):
+            new = change(state)
+            state.clear()
+            state.update(new)
+
+        yield folder_case(f"state {name}", CHECKPOINT, functools.partial(with_state, change=spoil))
+    for kind, value in (EVIL | {"date": ""}).items():
         for name in ("history", "evaluations", "numpy_rng", "ended"):
+
+            def first(state, name=name, value=value):
+                state[name] = [value, *state[name][1:]]
+
             yield folder_case(
-                f"{CHECKPOINT} first of {name} {kind}",
-                CHECKPOINT,
-                lambda path, name=name, value=value: with_state(
-                    path, lambda s: s.update({name: [value, *s[name][1:]]})
-                ),
+                f"first of {name} {kind}", CHECKPOINT, functools.partial(with_state, change=first)
             )
     for name in ARRAYS:
         for kind, change in EVIL_ARRAYS.items():
-            yield folder_case(
-                f"{CHECKPOINT} {name} {kind}",
-                CHECKPOINT,
-                lambda path, name=name, change=change: with_array(path, name, change),
-            )
+            spoil = functools.partial(with_array, name=name, change=change)
+            yield folder_case(f"array {name} {kind}", CHECKPOINT, spoil)
+
+
+def other_files():
+    """Other texts and damaged bytes in place of record and checkpoint."""
     for file in (RECORD, CHECKPOINT):
-        for kind, change in WHOLE.items():
-            yield folder_case(f"{file} is {kind}", file, change)
+        for kind, content in TEXTS.items():
+            yield folder_case(f"{file} is {kind}", file, functools.partial(write, content=content))
+        pickled = lambda path: torch.save({"command": print}, path)  # noqa: E731
+        yield folder_case(f"{file} is a pickle", file, pickled)
+        yield folder_case(f"{file} is a folder", file, lambda path: (path.unlink(), path.mkdir()))
+        yield folder_case(f"{file} is a pipe", file, lambda path: (path.unlink(), os.mkfifo(path)))
         for k in range(40):
-            yield folder_case(f"{file} mutated {k}", file, functools.partial(mutate, number=k))
+            yield folder_case(f"{file} damage {k}", file, functools.partial(damage, number=k))
 
 
-def mutate(path, number):
-    content = path.read_bytes()
-    write(path, dict(mutations(content, number + 1, seed=number)).popitem()[1])
+def damage(path, number):
+    write(path, list(mutations(path.read_bytes(), number + 1))[number][1]())
 
 
-RANGES = b"nominal = 0.1\n[effects.mass]\nscale = [0.8, 1.1]\n[effects]\nwind = [[0, 1], [0, 0]]\n"
-
-
-def ranges_cases():
-    for kind, change in WHOLE.items():
-        yield ranges_case(f"ranges are {kind}", change)
-    for k, content in mutations(RANGES, 200):
-        yield ranges_case(f"ranges mutated {k}", functools.partial(write, content=content))
-    for kind, value in EVIL.items():
-        lines = {"range": f"effects.mass.scale = {value!r}", "end": f"effects.mass.scale = [{value!r}, 1.1]",
-                 "entry": f"body.mass = {value!r}", "name": f"{value!r} = [1, 1]",
-                 "parameter": f"effects.mass.{value!r} = [1, 1]",
-                 "share": f"nominal = {value!r}"}  # fmt: skip
-        for what, line in lines.items():
-            content = line.encode("utf-8", "replace")
-            yield ranges_case(f"ranges {what} {kind}", functools.partial(write, content=content))
-
-
-def ranges_case(name, change):
-    def make(folder):
-        path = folder / "ranges.toml"
-        write(path, RANGES)
-        change(path)
-        return path
-
-    return Case(name, make=make, take=lambda path: read_ranges(path).draw(load_vehicle(), 0, 3))
-
-
-@parametrised(ranges_cases(), sample=40)
-def test_ranges_are_taken_or_refused(case, tmp_path):
-    judge(case, tmp_path)
-
-
-@parametrised(option_cases(), sample=25)
-def test_options_are_taken_or_refused_by_name(case, tmp_path):
-    judge(case, tmp_path)
-
-
-@parametrised(folder_cases(), sample=25)
-def test_run_folders_are_resumed_or_refused(case, tmp_path):
+@parametrised(numbers, records, checkpoints, other_files, each=3)
+def test_training_begins_and_goes_on_or_says_why_not(case, tmp_path):
     judge(case, tmp_path)
 
 
@@ -248,35 +193,6 @@ def test_nothing_in_a_checkpoint_is_executed(tmp_path, monkeypatch):
         write(path, content)
         assert CHECKPOINT in judge(Case("harm", lambda folder: path, resume), tmp_path)
     assert not (tmp_path / "harm").exists()
-
-
-OUTS = {
-    "under a file": "file/run",
-    "a file": "file",
-    "a full folder": "full",
-    "too long": "x" * 300,
-    "too long below": "a/" + "x" * 300 + "/b",
-    "a device": "/dev/null/run",
-    "a folder of the kernel": "/proc/run",
-}
-
-
-@parametrised(
-    (
-        Case(
-            f"out {kind}",
-            make=lambda folder, out=out: (
-                write(folder / "file", "x"), (folder / "full").mkdir(), write(folder / "full" / "x", "x")
-            ) and folder / out,
-            take=lambda path: command(main, ["--out", str(path), "--steps", "8", "--no-report"]),
-            named="",
-        )
-        for kind, out in OUTS.items()
-    ),
-    sample=99,
-)  # fmt: skip
-def test_where_a_run_cannot_be_written_is_said_at_once(case, tmp_path):
-    assert judge(case, tmp_path) != "works"
 
 
 def test_a_run_folder_says_how_its_run_goes_on(tmp_path):
