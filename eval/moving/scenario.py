@@ -8,14 +8,12 @@ seed      of everything drawn; flights: how many
           azimuth_deg: of the bow, or "any": drawn for each flight; friction: between feet and deck
 [motion]  speed [m/s]: of steady travel; course_deg: its direction from the bow, or "any"
 [waves]   period [s] (W,): of the components. For each of surge, sway, heave [m], roll, pitch, yaw [deg]
-that moves:
-          amplitude (W,) and phase_deg (W,). All axes of a component share one phase, drawn for each flight.
-          Surge is along the bow and sway to port of it, roll and pitch about the deck's own axes.
+          that moves: amplitude (W,) and phase_deg (W,). All axes of a component share one phase, drawn for
+          each flight. Surge is along the bow and sway to port of it, roll and pitch about the deck's own axes.
 [start]   x, y, z [m]: box of the starts, hovering at rest in the room; from the centre of the deck at the
           start, along the room's axes
-[success] speed [m/s], rate [rad/s]: of the vehicle relative to the deck, below which it rests; hold [s]:
-for how
-          long, on the feet alone, motors idle; within [s] of the start
+[success] speed [m/s], rate [rad/s]: of the vehicle relative to the deck, below which it rests; hold [s]: for
+          how long, on the feet alone, motors idle; within [s] of the start, which must be longer
 
 An axis moves by sum over w of amplitude cos(2 pi t / period + phase + the flight's own phase of w).
 """

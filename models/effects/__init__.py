@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from inclined_landing.models.effects import air, attitude, battery, body, contact, delays, motor, platform
 from inclined_landing.models.effects import thrust as _thrust
 from inclined_landing.models.effects.effect import CHANNELS, REGIMES, Effect, FittedConstant, Parameter
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, choices
 from inclined_landing.models.parameters import Vehicle
 
 _FAMILIES = (_thrust, battery, motor, body, air, delays, attitude, contact, platform)
@@ -31,7 +31,7 @@ def apply(vehicle: Vehicle, effects: Mapping[str, Mapping[str, float]]) -> Vehic
     """
     for name, values in effects.items():
         if name not in LIBRARY:
-            raise UserError(f"unknown effect {name!r}; known are {', '.join(LIBRARY)}")
+            raise UserError(f"unknown effect {name!r}; {choices(LIBRARY, name)}")
         known = [p.name for p in LIBRARY[name].parameters]
         for parameter in values:
             if parameter not in known:
