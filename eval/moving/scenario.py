@@ -9,7 +9,7 @@ seed      of everything drawn; flights: how many
 [motion]  speed [m/s]: of steady travel; course_deg: its direction from the bow, or "any"
 [waves]   period [s] (W,): of the components. For each of surge, sway, heave [m], roll, pitch, yaw [deg]
           that moves: amplitude (W,) and phase_deg (W,). All axes of a component share one phase, drawn for
-          each flight. Surge is along the bow and sway to port of it, roll and pitch about the deck's own axes.
+          each flight. Surge is along the bow, sway to port of it, roll and pitch about the deck's own axes.
 [start]   x, y, z [m]: box of the starts, hovering at rest in the room; from the centre of the deck at the
           start, along the room's axes
 [success] speed [m/s], rate [rad/s]: of the vehicle relative to the deck, below which it rests; hold [s]: for
