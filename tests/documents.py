@@ -91,7 +91,7 @@ def check(words: list[str]) -> None:
             named = program == "landing-eval" or rest[:1] == ["sweep"]
             parse(target, program, rest[1:] if named else rest)
     elif program == "make":
-        known = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+        known = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
         assert all(word in known or "=" in word for word in rest), words
     elif program == "python" and rest[0].endswith(".py"):
         assert (ROOT / rest[0]).is_file(), words
