@@ -10,6 +10,7 @@ from campaign.training import assert_same_policy
 
 from inclined_landing.envs import tasks
 from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.tasks.attributes import complaint
 from inclined_landing.eval.cli import main as evaluate
 from inclined_landing.models.errors import UserError
 from inclined_landing.train.cli import main as train
@@ -89,9 +90,13 @@ def test_all_the_way(path, own, tmp_path, capsys):
         ("hopping.py:Jump", "", "hopping.py has no class Jump derived from inclined_landing.envs.tasks.Task"),
         ("hopping.py:np", "", "hopping.py has no class np derived"),
         ("hopping.py:Hop", "Hop.name = 'landing'", "is called landing, as one of this package; rename it"),
-        ("hopping.py:Hop", "Hop.name = 'a b'", "has the name 'a b'; it takes small letters and digits"),
+        ("hopping.py:Hop", "Hop.name = 'a b'", "has name 'a b'; it takes small letters and digits"),
         ("hopping.py:Hop", "del Hop.action_names", "lacks action_names"),
-        ("hopping.py:Hop", "Hop.action_names = ('lift',)", "known are thrust, roll, pitch, yaw rate"),
+        (
+            "hopping.py:Hop",
+            "Hop.action_names = ('lift',)",
+            "it takes some of thrust, roll, pitch, yaw rate",
+        ),
         ("hopping.py:Hop", "Hop.action_names = ()", "has action_names (); it takes"),
         ("hopping.py:Hop", "Hop.observation_names = ('z', 'z')", "it takes a tuple of different names"),
         ("hopping.py:Hop", "Hop.observation_names = ('z',)", "has not one observation_scale for each"),
@@ -127,7 +132,7 @@ JUDGED = "up = moment.state[:, 2] > 1.5; return Judgement({'up': 1.0 * up}, up, 
             f"judge(self, moment): {JUDGED.replace('up, up, np', '1.0 * up, up, np')}",
             "success of float64, not",
         ),
-        ("sample(self, rng, k): return 3", "sample returned int 3, not a Start"),
+        ("sample(self, rng, k): return 3", "sample returned 3, not a Start"),
         (
             "sample(self, rng, k): return self.start(np.full((k, 13), np.nan))",
             "sample returned NaN in states for x",
@@ -146,7 +151,7 @@ JUDGED = "up = moment.state[:, 2] > 1.5; return Judgement({'up': 1.0 * up}, up, 
             "observe returned observations of <U1, not of numbers",
         ),
         ("commands(self, actions): return actions", "commands returned commands of shape (2, 1), not (2, 4)"),
-        ("score(self, flights): return {}", 'score returned dict {}, not a dictionary with "score"'),
+        ("score(self, flights): return {}", 'score returned {}, not a dictionary with "score"'),
         ("score(self, flights): return {'score': np.nan}", "score returned NaN in score"),
         ("goal(self): return np.zeros(3)", "goal returned numbers of shape (3,), not (2,)"),
         ("__init__(self, *given, **named): pass", "__init__ does not call that of the class"),
@@ -183,6 +188,11 @@ def test_commands_say_it_too(own, tmp_path, capsys):
     capsys.readouterr()
     assert evaluate(["success", "run/final.zip", "--plant", "analytic", "--task", "hopping.py:Hop"]) == 2
     assert capsys.readouterr().err.endswith("judge raised ZeroDivisionError: division by zero (line 20)\n")
+
+
+def test_the_packages_own_tasks_have_what_others_must_have():
+    for kind in tasks.TASKS.values():
+        assert complaint(kind) is None and complaint(kind()) is None
 
 
 def test_a_guarded_task_is_the_task(own):

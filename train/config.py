@@ -319,6 +319,11 @@ class TrainConfig:
         filled["observe_vehicle"] = self.observe_vehicle or (same and told_vehicle(start))
         filled |= self._action_map(start)
         config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)
+        if is_path(self.task):  # which says defaults of its own
+            try:
+                check_ranges(config)
+            except UserError as error:
+                raise UserError(f"task {shown(self.task, 60)}, its training: {error}") from error
         if config.algorithm != "ppo":
             config._check_buffer()
             return config

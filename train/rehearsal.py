@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.tasks import Task
+from inclined_landing.envs.tasks.guard import TaskError
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.plants import make_plant
 from inclined_landing.train import ppo
 from inclined_landing.train.config import TrainConfig
@@ -29,15 +33,30 @@ def rehearse(config: TrainConfig) -> None:
     """Ask the task of a resolved configuration for all that training and evaluation ask, for 20 steps.
 
     The task is guarded (`envs.tasks.guard`): TaskError says which of its methods raised, or returned what has
-    the wrong shape or type, or is not finite.
+    the wrong shape or type, or is not finite; also where what they return does not fit together.
     """
+    try:
+        _rehearse(config)
+    except (UserError, MemoryError, FloatingPointError):
+        raise
+    except Exception as error:
+        said = f"{type(error).__name__}: {shown(error, 120)}"
+        raise TaskError(
+            f"task {shown(config.task, 60)}: what it says of itself does not fit: {said}"
+        ) from error
+
+
+def _rehearse(config: TrainConfig) -> None:
     task, rng = ppo.build_task(config), np.random.default_rng(config.seed)
+    ppo.scaled_observation(task)
     plant = make_plant("hybrid", _FLIGHTS, task.vehicle, threads=1, **task.plant_options)
     starts = task.evaluation_starts(rng, _FLIGHTS)
-    flights = record_flights(_Random(task, rng), plant, starts, steps=min(_STEPS, task.max_steps))
+    steps = min(_STEPS, task.max_steps, task.judged_steps or _STEPS)
+    flights = record_flights(_Random(task, rng), plant, starts, steps=steps)
     task.score_words(task.score(flights))
     task.flight_words(flights[0])
     task.start_words(task.states_at(task.film_starts[:1])[0])
     curriculum = make_curriculum(config.curriculum, config.task, config.gamma, config.without or "")
-    task.conditions = curriculum.conditions()
-    task.sample(rng, _FLIGHTS)
+    training = ppo.training_environment(dataclasses.replace(config, environments=_FLIGHTS, threads=1))
+    training.ease(curriculum.conditions())
+    training.reset()

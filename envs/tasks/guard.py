@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.envs.tasks.base import FARTHEST, Judgement, Moment, Start, Task, Training
+from inclined_landing.envs.tasks.attributes import complaint, is_whole, said
+from inclined_landing.envs.tasks.base import FARTHEST, Channel, Judgement, Moment, Start, Task
 from inclined_landing.models.attitude import COMMAND_NAMES, COMMAND_SIZE, STATE_NAMES, STATE_SIZE
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.motion import Motion
@@ -79,13 +80,14 @@ def _raised(error: BaseException, kind: type) -> str:
     """What was raised, and in which line of the task's file."""
     file = getattr(sys.modules.get(kind.__module__), "__file__", None)
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-    said = f": {shown(error, 120)}" if str(error) else ""
-    return f"raised {type(error).__name__}{said}{f' (line {lines[-1]})' if lines else ''}"
+    words = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    words = f": {shown(words, 120)}" if words else ""
+    return f"raised {type(error).__name__}{words}{f' (line {lines[-1]})' if lines else ''}"
 
 
 def _kind(value) -> str:
-    """What kind of thing a method returned."""
-    return "nothing" if value is None else f"{shown(type(value).__name__, 40)} {shown(repr(value), 40)}"
+    """What a method returned, where it is not what it should be."""
+    return "nothing" if value is None else said(value)
 
 
 def _array(value, shape: tuple[int, ...], what: str) -> np.ndarray:
@@ -98,14 +100,15 @@ def _array(value, shape: tuple[int, ...], what: str) -> np.ndarray:
     return array
 
 
-def _numbers(value, shape: tuple[int, ...], what: str, names=(), kind=float, most=math.inf) -> np.ndarray:
-    """An array of numbers up to `most`; names: of its columns."""
+def _numbers(value, shape: tuple[int, ...], what: str, names=(), kind=float, most=math.inf, nan=False):
+    """An array of numbers up to `most`, or, where they may be, NaN; names: of its columns."""
     array = _array(value, shape, what)
     if array.dtype.kind not in "fiub":
         raise _Wrong(f"returned {what} of {array.dtype}, not of numbers")
     with np.errstate(over="ignore"):
         array = array.astype(kind, copy=False)
-    if not (good := np.abs(array) <= min(most, np.finfo(kind).max)).all():
+    good = np.abs(array) <= min(most, np.finfo(kind).max)
+    if not (good | np.isnan(array) if nan else good).all():
         where = np.argwhere(~good)[0]
         column = f" for {names[where[1]]}" if len(names) and len(where) == 2 else ""
         number = "NaN" if np.isnan(array[tuple(where)]) else f"{array[tuple(where)]:g}"
@@ -124,11 +127,8 @@ def _instance(task: Task, value, *given, **named) -> None:
     """What a task is after __init__."""
     if not hasattr(task, "observe_vehicle"):
         raise _Wrong("does not call that of the class it is derived from")
-    steps = task.max_steps
-    if not isinstance(steps, (int, np.integer)) or isinstance(steps, bool) or steps < 1:
-        raise _Wrong(f"leaves max_steps {shown(repr(steps), 40)}, which is no whole number from 1 on")
-    if not isinstance(task.training, Training):
-        raise _Wrong(f"leaves training {shown(repr(task.training), 40)}, which is no Training(...)")
+    if wrong := complaint(task):
+        raise _Wrong(f"leaves a task that {wrong}")
 
 
 def _start(task: Task, value, rng, k: int) -> Start:
@@ -138,10 +138,12 @@ def _start(task: Task, value, rng, k: int) -> Start:
         "state": _numbers(value.state, (k, STATE_SIZE), "states", STATE_NAMES, most=FARTHEST),
         "inclination": _numbers(value.inclination, (k,), "inclinations", most=math.pi),
         "present": _flags(value.present, (k,), "present"),
-        "goal_size": _array(value.goal_size, (k,), "goal sizes").astype(float, copy=False),
+        "goal_size": _numbers(value.goal_size, (k,), "goal sizes", nan=True),
     }
     if value.azimuth is not None:
         fixed["azimuth"] = _numbers(value.azimuth, (k,), "azimuths")
+    if not (value.contact is None or isinstance(value.contact, Mapping)):
+        raise _Wrong(f"returned {_kind(value.contact)} as contact, not a dictionary")
     if not (value.motion is None or isinstance(value.motion, Motion)):
         raise _Wrong(f"returned {_kind(value.motion)} as motion, not a Motion")
     return dataclasses.replace(value, **fixed)
@@ -186,6 +188,30 @@ def _words(task: Task, value, *given) -> str:
     return value
 
 
+def _steps(task: Task, value) -> int | None:
+    if not (value is None or is_whole(value, 1, int(task.max_steps))):
+        raise _Wrong(f"returned {_kind(value)}, not a whole number from 1 to max_steps, or None")
+    return value
+
+
+def _options(task: Task, value) -> dict[str, Any]:
+    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
+        raise _Wrong(f"returned {_kind(value)}, not a dictionary of options")
+    return dict(value)
+
+
+def _channels(task: Task, value) -> tuple[Channel, ...]:
+    if not isinstance(value, (tuple, list)) or not all(isinstance(channel, Channel) for channel in value):
+        raise _Wrong(f"returned {_kind(value)}, not a tuple of Channel(...)")
+    return tuple(value)
+
+
+def _truth(task: Task, value) -> bool:
+    if not isinstance(value, (bool, np.bool_)):
+        raise _Wrong(f"returned {_kind(value)}, not True or False")
+    return bool(value)
+
+
 def _observed(task: Task, value) -> np.ndarray | None:
     return None if value is None else _numbers(value, (len(task.observation_names),), "numbers")
 
@@ -200,4 +226,8 @@ _CHECKS: dict[str, Callable] = {
     "score": _score,
     **dict.fromkeys(("score_words", "flight_words", "start_words"), _words),
     **dict.fromkeys(("observation_centre", "goal", "goal_half_widths"), _observed),
+    "judged_steps": _steps,
+    "plant_options": _options,
+    "channels": _channels,
+    "own_hover": _truth,
 }

@@ -9,18 +9,15 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
-import re
 import sys
 from pathlib import Path
 from types import ModuleType
 
-import numpy as np
-
-from inclined_landing.envs.tasks.base import ACTIONS, Task
+from inclined_landing.envs.tasks.attributes import complaint
+from inclined_landing.envs.tasks.base import Task
 from inclined_landing.envs.tasks.guard import guarded
 from inclined_landing.models.errors import UserError, shown
 
-_NAME = re.compile("[a-z][a-z0-9_-]{0,40}")
 _NEEDED = ("name", "observation_names", "observation_scale", "action_names")
 
 
@@ -89,24 +86,5 @@ def _check(kind: type[Task], what: str) -> None:
     missing = [name for name in _NEEDED if not hasattr(kind, name)]
     if missing:
         raise UserError(f"{what} lacks {' and '.join(missing)}")
-    if not (isinstance(kind.name, str) and _NAME.fullmatch(kind.name)):
-        raise UserError(
-            f"{what} has the name {shown(repr(kind.name), 40)}; it takes small letters and digits"
-        )
-    for name in ("observation_names", "action_names"):
-        names = getattr(kind, name)
-        good = isinstance(names, (tuple, list)) and names and all(isinstance(text, str) for text in names)
-        if not good or len(set(names)) < len(names):
-            raise UserError(
-                f"{what} has {name} {shown(repr(names), 60)}; it takes a tuple of different names"
-            )
-    if not set(kind.action_names) <= set(ACTIONS):
-        raise UserError(f"{what} has actions {tuple(kind.action_names)}; known are {', '.join(ACTIONS)}")
-    try:
-        scale = np.asarray(kind.observation_scale, float)
-    except (TypeError, ValueError):
-        scale = np.zeros(0)
-    if scale.shape != (len(kind.observation_names),):
-        raise UserError(f"{what} has not one observation_scale for each of its observation_names")
-    if not ((scale > 0.0) & (scale < np.inf)).all():
-        raise UserError(f"{what} has an observation_scale that is not a finite number above 0")
+    if wrong := complaint(kind):
+        raise UserError(f"{what} {wrong}")
