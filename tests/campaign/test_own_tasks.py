@@ -1,0 +1,135 @@
+"""Tasks of one's own whose methods return, and whose attributes are, whatever there is."""
+
+import contextlib
+import dataclasses
+import unittest.mock
+
+import numpy as np
+
+from campaign.judge import EVIL, Case, command, judge, parametrised, write
+from campaign.test_training import TINY
+from inclined_landing.envs import tasks
+from inclined_landing.envs.tasks import Judgement, Start, Task, Training
+from inclined_landing.train import run
+from inclined_landing.train.cli import main
+
+CODE = """
+import dataclasses
+import numpy as np
+from campaign.test_own_tasks import VALUES
+from inclined_landing.envs.tasks import Judgement, Task, Training, hover_states
+
+class Plain(Task):
+    name = "plain"
+    observation_names = ("z", "vz")
+    observation_scale = np.array([1.0, 2.0])
+    action_names = ("thrust",)
+    max_steps = 10
+
+    def sample(self, rng, k):
+        return self.start(hover_states(rng.uniform([-1, -1, 0.5], [1, 1, 1.4], (k, 3)), self.vehicle))
+
+    def judge(self, moment):
+        up = moment.state[:, 2] > 1.5
+        return Judgement({"up": 1.0 * up}, up, up, np.zeros_like(up))
+
+class Own(Plain):
+    """
+# Besides the evil values: arrays of all kinds, and other things.
+VALUES = EVIL | {
+    **{f"array of {kind.__name__}": np.ones(2, kind) for kind in (bool, int, float, complex, str, object)},
+    "of one": np.ones(1),
+    "of none": np.ones(0),
+    "matrix": np.ones((2, 13)),
+    "matrix with nan": np.full((2, 13), np.nan),
+    "column": np.ones((2, 1)),
+    "commands": np.ones((2, 4)),
+    "observation": np.array([[1.0, 1e39], [0.0, 0.0]]),
+    "record": np.zeros(2, [("x", float)]),
+    "dates": np.zeros(2, "datetime64[s]"),
+    "none": None,
+    "a type": int,
+    "itself": Task,
+    "no score": {"reward": 1.0},
+    "score of none": {"score": None},
+    "bytes": b"x",
+}  # fmt: skip
+RAISED = ("ValueError('x')", "KeyError('x\\n')", "SystemExit(3)", "RecursionError()", "ZeroDivisionError",
+          "OSError(28, 'full')", "StopIteration", "UnicodeDecodeError('utf-8', b'', 0, 1, 'x')")  # fmt: skip
+METHODS = [name for name, value in vars(Task).items() if callable(value) and name[0] != "_"] + ["__init__"]
+PROPERTIES = [name for name, value in vars(Task).items() if isinstance(value, property)]
+ATTRIBUTES = [*("name", "observation_names", "observation_scale", "action_names"),
+              *(name for name, value in vars(Task).items()
+                if name[0] != "_" and name not in (*METHODS, *PROPERTIES))]  # fmt: skip
+
+
+def tried(path):
+    """landing-train of the task in a file."""
+    words = [f"--{name.replace('_', '-')}={value}" for name, value in TINY.items()]
+    with (
+        contextlib.chdir(path.parent),
+        unittest.mock.patch.object(run, "EVALUATION_STARTS", 2),
+        unittest.mock.patch.object(tasks, "_OWN", {}),
+    ):
+        return command(main, ["own.py:Own", "--out=run", "--no-report", "--plant=analytic", *words])
+
+
+def case(name: str, body: str, named: str | None = None) -> Case:
+    return Case(name, lambda folder: write(folder / "own.py", f"{CODE}{body}\n"), tried, named=named)
+
+
+def returned():
+    """Every method and property that returns every value."""
+    for name in (*METHODS, *PROPERTIES):
+        head = "@property\n    " if name in PROPERTIES else ""
+        for kind in VALUES:
+            body = f"{head}def {name}(self, *given, **named): return VALUES[{kind!r}]"
+            yield case(f"{name} {kind}", body)
+
+
+def raised():
+    """Every method and property that raises."""
+    for name in (*METHODS, *PROPERTIES):
+        head = "@property\n    " if name in PROPERTIES else ""
+        for error in RAISED:
+            yield case(f"{name} raises {error}", f"{head}def {name}(self, *given, **named): raise {error}")
+
+
+def fields():
+    """Starts and judgements with one field wrong, or with one entry of it."""
+    for name, kind in (("sample", Start), ("evaluation_starts", Start), ("judge", Judgement)):
+        for field in dataclasses.fields(kind):
+            for value in VALUES:
+                yield case(
+                    f"{name} {field.name} {value}",
+                    f"def {name}(self, *given): return dataclasses.replace("
+                    f"super().{name}(*given), {field.name}=VALUES[{value!r}])",
+                )
+    for value in VALUES:
+        changed = f"super().judge(moment).terms | {{'more': VALUES[{value!r}]}}"
+        body = f"def judge(self, moment): return dataclasses.replace(super().judge(moment), terms={changed})"
+        yield case(f"term {value}", body)
+
+
+def attributes():
+    """Every attribute of the class, and every default of its training, with every value."""
+    for name in ATTRIBUTES:
+        for value in VALUES:
+            yield case(f"attribute {name} {value}", f"{name} = VALUES[{value!r}]")
+            yield case(
+                f"own {name} {value}",
+                f"def __init__(self, *given, **named): super().__init__(*given, **named); "
+                f"self.{name} = VALUES[{value!r}]",
+            )
+    for field in dataclasses.fields(Training):
+        for value in VALUES:
+            yield case(
+                f"training {field.name} {value}",
+                f"training = Training({field.name}=VALUES[{value!r}])",
+                named="own.py" if field.name != "start_from" else "policy",
+            )
+
+
+@parametrised(returned, raised, fields, attributes, each=3)
+def test_own_tasks_are_trained_or_refused(case, tmp_path):
+    judge(case, tmp_path)
