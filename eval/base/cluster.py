@@ -9,6 +9,7 @@ import signal
 import socket
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
+from pathlib import Path
 from typing import Any
 
 from inclined_landing.eval.base import runs
@@ -17,25 +18,33 @@ from inclined_landing.models.errors import UserError, shown
 
 _PATIENCE = 5.0  # s to wait for a connection
 _RETRIES = 3  # of a call whose process or machine was lost
-# Of the connection to a cluster; Ray's own patience is a quarter of an hour, and it reports every attempt.
-_CONNECTING = {
-    "RAY_NUM_REDIS_GET_RETRIES": "1",
-    "RAY_py_gcs_connect_timeout_s": "10",
-    "RAY_BACKEND_LOG_LEVEL": "fatal",
-}
 
 
 def check(address: str | None, option: str) -> None:
-    """Raise UserError unless Ray is installed and, where an address HOST:PORT is given, something answers.
+    """Raise UserError unless Ray is installed and, where an address HOST:PORT is given, a cluster answers.
 
     option: the one that asks for Ray, as sentences name it.
     """
-    if address is not None:  # read when Ray is imported
-        for name, value in _CONNECTING.items():
-            os.environ.setdefault(name, value)
+    _prepare(address)
     import_ray(option)
     if address is not None:
         _knock(address)
+        with connected(address):
+            pass
+
+
+def _prepare(address: str | None) -> None:
+    """Set what Ray reads when it is imported, where it is not set."""
+    if address is None:
+        wanted = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}  # nothing listens but on the loopback
+    else:  # the patience for the first word of a cluster; Ray's own is a quarter of an hour
+        wanted = {"RAY_NUM_REDIS_GET_RETRIES": "1", "RAY_py_gcs_connect_timeout_s": "10"}
+        # Ray shows its token only to clusters that it finds by itself.
+        named = os.environ.keys() & {"RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"}
+        if named or Path("~/.ray/auth_token").expanduser().is_file():
+            wanted["RAY_AUTH_MODE"] = "token"
+    for name, value in wanted.items():
+        os.environ.setdefault(name, value)
 
 
 def import_ray(option: str = "Ray"):
@@ -102,14 +111,7 @@ def connected(address: str | None) -> Iterator[Cluster]:
 
 def _connect(ray, address: str | None) -> None:
     quiet = {"include_dashboard": False, "log_to_driver": False, "configure_logging": False}
-    if address is None:
-        # Not 127.0.0.1, which Ray takes for the machine's name in the network.
-        ray.init("local", _node_ip_address="127.0.0.2", **quiet)
-    else:
-        # Ray looks for the token that `ray start` has left on its machines only where it finds the address
-        # by itself.
-        os.environ["RAY_ADDRESS"] = address
-        ray.init("auto", **quiet)
+    ray.init(address or "local", **quiet)
 
 
 @contextlib.contextmanager

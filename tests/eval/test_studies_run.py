@@ -14,7 +14,7 @@ import pytest
 from pages import EVIL, check_page
 
 from inclined_landing.eval import cli
-from inclined_landing.eval.base import cluster
+from inclined_landing.eval.base import cluster, runs
 from inclined_landing.eval.landings import command, design, engines, landing
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
@@ -145,14 +145,6 @@ def test_kill_9_and_resume(study, tmp_path, reference):
     assert bits(out) == bits(reference)
 
 
-@pytest.mark.slow
-def test_ray_gives_the_same_bits(study, tmp_path, reference):
-    if not hasattr(pytest.importorskip("ray", reason="Ray is not installed (extra `ray`)"), "init"):
-        pytest.skip("a folder named ray is no Ray (extra `ray`)")
-    command.command(study, tmp_path / "run", engine="ray", chunk=10)
-    assert bits(tmp_path / "run") == bits(reference)
-
-
 BAD = [
     ("mass = {", "speed = {", "unknown parameter 'speed'; known are inclination, friction"),
     ("from = 10, to = 50", "from = 50, to = 50", "parameter inclination: the range from 50 to 50 is empty"),
@@ -234,6 +226,13 @@ def test_a_cluster_that_is_not_there(study, tmp_path, capsys, monkeypatch, addre
     words = ["--out", str(tmp_path / "out"), "--engine", "ray", "--address", address]
     assert cli.main(["contact", str(study), *words]) == 2
     refused(capsys, tmp_path, sentence, ["small.toml"])
+
+
+def test_a_machine_with_other_packages_is_refused():
+    versions = runs.packages()
+    assert cluster._called(versions, max, 1, 2) == 2
+    with pytest.raises(UserError, match=rf"has mujoco {versions['mujoco']}, and this machine 1\.0: "):
+        cluster._called(versions | {"mujoco": "1.0"}, max, 1, 2)
 
 
 def test_a_full_disk_at_the_start_leaves_nothing(study, tmp_path, capsys, monkeypatch):

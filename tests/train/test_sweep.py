@@ -16,6 +16,7 @@ from campaign.training import assert_same_policy
 from test_own_task import CODE as OWN_TASK
 
 from inclined_landing.envs import tasks
+from inclined_landing.eval.base import runs
 from inclined_landing.eval.sweeps.recipe import read_recipe
 from inclined_landing.models.errors import UserError
 from inclined_landing.train import cli
@@ -387,6 +388,36 @@ def test_processes_end_when_the_sweep_does(tmp_path, monkeypatch):
     assert [one.code for one in ended] == [-signal.SIGTERM] * 2
     with pytest.raises(Stopped):
         group.run(["landing-eval"], subprocess.DEVNULL, 1)
+
+
+def test_processes_end_when_the_sweep_is_killed(tmp_path):
+    (tmp_path / "sleeper.py").write_text("import os, time; print(os.getpid(), flush=True); time.sleep(60)")
+    code = (
+        "from inclined_landing.train.sweep import children\n"
+        "children.PROGRAMS['landing-eval'] = 'sleeper'\n"
+        "children.Children().run(['landing-eval'], 1, 1)"
+    )
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    first = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, env=environment)
+    begun = psutil.Process(int(first.stdout.readline()))
+    first.kill()
+    first.communicate()
+    assert psutil.wait_procs([begun], timeout=10)[0]
+
+
+def test_no_two_processes_do_the_same_job(place):
+    job = jobs.of_runs(read_recipe("pretended.toml"), Path("runs"), place)["a", 5]
+    job.log.parent.mkdir(parents=True)
+    with runs.held(job.run, job.log) as log:
+        other = os.dup(log)  # as the program that was begun has it
+    with pytest.raises(UserError, match=r"another process works in the run folder \S+a-5; wait"):
+        jobs.work(job, Children(), 1, patience=0.1)
+    assert not calls() and not job.record.exists()
+    timer = threading.Timer(0.3, os.close, [other])
+    timer.start()
+    steps = jobs.work(job, Children(), 1, patience=60)
+    timer.join(0)
+    assert [step.code for step in steps] == [0, 0]
 
 
 def test_what_a_process_takes_is_measured_with_its_own_children(tmp_path, monkeypatch):

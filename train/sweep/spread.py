@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+import contextlib
 import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -39,10 +39,10 @@ def spread(
     yield from ((key, steps) for key, steps in stands.items() if key not in left)
     if not left:
         return
-    work = functools.partial(jobs.work, children=children, threads=threads) if on == "local" else _on_worker
+    work, *more = (jobs.work, children, threads) if on == "local" else (_on_worker, os.getcwd())
     with ThreadPoolExecutor(at_once) if on == "local" else cluster.connected(address) as pool:
         try:
-            flying = {pool.submit(work, todo[key]): key for key in left}
+            flying = {pool.submit(work, todo[key], *more): key for key in left}
             for future in as_completed(flying):
                 yield flying[future], future.result()
         except BaseException:
@@ -51,10 +51,15 @@ def spread(
             raise
 
 
-def _on_worker(job: Job) -> list[Step]:
-    """A job on a machine of the cluster, perhaps for the second time: after the loss of the first machine."""
+def _on_worker(job: Job, place: str) -> list[Step]:
+    """A job on a machine of the cluster, perhaps for the second time: after the loss of the first machine.
+
+    place: the folder from which the words of the recipe name files.
+    """
     if not job.record.parent.is_dir():
         raise UserError(f"{os.uname().nodename} does not see {job.sweep}: all machines must share it")
+    with contextlib.suppress(OSError):  # not shared; then the names have to be whole
+        os.chdir(place)
     children = Children()
     try:
         return jobs.work(job, children, 1, _PATIENCE)
