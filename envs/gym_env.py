@@ -84,7 +84,8 @@ class TaskEnv(gym.Env):
         render_backend: str = "auto",
         **task_options,
     ):
-        if render_mode not in (None, *_METADATA["render_modes"]):
+        modes = _METADATA["render_modes"]
+        if not (render_mode is None or (isinstance(render_mode, str) and render_mode in modes)):
             raise UserError(
                 f"render_mode must be 'human', 'rgb_array' or None, not {shown(repr(render_mode), 40)}"
             )

@@ -50,20 +50,19 @@ def make_batch(
         raise UserError(f"vehicle must be a Vehicle or the path of a file, not {shown(repr(vehicle), 40)}")
     if not isinstance(plant, str) or plant not in PLANTS:
         raise UserError(f"unknown plant {shown(repr(plant), 40)}; known are {', '.join(PLANTS)}")
-    if not isinstance(plant_options or {}, dict):
+    plant_options = {} if plant_options is None else plant_options
+    if not isinstance(plant_options, dict):
         raise UserError(f"plant_options must be a dictionary, not {shown(repr(plant_options), 40)}")
-    _check_options(plant_options or {}, PLANTS[plant], f"the {plant} plant")
+    _check_options(plant_options, PLANTS[plant], f"the {plant} plant")
     for name, (low, high) in _PLANT_LIMITS.items():
-        value = (plant_options or {}).get(name)
+        value = plant_options.get(name)
         if value is not None and not low <= value <= high:
             raise UserError(
                 f"{name} of the {plant} plant must be from {low:g} to {high:g}, not {shown(repr(value), 40)}"
             )
     _check_options(options, task_class(task), f"the task {task}")
     built = make_task(task, vehicle, **options)
-    return BatchEnv(
-        built, make_plant(plant, n, built.vehicle, **built.plant_options | (plant_options or {})), seed
-    )
+    return BatchEnv(built, make_plant(plant, n, built.vehicle, **built.plant_options | plant_options), seed)
 
 
 def _check_options(given: dict, kind: Any, what: str) -> None:
