@@ -315,9 +315,10 @@ def _check_sentence(sentence: str, case: Case, path: Path, folder: Path) -> None
 
 
 def _listing(folder: Path) -> dict[str, str]:
-    """Everything below a folder with a digest of its first megabyte."""
+    """Everything below a folder with a digest of its first megabyte; Python's own cache aside."""
     found = {}
     for place, folders, files in os.walk(folder):
+        folders[:] = [name for name in folders if name != "__pycache__"]
         for path in map(Path(place).joinpath, itertools.chain(folders, files)):
             found[str(path)] = ""
             if path.is_file() and not path.is_symlink():
