@@ -26,8 +26,8 @@ To add a kind of input:
         def test_logs_are_used_or_refused(case, tmp_path):
             judge(case, tmp_path)
 
-By default `each` cases of every generator run, with `-m slow` the others. To choose them, all are named in
-every process: generators must be cheap, so whatever takes time is done in `make`, which writes the input, or
+By default `each` cases of every generator run, with `-m slow` MOST more, with CAMPAIGN=all before it all. To
+choose them, all are named in every process: generators must be cheap, so whatever takes time is done in `make`, which writes the input, or
 in `take`. Loop variables are bound by default arguments (`value=value`) or `functools.partial`.
 
 `take` calls the reader itself where it can (fast); `command(main, [...])` runs a whole command and turns exit
@@ -59,6 +59,7 @@ import pytest
 from inclined_landing.models.errors import UserError
 
 whole = True  # are slow cases wanted; `conftest.py` knows
+MOST = 200  # slow cases of a generator
 LONGEST_SENTENCE = 300  # characters, the path of the case not counted
 LEAKS = re.compile(
     r"Traceback|invalid literal|could not convert|instantiated|<class|NoneType|object at 0x|\[Errno|: None$"
@@ -159,15 +160,16 @@ def judge(case: Case, folder: Path) -> str:
 
 
 def parametrised(*generators: Callable[[], Iterable[Case]], each: int):
-    """The mark for a test over `case`: by default `each` cases of every generator, the rest marked slow.
+    """The mark for a test over `case`: by default `each` cases of every generator, MOST of them marked slow.
 
     Which ones is decided by their names alone: a new case displaces one other at most. Where no slow test is
-    asked for, the rest is left out.
+    asked for, the slow ones are left out; CAMPAIGN=all in the environment makes all of them, some 45 000.
     """
+    most = each if not whole else None if os.environ.get("CAMPAIGN") == "all" else max(each, MOST)
     every, names = [], set()
     for generator in generators:
         ranked = sorted(generator(), key=_rank)
-        for k, case in enumerate(ranked if whole else ranked[:each]):
+        for k, case in enumerate(ranked[:most]):
             assert case.name not in names, f"two cases are called {case.name}"
             names.add(case.name)
             every.append(pytest.param(case, marks=() if k < each else pytest.mark.slow, id=case.name))
