@@ -27,8 +27,9 @@ To add a kind of input:
             judge(case, tmp_path)
 
 By default `each` cases of every generator run, with `-m slow` MOST more, with CAMPAIGN=all before it all. To
-choose them, all are named in every process: generators must be cheap, so whatever takes time is done in `make`, which writes the input, or
-in `take`. Loop variables are bound by default arguments (`value=value`) or `functools.partial`.
+choose them, all are named in every process: generators must be cheap, so whatever takes time is done in
+`make`, which writes the input, or in `take`. Loop variables are bound by default arguments (`value=value`) or
+`functools.partial`.
 
 `take` calls the reader itself where it can (fast); `command(main, [...])` runs a whole command and turns exit
 code 2 with its sentence into a UserError, everything else into an error.
