@@ -108,6 +108,7 @@ class Machines:
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=self.environment | {"RAY_AUTH_MODE": "token"},  # which commands find out themselves
+                start_new_session=True,  # no end of a node reaches the test
             )
         self.nodes.append(node)
         until(lambda: b"Ray runtime started" in log.read_bytes() or node.poll() is not None, "node")
