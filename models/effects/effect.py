@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from inclined_landing.models.parameters import Vehicle
+import numpy as np
+
+from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,6 +23,19 @@ class FittedConstant:
     also: tuple[str, ...] = ()  # fields that scale with it
     offset: bool = False  # the parameter is added to the field, else the field is rescaled
     parts: tuple[int, ...] = ()  # which numbers of the field it rescales; (): all
+
+    def unit_of(self, vehicle: Vehicle) -> float:
+        """The quantity by which a factor of 1 more changes `vehicle`; 1 of what is a share anyway."""
+        if self.unit == "s":
+            return self.number(vehicle, 2.0) - self.number(vehicle, 1.0)
+        if self.parts:
+            return float(np.mean([abs(getattr(vehicle, self.field)[k]) for k in self.parts])) + 1e-12
+        return 1.0
+
+
+@functools.cache
+def _shipped() -> Vehicle:
+    return load_vehicle()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,16 +62,36 @@ class Parameter:
         return self.neutral == 1.0 and not self.is_reference
 
     @property
+    def between(self) -> float:
+        """By how much [unit] flights of one vehicle may well differ."""
+        return max(self.manoeuvre, self.negligible)
+
+    @property
     def possible(self) -> tuple[float, float]:
         """Bounds of what has a physical cause."""
         return (self.neutral, self.bounds[1]) if self.one_signed else self.bounds
 
     def beside(self, vehicle: Vehicle) -> Parameter:
-        """The parameter where `vehicle` has the effect already: it may have less of it, down to nothing."""
+        """The parameter as it may change `vehicle`.
+
+        Of an effect that the vehicle has already there may be less, down to nothing. Of a factor of a time
+        or a drag, the sizes are those of the quantity: as many ms as of the shipped vehicle, not as large a
+        share.
+        """
         own = float(getattr(vehicle, self.adds_to)) if self.adds_to else 0.0
-        if not self.one_signed or own <= 0.0:
+        if self.one_signed and own > 0.0:
+            return dataclasses.replace(self, bounds=(self.neutral - own, self.bounds[1]), one_signed=False)
+        if not self.is_factor or self.constant is None:
             return self
-        return dataclasses.replace(self, bounds=(self.neutral - own, self.bounds[1]), one_signed=False)
+        times = float(np.clip(self.constant.unit_of(_shipped()) / self.constant.unit_of(vehicle), 0.1, 20.0))
+        plausible = 1.0 + (self.plausible - 1.0) * times
+        return dataclasses.replace(
+            self,
+            bounds=(self.bounds[0], 1.0 + (self.bounds[1] - 1.0) * max(1.0, times)),
+            plausible=plausible if plausible > self.bounds[0] else 2.0 - plausible,
+            negligible=self.negligible * times,
+            manoeuvre=self.manoeuvre * times,
+        )
 
     def size(self, value: float) -> float:
         """How far a value is from neutral; 0 of a reference."""

@@ -35,6 +35,7 @@ from inclined_landing.eval.gap.result import (
 from inclined_landing.eval.gap.search import after_touch, contact, disagreement, remainder, rollout, sets
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
 from inclined_landing.eval.gap.search.prediction import CHANNELS
+from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
@@ -48,6 +49,7 @@ def diagnose(
     vehicle: Vehicle,
     library: Mapping[str, Effect] = LIBRARY,
     *,
+    reference: Reference | None = None,
     heldout: Sequence[FlightLog] = (),
     platform: bool | None = None,
     plants: Sequence[str] = ("analytic",),
@@ -55,6 +57,7 @@ def diagnose(
 ) -> Diagnosis:
     """Name the effects that `vehicle` lacks to explain `flights`.
 
+    reference: what the flights that the vehicle was identified from leave uncertain of it; None: it is exact.
     heldout: flights only judged on; without them every flight is judged with the effects fitted to the
     others. platform: the slab of the vehicle file stands in the arena (None: where a log has contacts).
     plants: measure the gap in these. curves: also error against horizon and single windows.
@@ -67,7 +70,7 @@ def diagnose(
     fitted = prepare_all(flights, vehicle, platform, notes)
     judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
     library, untold = tellable(library, fitted)
-    problem = Problem(fitted, vehicle, library)
+    problem = Problem(fitted, vehicle, library, reference)
     notes += [*_limits_in_words(problem), *untold]
     clock("prepare")
     found = sets.search(problem)

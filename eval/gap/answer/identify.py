@@ -1,7 +1,8 @@
 """Grey-box identification of what the model already has, from flights.
 
 Every effect that free flight shows is fitted together with the others, beside what belongs to the place and
-is not kept; then those without which the flights are more probable are left out again, one after the other.
+is not kept. Nothing is selected: what the flights leave uncertain, and what they make up for with one another,
+is the posterior that `gap` takes together with the vehicle.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from inclined_landing.eval.gap.search.evidence import Problem, tellable
 from inclined_landing.eval.gap.search.fit import Fitted, estimates, left_out_vehicles, refit, spread_between
 from inclined_landing.eval.gap.search.posterior import Local, slabs
 from inclined_landing.eval.gap.search.prediction import predict
-from inclined_landing.eval.gap.search.sets import asked_for, repeated, settle
+from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.sets import repeated, settle
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, FittedConstant
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -54,6 +56,7 @@ class Identification:
     """The answer of `identify`."""
 
     vehicle: Vehicle
+    reference: Reference  # what the flights leave uncertain of it
     parameters: tuple[Identified, ...]
     fit: dict[str, dict[str, float]]  # channel -> {"before", "after"}: NRMSE fit [%] on flights left out
     unrest: dict[str, Disturbance]  # channel -> noise and unrest
@@ -64,7 +67,9 @@ class Identification:
 
     def to_json(self) -> dict:
         """Plain dicts, lists, strings and numbers."""
-        result = dataclasses.asdict(self)
+        rest = [f.name for f in dataclasses.fields(self) if f.name != "reference"]
+        result = dataclasses.asdict(dataclasses.replace(self, reference=None))
+        result = {name: result[name] for name in rest}
         result["vehicle"] = {f: getattr(self.vehicle, f) for f in self.fields}
         result["paper"] = PAPER
         return result
@@ -116,8 +121,9 @@ def identify(
     near = problem.linearise(fit.values, columns).weighted(repeated(problem, fit.values))
     against = disagreement.contradictions(problem, near, fit.values)
     notes[:0] = map(disagreement.in_short, against)
-    fit = _worth_having(problem, fit, notes)
+    fit = refit(problem, fit.values, repeated(problem, fit.values), prior=slabs)
     result = problem.corrected({n: v for n, v in fit.values.items() if n not in places})
+    reference = _posterior(problem, result, fit.values, notes)
     own = left_out_vehicles(problem, fit)
     test = judged or fitted
     vehicles = [result] * len(judged) if judged else own
@@ -129,6 +135,7 @@ def identify(
     parameters = _parameters(problem, fit, vehicle)
     return Identification(
         vehicle=result,
+        reference=reference,
         parameters=parameters,
         fit=channels,
         unrest=disturbances(problem, stir),
@@ -139,24 +146,20 @@ def identify(
     )
 
 
-def _worth_having(problem: Problem, fit: Fitted, notes: list[str]) -> Fitted:
-    """The fit without effects that the flights do not ask for; notes on those that they tell nothing of.
-
-    What is left out is neutral in the vehicle file: small errors of several effects do not fall away unseen.
-    """
-    inflation = repeated(problem, fit.values)
-    fit = refit(problem, fit.values, inflation, prior=slabs)
-    local = Local.of(problem, fit.weighted, fit.values)
-    error = np.sqrt(np.diag(local.fit(frozenset(fit.values))[1])) * local.unit
-    slab = slabs(problem, local.columns)
-    seen = {c.effect for c, sd, wide in zip(local.columns, error, slab) if sd < UNSEEN * wide}
-    places = frozenset(n for n in fit.values if LIBRARY[n].of_the_place)
-    kept = asked_for(problem, fit, places)
-    for name in fit.values:
-        if name not in seen | kept:
+def _posterior(problem: Problem, vehicle: Vehicle, values, notes: list[str]) -> Reference:
+    """What the flights leave uncertain of the vehicle identified; notes on what they tell nothing of."""
+    library, _ = tellable({n: e for n, e in LIBRARY.items() if not e.contact}, problem.flights)
+    around = Problem(problem.flights, vehicle, library)
+    around.weight = problem.weight
+    reference = Reference.of(around, repeated(problem, values))
+    wide = slabs(around, reference.columns)
+    share = np.sqrt(np.diag(reference.covariance)) / wide
+    for name in problem.library:
+        own = [x for x, c in zip(share, reference.columns) if c.effect == name]
+        if min(own) > UNSEEN:
             label = name.replace("_", " ")
             notes.append(f"{label} is not excited enough in these flights; it stays as it was")
-    return refit(problem, {n: v for n, v in fit.values.items() if n in kept}, inflation, prior=slabs)
+    return reference
 
 
 def nrmse_fit(measured: np.ndarray, predicted: np.ndarray) -> float:

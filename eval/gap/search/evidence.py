@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,10 +20,14 @@ from inclined_landing.eval.gap.search.prediction import YAW_CHANNEL, predict
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.parameters import Vehicle
 
+if TYPE_CHECKING:
+    from inclined_landing.eval.gap.search.reference import Reference
+
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 
 # With fewer flights than this, flights are split into this many groups of windows in all.
 LEAST_GROUPS = 8
+REFERENCE = 8.0  # negligible sizes by which the reference of an effect may well be off
 _RIDGE = 1e-9
 
 
@@ -79,9 +84,16 @@ class Suspects:
 class Problem(Suspects):
     """Flights with their windows, and what may explain them."""
 
-    def __init__(self, flights: Sequence[Measured], vehicle: Vehicle, library: Mapping[str, Effect]):
+    def __init__(
+        self,
+        flights: Sequence[Measured],
+        vehicle: Vehicle,
+        library: Mapping[str, Effect],
+        reference: Reference | None = None,
+    ):
         self.flights = list(flights)
         self.vehicle = vehicle
+        self.reference = reference  # what is known of the vehicle; None: it is exact
         ignored = {"touchdown"} if any(f.has_yaw for f in flights) else {"touchdown", "yaw"}
         self.library = {
             name: effect.beside(vehicle)
@@ -106,6 +118,12 @@ class Problem(Suspects):
         """Weigh all errors by noise and unrest, the loops of roll, pitch and yaw those of `vehicle`."""
         for flight in self.flights:
             flight.rewhiten(Shapes.of(flight.rows, flight.dt, vehicle), unrest)
+
+    def known(self, columns: Sequence[Column]) -> np.ndarray:
+        """Covariance (P, P) of how far the vehicle may be off along `columns`."""
+        if self.reference is None:
+            return np.zeros((len(columns),) * 2)
+        return self.reference.covariance_of(columns)
 
     def white(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
         """White errors (w, 6, q) of every flight, each with its vehicle."""
@@ -162,9 +180,10 @@ class Problem(Suspects):
 
 
 def either_side(reference: Parameter) -> tuple[float, float]:
-    """Values well below and above a reference's own."""
+    """Values below and above a reference's own, as far as it may well lie: no further, or a shape would
+    stand for a scale."""
     low, high = reference.bounds
-    away = 0.25 * (high - low)
+    away = REFERENCE * reference.negligible
     return max(low, reference.neutral - away), min(high, reference.neutral + away)
 
 

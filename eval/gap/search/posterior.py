@@ -1,13 +1,16 @@
 """How probable a set of effects is, from Gram matrices: marginal likelihoods of a linearised simulator.
 
-Every parameter of every effect has a normal prior about neutral. An effect of the set has the *slab*, as
-wide as what real vehicles show; every other has the *spike*, as wide as what nobody needs to correct: no
-model is exact, and small errors of what is not named must not be explained by a name. Each flight may differ
-from the fleet by a spike of its own, so that a flight counts for what it can tell, and no more.
+    white error of a flight = J (z + u),   z = theta + delta
 
-The marginal likelihood is the product of predictions of every flight from those before it. Probabilities are
-averaged over flights drawn with replacement (bagged posterior: Huggins and Miller 2023), which keeps them
-from being surer than the flights agree, where no set is exactly true.
+theta: by how much the vehicle is off, known from the flights that it was identified from: normal, with the
+covariance of that fit. delta: what the flights have and those had not. Of an effect of the set it has the
+*slab*, as wide as what real vehicles show; of every other the *spike*, as wide as what nobody needs to
+correct: no model is exact, and small errors of what is not named must not be explained by a name. u: each
+flight may differ from the fleet, so that a flight counts for what it can tell, and no more. What the formula
+of an effect of the set may have wrong are columns too (`search.form`).
+
+Probabilities are averaged over flights drawn with replacement (bagged posterior: Huggins and Miller 2023),
+which keeps them from being surer than the flights agree, where no set is exactly true.
 """
 
 from __future__ import annotations
@@ -17,14 +20,16 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.evidence import Problem, Values, Weighted
-from inclined_landing.eval.gap.search.fit import Fitted, from_neutral
+from inclined_landing.eval.gap.search.evidence import REFERENCE, Problem, Values, Weighted
 
 SPIKE = 0.35  # standard deviation of what is not named, as a share of negligible
 BETWEEN = 0.35  # of the difference between flights, likewise
 SLAB = 1.0  # of what is named, in plausible sizes
+LARGE = 4.0  # times as wide where an effect is far larger: sizes have heavy tails
 DRAWS = 60  # of flights
 ROUNDS = 10  # of expectation and maximisation
+# How well differences between flights are known beforehand, as if seen in so many flights.
+SEEN_BEFORE = 2.0
 
 Set = frozenset[str]
 
@@ -60,12 +65,19 @@ def looks_alike(weighted: Weighted) -> dict[tuple[str, str], float]:
 
 
 def between_flights(problem: Problem, weighted: Weighted) -> dict[tuple[str, str], float]:
-    """(effect, parameter) -> its standard deviation between flights, by expectation and maximisation."""
+    """(effect, parameter) -> its standard deviation between flights, by expectation and maximisation.
+
+    Beforehand, flights differ by what the formulas have wrong from one manoeuvre to another, as if that had
+    been seen in SEEN_BEFORE flights: where one flight shows an effect, nothing says how far flights differ.
+    """
     unit = _shares(problem, weighted.columns)
     a, b = weighted.group_a * np.outer(unit, unit), weighted.group_b * unit
     prior = (unit / slabs(problem, weighted.columns)) ** 2
-    variance, eye = np.full(len(unit), BETWEEN**2), np.eye(len(unit))
+    known = np.array([problem.parameter(c).between for c in weighted.columns]) / unit
+    known = np.maximum(BETWEEN, known) ** 2
+    variance, eye = known.copy(), np.eye(len(unit))
     sized = np.array([not problem.parameter(c).is_reference for c in weighted.columns])
+    share = SEEN_BEFORE / (SEEN_BEFORE + problem.groups)
     for _ in range(ROUNDS):
         inner = np.linalg.inv(eye + a * variance)
         total = (inner @ a).sum(axis=0) + np.diag(prior)
@@ -73,7 +85,8 @@ def between_flights(problem: Problem, weighted: Weighted) -> dict[tuple[str, str
         covariance = variance[:, None] * inner
         own = np.einsum("gpq,gq->gp", covariance, b - a @ fleet)
         second = own**2 + np.diagonal(covariance, axis1=1, axis2=2)
-        variance = np.where(sized, np.maximum(BETWEEN**2, second.mean(axis=0)), BETWEEN**2)
+        found = share * known + (1.0 - share) * second.mean(axis=0)
+        variance = np.where(sized, np.maximum(BETWEEN**2, found), BETWEEN**2)
     return {
         (c.effect, c.parameter): float(np.sqrt(v) * u) for c, v, u in zip(weighted.columns, variance, unit)
     }
@@ -84,8 +97,7 @@ def slabs(problem: Problem, columns: Sequence) -> np.ndarray:
     width = []
     for column in columns:
         p = problem.parameter(column)
-        about = 0.25 * (p.bounds[1] - p.bounds[0])
-        width.append(about if p.is_reference else SLAB * abs(p.size(p.plausible)))
+        width.append(REFERENCE * p.negligible if p.is_reference else SLAB * abs(p.size(p.plausible)))
     return np.array(width)
 
 
@@ -105,6 +117,7 @@ class Local:
     unit: np.ndarray  # (P,) spikes
     slab: np.ndarray  # (P,) in spikes
     held: np.ndarray  # (P,) bool: at a bound, where it cannot move
+    known: np.ndarray  # (P, P) covariance of theta
     between: np.ndarray  # (P,) variance between flights
     stays: np.ndarray  # (P,) bool: where it was fitted, since a linear step from there fails
     own_a: np.ndarray  # (f, P, P) of every flight, its deviation not integrated out
@@ -134,56 +147,49 @@ class Local:
         np.add.at(own_b, of, b)
         between = (betweens(problem, columns) / unit) ** 2
         # Marginal over a deviation u of each flight, u ~ N(0, between) in every column.
-        eye = np.eye(len(columns))
-        for k in range(g):
-            inner = np.linalg.inv(eye + a[k] * between)
-            c[k] -= (b[k] * between) @ inner @ b[k]
-            b[k] = inner @ b[k]
-            a[k] = inner @ a[k]
-            a[k] = 0.5 * (a[k] + a[k].T)
+        inner = np.linalg.inv(np.eye(len(columns)) + a * between)
+        c = c - np.einsum("gp,p,gpq,gq->g", b, between, inner, b, optimize=True)
+        b = np.einsum("gpq,gq->gp", inner, b)
+        a = inner @ a
+        a = 0.5 * (a + a.swapaxes(1, 2))
+        known = problem.known(columns) / np.outer(unit, unit)
         slab = slabs(problem, columns) / unit
         stays = np.zeros(len(columns), bool)
-        return Local(problem, columns, at, a, b, c, unit, slab, held, between, stays, own_a, own_b)
+        return Local(problem, columns, at, a, b, c, unit, slab, held, known, between, stays, own_a, own_b)
 
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Positions of the columns of the effects `names`."""
         names = set(names)
         return np.array([k for k, column in enumerate(self.columns) if column.effect in names], int)
 
-    def precision(self, names: Set) -> np.ndarray:
-        """Prior precision (P,) of every column when the effects `names` are present."""
-        result = np.ones(len(self.columns))
+    def prior(self, names: Set) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (P,), from the point of linearisation, and covariance (P, P) when `names` are present."""
+        variance = np.ones(len(self.columns))
         own = self.index(names)
-        result[own] = 1.0 / self.slab[own] ** 2
-        result[self.held] = 1e12
-        return result
-
-    def log_evidence(self, names: Set, weights: np.ndarray) -> np.ndarray:
-        """Log marginal likelihood (d,) of a set, the flights counted by `weights` (d, g)."""
-        precision = self.precision(names)
-        a = np.tensordot(weights, self.a, axes=1) + np.diag(precision)
+        variance[own] = self.slab[own] ** 2
+        covariance = self.known + np.diag(variance)
         # What is held at a bound is there by choice: its prior is about that value.
-        at = np.where(self.held, 0.0, self.at)
-        h = weights @ self.b - precision * at
-        factor = np.linalg.cholesky(a)
-        log_det = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-        if self.stays.any():
-            move = ~self.stays
-            h, factor = h[:, move], np.linalg.cholesky(a[:, move][:, :, move])
-        z = np.linalg.solve(factor, h[..., None])[..., 0]
-        left = weights @ self.c + (precision * at * at).sum() - (z * z).sum(axis=1)
-        return -0.5 * (left + log_det - np.log(precision).sum())
+        covariance[self.held] = covariance[:, self.held] = 0.0
+        return np.where(self.held, 0.0, -self.at), covariance
+
+    def evidence(self, weights: np.ndarray | None = None) -> Evidence:
+        """Of sets of effects, the flights counted by `weights` (g,)."""
+        w = np.ones(len(self.c)) if weights is None else weights
+        mean, covariance = self.prior(frozenset())
+        return Evidence.of(
+            self, np.tensordot(w, self.a, axes=1), w @ self.b, float(w @ self.c), mean, covariance
+        )
 
     def fit(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Most probable change (P,) of the columns and its covariance (P, P), in spikes."""
-        precision = self.precision(names)
         w = np.ones(len(self.c)) if weights is None else weights
-        at = np.where(self.held, 0.0, self.at)
-        a, h = np.tensordot(w, self.a, axes=1) + np.diag(precision), w @ self.b - precision * at
-        change = np.zeros(len(h))
-        move = ~self.stays
-        change[move] = np.linalg.solve(a[np.ix_(move, move)], h[move])
-        return change, np.linalg.inv(a)
+        mean, prior = self.prior(names)
+        a, b = np.tensordot(w, self.a, axes=1), w @ self.b
+        if self.stays.any():
+            prior[self.stays] = prior[:, self.stays] = 0.0
+            mean = np.where(self.stays, 0.0, mean)
+        covariance = np.linalg.solve(np.eye(len(b)) + prior @ a, prior)
+        return mean + covariance @ (b - a @ mean), 0.5 * (covariance + covariance.T)
 
     def errors(self, names: Set) -> np.ndarray:
         """Standard error (P,) of every column, in spikes; what is held at a bound could go the other way."""
@@ -196,55 +202,58 @@ class Local:
         return np.linalg.solve(a + np.diag(1.0 / self.between), b - a @ change)
 
 
-def evidence_of(problem: Problem, fit: Fitted, names: Set) -> float:
-    """Log marginal likelihood of the effects `names` of a fit, the others neutral."""
-    columns = fit.weighted.columns
-    own = np.array([c.effect in names for c in columns])
-    a, b = fit.weighted.group_a.sum(axis=0), fit.weighted.group_b.sum(axis=0)
-    at, precision = from_neutral(problem, columns, fit.values), slabs(problem, columns)[own] ** -2.0
-    without = np.where(own, 0.0, -at)
-    left = fit.squares - 2.0 * b @ without + without @ a @ without
-    h = (b - a @ without)[own] - precision * at[own]
-    whole = a[np.ix_(own, own)] + np.diag(precision)
-    left += precision @ at[own] ** 2 - h @ np.linalg.solve(whole, h)
-    return -0.5 * float(left + np.linalg.slogdet(whole)[1] - np.log(precision).sum())
+@dataclasses.dataclass
+class Evidence:
+    """Log marginal likelihoods of many sets: all that is the same in every set is integrated out once.
 
+    With the prior covariance K of the empty set, about its mean,
+    log p = -1/2 [c - b' (1 + K a)^-1 K b + log det(1 + K a)],  and for what a set has more, the same with
+    a' = (1 + a K)^-1 a,  b' = (1 + a K)^-1 b  and the wider variances of its columns.
+    """
 
-class Screen:
-    """Log marginal likelihoods of many sets from one linearisation, all flights counted once."""
+    a: np.ndarray  # (P, P)
+    b: np.ndarray  # (P,)
+    empty: float  # log marginal likelihood of the empty set
+    own: dict[str, np.ndarray]  # effect -> its columns
+    slab: np.ndarray  # (P,)
 
-    def __init__(self, local: Local):
-        self.local = local
-        n = len(local.columns)
-        m = local.a.sum(axis=0) + np.diag(local.precision(frozenset()))
-        self.h = local.b.sum(axis=0)
-        self.inverse = np.linalg.inv(m)
-        self.log_det = np.linalg.slogdet(m)[1]
-        self.at = np.where(local.held, 0.0, local.at)
-        self.c = local.c.sum()
-        self.base = np.ones(n)
-        self.base[local.held] = 1e12
-        self.own = {name: local.index([name]) for name in local.problem.library}
+    @staticmethod
+    def of(local: Local, a, b, c: float, mean: np.ndarray, covariance: np.ndarray) -> Evidence:
+        """Of Gram matrices a, b, c summed over flights and the prior of the empty set."""
+        c = c - 2.0 * b @ mean + mean @ a @ mean
+        b = b - a @ mean
+        inner = np.linalg.inv(np.eye(len(b)) + a @ covariance)
+        square = b @ covariance @ inner @ b
+        _, log_det = np.linalg.slogdet(inner)
+        after = inner @ a
+        own = {n: local.index([n]) for n in local.problem.library}
+        own = {n: k[~local.held[k]] for n, k in own.items()}
+        empty = -0.5 * (c - square - log_det)
+        return Evidence(0.5 * (after + after.T), inner @ b, float(empty), own, local.slab)
 
     def __call__(self, names: Set) -> float:
         """The log marginal likelihood of a set."""
-        columns = [self.own[n] for n in names if len(self.own[n])]
-        own = np.concatenate(columns) if columns else np.zeros(0, int)
-        own = own[~self.local.held[own]]
-        precision = self.base.copy()
-        precision[own] = 1.0 / self.local.slab[own] ** 2
-        h = self.h - precision * self.at
-        mean = self.inverse @ h
-        square = h @ mean
-        log_det = self.log_det
-        if len(own):  # of the matrix less what the spikes of the set held it by
-            change = precision[own] - 1.0
-            inner = np.diag(1.0 / change) + self.inverse[np.ix_(own, own)]
-            log_inner = np.linalg.slogdet(inner)[1]
-            square -= mean[own] @ np.linalg.solve(inner, mean[own])
-            log_det += log_inner + np.log(np.abs(change)).sum()
-        left = self.c + (precision * self.at * self.at).sum() - square
-        return -0.5 * (left + log_det - np.log(precision).sum())
+        columns = [self.own[n] for n in sorted(names) if len(self.own[n])]
+        if not columns:
+            return self.empty
+        k = np.concatenate(columns)
+        wide = self.slab[k]
+        change, score = self._at(k, wide)
+        far = np.abs(change) > 2.0 * wide
+        if far.any():  # heavy tails: one time in five, sizes are LARGE times as large
+            score = max(score, self._at(k, np.where(far, LARGE * wide, wide))[1] - far.sum() * np.log(4.0))
+        return score
+
+    def _at(self, k: np.ndarray, wide: np.ndarray) -> tuple[np.ndarray, float]:
+        """Sizes of the columns k of widths (k,), and the log marginal likelihood."""
+        prior = np.maximum(wide**2 - 1.0, 1e-9)
+        a, b = self.a[np.ix_(k, k)], self.b[k]
+        root = np.sqrt(prior)
+        inner = np.eye(len(k)) + root[:, None] * a * root
+        factor = np.linalg.cholesky(inner)
+        z = np.linalg.solve(factor, root * b)
+        change = root * np.linalg.solve(factor.T, z)
+        return change, self.empty + 0.5 * float(z @ z) - float(np.log(np.diagonal(factor)).sum())
 
 
 def flight_weights(groups: int, seed: int = 0) -> np.ndarray:

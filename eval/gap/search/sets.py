@@ -19,11 +19,10 @@ from inclined_landing.eval.gap.flights import unrest
 from inclined_landing.eval.gap.search.evidence import Problem, Values, Weighted, either_side
 from inclined_landing.eval.gap.search.fit import Fitted, fit_at, refit
 from inclined_landing.eval.gap.search.posterior import (
+    Evidence,
     Local,
-    Screen,
     Set,
     between_flights,
-    evidence_of,
     flight_weights,
     looks_alike,
     slabs,
@@ -50,7 +49,7 @@ class Node:
     at: dict[str, dict[str, float]]  # where it was linearised
     values: dict[str, dict[str, float]]  # a step on, beside the small errors of all other effects
     local: Local
-    screen: Screen
+    screen: Evidence
     score: float  # log probability, up to a constant
 
 
@@ -99,8 +98,8 @@ def search(problem: Problem) -> Search:
     near = problem.linearise(whole.values, columns).weighted(inflation)
     problem.alike = looks_alike(near)
     problem.between = between_flights(problem, near)
-    together = fit_at(problem, whole.values, whole.weighted.columns, inflation)
-    nodes = _explore(problem, inflation, asked_for(problem, together, most=MOST), whole.values)
+    likely = backward_eliminate(problem, Local.of(problem, near, whole.values).evidence())
+    nodes = _explore(problem, inflation, likely, whole.values)
     best = max(nodes.values(), key=lambda node: node.score)
     scored = _distribution(problem, nodes, best, inflation)
     chosen = nodes[scored[0].names]
@@ -180,10 +179,9 @@ def _visit(problem: Problem, names: Set, start, inflation: np.ndarray) -> Node:
     if names and not _follows(problem, fit, values, inflation):
         local.stays[local.index(names)] = True
         values = fit.values
-    score = float(local.log_evidence(names, np.ones((1, problem.groups)))[0]) + log_prior(problem, names)
-    if not _has_sizes(problem, names, values):
-        score = -np.inf
-    return Node(names, fit.values, values, local, Screen(local), score)
+    screen = local.evidence()
+    score = screen(names) + log_prior(problem, names) if _has_sizes(problem, names, values) else -np.inf
+    return Node(names, fit.values, values, local, screen, score)
 
 
 def _has_sizes(problem: Problem, names: Set, values) -> bool:
@@ -250,19 +248,16 @@ def _neighbours(problem: Problem, node: Node) -> list[Set]:
     return [frozenset(s) for s in result]
 
 
-def asked_for(problem: Problem, fit: Fitted, always: Set = frozenset(), most: int | None = None) -> Set:
-    """What is left of effects fitted together when those without which the flights are more probable go.
-
-    One after the other, the others neutral; down to `most` of them. always: these stay.
-    """
+def backward_eliminate(problem: Problem, evidence: Evidence) -> Set:
+    """All effects less those without which the flights are more probable, one after the other."""
+    kept = frozenset(problem.library)
 
     def score(names: Set) -> float:
-        return evidence_of(problem, fit, names) + log_prior(problem, names)
+        return evidence(names) + log_prior(problem, names)
 
-    kept = always | {n for n in fit.values if np.any(problem.sizes(n, fit.values))}
-    while kept - always:
-        fewer = max((kept - {n} for n in sorted(kept - always)), key=score)
-        if score(fewer) < score(kept) and (most is None or len(kept) <= most):
+    while kept:
+        fewer = max((kept - {n} for n in sorted(kept)), key=score)
+        if score(fewer) < score(kept) and len(kept) <= MOST:
             break
         kept = fewer
     return kept
@@ -321,10 +316,13 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
     starts = {n: _start(problem, best, n) for n in near}
     near = {n: x for n, x in near.items() if _has_sizes(problem, n, starts[n])}
     fitted = {n: node for n, node in nodes.items() if np.isfinite(node.score)}
-    table = {n: node.local.log_evidence(n, weights) + log_prior(problem, n) for n, node in fitted.items()}
-    table |= {n: best.local.log_evidence(n, weights) + log_prior(problem, n) for n in near}
-    names = list(table)
-    logs = np.stack([table[n] for n in names])
+    names = [*fitted, *near]
+    logs = np.empty((len(names), len(weights)))
+    for node in fitted.values():
+        own = [k for k, n in enumerate(names) if (n == node.names or (node is best and n in near))]
+        for d, w in enumerate(weights):
+            evidence = node.local.evidence(w)
+            logs[own, d] = [evidence(names[k]) + log_prior(problem, names[k]) for k in own]
     shares = np.exp(logs - logs.max(axis=0))
     probability: dict[Set, float] = {}
     for one, share in zip(names, (shares / shares.sum(axis=0)).mean(axis=1)):
