@@ -13,7 +13,7 @@ _EXTRAS = {
     "export": ("onnx",),
     "ray": ("ray",),
     "fly": ("cflib",),
-    "baselines": ("pysindy",),
+    "baselines": ("pysindy", "rotorpy", "torchdiffeq", "roma"),
     "mocap": ("motioncapture",),
 }
 LONGEST = 2000  # characters of a sentence; beyond, its middle is left out
