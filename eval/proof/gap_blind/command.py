@@ -25,7 +25,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
 from . import score, summary
-from .cases import SETS, STRATA, Case, Flown, of_set
+from .cases import ROTORPY, SETS, STRATA, Case, Flown, of_set
 from .page import markdown, page, reliability
 
 METHODS = ("workflow", "tuning", "sparse")
@@ -35,7 +35,7 @@ _COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
 
 def command(
     out: Folder,
-    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh}")] = "dev",
+    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh,rotorpy}")] = "dev",
     seed: Seed = 0,
     cases: Annotated[int | None, Range(len(STRATA), 10**6)] = None,
     method: Annotated[tuple[str, ...], tyro.conf.arg(metavar="{workflow,tuning,sparse} [...]")] = (
@@ -48,21 +48,24 @@ def command(
     Args:
         out: folder for results.json, table.md, reliability.png and report.html; an interrupted run goes on in
             it.
-        set: development (thresholds are chosen on it) or fresh (scored once); their vehicles share no
-            structure.
+        set: development (thresholds are chosen on it) or fresh (scored once), whose vehicles share no
+            structure; or flights of a simulator by others (needs rotorpy).
         seed: of the set.
         cases: at most so many, every stratum keeping its share (default: all).
         method: one or more of: the gap workflow, parameter tuning only, sparse regression (needs pysindy).
         processes: cases diagnosed at a time.
     """
     methods = method
-    if set not in SETS:
-        raise UserError(f"unknown set {set!r}; known are {', '.join(SETS)}")
+    if set not in (*SETS, ROTORPY):
+        raise UserError(f"unknown set {set!r}; known are {', '.join((*SETS, ROTORPY))}")
     for method in methods:
         if method not in METHODS:
             raise UserError(f"unknown method {method!r}; known are {', '.join(METHODS)}")
     if "sparse" in methods and importlib.util.find_spec("pysindy") is None:
         raise UserError("--method sparse needs pysindy; pip install 'inclined-landing[baselines]'")
+    needed = ("rotorpy", "torch", "torchdiffeq", "roma") if set == ROTORPY else ()
+    if missing := [name for name in needed if importlib.util.find_spec(name) is None]:
+        raise UserError(f"--set rotorpy needs {missing[0]}; pip install 'inclined-landing[baselines]'")
     drawn = of_set(set, seed, cases)
     labels = {case.name: case.label() for case in drawn}
     out = runs.new_run(out, "gap-blind", resumable=_SET)
