@@ -102,6 +102,9 @@ def test_a_case_is_drawn_and_flown(monkeypatch):
     assert one.gap[0].rate == pytest.approx(case.reality.log_rate)
     with pytest.raises(ValueError, match="cannot have ground_effect"):
         cases.draw("rotorpy", "single", "ground_effect")
+    # Motors that are slower still would not fly: such a case is drawn again.
+    lags = [cases.draw("rotorpy", "single", "motor_lag", "strong", seed=k) for k in range(8)]
+    assert all(reality.flies(one.reality, World(**one.drawn["motor_lag"].world)) for one in lags)
     drawn = cases.of_set("rotorpy", 1)
     assert not {name for one in drawn for name in one.causes} & cases._ROTORPY_LACKS
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.proof import simulator
-from inclined_landing.eval.proof.simulator import Reality
+from inclined_landing.eval.proof.simulator import Reality, World
 from inclined_landing.models.parameters import Vehicle
 
 from . import causes, generate
@@ -179,6 +179,8 @@ def draw(
         raise ValueError(f"the family {family} cannot have {', '.join(lacking)}")
     size = None if not hidden else size or str(rng.choice(SIZES if stratum == "single" else SIZES[1:]))
     drawn = {one: causes.draw(one, size, rng, reality) for one in hidden}
+    while not _flies(reality, drawn):
+        drawn = {one: causes.draw(one, size, rng, reality) for one in hidden}
     # Many vehicles log their battery, whether or not it matters.
     logged = stratum != "touchdown" and "battery_sag" not in hidden and rng.uniform() < 0.4
     return Case(
@@ -247,6 +249,15 @@ def _reality(family: str, rng) -> Reality:
     from . import rotorpy_reality
 
     return rotorpy_reality.draw(rng)
+
+
+def _flies(reality: Reality, drawn: dict[str, Drawn]) -> bool:
+    """Is the attitude loop stable? RotorPy's makes up for no motor lag, and much more lag it cannot have."""
+    if reality.family != ROTORPY:
+        return True
+    from . import rotorpy_reality
+
+    return rotorpy_reality.flies(reality, World(**causes.combined(*drawn.values()).world))
 
 
 def _has(family: str, cause: str) -> bool:

@@ -90,6 +90,15 @@ def draw(rng: np.random.Generator) -> Reality:
     )
 
 
+def flies(reality: Reality, w: World) -> bool:
+    """Is the attitude loop well inside stability?
+
+    With gains kp on the angle and kd on the rate, and motors of first order, tau: by Routh tau kp < kd.
+    """
+    p = parameters(reality.constants, w)
+    return p["tau_m"] * p["kp_att"] < 0.7 * p["kd_att"]
+
+
 def fly_groups(
     groups: Sequence[tuple[Drawn, int]], rng: np.random.Generator, reality: Reality, seconds: float = 20.0
 ) -> list[list[Recording]]:
