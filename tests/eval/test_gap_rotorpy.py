@@ -48,7 +48,7 @@ def test_a_batch_flies_as_rotorpy_steps():
     import torch
     from rotorpy.vehicles.multirotor import Multirotor
 
-    world = World(body_drag=0.01, translational_lift=0.05, com_x=1e-4, drag_scale=1.5)
+    world = World(body_drag=0.01, translational_lift=0.05, drag_scale=1.5)
     params, rng, h = reality.parameters(CLEAN, world), np.random.default_rng(1), 1.0 / reality.RATE
     q = [0.1, -0.05, 0.2, np.sqrt(0.9475)]
     start = np.array([0.0, 0.0, 1.0, 1.0, -0.5, 0.2, *q, 0.0, 0.0, 0.0, 0.4, -0.2, 0.1, *[1700.0] * 4])

@@ -4,7 +4,7 @@ All flights of a case are one batch of `rotorpy.vehicles.multirotor.BatchedMulti
 midpoint rule. The pilot is RotorPy's SE3 controller (50 Hz, on the measured state): its thrust and
 orientation are the logged PWM, roll and pitch. The vehicle turns what it receives into rotor speeds with
 RotorPy's `cmd_ctatt` loop (250 Hz). Where RotorPy has a parameter for a hidden cause (mass, coefficients of
-thrust, drag and lift, motor lag, rotor positions, attitude gain, wind), that parameter differs; the rest is
+thrust, drag and lift, motor lag, gain of the attitude loop, wind), that parameter differs; the rest is
 added at the interface (`rotorpy_faults.py`). It has no ground effect: flights keep clear of the floor.
 
 RotorPy is a package of its own (MIT license): pip install 'inclined-landing[baselines]'.
@@ -45,7 +45,7 @@ with optional():
 
 WARM_UP = 2.0  # s flown before the log begins
 LOWEST = 0.35  # m, of the references; the pilot has no integral, a cause may press the vehicle down
-_TOUCH = 0.05  # m, lowest centre of mass in a flight that counts
+_TOUCH, _FAR = 0.05, 4.0  # m, lowest and farthest centre of mass in a flight that counts
 _TRIES = 10
 _CPU = torch.device("cpu")
 _POSITION_GAINS, _HEIGHT_GAINS = (6.5, 4.0, 0.0), (15.0, 9.0, 0.0)  # RotorPy's kp_pos, kd_pos; no integral
@@ -104,7 +104,7 @@ def fly_groups(
 ) -> list[list[Recording]]:
     """Fly so many ordinary flights for every (cause, count), all in one batch; kinds in a random order.
 
-    A flight that comes near the floor is flown again on another path.
+    A flight that comes near the floor, or leaves the room, is flown again on another path.
     """
     todo = []  # kind, world, group
     for group, (drawn, count) in enumerate(groups):
@@ -119,9 +119,13 @@ def fly_groups(
             return [[flown[k] for k in range(len(todo)) if todo[k][2] == g] for g in range(len(groups))]
         paths = [ordinary(todo[k][0], rng, seconds, LOWEST) for k in left]
         batch = fly(np.stack(paths, axis=1), [todo[k][1] for k in left], rng, reality)
-        good = [np.isfinite(one.truth).all() and one.truth[:, 2].min() > _TOUCH for one in batch]
-        flown |= {k: one for k, one, fine in zip(left, batch, good) if fine}
-    raise RuntimeError("some flights of RotorPy's vehicle did not stay above the floor")
+        flown |= {k: one for k, one in zip(left, batch) if _stays(one)}
+    raise RuntimeError("some flights of RotorPy's vehicle did not stay in the room")
+
+
+def _stays(flight: Recording) -> bool:
+    x = flight.truth[:, :3]
+    return bool(np.isfinite(x).all() and x[:, 2].min() > _TOUCH and np.abs(x).max() < _FAR)
 
 
 def parameters(c: Constants, w: World | None = None) -> dict:
@@ -129,11 +133,9 @@ def parameters(c: Constants, w: World | None = None) -> dict:
     w = World() if w is None else w
     lateral, axial = c.drag_per_speed[0], c.drag_per_speed[2]
     k_eta = c.thrust_per_speed * w.thrust_scale
-    offset = np.array([w.com_x, w.com_y, 0.0])
     return quad_params | {
         "mass": c.mass * w.mass_scale,
         **dict(zip(("Ixx", "Iyy", "Izz"), c.inertia)),
-        "rotor_pos": {name: r + offset for name, r in quad_params["rotor_pos"].items()},
         "k_eta": k_eta,
         "k_m": k_eta * c.torque_ratio,
         "k_d": lateral * w.drag_scale * w.lateral_drag,
