@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ from inclined_landing.models import effects
 from inclined_landing.models.parameters import Vehicle
 
 Verdict = Literal["effects", "nothing", "unknown"]
+MATERIAL = 0.04  # share of the squared one-second error; from development families
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,6 +99,8 @@ class Dependence:
     unit: str  # m/s2, rad/s2
     share: float  # of the squared error that it takes away on flights left out
     score: float  # standard deviations over flips of signs
+    displacement: float  # m, root mean square of what it does to the position within a second
+    displacement_ci95: tuple[float, float]
     regimes: dict[str, float]  # regime -> root mean square there
     against: str  # the one input it goes with most
     x: np.ndarray  # (b,) bin centres of that input
@@ -107,11 +111,24 @@ class Dependence:
 class Remainder:
     """What is left after the most probable set."""
 
-    unexplained: bool  # something is there that repeats, and is more than what nobody needs to correct
     p_value: float  # of the largest gain of all functions, if nothing repeated
     size: dict[str, float]  # channel -> root mean square beyond noise and unrest (m/s2 for x, y, z; rad)
     depends_on: tuple[Dependence, ...]  # what repeats, one for each channel, surest first
-    text: str
+    error: float = math.nan  # m, position error one second ahead that is left, root mean square
+
+    def material(self, one: Dependence) -> bool:
+        """Whether predicting it would take away a share of the squared error that a person would care for.
+
+        The heading is compared on its own and moves nothing else.
+        """
+        if not math.isfinite(self.error):
+            return one.channel != "yaw"
+        return one.displacement**2 >= MATERIAL * self.error**2
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether something material repeats that no effect explains."""
+        return any(map(self.material, self.depends_on))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -238,7 +255,12 @@ class Diagnosis:
             for e in self.effects
         ]
         depends_on = [
-            _some(d, "channel", "on", "size", "unit", "share", "score", "against", "regimes")
+            _some(
+                d,
+                *("channel", "on", "size", "unit", "share", "score", "against", "regimes"),
+                *("displacement", "displacement_ci95"),
+            )
+            | {"material": self.remainder.material(d)}
             for d in self.remainder.depends_on
         ]
         return {
@@ -256,7 +278,7 @@ class Diagnosis:
             },
             "where": [dataclasses.asdict(row) for row in self.where],
             "gap": {plant: dataclasses.asdict(gap) for plant, gap in self.gap.items()},
-            "remainder": _some(self.remainder, "unexplained", "p_value", "size", "text")
+            "remainder": _some(self.remainder, "unexplained", "p_value", "size", "error")
             | {
                 "depends_on": depends_on,
                 "touchdown": self.touchdowns and dataclasses.asdict(self.touchdowns),

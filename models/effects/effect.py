@@ -33,6 +33,9 @@ class FittedConstant:
         return 1.0
 
 
+OFF = 8.0  # negligible sizes by which the reference of an effect may well be off
+
+
 @functools.cache
 def _shipped() -> Vehicle:
     return load_vehicle()
@@ -68,8 +71,20 @@ class Parameter:
 
     @property
     def possible(self) -> tuple[float, float]:
-        """Bounds of what has a physical cause."""
-        return (self.neutral, self.bounds[1]) if self.one_signed else self.bounds
+        """Bounds of what has a physical cause; of a reference, how far it may be off.
+
+        With a reference further away, a shape would stand for a scale.
+        """
+        low, high = self.bounds
+        if self.is_reference:
+            low, high = self.either_side(1.5)
+        return (self.neutral, high) if self.one_signed else (low, high)
+
+    def either_side(self, times: float = 1.0) -> tuple[float, float]:
+        """Values of a reference as far below and above its own as it may well lie, or some times that."""
+        low, high = self.bounds
+        away = times * OFF * self.negligible
+        return max(low, self.neutral - away), min(high, self.neutral + away)
 
     def beside(self, vehicle: Vehicle) -> Parameter:
         """The parameter as it may change `vehicle`.
@@ -145,6 +160,27 @@ class Effect:
     def reference(self) -> Parameter | None:
         """The parameter that the others act about, if there is one."""
         return next((p for p in self.parameters if p.is_reference), None)
+
+    def at_ends(self, value: float, reference: float) -> tuple[float, float]:
+        """A size about a reference as sizes about both of its sides: together they do the same."""
+        share = self._towards(reference)
+        return value * (1.0 - share), value * share
+
+    def from_ends(self, low: float, high: float) -> tuple[float, float]:
+        """The size, and the reference that it is about, of two sizes about both sides of the reference."""
+        value = low + high
+        share = high / value if value else 0.5
+        first, last = self.reference.either_side()
+        if self.reference.unit == "PWM":  # 1 - load/reference is linear in 1/reference
+            inverse = (1.0 - share) / first + share / last
+            return value, 1.0 / inverse if inverse > 0.0 else self.reference.bounds[1]
+        return value, first + share * (last - first)
+
+    def _towards(self, reference: float) -> float:
+        first, last = self.reference.either_side()
+        if self.reference.unit == "PWM":
+            return (1.0 / first - 1.0 / reference) / (1.0 / first - 1.0 / last)
+        return (reference - first) / (last - first)
 
     @property
     def contact(self) -> bool:

@@ -10,9 +10,7 @@ import numpy as np
 
 from inclined_landing.eval.gap.answer.named import (
     disturbances,
-    left_out,
     named_effects,
-    parts_only,
     scored_sets,
     touched_effects,
     unseen_sets,
@@ -32,7 +30,7 @@ from inclined_landing.eval.gap.result import (
     WhereRow,
     WindowCurves,
 )
-from inclined_landing.eval.gap.search import after_touch, contact, disagreement, remainder, rollout, sets
+from inclined_landing.eval.gap.search import after_touch, contact, disagreement, residual, rollout, sets
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
 from inclined_landing.eval.gap.search.prediction import CHANNELS
 from inclined_landing.eval.gap.search.reference import Reference
@@ -77,17 +75,19 @@ def diagnose(
     clock("name")
     against = disagreement.contradictions(problem, found.near, found.whole)
     notes[:0] = map(disagreement.in_short, against)
-    left = remainder.assess(problem, found)
-    parts = parts_only(problem, found, left)
-    notes += [f"{name} would explain the smaller part of what is left: it is not named" for name in parts]
-    values = values_with(problem, found, found.names - frozenset(parts))
+    values = values_with(problem, found, found.names)
     effects, corrected = named_effects(problem, found, values), problem.corrected(values)
+    rest = residual.Left.by(problem, found.local, found.names, found.at, found.unrest.size, found.inflation)
+    left = residual.assess(problem, rest, corrected)
     clock("remainder")
     if judged:
         test, after = Problem(judged, vehicle, library), [corrected] * len(judged)
         test.rewhiten(found.unrest, corrected)
     else:
-        test, after = problem, left_out(problem, found, frozenset(values))
+        test, after = (
+            problem,
+            [problem.corrected(v) for v in sets.left_out(problem, found.local, found.names)],
+        )
     where = _where(test, test.white([vehicle] * len(after)), test.white(after))
     clock("where")
     tied = any(len(e.members) > 1 for e in effects)
@@ -98,8 +98,10 @@ def diagnose(
         clock("touchdown")
     starts = _starts(test, notes)
     gap, drawn = {}, {"horizon": (), "windows": ()}
-    if starts is not None and (curves or plants):
+    if starts is not None:
         floor = rollout.noise_floor(starts, corrected)
+        error = float(rollout.errors_by_flight(starts, after)[0][-1])
+        left = dataclasses.replace(left, error=error)
         if curves:
             horizon = _horizon(problem, starts, effects, after, floor)
             drawn = {"horizon": horizon, "windows": _window_curves(starts, vehicle, corrected)}
@@ -198,8 +200,8 @@ def _limits_in_words(problem: Problem) -> list[str]:
 
 
 def _where(problem: Problem, before, after) -> tuple[WhereRow, ...]:
-    first, variance = remainder.sizes(problem, before)
-    second, _ = remainder.sizes(problem, after)
+    first, variance = residual.sizes(problem, before)
+    second, _ = residual.sizes(problem, after)
     regimes = np.concatenate([f.regimes for f in problem.flights])
     rows = []
     for name, member in [("all", np.ones(len(regimes), bool)), *zip(REGIMES, regimes.T)]:
@@ -208,7 +210,7 @@ def _where(problem: Problem, before, after) -> tuple[WhereRow, ...]:
             if w.any():
                 rms = [float(np.sqrt((x[w, k] ** 2).mean())) for x in (first, second)]
                 floor = float(np.sqrt(variance[w, k].mean()))
-                rows.append(WhereRow(name, channel, *rms, floor, remainder.UNITS[channel], int(w.sum())))
+                rows.append(WhereRow(name, channel, *rms, floor, residual.UNITS[channel], int(w.sum())))
     return tuple(rows)
 
 

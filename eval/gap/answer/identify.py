@@ -18,12 +18,12 @@ from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.flights.windows import Measured, prepare_all
 from inclined_landing.eval.gap.result import Contradiction, Disturbance
 from inclined_landing.eval.gap.search import disagreement
-from inclined_landing.eval.gap.search.evidence import Problem, tellable
-from inclined_landing.eval.gap.search.fit import Fitted, estimates, left_out_vehicles, refit, spread_between
-from inclined_landing.eval.gap.search.posterior import Local, slabs
+from inclined_landing.eval.gap.search.evidence import Problem, Values, tellable
+from inclined_landing.eval.gap.search.fit import Fitted, refit
+from inclined_landing.eval.gap.search.posterior import Local, Sized, between_flights, slabs
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.gap.search.reference import Reference
-from inclined_landing.eval.gap.search.sets import repeated, settle
+from inclined_landing.eval.gap.search.sets import left_out, repeated, settle, stepped
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, FittedConstant
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -34,6 +34,7 @@ PAPER["fit"] = 85.3
 FIT_HORIZON = 1.0  # s, of the velocity changes that the fit of x, y and z is about
 # A parameter is not identified when the flights leave its uncertainty above this share of what it was.
 UNSEEN = 0.7
+STEPS = 2  # of the fit beside the formulas' errors
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,14 +118,15 @@ def identify(
     problem = Problem(fitted, vehicle, library)
     places = [name for name in problem.library if LIBRARY[name].of_the_place]
     fit, stir = settle(problem, list(problem.library))
-    columns = problem.columns(fit.values, list(problem.library))
-    near = problem.linearise(fit.values, columns).weighted(repeated(problem, fit.values))
+    columns = problem.columns(problem.library)
+    near = problem.linearise(fit.values, columns, repeated(problem, fit.values))
     against = disagreement.contradictions(problem, near, fit.values)
     notes[:0] = map(disagreement.in_short, against)
     fit = refit(problem, fit.values, repeated(problem, fit.values), prior=slabs)
-    result = problem.corrected({n: v for n, v in fit.values.items() if n not in places})
-    reference = _posterior(problem, result, fit.values, notes)
-    own = left_out_vehicles(problem, fit)
+    values, local = _beside_the_forms(problem, fit)
+    result = problem.corrected({n: v for n, v in values.items() if n not in places})
+    reference = _posterior(problem, result, values, stir.size, notes)
+    own = [problem.corrected(v) for v in left_out(problem, local, frozenset(values))]
     test = judged or fitted
     vehicles = [result] * len(judged) if judged else own
     if not judged and len(fitted) < 2:
@@ -132,26 +134,39 @@ def identify(
     channels = {}
     for channel, (measured, before, after) in _compared(test, vehicle, vehicles).items():
         channels[channel] = {"before": nrmse_fit(measured, before), "after": nrmse_fit(measured, after)}
-    parameters = _parameters(problem, fit, vehicle)
+    sized = local.sized(frozenset(values))
     return Identification(
         vehicle=result,
         reference=reference,
-        parameters=parameters,
+        parameters=_parameters(problem, values, sized, vehicle),
         fit=channels,
         unrest=disturbances(problem, stir),
-        fields=_fields(problem, fit, vehicle, result),
+        fields=_fields(problem, values, sized, vehicle, result),
         flights=tuple(f.name for f in fitted),
         notes=tuple(notes),
         contradictions=against,
     )
 
 
-def _posterior(problem: Problem, vehicle: Vehicle, values, notes: list[str]) -> Reference:
+def _beside_the_forms(problem: Problem, fit: Fitted) -> tuple[Values, Local]:
+    """Values beside what the formulas of the base model have wrong and flights' own differences; there."""
+    values, names = fit.values, frozenset(fit.values)
+    for k in range(STEPS + 1):
+        columns = problem.columns(problem.library) + problem.form_columns({})
+        linear = problem.linearise(values, columns, fit.inflation)
+        problem.between = between_flights(problem, linear)
+        local = Local.of(problem, linear, values)
+        if k < STEPS:
+            values = stepped(problem, local, names)
+    return values, local
+
+
+def _posterior(problem: Problem, vehicle: Vehicle, values, size: np.ndarray, notes: list[str]) -> Reference:
     """What the flights leave uncertain of the vehicle identified; notes on what they tell nothing of."""
     library, _ = tellable({n: e for n, e in LIBRARY.items() if not e.contact}, problem.flights)
     around = Problem(problem.flights, vehicle, library)
     around.weight = problem.weight
-    reference = Reference.of(around, repeated(problem, values))
+    reference = Reference.of(around, size, repeated(problem, values))
     wide = slabs(around, reference.columns)
     share = np.sqrt(np.diag(reference.covariance)) / wide
     for name in problem.library:
@@ -188,18 +203,21 @@ def _compared(flights: list[Measured], before: Vehicle, after: Sequence[Vehicle]
     return {c: tuple(np.concatenate(x) for x in zip(*rows)) for c, rows in parts.items()}
 
 
-def _parameters(problem: Problem, fit: Fitted, before: Vehicle) -> tuple[Identified, ...]:
+def _half(problem: Problem, known: Sized) -> float:
+    """Half of a 95 % interval."""
+    return float(stats.t.ppf(0.975, max(1, problem.groups - 1))) * known.error
+
+
+def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tuple[Identified, ...]:
     result = []
-    width = _half_widths(problem, fit)
-    for effect, p, value, _, change, error in estimates(problem, fit):
-        half = width[effect, p.name]
+    for (effect, parameter), known in sized.items():
+        p, value = problem.library[effect].parameter(parameter), values[effect][parameter]
         if LIBRARY[effect].of_the_place:
             continue
         label = effect if effect.endswith(p.name) else f"{effect} {p.name}"
-        label = label.replace("_", " ")
-        c = p.constant or FittedConstant(label, "", p.unit, lambda v, x: x)
-        ends = sorted(c.number(before, float(np.clip(value + s * half, *p.bounds))) for s in (-1, 1))
-        per_unit = abs(c.number(before, 2.0) - c.number(before, 1.0))
+        c = p.constant or FittedConstant(label.replace("_", " "), "", p.unit, lambda v, x: x)
+        ends = (float(np.clip(value + s * _half(problem, known), *p.bounds)) for s in (-1, 1))
+        low, high = sorted(c.number(before, x) for x in ends)
         result.append(
             Identified(
                 name=c.name,
@@ -207,35 +225,24 @@ def _parameters(problem: Problem, fit: Fitted, before: Vehicle) -> tuple[Identif
                 unit=c.unit,
                 before=c.number(before, p.neutral),
                 value=c.number(before, value),
-                ci95=(ends[0], ends[1]),
-                per_flight=tuple(c.number(before, float(x)) for x in value + change),
-                spread=spread_between(change, error) * per_unit,
+                ci95=(low, high),
+                per_flight=tuple(c.number(before, float(x)) for x in value + known.deviation),
+                spread=known.between * abs(c.number(before, 2.0) - c.number(before, 1.0)),
                 note="at its bound" if min(value - p.bounds[0], p.bounds[1] - value) < 1e-6 else "",
             )
         )
     return tuple(result)
 
 
-def _half_widths(problem: Problem, fit: Fitted) -> dict[tuple[str, str], float]:
-    """(effect, parameter) -> half of its 95 % interval."""
-    if not fit.values:
-        return {}
-    local = Local.of(problem, fit.weighted, fit.values)
-    error = local.errors(frozenset(fit.values)) * local.unit
-    times = float(stats.t.ppf(0.975, max(1, problem.groups - 1)))
-    return {(c.effect, c.parameter): times * float(sd) for c, sd in zip(local.columns, error)}
-
-
-def _fields(problem: Problem, fit: Fitted, before: Vehicle, after: Vehicle):
+def _fields(problem: Problem, values: Values, sized, before: Vehicle, after: Vehicle):
     """Changed fields of the vehicle with the half-width of their intervals, in the field's own unit."""
     changed = [f.name for f in dataclasses.fields(after) if getattr(after, f.name) != getattr(before, f.name)]
     width = {name: np.zeros(np.shape(getattr(after, name))) for name in changed}
-    wide = _half_widths(problem, fit)
-    for effect, p, value, *_ in estimates(problem, fit):
-        half = wide[effect, p.name]
-        end = float(np.clip(value + half, *p.bounds))
-        values = {**fit.values, effect: {**fit.values[effect], p.name: end}}
-        moved = problem.corrected({n: v for n, v in values.items() if not LIBRARY[n].of_the_place})
+    for (effect, parameter), known in sized.items():
+        p = problem.library[effect].parameter(parameter)
+        end = float(np.clip(values[effect][parameter] + _half(problem, known), *p.bounds))
+        one = {**values, effect: {**values[effect], parameter: end}}
+        moved = problem.corrected({n: v for n, v in one.items() if not LIBRARY[n].of_the_place})
         for name in changed:
             width[name] = np.hypot(width[name], np.subtract(getattr(moved, name), getattr(after, name)))
     return {n: float(w) if np.ndim(w) == 0 else tuple(map(float, w)) for n, w in width.items()}

@@ -15,7 +15,6 @@ from inclined_landing.eval.gap.result import (
     Disturbance,
     Estimate,
     NamedEffect,
-    Remainder,
     ScoredSet,
 )
 from inclined_landing.eval.gap.search.after_touch import TouchdownProblem
@@ -25,7 +24,6 @@ from inclined_landing.eval.gap.search.fit import spread_between
 from inclined_landing.eval.gap.search.posterior import Set
 from inclined_landing.eval.gap.search.prediction import CHANNELS
 from inclined_landing.eval.gap.search.sets import LEAST, Search, stepped
-from inclined_landing.models.parameters import Vehicle
 
 HELD = 0.95  # of the probability, by the sets that what takes an effect's place is looked for in
 
@@ -78,71 +76,27 @@ def squares_lost(problem: Problem, found: Search, values: Values) -> dict[str, n
     return {name: by_channel(problem, found, rest[name]) - after for name in values}
 
 
-def parts_only(problem: Problem, found: Search, left: Remainder) -> list[str]:
-    """Effects that would name what they explain the smaller part of.
-
-    Those that act mostly where something repeats that no effect explains, and that take away less there, all
-    of them together, than what is left would.
-    """
-    values = found.values
-    if not left.depends_on or not values:
-        return []
-    after, lost = by_channel(problem, found, values), squares_lost(problem, found, values)
-    share = np.zeros(6)
-    for d in left.depends_on:
-        own = [CHANNELS.index(d.channel)] if d.channel in CHANNELS else [0, 1]  # along or across the heading
-        share[own] = np.maximum(share[own], d.share)
-    there = share > 0.0
-    repeats = float(share @ after)
-    lost = {name: np.maximum(squares, 0.0) for name, squares in lost.items()}
-    parts = [name for name, squares in lost.items() if squares[there].sum() > 0.5 * squares.sum()]
-    without = by_channel(problem, found, {n: v for n, v in values.items() if n not in parts})
-    return parts if float((without - after)[there].sum()) < repeats else []
-
-
 def values_with(problem: Problem, found: Search, names: Set, weights=None) -> dict[str, dict[str, float]]:
     """Values of the effects `names` of the best set; weights (g,): how much every group of windows counts."""
-    values = stepped(problem, found.local, names, found.at, weights)
-    return {n: v for n, v in values.items() if n in names}
-
-
-def left_out(problem: Problem, found: Search, names: Set) -> list[Vehicle]:
-    """For every flight, the vehicle with the effects `names` fitted to the other flights."""
-    flights = len(problem.flights)
-    if flights < 2 or not names:
-        return [problem.corrected(values_with(problem, found, names))] * flights
-    vehicles = []
-    for k in range(flights):
-        weights = np.ones(problem.groups)
-        weights[np.unique(problem.group_of[problem.flight_of == k])] = 0.0
-        vehicles.append(problem.corrected(values_with(problem, found, names, weights)))
-    return vehicles
+    return stepped(problem, found.local, frozenset(names), weights)
 
 
 def _estimates(problem: Problem, found: Search, names: Set) -> dict[str, dict[str, Estimate]]:
     """Effect -> parameter -> its size beside the small errors of all other effects."""
-    local, values = found.local, values_with(problem, found, names)
-    change, _ = local.fit(names)
-    error = local.errors(names) * local.unit
+    values, sized = values_with(problem, found, names), found.local.sized(frozenset(names))
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
-    between = np.sqrt(local.between) * local.unit
-    flights = range(len(problem.flights))
-    deviation = np.array([local.deviation(k, change) for k in flights]) * local.unit
-    alone = np.array(
-        [np.sqrt(np.linalg.inv(local.own_a[k] + np.diag(1.0 / local.between)).diagonal()) for k in flights]
-    )
     result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
     for name in values:
         for p in problem.library[name].parameters:
             value, (low, high) = values[name][p.name], p.bounds
-            k = _column(local.columns, name, p.name)
-            if k is None:  # a reference about which nothing acts
+            known = sized.get((name, p.name))
+            if known is None:  # a reference: another one and another size do the same
                 nan = (math.nan,) * len(problem.flights)
                 result[name][p.name] = Estimate(
-                    value, p.unit, p.bounds, p.neutral, p.bounds, False, nan, nan, 0.0
+                    value, p.unit, p.possible, p.neutral, p.bounds, False, nan, nan, 0.0
                 )
                 continue
-            half = float(quantile * math.hypot(error[k], problem.library[name].form * p.size(value)))
+            half = float(quantile * known.error)
             result[name][p.name] = Estimate(
                 value=value,
                 unit=p.unit,
@@ -150,18 +104,11 @@ def _estimates(problem: Problem, found: Search, names: Set) -> dict[str, dict[st
                 neutral=p.neutral,
                 bounds=p.bounds,
                 at_bound=bool(min(value - low, high - value) <= 1e-6 * (high - low)),
-                per_flight=tuple(map(float, value + deviation[:, k])),
-                per_flight_error=tuple(map(float, alone[:, k] * local.unit[k])),
-                spread=float(between[k]),
+                per_flight=tuple(map(float, value + known.deviation)),
+                per_flight_error=tuple(map(float, known.alone)),
+                spread=known.between,
             )
     return result
-
-
-def _column(columns: Iterable, effect: str, parameter: str) -> int | None:
-    for k, column in enumerate(columns):
-        if (column.effect, column.parameter) == (effect, parameter) and not column.fixed:
-            return k
-    return None
 
 
 def scored_sets(problem: Problem, found: Search) -> tuple[ScoredSet, ...]:

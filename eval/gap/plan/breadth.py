@@ -18,7 +18,7 @@ from inclined_landing.eval.gap.flights.windows import Measured, prepare
 from inclined_landing.eval.gap.plan import pieces
 from inclined_landing.eval.gap.plan.pieces import Space
 from inclined_landing.eval.gap.plan.setpoints import setpoints
-from inclined_landing.eval.gap.search.remainder import quantities
+from inclined_landing.eval.gap.search.residual import quantities
 from inclined_landing.models.errors import UserError, shown
 
 FEATURES = 16  # of a function

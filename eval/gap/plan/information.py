@@ -75,8 +75,7 @@ def in_doubt(problem: Problem, found: Search) -> tuple[list[Hypothesis], Quiet]:
     """What a search holds for possible, with the noise and unrest it found."""
     hypotheses = []
     for scored in found.sets:
-        _, covariance = found.local.fit(scored.names)
-        deviation = np.sqrt(np.diag(covariance)) * found.local.unit
+        deviation = found.local.errors(scored.names) * found.local.unit
         names = tuple(n for n in problem.library if n in scored.names)
         values = {n: dict(scored.values[n]) for n in names}
         deviations: dict[str, dict[str, float]] = {n: {} for n in names}
@@ -102,8 +101,7 @@ def unseen(problem: Problem, found: Search) -> list[Hypothesis]:
         own = local.index([name])
         if names in told or effect.told_by or not len(own):
             continue
-        _, covariance = local.fit(names)
-        if np.sqrt(covariance[own[0], own[0]]) < UNSEEN * local.slab[own[0]]:
+        if local.errors(names)[own[0]] < UNSEEN * np.sqrt(local.slab[own[0], own[0]]):
             continue
         width = {p.name: abs(p.size(p.plausible)) for p in effect.parameters}
         values = {n: dict(best.values[n]) for n in best.names} | {name: effect.plausible}

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import stats
 
 from inclined_landing.eval.gap.result import Contradiction, Difference
-from inclined_landing.eval.gap.search.evidence import Problem, Values, Weighted
+from inclined_landing.eval.gap.search.evidence import Linear, Problem, Values
 from inclined_landing.eval.gap.search.posterior import BETWEEN, looks_alike, slabs
 
 FALSE_ALARMS = 0.01  # diagnoses of one vehicle in which flights are said to contradict each other
@@ -31,7 +31,7 @@ ALIKE = 0.05  # likelihood beside the best effect's, above which another may be 
 OWN = 0.5  # of what an effect changes, the share that others do not, above which it is another matter
 
 
-def contradictions(problem: Problem, near: Weighted, values: Values) -> tuple[Contradiction, ...]:
+def contradictions(problem: Problem, near: Linear, values: Values) -> tuple[Contradiction, ...]:
     """Groups of flights that contradict the others, the surest first.
 
     near: the flights linearised at `values`, all effects of the library fitted together.
@@ -64,13 +64,11 @@ class _Table:
     own: dict[str, np.ndarray]  # effect -> its columns
 
     @staticmethod
-    def of(problem: Problem, near: Weighted) -> _Table:
+    def of(problem: Problem, near: Linear) -> _Table:
         """The table of a linearisation."""
-        columns, flights = near.columns, len(problem.flights)
+        columns = near.columns
         unit = np.array([problem.parameter(c).negligible for c in columns])
-        a, b = np.zeros((flights, *near.a.shape[1:])), np.zeros((flights, len(columns)))
-        np.add.at(a, problem.flight_of, near.a)
-        np.add.at(b, problem.flight_of, near.b)
+        a, b = near.by_flight()
         a, b = a * np.outer(unit, unit), b * unit
         # What looks alike shares the small differences; beside them, no loop is quite of its form.
         alike = looks_alike(near)

@@ -7,7 +7,7 @@ gains, scores on flights left out, per-flight estimates and classes of effects t
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
@@ -16,8 +16,10 @@ import numpy as np
 from inclined_landing.eval.gap.flights.unrest import Unrest
 from inclined_landing.eval.gap.flights.whitening import Shapes
 from inclined_landing.eval.gap.flights.windows import Measured
+from inclined_landing.eval.gap.search import form
 from inclined_landing.eval.gap.search.prediction import YAW_CHANNEL, predict
 from inclined_landing.models.effects import Effect, Parameter
+from inclined_landing.models.effects.effect import OFF
 from inclined_landing.models.parameters import Vehicle
 
 if TYPE_CHECKING:
@@ -27,7 +29,6 @@ Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 
 # With fewer flights than this, flights are split into this many groups of windows in all.
 LEAST_GROUPS = 8
-REFERENCE = 8.0  # negligible sizes by which the reference of an effect may well be off
 _RIDGE = 1e-9
 
 
@@ -38,6 +39,7 @@ class Column:
     effect: str
     parameter: str
     fixed: tuple[tuple[str, float], ...] = ()  # other parameters of the effect, where they differ
+    form: str = ""  # of a model error of the effect (`search.form`): it has no parameter
 
 
 class Suspects:
@@ -55,7 +57,10 @@ class Suspects:
         return vehicle
 
     def parameter(self, column: Column) -> Parameter:
-        """The parameter that a column is about."""
+        """The parameter that a column is about; of a model error, its weight."""
+        if column.form:
+            wide = self.library[column.effect].form if column.effect else form.BASE[column.form]
+            return Parameter(column.form, "1", 0.0, (-9.0, 9.0), 0.0, wide / OFF, is_reference=True)
         return self.library[column.effect].parameter(column.parameter)
 
     def sizes(self, name: str, values: Values) -> np.ndarray:
@@ -65,11 +70,44 @@ class Suspects:
     def to_one_side(self, values: Values, column: Column) -> tuple[Vehicle, float]:
         """The vehicle with a parameter a step from `values`, within bounds, and that step."""
         p = self.parameter(column)
-        at = {**self.library[column.effect].neutral, **values.get(column.effect, {}), **dict(column.fixed)}
         step = p.step or p.negligible
+        if column.fixed:  # on top of what there is
+            beside = {p.name: p.neutral + step, **dict(column.fixed)}
+            return self.library[column.effect].apply(self.corrected(values), beside), step
+        at = {**self.library[column.effect].neutral, **values.get(column.effect, {})}
         step = step if at[p.name] + step <= p.possible[1] else -step
         beside = self.corrected({**values, column.effect: {**at, p.name: at[p.name] + step}})
         return beside, step
+
+    def coordinates(self, values: Values, columns: Sequence[Column]) -> np.ndarray:
+        """(P,) values along columns, from neutral; of model errors 0."""
+        result = np.zeros(len(columns))
+        for k, column in enumerate(columns):
+            at = values.get(column.effect)
+            if at and not column.form:
+                p, effect = self.parameter(column), self.library[column.effect]
+                result[k] = p.size(at.get(p.name, p.neutral))
+                if column.fixed:
+                    ends = effect.at_ends(result[k], at.get(effect.reference.name, effect.reference.neutral))
+                    result[k] = ends[column.fixed[0][1] == effect.reference.either_side()[1]]
+        return result
+
+    def values_at(self, names: Iterable[str], columns: Sequence[Column], at: np.ndarray) -> Values:
+        """Values of the effects `names` at coordinates (P,), within what is possible."""
+        result = {}
+        for name, effect in self.library.items():
+            if name not in names:
+                continue
+            own = [k for k, c in enumerate(columns) if c.effect == name and not c.form]
+            found = {columns[k].parameter: self.parameter(columns[k]).neutral + at[k] for k in own}
+            if effect.reference:
+                first = effect.parameters[0]
+                size, about = effect.from_ends(*at[own])
+                found = {first.name: first.neutral + size, effect.reference.name: about}
+            result[name] = {
+                p.name: float(np.clip(found.get(p.name, p.neutral), *p.possible)) for p in effect.parameters
+            }
+        return result
 
     def to_either_side(self, values: Values, column: Column, times: float) -> tuple[list[Vehicle], float]:
         """Vehicles some negligible sizes below and above `values`, within bounds, and what lies between."""
@@ -119,11 +157,15 @@ class Problem(Suspects):
         for flight in self.flights:
             flight.rewhiten(Shapes.of(flight.rows, flight.dt, vehicle), unrest)
 
-    def known(self, columns: Sequence[Column]) -> np.ndarray:
-        """Covariance (P, P) of how far the vehicle may be off along `columns`."""
-        if self.reference is None:
-            return np.zeros((len(columns),) * 2)
-        return self.reference.covariance_of(columns)
+    def known(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
+        """How far the vehicle is off along `columns`: mean (P,), covariance (P, P).
+
+        Without a reference only the formulas of the base model are.
+        """
+        if self.reference is not None:
+            return self.reference.along(columns)
+        wide = [0.0 if c.effect else form.BASE[c.form] for c in columns]
+        return np.zeros(len(columns)), np.diag(np.square(wide))
 
     def white(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
         """White errors (w, 6, q) of every flight, each with its vehicle."""
@@ -140,51 +182,80 @@ class Problem(Suspects):
         by_channel = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in white])
         return float((self.weight / inflation * by_channel).sum())
 
-    def columns(self, values: Values, names: Sequence[str]) -> list[Column]:
-        """Directions of the effects `names` at `values`.
+    def columns(self, names: Iterable[str]) -> list[Column]:
+        """Directions of the effects `names`.
 
         A reference changes nothing while its effect is neutral and has no direction of its own there; the
-        first parameter then counts with it well to either side.
+        first parameter then counts with it to either side: what it does is a sum of both.
         """
         result = []
         for name in names:
             effect = self.library[name]
-            first, idle = effect.parameters[0], effect.reference
-            if idle and values.get(name, effect.neutral).get(first.name, first.neutral) == first.neutral:
-                result += [Column(name, first.name, ((idle.name, end),)) for end in either_side(idle)]
+            if (about := effect.reference) is not None:
+                first = effect.parameters[0].name
+                result += [Column(name, first, ((about.name, end),)) for end in about.either_side()]
             else:
                 result += [Column(name, p.name) for p in effect.parameters]
         return result
 
-    def linearise(self, values: Values, columns: Sequence[Column]) -> Linear:
-        """Errors at `values` and their Gram matrices with all `columns`."""
-        vehicles, steps = [self.corrected(values)], []
+    def form_columns(self, values: Values) -> list[Column]:
+        """Model errors of the base, and of the effects that `values` give a size."""
+        base = [Column("", "", form=f) for f in form.BASE]
+        return base + [
+            Column(name, "", form=f)
+            for name in values
+            if np.any(self.sizes(name, values))
+            for f in form.forms_of(self.library[name].channels)
+        ]
+
+    def slopes(self, flight: Measured, values: Values, columns: Sequence[Column]) -> list[np.ndarray]:
+        """Predicted pose (m, 6) of a flight at `values`, then its change along every column."""
+        here = predict(flight, self.corrected(values))
+        result, without = [here], {}
         for column in columns:
-            beside, step = self.to_one_side(values, column)
-            vehicles.append(beside)
-            steps.append(step)
+            if column.form and not column.effect:
+                gravity = self.vehicle.environment_gravity
+                result.append(form.base_column(column.form, here, gravity, flight))
+            elif column.form:
+                name = column.effect
+                if name not in without:
+                    rest = {n: v for n, v in values.items() if n != name}
+                    without[name] = here - predict(flight, self.corrected(rest))
+                result.append(form.column(column.form, without[name], flight))
+            else:
+                beside, step = self.to_one_side(values, column)
+                result.append((predict(flight, beside) - here) / step)
+        return result
 
-        def of(flight: Measured):
-            measured = flight.measured
-            predicted = [predict(flight, v) for v in vehicles]
-            error = flight.whitening(flight.cut(measured - predicted[0]))
-            slopes = [
-                flight.whitening(flight.cut((one - predicted[0]) / step))
-                for one, step in zip(predicted[1:], steps)
-            ]
-            return gram(error, slopes)
+    def linearise(self, values: Values, columns: Sequence[Column], inflation: np.ndarray) -> Linear:
+        """Errors at `values` and their Gram matrices with all `columns`.
 
-        parts = list(self._pool.map(of, self.flights))
-        a, b, c = (np.concatenate(x) for x in zip(*parts))
+        inflation (6,): by which the squared errors of every channel are divided.
+        """
+        share = np.sqrt(self.weight / inflation)
+        a, b = np.zeros((self.groups, len(columns), len(columns))), np.zeros((self.groups, len(columns)))
+        c = np.zeros(self.groups)
+
+        def of(k: int) -> None:
+            flight, own = self.flights[k], self.flight_of == k
+            here, *slopes = self.slopes(flight, values, columns)
+            stack = np.stack([flight.measured - here, *slopes])  # (1 + P, m, 6)
+            groups = self.group_of[own]
+            for channel, matrix in enumerate(flight.whitening.matrices):
+                live = np.flatnonzero(np.ptp(stack[:, :, channel], axis=1))
+                windows = stack[live[:, None, None], flight.starts[:, None] + np.arange(flight.rows), channel]
+                white = (windows @ matrix.T) * share[own, channel, None]  # (live, w, q)
+                for g in np.unique(groups):
+                    part = white[:, groups == g].reshape(len(live), -1)
+                    gram = part @ part.T
+                    if len(live) and live[0] == 0:
+                        at = live[1:] - 1
+                        c[g] += gram[0, 0]
+                        b[g, at] += gram[0, 1:]
+                        a[np.ix_([g], at, at)] += gram[None, 1:, 1:]
+
+        list(self._pool.map(of, range(len(self.flights))))
         return Linear(tuple(columns), a, b, c, self)
-
-
-def either_side(reference: Parameter) -> tuple[float, float]:
-    """Values below and above a reference's own, as far as it may well lie: no further, or a shape would
-    stand for a scale."""
-    low, high = reference.bounds
-    away = REFERENCE * reference.negligible
-    return max(low, reference.neutral - away), min(high, reference.neutral + away)
 
 
 def _groups(flights: Sequence[Measured]) -> np.ndarray:
@@ -197,15 +268,6 @@ def _groups(flights: Sequence[Measured]) -> np.ndarray:
         groups.append(offset + np.arange(n) * own // n)
         offset += own
     return np.concatenate(groups)
-
-
-def gram(error: np.ndarray, slopes: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gram matrices (w, 6, P, P), (w, 6, P) and squares (w, 6) of errors (w, 6, q) and slopes, P of that."""
-    c = np.einsum("wcq,wcq->wc", error, error)
-    if not slopes:
-        return np.zeros((*c.shape, 0, 0)), np.zeros((*c.shape, 0)), c
-    j = np.stack(slopes, axis=2)  # (w, 6, P, q)
-    return j @ j.swapaxes(2, 3), np.einsum("wcpq,wcq->wcp", j, error), c
 
 
 def tellable(
@@ -234,108 +296,33 @@ def _untold(channel: str, least: float, flights: Sequence[Measured]) -> str:
 
 
 @dataclasses.dataclass
-class _Grams:
-    """Gram matrices a (..., P, P), b (..., P), squares c (...) of errors and slopes along columns."""
+class Linear:
+    """Gram matrices of the white errors of every group of windows with their slopes along columns."""
 
     columns: tuple[Column, ...]
-    a: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
+    a: np.ndarray  # (g, P, P)
+    b: np.ndarray  # (g, P)
+    c: np.ndarray  # (g,) squared errors
     problem: Problem
 
-    def index(self, names: Sequence[str]) -> np.ndarray:
-        """Positions of the columns of the effects `names`."""
-        return np.array([k for k, column in enumerate(self.columns) if column.effect in names], int)
-
-
-class Linear(_Grams):
-    """Of the white errors of every window and channel, (w, 6)."""
-
-    def inflation(self) -> np.ndarray:
-        """(6,) squared error per degree of freedom that the whole library leaves, at least 1."""
-        weight = self.problem.weight
-        a, b = np.einsum("wc,wcpq->pq", weight, self.a), np.einsum("wc,wcp->p", weight, self.b)
-        freedom = np.maximum(1.0, (weight * self.problem.rows[:, None]).sum(axis=0))
-        return np.maximum(1.0, self.by_channel(np.ones(6), solve(a, b)) / freedom)
-
-    def by_channel(self, inflation: np.ndarray, change: np.ndarray | None = None) -> np.ndarray:
-        """Squared error (6,) of every channel, after a change (P,) of all columns."""
-        weight = self.problem.weight / inflation
-        left = self.c
-        if change is not None:
-            left = left - 2.0 * self.b @ change
-            left = left + np.einsum("wcpq,p,q->wc", self.a, change, change, optimize=True)
-        return (weight * left).sum(axis=0)
-
-    def weighted(self, inflation: np.ndarray) -> Weighted:
-        """Channels summed up, each with its weight."""
-        weight = self.problem.weight / inflation
-        return Weighted(
-            self.columns,
-            np.einsum("wc,wcpq->wpq", weight, self.a, optimize=True),
-            np.einsum("wc,wcp->wp", weight, self.b),
-            np.einsum("wc,wc->w", weight, self.c),
-            self.problem,
-        )
-
-
-@dataclasses.dataclass
-class Weighted(_Grams):
-    """The same with the channels summed, (w,)."""
-
-    def __post_init__(self):
-        g = self.problem.group_of
-        self.group_a = np.stack([self.a[g == k].sum(axis=0) for k in range(self.problem.groups)])
-        self.group_b = np.stack([self.b[g == k].sum(axis=0) for k in range(self.problem.groups)])
-
-    def fit(self, index: np.ndarray) -> np.ndarray:
-        """(k,) change of the columns `index` that fits all windows best."""
-        if not len(index):
-            return np.zeros(0)
-        a, b = self.group_a.sum(axis=0), self.group_b.sum(axis=0)
-        return solve(a[np.ix_(index, index)], b[index])
-
-    def left(self, index: np.ndarray, change: np.ndarray, w: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Squared error of the windows `w` after a change of the columns `index`."""
-        if not len(index):
-            return self.c[w]
-        a = self.a[w][:, index[:, None], index[None, :]]
-        return self.c[w] - 2.0 * self.b[w][:, index] @ change + np.einsum("wpq,p,q->w", a, change, change)
-
-    def left_out(self, index: np.ndarray) -> np.ndarray:
-        """Squared error (w,) of every window, columns `index` fitted to the other groups."""
-        if not len(index):
-            return self.c
-        result = np.empty(len(self.c))
-        grid = np.ix_(index, index)
-        total_a, total_b = self.group_a.sum(axis=0), self.group_b.sum(axis=0)
-        for group in range(self.problem.groups):
-            d = solve((total_a - self.group_a[group])[grid], (total_b - self.group_b[group])[index])
-            w = self.problem.group_of == group
-            result[w] = self.left(index, d, w)
-        return result
-
-    def per_flight(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Change (f, k) that fits each flight alone best, and its standard error (f, k)."""
+    def by_flight(self) -> tuple[np.ndarray, np.ndarray]:
+        """a (f, P, P) and b (f, P) of every flight."""
         flights = len(self.problem.flights)
-        value, error = np.full((2, flights, len(index)), np.nan)
-        for f in range(flights):
-            w = self.problem.flight_of == f
-            a = self.a[w].sum(axis=0)[np.ix_(index, index)]
-            inverse = invert(a)
-            with np.errstate(invalid="ignore"):  # what a flight does not show at all is NaN
-                value[f] = inverse @ self.b[w].sum(axis=0)[index]
-            error[f] = np.sqrt(np.diag(inverse))
-        return value, error
+        of = np.array([self.problem.flight_of[self.problem.group_of == g][0] for g in range(len(self.c))])
+        a, b = np.zeros((flights, *self.a.shape[1:])), np.zeros((flights, self.b.shape[1]))
+        np.add.at(a, of, self.a)
+        np.add.at(b, of, self.b)
+        return a, b
 
-    def covariance(self, index: np.ndarray) -> np.ndarray:
-        """Covariance (k, k) of the fit of the columns `index`, clustered by group."""
-        total = self.group_a.sum(axis=0)[np.ix_(index, index)]
-        inverse = invert(total)
-        n = self.problem.groups
+    def left(self, change: np.ndarray) -> float:
+        """Squared error after a change (P,) of all columns."""
+        return float(self.c.sum() - 2.0 * self.b.sum(axis=0) @ change + change @ self.a.sum(axis=0) @ change)
+
+    def covariance(self) -> np.ndarray:
+        """Covariance (P, P) of the fit of all columns, clustered by group."""
+        inverse, n = invert(self.a.sum(axis=0)), len(self.c)
         with np.errstate(invalid="ignore"):  # what the flights do not show at all is NaN
-            d = inverse @ self.group_b.sum(axis=0)[index]
-            scores = self.group_b[:, index] - self.group_a[:, index[:, None], index[None, :]] @ d
+            scores = self.b - self.a @ (inverse @ self.b.sum(axis=0))
             meat = scores.T @ scores * n / max(1, n - 1)
             clustered = inverse @ meat @ inverse
         # Never smaller than what the noise of the windows alone gives.

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy import stats
 
-from inclined_landing.eval.gap.search.evidence import Column, Problem, Values, Weighted, solve
+from inclined_landing.eval.gap.search.evidence import Column, Linear, Problem, Values, solve
 from inclined_landing.models.parameters import Vehicle
 
 
@@ -18,14 +17,13 @@ class Fitted:
     """Effects fitted together, with the linearisation at the fit."""
 
     values: dict[str, dict[str, float]]
-    weighted: Weighted  # columns of the effects in `values`
-    index: np.ndarray  # all of them
+    linear: Linear  # columns of the effects in `values`
     inflation: np.ndarray  # (6,) that the weights were divided by
 
     @property
     def squares(self) -> float:
         """White squared error over all windows."""
-        return float(self.weighted.c.sum())
+        return float(self.linear.c.sum())
 
 
 def refit(
@@ -66,8 +64,7 @@ def refit(
 
 def fit_at(problem: Problem, values, columns, inflation) -> Fitted:
     """The linearisation at `values`, nothing fitted."""
-    weighted = problem.linearise(values, columns).weighted(inflation)
-    return Fitted(values, weighted, np.arange(len(columns)), inflation)
+    return Fitted(values, problem.linearise(values, columns, inflation), inflation)
 
 
 def _unlikely(problem: Problem, columns: Sequence[Column], values: Values, width: np.ndarray) -> float:
@@ -82,8 +79,8 @@ def from_neutral(problem: Problem, columns: Sequence[Column], values: Values) ->
 
 def _moved(problem: Problem, fit: Fitted, damping: float, width: np.ndarray) -> dict[str, dict[str, float]]:
     """Values after a damped step; parameters that would leave their bounds stay there, the others refit."""
-    a, b = fit.weighted.group_a.sum(axis=0), fit.weighted.group_b.sum(axis=0)
-    a, b = a + np.diag(width**-2.0), b - from_neutral(problem, fit.weighted.columns, fit.values) * width**-2.0
+    a, b = fit.linear.a.sum(axis=0), fit.linear.b.sum(axis=0)
+    a, b = a + np.diag(width**-2.0), b - from_neutral(problem, fit.linear.columns, fit.values) * width**-2.0
     at, bounds = at_and_bounds(problem, fit)
     step = bounded_step(a + damping * np.diag(np.diag(a)), a, b, at, bounds, np.ones(len(at), bool))
     return _stepped(problem, fit, step)
@@ -91,7 +88,7 @@ def _moved(problem: Problem, fit: Fitted, damping: float, width: np.ndarray) -> 
 
 def at_and_bounds(problem: Problem, fit: Fitted) -> tuple[np.ndarray, np.ndarray]:
     """Fitted values (k,) and bounds (2, k) of all columns of a fit."""
-    columns = fit.weighted.columns
+    columns = fit.linear.columns
     at = np.array([fit.values[c.effect][c.parameter] for c in columns])
     return at, np.array([problem.parameter(c).possible for c in columns]).reshape(-1, 2).T
 
@@ -112,9 +109,9 @@ def bounded_step(damped, a, b, at, bounds, free) -> np.ndarray:
 
 def _predicted(fit: Fitted, trial: Values) -> float:
     step = np.array(
-        [trial[c.effect][c.parameter] - fit.values[c.effect][c.parameter] for c in fit.weighted.columns]
+        [trial[c.effect][c.parameter] - fit.values[c.effect][c.parameter] for c in fit.linear.columns]
     )
-    return float(fit.weighted.left(fit.index, step).sum())
+    return fit.linear.left(step)
 
 
 def spread_between(value: np.ndarray, error: np.ndarray) -> float:
@@ -129,31 +126,16 @@ def spread_between(value: np.ndarray, error: np.ndarray) -> float:
     return math.sqrt(max(0.0, float(excess)))
 
 
-def estimates(problem: Problem, fit: Fitted) -> Iterator[tuple]:
-    """(effect, parameter, value, half, change, error) of every fitted parameter.
-
-    half: of its 95 % interval, clustered by group; change (f,): what every flight alone would make of the
-    value, with its standard error (f,).
-    """
-    covariance = fit.weighted.covariance(fit.index)
-    change, error = fit.weighted.per_flight(fit.index)
-    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
-    for k, column in enumerate(fit.weighted.columns):
-        half = quantile * math.sqrt(max(0.0, covariance[k, k]))
-        value = fit.values[column.effect][column.parameter]
-        yield column.effect, problem.parameter(column), value, half, change[:, k], error[:, k]
-
-
 def left_out_vehicles(problem: Problem, fit: Fitted) -> list[Vehicle]:
     """For every flight, the vehicle with the effects fitted to the other flights.
 
     One Newton step from the fit to all, shortened where it does not fit the other flights as foreseen:
     parameters that only some flights tell apart may ask for steps beyond what is linear.
     """
-    if not len(fit.index) or len(problem.flights) < 2:
+    if not fit.values or len(problem.flights) < 2:
         return [problem.corrected(fit.values)] * len(problem.flights)
-    w = fit.weighted
-    a, b = w.a.sum(axis=0), w.b.sum(axis=0)
+    own_a, own_b = fit.linear.by_flight()
+    a, b = own_a.sum(axis=0), own_b.sum(axis=0)
     weight = problem.weight / fit.inflation
     at, bounds = at_and_bounds(problem, fit)
     # What the fit left at a bound stays there: alone it would move along what it cannot be told from.
@@ -161,9 +143,8 @@ def left_out_vehicles(problem: Problem, fit: Fitted) -> list[Vehicle]:
     vehicles = []
     for k in range(len(problem.flights)):
         own = problem.flight_of == k
-        rest = a - w.a[own].sum(axis=0)
-        step = bounded_step(rest, rest, b - w.b[own].sum(axis=0), at, bounds, free)
-        others = float(w.c[~own].sum())
+        step = bounded_step(a - own_a[k], a - own_a[k], b - own_b[k], at, bounds, free)
+        others = float(fit.linear.c[np.unique(problem.group_of[~own])].sum())
         for _ in range(6):
             vehicle = problem.corrected(_stepped(problem, fit, step))
             white = [problem.white_of(i, vehicle) for i in range(len(problem.flights)) if i != k]
@@ -178,7 +159,7 @@ def left_out_vehicles(problem: Problem, fit: Fitted) -> list[Vehicle]:
 def _stepped(problem: Problem, fit: Fitted, step: np.ndarray) -> dict[str, dict[str, float]]:
     """Values of a fit after a step of its columns, within bounds."""
     values = {name: dict(v) for name, v in fit.values.items()}
-    for column, change in zip(fit.weighted.columns, step):
+    for column, change in zip(fit.linear.columns, step):
         at = values[column.effect][column.parameter] + change
         values[column.effect][column.parameter] = float(np.clip(at, *problem.parameter(column).possible))
     return values

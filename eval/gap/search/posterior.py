@@ -16,11 +16,13 @@ which keeps them from being surer than the flights agree, where no set is exactl
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.evidence import REFERENCE, Problem, Values, Weighted
+from inclined_landing.eval.gap.search.evidence import Linear, Problem, Values
+from inclined_landing.models.effects.effect import OFF
 
 SPIKE = 0.35  # standard deviation of what is not named, as a share of negligible
 BETWEEN = 0.35  # of the difference between flights, likewise
@@ -30,6 +32,7 @@ DRAWS = 60  # of flights
 ROUNDS = 10  # of expectation and maximisation
 # How well differences between flights are known beforehand, as if seen in so many flights.
 SEEN_BEFORE = 2.0
+SHAPE = np.array([[0.3125, 0.1875], [0.1875, 0.3125]])  # covariance of a unit size at both sides: see `wide`
 
 Set = frozenset[str]
 
@@ -55,28 +58,28 @@ def _shares(problem: Problem, columns: Sequence) -> np.ndarray:
     return np.array([problem.parameter(c).negligible for c in columns]) / np.sqrt(alike)
 
 
-def looks_alike(weighted: Weighted) -> dict[tuple[str, str], float]:
+def looks_alike(linear: Linear) -> dict[tuple[str, str], float]:
     """(effect, parameter) -> how many columns change the predictions as it does, itself included."""
-    a = weighted.group_a.sum(axis=0)
+    a = linear.a.sum(axis=0)
     scale = np.sqrt(np.maximum(np.diag(a), 1e-300))
     squared = (a / np.outer(scale, scale)) ** 2
     count = np.maximum(1.0, squared.sum(axis=0))
-    return {(c.effect, c.parameter): float(x) for c, x in zip(weighted.columns, count)}
+    return {(c.effect, c.parameter): float(x) for c, x in zip(linear.columns, count)}
 
 
-def between_flights(problem: Problem, weighted: Weighted) -> dict[tuple[str, str], float]:
+def between_flights(problem: Problem, linear: Linear) -> dict[tuple[str, str], float]:
     """(effect, parameter) -> its standard deviation between flights, by expectation and maximisation.
 
     Beforehand, flights differ by what the formulas have wrong from one manoeuvre to another, as if that had
     been seen in SEEN_BEFORE flights: where one flight shows an effect, nothing says how far flights differ.
     """
-    unit = _shares(problem, weighted.columns)
-    a, b = weighted.group_a * np.outer(unit, unit), weighted.group_b * unit
-    prior = (unit / slabs(problem, weighted.columns)) ** 2
-    known = np.array([problem.parameter(c).between for c in weighted.columns]) / unit
+    unit = _shares(problem, linear.columns)
+    a, b = linear.a * np.outer(unit, unit), linear.b * unit
+    prior = (unit / slabs(problem, linear.columns)) ** 2
+    known = np.array([problem.parameter(c).between for c in linear.columns]) / unit
     known = np.maximum(BETWEEN, known) ** 2
     variance, eye = known.copy(), np.eye(len(unit))
-    sized = np.array([not problem.parameter(c).is_reference for c in weighted.columns])
+    sized = np.array([not problem.parameter(c).is_reference for c in linear.columns])
     share = SEEN_BEFORE / (SEEN_BEFORE + problem.groups)
     for _ in range(ROUNDS):
         inner = np.linalg.inv(eye + a * variance)
@@ -87,9 +90,7 @@ def between_flights(problem: Problem, weighted: Weighted) -> dict[tuple[str, str
         second = own**2 + np.diagonal(covariance, axis1=1, axis2=2)
         found = share * known + (1.0 - share) * second.mean(axis=0)
         variance = np.where(sized, np.maximum(BETWEEN**2, found), BETWEEN**2)
-    return {
-        (c.effect, c.parameter): float(np.sqrt(v) * u) for c, v, u in zip(weighted.columns, variance, unit)
-    }
+    return {(c.effect, c.parameter): float(np.sqrt(v) * u) for c, v, u in zip(linear.columns, variance, unit)}
 
 
 def slabs(problem: Problem, columns: Sequence) -> np.ndarray:
@@ -97,8 +98,23 @@ def slabs(problem: Problem, columns: Sequence) -> np.ndarray:
     width = []
     for column in columns:
         p = problem.parameter(column)
-        width.append(REFERENCE * p.negligible if p.is_reference else SLAB * abs(p.size(p.plausible)))
+        width.append(OFF * p.negligible if p.is_reference else SLAB * abs(p.size(p.plausible)))
     return np.array(width)
+
+
+def wide(problem: Problem, columns: Sequence) -> np.ndarray:
+    """Covariance (P, P) of the columns of effects that are named.
+
+    A size s about a reference that lies t N(0, 1/4) of the way to either side is s (1/2 - t) and s (1/2 + t)
+    about both sides: with the same sign, or it would be a scale and no shape.
+    """
+    width = slabs(problem, columns)
+    shape = np.eye(len(columns))
+    for i, one in enumerate(columns):
+        for j, other in enumerate(columns):
+            if one.fixed and (one.effect, one.parameter) == (other.effect, other.parameter):
+                shape[i, j] = SHAPE[0, int(i != j)]
+    return shape * np.outer(width, width)
 
 
 @dataclasses.dataclass
@@ -115,8 +131,9 @@ class Local:
     b: np.ndarray  # (g, P)
     c: np.ndarray  # (g,)
     unit: np.ndarray  # (P,) spikes
-    slab: np.ndarray  # (P,) in spikes
+    slab: np.ndarray  # (P, P) covariance of what is named, in spikes
     held: np.ndarray  # (P,) bool: at a bound, where it cannot move
+    off: np.ndarray  # (P,) mean of theta
     known: np.ndarray  # (P, P) covariance of theta
     between: np.ndarray  # (P,) variance between flights
     stays: np.ndarray  # (P,) bool: where it was fitted, since a linear step from there fails
@@ -124,27 +141,23 @@ class Local:
     own_b: np.ndarray  # (f, P)
 
     @staticmethod
-    def of(problem: Problem, weighted: Weighted, values: Values) -> Local:
+    def of(problem: Problem, linear: Linear, values: Values) -> Local:
         """From the linearisation at `values`."""
-        columns, g = weighted.columns, problem.groups
+        columns = linear.columns
         unit = spikes(problem, columns)
-        at = np.zeros(len(columns))
+        at = problem.coordinates(values, columns)
         held = np.zeros(len(columns), bool)
         for k, column in enumerate(columns):
-            p = problem.parameter(column)
-            if column.effect in values and not column.fixed:
-                value = values[column.effect][p.name]
-                at[k] = (value - p.neutral) / unit[k]
-                low, high = p.possible
-                held[k] = min(value - low, high - value) < 1e-6 * (high - low)
-        a = weighted.group_a * np.outer(unit, unit)
-        b = weighted.group_b * unit
-        c = np.bincount(problem.group_of, weighted.c, g)
-        flights = len(problem.flights)
-        of = np.array([problem.flight_of[np.argmax(problem.group_of == k)] for k in range(g)])
-        own_a, own_b = np.zeros((flights, *a.shape[1:])), np.zeros((flights, a.shape[1]))
-        np.add.at(own_a, of, a)
-        np.add.at(own_b, of, b)
+            if column.effect in values and not (column.fixed or column.form):
+                p = problem.parameter(column)
+                low, high = (x - p.neutral for x in p.possible)
+                held[k] = min(at[k] - low, high - at[k]) < 1e-6 * (high - low)
+        at = at / unit
+        a = linear.a * np.outer(unit, unit)
+        b = linear.b * unit
+        c = linear.c
+        own_a, own_b = linear.by_flight()
+        own_a, own_b = own_a * np.outer(unit, unit), own_b * unit
         between = (betweens(problem, columns) / unit) ** 2
         # Marginal over a deviation u of each flight, u ~ N(0, between) in every column.
         inner = np.linalg.inv(np.eye(len(columns)) + a * between)
@@ -152,25 +165,30 @@ class Local:
         b = np.einsum("gpq,gq->gp", inner, b)
         a = inner @ a
         a = 0.5 * (a + a.swapaxes(1, 2))
-        known = problem.known(columns) / np.outer(unit, unit)
-        slab = slabs(problem, columns) / unit
+        off, known = problem.known(columns)
+        slab = wide(problem, columns) / np.outer(unit, unit)
         stays = np.zeros(len(columns), bool)
-        return Local(problem, columns, at, a, b, c, unit, slab, held, known, between, stays, own_a, own_b)
+        off, known = off / unit, known / np.outer(unit, unit)
+        return Local(
+            problem, columns, at, a, b, c, unit, slab, held, off, known, between, stays, own_a, own_b
+        )
 
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Positions of the columns of the effects `names`."""
         names = set(names)
         return np.array([k for k, column in enumerate(self.columns) if column.effect in names], int)
 
+    def fresh(self, names: Set) -> np.ndarray:
+        """Covariance (P, P) of delta when the effects `names` are present."""
+        own = np.isin(np.arange(len(self.columns)), self.index(names))
+        return np.where(np.outer(own, own), self.slab, np.diag(~own))
+
     def prior(self, names: Set) -> tuple[np.ndarray, np.ndarray]:
         """Mean (P,), from the point of linearisation, and covariance (P, P) when `names` are present."""
-        variance = np.ones(len(self.columns))
-        own = self.index(names)
-        variance[own] = self.slab[own] ** 2
-        covariance = self.known + np.diag(variance)
+        covariance = self.known + self.fresh(names)
         # What is held at a bound is there by choice: its prior is about that value.
         covariance[self.held] = covariance[:, self.held] = 0.0
-        return np.where(self.held, 0.0, -self.at), covariance
+        return np.where(self.held, 0.0, self.off - self.at), covariance
 
     def evidence(self, weights: np.ndarray | None = None) -> Evidence:
         """Of sets of effects, the flights counted by `weights` (g,)."""
@@ -191,15 +209,63 @@ class Local:
         covariance = np.linalg.solve(np.eye(len(b)) + prior @ a, prior)
         return mean + covariance @ (b - a @ mean), 0.5 * (covariance + covariance.T)
 
+    def delta(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """What the flights have and those of the reference had not: (P,) from neutral and (P, P), in spikes.
+
+        With z the sum of theta and delta, of prior covariance K = known + V:  delta = V K^-1 (z - mean theta).
+        """
+        change, covariance = self.fit(names, weights)
+        mean, prior = self.prior(names)
+        free = ~(self.held | self.stays)
+        fresh = self.fresh(names)[np.ix_(free, free)]
+        share = fresh @ np.linalg.inv(prior[np.ix_(free, free)])
+        at, spread = self.at + change, np.zeros_like(covariance)
+        at[free] = share @ (change - mean)[free]
+        inner = covariance[np.ix_(free, free)] - prior[np.ix_(free, free)]
+        spread[np.ix_(free, free)] = fresh + share @ inner @ share.T
+        return at, spread
+
     def errors(self, names: Set) -> np.ndarray:
         """Standard error (P,) of every column, in spikes; what is held at a bound could go the other way."""
-        own = self.a.sum(axis=0).diagonal() + 1.0 / self.slab**2
-        return np.where(self.held, 1.0 / np.sqrt(own), np.sqrt(self.fit(names)[1].diagonal()))
+        own = self.a.sum(axis=0).diagonal() + 1.0 / self.slab.diagonal()
+        known = np.maximum(self.delta(names)[1].diagonal(), 0.0)
+        return np.where(self.held | self.stays, 1.0 / np.sqrt(own), np.sqrt(known))
 
     def deviation(self, flight: int, change: np.ndarray) -> np.ndarray:
         """How far (P,) one flight lies from the fleet's change of the columns, in spikes."""
         a, b = self.own_a[flight], self.own_b[flight]
         return np.linalg.solve(a + np.diag(1.0 / self.between), b - a @ change)
+
+    def sized(self, names: Set) -> dict[tuple[str, str], Sized]:
+        """(effect, parameter) -> how well it is known beside all others, the effects `names` being present."""
+        change, _ = self.fit(names)
+        _, covariance = self.delta(names)
+        variance = self.errors(names) ** 2
+        deviation = np.array([self.deviation(k, change) for k in range(len(self.own_a))])
+        alone = np.linalg.inv(self.own_a + np.diag(1.0 / self.between))
+        result = {}
+        for name in names:
+            own = self.index([name])
+            for parameter in {self.columns[k].parameter for k in own if not self.columns[k].form}:
+                k = [i for i in own if self.columns[i].parameter == parameter and not self.columns[i].form]
+                square = variance[k[0]] if len(k) == 1 else covariance[np.ix_(k, k)].sum()
+                result[name, parameter] = Sized(
+                    error=float(np.sqrt(max(0.0, square)) * self.unit[k[0]]),
+                    deviation=(deviation[:, k] * self.unit[k]).sum(axis=1),
+                    alone=np.sqrt(np.maximum(0.0, alone[:, k][:, :, k].sum(axis=(1, 2)))) * self.unit[k[0]],
+                    between=float(np.sqrt(self.between[k].mean()) * self.unit[k[0]]),
+                )
+        return result
+
+
+@dataclasses.dataclass(frozen=True)
+class Sized:
+    """How well a parameter is known, in its unit."""
+
+    error: float  # standard error
+    deviation: np.ndarray  # (f,) how far every flight lies from the fleet
+    alone: np.ndarray  # (f,) standard errors of these
+    between: float  # standard deviation between flights
 
 
 @dataclasses.dataclass
@@ -215,7 +281,8 @@ class Evidence:
     b: np.ndarray  # (P,)
     empty: float  # log marginal likelihood of the empty set
     own: dict[str, np.ndarray]  # effect -> its columns
-    slab: np.ndarray  # (P,)
+    slab: np.ndarray  # (P, P)
+    ends: list[tuple[str, np.ndarray]]  # effects about a reference, with their two columns
 
     @staticmethod
     def of(local: Local, a, b, c: float, mean: np.ndarray, covariance: np.ndarray) -> Evidence:
@@ -229,7 +296,8 @@ class Evidence:
         own = {n: local.index([n]) for n in local.problem.library}
         own = {n: k[~local.held[k]] for n, k in own.items()}
         empty = -0.5 * (c - square - log_det)
-        return Evidence(0.5 * (after + after.T), inner @ b, float(empty), own, local.slab)
+        ends = [(n, k[:2]) for n, k in own.items() if len(k) and local.columns[k[0]].fixed]
+        return Evidence(0.5 * (after + after.T), inner @ b, float(empty), own, local.slab, ends)
 
     def __call__(self, names: Set) -> float:
         """The log marginal likelihood of a set."""
@@ -237,22 +305,33 @@ class Evidence:
         if not columns:
             return self.empty
         k = np.concatenate(columns)
-        wide = self.slab[k]
-        change, score = self._at(k, wide)
-        far = np.abs(change) > 2.0 * wide
+        change, score = self._at(k, np.ones(len(k)))
+        far = np.abs(change) > 2.0 * np.sqrt(self.slab[k, k])
         if far.any():  # heavy tails: one time in five, sizes are LARGE times as large
-            score = max(score, self._at(k, np.where(far, LARGE * wide, wide))[1] - far.sum() * np.log(4.0))
-        return score
+            score = max(score, self._at(k, np.where(far, LARGE, 1.0))[1] - far.sum() * np.log(4.0))
+        at = dict(zip(k, change))
+        return score + sum(self._shape(n, at[one], at[other]) for n, (one, other) in self.ends if n in names)
 
-    def _at(self, k: np.ndarray, wide: np.ndarray) -> tuple[np.ndarray, float]:
-        """Sizes of the columns k of widths (k,), and the log marginal likelihood."""
-        prior = np.maximum(wide**2 - 1.0, 1e-9)
-        a, b = self.a[np.ix_(k, k)], self.b[k]
-        root = np.sqrt(prior)
-        inner = np.eye(len(k)) + root[:, None] * a * root
+    def _shape(self, name: str, low: float, high: float) -> float:
+        """By how much less probable sizes about both sides of a reference are than their normal prior says.
+
+        A size s about a reference t of the way to one side: log N(s) N(t; 0, 1/4) / |s|, less the normal one.
+        """
+        width = math.sqrt(self.slab[self.own[name][0], self.own[name][0]] / SHAPE[0, 0])
+        s, ends = low + high, np.array([low, high]) / width
+        t = 0.5 * (high - low) / s if s else math.inf
+        product = -0.5 * (s / width) ** 2 - 2.0 * t * t - math.log(0.5 * max(abs(s) / width, 0.1))
+        normal = -0.5 * ends @ np.linalg.solve(SHAPE, ends) - 0.5 * math.log(np.linalg.det(SHAPE))
+        return min(0.0, product - normal)
+
+    def _at(self, k: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, float]:
+        """Sizes of the columns k, `times` (k,) as wide, and the log marginal likelihood."""
+        prior = self.slab[np.ix_(k, k)] * np.outer(times, times) - np.eye(len(k))
+        root = np.linalg.cholesky(prior + np.diag(np.maximum(1e-9, 1e-6 - prior.diagonal())))
+        inner = np.eye(len(k)) + root.T @ self.a[np.ix_(k, k)] @ root
         factor = np.linalg.cholesky(inner)
-        z = np.linalg.solve(factor, root * b)
-        change = root * np.linalg.solve(factor.T, z)
+        z = np.linalg.solve(factor, root.T @ self.b[k])
+        change = root @ np.linalg.solve(factor.T, z)
         return change, self.empty + 0.5 * float(z @ z) - float(np.log(np.diagonal(factor)).sum())
 
 

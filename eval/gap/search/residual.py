@@ -1,45 +1,114 @@
 """What a corrected vehicle still does not explain, and whether that can be predicted.
 
 A disturbance that is a function of something known - place, speed, heading, commands and their past, time,
-voltage - would be missing physics; one that is not is unrest. Functions are ridge regressions on splines and
-random Fourier features, driven through the same window errors as any effect: an acceleration along an axis of
-the world or of the heading, an angular acceleration of a loop. Each is fitted to all flights but one and
-judged on that one. If nothing repeated, the errors of any few seconds might as well have the other sign: over
-flips of signs, the largest gain of all functions gives the rate of false alarms by construction.
+voltage - would be missing physics; one that is not is a disturbance (process noise). Functions are ridge
+regressions on bumps along every input and random Fourier features of all, driven through the same window
+errors as any effect: an acceleration along an axis of the world or of the heading, an angular acceleration of
+a loop. Each is fitted to all flights but one and judged on that one. If nothing repeated, the errors of any
+few seconds might as well have the other sign: over flips of signs, the largest gain of all functions gives
+the rate of false alarms by construction. What repeated in the flights that the vehicle was identified from is
+taken off first.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from sklearn.kernel_approximation import RBFSampler
-from sklearn.pipeline import make_pipeline, make_union
-from sklearn.preprocessing import FunctionTransformer, SplineTransformer, StandardScaler
 
+from inclined_landing.eval.gap.flights.whitening import Shapes
 from inclined_landing.eval.gap.flights.windows import REGIMES, Measured
 from inclined_landing.eval.gap.result import Dependence, Remainder
-from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.prediction import CHANNELS, predict
-from inclined_landing.eval.gap.search.sets import Search
+from inclined_landing.eval.gap.search.evidence import Problem, Values
+from inclined_landing.eval.gap.search.posterior import Local, Set
+from inclined_landing.eval.gap.search.prediction import CHANNELS
+from inclined_landing.models.parameters import Vehicle
 
 UNITS = {"x": "m/s2", "y": "m/s2", "z": "m/s2", "roll": "rad", "pitch": "rad", "yaw": "rad"}
 TARGETS = (*CHANNELS, "forward", "left")
-FALSE_ALARM = 0.05
+FALSE_ALARM = 0.02
 FLIPS = 400
 FEATURES = 24  # random ones of a function
-KNOTS = 7  # of the spline of every input
+KNOTS = 7  # of the bumps along every input
 EVERY = 0.5  # s between those of the flight time
 BLOCK = 5.0  # s of a flight that may have the other sign
 PAST = (0.1, 0.25)  # s ago, of commands
 MOVED = (0.15, 0.3, 0.5)  # s ago, of velocities
 TIME = "flight time"
 BINS = 8
-WORTH = 2.0  # squared error that is worth telling, in that of errors of negligible size
-FORM = 0.02  # share of the motion by which no formula is wrong enough to tell
+AHEAD = 1.0  # s, over which a disturbance displaces the vehicle
 UNITS_OF = ("m/s2",) * 3 + ("rad/s2",) * 3
 LEAST = {"m/s2": 0.01, "rad/s2": 0.3}  # a function's expected size where the air is still
+
+
+@dataclasses.dataclass(frozen=True)
+class Left:
+    """What a fit leaves of some flights."""
+
+    errors: list[np.ndarray]  # white (w, 6, q) of every flight
+    size: np.ndarray  # (6,) of the disturbance [m/s2, rad/s2]
+    inflation: np.ndarray  # (6,)
+
+    @staticmethod
+    def by(problem: Problem, local: Local, names: Set, at: Values, size: np.ndarray, inflation) -> Left:
+        """Beside the effects `names` near `at`, small errors of all others and flights' own differences."""
+        change, _ = local.fit(names)
+        errors = []
+        for k, flight in enumerate(problem.flights):
+            own = (change + local.deviation(k, change)) * local.unit
+            here, *slopes = problem.slopes(flight, at, local.columns)
+            error = flight.measured - here - np.tensordot(own, np.array(slopes), axes=1)
+            errors.append(flight.whitening(flight.cut(error)))
+        return Left(errors, size, inflation)
+
+
+@dataclasses.dataclass(frozen=True)
+class Basis:
+    """Features of some inputs: bumps along each, random Fourier features of all."""
+
+    centre: np.ndarray  # (k,)
+    scale: np.ndarray  # (k,)
+    knots: tuple[np.ndarray, ...]  # of k, in scaled inputs
+
+    @staticmethod
+    def of(seen: np.ndarray, inputs: Sequence[str]) -> Basis:
+        """For inputs like `seen` (m, k)."""
+        centre, scale = seen.mean(axis=0), np.maximum(seen.std(axis=0), 1e-9)
+        z, count = (seen - centre) / scale, KNOTS
+        if tuple(inputs) == (TIME,):  # what beats, or swings
+            count = max(KNOTS, round(float(np.ptp(seen)) / EVERY))
+        return Basis(centre, scale, tuple(np.quantile(c, np.linspace(0, 1, count)) for c in z.T))
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Features (m, D) of inputs (m, k)."""
+        z = np.clip((x - self.centre) / self.scale, -4.0, 4.0)
+        parts = []
+        for column, knots in zip(z.T, self.knots):
+            width = max(float(np.ptp(knots)) / (len(knots) - 1), 1e-6)
+            parts.append(np.exp(-0.5 * ((column[:, None] - knots) / width) ** 2))
+        if len(self.knots) > 1:
+            rng = np.random.default_rng(0)
+            turns = rng.standard_normal((len(self.knots), FEATURES)) / np.sqrt(len(self.knots))
+            phase = rng.uniform(0.0, 2.0 * np.pi, FEATURES)
+            parts.append(np.sqrt(2.0 / FEATURES) * np.cos(z @ turns + phase))
+        return np.hstack(parts)
+
+
+@dataclasses.dataclass(frozen=True)
+class Repeating:
+    """Functions fitted to what was left of the flights of a reference."""
+
+    bases: Mapping[str, Basis]  # of quantities
+    weights: Mapping[tuple[str, str], np.ndarray]  # (target, quantity) -> (D,)
+
+    @staticmethod
+    def of(problem: Problem, left: Left) -> Repeating:
+        """Fitted to all flights of `problem`."""
+        inputs = quantities(problem.flights)
+        bases = {name: _basis(problem, *of) for name, of in inputs.items()}
+        functions = _functions(problem, left, inputs, bases, None)
+        return Repeating(bases, {(f.target, f.on): f.weights() for f in functions})
 
 
 def sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -99,6 +168,7 @@ class _Function:
     on: str
     a: np.ndarray  # (g, D, D)
     b: np.ndarray  # (k, D) of every block
+    fold_of: np.ndarray  # (k,) the group that a block is of
     ridge: float
     form: np.ndarray  # (k, k) see `form_of`
 
@@ -114,86 +184,151 @@ class _Function:
         np.fill_diagonal(apart, 0.0)
         return gains / max(np.sqrt(0.5 * (apart**2).sum()), 1e-12)
 
-    def weights(self) -> np.ndarray:
-        """(D,) fitted to all flights."""
-        a = self.a.sum(axis=0) + self.ridge * np.eye(self.a.shape[1])
-        return np.linalg.solve(a, self.b.sum(axis=0))
+    def weights(self, without: int | None = None) -> np.ndarray:
+        """(D,) fitted to all flights, or to all groups but one."""
+        use = np.arange(len(self.a)) != (-1 if without is None else without)
+        a = self.a[use].sum(axis=0) + self.ridge * np.eye(self.a.shape[1])
+        return np.linalg.solve(a, self.b[use[self.fold_of]].sum(axis=0))
+
+    def trusted(self) -> tuple[np.ndarray, np.ndarray]:
+        """Decrease of the squared error (g,) of every group left out, and the one foreseen."""
+        gain, foreseen = np.zeros((2, len(self.a)))
+        for g in range(len(self.a)):
+            w = self.weights(g)
+            foreseen[g] = w @ self.a[g] @ w
+            gain[g] = 2.0 * self.b[self.fold_of == g].sum(axis=0) @ w - foreseen[g]
+        return gain, foreseen
 
 
-def assess(problem: Problem, found: Search, seed: int = 0) -> Remainder:
-    """Judge what the most probable set leaves of the flights of `problem`.
+def assess(problem: Problem, left: Left, vehicle: Vehicle, seed: int = 0) -> Remainder:
+    """Judge what a fit leaves of the flights of `problem`; vehicle: the corrected one.
 
     Errors that come from parameters off by what nobody needs to correct are taken off first, in every flight
     by its own estimate.
     """
-    white = left_by(problem, found)
-    value, variance = sizes(problem, white)
+    value, variance = sizes(problem, left.errors)
     size = {}
     for k, channel in enumerate(CHANNELS):
         w = problem.logged[:, k] > 0.0
         if w.any():
             size[channel] = float(np.sqrt(max(0.0, (value[w, k] ** 2 - variance[w, k]).mean())))
+    repeating = problem.reference.repeating if problem.reference else None
     inputs = quantities(problem.flights)
-    basis = {name: _basis(problem, names, arrays, seed) for name, (names, arrays) in inputs.items()}
-    block_of = _blocks(problem)
-    signs = _signs(int(block_of.max()) + 1, seed)
-    functions = []
-    for target in TARGETS:
-        if target == "yaw" and not problem.logged[:, 5].any():
-            continue
-        for name, features in basis.items():
-            functions.append(_fit(problem, found, white, target, name, features, block_of))
+    bases = {name: _basis(problem, *of) for name, of in inputs.items()}
+    if repeating:
+        bases = {name: repeating.bases.get(name, basis) for name, basis in bases.items()}
+    functions = _functions(problem, left, inputs, bases, repeating)
+    signs = _signs(len(functions[0].b), seed)
     scores = np.stack([f.scores(signs) for f in functions])
     most = scores.max(axis=0)
     p_value = float((most >= most[0] - 1e-9).mean())
-    tolerance, total = _tolerances(problem, found)
     sure = np.quantile(most[1:], 1.0 - FALSE_ALARM)
     depends: dict[str, Dependence] = {}
     for k in np.argsort(-scores[:, 0], kind="stable"):
         f = functions[k]
-        if scores[k, 0] < sure or f.target in depends:
-            continue
-        if f.gain < WORTH * tolerance[f.target]:
-            continue
-        arrays, names = inputs[f.on][1], inputs[f.on][0]
-        share = float(np.clip(f.gain / total[f.target], 0.0, 1.0))
-        depends[f.target] = _described(problem, f, basis[f.on], arrays, names, share, float(scores[k, 0]))
-    told = tuple(depends.values())
-    # The heading is compared on its own and moves nothing else.
-    return Remainder(any(d.channel != "yaw" for d in told), p_value, size, told, _words(told))
+        if scores[k, 0] >= sure and f.target not in depends and f.gain > 0.0:
+            depends[f.target] = _described(problem, f, bases[f.on], inputs[f.on], left, vehicle, scores[k, 0])
+    return Remainder(p_value, size, tuple(depends.values()))
 
 
-def _tolerances(problem: Problem, found: Search) -> tuple[dict[str, float], dict[str, float]]:
-    """Squared error of every target that errors of negligible size and form make, and all that is left."""
-    vehicle = problem.corrected(found.at)
-    moved = [f.whitening(f.cut(predict(f, vehicle))) for f in problem.flights]
-    linear = problem.linearise(found.at, found.local.columns)
-    weight = problem.weight / found.inflation
-    spread = np.einsum("wckk,k,wc->c", linear.a, found.local.unit**2, weight, optimize=True)
-    spread += FORM**2 * (np.concatenate([(x**2).sum(axis=2) for x in moved]) * weight).sum(axis=0)
-    left = (linear.c * weight).sum(axis=0)
-    result = []
-    for by_channel in (spread, left):
-        table = dict(zip(CHANNELS, map(float, by_channel)))
-        result.append(table | dict.fromkeys(("forward", "left"), table["x"] + table["y"]))
-    return result[0], result[1]
+def _functions(problem: Problem, left: Left, inputs, bases, repeating: Repeating | None) -> list[_Function]:
+    """One function of every quantity along every target."""
+    block_of, result = _blocks(problem), []
+    for name, (_, arrays) in inputs.items():
+        features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, arrays)]
+        for target in TARGETS:
+            if target != "yaw" or problem.logged[:, 5].any():
+                known = repeating.weights.get((target, name)) if repeating else None
+                result.append(_fit(problem, left, target, name, features, block_of, known))
+    return result
 
 
-def _described(problem, function: _Function, features, arrays, names, share, score) -> Dependence:
+def _described(problem, function: _Function, basis: Basis, inputs, left: Left, vehicle, score) -> Dependence:
     """A function in numbers: its size by regime, and its course over the input it goes with most."""
+    names, arrays = inputs
     weights = function.weights()
-    value = np.concatenate([np.matmul(x, weights).mean(axis=1) for x in features])
+    values = [basis(x) @ weights for x in arrays]
+    value = np.concatenate([f.cut(v).mean(axis=1) for f, v in zip(problem.flights, values)])
     regimes = np.concatenate([f.regimes for f in problem.flights])
     rms = {n: float(np.sqrt((value[w] ** 2).mean())) for n, w in zip(REGIMES, regimes.T) if w.any()}
     against, best, curve = names[0], -1.0, (np.zeros(0), np.zeros(0))
     for k, name in enumerate(names):
         x = np.concatenate([f.cut(v[:, k]).mean(axis=1) for f, v in zip(problem.flights, arrays)])
-        told, *bins = _binned(x, value)
-        if told > best:
-            against, best, curve = name, told, bins
+        spread, *bins = _binned(x, value)
+        if spread > best:
+            against, best, curve = name, spread, bins
     unit = UNITS_OF[CHANNELS.index(function.target)] if function.target in CHANNELS else UNITS_OF[0]
+    channels = _channels(function.target)
+    weight = problem.weight / left.inflation
+    total = sum(
+        (np.concatenate([(e[:, c] ** 2).sum(axis=1) for e in left.errors]) * weight[:, c]).sum()
+        for c in channels
+    )
+    share = float(np.clip(function.gain / max(total, 1e-9), 0.0, 1.0))
+    moved = _displacement(problem, function, basis, arrays, vehicle)
     size = float(np.sqrt((value**2).mean()))
-    return Dependence(function.target, function.on, size, unit, share, score, rms, against, *curve)
+    return Dependence(
+        function.target,
+        function.on,
+        size,
+        unit,
+        share,
+        float(score),
+        moved[0],
+        moved[1:],
+        rms,
+        against,
+        *curve,
+    )
+
+
+def _displacement(problem, function: _Function, basis: Basis, arrays, vehicle) -> np.ndarray:
+    """What a function predicts of the position error [m] AHEAD, on flights left out, with its 95 % interval.
+
+    Root mean square of the displacement by the function fitted to the other flights, as much of it as came
+    true: the squared error that it took away there over the one that it would have, were it all.
+    """
+    if function.target == "yaw":
+        return np.zeros(3)
+    squares = np.zeros(len(function.a))
+    counts = np.zeros(len(function.a))
+    for k, (flight, x) in enumerate(zip(problem.flights, arrays)):
+        through = _through(flight, function.target, vehicle)
+        blocked = np.concatenate([[0], np.cumsum(~flight.usable)])
+        first = np.arange(0, max(0, flight.samples - len(through)), max(1, len(through) // 4))
+        first = first[blocked[first + len(through)] == blocked[first]]
+        group_of = problem.group_of[problem.flight_of == k]
+        mine = group_of[np.clip(np.searchsorted(flight.starts, first, side="right") - 1, 0, None)]
+        features = basis(x)
+        for g in np.unique(mine):
+            value = features @ function.weights(g)
+            moved = value[first[mine == g][:, None] + np.arange(len(through))] @ through
+            squares[g] += (moved**2).sum()
+            counts[g] += len(moved)
+    gain, foreseen = function.trusted()
+    drawn = np.random.default_rng(0).integers(0, len(gain), (200, len(gain)))
+    drawn = np.vstack([np.arange(len(gain)), drawn])
+    true = np.clip(gain[drawn].sum(axis=1) / np.maximum(foreseen[drawn].sum(axis=1), 1e-12), 0.0, 1.0)
+    moved = np.sqrt(true * squares[drawn].sum(axis=1) / np.maximum(counts[drawn].sum(axis=1), 1.0))
+    return np.array([moved[0], *np.quantile(moved[1:], [0.025, 0.975])])
+
+
+def _through(flight: Measured, target: str, vehicle: Vehicle) -> np.ndarray:
+    """(r,) displacement [m] AHEAD by a unit of a target in each row: m/s2, of a loop rad/s2."""
+    responses = Shapes.of(round(AHEAD / flight.dt), flight.dt, vehicle).responses
+    if target not in ("roll", "pitch"):
+        return responses[0][-1]
+    return vehicle.environment_gravity * responses[0][-1] @ responses[3]
+
+
+def _channels(target: str) -> tuple[int, ...]:
+    """Channels that a target acts on."""
+    return {"forward": (0, 1), "left": (0, 1)}.get(target) or (CHANNELS.index(target),)
+
+
+def _basis(problem: Problem, names: Sequence[str], arrays: Sequence[np.ndarray]) -> Basis:
+    """The basis of the inputs of all flights."""
+    return Basis.of(np.concatenate([x[f.usable] for f, x in zip(problem.flights, arrays)]), names)
 
 
 def _binned(x: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -207,64 +342,17 @@ def _binned(x: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray, np.ndarray
     return float((count * (mean - y.mean()) ** 2).sum() / len(y)), centre, mean
 
 
-def _words(told: Sequence[Dependence]) -> str:
-    if not told:
-        return "What remains cannot be predicted from anything that was logged: it is noise and unrest."
-    d = told[0]
-    regime = max(d.regimes, key=d.regimes.get).replace("_", " ") if d.regimes else ""
-    where = f", most in {regime}" if regime else ""
-    axis = {"forward": "along the heading", "left": "across the heading"}.get(d.channel, f"in {d.channel}")
-    more = f"; so does something in {', '.join(x.channel for x in told[1:])}" if told[1:] else ""
-    return (
-        f"Something of {d.size:.2g} {d.unit} {axis} repeats on flights left out and goes with the "
-        f"{d.on}{where}{more}."
-    )
+def _fit(problem, left: Left, target: str, name: str, features, block_of, known) -> _Function:
+    """The Gram matrices of a function's slopes with the errors that are left, and its gains.
 
-
-def left_by(problem: Problem, found: Search) -> list[np.ndarray]:
-    """White errors (w, 6, q) of every flight beside the best set and negligible errors of all effects."""
-    local = found.local
-    change, _ = local.fit(found.names)
-    vehicle = problem.corrected(found.at)
-    result = []
-    for k, flight in enumerate(problem.flights):
-        own = (change + local.deviation(k, change)) * local.unit
-        error = flight.measured - predict(flight, vehicle)
-        here = predict(flight, vehicle)
-        for column, step in zip(local.columns, own):
-            beside, width = problem.to_one_side(found.at, column)
-            error -= (predict(flight, beside) - here) * (step / width)
-        result.append(flight.whitening(flight.cut(error)))
-    return result
-
-
-def _basis(problem: Problem, names, arrays: Sequence[np.ndarray], seed: int) -> list[np.ndarray]:
-    """Features (w, rows, D) of the inputs of every flight: splines of each input, and random ones of all."""
-    seen = np.concatenate([x[f.usable] for f, x in zip(problem.flights, arrays)])
-    k = seen.shape[1]
-    knots = KNOTS
-    if names == (TIME,):  # what beats, or swings
-        knots = max(KNOTS, round(float(np.ptp(seen)) / EVERY))
-    splines = SplineTransformer(knots, degree=2, knots="quantile", extrapolation="constant")
-    parts: list = [make_pipeline(StandardScaler(), splines)]
-    if k > 1:
-        random = RBFSampler(gamma=0.5 / k, n_components=FEATURES, random_state=seed)
-        drawn_in = FunctionTransformer(np.clip, kw_args={"a_min": -4.0, "a_max": 4.0})
-        parts.append(make_pipeline(StandardScaler(), drawn_in, random))
-    spread = seen + 1e-9 * np.random.default_rng(seed).standard_normal(seen.shape)  # knots that differ
-    features = make_union(*parts).fit(spread[:: max(1, len(spread) // 5000)])
-    return [f.cut(features.transform(x)) for f, x in zip(problem.flights, arrays)]
-
-
-def _fit(problem, found, white, target: str, name: str, features, block_of: np.ndarray) -> _Function:
-    """The Gram matrices of a function's slopes with the errors that are left, and its gains."""
-    size = found.unrest.size
-    channels = {"forward": (0, 1), "left": (0, 1)}.get(target) or (CHANNELS.index(target),)
+    known (D,): what the function is in the flights of the reference; None: nothing.
+    """
+    channels = _channels(target)
     groups, width = problem.groups, features[0].shape[2]
     a, b = np.zeros((groups, width, width)), np.zeros((int(block_of.max()) + 1, width))
     ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
     of_flights = [np.split(x, ends) for x in (problem.group_of, block_of, problem.weight)]
-    for flight, errors, basis, g, k, weight in zip(problem.flights, white, features, *of_flights):
+    for flight, errors, basis, g, k, weight in zip(problem.flights, left.errors, features, *of_flights):
         for channel in channels:
             drive = basis
             if len(channels) == 2:
@@ -272,20 +360,22 @@ def _fit(problem, found, white, target: str, name: str, features, block_of: np.n
                 across = channel == (target == "forward")
                 sign = -1.0 if target == "left" and channel == 0 else 1.0
                 drive = basis * (sign * np.sin(heading) if across else np.cos(heading))
-            scale = 1.0 / np.sqrt(found.inflation[channel])
+            scale = 1.0 / np.sqrt(left.inflation[channel])
             through = scale * flight.whitening.matrices[channel] @ flight.shapes.responses[channel]
             share = np.sqrt(weight[:, channel])[:, None]
             slopes = share[..., None] * np.matmul(through, drive)  # (w, q, D)
             for one in np.unique(g):
                 own = slopes[g == one].reshape(-1, width)
                 a[one] += own.T @ own
-            left = scale * share * errors[:, channel]
-            np.add.at(b, k, np.einsum("wqd,wq->wd", slopes, left, optimize=True))
+            error = scale * share * errors[:, channel]
+            if known is not None:
+                error = error - slopes @ known
+            np.add.at(b, k, np.einsum("wqd,wq->wd", slopes, error, optimize=True))
     # Expected as large as what is taken for unrest.
-    expected = max(float(size[list(channels)].max()), LEAST[UNITS_OF[channels[0]]])
+    expected = max(float(left.size[list(channels)].max()), LEAST[UNITS_OF[channels[0]]])
     ridge = 1.0 / expected**2
     fold_of = np.array([problem.group_of[np.argmax(block_of == k)] for k in range(len(b))])
-    return _Function(target, name, a, b, ridge, form_of(a, b, fold_of, ridge))
+    return _Function(target, name, a, b, fold_of, ridge, form_of(a, b, fold_of, ridge))
 
 
 def form_of(a: np.ndarray, b: np.ndarray, fold_of: np.ndarray, ridge: float) -> np.ndarray:

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from inclined_landing.eval.gap.flights import unrest
-from inclined_landing.eval.gap.search.evidence import Problem, Values, Weighted, either_side
-from inclined_landing.eval.gap.search.fit import Fitted, fit_at, refit
+from inclined_landing.eval.gap.search.evidence import Linear, Problem, Values
+from inclined_landing.eval.gap.search.fit import Fitted, refit
 from inclined_landing.eval.gap.search.posterior import (
     Evidence,
     Local,
@@ -66,24 +66,19 @@ class Scored:
 class Search:
     """The outcome of `search`."""
 
-    fit: Fitted  # of the most probable set
+    values: dict[str, dict[str, float]]  # of the most probable set
     at: dict[str, dict[str, float]]  # effect values near it
     local: Local  # the flights at these
     sets: tuple[Scored, ...]  # most probable first
     unrest: unrest.Unrest
     whole: dict[str, dict[str, float]]  # all effects fitted together
-    near: Weighted  # the flights linearised there
+    near: Linear  # the flights linearised there
     inflation: np.ndarray  # (6,)
 
     @property
     def names(self) -> Set:
         """The most probable set."""
         return self.sets[0].names
-
-    @property
-    def values(self) -> dict[str, dict[str, float]]:
-        """Its fitted values."""
-        return self.fit.values
 
     def probability(self, name: str) -> float:
         """That an effect is part of what is missing."""
@@ -94,8 +89,8 @@ def search(problem: Problem) -> Search:
     """The sets of effects that may explain the flights of `problem`, which is whitened anew."""
     whole, stir = settle(problem, list(problem.library))
     inflation = repeated(problem, whole.values)
-    columns = problem.columns(whole.values, list(problem.library))
-    near = problem.linearise(whole.values, columns).weighted(inflation)
+    columns = problem.columns(problem.library) + problem.form_columns({})
+    near = problem.linearise(whole.values, columns, inflation)
     problem.alike = looks_alike(near)
     problem.between = between_flights(problem, near)
     likely = backward_eliminate(problem, Local.of(problem, near, whole.values).evidence())
@@ -103,9 +98,7 @@ def search(problem: Problem) -> Search:
     best = max(nodes.values(), key=lambda node: node.score)
     scored = _distribution(problem, nodes, best, inflation)
     chosen = nodes[scored[0].names]
-    columns = [c for c in chosen.local.columns if c.effect in chosen.names]
-    fit = fit_at(problem, chosen.values, columns, inflation)
-    return Search(fit, chosen.at, chosen.local, scored, stir, whole.values, near, inflation)
+    return Search(chosen.values, chosen.at, chosen.local, scored, stir, whole.values, near, inflation)
 
 
 def settle(problem: Problem, names: Sequence[str]) -> tuple[Fitted, unrest.Unrest]:
@@ -172,10 +165,10 @@ def _visit(problem: Problem, names: Set, start, inflation: np.ndarray) -> Node:
     """Fit a set from `start`, and linearise the simulator there."""
     values = {n: dict(start.get(n, {})) for n in problem.library if n in names}
     fit = refit(problem, values, inflation, iterations=4, tolerance=1.0, prior=slabs)
-    columns = problem.columns(fit.values, list(problem.library))
-    weighted = problem.linearise(fit.values, columns).weighted(inflation)
-    local = Local.of(problem, weighted, fit.values)
-    values = stepped(problem, local, names, fit.values)
+    columns = problem.columns(problem.library) + problem.form_columns(fit.values)
+    linear = problem.linearise(fit.values, columns, inflation)
+    local = Local.of(problem, linear, fit.values)
+    values = stepped(problem, local, names)
     if names and not _follows(problem, fit, values, inflation):
         local.stays[local.index(names)] = True
         values = fit.values
@@ -191,46 +184,32 @@ def _has_sizes(problem: Problem, names: Set, values) -> bool:
 
 def _follows(problem: Problem, fit: Fitted, values, inflation: np.ndarray) -> bool:
     """Whether the simulator follows the linear step of a set's effects from where they were fitted."""
-    columns = fit.weighted.columns
+    columns = fit.linear.columns
     step = np.array([values[c.effect][c.parameter] - fit.values[c.effect][c.parameter] for c in columns])
-    foreseen = float(fit.weighted.left(np.arange(len(step)), step).sum())
+    foreseen = fit.linear.left(step)
     return problem.squares(values, inflation) < max(foreseen, fit.squares) + TOLERATED
 
 
-def stepped(problem: Problem, local: Local, names: Set, values, weights=None) -> dict:
+def stepped(problem: Problem, local: Local, names: Set, weights=None) -> dict:
     """Values of a set's effects beside the small errors of all others."""
-    change, _ = local.fit(names, weights)
-    result = {n: dict(v) for n, v in values.items()}
-    for k, column in enumerate(local.columns):
-        if column.effect in names and not column.fixed and column.effect in values:
-            p = problem.parameter(column)
-            value = values[column.effect][p.name] + change[k] * local.unit[k]
-            result[column.effect][p.name] = float(np.clip(value, *p.possible))
+    return problem.values_at(names, local.columns, local.delta(names, weights)[0] * local.unit)
+
+
+def left_out(problem: Problem, local: Local, names: Set) -> list[dict]:
+    """For every flight, the values of the effects `names` fitted to the other flights."""
+    result = []
+    for k in range(len(problem.flights)):
+        weights = np.ones(problem.groups)
+        if len(problem.flights) > 1:
+            weights[np.unique(problem.group_of[problem.flight_of == k])] = 0.0
+        result.append(stepped(problem, local, frozenset(names), weights))
     return result
 
 
 def _start(problem: Problem, node: Node, names: Set) -> dict:
-    """Where the fit of a neighbour starts: the linear estimate, references at the better end."""
-    change, _ = node.local.fit(names)
-    start = {n: dict(v) for n, v in node.values.items() if n in names}
-    for name in names - node.names:
-        effect = problem.library[name]
-        values = dict(effect.neutral)
-        own = node.local.index([name])
-        if effect.reference:
-            first, (low, high) = effect.parameters[0], either_side(effect.reference)
-            slope, total = change[own] * node.local.unit[own], change[own].sum()
-            share = change[own[-1]] / total if total else 0.5
-            values[first.name] = first.neutral + slope.sum()
-            values[effect.reference.name] = low + share * (high - low)
-        else:
-            for k in own:
-                p = problem.parameter(node.local.columns[k])
-                values[p.name] = p.neutral + change[k] * node.local.unit[k]
-        for p in effect.parameters:
-            values[p.name] = float(np.clip(values[p.name], *p.possible))
-        start[name] = values
-    return start
+    """Where the fit of a neighbour starts: the linear estimate."""
+    start = stepped(problem, node.local, names)
+    return start | {n: dict(v) for n, v in node.values.items() if n in names}
 
 
 def _neighbours(problem: Problem, node: Node) -> list[Set]:
@@ -327,8 +306,7 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
     probability: dict[Set, float] = {}
     for one, share in zip(names, (shares / shares.sum(axis=0)).mean(axis=1)):
         near_it = nodes.get(one, best).local
-        values = nodes[one].values if one in nodes else starts[one]
-        for subset, part in _worth_correcting(problem, near_it, one, values).items():
+        for subset, part in _worth_correcting(problem, near_it, one).items():
             probability[subset] = probability.get(subset, 0.0) + part * float(share)
     result: list[Scored] = []
     for one in sorted(probability, key=lambda n: -probability[n]):
@@ -342,18 +320,17 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
     return tuple(result)
 
 
-def _worth_correcting(problem: Problem, local: Local, names: Set, values: Values) -> dict[Set, float]:
+def _worth_correcting(problem: Problem, local: Local, names: Set) -> dict[Set, float]:
     """How probable every part of a set is the part whose sizes are beyond what nobody needs to correct."""
-    deviations = np.sqrt(local.fit(names)[1].diagonal()) * local.unit
+    at, spread = local.delta(names)
+    errors = np.sqrt(np.maximum(spread.diagonal(), 1e-12))
     result: dict[Set, float] = {frozenset(): 1.0}
     for name in names:
         within = 1.0
         for k in local.index([name]):
-            p = problem.parameter(local.columns[k])
-            size = p.size(values[name][p.name])
-            ends = (np.array([-p.negligible, p.negligible]) - size) / max(deviations[k], 1e-12)
-            if not (p.is_reference or local.columns[k].fixed):
-                within *= float(np.diff(ndtr(ends))[0])
+            if not local.columns[k].form:
+                least = problem.parameter(local.columns[k]).negligible / local.unit[k]
+                within *= float(np.diff(ndtr((np.array([-least, least]) - at[k]) / errors[k]))[0])
         parts = result.items()
         result = {s: x * within for s, x in parts} | {s | {name}: x * (1.0 - within) for s, x in parts}
     return result
