@@ -26,8 +26,8 @@ from .causes import FREE_FLIGHT, SIZES, TOUCHDOWN, UNKNOWN, UNREST, Drawn
 
 # Families whose cases thresholds are chosen on, and those that are scored once.
 SETS = {"dev": ("cascade", "firmware", "feed_forward"), "fresh": ("geometric", "full_state")}
-# A family, and a set, whose flights are simulated by RotorPy, and the causes that it cannot have. Its loops have
-# no integral: with a centre of mass that is off it would stand 10 deg askew and fly away in steps of attitude.
+# A family, and a set, whose flights are simulated by RotorPy, and the causes that it cannot have. Its loops
+# have no integral: with a centre of mass that is off it would stand 10 deg askew and fly away in steps.
 ROTORPY = "rotorpy"
 _ROTORPY_LACKS = {
     *("spin_down", "axial_inflow", "ground_effect", "second_order_attitude"),
