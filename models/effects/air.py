@@ -40,6 +40,7 @@ EFFECTS = (
         remedy="Accept the corrected coefficients; a flight at high speed tells it from quadratic body drag.",
         channels=("translation",),
         apply=_rotor_drag,
+        form=0.15,
         says="the rotors have {lateral} times the modelled drag across their axes, {axial} times along them",
     ),
     Effect(

@@ -18,12 +18,12 @@ from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.flights.windows import Measured, prepare_all
 from inclined_landing.eval.gap.result import Contradiction, Disturbance
 from inclined_landing.eval.gap.search import disagreement
-from inclined_landing.eval.gap.search.evidence import Problem, Values, tellable
-from inclined_landing.eval.gap.search.fit import Fitted, refit
+from inclined_landing.eval.gap.search.evidence import BASE, Problem, Values, tellable
+from inclined_landing.eval.gap.search.fit import refit
 from inclined_landing.eval.gap.search.posterior import Local, Sized, between_flights, slabs
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.gap.search.reference import Reference
-from inclined_landing.eval.gap.search.sets import left_out, repeated, settle, stepped
+from inclined_landing.eval.gap.search.sets import left_out, repeated, settle
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, FittedConstant
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -34,7 +34,6 @@ PAPER["fit"] = 85.3
 FIT_HORIZON = 1.0  # s, of the velocity changes that the fit of x, y and z is about
 # A parameter is not identified when the flights leave its uncertainty above this share of what it was.
 UNSEEN = 0.7
-STEPS = 2  # of the fit beside the formulas' errors
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,14 +117,17 @@ def identify(
     problem = Problem(fitted, vehicle, library)
     places = [name for name in problem.library if LIBRARY[name].of_the_place]
     fit, stir = settle(problem, list(problem.library))
-    columns = problem.columns(problem.library)
-    near = problem.linearise(fit.values, columns, repeated(problem, fit.values))
-    against = disagreement.contradictions(problem, near, fit.values)
+    inflation = repeated(problem, fit.values)
+    fit = refit(problem, fit.values, inflation, prior=slabs)
+    values = {name: fit.values[name] for name in problem.library}
+    problem.forms = fit.values[BASE]
+    near = problem.linearise(values, problem.columns([*problem.library, BASE]), inflation)
+    against = disagreement.contradictions(problem, near, values)
     notes[:0] = map(disagreement.in_short, against)
-    fit = refit(problem, fit.values, repeated(problem, fit.values), prior=slabs)
-    values, local = _beside_the_forms(problem, fit)
+    problem.between = between_flights(problem, near)
+    local = Local.of(problem, near, values)
     result = problem.corrected({n: v for n, v in values.items() if n not in places})
-    reference = _posterior(problem, result, values, stir.size, notes)
+    reference = _posterior(problem, result, inflation, stir.size, notes)
     own = [problem.corrected(v) for v in left_out(problem, local, frozenset(values))]
     test = judged or fitted
     vehicles = [result] * len(judged) if judged else own
@@ -148,25 +150,12 @@ def identify(
     )
 
 
-def _beside_the_forms(problem: Problem, fit: Fitted) -> tuple[Values, Local]:
-    """Values beside what the formulas of the base model have wrong and flights' own differences; there."""
-    values, names = fit.values, frozenset(fit.values)
-    for k in range(STEPS + 1):
-        columns = problem.columns(problem.library) + problem.form_columns({})
-        linear = problem.linearise(values, columns, fit.inflation)
-        problem.between = between_flights(problem, linear)
-        local = Local.of(problem, linear, values)
-        if k < STEPS:
-            values = stepped(problem, local, names)
-    return values, local
-
-
-def _posterior(problem: Problem, vehicle: Vehicle, values, size: np.ndarray, notes: list[str]) -> Reference:
+def _posterior(problem: Problem, vehicle: Vehicle, inflation, size, notes: list[str]) -> Reference:
     """What the flights leave uncertain of the vehicle identified; notes on what they tell nothing of."""
     library, _ = tellable({n: e for n, e in LIBRARY.items() if not e.contact}, problem.flights)
     around = Problem(problem.flights, vehicle, library)
-    around.weight = problem.weight
-    reference = Reference.of(around, size, repeated(problem, values))
+    around.weight, around.forms = problem.weight, problem.forms
+    reference = Reference.of(around, size, inflation)
     wide = slabs(around, reference.columns)
     share = np.sqrt(np.diag(reference.covariance)) / wide
     for name in problem.library:

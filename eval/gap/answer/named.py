@@ -64,7 +64,7 @@ def in_its_place(found: Search | Touched, name: str) -> tuple[str, ...]:
 
 def by_channel(problem: Problem, found: Search, values: Values) -> np.ndarray:
     """White squared error (6,) of every channel with effects at `values`."""
-    white = problem.white([problem.corrected(values)] * len(problem.flights))
+    white = problem.white_at(values)
     squares = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in white])
     return (problem.weight / found.inflation * squares).sum(axis=0)
 

@@ -35,7 +35,7 @@ LOW = 0.02
 LEAST_POSITION_NOISE, LEAST_ANGLE_NOISE = 1e-4, 3e-4
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(eq=False)
 class Measured:
     """One flight on an even time grid; the arrays that `prediction.predict` needs, and its windows."""
 

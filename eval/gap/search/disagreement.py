@@ -77,7 +77,7 @@ class _Table:
         inner = np.linalg.inv(np.eye(len(unit)) + a * small)
         own: dict[str, list[int]] = {}
         for k, column in enumerate(columns):
-            if not column.fixed and not problem.parameter(column).is_reference:
+            if not (column.fixed or column.form):
                 own.setdefault(column.effect, []).append(k)
         return _Table(
             inner @ a,

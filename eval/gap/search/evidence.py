@@ -17,7 +17,7 @@ from inclined_landing.eval.gap.flights.unrest import Unrest
 from inclined_landing.eval.gap.flights.whitening import Shapes
 from inclined_landing.eval.gap.flights.windows import Measured
 from inclined_landing.eval.gap.search import form
-from inclined_landing.eval.gap.search.prediction import YAW_CHANNEL, predict
+from inclined_landing.eval.gap.search.prediction import YAW_CHANNEL, predict, same_translation, translated
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.effects.effect import OFF
 from inclined_landing.models.parameters import Vehicle
@@ -29,6 +29,7 @@ Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 
 # With fewer flights than this, flights are split into this many groups of windows in all.
 LEAST_GROUPS = 8
+BASE = ""  # in place of an effect's name: the base model, of which only the form has errors
 _RIDGE = 1e-9
 
 
@@ -47,6 +48,7 @@ class Suspects:
 
     vehicle: Vehicle
     library: dict[str, Effect]
+    forms: Mapping[str, float]  # weights of the base model's errors, where `values` have none
 
     def corrected(self, values: Values) -> Vehicle:
         """The vehicle with effects at `values`, applied in the order of the library."""
@@ -58,10 +60,19 @@ class Suspects:
 
     def parameter(self, column: Column) -> Parameter:
         """The parameter that a column is about; of a model error, its weight."""
+        if column.effect == BASE:
+            wide = form.BASE[column.form]
+            return Parameter(column.form, "1", 0.0, (-9.0, 9.0), wide, wide / OFF, manoeuvre=0.5 * wide)
         if column.form:
-            wide = self.library[column.effect].form if column.effect else form.BASE[column.form]
+            wide = self.library[column.effect].form
             return Parameter(column.form, "1", 0.0, (-9.0, 9.0), 0.0, wide / OFF, is_reference=True)
         return self.library[column.effect].parameter(column.parameter)
+
+    def neutral(self, name: str) -> dict[str, float]:
+        """Values of an effect that change nothing; of the base model, the weights of its errors."""
+        return (
+            dict.fromkeys(form.BASE, 0.0) | dict(self.forms) if name == BASE else self.library[name].neutral
+        )
 
     def sizes(self, name: str, values: Values) -> np.ndarray:
         """How far every parameter of an effect is from neutral."""
@@ -80,11 +91,13 @@ class Suspects:
         return beside, step
 
     def coordinates(self, values: Values, columns: Sequence[Column]) -> np.ndarray:
-        """(P,) values along columns, from neutral; of model errors 0."""
+        """(P,) values along columns, from neutral; of effects' model errors 0."""
         result = np.zeros(len(columns))
         for k, column in enumerate(columns):
             at = values.get(column.effect)
-            if at and not column.form:
+            if column.effect == BASE:
+                result[k] = values.get(BASE, self.forms).get(column.form, 0.0)
+            elif at and not column.form:
                 p, effect = self.parameter(column), self.library[column.effect]
                 result[k] = p.size(at.get(p.name, p.neutral))
                 if column.fixed:
@@ -132,6 +145,7 @@ class Problem(Suspects):
         self.flights = list(flights)
         self.vehicle = vehicle
         self.reference = reference  # what is known of the vehicle; None: it is exact
+        self.forms = reference.forms if reference else {}
         ignored = {"touchdown"} if any(f.has_yaw for f in flights) else {"touchdown", "yaw"}
         self.library = {
             name: effect.beside(vehicle)
@@ -150,6 +164,7 @@ class Problem(Suspects):
         # Of parameters: how much more they differ between flights, how many look alike.
         self.between: dict[tuple[str, str], float] = {}
         self.alike: dict[tuple[str, str], float] = {}
+        self._formed: list[np.ndarray] | None = None
         self._pool = ThreadPoolExecutor(2)
 
     def rewhiten(self, unrest: Unrest, vehicle: Vehicle) -> None:
@@ -164,12 +179,47 @@ class Problem(Suspects):
         """
         if self.reference is not None:
             return self.reference.along(columns)
-        wide = [0.0 if c.effect else form.BASE[c.form] for c in columns]
+        wide = [form.BASE[c.form] if c.effect == BASE else 0.0 for c in columns]
         return np.zeros(len(columns)), np.diag(np.square(wide))
 
     def white(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
         """White errors (w, 6, q) of every flight, each with its vehicle."""
         return list(self._pool.map(self.white_of, range(len(self.flights)), vehicles))
+
+    def white_at(self, values: Values) -> list[np.ndarray]:
+        """White errors (w, 6, q) of every flight with effects at `values`."""
+        if any(values.get(BASE, self.forms).values()):
+            self.formed(self.flights[0])
+
+        def of(flight: Measured) -> np.ndarray:
+            return flight.whitening(flight.cut(flight.measured - self.predicted(flight, values)))
+
+        return list(self._pool.map(of, self.flights))
+
+    def predicted(self, flight: Measured, values: Values) -> np.ndarray:
+        """Predicted pose (m, 6) of a flight with effects at `values`, and the base model's errors."""
+        return self._beside_forms(flight, predict(flight, self.corrected(values)), values)
+
+    def reform(self, vehicle: Vehicle) -> None:
+        """Take the errors of the base model's formulas from what `vehicle` predicts."""
+
+        def of(flight: Measured) -> np.ndarray:
+            gravity, predicted = vehicle.environment_gravity, predict(flight, vehicle)
+            return np.stack([form.base_column(f, predicted, gravity, flight) for f in form.BASE])
+
+        self._formed = list(self._pool.map(of, self.flights))
+
+    def formed(self, flight: Measured) -> np.ndarray:
+        """(F, m, 6) by which a prediction of a flight changes with every error of the base model."""
+        if self._formed is None:
+            self.reform(self.vehicle)
+        return self._formed[self.flights.index(flight)]
+
+    def _beside_forms(self, flight: Measured, predicted: np.ndarray, values: Values) -> np.ndarray:
+        weights = values.get(BASE, self.forms)
+        if not any(weights.values()):
+            return predicted
+        return predicted + np.tensordot([weights[f] for f in form.BASE], self.formed(flight), axes=1)
 
     def white_of(self, k: int, vehicle: Vehicle) -> np.ndarray:
         """White errors (w, 6, q) of one vehicle on the flight k."""
@@ -178,8 +228,7 @@ class Problem(Suspects):
 
     def squares(self, values: Values, inflation: np.ndarray) -> float:
         """White squared error over all windows with effects at `values`."""
-        white = self.white([self.corrected(values)] * len(self.flights))
-        by_channel = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in white])
+        by_channel = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in self.white_at(values)])
         return float((self.weight / inflation * by_channel).sum())
 
     def columns(self, names: Iterable[str]) -> list[Column]:
@@ -190,6 +239,9 @@ class Problem(Suspects):
         """
         result = []
         for name in names:
+            if name == BASE:
+                result += [Column(BASE, f, form=f) for f in form.BASE]
+                continue
             effect = self.library[name]
             if (about := effect.reference) is not None:
                 first = effect.parameters[0].name
@@ -200,22 +252,22 @@ class Problem(Suspects):
 
     def form_columns(self, values: Values) -> list[Column]:
         """Model errors of the base, and of the effects that `values` give a size."""
-        base = [Column("", "", form=f) for f in form.BASE]
-        return base + [
+        return self.columns([BASE]) + [
             Column(name, "", form=f)
             for name in values
-            if np.any(self.sizes(name, values))
+            if name != BASE and np.any(self.sizes(name, values))
             for f in form.forms_of(self.library[name].channels)
         ]
 
     def slopes(self, flight: Measured, values: Values, columns: Sequence[Column]) -> list[np.ndarray]:
         """Predicted pose (m, 6) of a flight at `values`, then its change along every column."""
-        here = predict(flight, self.corrected(values))
+        vehicle = self.corrected(values)
+        like = translated(flight, vehicle)
+        here = predict(flight, vehicle, like)
         result, without = [here], {}
         for column in columns:
-            if column.form and not column.effect:
-                gravity = self.vehicle.environment_gravity
-                result.append(form.base_column(column.form, here, gravity, flight))
+            if column.effect == BASE:
+                result.append(self.formed(flight)[list(form.BASE).index(column.form)])
             elif column.form:
                 name = column.effect
                 if name not in without:
@@ -224,7 +276,9 @@ class Problem(Suspects):
                 result.append(form.column(column.form, without[name], flight))
             else:
                 beside, step = self.to_one_side(values, column)
-                result.append((predict(flight, beside) - here) / step)
+                own = like if same_translation(beside, vehicle) else None
+                result.append((predict(flight, beside, own) - here) / step)
+        result[0] = self._beside_forms(flight, here, values)
         return result
 
     def linearise(self, values: Values, columns: Sequence[Column], inflation: np.ndarray) -> Linear:
@@ -235,6 +289,9 @@ class Problem(Suspects):
         share = np.sqrt(self.weight / inflation)
         a, b = np.zeros((self.groups, len(columns), len(columns))), np.zeros((self.groups, len(columns)))
         c = np.zeros(self.groups)
+
+        if any(column.effect == BASE for column in columns):
+            self.formed(self.flights[0])
 
         def of(k: int) -> None:
             flight, own = self.flights[k], self.flight_of == k

@@ -8,8 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.evidence import Column, Linear, Problem, Values, solve
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.eval.gap.search.evidence import BASE, Column, Linear, Problem, Values, solve
 
 
 @dataclasses.dataclass
@@ -39,9 +38,12 @@ def refit(
     prior: gives the standard deviation (P,) of columns about neutral; None: as the flights say.
     """
     names = list(values)
-    values = {name: dict(problem.library[name].neutral) | dict(v) for name, v in values.items()}
+    values = {name: problem.neutral(name) | dict(v) for name, v in values.items()}
     damping = 1e-3
-    columns = [Column(name, p.name) for name in names for p in problem.library[name].parameters]
+    columns = [
+        Column(name, p.name) for name in names if name != BASE for p in problem.library[name].parameters
+    ]
+    columns += problem.columns([BASE] if BASE in names else ())
     fit = fit_at(problem, values, columns, inflation)
     width = prior(problem, columns) if prior else np.full(len(columns), np.inf)
     for _ in range(iterations if names else 0):
@@ -124,36 +126,6 @@ def spread_between(value: np.ndarray, error: np.ndarray) -> float:
     q = (w * (value[good] - mean) ** 2).sum()
     excess = (q - (good.sum() - 1)) / (w.sum() - (w**2).sum() / w.sum())
     return math.sqrt(max(0.0, float(excess)))
-
-
-def left_out_vehicles(problem: Problem, fit: Fitted) -> list[Vehicle]:
-    """For every flight, the vehicle with the effects fitted to the other flights.
-
-    One Newton step from the fit to all, shortened where it does not fit the other flights as foreseen:
-    parameters that only some flights tell apart may ask for steps beyond what is linear.
-    """
-    if not fit.values or len(problem.flights) < 2:
-        return [problem.corrected(fit.values)] * len(problem.flights)
-    own_a, own_b = fit.linear.by_flight()
-    a, b = own_a.sum(axis=0), own_b.sum(axis=0)
-    weight = problem.weight / fit.inflation
-    at, bounds = at_and_bounds(problem, fit)
-    # What the fit left at a bound stays there: alone it would move along what it cannot be told from.
-    free = np.minimum(at - bounds[0], bounds[1] - at) > 1e-6 * (bounds[1] - bounds[0])
-    vehicles = []
-    for k in range(len(problem.flights)):
-        own = problem.flight_of == k
-        step = bounded_step(a - own_a[k], a - own_a[k], b - own_b[k], at, bounds, free)
-        others = float(fit.linear.c[np.unique(problem.group_of[~own])].sum())
-        for _ in range(6):
-            vehicle = problem.corrected(_stepped(problem, fit, step))
-            white = [problem.white_of(i, vehicle) for i in range(len(problem.flights)) if i != k]
-            squares = (np.concatenate([(x**2).sum(axis=2) for x in white]) * weight[~own]).sum()
-            if squares <= others * 1.001:
-                break
-            step = 0.3 * step
-        vehicles.append(vehicle)
-    return vehicles
 
 
 def _stepped(problem: Problem, fit: Fitted, step: np.ndarray) -> dict[str, dict[str, float]]:

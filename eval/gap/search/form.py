@@ -31,7 +31,6 @@ BASE = {
     **{f"attitude {what}": 0.05 for what in ("angle", "load", "time", "roll")},
     "attitude bend": 0.3,
     **{f"yaw {what}": 0.05 for what in ("turn", "time")},
-    "yaw bend": 0.3,
 }
 GROUPS = {"translation": TRANSLATION, "attitude": TILT, "yaw": YAW}
 

@@ -136,7 +136,6 @@ class Local:
     off: np.ndarray  # (P,) mean of theta
     known: np.ndarray  # (P, P) covariance of theta
     between: np.ndarray  # (P,) variance between flights
-    stays: np.ndarray  # (P,) bool: where it was fitted, since a linear step from there fails
     own_a: np.ndarray  # (f, P, P) of every flight, its deviation not integrated out
     own_b: np.ndarray  # (f, P)
 
@@ -167,11 +166,8 @@ class Local:
         a = 0.5 * (a + a.swapaxes(1, 2))
         off, known = problem.known(columns)
         slab = wide(problem, columns) / np.outer(unit, unit)
-        stays = np.zeros(len(columns), bool)
         off, known = off / unit, known / np.outer(unit, unit)
-        return Local(
-            problem, columns, at, a, b, c, unit, slab, held, off, known, between, stays, own_a, own_b
-        )
+        return Local(problem, columns, at, a, b, c, unit, slab, held, off, known, between, own_a, own_b)
 
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Positions of the columns of the effects `names`."""
@@ -203,9 +199,6 @@ class Local:
         w = np.ones(len(self.c)) if weights is None else weights
         mean, prior = self.prior(names)
         a, b = np.tensordot(w, self.a, axes=1), w @ self.b
-        if self.stays.any():
-            prior[self.stays] = prior[:, self.stays] = 0.0
-            mean = np.where(self.stays, 0.0, mean)
         covariance = np.linalg.solve(np.eye(len(b)) + prior @ a, prior)
         return mean + covariance @ (b - a @ mean), 0.5 * (covariance + covariance.T)
 
@@ -216,7 +209,7 @@ class Local:
         """
         change, covariance = self.fit(names, weights)
         mean, prior = self.prior(names)
-        free = ~(self.held | self.stays)
+        free = ~self.held
         fresh = self.fresh(names)[np.ix_(free, free)]
         share = fresh @ np.linalg.inv(prior[np.ix_(free, free)])
         at, spread = self.at + change, np.zeros_like(covariance)
@@ -229,7 +222,7 @@ class Local:
         """Standard error (P,) of every column, in spikes; what is held at a bound could go the other way."""
         own = self.a.sum(axis=0).diagonal() + 1.0 / self.slab.diagonal()
         known = np.maximum(self.delta(names)[1].diagonal(), 0.0)
-        return np.where(self.held | self.stays, 1.0 / np.sqrt(own), np.sqrt(known))
+        return np.where(self.held, 1.0 / np.sqrt(own), np.sqrt(known))
 
     def deviation(self, flight: int, change: np.ndarray) -> np.ndarray:
         """How far (P,) one flight lies from the fleet's change of the columns, in spikes."""

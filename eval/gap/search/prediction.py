@@ -25,8 +25,20 @@ ROLL_CHANNEL, YAW_CHANNEL = 3, 5
 _NEUTRAL = np.array(NEUTRAL)
 
 
-def predict(flight, vehicle: Vehicle) -> np.ndarray:
+# Fields of a vehicle that leave translation and moments as they are.
+_LOOPS = ("attitude_", "effects_attitude_", "effects_estimator_lean", "effects_yaw_drift")
+
+
+def same_translation(one: Vehicle, other: Vehicle) -> bool:
+    """Whether two vehicles differ in their attitude loops alone."""
+    mine, its = vars(one), vars(other)
+    return all(name.startswith(_LOOPS) for name, value in mine.items() if value != its[name])
+
+
+def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
     """Predicted pose (m, 6) of `vehicle` along a `windows.Measured`: x, y, z, roll, pitch, yaw.
+
+    like: positions and angular accelerations of a vehicle that moves alike (see `translated`).
 
     Positions start at zero with velocity zero: compare them up to a line in time. Measurements that are
     late (mocap_delay) meet commands that are early by as much; a tilt of the measured attitude
@@ -34,19 +46,16 @@ def predict(flight, vehicle: Vehicle) -> np.ndarray:
     """
     late = vehicle.effects_mocap_delay
     dt, packed = flight.dt, pack(vehicle)
-    pwm = averages(flight.command[:, PWM], dt, vehicle.effects_thrust_delay + late)
     angles = [averages(flight.command[:, k], dt, vehicle.effects_attitude_delay + late) for k in (1, 2, 3)]
     attitude, rotation, start = flight.middle_attitude, flight.middle_rotation, flight.attitude[0]
     tilt = vehicle.effects_mocap_tilt
     if any(tilt):
         attitude, rotation, start = flight.levelled(tilt)
     out = np.empty((flight.samples, 6))
-    twist = np.zeros((flight.samples - 1, 3))
-    middle = (flight.middle_position, flight.middle_velocity, rotation, attitude)
-    _translate(*middle, pwm, flight.ambient, packed, dt, out, twist)
+    out[:, :3], twist = translated(flight, vehicle) if like is None else like
     lean = vehicle.effects_estimator_lean
     if lean:  # the angle at which the loops come to rest moves with the speed: a twist that holds it there
-        moved = np.einsum("kji,kj->ki", rotation, flight.middle_velocity)
+        twist, moved = twist.copy(), np.einsum("kji,kj->ki", rotation, flight.middle_velocity)
         stiffness = vehicle.attitude_bandwidth / vehicle.attitude_time_constant
         twist[:, 0] -= lean * stiffness * moved[:, 1]
         twist[:, 1] += lean * stiffness * moved[:, 0]
@@ -58,9 +67,22 @@ def predict(flight, vehicle: Vehicle) -> np.ndarray:
     return out
 
 
+def translated(flight, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (m, 3) from rest at zero, and angular accelerations (m - 1, 3) of roll, pitch and yaw."""
+    late, dt, tilt = vehicle.effects_mocap_delay, flight.dt, vehicle.effects_mocap_tilt
+    pwm = averages(flight.command[:, PWM], dt, vehicle.effects_thrust_delay + late)
+    attitude, rotation = flight.middle_attitude, flight.middle_rotation
+    if any(tilt):
+        attitude, rotation, _ = flight.levelled(tilt)
+    out, twist = np.empty((flight.samples, 3)), np.zeros((flight.samples - 1, 3))
+    middle = (flight.middle_position, flight.middle_velocity, rotation, attitude)
+    _translate(*middle, pwm, flight.ambient, pack(vehicle), dt, out, twist)
+    return out, twist
+
+
 @numba.njit(cache=True, nogil=True)
 def _translate(position, velocity, attitude_matrix, attitude, pwm, ambient, vehicle, dt, out, twist):
-    """Positions from rest at zero into out[:, :3], angular accelerations (roll, pitch, yaw) into twist."""
+    """Positions from rest at zero into out, angular accelerations (roll, pitch, yaw) into twist."""
     v, f = vehicle[0], np.zeros(5)
     lag = pwm[0] / v.thrust.lag_rate
     moved, speed = np.zeros(3), np.zeros(3)

@@ -1,15 +1,29 @@
-"""What flights of a vehicle leave uncertain of it: the posterior that `identify` writes beside its vehicle."""
+"""What flights of a vehicle leave uncertain of it: the posterior that `identify` writes beside its vehicle file.
+
+A vehicle file gives every constant a value. What the flights that it was identified from cannot tell apart is
+in the covariance of all of them, and what no effect explains of these flights in functions of what was logged.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.evidence import Column, Problem
+from inclined_landing.eval.gap.search.evidence import BASE, Column, Problem
 from inclined_landing.eval.gap.search.posterior import Local, between_flights, looks_alike
-from inclined_landing.eval.gap.search.residual import Left, Repeating
+from inclined_landing.eval.gap.search.residual import Basis, Left, Repeating
+from inclined_landing.models import storage
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Constant, Vehicle, constants
+
+SUFFIX = ".posterior.json"
+VERSION = 1
+_NORMAL = 1.96  # half-widths of 95 % intervals per standard deviation
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,6 +34,11 @@ class Reference:
     mean: np.ndarray  # (P,) in the units of the parameters
     covariance: np.ndarray  # (P, P) in the units of the parameters
     repeating: Repeating  # what repeats in its flights that no effect explains
+
+    @property
+    def forms(self) -> dict[str, float]:
+        """Weights of the base model's errors."""
+        return {c.form: float(x) for c, x in zip(self.columns, self.mean) if c.effect == BASE}
 
     def along(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
         """Mean (Q,) and covariance (Q, Q) of other columns; nothing of those it does not know."""
@@ -36,12 +55,123 @@ class Reference:
 
         size (6,) of the disturbance, inflation (6,): of the fit that made the vehicle.
         """
-        columns = problem.columns(problem.library) + problem.form_columns({})
+        columns = problem.columns([*problem.library, BASE])
         near = problem.linearise({}, columns, inflation)
         problem.alike = looks_alike(near)
         problem.between = between_flights(problem, near)
         local = Local.of(problem, near, {})
-        mean, covariance = local.fit(frozenset(problem.library))
+        change, covariance = local.fit(frozenset(problem.library))
         left = Left.by(problem, local, frozenset(problem.library), {}, size, inflation)
         known = covariance * np.outer(local.unit, local.unit)
-        return Reference(tuple(columns), mean * local.unit, known, Repeating.of(problem, left))
+        return Reference(tuple(columns), (local.at + change) * local.unit, known, Repeating.of(problem, left))
+
+    @staticmethod
+    def of_file(path: Path | None, vehicle: Vehicle) -> Reference:
+        """Of a vehicle file without a posterior: as uncertain as its entries say, each on its own."""
+        problem = Problem([], vehicle, {n: e for n, e in LIBRARY.items() if not e.contact})
+        columns = problem.columns([*problem.library, BASE])
+        given = {c.field: c for c in constants(path)}
+        deviation = [_deviation(problem, c, given) for c in columns]
+        return Reference(
+            tuple(columns), np.zeros(len(columns)), np.diag(np.square(deviation)), Repeating({}, {})
+        )
+
+    def to_json(self, vehicle: Vehicle) -> dict:
+        """Plain lists and numbers; `vehicle` is the one it is about."""
+        functions = self.repeating
+        return {
+            "version": VERSION,
+            "vehicle": digest(vehicle),
+            "columns": [[c.effect, c.parameter, [list(x) for x in c.fixed], c.form] for c in self.columns],
+            "mean": self.mean.tolist(),
+            "covariance": self.covariance.tolist(),
+            "quantities": {
+                name: {
+                    "centre": b.centre.tolist(),
+                    "scale": b.scale.tolist(),
+                    "knots": [k.tolist() for k in b.knots],
+                }
+                for name, b in functions.bases.items()
+            },
+            "functions": [[*key, w.tolist()] for key, w in functions.weights.items()],
+        }
+
+    @staticmethod
+    def from_json(table: dict) -> Reference:
+        """The same again. Raises ValueError, KeyError or TypeError where something is wrong with it."""
+        if table["version"] != VERSION:
+            raise ValueError(f"version {table['version']!r}")
+        columns = tuple(
+            Column(str(e), str(p), tuple((str(n), float(x)) for n, x in fixed), str(form))
+            for e, p, fixed, form in table["columns"]
+        )
+        mean, covariance = _numbers(table["mean"], 1), _numbers(table["covariance"], 2)
+        if mean.shape != (len(columns),) or covariance.shape != (len(columns),) * 2:
+            raise ValueError("as many numbers as columns")
+        if np.abs(covariance - covariance.T).max() > 1e-9 * np.abs(covariance).max():
+            raise ValueError("a symmetric covariance")
+        bases = {
+            str(name): Basis(
+                _numbers(b["centre"], 1), _numbers(b["scale"], 1), tuple(_numbers(k, 1) for k in b["knots"])
+            )
+            for name, b in table["quantities"].items()
+        }
+        weights = {(str(target), str(on)): _numbers(w, 1) for target, on, w in table["functions"]}
+        return Reference(columns, mean, covariance, Repeating(bases, weights))
+
+
+def digest(vehicle: Vehicle) -> str:
+    """What changes with any constant of a vehicle but its disturbance."""
+    values = {f.name: getattr(vehicle, f.name) for f in dataclasses.fields(vehicle)}
+    text = repr(sorted((n, v) for n, v in values.items() if not n.startswith("unrest")))
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def beside(path: Path) -> Path:
+    """Where the posterior of a vehicle file stands."""
+    return path.with_name(path.stem + SUFFIX)
+
+
+def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[Reference, str]:
+    """What is known of the vehicle of a file, and a sentence where its posterior is left aside.
+
+    Raises UserError for a posterior that is damaged.
+    """
+    file = beside(path) if path else None
+    if file is None or not file.exists():
+        return Reference.of_file(path, vehicle), ""
+    table = storage.read_json(file, "posterior")
+    try:
+        reference = Reference.from_json(table)
+        if table["vehicle"] == digest(vehicle):
+            return reference, ""
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UserError(
+            f"{file} is damaged ({error}); identify the vehicle anew, or remove the file"
+        ) from error
+    return (
+        Reference.of_file(path, vehicle),
+        f"{file.name} is of another vehicle than {path.name}: it was left aside",
+    )
+
+
+def _numbers(values, dimensions: int) -> np.ndarray:
+    result = np.array(values, float)
+    if result.ndim != dimensions or not np.isfinite(result).all():
+        raise ValueError("a list of finite numbers")
+    return result
+
+
+def _deviation(problem: Problem, column: Column, given: dict[str, Constant]) -> float:
+    """Standard deviation of a column, by the uncertainty of the constants that it changes."""
+    if column.form or column.fixed:
+        return problem.parameter(column).plausible if column.form else 0.0
+    moved, step = problem.to_one_side({}, column)
+    widths = []
+    for f in dataclasses.fields(moved):
+        change = np.subtract(getattr(moved, f.name), getattr(problem.vehicle, f.name)) / step
+        known = given[f.name].uncertainty
+        if np.any(change) and not isinstance(known, str):
+            wide = np.broadcast_to(known, np.shape(change))[change != 0.0]
+            widths.append(float(np.max(wide / np.abs(change[change != 0.0]))) / _NORMAL)
+    return min(widths, default=0.0)

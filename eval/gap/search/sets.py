@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from inclined_landing.eval.gap.flights import unrest
-from inclined_landing.eval.gap.search.evidence import Linear, Problem, Values
+from inclined_landing.eval.gap.search.evidence import BASE, Linear, Problem, Values
 from inclined_landing.eval.gap.search.fit import Fitted, refit
 from inclined_landing.eval.gap.search.posterior import (
     Evidence,
@@ -27,14 +27,15 @@ from inclined_landing.eval.gap.search.posterior import (
     looks_alike,
     slabs,
 )
-from inclined_landing.eval.gap.search.prediction import predict
 
 NOTHING = 0.5  # prior probability that nothing is missing
 MOST = 8  # effects of a set
 PLACES = 3  # others that are fitted in the place of every effect of the best set
 FITTED = 12  # sets that are fitted through the simulator, at most
 WORTH = 6.0  # log probability behind the best within which a neighbour is worth a fit
-TOLERATED = 10.0  # squared error by which a linear step may be worse than foreseen
+STEPS = 4  # of Newton for a set, at most
+SMALL = 0.5  # negligible sizes within which a step is linear
+BEHIND = 10.0  # log probability behind the best beyond which a set is not worth telling
 FORMS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # shares of the motion by which it may be off
 SETTLED = 4  # rounds in which effects and unrest are fitted in turn, at most
 LEAST = 1e-3  # probability of a set that is worth telling
@@ -89,7 +90,7 @@ def search(problem: Problem) -> Search:
     """The sets of effects that may explain the flights of `problem`, which is whitened anew."""
     whole, stir = settle(problem, list(problem.library))
     inflation = repeated(problem, whole.values)
-    columns = problem.columns(problem.library) + problem.form_columns({})
+    columns = problem.columns([*problem.library, BASE])
     near = problem.linearise(whole.values, columns, inflation)
     problem.alike = looks_alike(near)
     problem.between = between_flights(problem, near)
@@ -103,16 +104,18 @@ def search(problem: Problem) -> Search:
 
 def settle(problem: Problem, names: Sequence[str]) -> tuple[Fitted, unrest.Unrest]:
     """Effects fitted together, and the noise and unrest that they leave; the flights weighed by these."""
-    values: dict[str, dict[str, float]] = {name: {} for name in names}
+    values: dict[str, dict[str, float]] = {name: {} for name in (*names, BASE)}
     still, stir = np.ones(6), unrest.Unrest.none()
     for _ in range(SETTLED):
         before, fit = stir, refit(problem, values, still, iterations=3, tolerance=5.0, prior=slabs)
         values, vehicle = fit.values, problem.corrected(fit.values)
-        predicted = [predict(f, vehicle) for f in problem.flights]
+        predicted = [problem.predicted(f, values) for f in problem.flights]
         errors = [f.measured - p for f, p in zip(problem.flights, predicted)]
         ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
         stir = unrest.estimate(problem.flights, errors, np.split(problem.weight, ends))
         problem.rewhiten(stir, vehicle)
+        if problem.reference is None:
+            problem.reform(vehicle)
         weigh(problem, predicted, errors)
         if np.allclose(stir.size, before.size, rtol=0.15, atol=1e-3):
             break
@@ -140,8 +143,7 @@ def weigh(problem: Problem, predicted: Sequence[np.ndarray], errors: Sequence[np
 
 def repeated(problem: Problem, values) -> np.ndarray:
     """(6,) how much less a window tells than if it were independent of the one before."""
-    vehicle = problem.corrected(values)
-    white = problem.white([vehicle] * len(problem.flights))
+    white = problem.white_at(values)
     scale = np.ones(6)
     for channel in range(6):
         total, apart = 0.0, np.zeros(4)
@@ -162,32 +164,26 @@ def log_prior(problem: Problem, names: Set) -> float:
 
 
 def _visit(problem: Problem, names: Set, start, inflation: np.ndarray) -> Node:
-    """Fit a set from `start`, and linearise the simulator there."""
-    values = {n: dict(start.get(n, {})) for n in problem.library if n in names}
-    fit = refit(problem, values, inflation, iterations=4, tolerance=1.0, prior=slabs)
-    columns = problem.columns(problem.library) + problem.form_columns(fit.values)
-    linear = problem.linearise(fit.values, columns, inflation)
-    local = Local.of(problem, linear, fit.values)
-    values = stepped(problem, local, names)
-    if names and not _follows(problem, fit, values, inflation):
-        local.stays[local.index(names)] = True
-        values = fit.values
+    """Fit a set from `start`, by Newton's steps, and linearise the simulator there."""
+    new = {n: problem.library[n].neutral | start.get(n, {}) for n in problem.library if n in names}
+    for _ in range(STEPS):
+        values = new
+        columns = problem.columns([*problem.library, BASE]) + problem.form_columns(values)
+        linear = problem.linearise(values, columns, inflation)
+        local = Local.of(problem, linear, values)
+        new = stepped(problem, local, names)
+        step = problem.coordinates(new, columns) - problem.coordinates(values, columns)
+        least = np.array([problem.parameter(c).negligible for c in columns])
+        if np.abs(step / least).max() < SMALL:
+            break
     screen = local.evidence()
-    score = screen(names) + log_prior(problem, names) if _has_sizes(problem, names, values) else -np.inf
-    return Node(names, fit.values, values, local, screen, score)
+    score = screen(names) + log_prior(problem, names) if _has_sizes(problem, names, new) else -np.inf
+    return Node(names, values, new, local, screen, score)
 
 
 def _has_sizes(problem: Problem, names: Set, values) -> bool:
     """Whether every effect of a set has a size: without one that stayed at nothing it is another set."""
     return all(np.any(problem.sizes(name, values)) for name in names)
-
-
-def _follows(problem: Problem, fit: Fitted, values, inflation: np.ndarray) -> bool:
-    """Whether the simulator follows the linear step of a set's effects from where they were fitted."""
-    columns = fit.linear.columns
-    step = np.array([values[c.effect][c.parameter] - fit.values[c.effect][c.parameter] for c in columns])
-    foreseen = fit.linear.left(step)
-    return problem.squares(values, inflation) < max(foreseen, fit.squares) + TOLERATED
 
 
 def stepped(problem: Problem, local: Local, names: Set, weights=None) -> dict:
@@ -291,7 +287,7 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
     """Probabilities of sets; those that were not fitted count by the linearisation at the best."""
     weights = flight_weights(problem.groups)
     near = {n: best.screen(n) + log_prior(problem, n) for n in _neighbours(problem, best) if n not in nodes}
-    near = dict(sorted(near.items(), key=lambda item: -item[1])[:60])
+    near = {n: x for n, x in near.items() if x > best.score - BEHIND}
     starts = {n: _start(problem, best, n) for n in near}
     near = {n: x for n, x in near.items() if _has_sizes(problem, n, starts[n])}
     fitted = {n: node for n, node in nodes.items() if np.isfinite(node.score)}
