@@ -24,6 +24,7 @@ from inclined_landing.eval.gap.plan import Hypothesis, Quiet, design
 from inclined_landing.eval.gap.plan.information import in_doubt, unseen
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
+from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.gap.search.sets import search
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.proof import simulator
@@ -93,10 +94,11 @@ def race(family: str, seed: tuple[int, ...]) -> dict:
     case = blind.draw(family, "single", cause, size, (*seed, 8))
     world = case.drawn[cause]
     plain = generate.fly_all(causes.Drawn({}, {}), rng, case.reality, count=blind.IDENTIFY)
-    vehicle = identify(generate.logs(plain, voltage=case.voltage), load_vehicle()).vehicle
+    known = identify(generate.logs(plain, voltage=case.voltage), load_vehicle())
+    vehicle = known.vehicle
     first = generate.fly_all(world, rng, case.reality, count=BEFORE)
     first = generate.logs(first, voltage=case.voltage)
-    start = _searched(first, vehicle)
+    start = _searched(first, vehicle, known.reference)
     row = {"seed": list(seed), "family": case.family, "cause": cause, "size": size}
     row["before"] = _named(cause, [*start[0], *start[1]])
     row["sets"] = [(h.text, h.probability) for h in start[0][:4]]
@@ -110,19 +112,19 @@ def race(family: str, seed: tuple[int, ...]) -> dict:
             else:
                 recording = generate.fly_all(world, rng, case.reality, count=1)[0]
             flights += generate.logs([recording], voltage=case.voltage)
-            now = _searched(flights, vehicle)
+            now = _searched(flights, vehicle, known.reference)
             told.append(_named(cause, now[0]))
         row[way] = told
     return row
 
 
 def _searched(
-    flights: Sequence[FlightLog], vehicle: Vehicle
+    flights: Sequence[FlightLog], vehicle: Vehicle, known: Reference
 ) -> tuple[list[Hypothesis], list[Hypothesis], Quiet]:
     """What the flights leave in doubt, as `landing-eval gap` finds it, and what they could not have shown."""
     measured = prepare_all(flights, vehicle, False, [])
     library, _ = tellable({n: e for n, e in LIBRARY.items() if not e.contact}, measured)
-    problem = Problem(measured, vehicle, library)
+    problem = Problem(measured, vehicle, library, known)
     found = search(problem)
     hypotheses, quiet = in_doubt(problem, found)
     return hypotheses, unseen(problem, found), quiet

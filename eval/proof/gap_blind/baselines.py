@@ -79,10 +79,10 @@ def tune(flights: Sequence[FlightLog], vehicle: Vehicle) -> dict[str, dict[str, 
     """Effect -> parameter -> value for TUNED, those that differ from nominal."""
     problem = Problem(prepare_all(flights, vehicle, False, []), vehicle, LIBRARY)
     fit = refit(problem, {name: {} for name in TUNED}, np.ones(6), iterations=15)
-    error = np.sqrt(np.diag(fit.weighted.covariance(fit.index)))
+    error = np.sqrt(np.diag(fit.linear.covariance()))
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     found: dict[str, dict[str, float]] = {}
-    for column, e in zip(fit.weighted.columns, error):
+    for column, e in zip(fit.linear.columns, error):
         p = problem.parameter(column)
         value = fit.values[column.effect][column.parameter]
         if abs(value - p.neutral) > max(quantile * e, p.negligible):

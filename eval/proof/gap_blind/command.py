@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
@@ -27,6 +27,9 @@ from inclined_landing.models.parameters import Vehicle
 from . import score, summary
 from .cases import ROTORPY, SETS, STRATA, Case, Flown, of_set
 from .page import markdown, page, reliability
+
+if TYPE_CHECKING:
+    from inclined_landing.eval.gap.search.reference import Reference
 
 METHODS = ("workflow", "tuning", "sparse")
 _SET, _LABELS, _RESULTS = "set.json", "sealed/labels.json", "results.json"
@@ -148,32 +151,39 @@ def _scored(out: Path, method: str, name: str, label: dict) -> dict | None:
 def _case(case: Case, methods: Sequence[str], out: Path) -> None:
     """Fly one case, identify its vehicle as a user would, and write the report of every method."""
     flown, began = case.fly(), time.perf_counter()
-    vehicle = case.vehicle(_identified(flown))
+    vehicle, reference = _identified(case, flown)
     spent = time.perf_counter() - began
     for method in methods:
         began = time.perf_counter()
         try:
-            report = diagnosed(method, flown, vehicle)
+            report = diagnosed(method, flown, vehicle, reference)
         except UserError as error:
             report = {"verdict": "failed", "effects": [], "notes": [str(error)]}
         report |= {"identify seconds": spent, "wall seconds": time.perf_counter() - began}
         storage.write_json(_report(out, method, case.name), report)
 
 
-def _identified(flown: Flown) -> Vehicle:
+def _identified(case: Case, flown: Flown) -> tuple[Vehicle, Reference]:
+    """The vehicle that the gap is measured for, and what is known of it."""
     from inclined_landing.eval.gap.answer.identify import identify
+    from inclined_landing.eval.gap.search.reference import Reference
     from inclined_landing.models.parameters import load_vehicle
 
-    return identify(flown.identify, load_vehicle()).vehicle if flown.identify else load_vehicle()
+    if not flown.identify:
+        vehicle = case.vehicle(load_vehicle())
+        return vehicle, Reference.of_file(None, vehicle)
+    found = identify(flown.identify, load_vehicle())
+    return case.vehicle(found.vehicle), found.reference
 
 
-def diagnosed(method: str, flown: Flown, vehicle: Vehicle) -> dict:
+def diagnosed(method: str, flown: Flown, vehicle: Vehicle, reference: Reference) -> dict:
     """The report of one method on the logs of one case."""
     if method == "workflow":
         from inclined_landing.eval.gap import diagnose
 
         plants = ("analytic", "mujoco")
-        return diagnose(flown.gap, vehicle, heldout=flown.heldout, plants=plants, curves=False).to_json()
+        known = {"reference": reference, "heldout": flown.heldout}
+        return diagnose(flown.gap, vehicle, **known, plants=plants, curves=False).to_json()
     from . import baselines
 
     return baselines.report(method, flown.gap, flown.heldout, vehicle)

@@ -13,8 +13,8 @@ from inclined_landing.eval.gap.answer.diagnosis import diagnose
 from inclined_landing.eval.gap.flights.windows import prepare_all
 from inclined_landing.eval.gap.result import Diagnosis, PlantGap
 from inclined_landing.eval.gap.search import rollout
-from inclined_landing.eval.gap.search.evidence import Column, Problem
-from inclined_landing.eval.gap.search.fit import Fitted, left_out_vehicles, refit
+from inclined_landing.eval.gap.search.evidence import Problem
+from inclined_landing.eval.gap.search.fit import Fitted, refit
 from inclined_landing.eval.gap.search.posterior import slabs
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
@@ -75,23 +75,39 @@ def judged(logs, vehicle: Vehicle, values, heldout: Sequence[FlightLog] = ()) ->
     corrected = problem.corrected(fit.values)
     starts = rollout.Starts.of(prepare_all(heldout, vehicle, False, []) if heldout else problem.flights)
     floor = rollout.noise_floor(starts, corrected)
-    after = corrected if heldout else left_out_vehicles(problem, fit)
+    after = corrected if heldout else _left_out(problem, fit)
     return rollout.plant_gap(starts, vehicle, after, "analytic", floor), corrected
 
 
 def _refit(problem: Problem, values, prior=None) -> Fitted:
-    columns = [Column(n, p.name) for n in values for p in LIBRARY[n].parameters]
-    return refit(problem, values, problem.linearise(values, columns).inflation(), prior=prior)
+    """Fitted twice, the second time with every channel divided by the squared error that the first leaves."""
+    first = refit(problem, values, np.ones(6), prior=prior)
+    squares = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in problem.white_at(first.values)])
+    freedom = np.maximum(1.0, (problem.weight * problem.rows[:, None]).sum(axis=0))
+    inflation = np.maximum(1.0, (problem.weight * squares).sum(axis=0) / freedom)
+    return refit(problem, first.values, inflation, prior=prior)
+
+
+def _left_out(problem: Problem, fit: Fitted) -> list[Vehicle]:
+    """For every flight, the vehicle with the effects fitted to the other flights."""
+    vehicles = []
+    for flight in problem.flights:
+        others = [f for f in problem.flights if f is not flight] or problem.flights
+        rest = refit(Problem(others, problem.vehicle, LIBRARY), fit.values, fit.inflation)
+        vehicles.append(problem.corrected(rest.values))
+    return vehicles
 
 
 def _fit(logs, vehicle: Vehicle, values) -> dict[tuple[str, str], tuple[float, float]]:
     problem = Problem(prepare_all(logs, vehicle, False, []), vehicle, LIBRARY)
     fit = _refit(problem, values, prior=slabs)  # effects that are nearly alike would not move without
     # A reference is where another parameter acts about: at another one that and others are as good.
-    own = [k for k in fit.index if not problem.parameter(fit.weighted.columns[k]).is_reference]
-    error = np.sqrt(np.diag(fit.weighted.covariance(np.array(own))))
+    linear = fit.linear
+    own = [k for k, c in enumerate(linear.columns) if not problem.parameter(c).is_reference]
+    columns = tuple(linear.columns[k] for k in own)
+    linear = dataclasses.replace(linear, columns=columns, a=linear.a[:, own][:, :, own], b=linear.b[:, own])
+    error = np.sqrt(np.diag(linear.covariance()))
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
-    columns = [fit.weighted.columns[k] for k in own]
     return {
         (c.effect, c.parameter): (fit.values[c.effect][c.parameter], float(quantile * e))
         for c, e in zip(columns, error)
