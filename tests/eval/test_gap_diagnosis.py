@@ -209,7 +209,7 @@ def test_what_is_known_beforehand_holds_a_fit():
         return refit(problem, {"wind": {}}, np.ones(6), prior=prior).values["wind"]["x"]
 
     free, error = fitted(None), refit(problem, {"wind": {}}, np.ones(6))
-    deviation = float(np.sqrt(error.weighted.covariance(error.index)[0, 0]))
+    deviation = float(np.sqrt(error.linear.covariance()[0, 0]))
     assert fitted(1e3) == pytest.approx(free, abs=0.05 * deviation)
     assert abs(fitted(1e-4)) < 0.01 < abs(free)
 

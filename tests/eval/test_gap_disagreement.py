@@ -9,7 +9,7 @@ from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.result import Contradiction, Difference
 from inclined_landing.eval.gap.search.disagreement import contradictions
-from inclined_landing.eval.gap.search.evidence import Column, Problem
+from inclined_landing.eval.gap.search.evidence import BASE, Column, Linear, Problem
 from inclined_landing.eval.gap.search.fit import refit
 from inclined_landing.eval.gap.search.posterior import slabs
 from inclined_landing.eval.gap.search.sets import repeated
@@ -39,9 +39,10 @@ def found(flown, kinds):
     vehicle = load_vehicle()
     flights = [prepare(flown[kind][k], vehicle) for k, kind in enumerate(kinds)]
     problem = Problem(flights, vehicle, {name: LIBRARY[name] for name in NAMES})
-    fit = refit(problem, {name: {} for name in NAMES}, np.ones(6), iterations=3, tolerance=5.0, prior=slabs)
-    near = problem.linearise(fit.values, problem.columns(fit.values, NAMES))
-    return contradictions(problem, near.weighted(repeated(problem, fit.values)), fit.values)
+    names = (*NAMES, BASE)
+    fit = refit(problem, {name: {} for name in names}, np.ones(6), iterations=3, tolerance=5.0, prior=slabs)
+    near = problem.linearise(fit.values, problem.columns(names), repeated(problem, fit.values))
+    return contradictions(problem, near, {name: fit.values[name] for name in NAMES})
 
 
 def test_flights_of_one_vehicle_and_day_do_not_contradict_each_other(flown):
@@ -90,6 +91,7 @@ def test_false_alarms_are_as_rare_as_stated():
     problem = types.SimpleNamespace(
         flights=flights,
         flight_of=np.arange(8),
+        group_of=np.arange(8),
         library=LIBRARY,
         parameter=lambda c: LIBRARY[c.effect].parameter(c.parameter),
     )
@@ -98,7 +100,7 @@ def test_false_alarms_are_as_rare_as_stated():
         slopes = rng.standard_normal((8, 40, len(columns))) / (0.2 * unit)
         noise = rng.standard_normal((8, 40))
         a, b = slopes.swapaxes(1, 2) @ slopes, np.einsum("fnp,fn->fp", slopes, noise)
-        near = types.SimpleNamespace(columns=columns, a=a, b=b, group_a=a)
+        near = Linear(columns, a, b, np.zeros(8), problem)
         alarms += bool(contradictions(problem, near, {}))
     assert alarms <= 10
 

@@ -8,13 +8,13 @@ import pytest
 from scipy import stats
 from scipy.signal import lfilter
 
-from inclined_landing.eval.gap.answer.named import in_its_place, parts_only
+from inclined_landing.eval.gap.answer.named import in_its_place
 from inclined_landing.eval.gap.flights import unrest
 from inclined_landing.eval.gap.flights.windows import level, prepare
 from inclined_landing.eval.gap.search.evidence import Column
-from inclined_landing.eval.gap.search.posterior import Local, Screen
+from inclined_landing.eval.gap.search.posterior import SHAPE, Local
 from inclined_landing.eval.gap.search.prediction import predict
-from inclined_landing.eval.gap.search.remainder import _Function, _signs, form_of
+from inclined_landing.eval.gap.search.residual import Basis, _Function, _signs, form_of
 from inclined_landing.eval.gap.search.sets import Scored, _worth_correcting, weigh
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import tilted
@@ -59,13 +59,14 @@ def test_unrest_is_recovered_from_what_it_moved():
 
 @pytest.fixture(scope="module")
 def local():
-    """Eight flights' Gram matrices of four effects with two parameters each, one of them at a bound."""
+    """Eight flights' Gram matrices of four effects with two parameters each, one of them at a bound, with
+    the slopes (8, 30, 8) and errors (8, 30) that they are of; the vehicle is off, its errors correlated."""
     rng = np.random.default_rng(1)
     slopes = rng.standard_normal((8, 30, 8))
     errors = slopes @ np.array([3.0, 0, 0, 0, 1.0, 0, 0, 0]) + rng.standard_normal((8, 30))
     columns = tuple(Column(name, p) for name in "abcd" for p in ("one", "two"))
-    held = np.arange(8) == 5
-    return Local(
+    root = 0.3 * rng.standard_normal((8, 8))
+    one = Local(
         problem=types.SimpleNamespace(library=dict.fromkeys("abcd")),
         columns=columns,
         at=rng.standard_normal(8),
@@ -73,37 +74,63 @@ def local():
         b=np.einsum("gnp,gn->gp", slopes, errors),
         c=(errors**2).sum(axis=1),
         unit=np.ones(8),
-        slab=np.full(8, 10.0),
-        held=held,
+        slab=10.0 * np.eye(8),
+        held=np.arange(8) == 5,
+        off=0.3 * rng.standard_normal(8),
+        known=root @ root.T,
         between=np.ones(8),
-        stays=np.zeros(8, bool),
         own_a=np.zeros((8, 8, 8)),
         own_b=np.zeros((8, 8)),
     )
+    return one, slopes, errors
 
 
 @pytest.mark.parametrize("names", ["", "a", "c", "ab", "acd", "abcd"])
-def test_screening_is_the_marginal_likelihood(local, names):
-    names = frozenset(names)
-    exact = local.log_evidence(names, np.ones((1, 8)))[0]
-    assert Screen(local)(names) == pytest.approx(exact, rel=1e-9)
+def test_marginal_likelihood_is_that_of_the_normal_law(local, names):
+    """The log density of the errors under noise, what is known and the prior, up to a constant."""
+    one, slopes, errors = local
+    names, free = frozenset(names), ~one.held
+    wide = np.array([c.effect in names for c in one.columns])
+    prior = one.known + np.where(np.outer(wide, wide), one.slab, np.diag(~wide))
+    far = errors.ravel() - slopes.reshape(-1, 8)[:, free] @ (one.off - one.at)[free]
+    slopes = slopes.reshape(-1, 8)[:, free]
+    covariance = np.eye(len(far)) + slopes @ prior[np.ix_(free, free)] @ slopes.T
+    density = -0.5 * (far @ np.linalg.solve(covariance, far) + np.linalg.slogdet(covariance)[1])
+    assert one.evidence()(names) == pytest.approx(density, rel=1e-6)
 
 
-def test_marginal_likelihood_is_that_of_the_normal_law(local):
-    """The log density of the errors under noise and prior together, up to a constant."""
-    rng = np.random.default_rng(2)
-    slopes, errors = rng.standard_normal((30, 8)), rng.standard_normal(30)
-    free = np.zeros(8, bool)
-    one = Local(**{**vars(local), "at": np.zeros(8), "held": free, "a": (slopes.T @ slopes)[None]})
-    one.b, one.c = (slopes.T @ errors)[None], np.array([errors @ errors])
+def test_flights_that_were_not_drawn_do_not_count(local):
+    one, *_ = local
+    weights = np.array([2.0, 0.0, 1.0, 1.0, 0.0, 1.0, 3.0, 0.0])
+    drawn = np.repeat(np.arange(8), weights.astype(int))
+    same = dataclasses.replace(one, a=one.a[drawn], b=one.b[drawn], c=one.c[drawn])
+    for names in map(frozenset, ("", "ac")):
+        assert one.evidence(weights)(names) == pytest.approx(same.evidence()(names), rel=1e-9)
 
-    def density(names):
-        prior = np.diag(1.0 / one.precision(names))
-        covariance = np.eye(30) + slopes @ prior @ slopes.T
-        return -0.5 * (errors @ np.linalg.solve(covariance, errors) + np.linalg.slogdet(covariance)[1])
 
-    for names in map(frozenset, ("", "a", "bd")):
-        assert one.log_evidence(names, np.ones((1, 1)))[0] == pytest.approx(density(names), rel=1e-9)
+def test_what_is_new_in_the_flights_is_told_from_what_was_uncertain(local):
+    """delta given the errors, from the joint normal law of theta, delta and the errors."""
+    one, slopes, errors = local
+    names, k = frozenset("ab"), np.flatnonzero(~one.held)
+    slopes, fresh = slopes.reshape(-1, 8)[:, k], one.fresh(names)[np.ix_(k, k)]
+    covariance = np.eye(len(slopes)) + slopes @ (fresh + one.known[np.ix_(k, k)]) @ slopes.T
+    gain = np.linalg.solve(covariance, slopes @ fresh).T
+    at, spread = one.delta(names)
+    np.testing.assert_allclose(at[k], gain @ (errors.ravel() - slopes @ (one.off - one.at)[k]), atol=1e-8)
+    np.testing.assert_allclose(spread[np.ix_(k, k)], fresh - gain @ slopes @ fresh, atol=1e-8)
+
+
+def test_a_shape_is_no_more_probable_than_its_normal_prior_says(local):
+    """Sizes of opposite signs about both sides of a reference are a scale."""
+    one, *_ = local
+    ends = (("reference", 1.0),), (("reference", 2.0),)
+    columns = tuple(
+        dataclasses.replace(c, parameter="one", fixed=ends[k % 2]) for k, c in enumerate(one.columns)
+    )
+    slab = np.kron(np.eye(4), 10.0 * SHAPE)
+    evidence = dataclasses.replace(one, columns=columns, slab=slab, held=np.zeros(8, bool)).evidence()
+    assert [name for name, _ in evidence.ends] == list("abcd")
+    assert evidence._shape("a", 4.0, -3.5) < evidence._shape("a", 0.2, 0.3) <= 0.0
 
 
 def test_flips_of_signs_raise_few_false_alarms():
@@ -121,7 +148,7 @@ def test_flips_of_signs_raise_few_false_alarms():
             grams = np.einsum("kni,knj->kij", slopes, slopes)
             a = np.stack([grams[flight_of == f].sum(axis=0) for f in range(6)])
             form = form_of(a, b, flight_of, ridge)
-            scores.append(_Function("x", "noise", a, b, ridge, form).scores(signs))
+            scores.append(_Function("x", "noise", a, b, flight_of, ridge, form).scores(signs))
         most = np.max(scores, axis=0)
         alarms += most[0] > np.quantile(most[1:], 0.95)
     assert 7 <= alarms <= 25
@@ -141,6 +168,35 @@ def test_gain_of_a_function_is_what_fits_to_the_other_flights_take_away():
     assert form.sum() == pytest.approx(closed, rel=1e-9)
 
 
+def test_a_function_is_fitted_to_the_flights_or_to_all_but_one():
+    """Its weights are ridge regressions; what it takes off a flight left out adds up to its gain."""
+    rng = np.random.default_rng(4)
+    slopes, errors = rng.standard_normal((6, 25, 3)), rng.standard_normal((6, 25))
+    fold_of = np.array([0, 0, 1, 1, 2, 2])
+    grams, b = np.einsum("kni,knj->kij", slopes, slopes), np.einsum("kni,kn->ki", slopes, errors)
+    a = np.stack([grams[fold_of == g].sum(axis=0) for g in range(3)])
+    function = _Function("x", "noise", a, b, fold_of, 1.0, form_of(a, b, fold_of, 1.0))
+    for without in (None, 1):
+        use = fold_of != (-1 if without is None else without)
+        x, y = slopes[use].reshape(-1, 3), errors[use].ravel()
+        wanted = np.linalg.solve(x.T @ x + np.eye(3), x.T @ y)
+        np.testing.assert_allclose(function.weights(without), wanted, rtol=1e-9)
+    assert function.trusted()[0].sum() == pytest.approx(function.gain, rel=1e-9)
+
+
+def test_bumps_and_random_features_follow_a_bent_function():
+    """Within 5 % of its size where it was seen; beyond, no feature grows."""
+    rng = np.random.default_rng(8)
+    seen = rng.uniform([-2.0, 5.0], [2.0, 9.0], (2000, 2))
+    value = np.abs(seen[:, 0]) + np.sin(seen[:, 1])
+    basis = Basis.of(seen, ("velocity x", "position z"))
+    features = basis(seen)
+    fit = np.linalg.lstsq(features, value, rcond=1e-9)[0]
+    assert np.std(features @ fit - value) < 0.05 * np.std(value)
+    assert np.abs(basis(seen + [100.0, 0.0])).max() <= np.abs(features).max() + 1.0
+    assert Basis.of(seen[:, :1] * 5.0, ("flight time",))(seen[:, :1]).shape == (2000, 40)  # 20 s, every 0.5
+
+
 def test_attitudes_are_levelled_and_tilted_back():
     rng = np.random.default_rng(5)
     attitude = rng.uniform([-0.5, -0.5, -3.0], [0.5, 0.5, 3.0], (50, 3))
@@ -156,20 +212,6 @@ def test_what_takes_the_place_of_an_effect_stands_in_sets_without_it():
     found = types.SimpleNamespace(sets=sets, names=sets[0].names)
     assert in_its_place(found, "a") == ("b",)
     assert in_its_place(found, "c") == ()
-
-
-@pytest.mark.parametrize("closes, named", [(5.0, False), (50.0, True)])
-def test_a_name_closes_more_than_what_repeats_there(closes, named):
-    """40 of the 100 that are left in z repeat; an effect in z must close more, one in x has no part in it."""
-
-    def white(vehicles):
-        z, x = 100.0 + (0.0 if "a" in vehicles[0] else closes), 10.0 + (0.0 if "b" in vehicles[0] else 1.0)
-        return [np.sqrt(np.array([x, 0.0, z, 0.0, 0.0, 0.0]))[None, :, None]]
-
-    problem = types.SimpleNamespace(flights=[None], weight=np.ones((1, 6)), corrected=set, white=white)
-    found = types.SimpleNamespace(values={"a": {}, "b": {}}, inflation=np.ones(6))
-    left = types.SimpleNamespace(depends_on=[types.SimpleNamespace(channel="z", share=0.4)])
-    assert parts_only(problem, found, left) == ([] if named else ["a"])
 
 
 def test_the_form_of_the_model_errs_by_a_share_of_the_motion():
@@ -194,17 +236,20 @@ def test_the_form_of_the_model_errs_by_a_share_of_the_motion():
 
 
 def test_an_effect_too_small_to_matter_is_part_of_the_set_without_it(local):
-    def parameter(column):
-        return Parameter(column.parameter, "1", 0.0, (-9.0, 9.0), 5.0, 1.0)
+    """Two standard deviations of one size are beyond what nobody needs to correct; another lies within."""
+    one, *_ = local
+    at, spread = one.delta(frozenset("ab"))
+    edge = abs(at[0]) - 2.0 * np.sqrt(spread[0, 0])
+    assert edge > 0.0
 
-    problem = types.SimpleNamespace(parameter=parameter)
-    sd = np.sqrt(np.diag(local.fit(frozenset("ab"))[1]))
-    values = {"a": {"one": 1.0 + 2.0 * sd[0], "two": 0.0}, "b": {"one": 0.0, "two": 0.0}}
-    parts = _worth_correcting(problem, local, frozenset("ab"), values)
+    def parameter(column):
+        negligible = edge if (column.effect, column.parameter) == ("a", "one") else 100.0
+        return Parameter(column.parameter, "1", 0.0, (-900.0, 900.0), 5.0, negligible)
+
+    parts = _worth_correcting(types.SimpleNamespace(parameter=parameter), one, frozenset("ab"))
     assert sum(parts.values()) == pytest.approx(1.0)
-    beyond = sum(share for names, share in parts.items() if "a" in names)
-    assert beyond == pytest.approx(stats.norm.cdf(2.0), abs=0.02)
-    assert sum(share for names, share in parts.items() if "b" in names) < 0.2
+    assert parts[frozenset("a")] == pytest.approx(stats.norm.cdf(2.0), abs=1e-6)
+    assert sum(share for names, share in parts.items() if "b" in names) < 1e-6
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.0095])

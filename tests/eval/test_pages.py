@@ -15,6 +15,7 @@ from inclined_landing.eval.base import page as base_page
 from inclined_landing.eval.base.claims import Claim, Section
 from inclined_landing.eval.gap.answer.identify import Identification, Identified
 from inclined_landing.eval.gap.report import identified
+from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.replay.page import _as_script
 from inclined_landing.models.parameters import load_vehicle
 
@@ -82,6 +83,7 @@ def test_the_page_of_identification():
     )
     found = Identification(
         load_vehicle(),
+        Reference.of_file(None, load_vehicle()),
         (row,),
         {"x": {"before": 50.0, "after": 90.0}},
         {},

@@ -78,7 +78,8 @@ def report(method: str, flights: Sequence[FlightLog], heldout: Sequence[FlightLo
 def tune(flights: Sequence[FlightLog], vehicle: Vehicle) -> dict[str, dict[str, float]]:
     """Effect -> parameter -> value for TUNED, those that differ from nominal."""
     problem = Problem(prepare_all(flights, vehicle, False, []), vehicle, LIBRARY)
-    fit = refit(problem, {name: {} for name in TUNED}, np.ones(6), iterations=15)
+    names = [name for name in TUNED if name in problem.library]
+    fit = refit(problem, {name: {} for name in names}, np.ones(6), iterations=15)
     error = np.sqrt(np.diag(fit.linear.covariance()))
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     found: dict[str, dict[str, float]] = {}
