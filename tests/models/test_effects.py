@@ -164,6 +164,56 @@ def test_effects_come_on_top_of_what_the_vehicle_has():
     assert rise == pytest.approx(0.2 * -0.2 + 0.1 * -0.5)
 
 
+ABOUT = [name for name, effect in LIBRARY.items() if effect.reference]
+
+
+@pytest.mark.parametrize("name", ABOUT)
+def test_a_size_about_a_reference_is_two_sizes_about_both_of_its_sides(name):
+    effect = LIBRARY[name]
+    low, high = effect.reference.either_side()
+    assert effect.reference.bounds[0] <= low < effect.reference.neutral < high <= effect.reference.bounds[1]
+    for value in (0.12, -0.3):
+        for about in (low, high, 0.3 * low + 0.7 * high, high + 0.2 * (high - low)):
+            assert effect.from_ends(*effect.at_ends(value, about)) == pytest.approx((value, about), rel=1e-12)
+    assert effect.at_ends(0.12, low) == pytest.approx((0.12, 0.0), abs=1e-15)
+    assert effect.at_ends(0.12, high) == pytest.approx((0.0, 0.12), abs=1e-15)
+
+
+@pytest.mark.parametrize("name", ["thrust_curve", "battery_sag", "battery_voltage"])
+def test_what_is_linear_does_the_same_about_both_sides(name):
+    effect, about = LIBRARY[name], LIBRARY[name].reference
+    sides, size = about.either_side(), effect.parameters[0].name
+    for vehicle in (V, everything()):
+        for reference in (0.8 * sides[0] + 0.2 * sides[1], 1.1 * sides[1] - 0.1 * sides[0]):
+            once = effect.apply(vehicle, {size: 0.12, about.name: reference})
+            twice = vehicle
+            for part, side in zip(effect.at_ends(0.12, reference), sides):
+                twice = effect.apply(twice, {size: part, about.name: side})
+            for f in dataclasses.fields(V):
+                wanted = getattr(once, f.name)
+                assert wanted == getattr(twice, f.name) or getattr(twice, f.name) == pytest.approx(
+                    wanted, rel=1e-9
+                ), f.name
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_sizes_of_times_and_drags_are_those_of_the_quantity(name):
+    """Nothing changes beside the shipped vehicle; of half a constant, as much is twice the share."""
+    effect = LIBRARY[name]
+    for p in effect.parameters:
+        if not p.is_factor or p.constant is None:
+            assert p.is_reference or p.adds_to or p.beside(V) == p
+            continue
+        assert p.beside(V) == dataclasses.replace(p, bounds=p.beside(V).bounds)
+        if not (p.constant.unit == "s" or p.constant.parts):
+            continue
+        half = effect.apply(V, {q.name: 0.5 for q in effect.parameters if q.is_factor})
+        own = p.beside(half)
+        assert own.negligible == pytest.approx(2.0 * p.negligible, rel=1e-5)
+        assert abs(own.plausible - 1.0) == pytest.approx(2.0 * abs(p.plausible - 1.0), rel=1e-5)
+        assert own.bounds[0] < own.plausible < own.bounds[1]
+
+
 # --- both plants -------------------------------------------------------------------------------------
 
 
