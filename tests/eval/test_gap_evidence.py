@@ -1,6 +1,7 @@
 """What the search for sets of effects rests on: unrest, marginal likelihoods, flips of signs."""
 
 import dataclasses
+import json
 import types
 
 import numpy as np
@@ -11,15 +12,19 @@ from scipy.signal import lfilter
 from inclined_landing.eval.gap.answer.named import in_its_place
 from inclined_landing.eval.gap.flights import unrest
 from inclined_landing.eval.gap.flights.windows import level, prepare
-from inclined_landing.eval.gap.search.evidence import Column
+from inclined_landing.eval.gap.search import form
+from inclined_landing.eval.gap.search.evidence import BASE, Column
 from inclined_landing.eval.gap.search.posterior import SHAPE, Local
 from inclined_landing.eval.gap.search.prediction import predict
-from inclined_landing.eval.gap.search.residual import Basis, _Function, _signs, form_of
+from inclined_landing.eval.gap.search.reference import Reference, beside, read_reference
+from inclined_landing.eval.gap.search.residual import Basis, Repeating, _Function, _signs, form_of
 from inclined_landing.eval.gap.search.sets import Scored, _worth_correcting, weigh
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models.attitude import tilted
+from inclined_landing.models import storage
+from inclined_landing.models.attitude import rotation, tilted
 from inclined_landing.models.effects import LIBRARY, Parameter
-from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import constants, load_vehicle, write_vehicle
 
 VEHICLE = load_vehicle()
 DT = 0.01
@@ -273,3 +278,159 @@ def test_slopes_of_delays_are_sums_of_each_other(delay):
     assert np.abs(together).max() > 0.1
     # Drag couples both only through the measured attitude: the sum is exact but for rounding over the step.
     np.testing.assert_allclose(slopes["mocap_delay"], together, atol=1e-3 * np.abs(together).max())
+
+
+def rolling(rng, m=300):
+    """What `form` reads of a flight at 100 rows a second: at 1 m/s, attitudes and commands at random."""
+    attitude = rng.uniform(-0.4, 0.4, (m - 1, 3))
+    command = np.column_stack([VEHICLE.hover_pwm * rng.uniform(0.8, 1.2, m), rng.uniform(-0.3, 0.3, (m, 3))])
+    return types.SimpleNamespace(
+        dt=DT,
+        t=np.arange(m) * DT,
+        velocity=np.tile([0.6, -0.8, 0.5], (m, 1)),
+        command=command,
+        usable=np.ones(m, bool),
+        middle_rotation=np.stack([rotation(*angles) for angles in attitude]),
+    )
+
+
+def test_a_contribution_that_comes_later_is_a_shift_to_first_order():
+    """The next term is half of LAG squared times the second derivative."""
+    flight, frequency = rolling(np.random.default_rng(9)), 2.0
+    t = flight.t[:, None] - np.array([0.0, 0.3, 0.7, 1.1, 1.5, 2.1])
+
+    def contribution(late):
+        return 0.2 * np.sin(frequency * (t - late))
+
+    for group, own in (("translation", slice(0, 3)), ("attitude", slice(3, 5)), ("yaw", slice(5, 6))):
+        column = form.column(f"{group} late", contribution(0.0), flight)
+        others = np.delete(column, np.arange(6)[own], axis=1)
+        shifted = contribution(form.LAG) - contribution(0.0)
+        assert not others.any()
+        np.testing.assert_allclose(
+            column[5:-5, own], shifted[5:-5, own], atol=0.6 * 0.2 * (frequency * form.LAG) ** 2
+        )
+        np.testing.assert_allclose(column[:, own], shifted[:, own], atol=0.1 * np.abs(shifted).max())
+
+
+def test_errors_of_a_contribution_are_of_its_own_size():
+    """Its acceleration times a quantity: at 1 m/s sideways and 0.5 m/s up speed and climb are one."""
+    rng = np.random.default_rng(10)
+    flight = rolling(rng)
+    contribution = np.cumsum(np.cumsum(rng.standard_normal((300, 6)), axis=0), axis=0) * DT**2
+    for name in ("translation speed", "translation climb"):
+        column = form.column(name, contribution, flight)
+        second = [np.diff(x[:, :3], 2, axis=0) for x in (column, contribution)]
+        np.testing.assert_allclose(*second, atol=1e-12)
+        assert not column[:, 3:].any()
+    for effect in LIBRARY.values():
+        for name in effect.forms:
+            column = form.column(name, contribution, flight)
+            assert column.any() and np.isfinite(column).all()
+
+
+def test_thrust_and_drag_are_the_acceleration_without_gravity():
+    """Thrust lies along the body's z axis and drag across it; along x is what drag has there."""
+    rng = np.random.default_rng(11)
+    flight, gravity = rolling(rng), 9.81
+    predicted = np.cumsum(np.cumsum(rng.standard_normal((300, 6)), axis=0), axis=0) * DT**2
+    second = np.diff(predicted[:, :3], 2, axis=0) + [0.0, 0.0, gravity * DT**2]
+
+    def part(name):
+        column = form.base_column(name, predicted, gravity, flight)
+        assert not column[:, 3:].any()
+        return np.diff(column[:, :3], 2, axis=0)
+
+    thrust, drag, along = part("thrust speed"), part("drag speed"), part("drag x")
+    axes = flight.middle_rotation[1:]
+    np.testing.assert_allclose(thrust + drag, second, atol=1e-12)
+    np.testing.assert_allclose(np.cross(thrust, axes[:, :, 2]), 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.einsum("ki,ki->k", drag, axes[:, :, 2]), 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        along, np.einsum("ki,ki->k", drag, axes[:, :, 0])[:, None] * axes[:, :, 0], atol=1e-12
+    )
+    for name in form.BASE:
+        assert np.isfinite(form.base_column(name, predicted, gravity, flight)).all()
+
+
+@pytest.fixture(scope="module")
+def reference():
+    """Of a few columns of every kind, with a function that repeats."""
+    rng = np.random.default_rng(12)
+    columns = (
+        Column("wind", "x"),
+        Column("battery_sag", "sag", (("reference", 26100.0),)),
+        Column("wind", "", form="translation late"),
+        Column(BASE, "drag x", form="drag x"),
+    )
+    root = rng.standard_normal((4, 4))
+    basis = Basis.of(rng.standard_normal((50, 2)), ("velocity x", "velocity y"))
+    width = basis(np.zeros((1, 2))).shape[1]
+    repeating = Repeating({"velocity": basis}, {("z", "velocity"): rng.standard_normal(width)})
+    return Reference(columns, rng.standard_normal(4), root @ root.T, repeating)
+
+
+def test_a_posterior_is_read_as_it_was_written(reference, tmp_path):
+    text = storage.to_json(reference.to_json(VEHICLE))
+    again = Reference.from_json(json.loads(text))
+    assert again.columns == reference.columns and again.forms == reference.forms
+    np.testing.assert_array_equal(again.mean, reference.mean)
+    np.testing.assert_array_equal(again.covariance, reference.covariance)
+    inputs = np.random.default_rng(13).standard_normal((9, 2))
+    one, other = (r.repeating for r in (reference, again))
+    np.testing.assert_array_equal(one.bases["velocity"](inputs), other.bases["velocity"](inputs))
+    assert set(one.weights) == set(other.weights)
+    np.testing.assert_array_equal(one.weights["z", "velocity"], other.weights["z", "velocity"])
+    # Beside its vehicle's file it is found, beside another's not, and damaged it is refused.
+    file = tmp_path / "mine.toml"
+    write_vehicle(file, VEHICLE)
+    beside(file).write_text(text)
+    found, said = read_reference(file, VEHICLE)
+    assert not said and found.columns == reference.columns
+    other, said = read_reference(file, VEHICLE.changed(body_mass=0.05))
+    assert "another vehicle" in said and not other.mean.any()
+    beside(file).write_text(text.replace('"mean"', '"means"'))
+    with pytest.raises(UserError, match="posterior"):
+        read_reference(file, VEHICLE)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"version": 2},
+        {"mean": [0.0, 0.0]},
+        {"mean": [0.0, 0.0, 0.0, float("nan")]},
+        {"mean": None},
+        {"covariance": np.ones((4, 3)).tolist()},
+        {"covariance": np.triu(np.ones((4, 4))).tolist()},
+        {"covariance": [[1.0], [2.0, 3.0]]},
+        {"columns": [["wind", "x"]]},
+        {"columns": 3},
+        {"quantities": {"velocity": {"centre": [0.0]}}},
+        {"quantities": {"velocity": None}},
+        {"functions": [["z", "velocity"]]},
+        {"functions": [["z", "velocity", ["one"]]]},
+    ],
+)
+def test_a_damaged_posterior_is_refused(reference, change):
+    table = json.loads(storage.to_json(reference.to_json(VEHICLE)))
+    with pytest.raises((ValueError, KeyError, TypeError)):
+        Reference.from_json(table | change)
+    for key in set(table) - {"vehicle"}:
+        with pytest.raises(KeyError):
+            Reference.from_json({k: v for k, v in table.items() if k != key})
+
+
+def test_a_reference_knows_its_own_columns_only(reference):
+    mean, covariance = reference.along([Column("mass", "scale"), reference.columns[1], reference.columns[0]])
+    assert mean.tolist() == [0.0, reference.mean[1], reference.mean[0]]
+    assert not covariance[0].any() and covariance[1, 2] == reference.covariance[1, 0]
+
+
+def test_a_vehicle_file_alone_is_as_uncertain_as_its_entries_say():
+    one = Reference.of_file(None, VEHICLE)
+    assert not one.mean.any() and not one.forms["drag x"]
+    deviation = {(c.effect, c.parameter): s for c, s in zip(one.columns, np.sqrt(np.diag(one.covariance)))}
+    (mass,) = (c for c in constants() if c.field == "body_mass")
+    assert deviation["mass", "scale"] == pytest.approx(mass.uncertainty / 1.96 / mass.value, rel=1e-3)
+    assert deviation[BASE, "drag x"] == pytest.approx(form.BASE["drag x"])
