@@ -3,31 +3,55 @@
 from __future__ import annotations
 
 import time
+from typing import Annotated
+
+import tyro
 
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flat, FlightSource, Folder
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap import diagnose
+from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.report import figures, model, run, terminal, tracks, words
 from inclined_landing.eval.gap.report.page import page
+from inclined_landing.eval.gap.search.reference import read_reference
 from inclined_landing.models.parameters import load_vehicle
 
 
-def command(source: Flat[FlightSource], out: Folder) -> None:
+def command(
+    source: Flat[FlightSource],
+    out: Folder,
+    reference: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = (),
+) -> None:
     """Where simulation and flights disagree, which effect is missing, the corrected model.
 
-    Takes seconds.
+    Takes seconds. The model's own uncertainty counts: that of identify, whose posterior is found beside the
+    vehicle file, or that of the entries of a vehicle file alone.
 
     Args:
+        reference: flights of the vehicle as it should be: it is identified from them first, and what is
+            named is what the others have and these have not.
         out: new folder for report.html, report.json, gap.png, vehicle.toml and landing.xml.
     """
     runs.check_new_run(out)
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
-    with run.flown(source, parts=3) as (logs, kept, notes, tick):
+    with run.flown(source, parts=4, more=reference) as (logs, kept, notes, tick, plain):
+        tick("reference")
+        if plain:
+            found = identify(plain, nominal, platform=source.platform)
+            nominal, known, notes = found.vehicle, found.reference, (*notes, *found.notes)
+        else:
+            known, aside = read_reference(source.vehicle, nominal)
+            notes = (*notes, aside) if aside else notes
         tick("diagnosis")
         d = diagnose(
-            logs, nominal, heldout=kept, platform=source.platform or None, plants=tuple(words.PLANTS)
+            logs,
+            nominal,
+            reference=known,
+            heldout=kept,
+            platform=source.platform or None,
+            plants=tuple(words.PLANTS),
         )
         tick("figures")
         flown = tracks.most_telling(kept or logs)

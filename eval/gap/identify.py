@@ -17,12 +17,13 @@ def command(source: Flat[FlightSource], out: Folder) -> None:
     Takes seconds.
 
     Args:
-        out: new folder for vehicle.toml, report.html and report.json.
+        out: new folder for vehicle.toml, vehicle.posterior.json (what the flights leave uncertain of it; gap
+            finds it beside the vehicle file), report.html and report.json.
     """
     runs.check_new_run(out)
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
-    with run.flown(source, parts=2) as (logs, kept, notes, tick):
+    with run.flown(source, parts=2) as (logs, kept, notes, tick, _):
         tick("fit")
         found = identify(logs, nominal, heldout=kept, platform=source.platform)
         tick("page")

@@ -12,6 +12,8 @@ from inclined_landing.models import effects
 from inclined_landing.models.parameters import Vehicle
 
 Verdict = Literal["effects", "nothing", "unknown"]
+SURE = 0.9  # probability from which on a name is sure; from development families
+POSSIBLE = 0.05  # and from which on one that was not named is told as possible
 MATERIAL = 0.04  # share of the squared one-second error; from development families
 
 
@@ -54,11 +56,17 @@ class NamedEffect:
 
     name: str
     members: tuple[str, ...]  # itself first, then the names that take its place in other probable sets
-    probability: float  # that it is part of what is missing
+    probability: float  # that it, or one of these, is part of what is missing
     parameters: dict[str, Estimate]
     gain: float  # share of the closable squared error that is lost without it, 0..1
     remedy: str
     note: str = ""  # a sentence
+    cost: float = math.nan  # m, position error one second ahead that it alone makes
+
+    @property
+    def sure(self) -> bool:
+        """Whether the name may be relied on: of such names on realities left out, few were wrong."""
+        return self.probability >= SURE
 
     def values(self) -> dict[str, float]:
         """Fitted parameter values."""
@@ -236,6 +244,17 @@ class Diagnosis:
         """Probability that nothing of the library is missing."""
         return sum(s.probability for s in self.sets if not s.effects)
 
+    @property
+    def possible(self) -> dict[str, float]:
+        """Effects that were not named, with their probabilities, most probable first."""
+        named = {name for effect in self.effects for name in effect.members}
+        found: dict[str, float] = {}
+        for one in self.sets:
+            for name in set(one.effects) - named:
+                found[name] = found.get(name, 0.0) + one.probability
+        likely = sorted(found.items(), key=lambda item: -item[1])
+        return {name: part for name, part in likely if part >= POSSIBLE}
+
     def apply(self, vehicle: Vehicle) -> Vehicle:
         """`vehicle` with the named effects added."""
         return effects.apply(vehicle, self.values())
@@ -244,7 +263,7 @@ class Diagnosis:
         """The contents of report.json: plain dicts, sequences, strings and numbers."""
         named = [
             {
-                **_some(e, "name", "probability", "gain", "remedy", "note"),
+                **_some(e, "name", "probability", "sure", "cost", "gain", "remedy", "note"),
                 "class": e.members,
                 "parameters": {
                     name: _some(p, "value", "unit", "ci95", "per_flight", "spread")
@@ -269,6 +288,7 @@ class Diagnosis:
             ),
             "contradictions": [dataclasses.asdict(one) for one in self.contradictions],
             "effects": named,
+            "possible": self.possible,
             "sets": [dataclasses.asdict(one) for one in self.sets],
             "unseen": [dataclasses.asdict(one) for one in self.unseen],
             "noise": {channel: d.noise for channel, d in self.unrest.items()},

@@ -40,6 +40,7 @@ EFFECTS = (
         remedy="Accept the corrected coefficients; a flight at high speed tells it from quadratic body drag.",
         channels=("translation",),
         apply=_rotor_drag,
+        forms=("translation speed", "translation late"),
         form=0.15,
         says="the rotors have {lateral} times the modelled drag across their axes, {axial} times along them",
     ),
@@ -136,7 +137,6 @@ EFFECTS = (
         "surfaces tell it from a thrust scale.",
         channels=("translation", "attitude"),
         apply=_ground_effect,
-        form=0.25,
         says="near a surface the rotors give more thrust (strength {strength}, fading {fading})",
     ),
 )

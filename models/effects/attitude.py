@@ -114,7 +114,8 @@ EFFECTS = (
         remedy="Raise the rate controller's gains, or check for slack in motor mounts and heavy propellers.",
         channels=("attitude",),
         apply=_second_order,
-        form=0.4,
+        forms=("attitude late",),
+        form=0.2,
         says="the rate loop lags {rate_lag} more than modelled",
     ),
     Effect(
@@ -194,14 +195,14 @@ EFFECTS = (
         parameters=(
             Parameter(
                 *("gain", "1", 1.0, (0.3, 2.0), 0.9, 0.01),
-                manoeuvre=0.08,
+                manoeuvre=0.05,
                 constant=FittedConstant(
                     "yaw rate gain", "attitude_yaw_gain", "1", lambda v, x: x * v.attitude_yaw_gain
                 ),
             ),
             Parameter(
                 *("time_constant", "1", 1.0, (0.1, 8.0), 1.5, 0.1),
-                manoeuvre=0.5,
+                manoeuvre=0.3,
                 constant=FittedConstant(
                     *("yaw rate time constant", "attitude_yaw_bandwidth", "s"),
                     lambda v, x: x / v.attitude_yaw_bandwidth,

@@ -64,7 +64,6 @@ EFFECTS = (
         "command by nominal over measured voltage.",
         channels=("translation",),
         apply=lambda vehicle, values: with_sag(vehicle, values.get("sag", 0.0), values.get("reference")),
-        form=0.15,
         says="the thrust sags under load (sag {sag}, right at a load of {reference})",
     ),
     Effect(
@@ -89,7 +88,6 @@ EFFECTS = (
         "firmware's battery compensation.",
         channels=("translation",),
         apply=_voltage,
-        form=0.08,
         says="the thrust follows the battery voltage by {sensitivity} (right at {reference})",
         requires={"voltage": 0.02},
     ),

@@ -16,7 +16,6 @@ EFFECTS = (
         "thrust over mass can be seen, so that no flight tells mass from thrust.",
         channels=("translation",),
         apply=scaled("body_mass"),
-        form=0.02,
         says="the vehicle has {scale} times the modelled mass",
         scales_thrust=True,
         told_by="Weigh the vehicle: in free flight only the ratio of thrust to mass shows.",

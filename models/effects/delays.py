@@ -34,7 +34,6 @@ EFFECTS = (
         "predict the state by the delay before computing a command.",
         channels=("translation",),
         apply=added("effects_thrust_delay", "delay"),
-        form=0.1,
         says="thrust commands act {delay} after they were sent",
     ),
     Effect(
@@ -49,7 +48,6 @@ EFFECTS = (
         "predict the state by the delay before computing a command.",
         channels=("attitude", "yaw"),
         apply=added("effects_attitude_delay", "delay"),
-        form=0.1,
         says="attitude commands act {delay} after they were sent",
     ),
     Effect(
@@ -65,7 +63,6 @@ EFFECTS = (
         remedy="Use the capture time stamps of the cameras instead of the time of arrival, or shift the log.",
         channels=("translation", "attitude", "yaw"),
         apply=added("effects_mocap_delay", "delay"),
-        form=0.1,
         says="the measured pose is {delay} older than its time stamp",
     ),
 )

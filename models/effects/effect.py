@@ -140,8 +140,9 @@ class Effect:
     scales_thrust: bool = False  # free flight shows the ratio of thrust to mass alone
     # What MuJoCo's contact changes along with it and feet do not: it may be off beside it, as far as it is.
     couples_with: tuple[str, ...] = ()
-    # Standard error of its sizes, as a share of them, because reality has another formula: from simulators of
-    # other forms (docs/gap_blind.md, development families).
+    # Errors of its formula that are free while it is named (`eval/gap/search/form.py`), and the standard
+    # deviation of their weights: from simulators of other forms (docs/gap_blind.md, development families).
+    forms: tuple[str, ...] = ()
     form: float = 0.05
     of_the_place: bool = False  # no part of the vehicle: another day or room has another value
     told_by: str = ""  # how it is told without a flight, a sentence; "": by flights

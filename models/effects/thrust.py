@@ -26,7 +26,6 @@ EFFECTS = (
         "accept the corrected thrust function.",
         channels=("translation",),
         apply=scaled("thrust_state_gain", "thrust_direct_gain"),
-        form=0.02,
         says="the rotors give {scale} times the modelled thrust",
         scales_thrust=True,
     ),
@@ -43,7 +42,6 @@ EFFECTS = (
         "firmware's base thrust.",
         channels=("translation",),
         apply=added("effects_thrust_bias", "force"),
-        form=0.03,
         says="a constant {force} is added to the thrust, whatever the command",
         scales_thrust=True,
     ),
@@ -70,7 +68,6 @@ EFFECTS = (
         apply=lambda vehicle, values: with_sag(
             vehicle, -values.get("curvature", 0.0), values.get("reference")
         ),
-        form=0.15,
         says="the thrust bends up with the command (curvature {curvature}, right at a load of {reference})",
     ),
     Effect(

@@ -10,6 +10,7 @@ import numpy as np
 
 from inclined_landing.eval.gap.answer.named import (
     disturbances,
+    likely,
     named_effects,
     scored_sets,
     touched_effects,
@@ -75,7 +76,7 @@ def diagnose(
     clock("name")
     against = disagreement.contradictions(problem, found.near, found.whole)
     notes[:0] = map(disagreement.in_short, against)
-    values = values_with(problem, found, found.names)
+    values = values_with(problem, found, likely(found))
     effects, corrected = named_effects(problem, found, values), problem.corrected(values)
     rest = residual.Left.by(problem, found.local, found.names, found.at, found.unrest.size, found.inflation)
     left = residual.assess(problem, rest, corrected)
@@ -86,7 +87,7 @@ def diagnose(
     else:
         test, after = (
             problem,
-            [problem.corrected(v) for v in sets.left_out(problem, found.local, found.names)],
+            [problem.corrected(v) for v in sets.left_out(problem, found.local, values)],
         )
     where = _where(test, test.white([vehicle] * len(after)), test.white(after))
     clock("where")
@@ -102,6 +103,7 @@ def diagnose(
         floor = rollout.noise_floor(starts, corrected)
         error = float(rollout.errors_by_flight(starts, after)[0][-1])
         left = dataclasses.replace(left, error=error)
+        effects = tuple(_costed(problem, starts, effects, e) for e in effects)
         if curves:
             horizon = _horizon(problem, starts, effects, after, floor)
             drawn = {"horizon": horizon, "windows": _window_curves(starts, vehicle, corrected)}
@@ -253,6 +255,15 @@ def _horizon(problem, starts, effects: Sequence[NamedEffect], after, floor) -> t
             error = rollout.position_error(rollout.simulate(starts, vehicle), starts.measured())
         curves.append(HorizonCurve(f"+ {names[k - 1]}" if k else "nominal", chosen, t, error, floor))
     return tuple(curves)
+
+
+def _costed(problem, starts, effects: Sequence[NamedEffect], one: NamedEffect) -> NamedEffect:
+    """The effect with the error one second ahead that it adds, where it is left out of the others."""
+    measured, vehicles = starts.measured(), []
+    for kept in ([e for e in effects if e is not one], effects):
+        vehicles.append(problem.corrected({e.name: e.values() for e in kept}))
+    without, whole = (rollout.position_error(rollout.simulate(starts, v), measured)[-1] for v in vehicles)
+    return dataclasses.replace(one, cost=float(np.sqrt(max(0.0, without**2 - whole**2))))
 
 
 def _window_curves(starts, vehicle: Vehicle, corrected: Vehicle) -> tuple[WindowCurves, ...]:

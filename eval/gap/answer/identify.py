@@ -1,8 +1,8 @@
 """Grey-box identification of what the model already has, from flights.
 
 Every effect that free flight shows is fitted together with the others, beside what belongs to the place and
-is not kept. Nothing is selected: what the flights leave uncertain, and what they make up for with one another,
-is the posterior that `gap` takes together with the vehicle.
+is not kept. Nothing is selected: what the flights leave uncertain, and what effects make up for in one
+another, is the posterior that `gap` takes together with the vehicle.
 """
 
 from __future__ import annotations

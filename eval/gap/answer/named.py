@@ -25,6 +25,8 @@ from inclined_landing.eval.gap.search.posterior import Set
 from inclined_landing.eval.gap.search.prediction import CHANNELS
 from inclined_landing.eval.gap.search.sets import LEAST, Search, stepped
 
+NAMED = 0.5  # probability from which on an effect is named
+LIKELY = 0.03  # probability of a name from which on it may take another's place
 HELD = 0.95  # of the probability, by the sets that what takes an effect's place is looked for in
 
 
@@ -33,11 +35,12 @@ def named_effects(problem: Problem, found: Search, values: Values) -> tuple[Name
     names = frozenset(values)
     sizes, lost = _estimates(problem, found, names), squares_lost(problem, found, values)
     before, after = (by_channel(problem, found, v).sum() for v in ({}, values))
+    members = {name: (name, *in_its_place(found, name)) for name in values}
     effects = [
         NamedEffect(
             name=name,
-            members=(name, *in_its_place(found, name)),
-            probability=found.probability(name),
+            members=members[name],
+            probability=found.probability(*members[name]),
             parameters=sizes[name],
             gain=float(np.clip(lost[name].sum() / max(before - after, 1e-9), 0.0, 1.0)),
             remedy=problem.library[name].remedy,
@@ -45,6 +48,11 @@ def named_effects(problem: Problem, found: Search, values: Values) -> tuple[Name
         for name in values
     ]
     return tuple(sorted(effects, key=lambda e: -e.gain))
+
+
+def likely(found: Search) -> Set:
+    """The effects of the most probable set that, or what may take their place, are rather there than not."""
+    return frozenset(n for n in found.names if found.probability(n, *in_its_place(found, n)) >= NAMED)
 
 
 def in_its_place(found: Search | Touched, name: str) -> tuple[str, ...]:
@@ -59,7 +67,7 @@ def in_its_place(found: Search | Touched, name: str) -> tuple[str, ...]:
         held += one.probability
         for other in one.names - found.names:
             (beside if name in one.names else alone)[other] += one.probability
-    return tuple(n for n, share in alone.most_common() if share > beside[n])
+    return tuple(n for n, share in alone.most_common() if share > max(beside[n], LIKELY))
 
 
 def by_channel(problem: Problem, found: Search, values: Values) -> np.ndarray:

@@ -28,10 +28,7 @@ def read_flights(
     """
     given = parse_units(units)
     every = [*files, *heldout]
-    where = [str(Path(file).resolve()) for file in every]
-    for file, path in zip(every, where):
-        if where.count(path) > 1:
-            raise UserError(f"{file} is given more than once; fit and judgement need different flights")
+    check_apart(every)
     logs = []
     for file, name in zip(every, _names(every)):
         tick(name)
@@ -42,6 +39,15 @@ def read_flights(
             raise UserError(finding.text)
     notes = tuple(finding.text for finding in together if finding.decision == "limit")
     return logs[: len(files)], logs[len(files) :], notes
+
+
+def check_apart(*groups: Sequence[str]) -> None:
+    """Raise UserError for a file that is given more than once."""
+    every = [file for group in groups for file in group]
+    where = [str(Path(file).resolve()) for file in every]
+    for file, path in zip(every, where):
+        if where.count(path) > 1:
+            raise UserError(f"{file} is given more than once; fit and judgement need different flights")
 
 
 def _names(files: Sequence[str]) -> list[str]:

@@ -14,7 +14,9 @@ from inclined_landing.eval.gap.report.figures import AFTER, BEFORE
 from inclined_landing.eval.gap.report.model import VEHICLE, unrest_fields
 from inclined_landing.eval.gap.report.page import render
 from inclined_landing.eval.gap.report.terminal import say
-from inclined_landing.models.parameters import write_vehicle
+from inclined_landing.eval.gap.search.reference import beside
+from inclined_landing.models import storage
+from inclined_landing.models.parameters import load_vehicle, write_vehicle
 
 _HEADS = ("constant", "model as it was", "identified", "95 % interval", "between flights", "the paper")
 
@@ -92,7 +94,7 @@ def show(found: Identification, notes: Sequence[str] = ()) -> None:
 
 
 def write(found: Identification, folder: Path, *, base: Path | None = None) -> None:
-    """Write vehicle.toml into `folder`; base: the vehicle file identification started from."""
+    """Write vehicle.toml and its posterior into `folder`; base: the vehicle file that it started from."""
     by_field: dict[str, list[Identified]] = {}
     for p in found.parameters:
         by_field.setdefault(p.field, []).append(p)
@@ -111,6 +113,8 @@ def write(found: Identification, folder: Path, *, base: Path | None = None) -> N
         base=base,
         heading="Identified by landing-eval identify.\nEvery command takes it with --vehicle.",
     )
+
+    storage.write_json(beside(folder / VEHICLE), found.reference.to_json(load_vehicle(folder / VEHICLE)))
 
 
 def _percent(fit: float) -> str:

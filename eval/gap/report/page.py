@@ -43,6 +43,7 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
         contradictions=d.contradictions,
         words=words,
         rows=rows,
+        answer=words.answer_rows(d),
         sets=words.set_rows(d),
         quiet=words.quiet_rows(d.unrest),
         figures={name: figure and figures.svg(figure) for name, figure in drawn.items()},

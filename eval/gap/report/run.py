@@ -5,34 +5,40 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.eval.base.options import FlightSource
-from inclined_landing.eval.gap.flights.reading import read_flights
+from inclined_landing.eval.gap.flights.reading import check_apart, read_flights
 from inclined_landing.models import storage
 
 _COLUMNS = (TextColumn("{task.description:22}"), BarColumn(), TimeElapsedColumn())
 
 
 @contextlib.contextmanager
-def flown(source: FlightSource, parts: int) -> Iterator[tuple]:
-    """Flights to fit, flights left out, sentences on them, and what names the next of some further parts.
+def flown(source: FlightSource, parts: int, more: Sequence[str] = ()) -> Iterator[tuple]:
+    """Flights to fit, flights left out, sentences on them, what names the next of some parts, more flights.
 
+    more: files of flights of another state of the vehicle.
     A bar shows how far the reading, and then the work on these parts, has come.
     """
     console = Console(stderr=True)
     with Progress(*_COLUMNS, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=len(source.files) + len(source.heldout) + parts)
+        task = bar.add_task("", total=len(source.files) + len(source.heldout) + len(more) + parts)
 
         def tick(what: str) -> None:
             bar.update(task, description=what, advance=1)
 
         options = {"mapping": source.mapping, "units": source.unit, "tick": tick}
-        yield *read_flights(source.files, source.heldout, **options), tick
+        plain, first = [], ()
+        if more:
+            plain, _, first = read_flights(more, **options)
+            check_apart(source.files, source.heldout, more)
+        logs, kept, notes = read_flights(source.files, source.heldout, **options)
+        yield logs, kept, (*first, *notes), tick, plain
 
 
 def write(

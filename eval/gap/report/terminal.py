@@ -20,7 +20,11 @@ def show(d: Diagnosis, notes: Sequence[str] = ()) -> None:
             value = words.rounded(p.value, p.ci95, p.unit)
             rows.add_row(ends[0], name, value, words.span(p.ci95, p.unit), *ends[1:])
             ends = ("", "", "")
-    say(words.headline(d), words.sentences(d), rows, (*d.notes, *notes), d.contradictions)
+    answer = new_table(None, *words.ANSWER, left=4)
+    for row in words.answer_rows(d):
+        answer.add_row(*row)
+    said = words.sentences(d)
+    say(words.headline(d), said, rows, (*d.notes, *notes), d.contradictions, answer)
 
 
 def say(
@@ -29,6 +33,7 @@ def say(
     rows: Table,
     notes: Sequence[str],
     contradictions: Sequence[Contradiction],
+    answer: Table | None = None,
 ) -> None:
     """Print an answer, flights that contradict the others first; notes are said once each."""
     console = printer()
@@ -38,6 +43,8 @@ def say(
         for text in more:
             console.print(text)
     console.print(headline, style="bold")
+    if answer is not None and answer.row_count:
+        console.print(answer)
     for text in sentences:
         console.print(text)
     if rows.row_count:

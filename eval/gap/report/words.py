@@ -158,18 +158,11 @@ def _some(names: Sequence[str]) -> list[str]:
     return list(names) if more < 2 else [*names[:NAMED], f"{more} others"]
 
 
-def of_class(d: Diagnosis, effect: NamedEffect) -> float:
-    """Probability that a named effect, or what may take its place, is part of what is missing."""
-    return sum(one.probability for one in d.sets if set(effect.members) & set(one.effects))
-
-
-def _lacking(d: Diagnosis, effect: NamedEffect) -> str:
+def _lacking(effect: NamedEffect) -> str:
     """A named effect in the headline: `rotor drag (98 %)`, `mass or thrust scale (99 %: ...)`."""
     names = listed(_some([label(name) for name in effect.members]), "or")
-    if len(effect.members) == 1:
-        return f"{names} ({probability(effect.probability)})"
-    why = ": only their ratio shows" if _only_the_ratio(effect.members) else ""
-    return f"{names} ({probability(of_class(d, effect))}{why})"
+    why = ": only their ratio shows" if len(effect.members) > 1 and _only_the_ratio(effect.members) else ""
+    return f"{names} ({probability(effect.probability)}{why})"
 
 
 def headline(d: Diagnosis) -> str:
@@ -178,16 +171,49 @@ def headline(d: Diagnosis) -> str:
         said = f" ({probability(d.nothing)})" if d.sets else ""
         if d.contradictions:
             return f"Nothing is missing that all flights share{said}."
-        return (
-            f"Nothing is missing{said}: the model explains these flights as well as noise and unrest allow."
-        )
-    if not d.effects:
-        return "Something is missing that no effect of the library explains."
+        as_well = "the model explains these flights as well as noise and disturbances allow"
+        return f"Nothing is missing{said}: {as_well}."
     large = [e for e in d.effects if e.gain >= TO_THE_HEADLINE] or list(d.effects)
-    names = listed([_lacking(d, e) for e in large])
+    sure = listed([_lacking(e) for e in large if e.sure])
+    rest = listed([_lacking(e) for e in large if not e.sure])
+    parts = [part for part in (sure, rest and f"possibly {rest}") if part]
     if d.verdict == "unknown":
-        return f"The model lacks {names}, and something that no effect of the library explains."
-    return f"The model lacks {names}."
+        parts.append("something that no effect of the library explains")
+    return f"The model lacks {listed(parts, 'and') if len(parts) < 3 else ', and '.join(parts)}."
+
+
+ANSWER = ("what is wrong", "how sure", "costs after 1 s", "what to do")
+
+
+def answer_rows(d: Diagnosis) -> list[tuple[str, str, str, str]]:
+    """What is wrong, how sure that is, what it costs, what to do: the named effects, then what repeats."""
+    rows = []
+    for e in d.effects:
+        names = listed(_some([label(name) for name in e.members]), "or")
+        cost = centimetres(e.cost) if math.isfinite(e.cost) else ""
+        how = f"{'sure' if e.sure else 'possible'}, {probability(e.probability)}"
+        rows.append((names, how, cost, plain(e.remedy)))
+    for one in d.remainder.depends_on:
+        if d.remainder.material(one):
+            low, high = one.displacement_ci95
+            cost = f"{centimetres(one.displacement)} ({100 * low:.1f} to {100 * high:.1f})"
+            rows.append(
+                (
+                    f"unknown, {axis(one)}: goes with {one.on}",
+                    "repeats on flights left out",
+                    cost,
+                    "landing-eval plan designs the flight that tells more.",
+                )
+            )
+    return rows
+
+
+def possibly(d: Diagnosis) -> str:
+    """What was not named and may yet be, as a sentence; empty where nothing may."""
+    if not d.possible:
+        return ""
+    names = [f"{label(name)} ({probability(part)})" for name, part in d.possible.items()]
+    return f"Not named, but possible: {listed(names, 'or')}."
 
 
 def against(c: Contradiction) -> list[str]:
@@ -273,15 +299,19 @@ def quiet_rows(unrest: Mapping[str, Disturbance]) -> list[tuple[str, ...]]:
     return rows
 
 
+def axis(d: Dependence) -> str:
+    """Along what something repeats."""
+    return {"forward": "along the heading", "left": "across the heading"}.get(d.channel, f"in {d.channel}")
+
+
 def repeats(d: Dependence) -> str:
     """One thing that repeats and that no effect explains, as a sentence."""
-    axis = {"forward": "along the heading", "left": "across the heading"}.get(d.channel, f"in {d.channel}")
-    share_of = f"it is {share(d.share)} of the squared error that is left there"
+    cost = f"it moves the vehicle by {centimetres(d.displacement)} within a second"
     most = max(d.regimes, key=d.regimes.get, default="")
     where = ""
     if most:
         where = f", most in {REGIMES.get(most, label(most))} ({quantity(d.regimes[most], d.unit)})"
-    return f"{quantity(d.size, d.unit)} {axis} goes with {d.on}{where}; {share_of} on flights left out."
+    return f"{quantity(d.size, d.unit)} {axis(d)} goes with {d.on}{where}; {cost}, on flights left out."
 
 
 def gap(plant: str, g: PlantGap) -> str:
@@ -315,11 +345,10 @@ def manoeuvre(d: Diagnosis) -> str:
 
 
 def sentences(d: Diagnosis) -> list[str]:
-    """The first lines of the report, after the headline."""
+    """The first lines of the report, after the headline and its table."""
     said = []
     for effect in d.effects:
-        remedy = f"What to do: {plain(effect.remedy)}" if effect.remedy else ""
-        said += [s for s in (sentence(effect), tie(effect), plain(effect.note), remedy) if s]
+        said += [s for s in (sentence(effect), tie(effect), plain(effect.note)) if s]
     if d.separating_manoeuvre:
         said.append(f"To tell them apart: {manoeuvre(d)}")
     said += [gap(plant, g) for plant, g in d.gap.items()]
@@ -327,10 +356,21 @@ def sentences(d: Diagnosis) -> list[str]:
 
 
 def remains(d: Diagnosis) -> list[str]:
-    """What is left after the effects, in sentences; of flights that contradict each other, what repeats."""
-    said = [repeats(one) for one in d.remainder.depends_on]
-    if not (said or d.contradictions) and d.remainder.text:
-        said.append(plain(d.remainder.text))
+    """What is left after the effects, in sentences: what is possible, what repeats, large and small."""
+    left, said = d.remainder, [possibly(d)] if d.possible else []
+    said += [repeats(one) for one in left.depends_on if left.material(one)]
+    small = [one for one in left.depends_on if not left.material(one) and one.displacement > 0.0]
+    if small:
+        most = max(small, key=lambda one: one.displacement)
+        said.append(
+            f"Below the line: {len(small)} small thing{'s repeat' if len(small) > 1 else ' repeats'} too, at "
+            f"most {centimetres(most.displacement)} within a second ({axis(most)}, with {most.on})"
+            + (f", of the {centimetres(left.error)} that are left." if math.isfinite(left.error) else ".")
+        )
+    if not (left.depends_on or d.contradictions):
+        said.append(
+            "What remains cannot be predicted from anything that was logged: it is noise and disturbances."
+        )
     return said
 
 

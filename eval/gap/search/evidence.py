@@ -50,6 +50,14 @@ class Suspects:
     library: dict[str, Effect]
     forms: Mapping[str, float]  # weights of the base model's errors, where `values` have none
 
+    @staticmethod
+    def of(vehicle: Vehicle, library: Mapping[str, Effect]) -> Suspects:
+        """The effects of a library on a vehicle."""
+        suspects = Suspects()
+        suspects.vehicle, suspects.forms = vehicle, {}
+        suspects.library = {name: effect.beside(vehicle) for name, effect in library.items()}
+        return suspects
+
     def corrected(self, values: Values) -> Vehicle:
         """The vehicle with effects at `values`, applied in the order of the library."""
         vehicle = self.vehicle
@@ -77,6 +85,25 @@ class Suspects:
     def sizes(self, name: str, values: Values) -> np.ndarray:
         """How far every parameter of an effect is from neutral."""
         return np.array([p.size(values[name][p.name]) for p in self.library[name].parameters])
+
+    def columns(self, names: Iterable[str]) -> list[Column]:
+        """Directions of the effects `names`.
+
+        A reference changes nothing while its effect is neutral and has no direction of its own there; the
+        first parameter then counts with it to either side: what it does is a sum of both.
+        """
+        result = []
+        for name in names:
+            if name == BASE:
+                result += [Column(BASE, f, form=f) for f in form.BASE]
+                continue
+            effect = self.library[name]
+            if (about := effect.reference) is not None:
+                first = effect.parameters[0].name
+                result += [Column(name, first, ((about.name, end),)) for end in about.either_side()]
+            else:
+                result += [Column(name, p.name) for p in effect.parameters]
+        return result
 
     def to_one_side(self, values: Values, column: Column) -> tuple[Vehicle, float]:
         """The vehicle with a parameter a step from `values`, within bounds, and that step."""
@@ -231,32 +258,13 @@ class Problem(Suspects):
         by_channel = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in self.white_at(values)])
         return float((self.weight / inflation * by_channel).sum())
 
-    def columns(self, names: Iterable[str]) -> list[Column]:
-        """Directions of the effects `names`.
-
-        A reference changes nothing while its effect is neutral and has no direction of its own there; the
-        first parameter then counts with it to either side: what it does is a sum of both.
-        """
-        result = []
-        for name in names:
-            if name == BASE:
-                result += [Column(BASE, f, form=f) for f in form.BASE]
-                continue
-            effect = self.library[name]
-            if (about := effect.reference) is not None:
-                first = effect.parameters[0].name
-                result += [Column(name, first, ((about.name, end),)) for end in about.either_side()]
-            else:
-                result += [Column(name, p.name) for p in effect.parameters]
-        return result
-
     def form_columns(self, values: Values) -> list[Column]:
         """Model errors of the base, and of the effects that `values` give a size."""
         return self.columns([BASE]) + [
             Column(name, "", form=f)
             for name in values
             if name != BASE and np.any(self.sizes(name, values))
-            for f in form.forms_of(self.library[name].channels)
+            for f in self.library[name].forms
         ]
 
     def slopes(self, flight: Measured, values: Values, columns: Sequence[Column]) -> list[np.ndarray]:

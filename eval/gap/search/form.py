@@ -1,11 +1,10 @@
-"""Model (form) errors: what the formula of an effect may have wrong, as columns beside its own.
+"""Model (form) errors: what a formula may have wrong, as columns beside the parameters.
 
-No formula is exact. What an effect contributes to the prediction is, in reality, some percent larger or
-smaller at more load, at speed, in a climb, late in a flight, along one axis, or comes a little later. Each of
-these is a column: the contribution times such a quantity of order one, with a normal weight as wide as the
-effect's `form`, free while the effect is named. Without them an error of the formula that all flights share
-would be evidence for a second effect, and the surer the more flights there are. What the base model
-predicts - thrust, drag, the answers of the loops - has such columns always.
+No formula is exact. Thrust, drag and the answers of the loops are, in reality, some percent larger or smaller
+at more load, at speed, in a climb, late in a flight or along one axis. Each of these is a column: what the base
+model predicts times a quantity of order one, with a normal weight. Without them an error of the base model
+would be evidence for an effect, and the surer the more flights there are. An effect may have such errors of its
+own (`Effect.forms`), free while it is named.
 """
 
 from __future__ import annotations
@@ -18,13 +17,8 @@ from inclined_landing.eval.gap.flights.windows import Measured
 LAG = 0.03  # s, by which a contribution may come later
 _LOAD, _SPEED, _CLIMB, _TIME = 0.2, 1.0, 0.5, 20.0  # of hover thrust, m/s, m/s, s: quantities of order one
 _ANGLE, _TURN = 0.2, 1.0  # rad, rad/s
-TRANSLATION, TILT, YAW = slice(0, 3), slice(3, 5), slice(5, 6)
-FORMS = {
-    "translation": ("load", "speed", "climb", "time", "vertical", "late"),
-    "attitude": ("angle", "load", "time", "roll", "late"),
-    "yaw": ("turn", "time", "late"),
-}
-# Of the base model, with the standard deviations of their weights.
+_MOTOR = 0.065  # s, lag of the load
+# Of the base model, with the standard deviations of their weights: from development families.
 BASE = {
     **{f"thrust {what}": 0.02 for what in ("load", "speed", "climb", "time")},
     **{f"drag {what}": 0.1 for what in ("load", "speed", "climb", "x")},
@@ -32,32 +26,21 @@ BASE = {
     "attitude bend": 0.3,
     **{f"yaw {what}": 0.05 for what in ("turn", "time")},
 }
-GROUPS = {"translation": TRANSLATION, "attitude": TILT, "yaw": YAW}
-
-
-def forms_of(channels: tuple[str, ...]) -> list[str]:
-    """Names of the form errors of an effect that shows in some channels."""
-    acts = [group for group in FORMS if group in channels]
-    names = [f"{group} {name}" for group in acts for name in FORMS[group]]
-    return names + [f"{group} all" for group in acts[1:]]
+_CHANNELS = {"translation": slice(0, 3), "attitude": slice(3, 5), "yaw": slice(5, 6)}
 
 
 def column(name: str, contribution: np.ndarray, flight: Measured) -> np.ndarray:
-    """(m, 6) what a prediction changes by when a contribution (m, 6) is off by one such error."""
+    """(m, 6) what a prediction changes by when a contribution (m, 6) to it is off by one such error."""
     group, what = name.split()
-    own = GROUPS[group]
+    own = _CHANNELS[group]
     result, part = np.zeros_like(contribution), contribution[:, own]
-    if what == "all":
-        result[:, own] = part
-    elif what == "late":
+    if what == "late":
         result[:, own] = -LAG * np.gradient(part, flight.dt, axis=0)
-    elif what == "bend":  # of the loop's answer: one order more
+    elif what == "bend":  # one order more of a loop's answer
         result[:, own] = LAG**2 * np.gradient(np.gradient(part, flight.dt, axis=0), flight.dt, axis=0)
-    elif what == "vertical":
-        result[:, 2] = contribution[:, 2]
     elif what == "roll":
         result[:, 3] = contribution[:, 3]
-    elif own == TRANSLATION:
+    elif group == "translation":
         result[:, own] = _moved(np.diff(part, 2, axis=0), what, flight)
     else:
         result[:, own] = part * _quantity(what, flight)[:, None]
@@ -77,7 +60,7 @@ def base_column(name: str, predicted: np.ndarray, gravity: float, flight: Measur
     result, part = np.zeros_like(predicted), axial if group == "thrust" else moved - axial
     if what == "x":
         part = np.einsum("ki,ki->k", rotation[:, :, 0], part)[:, None] * rotation[:, :, 0]
-    result[:, TRANSLATION] = _moved(part, what, flight)
+    result[:, :3] = _moved(part, what, flight)
     return result
 
 
@@ -91,7 +74,7 @@ def _quantity(what: str, flight: Measured) -> np.ndarray:
     """(m,) what goes with a form error, of order one."""
     if what == "load":
         pwm = flight.command[:, 0]
-        share = np.exp(-flight.dt / 0.065)
+        share = np.exp(-flight.dt / _MOTOR)
         lagged = lfilter([1.0 - share], [1.0, -share], pwm - pwm[0]) + pwm[0]
         return (lagged / np.median(pwm[flight.usable]) - 1.0) / _LOAD
     if what == "speed":

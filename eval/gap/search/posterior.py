@@ -29,6 +29,7 @@ BETWEEN = 0.35  # of the difference between flights, likewise
 SLAB = 1.0  # of what is named, in plausible sizes
 LARGE = 4.0  # times as wide where an effect is far larger: sizes have heavy tails
 DRAWS = 60  # of flights
+MOST = 0.35  # plausible sizes: what flights of one vehicle differ by, and what is not named, is no more
 ROUNDS = 10  # of expectation and maximisation
 # How well differences between flights are known beforehand, as if seen in so many flights.
 SEEN_BEFORE = 2.0
@@ -43,7 +44,8 @@ def spikes(problem: Problem, columns: Sequence) -> np.ndarray:
     What nobody needs to correct, shared by all that look alike; and where flights differ, the vehicle's file
     was identified in some others.
     """
-    return np.hypot(SPIKE * _shares(problem, columns), betweens(problem, columns) / np.sqrt(problem.groups))
+    spike = np.hypot(SPIKE * _shares(problem, columns), betweens(problem, columns) / np.sqrt(problem.groups))
+    return np.minimum(spike, MOST * slabs(problem, columns))
 
 
 def betweens(problem: Problem, columns: Sequence) -> np.ndarray:
@@ -79,6 +81,7 @@ def between_flights(problem: Problem, linear: Linear) -> dict[tuple[str, str], f
     known = np.array([problem.parameter(c).between for c in linear.columns]) / unit
     known = np.maximum(BETWEEN, known) ** 2
     variance, eye = known.copy(), np.eye(len(unit))
+    most = np.maximum(known, MOST**2 / prior)
     sized = np.array([not problem.parameter(c).is_reference for c in linear.columns])
     share = SEEN_BEFORE / (SEEN_BEFORE + problem.groups)
     for _ in range(ROUNDS):
@@ -89,7 +92,7 @@ def between_flights(problem: Problem, linear: Linear) -> dict[tuple[str, str], f
         own = np.einsum("gpq,gq->gp", covariance, b - a @ fleet)
         second = own**2 + np.diagonal(covariance, axis1=1, axis2=2)
         found = share * known + (1.0 - share) * second.mean(axis=0)
-        variance = np.where(sized, np.maximum(BETWEEN**2, found), BETWEEN**2)
+        variance = np.where(sized, np.clip(found, BETWEEN**2, most), BETWEEN**2)
     return {(c.effect, c.parameter): float(np.sqrt(v) * u) for c, v, u in zip(linear.columns, variance, unit)}
 
 
@@ -205,7 +208,7 @@ class Local:
     def delta(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """What the flights have and those of the reference had not: (P,) from neutral and (P, P), in spikes.
 
-        With z the sum of theta and delta, of prior covariance K = known + V:  delta = V K^-1 (z - mean theta).
+        With z = theta + delta, of prior covariance K = known + V:  delta = V K^-1 (z - mean theta).
         """
         change, covariance = self.fit(names, weights)
         mean, prior = self.prior(names)
@@ -230,24 +233,23 @@ class Local:
         return np.linalg.solve(a + np.diag(1.0 / self.between), b - a @ change)
 
     def sized(self, names: Set) -> dict[tuple[str, str], Sized]:
-        """(effect, parameter) -> how well it is known beside all others, the effects `names` being present."""
+        """(effect, parameter) -> how well it is known beside all others, with the effects `names`."""
         change, _ = self.fit(names)
         _, covariance = self.delta(names)
         variance = self.errors(names) ** 2
         deviation = np.array([self.deviation(k, change) for k in range(len(self.own_a))])
         alone = np.linalg.inv(self.own_a + np.diag(1.0 / self.between))
         result = {}
-        for name in names:
-            own = self.index([name])
-            for parameter in {self.columns[k].parameter for k in own if not self.columns[k].form}:
-                k = [i for i in own if self.columns[i].parameter == parameter and not self.columns[i].form]
-                square = variance[k[0]] if len(k) == 1 else covariance[np.ix_(k, k)].sum()
-                result[name, parameter] = Sized(
-                    error=float(np.sqrt(max(0.0, square)) * self.unit[k[0]]),
-                    deviation=(deviation[:, k] * self.unit[k]).sum(axis=1),
-                    alone=np.sqrt(np.maximum(0.0, alone[:, k][:, :, k].sum(axis=(1, 2)))) * self.unit[k[0]],
-                    between=float(np.sqrt(self.between[k].mean()) * self.unit[k[0]]),
-                )
+        own = [(c.effect, c.parameter) for c in self.columns if c.effect in names and not c.form]
+        for name, parameter in dict.fromkeys(own):
+            k = [i for i, c in enumerate(self.columns) if (c.effect, c.parameter) == (name, parameter)]
+            square = variance[k[0]] if len(k) == 1 else covariance[np.ix_(k, k)].sum()
+            result[name, parameter] = Sized(
+                error=float(np.sqrt(max(0.0, square)) * self.unit[k[0]]),
+                deviation=(deviation[:, k] * self.unit[k]).sum(axis=1),
+                alone=np.sqrt(np.maximum(0.0, alone[:, k][:, :, k].sum(axis=(1, 2)))) * self.unit[k[0]],
+                between=float(np.sqrt(self.between[k].mean()) * self.unit[k[0]]),
+            )
         return result
 
 

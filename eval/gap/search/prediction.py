@@ -47,10 +47,10 @@ def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None
     late = vehicle.effects_mocap_delay
     dt, packed = flight.dt, pack(vehicle)
     angles = [averages(flight.command[:, k], dt, vehicle.effects_attitude_delay + late) for k in (1, 2, 3)]
-    attitude, rotation, start = flight.middle_attitude, flight.middle_rotation, flight.attitude[0]
+    rotation, start = flight.middle_rotation, flight.attitude[0]
     tilt = vehicle.effects_mocap_tilt
     if any(tilt):
-        attitude, rotation, start = flight.levelled(tilt)
+        _, rotation, start = flight.levelled(tilt)
     out = np.empty((flight.samples, 6))
     out[:, :3], twist = translated(flight, vehicle) if like is None else like
     lean = vehicle.effects_estimator_lean

@@ -1,7 +1,8 @@
-"""What flights of a vehicle leave uncertain of it: the posterior that `identify` writes beside its vehicle file.
+"""What flights of a vehicle leave uncertain of it: the posterior that `identify` writes beside its file.
 
-A vehicle file gives every constant a value. What the flights that it was identified from cannot tell apart is
-in the covariance of all of them, and what no effect explains of these flights in functions of what was logged.
+A vehicle file gives every constant a value. What the flights that it was identified from cannot tell apart
+is in the covariance of all of them, and what no effect explains of these flights in functions of what was
+logged.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.evidence import BASE, Column, Problem
+from inclined_landing.eval.gap.search.evidence import BASE, Column, Problem, Suspects
 from inclined_landing.eval.gap.search.posterior import Local, between_flights, looks_alike
 from inclined_landing.eval.gap.search.residual import Basis, Left, Repeating
 from inclined_landing.models import storage
@@ -68,7 +69,7 @@ class Reference:
     @staticmethod
     def of_file(path: Path | None, vehicle: Vehicle) -> Reference:
         """Of a vehicle file without a posterior: as uncertain as its entries say, each on its own."""
-        problem = Problem([], vehicle, {n: e for n, e in LIBRARY.items() if not e.contact})
+        problem = Suspects.of(vehicle, {n: e for n, e in LIBRARY.items() if not e.contact})
         columns = problem.columns([*problem.library, BASE])
         given = {c.field: c for c in constants(path)}
         deviation = [_deviation(problem, c, given) for c in columns]
@@ -162,7 +163,7 @@ def _numbers(values, dimensions: int) -> np.ndarray:
     return result
 
 
-def _deviation(problem: Problem, column: Column, given: dict[str, Constant]) -> float:
+def _deviation(problem: Suspects, column: Column, given: dict[str, Constant]) -> float:
     """Standard deviation of a column, by the uncertainty of the constants that it changes."""
     if column.form or column.fixed:
         return problem.parameter(column).plausible if column.form else 0.0

@@ -81,9 +81,9 @@ class Search:
         """The most probable set."""
         return self.sets[0].names
 
-    def probability(self, name: str) -> float:
-        """That an effect is part of what is missing."""
-        return sum(s.probability for s in self.sets if name in s.names)
+    def probability(self, *names: str) -> float:
+        """That one of some effects is part of what is missing."""
+        return sum(s.probability for s in self.sets if s.names & set(names))
 
 
 def search(problem: Problem) -> Search:
