@@ -11,6 +11,9 @@ from inclined_landing.eval.gap.flights.windows import _on_the_ground, measuremen
 from inclined_landing.eval.gap.search.evidence import Problem
 from inclined_landing.eval.gap.search.fit import bounded_step, refit, spread_between
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.proof import simulator
+from inclined_landing.eval.proof.gap_blind import generate
+from inclined_landing.eval.proof.gap_blind.causes import Drawn
 from inclined_landing.models import effects, equations
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -271,6 +274,26 @@ def test_identification_recovers_the_attitude_loop():
     assert found["thrust gain"].ci95[0] < 0.9 < found["thrust gain"].ci95[1]
     assert r.fit["roll"]["after"] > r.fit["roll"]["before"]
     assert r.fit["z"]["after"] > 90
+
+
+@pytest.fixture(scope="module")
+def flown_alike():
+    """Sixteen flights of one vehicle of the independent simulator, and what the first eight make of it."""
+    rng = np.random.default_rng(1)
+    reality, charge = simulator.draw("cascade", rng), {"battery_voltage": (-0.15, 0.15)}
+    logs = generate.logs(
+        generate.fly_all(Drawn({}, {}, spread=charge), rng, reality, count=16, seconds=8.0), voltage=True
+    )
+    return logs, identify(logs[:8], VEHICLE)
+
+
+@pytest.mark.parametrize("part", [slice(0, 8), slice(8, 16)], ids=["the same flights", "other flights"])
+def test_what_is_identified_lacks_nothing_on_flights_of_its_vehicle(flown_alike, part):
+    """Another structure than the equations: what no effect explains of it is of the reference."""
+    logs, known = flown_alike
+    d = diagnose(logs[part], known.vehicle, reference=known.reference, plants=(), curves=False)
+    assert (d.verdict, d.effects) == ("nothing", ()) and d.nothing > 0.5
+    assert d.corrected == known.vehicle
 
 
 def test_static_map_fits_into_a_vehicle_file():
