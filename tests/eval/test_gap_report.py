@@ -56,7 +56,8 @@ def example(verdict="effects"):
     t = np.linspace(0.01, 1.0, 20)
     shape = np.outer(t, np.ones(6))
     bins = np.arange(3.0)
-    left = Dependence("z", "place", 0.3, "m/s2", 0.4, 9.0, {"hover": 0.4}, "position z", bins, bins)
+    moved = (0.05, (0.03, 0.08))
+    left = Dependence("z", "place", 0.3, "m/s2", 0.4, 9.0, *moved, {"hover": 0.4}, "position z", bins, bins)
     scored = {
         "nothing": (
             ScoredSet((), 0.9, {}, {}),
@@ -90,13 +91,7 @@ def example(verdict="effects"):
             HorizonCurve("+ thrust_scale", ("thrust_scale",), t, 0.04 * t, 0.01 * t),
         ),
         windows=(WindowCurves("a", "hover", 3.0, t, shape, shape + t[:, None] ** 2, shape),),
-        remainder=Remainder(
-            verdict == "unknown",
-            0.002,
-            {"z": 0.2},
-            (left,) if verdict == "unknown" else (),
-            "Nothing repeats.",
-        ),
+        remainder=Remainder(0.002, {"z": 0.2}, (left,) if verdict == "unknown" else (), 0.1),
         gap={
             "analytic": PlantGap(0.487, 0.04, 0.01, 0.5, 0.05, 30, 1.0),
             "mujoco": PlantGap(0.486, 0.041, 0.01, 0.5, 0.05, 30, 1.0),
@@ -116,6 +111,24 @@ def track():
     flown = np.outer(t, [0.0, 0.1, 1.0])
     there = (flown[:21], flown[20:])
     return Track("d", True, 1.0, t, flown, times, tuple(p + p**2 for p in there), there)
+
+
+def test_what_repeats_matters_by_the_second_that_it_moves():
+    """A share of the squared error a second ahead; where that was not measured, all but the heading."""
+    left = example("unknown").remainder
+    (one,) = left.depends_on
+    assert left.unexplained and not dataclasses.replace(left, error=1.0).unexplained
+    assert dataclasses.replace(left, error=float("nan")).unexplained
+    heading = dataclasses.replace(one, channel="yaw", displacement=0.0)
+    assert not dataclasses.replace(left, depends_on=(heading,), error=float("nan")).unexplained
+    assert left.material(one) and not left.material(heading)
+
+
+def test_what_was_not_named_is_possible_from_some_probability_on():
+    """Neither a name, nor what takes its place, nor what is too rare."""
+    d = example()
+    more = (ScoredSet(("thrust_scale", "wind"), 0.06, {}, {}), ScoredSet(("rotor_drag",), 0.01, {}, {}))
+    assert d.possible == {} and dataclasses.replace(d, sets=(*d.sets, *more)).possible == {"wind": 0.06}
 
 
 def test_every_effect_is_said_in_words_with_its_numbers():
@@ -176,7 +189,7 @@ def test_the_page_escapes_names_of_flights_and_notes(track):
 def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
     d = dataclasses.replace(
         example("nothing"), where=(), sets=(), unrest={}, horizon=(), windows=(), gap={}, heldout=FLIGHTS,
-        remainder=Remainder(False, 1.0, {}, (), ""),
+        remainder=Remainder(1.0, {}, ()),
     )  # fmt: skip
     assert "in turn" in page(d, None, versions={})
     figures.overview(example("nothing"), None)

@@ -82,14 +82,15 @@ def test_the_page_of_identification():
         f"{EVIL} name", "body_mass", "kg", 0.033, 0.034, (0.033, 0.035), (0.034,), 0.0, f"{EVIL} said"
     )
     found = Identification(
-        load_vehicle(),
-        Reference.of_file(None, load_vehicle()),
-        (row,),
-        {"x": {"before": 50.0, "after": 90.0}},
-        {},
-        {},
-        (f"{EVIL} flight",),
-        (f"{EVIL} note",),
+        vehicle=load_vehicle(),
+        reference=Reference.of_file(None, load_vehicle()),
+        parameters=(row,),
+        identifiable=(),
+        fit={"x": {"before": 50.0, "after": 90.0}},
+        unrest={},
+        fields={},
+        flights=(f"{EVIL} flight",),
+        notes=(f"{EVIL} note",),
     )
     html = identified.page(found, heldout=(f"{EVIL} heldout",), seconds=1.0, versions={"python": "3"})
     check_page(html, *(f"{EVIL} {word}" for word in ("name", "said", "flight", "note", "heldout")))
