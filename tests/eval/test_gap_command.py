@@ -13,6 +13,7 @@ import pytest
 from inclined_landing.eval import cli
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.flights.reading import read_flights
+from inclined_landing.eval.gap.search.reference import read_reference
 from inclined_landing.eval.proof.gap_blind.causes import Drawn
 from inclined_landing.eval.proof.gap_blind.generate import fly_all, table
 from inclined_landing.models.parameters import load_vehicle
@@ -81,13 +82,16 @@ def test_identification_recovers_a_weak_thrust(logs, tmp_path, capsys):
     files = logs()
     out = tmp_path / "out"
     assert cli.main(["identify", *files[:3], "--heldout", files[3], "--out", str(out)]) == 0
-    assert {p.name for p in out.iterdir()} == {"report.html", "report.json", "run.json", "vehicle.toml"}
+    written = {"report.html", "report.json", "run.json", "vehicle.toml", "vehicle.posterior.json"}
+    assert {p.name for p in out.iterdir()} == written
     record = json.loads((out / "report.json").read_text("utf-8"))
     gain = next(p for p in record["parameters"] if p["name"] == "thrust gain")
     assert gain["ci95"][0] < 0.88 < gain["ci95"][1]
     assert set(record["unrest"]) >= {"x", "y", "z", "roll", "pitch"}
     assert record["fit"]["z"]["after"] > 95 > 0 > record["fit"]["z"]["before"]
-    load_vehicle(out / "vehicle.toml")
+    vehicle = load_vehicle(out / "vehicle.toml")
+    known, said = read_reference(out / "vehicle.toml", vehicle)
+    assert not said and np.diag(known.covariance).min() >= 0.0 and known.repeating.weights
     shown = capsys.readouterr().out
     assert "85.3 %" in shown and "thrust gain" in shown and "flight_3" in (out / "report.html").read_text()
 
