@@ -34,6 +34,8 @@ PAPER["fit"] = 85.3
 FIT_HORIZON = 1.0  # s, of the velocity changes that the fit of x, y and z is about
 # A parameter is not identified when the flights leave its uncertainty above this share of what it was.
 UNSEEN = 0.7
+ROUGH = 0.2  # share above which an effect is known roughly only
+CONFOUNDED = 0.8  # correlation of errors above which two effects cannot be told apart
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,12 +54,23 @@ class Identified:
 
 
 @dataclasses.dataclass(frozen=True)
+class Identifiable:
+    """How well the flights tell an effect."""
+
+    effect: str
+    share: float  # standard error over what real vehicles differ by: 1, and the flights tell nothing
+    confounded: tuple[str, ...]  # effects that it cannot be told from
+    regimes: tuple[str, ...]  # in which it shows
+
+
+@dataclasses.dataclass(frozen=True)
 class Identification:
     """The answer of `identify`."""
 
     vehicle: Vehicle
     reference: Reference  # what the flights leave uncertain of it
     parameters: tuple[Identified, ...]
+    identifiable: tuple[Identifiable, ...]  # best known first
     fit: dict[str, dict[str, float]]  # channel -> {"before", "after"}: NRMSE fit [%] on flights left out
     unrest: dict[str, Disturbance]  # channel -> noise and unrest
     fields: dict[str, tuple[float, ...] | float]  # changed Vehicle field -> half-width of its interval
@@ -115,6 +128,7 @@ def identify(
     library, untold = tellable({n: e for n, e in LIBRARY.items() if not (e.contact or e.told_by)}, fitted)
     notes += untold
     problem = Problem(fitted, vehicle, library)
+    problem.free = True
     places = [name for name in problem.library if LIBRARY[name].of_the_place]
     fit, stir = settle(problem, list(problem.library))
     inflation = repeated(problem, fit.values)
@@ -127,7 +141,10 @@ def identify(
     problem.between = between_flights(problem, near)
     local = Local.of(problem, near, values)
     result = problem.corrected({n: v for n, v in values.items() if n not in places})
-    reference = _posterior(problem, result, inflation, stir.size, notes)
+    reference, identifiable = _posterior(problem, result, inflation, stir.size)
+    for one in identifiable:
+        if one.share > UNSEEN:
+            notes.append(f"{one.effect.replace('_', ' ')} is not excited enough in these flights")
     own = [problem.corrected(v) for v in left_out(problem, local, frozenset(values))]
     test = judged or fitted
     vehicles = [result] * len(judged) if judged else own
@@ -141,6 +158,7 @@ def identify(
         vehicle=result,
         reference=reference,
         parameters=_parameters(problem, values, sized, vehicle),
+        identifiable=identifiable,
         fit=channels,
         unrest=disturbances(problem, stir),
         fields=_fields(problem, values, sized, vehicle, result),
@@ -150,20 +168,24 @@ def identify(
     )
 
 
-def _posterior(problem: Problem, vehicle: Vehicle, inflation, size, notes: list[str]) -> Reference:
-    """What the flights leave uncertain of the vehicle identified; notes on what they tell nothing of."""
+def _posterior(problem: Problem, vehicle: Vehicle, inflation, size):
+    """What the flights leave uncertain of the vehicle identified, and how well they tell each effect."""
     library, _ = tellable({n: e for n, e in LIBRARY.items() if not e.contact}, problem.flights)
     around = Problem(problem.flights, vehicle, library)
-    around.weight, around.forms = problem.weight, problem.forms
+    around.weight, around.forms, around.free = problem.weight, problem.forms, True
     reference = Reference.of(around, size, inflation)
     wide = slabs(around, reference.columns)
-    share = np.sqrt(np.diag(reference.covariance)) / wide
-    for name in problem.library:
-        own = [x for x, c in zip(share, reference.columns) if c.effect == name]
-        if min(own) > UNSEEN:
-            label = name.replace("_", " ")
-            notes.append(f"{label} is not excited enough in these flights; it stays as it was")
-    return reference
+    error = np.sqrt(np.diag(reference.covariance))
+    alike = np.abs(reference.covariance / np.outer(error, error))
+    columns = {n: [k for k, c in enumerate(reference.columns) if c.effect == n] for n in around.library}
+    result = []
+    for name, own in columns.items():
+        share = float(max(error[own] / wide[own]))
+        others = [n for n, its in columns.items() if n != name and alike[np.ix_(own, its)].max() > CONFOUNDED]
+        result.append(
+            Identifiable(name, share, tuple(others) if share > ROUGH else (), LIBRARY[name].regimes)
+        )
+    return reference, tuple(sorted(result, key=lambda one: one.share))
 
 
 def nrmse_fit(measured: np.ndarray, predicted: np.ndarray) -> float:

@@ -75,13 +75,12 @@ def in_doubt(problem: Problem, found: Search) -> tuple[list[Hypothesis], Quiet]:
     """What a search holds for possible, with the noise and unrest it found."""
     hypotheses = []
     for scored in found.sets:
-        deviation = found.local.errors(scored.names) * found.local.unit
+        sized = found.local.sized(scored.names)
         names = tuple(n for n in problem.library if n in scored.names)
         values = {n: dict(scored.values[n]) for n in names}
         deviations: dict[str, dict[str, float]] = {n: {} for n in names}
-        for column, one in zip(found.local.columns, deviation):
-            if column.parameter in values.get(column.effect, {}):
-                deviations[column.effect][column.parameter] = float(one)
+        for (name, parameter), known in sized.items():
+            deviations[name][parameter] = known.error
         hypotheses.append(Hypothesis(names, scored.probability, values, deviations))
     noise = np.median([f.noise for f in problem.flights], axis=0) * found.unrest.noise
     return hypotheses, Quiet(noise, found.unrest.size, found.unrest.time, found.inflation)

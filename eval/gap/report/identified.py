@@ -7,10 +7,13 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
+from inclined_landing.eval.base.style import MUTED, panel
 from inclined_landing.eval.base.tables import new_table
-from inclined_landing.eval.gap.answer.identify import PAPER, Identification, Identified
-from inclined_landing.eval.gap.report import words
-from inclined_landing.eval.gap.report.figures import AFTER, BEFORE
+from inclined_landing.eval.gap.answer.identify import PAPER, ROUGH, UNSEEN, Identification, Identified
+from inclined_landing.eval.gap.report import figures, words
+from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, WIDTH, name_rows
 from inclined_landing.eval.gap.report.model import VEHICLE, unrest_fields
 from inclined_landing.eval.gap.report.page import render
 from inclined_landing.eval.gap.report.terminal import say
@@ -38,6 +41,36 @@ def sentences(found: Identification) -> list[str]:
     return said
 
 
+def told(found: Identification) -> list[str]:
+    """What the flights tell, how well, and what would help, in sentences."""
+    well = [words.label(one.effect) for one in found.identifiable if one.share <= ROUGH]
+    said = [f"Known to a fifth of what vehicles differ by, or better: {words.listed(well)}."] if well else []
+    for one in found.identifiable:
+        if one.share > ROUGH:
+            how = "hardly told" if one.share > UNSEEN else "known roughly"
+            apart = [words.label(name) for name in one.confounded[: words.NAMED]]
+            beside = f", not to be told from {words.listed(apart, 'or')}" if apart else ""
+            where = words.listed([words.REGIMES[r] for r in one.regimes], "or")
+            said.append(f"{words.label(one.effect).capitalize()}: {how}{beside}; it shows in {where}.")
+    return said
+
+
+def identifiability(found: Identification) -> Figure:
+    """Standard errors of all effects, as shares of what real vehicles differ by."""
+    n = len(found.identifiable)
+    figure = Figure(figsize=(WIDTH, 0.22 * n + 0.7))
+    axis = panel(figure, 2.0, 0.5, WIDTH - 2.3, 0.22 * n)
+    for k, one in enumerate(found.identifiable):
+        colour = AFTER if one.share <= ROUGH else BEFORE if one.share > UNSEEN else "#c9b458"
+        axis.barh(k, min(one.share, 1.0), color=colour, height=0.62)
+    axis.axvline(ROUGH, color=MUTED, linewidth=0.8, linestyle=(0, (2, 2)))
+    axis.set_xlim(0.0, 1.0)
+    axis.set_xlabel("standard error / what real vehicles differ by [1]")
+    name_rows(axis, [words.label(one.effect) for one in found.identifiable], 8.5)
+    axis.grid(axis="x")
+    return figure
+
+
 def page(
     found: Identification,
     *,
@@ -53,6 +86,8 @@ def page(
         title=headline(found),
         lead=sentences(found),
         found=found,
+        told=told(found),
+        identifiability=figures.svg(identifiability(found)),
         contradictions=found.contradictions,
         percent=_percent,
         paper=PAPER["fit"],

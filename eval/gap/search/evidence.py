@@ -173,6 +173,7 @@ class Problem(Suspects):
         self.vehicle = vehicle
         self.reference = reference  # what is known of the vehicle; None: it is exact
         self.forms = reference.forms if reference else {}
+        self.free = False
         ignored = {"touchdown"} if any(f.has_yaw for f in flights) else {"touchdown", "yaw"}
         self.library = {
             name: effect.beside(vehicle)
@@ -202,11 +203,13 @@ class Problem(Suspects):
     def known(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
         """How far the vehicle is off along `columns`: mean (P,), covariance (P, P).
 
-        Without a reference only the formulas of the base model are.
+        Without a reference only the formulas of the base model are, and while one is made (`free`) by all
+        that they may be.
         """
         if self.reference is not None:
             return self.reference.along(columns)
-        wide = [form.BASE[c.form] if c.effect == BASE else 0.0 for c in columns]
+        share = 1.0 if self.free else form.ALONE
+        wide = [share * form.BASE[c.form] if c.effect == BASE else 0.0 for c in columns]
         return np.zeros(len(columns)), np.diag(np.square(wide))
 
     def white(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:

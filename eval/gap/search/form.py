@@ -1,10 +1,10 @@
 """Model (form) errors: what a formula may have wrong, as columns beside the parameters.
 
-No formula is exact. Thrust, drag and the answers of the loops are, in reality, some percent larger or smaller
-at more load, at speed, in a climb, late in a flight or along one axis. Each of these is a column: what the base
-model predicts times a quantity of order one, with a normal weight. Without them an error of the base model
-would be evidence for an effect, and the surer the more flights there are. An effect may have such errors of its
-own (`Effect.forms`), free while it is named.
+No formula is exact. Thrust, drag and the answers of the loops are, in reality, some percent larger or
+smaller at more load, at speed, in a climb, late in a flight or along one axis. Each of these is a column:
+what the base model predicts times a quantity of order one, with a normal weight. Without them an error of the
+base model would be evidence for an effect, and the surer the more flights there are. An effect may have such
+errors of its own (`Effect.forms`), free while it is named.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ import numpy as np
 from scipy.signal import lfilter
 
 from inclined_landing.eval.gap.flights.windows import Measured
+from inclined_landing.models.parameters import load_vehicle
 
 LAG = 0.03  # s, by which a contribution may come later
 _LOAD, _SPEED, _CLIMB, _TIME = 0.2, 1.0, 0.5, 20.0  # of hover thrust, m/s, m/s, s: quantities of order one
 _ANGLE, _TURN = 0.2, 1.0  # rad, rad/s
 _MOTOR = 0.065  # s, lag of the load
+_HOVER = load_vehicle().hover_pwm  # the same for all vehicles and flights, so that weights mean the same
 # Of the base model, with the standard deviations of their weights: from development families.
 BASE = {
     **{f"thrust {what}": 0.02 for what in ("load", "speed", "climb", "time")},
@@ -26,6 +28,7 @@ BASE = {
     "attitude bend": 0.3,
     **{f"yaw {what}": 0.05 for what in ("turn", "time")},
 }
+ALONE = 0.05  # share of these that is free where no flights of a reference have shown them
 _CHANNELS = {"translation": slice(0, 3), "attitude": slice(3, 5), "yaw": slice(5, 6)}
 
 
@@ -76,7 +79,7 @@ def _quantity(what: str, flight: Measured) -> np.ndarray:
         pwm = flight.command[:, 0]
         share = np.exp(-flight.dt / _MOTOR)
         lagged = lfilter([1.0 - share], [1.0, -share], pwm - pwm[0]) + pwm[0]
-        return (lagged / np.median(pwm[flight.usable]) - 1.0) / _LOAD
+        return (lagged / _HOVER - 1.0) / _LOAD
     if what == "speed":
         return np.hypot(flight.velocity[:, 0], flight.velocity[:, 1]) / _SPEED
     if what == "climb":

@@ -29,7 +29,7 @@ BETWEEN = 0.35  # of the difference between flights, likewise
 SLAB = 1.0  # of what is named, in plausible sizes
 LARGE = 4.0  # times as wide where an effect is far larger: sizes have heavy tails
 DRAWS = 60  # of flights
-MOST = 0.35  # plausible sizes: what flights of one vehicle differ by, and what is not named, is no more
+MOST = 0.35  # plausible sizes: what is not named is no more
 ROUNDS = 10  # of expectation and maximisation
 # How well differences between flights are known beforehand, as if seen in so many flights.
 SEEN_BEFORE = 2.0
@@ -81,7 +81,9 @@ def between_flights(problem: Problem, linear: Linear) -> dict[tuple[str, str], f
     known = np.array([problem.parameter(c).between for c in linear.columns]) / unit
     known = np.maximum(BETWEEN, known) ** 2
     variance, eye = known.copy(), np.eye(len(unit))
-    most = np.maximum(known, MOST**2 / prior)
+    # Of a loop, it is known by how much; of the rest, days differ as vehicles do.
+    loop = np.array([problem.parameter(c).manoeuvre > 0.0 for c in linear.columns])
+    most = np.maximum(known, np.where(loop, MOST**2, 1.0) / prior)
     sized = np.array([not problem.parameter(c).is_reference for c in linear.columns])
     share = SEEN_BEFORE / (SEEN_BEFORE + problem.groups)
     for _ in range(ROUNDS):

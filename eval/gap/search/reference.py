@@ -14,9 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
+from inclined_landing.eval.gap.search import form
 from inclined_landing.eval.gap.search.evidence import BASE, Column, Problem, Suspects
 from inclined_landing.eval.gap.search.posterior import Local, between_flights, looks_alike
-from inclined_landing.eval.gap.search.residual import Basis, Left, Repeating
+from inclined_landing.eval.gap.search.residual import TARGETS, Basis, Left, Repeating
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -109,8 +110,10 @@ class Reference:
         mean, covariance = _numbers(table["mean"], 1), _numbers(table["covariance"], 2)
         if mean.shape != (len(columns),) or covariance.shape != (len(columns),) * 2:
             raise ValueError("as many numbers as columns")
-        if np.abs(covariance - covariance.T).max() > 1e-9 * np.abs(covariance).max():
-            raise ValueError("a symmetric covariance")
+        wide = np.sqrt(np.maximum(covariance.diagonal(), 1e-300))
+        scaled = covariance / np.outer(wide, wide)
+        if np.abs(scaled - scaled.T).max() > 1e-9 or np.linalg.eigvalsh(scaled).min() < -1e-6:
+            raise ValueError("a covariance")
         bases = {
             str(name): Basis(
                 _numbers(b["centre"], 1), _numbers(b["scale"], 1), tuple(_numbers(k, 1) for k in b["knots"])
@@ -118,6 +121,12 @@ class Reference:
             for name, b in table["quantities"].items()
         }
         weights = {(str(target), str(on)): _numbers(w, 1) for target, on, w in table["functions"]}
+        for b in bases.values():
+            if not len(b.centre) == len(b.scale) == len(b.knots) or min(b.scale) <= 0.0:
+                raise ValueError("as many scales above zero as inputs")
+        for (target, on), w in weights.items():
+            if target not in TARGETS or len(w) != bases[on](np.zeros((1, len(bases[on].centre)))).shape[1]:
+                raise ValueError(f"weights of {target} with {on}")
         return Reference(columns, mean, covariance, Repeating(bases, weights))
 
 
@@ -166,7 +175,8 @@ def _numbers(values, dimensions: int) -> np.ndarray:
 def _deviation(problem: Suspects, column: Column, given: dict[str, Constant]) -> float:
     """Standard deviation of a column, by the uncertainty of the constants that it changes."""
     if column.form or column.fixed:
-        return problem.parameter(column).plausible if column.form else 0.0
+        # Without flights nothing tells the formulas' errors from effects.
+        return form.ALONE * problem.parameter(column).plausible if column.form else 0.0
     moved, step = problem.to_one_side({}, column)
     widths = []
     for f in dataclasses.fields(moved):

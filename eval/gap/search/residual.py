@@ -108,7 +108,8 @@ class Repeating:
         inputs = quantities(problem.flights)
         bases = {name: _basis(problem, *of) for name, of in inputs.items()}
         functions = _functions(problem, left, inputs, bases, None)
-        return Repeating(bases, {(f.target, f.on): f.weights() for f in functions})
+        weights = {(f.target, f.on): f.came_true() * f.weights() for f in functions}
+        return Repeating(bases, {key: w for key, w in weights.items() if np.any(w)})
 
 
 def sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -189,6 +190,11 @@ class _Function:
         use = np.arange(len(self.a)) != (-1 if without is None else without)
         a = self.a[use].sum(axis=0) + self.ridge * np.eye(self.a.shape[1])
         return np.linalg.solve(a, self.b[use[self.fold_of]].sum(axis=0))
+
+    def came_true(self) -> float:
+        """Share of a function that is borne out by groups left out."""
+        gain, foreseen = self.trusted()
+        return float(np.clip(gain.sum() / max(foreseen.sum(), 1e-12), 0.0, 1.0))
 
     def trusted(self) -> tuple[np.ndarray, np.ndarray]:
         """Decrease of the squared error (g,) of every group left out, and the one foreseen."""

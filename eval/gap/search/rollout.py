@@ -153,7 +153,7 @@ def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
     c, p = equations.pack(vehicle), neutral(n)
     pose = np.empty((n, starts.rows + 1, 6))
     pose[:, 0] = state[:, _POSE]
-    substeps = max(1, math.ceil(starts.dt / 0.01))
+    substeps = max(1, math.ceil(starts.dt / ENGINE_STEP))
     around = ambient[:, 0].copy()
     around[:, 0] -= 0.5 * starts.dt
     for k in range(starts.rows):

@@ -30,10 +30,10 @@ from inclined_landing.eval.gap.search.posterior import (
 
 NOTHING = 0.5  # prior probability that nothing is missing
 MOST = 8  # effects of a set
-PLACES = 3  # others that are fitted in the place of every effect of the best set
+PLACES = 2  # others that are fitted in the place of every effect of the best set
 FITTED = 12  # sets that are fitted through the simulator, at most
 WORTH = 6.0  # log probability behind the best within which a neighbour is worth a fit
-STEPS = 4  # of Newton for a set, at most
+STEPS = 3  # of Newton for a set, at most
 SMALL = 0.5  # negligible sizes within which a step is linear
 BEHIND = 10.0  # log probability behind the best beyond which a set is not worth telling
 FORMS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # shares of the motion by which it may be off
@@ -67,6 +67,7 @@ class Scored:
 class Search:
     """The outcome of `search`."""
 
+    names: Set  # the most probable set, what scales the thrust counted as one
     values: dict[str, dict[str, float]]  # of the most probable set
     at: dict[str, dict[str, float]]  # effect values near it
     local: Local  # the flights at these
@@ -75,11 +76,6 @@ class Search:
     whole: dict[str, dict[str, float]]  # all effects fitted together
     near: Linear  # the flights linearised there
     inflation: np.ndarray  # (6,)
-
-    @property
-    def names(self) -> Set:
-        """The most probable set."""
-        return self.sets[0].names
 
     def probability(self, *names: str) -> float:
         """That one of some effects is part of what is missing."""
@@ -98,8 +94,25 @@ def search(problem: Problem) -> Search:
     nodes = _explore(problem, inflation, likely, whole.values)
     best = max(nodes.values(), key=lambda node: node.score)
     scored = _distribution(problem, nodes, best, inflation)
-    chosen = nodes[scored[0].names]
-    return Search(chosen.values, chosen.at, chosen.local, scored, stir, whole.values, near, inflation)
+    names = _best(problem, scored)
+    if names not in nodes:
+        nodes[names] = _visit(problem, names, _start(problem, best, names), inflation)
+    chosen = nodes[names]
+    return Search(names, chosen.values, chosen.at, chosen.local, scored, stir, whole.values, near, inflation)
+
+
+def _best(problem: Problem, scored: Sequence[Scored]) -> Set:
+    """The most probable set: free flight tells thrust over mass alone, so that these are one name."""
+    together: dict[Set, float] = {}
+
+    def merged(names: Set) -> Set:
+        return frozenset("thrust over mass" if problem.library[n].scales_thrust else n for n in names)
+
+    for one in scored:
+        key = merged(one.names)
+        together[key] = together.get(key, 0.0) + one.probability
+    most = max(together, key=lambda key: together[key])
+    return next(one.names for one in scored if merged(one.names) == most)
 
 
 def settle(problem: Problem, names: Sequence[str]) -> tuple[Fitted, unrest.Unrest]:
@@ -260,14 +273,11 @@ def _explore(problem: Problem, inflation: np.ndarray, likely: Set, values: Value
             nodes[names] = _visit(problem, names, start, inflation)
         else:  # it promises something beyond its bounds only
             del promised[names]
-    for _ in range(2):
-        best = max(nodes.values(), key=lambda node: node.score)
-        others = _in_its_place(problem, best, nodes)
-        for names, start in ((names, _start(problem, best, names)) for names in others):
-            if _has_sizes(problem, names, start):
-                nodes[names] = _visit(problem, names, start, inflation)
-        if best is max(nodes.values(), key=lambda node: node.score):
-            break
+    best = max(nodes.values(), key=lambda node: node.score)
+    for names in _in_its_place(problem, best, nodes):
+        start = _start(problem, best, names)
+        if _has_sizes(problem, names, start):
+            nodes[names] = _visit(problem, names, start, inflation)
     return nodes
 
 
