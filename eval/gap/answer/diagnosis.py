@@ -87,7 +87,7 @@ def diagnose(
     else:
         test, after = (
             problem,
-            [problem.corrected(v) for v in sets.left_out(problem, found.local, values)],
+            [problem.corrected(v) for v in sets.left_out(problem, found.local, frozenset(values), values)],
         )
     where = _where(test, test.white([vehicle] * len(after)), test.white(after))
     clock("where")

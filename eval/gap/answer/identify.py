@@ -145,7 +145,7 @@ def identify(
     for one in identifiable:
         if one.share > UNSEEN:
             notes.append(f"{one.effect.replace('_', ' ')} is not excited enough in these flights")
-    own = [problem.corrected(v) for v in left_out(problem, local, frozenset(values))]
+    own = [problem.corrected(v) for v in left_out(problem, local, frozenset(values), values)]
     test = judged or fitted
     vehicles = [result] * len(judged) if judged else own
     if not judged and len(fitted) < 2:

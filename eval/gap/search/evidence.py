@@ -192,6 +192,7 @@ class Problem(Suspects):
         # Of parameters: how much more they differ between flights, how many look alike.
         self.between: dict[tuple[str, str], float] = {}
         self.alike: dict[tuple[str, str], float] = {}
+        self.telling: dict[tuple[str, str], float] = {}  # flights that tell of it
         self._formed: list[np.ndarray] | None = None
         self._pool = ThreadPoolExecutor(2)
 

@@ -28,8 +28,8 @@ SPIKE = 0.35  # standard deviation of what is not named, as a share of negligibl
 BETWEEN = 0.35  # of the difference between flights, likewise
 SLAB = 1.0  # of what is named, in plausible sizes
 LARGE = 4.0  # times as wide where an effect is far larger: sizes have heavy tails
-DRAWS = 60  # of flights
-MOST = 0.35  # plausible sizes: what is not named is no more
+DRAWS = 24  # of flights
+MOST = 0.5  # plausible sizes: what is not named is no more
 ROUNDS = 10  # of expectation and maximisation
 # How well differences between flights are known beforehand, as if seen in so many flights.
 SEEN_BEFORE = 2.0
@@ -41,10 +41,11 @@ Set = frozenset[str]
 def spikes(problem: Problem, columns: Sequence) -> np.ndarray:
     """Standard deviation (P,) of every column that is not named.
 
-    What nobody needs to correct, shared by all that look alike; and where flights differ, the vehicle's file
-    was identified in some others.
+    What nobody needs to correct, shared by all that look alike; and where flights differ, what the mean of
+    those that tell of a column may be off by: of one flight, all of it.
     """
-    spike = np.hypot(SPIKE * _shares(problem, columns), betweens(problem, columns) / np.sqrt(problem.groups))
+    count = np.array([problem.telling.get((c.effect, c.parameter), problem.groups) for c in columns])
+    spike = np.hypot(SPIKE * _shares(problem, columns), betweens(problem, columns) / np.sqrt(count))
     return np.minimum(spike, MOST * slabs(problem, columns))
 
 
@@ -67,6 +68,13 @@ def looks_alike(linear: Linear) -> dict[tuple[str, str], float]:
     squared = (a / np.outer(scale, scale)) ** 2
     count = np.maximum(1.0, squared.sum(axis=0))
     return {(c.effect, c.parameter): float(x) for c, x in zip(linear.columns, count)}
+
+
+def telling(problem: Problem, linear: Linear) -> dict[tuple[str, str], float]:
+    """(effect, parameter) -> how many flights tell of it more than flights differ by, 1 at least."""
+    spread = betweens(problem, linear.columns)
+    share = np.minimum(1.0, np.einsum("gkk->gk", linear.a) * spread**2).sum(axis=0)
+    return {(c.effect, c.parameter): max(1.0, float(x)) for c, x in zip(linear.columns, share)}
 
 
 def between_flights(problem: Problem, linear: Linear) -> dict[tuple[str, str], float]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from inclined_landing.eval.gap.search import form
 from inclined_landing.eval.gap.search.evidence import BASE, Column, Problem, Suspects
-from inclined_landing.eval.gap.search.posterior import Local, between_flights, looks_alike
+from inclined_landing.eval.gap.search.posterior import Local, between_flights, looks_alike, telling
 from inclined_landing.eval.gap.search.residual import TARGETS, Basis, Left, Repeating
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
@@ -61,6 +61,7 @@ class Reference:
         near = problem.linearise({}, columns, inflation)
         problem.alike = looks_alike(near)
         problem.between = between_flights(problem, near)
+        problem.telling = telling(problem, near)
         local = Local.of(problem, near, {})
         change, covariance = local.fit(frozenset(problem.library))
         left = Left.by(problem, local, frozenset(problem.library), {}, size, inflation)

@@ -26,6 +26,7 @@ from inclined_landing.eval.gap.search.posterior import (
     flight_weights,
     looks_alike,
     slabs,
+    telling,
 )
 
 NOTHING = 0.5  # prior probability that nothing is missing
@@ -39,6 +40,7 @@ BEHIND = 10.0  # log probability behind the best beyond which a set is not worth
 FORMS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # shares of the motion by which it may be off
 SETTLED = 4  # rounds in which effects and unrest are fitted in turn, at most
 LEAST = 1e-3  # probability of a set that is worth telling
+POINTS = 3  # linearisations in which sets are compared
 CLEAR = 0.03  # above which it is fitted through the simulator
 
 
@@ -90,6 +92,7 @@ def search(problem: Problem) -> Search:
     near = problem.linearise(whole.values, columns, inflation)
     problem.alike = looks_alike(near)
     problem.between = between_flights(problem, near)
+    problem.telling = telling(problem, near)
     likely = backward_eliminate(problem, Local.of(problem, near, whole.values).evidence())
     nodes = _explore(problem, inflation, likely, whole.values)
     best = max(nodes.values(), key=lambda node: node.score)
@@ -204,14 +207,16 @@ def stepped(problem: Problem, local: Local, names: Set, weights=None) -> dict:
     return problem.values_at(names, local.columns, local.delta(names, weights)[0] * local.unit)
 
 
-def left_out(problem: Problem, local: Local, names: Set) -> list[dict]:
-    """For every flight, the values of the effects `names` fitted to the other flights."""
-    result = []
+def left_out(problem: Problem, local: Local, names: Set, values: Values) -> list[dict]:
+    """For every flight, the `values` of the effects `names` as the other flights alone have them."""
+    result, whole = [], local.delta(frozenset(names))[0]
+    at = problem.coordinates(values, local.columns)
     for k in range(len(problem.flights)):
         weights = np.ones(problem.groups)
         if len(problem.flights) > 1:
             weights[np.unique(problem.group_of[problem.flight_of == k])] = 0.0
-        result.append(stepped(problem, local, frozenset(names), weights))
+        change = (local.delta(frozenset(names), weights)[0] - whole) * local.unit
+        result.append(problem.values_at(names, local.columns, at + change))
     return result
 
 
@@ -294,7 +299,11 @@ def _in_its_place(problem: Problem, best: Node, nodes: dict[Set, Node]) -> list[
 
 
 def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflation) -> tuple[Scored, ...]:
-    """Probabilities of sets; those that were not fitted count by the linearisation at the best."""
+    """Probabilities of sets, by the mean of their log evidence in the linearisations at the most probable.
+
+    Every set in the same linearisations: the simulator is linear enough for a difference between sets, not
+    for one between points far apart.
+    """
     weights = flight_weights(problem.groups)
     near = {n: best.screen(n) + log_prior(problem, n) for n in _neighbours(problem, best) if n not in nodes}
     near = {n: x for n, x in near.items() if x > best.score - BEHIND}
@@ -302,12 +311,12 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
     near = {n: x for n, x in near.items() if _has_sizes(problem, n, starts[n])}
     fitted = {n: node for n, node in nodes.items() if np.isfinite(node.score)}
     names = [*fitted, *near]
-    logs = np.empty((len(names), len(weights)))
-    for node in fitted.values():
-        own = [k for k, n in enumerate(names) if (n == node.names or (node is best and n in near))]
+    points = sorted(fitted.values(), key=lambda node: -node.score)[:POINTS]
+    logs = np.tile([log_prior(problem, n) for n in names], (len(weights), 1)).T
+    for node in points:
         for d, w in enumerate(weights):
             evidence = node.local.evidence(w)
-            logs[own, d] = [evidence(names[k]) + log_prior(problem, names[k]) for k in own]
+            logs[:, d] += np.array([evidence(n) for n in names]) / len(points)
     shares = np.exp(logs - logs.max(axis=0))
     probability: dict[Set, float] = {}
     for one, share in zip(names, (shares / shares.sum(axis=0)).mean(axis=1)):

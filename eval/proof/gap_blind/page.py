@@ -41,6 +41,8 @@ def cells(table: list[dict]) -> tuple[list[str], list[list[str]]]:
         *shown,
         "good [95 %]",
         "right cause found",
+        "among sure and possible",
+        "sure names wrong",
         "also flagged",
         "parameter error",
     ]
@@ -48,7 +50,8 @@ def cells(table: list[dict]) -> tuple[list[str], list[list[str]]]:
     lines = []
     for line in table:
         row = [line["stratum"], str(line["cases"]), *(str(line[name]) for name in shown)]
-        row += [_share(line["good"]), _share(line["first"], interval=False), str(line["also flagged"])]
+        row += [_share(line["good"]), _share(line["first"], interval=False)]
+        row += [_share(line["among"], interval=False), _count(line["sure"]), str(line["also flagged"])]
         row += [_median(line["error"]), _share(line["covered"])]
         row += [_median(line["closed"].get(plant)) for plant in plants]
         row += ["" if line["seconds"] is None else f"{line['seconds']:.1f}"]

@@ -54,6 +54,8 @@ def score_case(label: Mapping, report: Mapping) -> dict:
         "classes": [sorted(members) for members in classes],
         "spurious": spurious,
         "outcome": _outcome(label, report, spurious, found, classes),
+        "sure": [bool(members & welcome) for e, members in zip(effects, classes) if e.get("sure")],
+        "among": _among(label, classes, report.get("possible", ())),
         "flagged": report["verdict"] == "unknown",
         "belief": belief(label, report),
         "errors": {c: e for c in label["causes"] if (e := parameter_error(c, label, effects)) is not None},
@@ -75,6 +77,15 @@ def _found(cause: str, names: Iterable[str], classes: list[set]) -> str | None:
     if any(all(any(one in members for members in classes) for one in option) for option in accepted(cause)):
         return "tie"
     return None
+
+
+def _among(label: Mapping, classes: list[set], possible: Iterable[str]) -> bool | None:
+    """Is every cause among the names, what may take their place, and what is told as possible?"""
+    causes = [cause for cause in label["causes"] if cause not in UNREST]
+    if not causes or set(causes) & set(UNKNOWN):
+        return None
+    every = set().union(*classes, possible)
+    return all(any(option <= every for option in accepted(cause)) for cause in causes)
 
 
 def _outcome(label, report, spurious, found, classes) -> str:

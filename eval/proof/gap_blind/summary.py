@@ -22,7 +22,8 @@ def table(rows: Iterable[Mapping]) -> list[dict]:
 
     Keys: `stratum`, `cases`, a count for each of OUTCOMES, `good` (see score.GOOD) and `covered` (parameters
     whose interval holds the truth), proportions with Wilson's 95 % interval; `first` (the right cause found,
-    spurious ones or not), `also flagged` among cases of the library; `error` and `closed`: medians with
+    spurious ones or not); `sure`: the share of sure names that are wrong; `among`: of cases whose causes are
+    all among the names, sure or possible, `also flagged` among cases of the library; `error` and `closed`: medians with
     quartiles; `seconds`.
     """
     rows = list(rows)
@@ -75,6 +76,10 @@ def line(rows: list[Mapping]) -> dict:
     result["good"] = proportion(sum(outcome in GOOD for outcome in outcomes), n)
     result["first"] = proportion(sum(outcome in (*GOOD, "spurious") for outcome in outcomes), n)
     result["also flagged"] = sum(row["flagged"] for row in known)
+    sure = [right for row in rows for right in row.get("sure", ())]
+    among = [row["among"] for row in rows if row.get("among") is not None]
+    result["sure"] = proportion(sum(not right for right in sure), len(sure))
+    result["among"] = proportion(sum(among), len(among))
     result["covered"] = proportion(sum(held), len(held))
     result["error"] = _quartiles([error for row in rows for error in row["errors"].values()])
     plants = sorted({plant for row in rows for plant in row["closed"]})
