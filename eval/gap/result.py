@@ -131,7 +131,7 @@ class Remainder:
 
         The heading is compared on its own and moves nothing else.
         """
-        if not math.isfinite(self.error):
+        if one.channel == "yaw" or not math.isfinite(self.error):
             return one.channel != "yaw"
         return one.displacement_ci95[0] ** 2 >= MATERIAL * self.error**2
 

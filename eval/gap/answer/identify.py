@@ -132,9 +132,8 @@ def identify(
     places = [name for name in problem.library if LIBRARY[name].of_the_place]
     fit, stir = settle(problem, list(problem.library))
     inflation = repeated(problem, fit.values)
-    fit = refit(problem, fit.values, inflation, prior=slabs)
-    values = {name: fit.values[name] for name in problem.library}
-    problem.forms = fit.values[BASE]
+    # The vehicle is the best one without the errors of the formulas: no vehicle file can hold these.
+    values = refit(problem, {n: fit.values[n] for n in problem.library}, inflation, prior=slabs).values
     near = problem.linearise(values, problem.columns([*problem.library, BASE]), inflation)
     against = disagreement.contradictions(problem, near, values)
     notes[:0] = map(disagreement.in_short, against)
@@ -172,7 +171,7 @@ def _posterior(problem: Problem, vehicle: Vehicle, inflation, size):
     """What the flights leave uncertain of the vehicle identified, and how well they tell each effect."""
     library, _ = tellable({n: e for n, e in LIBRARY.items() if not e.contact}, problem.flights)
     around = Problem(problem.flights, vehicle, library)
-    around.weight, around.forms, around.free = problem.weight, problem.forms, True
+    around.weight, around.free = problem.weight, True
     reference = Reference.of(around, size, inflation)
     wide = slabs(around, reference.columns)
     error = np.sqrt(np.diag(reference.covariance))

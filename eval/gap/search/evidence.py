@@ -48,13 +48,12 @@ class Suspects:
 
     vehicle: Vehicle
     library: dict[str, Effect]
-    forms: Mapping[str, float]  # weights of the base model's errors, where `values` have none
 
     @staticmethod
     def of(vehicle: Vehicle, library: Mapping[str, Effect]) -> Suspects:
         """The effects of a library on a vehicle."""
         suspects = Suspects()
-        suspects.vehicle, suspects.forms = vehicle, {}
+        suspects.vehicle = vehicle
         suspects.library = {name: effect.beside(vehicle) for name, effect in library.items()}
         return suspects
 
@@ -78,9 +77,7 @@ class Suspects:
 
     def neutral(self, name: str) -> dict[str, float]:
         """Values of an effect that change nothing; of the base model, the weights of its errors."""
-        return (
-            dict.fromkeys(form.BASE, 0.0) | dict(self.forms) if name == BASE else self.library[name].neutral
-        )
+        return dict.fromkeys(form.BASE, 0.0) if name == BASE else self.library[name].neutral
 
     def sizes(self, name: str, values: Values) -> np.ndarray:
         """How far every parameter of an effect is from neutral."""
@@ -123,7 +120,7 @@ class Suspects:
         for k, column in enumerate(columns):
             at = values.get(column.effect)
             if column.effect == BASE:
-                result[k] = values.get(BASE, self.forms).get(column.form, 0.0)
+                result[k] = values.get(BASE, {}).get(column.form, 0.0)
             elif at and not column.form:
                 p, effect = self.parameter(column), self.library[column.effect]
                 result[k] = p.size(at.get(p.name, p.neutral))
@@ -172,7 +169,6 @@ class Problem(Suspects):
         self.flights = list(flights)
         self.vehicle = vehicle
         self.reference = reference  # what is known of the vehicle; None: it is exact
-        self.forms = reference.forms if reference else {}
         self.free = False
         ignored = {"touchdown"} if any(f.has_yaw for f in flights) else {"touchdown", "yaw"}
         self.library = {
@@ -219,7 +215,7 @@ class Problem(Suspects):
 
     def white_at(self, values: Values) -> list[np.ndarray]:
         """White errors (w, 6, q) of every flight with effects at `values`."""
-        if any(values.get(BASE, self.forms).values()):
+        if any(values.get(BASE, {}).values()):
             self.formed(self.flights[0])
 
         def of(flight: Measured) -> np.ndarray:
@@ -247,7 +243,7 @@ class Problem(Suspects):
         return self._formed[self.flights.index(flight)]
 
     def _beside_forms(self, flight: Measured, predicted: np.ndarray, values: Values) -> np.ndarray:
-        weights = values.get(BASE, self.forms)
+        weights = values.get(BASE, {})
         if not any(weights.values()):
             return predicted
         return predicted + np.tensordot([weights[f] for f in form.BASE], self.formed(flight), axes=1)

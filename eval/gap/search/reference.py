@@ -37,11 +37,6 @@ class Reference:
     covariance: np.ndarray  # (P, P) in the units of the parameters
     repeating: Repeating  # what repeats in its flights that no effect explains
 
-    @property
-    def forms(self) -> dict[str, float]:
-        """Weights of the base model's errors."""
-        return {c.form: float(x) for c, x in zip(self.columns, self.mean) if c.effect == BASE}
-
     def along(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
         """Mean (Q,) and covariance (Q, Q) of other columns; nothing of those it does not know."""
         place = {column: k for k, column in enumerate(self.columns)}
