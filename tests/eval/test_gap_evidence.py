@@ -373,7 +373,7 @@ def reference():
 def test_a_posterior_is_read_as_it_was_written(reference, tmp_path):
     text = storage.to_json(reference.to_json(VEHICLE))
     again = Reference.from_json(json.loads(text))
-    assert again.columns == reference.columns and again.forms == reference.forms
+    assert again.columns == reference.columns and np.array_equal(again.mean, reference.mean)
     np.testing.assert_array_equal(again.mean, reference.mean)
     np.testing.assert_array_equal(again.covariance, reference.covariance)
     inputs = np.random.default_rng(13).standard_normal((9, 2))
@@ -429,7 +429,7 @@ def test_a_reference_knows_its_own_columns_only(reference):
 
 def test_a_vehicle_file_alone_is_as_uncertain_as_its_entries_say():
     one = Reference.of_file(None, VEHICLE)
-    assert not one.mean.any() and not one.forms["drag x"]
+    assert not one.mean.any()
     deviation = {(c.effect, c.parameter): s for c, s in zip(one.columns, np.sqrt(np.diag(one.covariance)))}
     (mass,) = (c for c in constants() if c.field == "body_mass")
     assert deviation["mass", "scale"] == pytest.approx(mass.uncertainty / 1.96 / mass.value, rel=1e-3)

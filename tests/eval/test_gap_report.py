@@ -140,7 +140,7 @@ def test_every_effect_is_said_in_words_with_its_numbers():
 
 
 def test_headlines_say_what_is_known_and_what_is_not():
-    ratio = "thrust scale or mass (over 99 %: only their ratio shows)"
+    ratio = "thrust scale or mass (97 %: only their ratio shows)"
     assert words.headline(example()) == f"The model lacks {ratio} and attitude trim (97 %)."
     assert words.headline(example("unknown")).endswith("something that no effect of the library explains.")
     assert words.headline(example("nothing")).startswith("Nothing is missing (90 %)")
@@ -149,6 +149,9 @@ def test_headlines_say_what_is_known_and_what_is_not():
     )
     little = dataclasses.replace(little, effects=(little.effects[0], named("attitude_trim", TRIM, 0.001)))
     assert words.headline(little) == "The model lacks wind (97 %)."
+    unsure = dataclasses.replace(little, effects=(dataclasses.replace(little.effects[0], probability=0.6),))
+    assert words.headline(unsure) == "The model possibly lacks wind (60 %)."
+    assert words.answer_rows(unsure)[0][:2] == ("wind", "possible, 60 %")
     assert "Something is missing" in words.headline(
         dataclasses.replace(example("nothing"), verdict="unknown")
     )
@@ -160,7 +163,9 @@ def test_the_first_sentences_hold_class_remedy_manoeuvre_and_gap():
     assert "It may as well be mass: free flight shows only the ratio" in text
     assert "To tell thrust scale from mass: weigh." in text
     assert "from 49 cm to 4.0 cm (94 % of the gap closed); the measurement noise alone makes 1.0 cm" in text
-    assert "in MuJoCo" in text and LIBRARY["attitude_trim"].remedy in text
+    assert "in MuJoCo" in text
+    rows = words.answer_rows(example())
+    assert LIBRARY["attitude_trim"].remedy in rows[1] and rows[1][1] == "sure, 97 %"
 
 
 @pytest.mark.parametrize("verdict", ["effects", "unknown", "nothing"])

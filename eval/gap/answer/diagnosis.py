@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap.answer.named import (
     disturbances,
@@ -43,6 +44,7 @@ from inclined_landing.models.parameters import Vehicle
 FEW_FLIGHTS = 3
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # flights are shared among threads already
 def diagnose(
     flights: Sequence[FlightLog],
     vehicle: Vehicle,

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy import stats
+from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.flights.windows import Measured, prepare_all
@@ -110,6 +111,7 @@ def static_map(vehicle: Vehicle) -> Vehicle:
     )
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # flights are shared among threads already
 def identify(
     flights: Sequence[FlightLog],
     vehicle: Vehicle,

@@ -176,7 +176,11 @@ def headline(d: Diagnosis) -> str:
     large = [e for e in d.effects if e.gain >= TO_THE_HEADLINE] or list(d.effects)
     sure = listed([_lacking(e) for e in large if e.sure])
     rest = listed([_lacking(e) for e in large if not e.sure])
+    if rest and not sure and d.verdict != "unknown":
+        return f"The model possibly lacks {rest}."
     parts = [part for part in (sure, rest and f"possibly {rest}") if part]
+    if not parts:
+        return "Something is missing that no effect of the library explains."
     if d.verdict == "unknown":
         parts.append("something that no effect of the library explains")
     return f"The model lacks {listed(parts, 'and') if len(parts) < 3 else ', and '.join(parts)}."

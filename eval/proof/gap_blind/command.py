@@ -112,9 +112,11 @@ def _diagnose_all(drawn, labels: dict, methods, out: Path, processes: int) -> No
             todo.append((case, left))
     # A spawned process starts clean: threads of libraries do not survive a fork.
     context = multiprocessing.get_context("spawn")
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"  # the processes share the cores already
     with Progress(*_COLUMNS, console=Console(stderr=True), transient=True) as progress:
         bar = progress.add_task("cases", total=len(drawn), completed=len(drawn) - len(todo))
-        with ProcessPoolExecutor(processes, mp_context=context, initializer=_few_threads) as pool:
+        with ProcessPoolExecutor(processes, mp_context=context) as pool:
             jobs = [pool.submit(_case, case, left, out) for case, left in todo]
             try:
                 for job in as_completed(jobs):
@@ -125,12 +127,6 @@ def _diagnose_all(drawn, labels: dict, methods, out: Path, processes: int) -> No
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
-
-
-def _few_threads() -> None:
-    """One thread a process: the processes share the cores already."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
 
 
 def _report(out: Path, method: str, name: str) -> Path:
