@@ -171,17 +171,23 @@ class Effect:
         """The size, and the reference that it is about, of two sizes about both sides of the reference."""
         value = low + high
         share = high / value if value else 0.5
-        first, last = self.reference.either_side()
-        if self.reference.unit == "PWM":  # 1 - load/reference is linear in 1/reference
+        about = self._about
+        first, last = about.either_side()
+        if about.unit == "PWM":  # 1 - load/reference is linear in 1/reference
             inverse = (1.0 - share) / first + share / last
-            return value, 1.0 / inverse if inverse > 0.0 else self.reference.bounds[1]
+            return value, 1.0 / inverse if inverse > 0.0 else about.bounds[1]
         return value, first + share * (last - first)
 
     def _towards(self, reference: float) -> float:
-        first, last = self.reference.either_side()
-        if self.reference.unit == "PWM":
+        about = self._about
+        first, last = about.either_side()
+        if about.unit == "PWM":
             return (1.0 / first - 1.0 / reference) / (1.0 / first - 1.0 / last)
         return (reference - first) / (last - first)
+
+    @property
+    def _about(self) -> Parameter:
+        return next(p for p in self.parameters if p.is_reference)
 
     @property
     def contact(self) -> bool:

@@ -23,8 +23,8 @@ def table(rows: Iterable[Mapping]) -> list[dict]:
     Keys: `stratum`, `cases`, a count for each of OUTCOMES, `good` (see score.GOOD) and `covered` (parameters
     whose interval holds the truth), proportions with Wilson's 95 % interval; `first` (the right cause found,
     spurious ones or not); `sure`: the share of sure names that are wrong; `among`: of cases whose causes are
-    all among the names, sure or possible, `also flagged` among cases of the library; `error` and `closed`: medians with
-    quartiles; `seconds`.
+    all among the names, sure or possible; `also flagged` among cases of the library; `error` and `closed`:
+    medians with quartiles; `seconds`.
     """
     rows = list(rows)
     lines = []
