@@ -102,7 +102,11 @@ class Parameter:
         plausible = 1.0 + (self.plausible - 1.0) * times
         return dataclasses.replace(
             self,
-            bounds=(self.bounds[0], 1.0 + (self.bounds[1] - 1.0) * max(1.0, times)),
+            # No quicker than of the shipped vehicle: an engine's step could not follow.
+            bounds=(
+                min(0.8, self.bounds[0] * max(1.0, times)),
+                1.0 + (self.bounds[1] - 1.0) * max(1.0, times),
+            ),
             plausible=plausible if plausible > self.bounds[0] else 2.0 - plausible,
             negligible=self.negligible * times,
             manoeuvre=self.manoeuvre * times,
