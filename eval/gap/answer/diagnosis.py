@@ -58,7 +58,8 @@ def diagnose(
 ) -> Diagnosis:
     """Name the effects that `vehicle` lacks to explain `flights`.
 
-    reference: what the flights that the vehicle was identified from leave uncertain of it; None: it is exact.
+    reference: what the flights that the vehicle was identified from leave uncertain of it; None: its
+    constants are exact, its formulas nearly.
     heldout: flights only judged on; without them every flight is judged with the effects fitted to the
     others. platform: the slab of the vehicle file stands in the arena (None: where a log has contacts).
     plants: measure the gap in these. curves: also error against horizon and single windows.

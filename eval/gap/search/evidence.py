@@ -29,7 +29,7 @@ Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 
 # With fewer flights than this, flights are split into this many groups of windows in all.
 LEAST_GROUPS = 8
-BASE = ""  # in place of an effect's name: the base model, of which only the form has errors
+BASE = ""  # in place of the name of an effect: the base model, of which only the form has errors
 _RIDGE = 1e-9
 
 
@@ -169,7 +169,7 @@ class Problem(Suspects):
         self.flights = list(flights)
         self.vehicle = vehicle
         self.reference = reference  # what is known of the vehicle; None: it is exact
-        self.free = False
+        self.free = False  # whether a reference is being made: the formulas may be as wrong as they can
         ignored = {"touchdown"} if any(f.has_yaw for f in flights) else {"touchdown", "yaw"}
         self.library = {
             name: effect.beside(vehicle)

@@ -113,7 +113,7 @@ class Repeating:
 
 
 def sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Error (w, 6) of every window as an acceleration or angle, its variance (w, 6) by noise and unrest."""
+    """Error (w, 6) of every window as an acceleration or angle, its variance (w, 6) by noise and disturbance."""
     value = np.concatenate([f.whitening.sizes(x) for f, x in zip(problem.flights, white)])
     variance = np.concatenate(
         [np.tile(1.0 / f.whitening.power, (len(x), 1)) for f, x in zip(problem.flights, white)]
@@ -377,7 +377,7 @@ def _fit(problem, left: Left, target: str, name: str, features, block_of, known)
             if known is not None:
                 error = error - slopes @ known
             np.add.at(b, k, np.einsum("wqd,wq->wd", slopes, error, optimize=True))
-    # Expected as large as what is taken for unrest.
+    # Expected as large as what is taken for a disturbance.
     expected = max(float(left.size[list(channels)].max()), LEAST[UNITS_OF[channels[0]]])
     ridge = 1.0 / expected**2
     fold_of = np.array([problem.group_of[np.argmax(block_of == k)] for k in range(len(b))])
