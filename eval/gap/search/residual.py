@@ -113,7 +113,7 @@ class Repeating:
 
 
 def sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Error (w, 6) of every window as an acceleration or angle, its variance (w, 6) by noise and disturbance."""
+    """Error (w, 6) of every window as an acceleration or angle, its variance by noise and disturbance."""
     value = np.concatenate([f.whitening.sizes(x) for f, x in zip(problem.flights, white)])
     variance = np.concatenate(
         [np.tile(1.0 / f.whitening.power, (len(x), 1)) for f, x in zip(problem.flights, white)]
