@@ -6,7 +6,7 @@ import types
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 from scipy.signal import lfilter
 
 from inclined_landing.eval.gap.answer.named import in_its_place
@@ -14,7 +14,7 @@ from inclined_landing.eval.gap.flights import unrest
 from inclined_landing.eval.gap.flights.windows import level, prepare
 from inclined_landing.eval.gap.search import form
 from inclined_landing.eval.gap.search.evidence import BASE, Column
-from inclined_landing.eval.gap.search.posterior import SHAPE, Local
+from inclined_landing.eval.gap.search.posterior import SHAPE, Bounds, Local
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.gap.search.reference import Reference, beside, read_reference
 from inclined_landing.eval.gap.search.residual import Basis, Repeating, _Function, _signs, form_of
@@ -62,10 +62,13 @@ def test_unrest_is_recovered_from_what_it_moved():
     assert found.noise == pytest.approx(1.0, abs=0.3)
 
 
+UNBOUNDED = Bounds(np.full(8, -np.inf), np.full(8, np.inf), ())
+
+
 @pytest.fixture(scope="module")
 def local():
-    """Eight flights' Gram matrices of four effects with two parameters each, one of them at a bound, with
-    the slopes (8, 30, 8) and errors (8, 30) that they are of; the vehicle is off, its errors correlated."""
+    """Eight flights' Gram matrices of four effects with two parameters each, without bounds, with the
+    slopes (8, 30, 8) and errors (8, 30) that they are of; the vehicle is off, its errors correlated."""
     rng = np.random.default_rng(1)
     slopes = rng.standard_normal((8, 30, 8))
     errors = slopes @ np.array([3.0, 0, 0, 0, 1.0, 0, 0, 0]) + rng.standard_normal((8, 30))
@@ -80,7 +83,7 @@ def local():
         c=(errors**2).sum(axis=1),
         unit=np.ones(8),
         slab=10.0 * np.eye(8),
-        held=np.arange(8) == 5,
+        bounds=UNBOUNDED,
         off=0.3 * rng.standard_normal(8),
         known=root @ root.T,
         between=np.ones(8),
@@ -94,12 +97,12 @@ def local():
 def test_marginal_likelihood_is_that_of_the_normal_law(local, names):
     """The log density of the errors under noise, what is known and the prior, up to a constant."""
     one, slopes, errors = local
-    names, free = frozenset(names), ~one.held
+    names = frozenset(names)
     wide = np.array([c.effect in names for c in one.columns])
     prior = one.known + np.where(np.outer(wide, wide), one.slab, np.diag(~wide))
-    far = errors.ravel() - slopes.reshape(-1, 8)[:, free] @ (one.off - one.at)[free]
-    slopes = slopes.reshape(-1, 8)[:, free]
-    covariance = np.eye(len(far)) + slopes @ prior[np.ix_(free, free)] @ slopes.T
+    slopes = slopes.reshape(-1, 8)
+    far = errors.ravel() - slopes @ (one.off - one.at)
+    covariance = np.eye(len(far)) + slopes @ prior @ slopes.T
     density = -0.5 * (far @ np.linalg.solve(covariance, far) + np.linalg.slogdet(covariance)[1])
     assert one.evidence()(names) == pytest.approx(density, rel=1e-6)
 
@@ -116,13 +119,42 @@ def test_flights_that_were_not_drawn_do_not_count(local):
 def test_what_is_new_in_the_flights_is_told_from_what_was_uncertain(local):
     """delta given the errors, from the joint normal law of theta, delta and the errors."""
     one, slopes, errors = local
-    names, k = frozenset("ab"), np.flatnonzero(~one.held)
-    slopes, fresh = slopes.reshape(-1, 8)[:, k], one.fresh(names)[np.ix_(k, k)]
-    covariance = np.eye(len(slopes)) + slopes @ (fresh + one.known[np.ix_(k, k)]) @ slopes.T
+    names = frozenset("ab")
+    slopes, fresh = slopes.reshape(-1, 8), one.fresh(names)
+    covariance = np.eye(len(slopes)) + slopes @ (fresh + one.known) @ slopes.T
     gain = np.linalg.solve(covariance, slopes @ fresh).T
     at, spread = one.delta(names)
-    np.testing.assert_allclose(at[k], gain @ (errors.ravel() - slopes @ (one.off - one.at)[k]), atol=1e-8)
-    np.testing.assert_allclose(spread[np.ix_(k, k)], fresh - gain @ slopes @ fresh, atol=1e-8)
+    np.testing.assert_allclose(at, gain @ (errors.ravel() - slopes @ (one.off - one.at)), atol=1e-8)
+    np.testing.assert_allclose(spread, fresh - gain @ slopes @ fresh, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_within_bounds_is_the_likeliest_possible_point(seed):
+    """Against a bounded minimisation of the normal law's exponent; one coordinate lies outside."""
+    rng = np.random.default_rng(seed)
+    root, at = rng.standard_normal((4, 4)), rng.standard_normal(4)
+    covariance = root @ root.T + 0.1 * np.eye(4)
+    high = np.array([at[0] - 0.5, np.inf, np.inf, np.inf])
+    bounds = Bounds(np.full(4, -np.inf), high, ())
+    found, unlikely, outside = bounds.within(at, covariance, np.arange(4))
+    inverse = np.linalg.inv(covariance)
+    best = optimize.minimize(
+        lambda x: 0.5 * (x - at) @ inverse @ (x - at),
+        np.zeros(4),
+        bounds=[(None, h) for h in high],
+        tol=1e-12,
+    )
+    np.testing.assert_allclose(found, best.x, atol=1e-4)
+    assert unlikely == pytest.approx(-best.fun, rel=1e-4)
+    assert outside.tolist() == [True, False, False, False]
+
+
+def test_bounds_of_an_effect_about_a_reference():
+    """Sizes about both sides, of opposite signs: the reference lies no further than is possible."""
+    bounds = Bounds(np.full(2, -np.inf), np.full(2, np.inf), ((0, 1, (-2.0, 2.0), (-0.25, 1.25)),))
+    np.testing.assert_allclose(bounds.clip(np.array([4.0, -3.0])), [1.25, -0.25])
+    np.testing.assert_allclose(bounds.clip(np.array([3.0, 3.0])), [1.0, 1.0])
+    np.testing.assert_allclose(bounds.clip(np.array([0.4, 0.6])), [0.4, 0.6])
 
 
 def test_a_shape_is_no_more_probable_than_its_normal_prior_says(local):
@@ -133,7 +165,7 @@ def test_a_shape_is_no_more_probable_than_its_normal_prior_says(local):
         dataclasses.replace(c, parameter="one", fixed=ends[k % 2]) for k, c in enumerate(one.columns)
     )
     slab = np.kron(np.eye(4), 10.0 * SHAPE)
-    evidence = dataclasses.replace(one, columns=columns, slab=slab, held=np.zeros(8, bool)).evidence()
+    evidence = dataclasses.replace(one, columns=columns, slab=slab).evidence()
     assert [name for name, _ in evidence.ends] == list("abcd")
     assert evidence._shape("a", 4.0, -3.5) < evidence._shape("a", 0.2, 0.3) <= 0.0
 

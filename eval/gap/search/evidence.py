@@ -7,7 +7,7 @@ gains, scores on flights left out, per-flight estimates and classes of effects t
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
@@ -189,6 +189,8 @@ class Problem(Suspects):
         self.between: dict[tuple[str, str], float] = {}
         self.alike: dict[tuple[str, str], float] = {}
         self.telling: dict[tuple[str, str], float] = {}  # flights that tell of it
+        # Whether flights of the vehicle have shown by how much the formulas are off.
+        self.identified = reference is not None and reference.from_flights
         self._formed: list[np.ndarray] | None = None
         self._pool = ThreadPoolExecutor(2)
 
@@ -267,27 +269,30 @@ class Problem(Suspects):
             for f in self.library[name].forms
         ]
 
-    def slopes(self, flight: Measured, values: Values, columns: Sequence[Column]) -> list[np.ndarray]:
-        """Predicted pose (m, 6) of a flight at `values`, then its change along every column."""
-        vehicle = self.corrected(values)
-        like = translated(flight, vehicle)
-        here = predict(flight, vehicle, like)
-        result, without = [here], {}
-        for column in columns:
-            if column.effect == BASE:
-                result.append(self.formed(flight)[list(form.BASE).index(column.form)])
-            elif column.form:
-                name = column.effect
-                if name not in without:
-                    rest = {n: v for n, v in values.items() if n != name}
-                    without[name] = here - predict(flight, self.corrected(rest))
-                result.append(form.column(column.form, without[name], flight))
-            else:
-                beside, step = self.to_one_side(values, column)
-                own = like if same_translation(beside, vehicle) else None
-                result.append((predict(flight, beside, own) - here) / step)
-        result[0] = self._beside_forms(flight, here, values)
-        return result
+    def slopes(self, values: Values, columns: Sequence[Column]) -> Callable[[Measured], list[np.ndarray]]:
+        """flight -> its predicted pose (m, 6) at `values`, then its change along every column."""
+        vehicle, order = self.corrected(values), list(form.BASE)
+        beside = {c: self.to_one_side(values, c) for c in columns if not c.form}
+        formed = {c.effect for c in columns if c.form} - {BASE}
+        rest = {n: self.corrected({m: v for m, v in values.items() if m != n}) for n in formed}
+
+        def of(flight: Measured) -> list[np.ndarray]:
+            like = translated(flight, vehicle)
+            here = predict(flight, vehicle, like)
+            without = {name: here - predict(flight, other) for name, other in rest.items()}
+            result = [self._beside_forms(flight, here, values)]
+            for column in columns:
+                if column.effect == BASE:
+                    result.append(self.formed(flight)[order.index(column.form)])
+                elif column.form:
+                    result.append(form.column(column.form, without[column.effect], flight))
+                else:
+                    moved, step = beside[column]
+                    own = like if same_translation(moved, vehicle) else None
+                    result.append((predict(flight, moved, own) - here) / step)
+            return result
+
+        return of
 
     def linearise(self, values: Values, columns: Sequence[Column], inflation: np.ndarray) -> Linear:
         """Errors at `values` and their Gram matrices with all `columns`.
@@ -300,10 +305,11 @@ class Problem(Suspects):
 
         if any(column.effect == BASE for column in columns):
             self.formed(self.flights[0])
+        slopes_of = self.slopes(values, columns)
 
         def of(k: int) -> None:
             flight, own = self.flights[k], self.flight_of == k
-            here, *slopes = self.slopes(flight, values, columns)
+            here, *slopes = slopes_of(flight)
             stack = np.stack([flight.measured - here, *slopes])  # (1 + P, m, 6)
             groups = self.group_of[own]
             for channel, matrix in enumerate(flight.whitening.matrices):

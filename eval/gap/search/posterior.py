@@ -31,6 +31,7 @@ LARGE = 4.0  # times as wide where an effect is far larger: sizes have heavy tai
 DRAWS = 24  # of flights
 MOST = 0.5  # plausible sizes: what is not named is no more
 ROUNDS = 10  # of expectation and maximisation
+BOUNDED = 4  # rounds in which what lies outside its bounds is put there
 # How well differences between flights are known beforehand, as if seen in so many flights.
 SEEN_BEFORE = 2.0
 SHAPE = np.array([[0.3125, 0.1875], [0.1875, 0.3125]])  # covariance of a unit size at both sides: see `wide`
@@ -130,6 +131,68 @@ def wide(problem: Problem, columns: Sequence) -> np.ndarray:
     return shape * np.outer(width, width)
 
 
+@dataclasses.dataclass(frozen=True)
+class Bounds:
+    """What is possible of the columns of some effects."""
+
+    low: np.ndarray  # (P,)
+    high: np.ndarray  # (P,)
+    # Of the two columns of an effect about a reference: their places, bounds of the size and of the share
+    # that the second has of it.
+    pairs: tuple[tuple[int, int, tuple[float, float], tuple[float, float]], ...]
+
+    @staticmethod
+    def of(problem: Problem, columns: Sequence, unit: np.ndarray) -> Bounds:
+        """In units (P,) of every column, from neutral."""
+        low, high, pairs = np.full(len(columns), -np.inf), np.full(len(columns), np.inf), []
+        for k, column in enumerate(columns):
+            if column.form:
+                continue
+            p = problem.parameter(column)
+            ends = [(x - p.neutral) / unit[k] for x in p.possible]
+            if not column.fixed:
+                low[k], high[k] = ends
+            elif k and columns[k - 1].effect == column.effect:
+                effect = problem.library[column.effect]
+                shares = sorted(effect.at_ends(1.0, x)[1] for x in effect.reference.possible)
+                pairs.append((k - 1, k, tuple(ends), tuple(shares)))
+        return Bounds(low, high, tuple(pairs))
+
+    def clip(self, at: np.ndarray) -> np.ndarray:
+        """The nearest possible coordinates (P,)."""
+        result = np.clip(at, self.low, self.high)
+        for i, j, (least, most), (first, last) in self.pairs:
+            size = at[i] + at[j]
+            share = min(max(at[j] / size if size else 0.5, first), last)
+            size = min(max(size, least), most)
+            result[i], result[j] = size * (1.0 - share), size * share
+        return result
+
+    def within(
+        self, at: np.ndarray, covariance: np.ndarray, own: np.ndarray
+    ) -> tuple[np.ndarray, float, np.ndarray]:
+        """The likeliest possible coordinates of a normal distribution, its log density there less at its mean,
+        and which coordinates are at a bound.
+
+        at (P,) mean, covariance (P, P); own (k,): the coordinates that have bounds.
+        What lies outside is put at its bound, and the others follow as the covariance says.
+        """
+        outside, result, unlikely = np.zeros(len(at), bool), at, 0.0
+        for _ in range(BOUNDED):
+            clipped = self.clip(result)
+            off = np.zeros(len(at), bool)
+            off[own] = np.abs(clipped - result)[own] > 1e-9 * (1.0 + np.abs(clipped[own]))
+            if not off.any():
+                break
+            outside |= off
+            k = np.flatnonzero(outside)
+            apart = clipped[k] - at[k]
+            through = np.linalg.solve(covariance[np.ix_(k, k)] + 1e-9 * np.eye(len(k)), apart)
+            result, unlikely = at + covariance[:, k] @ through, -0.5 * float(apart @ through)
+            result[k] = clipped[k]
+        return result, unlikely, outside
+
+
 @dataclasses.dataclass
 class Local:
     """The flights as functions of the parameters near one point, in units of the spikes.
@@ -145,7 +208,7 @@ class Local:
     c: np.ndarray  # (g,)
     unit: np.ndarray  # (P,) spikes
     slab: np.ndarray  # (P, P) covariance of what is named, in spikes
-    held: np.ndarray  # (P,) bool: at a bound, where it cannot move
+    bounds: Bounds  # in spikes, from neutral
     off: np.ndarray  # (P,) mean of theta
     known: np.ndarray  # (P, P) covariance of theta
     between: np.ndarray  # (P,) variance between flights
@@ -158,12 +221,6 @@ class Local:
         columns = linear.columns
         unit = spikes(problem, columns)
         at = problem.coordinates(values, columns)
-        held = np.zeros(len(columns), bool)
-        for k, column in enumerate(columns):
-            if column.effect in values and not (column.fixed or column.form):
-                p = problem.parameter(column)
-                low, high = (x - p.neutral for x in p.possible)
-                held[k] = min(at[k] - low, high - at[k]) < 1e-6 * (high - low)
         at = at / unit
         a = linear.a * np.outer(unit, unit)
         b = linear.b * unit
@@ -180,7 +237,8 @@ class Local:
         off, known = problem.known(columns)
         slab = wide(problem, columns) / np.outer(unit, unit)
         off, known = off / unit, known / np.outer(unit, unit)
-        return Local(problem, columns, at, a, b, c, unit, slab, held, off, known, between, own_a, own_b)
+        bounds = Bounds.of(problem, columns, unit)
+        return Local(problem, columns, at, a, b, c, unit, slab, bounds, off, known, between, own_a, own_b)
 
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Positions of the columns of the effects `names`."""
@@ -194,10 +252,7 @@ class Local:
 
     def prior(self, names: Set) -> tuple[np.ndarray, np.ndarray]:
         """Mean (P,), from the point of linearisation, and covariance (P, P) when `names` are present."""
-        covariance = self.known + self.fresh(names)
-        # What is held at a bound is there by choice: its prior is about that value.
-        covariance[self.held] = covariance[:, self.held] = 0.0
-        return np.where(self.held, 0.0, self.off - self.at), covariance
+        return self.off - self.at, self.known + self.fresh(names)
 
     def evidence(self, weights: np.ndarray | None = None) -> Evidence:
         """Of sets of effects, the flights counted by `weights` (g,)."""
@@ -218,24 +273,21 @@ class Local:
     def delta(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """What the flights have and those of the reference had not: (P,) from neutral and (P, P), in spikes.
 
-        With z = theta + delta, of prior covariance K = known + V:  delta = V K^-1 (z - mean theta).
+        Not within bounds, see `within`. With z = theta + delta, of prior covariance K = known + V:  delta = V K^-1 (z - mean theta).
         """
         change, covariance = self.fit(names, weights)
         mean, prior = self.prior(names)
-        free = ~self.held
-        fresh = self.fresh(names)[np.ix_(free, free)]
-        share = fresh @ np.linalg.inv(prior[np.ix_(free, free)])
-        at, spread = self.at + change, np.zeros_like(covariance)
-        at[free] = share @ (change - mean)[free]
-        inner = covariance[np.ix_(free, free)] - prior[np.ix_(free, free)]
-        spread[np.ix_(free, free)] = fresh + share @ inner @ share.T
-        return at, spread
+        fresh = self.fresh(names)
+        share = fresh @ np.linalg.inv(prior)
+        return share @ (change - mean), fresh + share @ (covariance - prior) @ share.T
+
+    def within(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, float]:
+        """The likeliest possible delta (P,) from neutral, and its log density less that of the one without bounds."""
+        return self.bounds.within(*self.delta(names, weights), self.index(names))[:2]
 
     def errors(self, names: Set) -> np.ndarray:
-        """Standard error (P,) of every column, in spikes; what is held at a bound could go the other way."""
-        own = self.a.sum(axis=0).diagonal() + 1.0 / self.slab.diagonal()
-        known = np.maximum(self.delta(names)[1].diagonal(), 0.0)
-        return np.where(self.held, 1.0 / np.sqrt(own), np.sqrt(known))
+        """Standard error (P,) of every column, in spikes."""
+        return np.sqrt(np.maximum(self.delta(names)[1].diagonal(), 0.0))
 
     def deviation(self, flight: int, change: np.ndarray) -> np.ndarray:
         """How far (P,) one flight lies from the fleet's change of the columns, in spikes."""
@@ -288,6 +340,7 @@ class Evidence:
     own: dict[str, np.ndarray]  # effect -> its columns
     slab: np.ndarray  # (P, P)
     ends: list[tuple[str, np.ndarray]]  # effects about a reference, with their two columns
+    bounds: Bounds
 
     @staticmethod
     def of(local: Local, a, b, c: float, mean: np.ndarray, covariance: np.ndarray) -> Evidence:
@@ -299,10 +352,9 @@ class Evidence:
         _, log_det = np.linalg.slogdet(inner)
         after = inner @ a
         own = {n: local.index([n]) for n in local.problem.library}
-        own = {n: k[~local.held[k]] for n, k in own.items()}
         empty = -0.5 * (c - square - log_det)
         ends = [(n, k[:2]) for n, k in own.items() if len(k) and local.columns[k[0]].fixed]
-        return Evidence(0.5 * (after + after.T), inner @ b, float(empty), own, local.slab, ends)
+        return Evidence(0.5 * (after + after.T), inner @ b, float(empty), own, local.slab, ends, local.bounds)
 
     def __call__(self, names: Set) -> float:
         """The log marginal likelihood of a set."""
@@ -310,11 +362,12 @@ class Evidence:
         if not columns:
             return self.empty
         k = np.concatenate(columns)
-        change, score = self._at(k, np.ones(len(k)))
-        far = np.abs(change) > 2.0 * np.sqrt(self.slab[k, k])
+        at, score = self._at(k, np.ones(len(k)))
+        far = np.abs(at[k]) > 2.0 * np.sqrt(self.slab[k, k])
         if far.any():  # heavy tails: one time in five, sizes are LARGE times as large
-            score = max(score, self._at(k, np.where(far, LARGE, 1.0))[1] - far.sum() * np.log(4.0))
-        at = dict(zip(k, change))
+            at_large, large = self._at(k, np.where(far, LARGE, 1.0))
+            large -= far.sum() * np.log(4.0)
+            at, score = max(((at, score), (at_large, large)), key=lambda one: one[1])
         return score + sum(self._shape(n, at[one], at[other]) for n, (one, other) in self.ends if n in names)
 
     def _shape(self, name: str, low: float, high: float) -> float:
@@ -330,14 +383,21 @@ class Evidence:
         return min(0.0, product - normal)
 
     def _at(self, k: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, float]:
-        """Sizes of the columns k, `times` (k,) as wide, and the log marginal likelihood."""
+        """Possible sizes (P,) of the columns k, `times` (k,) as wide, and the log marginal likelihood there."""
         prior = self.slab[np.ix_(k, k)] * np.outer(times, times) - np.eye(len(k))
         root = np.linalg.cholesky(prior + np.diag(np.maximum(1e-9, 1e-6 - prior.diagonal())))
         inner = np.eye(len(k)) + root.T @ self.a[np.ix_(k, k)] @ root
         factor = np.linalg.cholesky(inner)
         z = np.linalg.solve(factor, root.T @ self.b[k])
-        change = root @ np.linalg.solve(factor.T, z)
-        return change, self.empty + 0.5 * float(z @ z) - float(np.log(np.diagonal(factor)).sum())
+        at = np.zeros(len(self.b))
+        at[k] = root @ np.linalg.solve(factor.T, z)
+        score = self.empty + 0.5 * float(z @ z) - float(np.log(np.diagonal(factor)).sum())
+        if np.array_equal(at, self.bounds.clip(at)):
+            return at, score
+        half, covariance = np.linalg.solve(factor, root.T), np.zeros_like(self.a)
+        covariance[np.ix_(k, k)] = half.T @ half
+        at, unlikely, _ = self.bounds.within(at, covariance, k)
+        return at, score + unlikely
 
 
 def flight_weights(groups: int, seed: int = 0) -> np.ndarray:

@@ -36,6 +36,7 @@ class Reference:
     mean: np.ndarray  # (P,) in the units of the parameters
     covariance: np.ndarray  # (P, P) in the units of the parameters
     repeating: Repeating  # what repeats in its flights that no effect explains
+    from_flights: bool = True  # or from the entries of a vehicle file
 
     def along(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
         """Mean (Q,) and covariance (Q, Q) of other columns; nothing of those it does not know."""
@@ -71,7 +72,7 @@ class Reference:
         given = {c.field: c for c in constants(path)}
         deviation = [_deviation(problem, c, given) for c in columns]
         return Reference(
-            tuple(columns), np.zeros(len(columns)), np.diag(np.square(deviation)), Repeating({}, {})
+            tuple(columns), np.zeros(len(columns)), np.diag(np.square(deviation)), Repeating({}, {}), False
         )
 
     def to_json(self, vehicle: Vehicle) -> dict:

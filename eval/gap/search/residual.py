@@ -54,10 +54,10 @@ class Left:
     def by(problem: Problem, local: Local, names: Set, at: Values, size: np.ndarray, inflation) -> Left:
         """Beside the effects `names` near `at`, small errors of all others and flights' own differences."""
         change, _ = local.fit(names)
-        errors = []
+        errors, slopes_of = [], problem.slopes(at, local.columns)
         for k, flight in enumerate(problem.flights):
             own = (change + local.deviation(k, change)) * local.unit
-            here, *slopes = problem.slopes(flight, at, local.columns)
+            here, *slopes = slopes_of(flight)
             error = flight.measured - here - np.tensordot(own, np.array(slopes), axes=1)
             errors.append(flight.whitening(flight.cut(error)))
         return Left(errors, size, inflation)

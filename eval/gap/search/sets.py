@@ -30,13 +30,14 @@ from inclined_landing.eval.gap.search.posterior import (
 )
 
 NOTHING = 0.5  # prior probability that nothing is missing
-MOST = 8  # effects of a set
+MOST = 16  # effects of a set
 PLACES = 2  # others that are fitted in the place of every effect of the best set
 FITTED = 12  # sets that are fitted through the simulator, at most
 WORTH = 6.0  # log probability behind the best within which a neighbour is worth a fit
 STEPS = 3  # of Newton for a set, at most
 SMALL = 0.5  # negligible sizes within which a step is linear
-BEHIND = 10.0  # log probability behind the best beyond which a set is not worth telling
+BEHIND = 7.0  # log probability behind the best beyond which a set is not worth telling
+FAR = 20.0  # beyond which it is not worth fitting well
 FORMS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # shares of the motion by which it may be off
 SETTLED = 4  # rounds in which effects and unrest are fitted in turn, at most
 LEAST = 1e-3  # probability of a set that is worth telling
@@ -123,19 +124,28 @@ def settle(problem: Problem, names: Sequence[str]) -> tuple[Fitted, unrest.Unres
     values: dict[str, dict[str, float]] = {name: {} for name in (*names, BASE)}
     still, stir = np.ones(6), unrest.Unrest.none()
     for _ in range(SETTLED):
-        before, fit = stir, refit(problem, values, still, iterations=3, tolerance=5.0, prior=slabs)
+        before, fit = stir, refit(problem, values, still, iterations=3, tolerance=5.0, prior=_wide)
         values, vehicle = fit.values, problem.corrected(fit.values)
         predicted = [problem.predicted(f, values) for f in problem.flights]
         errors = [f.measured - p for f, p in zip(problem.flights, predicted)]
         ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
         stir = unrest.estimate(problem.flights, errors, np.split(problem.weight, ends))
         problem.rewhiten(stir, vehicle)
-        if problem.reference is None:
+        if not problem.identified:
             problem.reform(vehicle)
         weigh(problem, predicted, errors)
         if np.allclose(stir.size, before.size, rtol=0.15, atol=1e-3):
             break
     return fit, stir
+
+
+def _wide(problem: Problem, columns: Sequence) -> np.ndarray:
+    """Standard deviation (P,) of columns that are all free; of the formulas' errors where no flights told."""
+    width = slabs(problem, columns)
+    if problem.identified:
+        return width
+    known = np.sqrt(problem.known(columns)[1].diagonal())
+    return np.where([c.effect == BASE for c in columns], known, width)
 
 
 def weigh(problem: Problem, predicted: Sequence[np.ndarray], errors: Sequence[np.ndarray]) -> None:
@@ -179,8 +189,11 @@ def log_prior(problem: Problem, names: Set) -> float:
     return len(names) * math.log(share / (1.0 - share))
 
 
-def _visit(problem: Problem, names: Set, start, inflation: np.ndarray) -> Node:
-    """Fit a set from `start`, by Newton's steps, and linearise the simulator there."""
+def _visit(problem: Problem, names: Set, start, inflation: np.ndarray, worth: float = -math.inf) -> Node:
+    """Fit a set from `start`, by Newton's steps, and linearise the simulator there.
+
+    worth: score below which one step is enough.
+    """
     new = {n: problem.library[n].neutral | start.get(n, {}) for n in problem.library if n in names}
     for _ in range(STEPS):
         values = new
@@ -190,10 +203,10 @@ def _visit(problem: Problem, names: Set, start, inflation: np.ndarray) -> Node:
         new = stepped(problem, local, names)
         step = problem.coordinates(new, columns) - problem.coordinates(values, columns)
         least = np.array([problem.parameter(c).negligible for c in columns])
-        if np.abs(step / least).max() < SMALL:
+        screen = local.evidence()
+        score = screen(names) + log_prior(problem, names) if _has_sizes(problem, names, new) else -np.inf
+        if np.abs(step / least).max() < SMALL or score < worth:
             break
-    screen = local.evidence()
-    score = screen(names) + log_prior(problem, names) if _has_sizes(problem, names, new) else -np.inf
     return Node(names, values, new, local, screen, score)
 
 
@@ -204,18 +217,18 @@ def _has_sizes(problem: Problem, names: Set, values) -> bool:
 
 def stepped(problem: Problem, local: Local, names: Set, weights=None) -> dict:
     """Values of a set's effects beside the small errors of all others."""
-    return problem.values_at(names, local.columns, local.delta(names, weights)[0] * local.unit)
+    return problem.values_at(names, local.columns, local.within(names, weights)[0] * local.unit)
 
 
 def left_out(problem: Problem, local: Local, names: Set, values: Values) -> list[dict]:
     """For every flight, the `values` of the effects `names` as the other flights alone have them."""
-    result, whole = [], local.delta(frozenset(names))[0]
+    result, whole = [], local.within(frozenset(names))[0]
     at = problem.coordinates(values, local.columns)
     for k in range(len(problem.flights)):
         weights = np.ones(problem.groups)
         if len(problem.flights) > 1:
             weights[np.unique(problem.group_of[problem.flight_of == k])] = 0.0
-        change = (local.delta(frozenset(names), weights)[0] - whole) * local.unit
+        change = (local.within(frozenset(names), weights)[0] - whole) * local.unit
         result.append(problem.values_at(names, local.columns, at + change))
     return result
 
@@ -275,14 +288,14 @@ def _explore(problem: Problem, inflation: np.ndarray, likely: Set, values: Value
             break
         start = _start(problem, promised[names][1], names)
         if _has_sizes(problem, names, start):
-            nodes[names] = _visit(problem, names, start, inflation)
+            nodes[names] = _visit(problem, names, start, inflation, best.score - FAR)
         else:  # it promises something beyond its bounds only
             del promised[names]
     best = max(nodes.values(), key=lambda node: node.score)
     for names in _in_its_place(problem, best, nodes):
         start = _start(problem, best, names)
         if _has_sizes(problem, names, start):
-            nodes[names] = _visit(problem, names, start, inflation)
+            nodes[names] = _visit(problem, names, start, inflation, best.score - FAR)
     return nodes
 
 
@@ -337,7 +350,7 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
 
 def _worth_correcting(problem: Problem, local: Local, names: Set) -> dict[Set, float]:
     """How probable every part of a set is the part whose sizes are beyond what nobody needs to correct."""
-    at, spread = local.delta(names)
+    at, spread = local.within(names)[0], local.delta(names)[1]
     errors = np.sqrt(np.maximum(spread.diagonal(), 1e-12))
     result: dict[Set, float] = {frozenset(): 1.0}
     for name in names:
