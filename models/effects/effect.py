@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -115,6 +116,27 @@ class Parameter:
     def size(self, value: float) -> float:
         """How far a value is from neutral; 0 of a reference."""
         return 0.0 if self.is_reference else value - self.neutral
+
+    @property
+    def is_ratio(self) -> bool:
+        """Whether it is fitted in its logarithm: a factor that is never zero."""
+        return self.is_factor and self.bounds[0] > 0.0
+
+    def coordinate(self, value: float) -> float:
+        """What a fit counts in: the value from neutral, of a ratio its logarithm."""
+        return math.log(value) if self.is_ratio else value - self.neutral
+
+    def value_at(self, coordinate: float) -> float:
+        """The value of a coordinate."""
+        return math.exp(min(coordinate, 50.0)) if self.is_ratio else self.neutral + coordinate
+
+    def bounded(self, coordinate: float) -> float:
+        """The value of a coordinate, within bounds."""
+        return float(np.clip(self.value_at(coordinate), *self.bounds))
+
+    def slope(self, value: float) -> float:
+        """By how much [unit] the value changes with its coordinate."""
+        return value if self.is_ratio else 1.0
 
 
 @dataclasses.dataclass(frozen=True)

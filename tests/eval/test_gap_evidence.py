@@ -138,12 +138,11 @@ def test_within_bounds_is_the_likeliest_possible_point(seed):
     bounds = Bounds(np.full(4, -np.inf), high, ())
     found, unlikely, outside = bounds.within(at, covariance, np.arange(4))
     inverse = np.linalg.inv(covariance)
-    best = optimize.minimize(
-        lambda x: 0.5 * (x - at) @ inverse @ (x - at),
-        np.zeros(4),
-        bounds=[(None, h) for h in high],
-        tol=1e-12,
-    )
+
+    def exponent(x):
+        return 0.5 * (x - at) @ inverse @ (x - at)
+
+    best = optimize.minimize(exponent, np.zeros(4), bounds=[(None, h) for h in high], tol=1e-12)
     np.testing.assert_allclose(found, best.x, atol=1e-4)
     assert unlikely == pytest.approx(-best.fun, rel=1e-4)
     assert outside.tolist() == [True, False, False, False]
@@ -429,7 +428,7 @@ def test_a_posterior_is_read_as_it_was_written(reference, tmp_path):
 @pytest.mark.parametrize(
     "change",
     [
-        {"version": 2},
+        {"version": 99},
         {"mean": [0.0, 0.0]},
         {"mean": [0.0, 0.0, 0.0, float("nan")]},
         {"mean": None},
@@ -464,5 +463,6 @@ def test_a_vehicle_file_alone_is_as_uncertain_as_its_entries_say():
     assert not one.mean.any()
     deviation = {(c.effect, c.parameter): s for c, s in zip(one.columns, np.sqrt(np.diag(one.covariance)))}
     (mass,) = (c for c in constants() if c.field == "body_mass")
-    assert deviation["mass", "scale"] == pytest.approx(mass.uncertainty / 1.96 / mass.value, rel=1e-3)
+    # Slopes are taken over a step of 0.5 %, of a logarithm: half of that in the mean.
+    assert deviation["mass", "scale"] == pytest.approx(mass.uncertainty / 1.96 / mass.value, rel=3e-3)
     assert 0.0 < deviation[BASE, "drag x"] <= form.BASE["drag x"]

@@ -34,6 +34,8 @@ from inclined_landing.eval.gap.result import (
 )
 from inclined_landing.eval.gap.search import after_touch, contact, disagreement, residual, rollout, sets
 from inclined_landing.eval.gap.search.evidence import Problem, tellable
+from inclined_landing.eval.gap.search.fit import refit
+from inclined_landing.eval.gap.search.posterior import slabs
 from inclined_landing.eval.gap.search.prediction import CHANNELS
 from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.logs import FlightLog
@@ -80,6 +82,8 @@ def diagnose(
     against = disagreement.contradictions(problem, found.near, found.whole)
     notes[:0] = map(disagreement.in_short, against)
     values = values_with(problem, found, likely(found))
+    if not problem.identified:  # far from the vehicle file, small errors of all else would stand in for names
+        values = refit(problem, values, found.inflation, prior=slabs).values
     effects, corrected = named_effects(problem, found, values), problem.corrected(values)
     rest = residual.Left.by(problem, found.local, found.names, found.at, found.unrest.size, found.inflation)
     left = residual.assess(problem, rest, corrected)

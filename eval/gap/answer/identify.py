@@ -154,7 +154,7 @@ def identify(
     channels = {}
     for channel, (measured, before, after) in _compared(test, vehicle, vehicles).items():
         channels[channel] = {"before": nrmse_fit(measured, before), "after": nrmse_fit(measured, after)}
-    sized = local.sized(frozenset(values))
+    sized = local.sized(values)
     return Identification(
         vehicle=result,
         reference=reference,

@@ -32,8 +32,7 @@ HELD = 0.95  # of the probability, by the sets that what takes an effect's place
 
 def named_effects(problem: Problem, found: Search, values: Values) -> tuple[NamedEffect, ...]:
     """The effects of `values`, fitted to the flights of `problem`, largest gain first."""
-    names = frozenset(values)
-    sizes, lost = _estimates(problem, found, names), squares_lost(problem, found, values)
+    sizes, lost = _estimates(problem, found, values), squares_lost(problem, found, values)
     before, after = (by_channel(problem, found, v).sum() for v in ({}, values))
     members = {name: (name, *in_its_place(found, name)) for name in values}
     effects = [
@@ -89,9 +88,9 @@ def values_with(problem: Problem, found: Search, names: Set, weights=None) -> di
     return stepped(problem, found.local, frozenset(names), weights)
 
 
-def _estimates(problem: Problem, found: Search, names: Set) -> dict[str, dict[str, Estimate]]:
+def _estimates(problem: Problem, found: Search, values: Values) -> dict[str, dict[str, Estimate]]:
     """Effect -> parameter -> its size beside the small errors of all other effects."""
-    values, sized = values_with(problem, found, names), found.local.sized(frozenset(names))
+    sized = found.local.sized(values)
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
     for name in values:

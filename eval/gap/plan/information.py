@@ -75,9 +75,9 @@ def in_doubt(problem: Problem, found: Search) -> tuple[list[Hypothesis], Quiet]:
     """What a search holds for possible, with the noise and unrest it found."""
     hypotheses = []
     for scored in found.sets:
-        sized = found.local.sized(scored.names)
         names = tuple(n for n in problem.library if n in scored.names)
         values = {n: dict(scored.values[n]) for n in names}
+        sized = found.local.sized(values)
         deviations: dict[str, dict[str, float]] = {n: {} for n in names}
         for (name, parameter), known in sized.items():
             deviations[name][parameter] = known.error

@@ -27,7 +27,7 @@ from inclined_landing.eval.gap.flights.landings import BEFORE, Landing, ideal
 from inclined_landing.eval.gap.search.after_touch import TouchdownProblem
 from inclined_landing.eval.gap.search.posterior import SLAB, SPIKE, Set, flight_weights
 from inclined_landing.eval.gap.search.sets import CLEAR, LEAST, NOTHING, Scored
-from inclined_landing.models.effects import Effect, Parameter
+from inclined_landing.models.effects import Effect
 from inclined_landing.models.parameters import Vehicle
 
 FEWEST = 6  # landings
@@ -91,16 +91,6 @@ def name_contact(
     return problem, Touched(sets, engine.sized(chosen), engine.gains(values), unexplained, p_value)
 
 
-def size_of(p: Parameter, value: float) -> float:
-    """How far a value is from neutral; of a factor in its logarithm."""
-    return math.log(value) if p.is_factor else value - p.neutral
-
-
-def value_of(p: Parameter, size: float) -> float:
-    """The value of a size, within bounds."""
-    return float(np.clip(math.exp(size) if p.is_factor else p.neutral + size, *p.bounds))
-
-
 @dataclasses.dataclass
 class _Scan:
     """Errors (m, n, 6, q) of the landings at sizes (m,) of one effect, in ascending order."""
@@ -150,8 +140,8 @@ class _Engine:
         self.parameters = [problem.library[n].parameters[0] for n in self.names]
         n = len(problem.flights)
         self.weights = np.vstack([np.ones(n), flight_weights(n)])
-        self.slab = np.array([SLAB * abs(size_of(p, p.plausible)) for p in self.parameters])
-        spike = [SPIKE * abs(size_of(p, p.neutral + p.negligible)) for p in self.parameters]
+        self.slab = np.array([SLAB * abs(p.coordinate(p.plausible)) for p in self.parameters])
+        spike = [SPIKE * abs(p.coordinate(p.neutral + p.negligible)) for p in self.parameters]
         self.spike = np.hypot(IDEAL * self.slab, spike)
         self.neutral = problem.errors(problem.vehicle)
         self.scans = [self._scan(j, {}) for j in range(len(self.names))]
@@ -167,12 +157,12 @@ class _Engine:
 
     def _values(self, sizes: Mapping[int, float]) -> dict[str, dict[str, float]]:
         named = {self.names[j]: (self.parameters[j], size) for j, size in sizes.items()}
-        return {n: {named[n][0].name: value_of(*named[n])} for n in self.names if n in named}
+        return {n: {named[n][0].name: named[n][0].bounded(named[n][1])} for n in self.names if n in named}
 
     def _scan(self, j: int, beside: Mapping[int, float]) -> _Scan:
         p = self.parameters[j]
         wanted = np.outer((-1.0, 1.0), SCAN).ravel() * self.slab[j]
-        sizes = sorted({size_of(p, value_of(p, x)) for x in wanted} | {0.0})
+        sizes = sorted({p.coordinate(p.bounded(x)) for x in wanted} | {0.0})
         if beside:
             return _Scan(np.array(sizes), np.stack([self._errors({**beside, j: x}) for x in sizes]))
         return _Scan(np.array(sizes), np.stack([self._errors({j: x}) if x else self.neutral for x in sizes]))
@@ -325,13 +315,13 @@ class _Engine:
             ends = np.interp([0.5 - 0.5 * HELD, 0.5 + 0.5 * HELD], below, part.sizes)
             known = np.einsum("ic,icq,icq->i", weight, slopes, slopes) + self.spike[j] ** -2.0
             each = own[j] + np.einsum("ic,icq,icq->i", weight, slopes, left) / known
-            value = value_of(p, own[j])
-            error = [value_of(p, own[j] + x) - value for x in known**-0.5]
-            low, high = (value_of(p, x) for x in ends)
+            value = p.bounded(own[j])
+            error = [p.bounded(own[j] + x) - value for x in known**-0.5]
+            low, high = (p.bounded(x) for x in ends)
             result[part.name] = Sized(
                 value,
                 (min(low, value), max(high, value)),
-                np.array([value_of(p, x) for x in each]),
+                np.array([p.bounded(x) for x in each]),
                 np.abs(error),
             )
         return result

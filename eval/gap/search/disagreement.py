@@ -298,7 +298,9 @@ def _sized(
     shown, ci95 = dict(at), {}
     for p, change, width in zip(parameters, -size if swapped else size, half):
         ends = np.array([change, change - width, change + width])
-        if p.is_factor:
+        if p.is_ratio:
+            ends = np.exp(ends)
+        elif p.is_factor:
             ends = 1.0 + ends / max(at[p.name], p.negligible)
         shown[p.name], ci95[p.name] = float(ends[0]), (float(ends[1]), float(ends[2]))
     return Difference(name, alike, swapped, shown, ci95)

@@ -103,19 +103,20 @@ class Suspects:
         return result
 
     def to_one_side(self, values: Values, column: Column) -> tuple[Vehicle, float]:
-        """The vehicle with a parameter a step from `values`, within bounds, and that step."""
+        """The vehicle with a coordinate a step from `values`, within bounds, and that step."""
         p = self.parameter(column)
         step = p.step or p.negligible
         if column.fixed:  # on top of what there is
-            beside = {p.name: p.neutral + step, **dict(column.fixed)}
+            beside = {p.name: p.value_at(step), **dict(column.fixed)}
             return self.library[column.effect].apply(self.corrected(values), beside), step
         at = {**self.library[column.effect].neutral, **values.get(column.effect, {})}
-        step = step if at[p.name] + step <= p.possible[1] else -step
-        beside = self.corrected({**values, column.effect: {**at, p.name: at[p.name] + step}})
+        here = p.coordinate(at[p.name])
+        step = step if p.value_at(here + step) <= p.possible[1] else -step
+        beside = self.corrected({**values, column.effect: {**at, p.name: p.value_at(here + step)}})
         return beside, step
 
     def coordinates(self, values: Values, columns: Sequence[Column]) -> np.ndarray:
-        """(P,) values along columns, from neutral; of effects' model errors 0."""
+        """(P,) coordinates of values along columns; of effects' model errors 0."""
         result = np.zeros(len(columns))
         for k, column in enumerate(columns):
             at = values.get(column.effect)
@@ -123,7 +124,7 @@ class Suspects:
                 result[k] = values.get(BASE, {}).get(column.form, 0.0)
             elif at and not column.form:
                 p, effect = self.parameter(column), self.library[column.effect]
-                result[k] = p.size(at.get(p.name, p.neutral))
+                result[k] = p.coordinate(at.get(p.name, p.neutral))
                 if column.fixed:
                     ends = effect.at_ends(result[k], at.get(effect.reference.name, effect.reference.neutral))
                     result[k] = ends[column.fixed[0][1] == effect.reference.either_side()[1]]
@@ -136,7 +137,7 @@ class Suspects:
             if name not in names:
                 continue
             own = [k for k, c in enumerate(columns) if c.effect == name and not c.form]
-            found = {columns[k].parameter: self.parameter(columns[k]).neutral + at[k] for k in own}
+            found = {columns[k].parameter: self.parameter(columns[k]).value_at(at[k]) for k in own}
             if effect.reference:
                 first = effect.parameters[0]
                 size, about = effect.from_ends(*at[own])

@@ -56,7 +56,7 @@ def refit(
                 fit, improved = fit_at(problem, trial, columns, inflation), True
                 damping = max(1e-9, damping / 10.0)
                 break
-            if fit.squares - _predicted(fit, trial) < tolerance:
+            if fit.squares - _predicted(problem, fit, trial) < tolerance:
                 break
             damping *= 10.0
         if not improved or gain < tolerance:
@@ -75,8 +75,8 @@ def _unlikely(problem: Problem, columns: Sequence[Column], values: Values, width
 
 
 def from_neutral(problem: Problem, columns: Sequence[Column], values: Values) -> np.ndarray:
-    """(k,) values of all columns less their neutral ones."""
-    return np.array([values[c.effect][c.parameter] - problem.parameter(c).neutral for c in columns])
+    """(k,) coordinates of all columns."""
+    return np.array([problem.parameter(c).coordinate(values[c.effect][c.parameter]) for c in columns])
 
 
 def _moved(problem: Problem, fit: Fitted, damping: float, width: np.ndarray) -> dict[str, dict[str, float]]:
@@ -89,10 +89,10 @@ def _moved(problem: Problem, fit: Fitted, damping: float, width: np.ndarray) -> 
 
 
 def at_and_bounds(problem: Problem, fit: Fitted) -> tuple[np.ndarray, np.ndarray]:
-    """Fitted values (k,) and bounds (2, k) of all columns of a fit."""
-    columns = fit.linear.columns
-    at = np.array([fit.values[c.effect][c.parameter] for c in columns])
-    return at, np.array([problem.parameter(c).possible for c in columns]).reshape(-1, 2).T
+    """Coordinates (k,) and bounds (2, k) of all columns of a fit."""
+    parameters = [problem.parameter(c) for c in fit.linear.columns]
+    bounds = [[p.coordinate(x) for x in p.possible] for p in parameters]
+    return from_neutral(problem, fit.linear.columns, fit.values), np.array(bounds).reshape(-1, 2).T
 
 
 def bounded_step(damped, a, b, at, bounds, free) -> np.ndarray:
@@ -109,11 +109,9 @@ def bounded_step(damped, a, b, at, bounds, free) -> np.ndarray:
     return step
 
 
-def _predicted(fit: Fitted, trial: Values) -> float:
-    step = np.array(
-        [trial[c.effect][c.parameter] - fit.values[c.effect][c.parameter] for c in fit.linear.columns]
-    )
-    return fit.linear.left(step)
+def _predicted(problem: Problem, fit: Fitted, trial: Values) -> float:
+    there, here = (from_neutral(problem, fit.linear.columns, v) for v in (trial, fit.values))
+    return fit.linear.left(there - here)
 
 
 def spread_between(value: np.ndarray, error: np.ndarray) -> float:
@@ -132,6 +130,7 @@ def _stepped(problem: Problem, fit: Fitted, step: np.ndarray) -> dict[str, dict[
     """Values of a fit after a step of its columns, within bounds."""
     values = {name: dict(v) for name, v in fit.values.items()}
     for column, change in zip(fit.linear.columns, step):
-        at = values[column.effect][column.parameter] + change
-        values[column.effect][column.parameter] = float(np.clip(at, *problem.parameter(column).possible))
+        p = problem.parameter(column)
+        at = p.value_at(p.coordinate(values[column.effect][column.parameter]) + change)
+        values[column.effect][column.parameter] = float(np.clip(at, *p.possible))
     return values

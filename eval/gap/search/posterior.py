@@ -112,7 +112,7 @@ def slabs(problem: Problem, columns: Sequence) -> np.ndarray:
     width = []
     for column in columns:
         p = problem.parameter(column)
-        width.append(OFF * p.negligible if p.is_reference else SLAB * abs(p.size(p.plausible)))
+        width.append(OFF * p.negligible if p.is_reference else SLAB * abs(p.coordinate(p.plausible)))
     return np.array(width)
 
 
@@ -149,7 +149,7 @@ class Bounds:
             if column.form:
                 continue
             p = problem.parameter(column)
-            ends = [(x - p.neutral) / unit[k] for x in p.possible]
+            ends = [p.coordinate(x) / unit[k] for x in p.possible]
             if not column.fixed:
                 low[k], high[k] = ends
             elif k and columns[k - 1].effect == column.effect:
@@ -171,8 +171,8 @@ class Bounds:
     def within(
         self, at: np.ndarray, covariance: np.ndarray, own: np.ndarray
     ) -> tuple[np.ndarray, float, np.ndarray]:
-        """The likeliest possible coordinates of a normal distribution, its log density there less at its mean,
-        and which coordinates are at a bound.
+        """The likeliest possible coordinates of a normal distribution, and its log density there less at its
+        mean; which coordinates are at a bound.
 
         at (P,) mean, covariance (P, P); own (k,): the coordinates that have bounds.
         What lies outside is put at its bound, and the others follow as the covariance says.
@@ -273,7 +273,8 @@ class Local:
     def delta(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """What the flights have and those of the reference had not: (P,) from neutral and (P, P), in spikes.
 
-        Not within bounds, see `within`. With z = theta + delta, of prior covariance K = known + V:  delta = V K^-1 (z - mean theta).
+        Whether or not it is possible (see `within`). With z = theta + delta, of prior covariance
+        K = known + V:  delta = V K^-1 (z - mean theta).
         """
         change, covariance = self.fit(names, weights)
         mean, prior = self.prior(names)
@@ -282,7 +283,7 @@ class Local:
         return share @ (change - mean), fresh + share @ (covariance - prior) @ share.T
 
     def within(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, float]:
-        """The likeliest possible delta (P,) from neutral, and its log density less that of the one without bounds."""
+        """The likeliest possible delta (P,) from neutral, and its log density less the largest."""
         return self.bounds.within(*self.delta(names, weights), self.index(names))[:2]
 
     def errors(self, names: Set) -> np.ndarray:
@@ -294,8 +295,9 @@ class Local:
         a, b = self.own_a[flight], self.own_b[flight]
         return np.linalg.solve(a + np.diag(1.0 / self.between), b - a @ change)
 
-    def sized(self, names: Set) -> dict[tuple[str, str], Sized]:
-        """(effect, parameter) -> how well it is known beside all others, with the effects `names`."""
+    def sized(self, values: Values) -> dict[tuple[str, str], Sized]:
+        """(effect, parameter) -> how well it is known beside all others, with the effects of `values`."""
+        names = frozenset(values)
         change, _ = self.fit(names)
         _, covariance = self.delta(names)
         variance = self.errors(names) ** 2
@@ -306,11 +308,12 @@ class Local:
         for name, parameter in dict.fromkeys(own):
             k = [i for i, c in enumerate(self.columns) if (c.effect, c.parameter) == (name, parameter)]
             square = variance[k[0]] if len(k) == 1 else covariance[np.ix_(k, k)].sum()
+            unit = self.unit[k[0]] * self.problem.parameter(self.columns[k[0]]).slope(values[name][parameter])
             result[name, parameter] = Sized(
-                error=float(np.sqrt(max(0.0, square)) * self.unit[k[0]]),
-                deviation=(deviation[:, k] * self.unit[k]).sum(axis=1),
-                alone=np.sqrt(np.maximum(0.0, alone[:, k][:, :, k].sum(axis=(1, 2)))) * self.unit[k[0]],
-                between=float(np.sqrt(self.between[k].mean()) * self.unit[k[0]]),
+                error=float(np.sqrt(max(0.0, square)) * unit),
+                deviation=deviation[:, k].sum(axis=1) * unit,
+                alone=np.sqrt(np.maximum(0.0, alone[:, k][:, :, k].sum(axis=(1, 2)))) * unit,
+                between=float(np.sqrt(self.between[k].mean()) * unit),
             )
         return result
 
@@ -383,7 +386,7 @@ class Evidence:
         return min(0.0, product - normal)
 
     def _at(self, k: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, float]:
-        """Possible sizes (P,) of the columns k, `times` (k,) as wide, and the log marginal likelihood there."""
+        """Possible sizes (P,) of the columns k, `times` (k,) as wide, and the log marginal likelihood."""
         prior = self.slab[np.ix_(k, k)] * np.outer(times, times) - np.eye(len(k))
         root = np.linalg.cholesky(prior + np.diag(np.maximum(1e-9, 1e-6 - prior.diagonal())))
         inner = np.eye(len(k)) + root.T @ self.a[np.ix_(k, k)] @ root

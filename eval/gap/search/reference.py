@@ -24,7 +24,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Constant, Vehicle, constants
 
 SUFFIX = ".posterior.json"
-VERSION = 1
+VERSION = 2
 _NORMAL = 1.96  # half-widths of 95 % intervals per standard deviation
 
 
@@ -33,8 +33,8 @@ class Reference:
     """How far a vehicle may be off along every column of the library and of the base model's errors."""
 
     columns: tuple[Column, ...]
-    mean: np.ndarray  # (P,) in the units of the parameters
-    covariance: np.ndarray  # (P, P) in the units of the parameters
+    mean: np.ndarray  # (P,) coordinates of the parameters
+    covariance: np.ndarray  # (P, P) of these
     repeating: Repeating  # what repeats in its flights that no effect explains
     from_flights: bool = True  # or from the entries of a vehicle file
 

@@ -37,6 +37,12 @@ STRATA = (
     *("single", "pair", "nothing", "few flights", "noisy", "slow log", "paper", "base off"),
     *("unknown", "unrest", "touchdown"),
 )
+# A set with the same causes, vehicles and air in every stratum: flights, and how much noise of the family's.
+CURVE = "curve"
+CURVES = {
+    **{f"{count} flights": (count, 1.0) for count in (3, 10, 30)},
+    **{f"noise x{noise:g}": (10, noise) for noise in (0.3, 3.0)},
+}
 IDENTIFY, HELDOUT = 10, 3  # flights: every kind once to identify with
 # Constants that are 10 % off after identification, by the name of the effect that rescales them.
 BASE_OFF = {
@@ -138,7 +144,8 @@ class Case:
             # Without a channel that shows its battery, every flight starts on the same charge.
             spread = {} if "battery_sag" in self.causes else charge | drawn.spread
             hidden, usual = dataclasses.replace(drawn, spread=spread), Drawn({}, {}, spread=charge)
-            groups = ((usual, IDENTIFY * self.identified), (hidden, count))
+            identify = self.count if self.stratum in CURVES else IDENTIFY * self.identified
+            groups = ((usual, identify), (hidden, count))
             if self.family == ROTORPY:
                 from . import rotorpy_reality
 
@@ -166,7 +173,7 @@ def draw(
     """
     entropy = tuple(np.atleast_1d(seed).tolist())
     rng = np.random.default_rng(entropy)
-    members = SETS.get(family, (family,))
+    members = sum(SETS.values(), ()) if family == CURVE else SETS.get(family, (family,))
     chosen = members[rng.integers(len(members))]
     reality = _fitted(_reality(chosen if stratum != "touchdown" else "reference", rng), stratum, rng)
     hidden = (
@@ -192,7 +199,7 @@ def draw(
         size=size,
         drawn=drawn,
         reality=reality,
-        count={"few flights": 3, "touchdown": generate.LANDINGS}.get(stratum, 10),
+        count={"few flights": 3, "touchdown": generate.LANDINGS}.get(stratum, CURVES.get(stratum, (10,))[0]),
         voltage=logged or any(one.voltage for one in drawn.values()),
         base={one: 1 + 0.1 * rng.choice([-1, 1]) for one in BASE_OFF} if stratum == "base off" else {},
         entropy=(*entropy, 1),
@@ -202,6 +209,9 @@ def draw(
 def plans(rng: np.random.Generator, family: str = "dev") -> list[tuple[str, tuple[str, ...], str | None]]:
     """(stratum, causes, size) of the cases of a full set of a family, stratum by stratum."""
     names = [name for name in FREE_FLIGHT if _has(family, name)]
+    if family == CURVE:
+        some = [((str(one),), SIZES[k % 2]) for k, one in enumerate(rng.permutation(names))]
+        return [(stratum, *one) for one in (*some, *[((), None)] * 6) for stratum in CURVES]
     # Two of the three sizes for every cause, so that each size has its share.
     result = [
         ("single", (name,), size)
@@ -230,9 +240,11 @@ def of_set(name: str, seed: int, limit: int | None = None) -> list[Case]:
 
     limit: at most so many, the strata keeping their shares.
     """
-    entropy = ([*SETS, ROTORPY].index(name) + 1, seed)
+    entropy = ([*SETS, ROTORPY, CURVE].index(name) + 1, seed)
     rng = np.random.default_rng(entropy)
     chosen = plans(rng, name)
+    if name == CURVE:
+        return _of_curve(chosen, entropy, limit)
     if limit is not None and limit < len(chosen):
         # Every stratum is shuffled, then thinned evenly over the list.
         order = sorted(range(len(chosen)), key=lambda k: (STRATA.index(chosen[k][0]), rng.uniform()))
@@ -242,6 +254,18 @@ def of_set(name: str, seed: int, limit: int | None = None) -> list[Case]:
         stratum, hidden, size = chosen[k]
         result.append(draw(name, stratum, hidden, size, (*entropy, number), f"case_{number:03d}"))
     return result
+
+
+def _of_curve(chosen, entropy: tuple[int, ...], limit: int | None) -> list[Case]:
+    """Every cause in every stratum, with one vehicle, the air and the paths drawn from one seed."""
+    rows = [chosen[k : k + len(CURVES)] for k in range(0, len(chosen), len(CURVES))]
+    if limit is not None and limit < len(chosen):
+        rows = [rows[k] for k in np.linspace(0, len(rows) - 1, limit // len(CURVES)).round().astype(int)]
+    return [
+        draw(CURVE, *one, (*entropy, number), f"case_{number:03d}{'abcde'[k]}")
+        for number, row in enumerate(rows)
+        for k, one in enumerate(row)
+    ]
 
 
 def _reality(family: str, rng) -> Reality:
@@ -290,6 +314,8 @@ def _fitted(reality: Reality, stratum: str, rng) -> Reality:
     if stratum == "noisy":
         angle = math.radians(rng.uniform(0.6, 1.0))
         c = c._replace(position_noise=rng.uniform(0.003, 0.005), attitude_noise=angle)
+    _, times = CURVES.get(stratum, (0, 1.0))
+    c = c._replace(position_noise=times * c.position_noise, attitude_noise=times * c.attitude_noise)
     if stratum == "slow log":
         b = b._replace(log_ticks=10.0, stamp_jitter=0.002)
     return dataclasses.replace(reality, constants=c, build=b)

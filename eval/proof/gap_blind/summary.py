@@ -9,7 +9,7 @@ import numpy as np
 
 from inclined_landing.eval.base.statistics import proportion
 
-from .cases import STRATA
+from .cases import CURVES, STRATA
 from .causes import SIZES
 from .score import GOOD, OUTCOMES
 
@@ -28,7 +28,7 @@ def table(rows: Iterable[Mapping]) -> list[dict]:
     """
     rows = list(rows)
     lines = []
-    for stratum in STRATA:
+    for stratum in (*STRATA, *CURVES):
         members = [row for row in rows if row["stratum"] == stratum]
         if not members:
             continue
@@ -48,7 +48,7 @@ def by_family(rows: Iterable[Mapping]) -> list[dict]:
     for family in dict.fromkeys(sorted(row["family"] for row in rows)):
         members = [row for row in rows if row["family"] == family]
         shares = {}
-        for stratum in STRATA:
+        for stratum in (*STRATA, *CURVES):
             part = [row["outcome"] in GOOD for row in members if row["stratum"] == stratum]
             if part:
                 shares[stratum] = proportion(sum(part), len(part))
