@@ -56,7 +56,7 @@ def command(
         tick("figures")
         flown = tracks.most_telling(kept or logs)
         with_slab = source.platform or any(log.contact is not None and log.contact.any() for log in logs)
-        track = tracks.of(flown, nominal, d.corrected, left_out=bool(kept), platform=with_slab)
+        track = tracks.of(flown, nominal, d.corrected, held_out=bool(kept), platform=with_slab)
         versions = runs.versions()
         html = page(d, track, versions=versions, notes=notes)
         with styled():

@@ -12,7 +12,7 @@ from inclined_landing.eval.gap.search.disagreement import contradictions
 from inclined_landing.eval.gap.search.evidence import BASE, Column, Linear, Problem
 from inclined_landing.eval.gap.search.fit import refit
 from inclined_landing.eval.gap.search.posterior import slabs
-from inclined_landing.eval.gap.search.sets import repeated
+from inclined_landing.eval.gap.search.sets import autocorrelation_inflation
 from inclined_landing.eval.proof import gap_agreement
 from inclined_landing.eval.proof.gap_blind import generate
 from inclined_landing.eval.proof.gap_blind.causes import Drawn
@@ -41,7 +41,9 @@ def found(flown, kinds):
     problem = Problem(flights, vehicle, {name: LIBRARY[name] for name in NAMES})
     names = (*NAMES, BASE)
     fit = refit(problem, {name: {} for name in names}, np.ones(6), iterations=3, tolerance=5.0, prior=slabs)
-    near = problem.linearise(fit.values, problem.columns(names), repeated(problem, fit.values))
+    near = problem.linearise(
+        fit.values, problem.columns(names), autocorrelation_inflation(problem, fit.values)
+    )
     return contradictions(problem, near, {name: fit.values[name] for name in NAMES})
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy import optimize, stats
 from scipy.signal import lfilter
 
-from inclined_landing.eval.gap.answer.named import in_its_place
+from inclined_landing.eval.gap.answer.named import confounded_with_it
 from inclined_landing.eval.gap.flights import unrest
 from inclined_landing.eval.gap.flights.windows import level, prepare
 from inclined_landing.eval.gap.search import form
@@ -18,7 +18,7 @@ from inclined_landing.eval.gap.search.posterior import SHAPE, Bounds, Local
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.gap.search.reference import Reference, beside, read_reference
 from inclined_landing.eval.gap.search.residual import Basis, Repeating, _Function, _signs, form_of
-from inclined_landing.eval.gap.search.sets import Scored, _worth_correcting, weigh
+from inclined_landing.eval.gap.search.sets import Scored, _worth_correcting, set_model_error_weights
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import rotation, tilted
@@ -246,8 +246,8 @@ def test_what_takes_the_place_of_an_effect_stands_in_sets_without_it():
     shares = {("a", "c"): 0.6, ("b", "c"): 0.25, ("c",): 0.05, ("a", "c", "d"): 0.06, ("e", "c"): 0.03}
     sets = tuple(Scored(frozenset(names), p, {}) for names, p in shares.items())
     found = types.SimpleNamespace(sets=sets, names=sets[0].names)
-    assert in_its_place(found, "a") == ("b",)
-    assert in_its_place(found, "c") == ()
+    assert confounded_with_it(found, "a") == ("b",)
+    assert confounded_with_it(found, "c") == ()
 
 
 def test_the_form_of_the_model_errs_by_a_share_of_the_motion():
@@ -260,7 +260,7 @@ def test_the_form_of_the_model_errs_by_a_share_of_the_motion():
     count = sum(len(f.starts) for f in flights)
     rows = np.concatenate([np.full(len(f.starts), f.rows - 2) for f in flights])
     problem = types.SimpleNamespace(flights=flights, rows=rows, logged=np.ones((count, 6)), weight=None)
-    weigh(problem, moved, wrong)
+    set_model_error_weights(problem, moved, wrong)
     rests = np.arange(count) < count // 2
     white = [f.whitening(f.cut(e)) for f, e in zip(flights, wrong)]
     left = np.concatenate([(x**2).mean(axis=2) for x in white])

@@ -236,8 +236,8 @@ def test_flights_that_contradict_the_others_are_said_first(capsys):
 def test_the_corrected_model_is_a_vehicle_file_with_provenance(tmp_path):
     d = example()
     model.write(d, load_vehicle(), tmp_path)
-    stir = {"unrest_acceleration": (0.0, 0.0, 0.3), "unrest_acceleration_time": (0.0, 0.0, 0.25)}
-    assert load_vehicle(tmp_path / "vehicle.toml") == dataclasses.replace(d.corrected, **stir)
+    disturbance = {"unrest_acceleration": (0.0, 0.0, 0.3), "unrest_acceleration_time": (0.0, 0.0, 0.25)}
+    assert load_vehicle(tmp_path / "vehicle.toml") == dataclasses.replace(d.corrected, **disturbance)
     entries = {f"{c.section}_{c.name}": c for c in constants(tmp_path / "vehicle.toml")}
     gain = entries["thrust_state_gain"]
     assert gain.source.startswith(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.answer.named import in_its_place, with_touched
+from inclined_landing.eval.gap.answer.named import confounded_with_it, with_touched
 from inclined_landing.eval.gap.flights.landings import ideal, landings_of
 from inclined_landing.eval.gap.result import ScoredSet
 from inclined_landing.eval.gap.search.after_touch import TouchdownProblem, sag
@@ -59,7 +59,7 @@ def test_a_contact_effect_is_named_among_few(higher):
     few = {name: LIBRARY[name] for name in ("friction", "platform_height")}
     problem, found = name_contact(landings_of(flights[:FEWEST], VEHICLE), VEHICLE, few)
     assert list(problem.library) == list(few) and found.names == {"platform_height"}
-    assert found.probability("platform_height") > 0.9 and in_its_place(found, "platform_height") == ()
+    assert found.probability("platform_height") > 0.9 and confounded_with_it(found, "platform_height") == ()
     assert found.values["platform_height"]["offset"] == pytest.approx(offset, abs=0.003)
     low, high = found.sizes["platform_height"].ends
     assert low < found.values["platform_height"]["offset"] < high and high - low < 0.006

@@ -33,7 +33,7 @@ from inclined_landing.eval.gap.result import (
     WindowCurves,
 )
 from inclined_landing.eval.gap.search import after_touch, contact, disagreement, residual, rollout, sets
-from inclined_landing.eval.gap.search.evidence import Problem, tellable
+from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
 from inclined_landing.eval.gap.search.fit import refit
 from inclined_landing.eval.gap.search.posterior import slabs
 from inclined_landing.eval.gap.search.prediction import CHANNELS
@@ -73,19 +73,21 @@ def diagnose(
         platform = any(log.contact is not None and log.contact.any() for log in flights)
     fitted = prepare_all(flights, vehicle, platform, notes)
     judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
-    library, untold = tellable(library, fitted)
+    library, unidentifiable = identifiable_effects(library, fitted)
     problem = Problem(fitted, vehicle, library, reference)
-    notes += [*_limits_in_words(problem), *untold]
+    notes += [*_limits_in_words(problem), *unidentifiable]
     clock("prepare")
     found = sets.search(problem)
     clock("name")
-    against = disagreement.contradictions(problem, found.near, found.whole)
+    against = disagreement.contradictions(problem, found.linear, found.joint)
     notes[:0] = map(disagreement.in_short, against)
     values = values_with(problem, found, likely(found))
     if not problem.identified:  # far from the vehicle file, small errors of all else would stand in for names
         values = refit(problem, values, found.inflation, prior=slabs).values
     effects, corrected = named_effects(problem, found, values), problem.corrected(values)
-    rest = residual.Left.by(problem, found.local, found.names, found.at, found.unrest.size, found.inflation)
+    rest = residual.Residual.by(
+        problem, found.local, found.names, found.at, found.unrest.size, found.inflation
+    )
     left = residual.assess(problem, rest, corrected)
     clock("remainder")
     if judged:
@@ -94,7 +96,10 @@ def diagnose(
     else:
         test, after = (
             problem,
-            [problem.corrected(v) for v in sets.left_out(problem, found.local, frozenset(values), values)],
+            [
+                problem.corrected(v)
+                for v in sets.leave_one_out(problem, found.local, frozenset(values), values)
+            ],
         )
     where = _where(test, test.white([vehicle] * len(after)), test.white(after))
     clock("where")

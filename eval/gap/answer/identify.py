@@ -19,12 +19,12 @@ from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.flights.windows import Measured, prepare_all
 from inclined_landing.eval.gap.result import Contradiction, Disturbance
 from inclined_landing.eval.gap.search import disagreement
-from inclined_landing.eval.gap.search.evidence import BASE, Problem, Values, tellable
+from inclined_landing.eval.gap.search.evidence import BASE, Problem, Values, identifiable_effects
 from inclined_landing.eval.gap.search.fit import refit
-from inclined_landing.eval.gap.search.posterior import Local, Sized, between_flights, slabs
+from inclined_landing.eval.gap.search.posterior import Local, Sized, estimate_between_flights, slabs
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.gap.search.reference import Reference
-from inclined_landing.eval.gap.search.sets import left_out, repeated, settle
+from inclined_landing.eval.gap.search.sets import autocorrelation_inflation, fit_jointly, leave_one_out
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, FittedConstant
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -127,26 +127,28 @@ def identify(
     notes: list[str] = []
     fitted = prepare_all(flights, vehicle, platform, notes)
     judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
-    library, untold = tellable({n: e for n, e in LIBRARY.items() if not (e.contact or e.told_by)}, fitted)
-    notes += untold
+    library, unidentifiable = identifiable_effects(
+        {n: e for n, e in LIBRARY.items() if not (e.contact or e.told_by)}, fitted
+    )
+    notes += unidentifiable
     problem = Problem(fitted, vehicle, library)
     problem.free = True
     places = [name for name in problem.library if LIBRARY[name].of_the_place]
-    fit, stir = settle(problem, list(problem.library))
-    inflation = repeated(problem, fit.values)
+    fit, disturbance = fit_jointly(problem, list(problem.library))
+    inflation = autocorrelation_inflation(problem, fit.values)
     # The vehicle is the best one without the errors of the formulas: no vehicle file can hold these.
     values = refit(problem, {n: fit.values[n] for n in problem.library}, inflation, prior=slabs).values
     near = problem.linearise(values, problem.columns([*problem.library, BASE]), inflation)
     against = disagreement.contradictions(problem, near, values)
     notes[:0] = map(disagreement.in_short, against)
-    problem.between = between_flights(problem, near)
+    problem.between = estimate_between_flights(problem, near)
     local = Local.of(problem, near, values)
     result = problem.corrected({n: v for n, v in values.items() if n not in places})
-    reference, identifiable = _posterior(problem, result, inflation, stir.size)
+    reference, identifiable = _posterior(problem, result, inflation, disturbance.size)
     for one in identifiable:
         if one.share > UNSEEN:
             notes.append(f"{one.effect.replace('_', ' ')} is not excited enough in these flights")
-    own = [problem.corrected(v) for v in left_out(problem, local, frozenset(values), values)]
+    own = [problem.corrected(v) for v in leave_one_out(problem, local, frozenset(values), values)]
     test = judged or fitted
     vehicles = [result] * len(judged) if judged else own
     if not judged and len(fitted) < 2:
@@ -161,7 +163,7 @@ def identify(
         parameters=_parameters(problem, values, sized, vehicle),
         identifiable=identifiable,
         fit=channels,
-        unrest=disturbances(problem, stir),
+        unrest=disturbances(problem, disturbance),
         fields=_fields(problem, values, sized, vehicle, result),
         flights=tuple(f.name for f in fitted),
         notes=tuple(notes),
@@ -171,7 +173,7 @@ def identify(
 
 def _posterior(problem: Problem, vehicle: Vehicle, inflation, size):
     """What the flights leave uncertain of the vehicle identified, and how well they tell each effect."""
-    library, _ = tellable({n: e for n, e in LIBRARY.items() if not e.contact}, problem.flights)
+    library, _ = identifiable_effects({n: e for n, e in LIBRARY.items() if not e.contact}, problem.flights)
     around = Problem(problem.flights, vehicle, library)
     around.weight, around.free = problem.weight, True
     reference = Reference.of(around, size, inflation)

@@ -34,7 +34,7 @@ def named_effects(problem: Problem, found: Search, values: Values) -> tuple[Name
     """The effects of `values`, fitted to the flights of `problem`, largest gain first."""
     sizes, lost = _estimates(problem, found, values), squares_lost(problem, found, values)
     before, after = (by_channel(problem, found, v).sum() for v in ({}, values))
-    members = {name: (name, *in_its_place(found, name)) for name in values}
+    members = {name: (name, *confounded_with_it(found, name)) for name in values}
     effects = [
         NamedEffect(
             name=name,
@@ -51,10 +51,10 @@ def named_effects(problem: Problem, found: Search, values: Values) -> tuple[Name
 
 def likely(found: Search) -> Set:
     """The effects of the most probable set that, or what may take their place, are rather there than not."""
-    return frozenset(n for n in found.names if found.probability(n, *in_its_place(found, n)) >= NAMED)
+    return frozenset(n for n in found.names if found.probability(n, *confounded_with_it(found, n)) >= NAMED)
 
 
-def in_its_place(found: Search | Touched, name: str) -> tuple[str, ...]:
+def confounded_with_it(found: Search | Touched, name: str) -> tuple[str, ...]:
     """What probable sets without an effect have in exchange for it, most probable first.
 
     What stands beside it more probably than without it does not take its place.
@@ -132,16 +132,16 @@ def _scored(hypotheses: Iterable[Hypothesis]) -> tuple[ScoredSet, ...]:
     return tuple(ScoredSet(h.effects, h.probability, h.values, h.deviations) for h in hypotheses)
 
 
-def disturbances(problem: Problem, stir: Unrest) -> dict[str, Disturbance]:
+def disturbances(problem: Problem, disturbance: Unrest) -> dict[str, Disturbance]:
     """Channel -> noise and unrest of the flights; yaw only where it was logged."""
-    noise = np.median([f.noise for f in problem.flights], axis=0) * stir.noise
+    noise = np.median([f.noise for f in problem.flights], axis=0) * disturbance.noise
     return {
         channel: Disturbance(
             noise=float(noise[k]),
-            size=float(stir.size[k]),
-            size_ci95=(float(stir.size_ci95[0, k]), float(stir.size_ci95[1, k])),
-            time=float(stir.time[k]),
-            time_ci95=(float(stir.time_ci95[0, k]), float(stir.time_ci95[1, k])),
+            size=float(disturbance.size[k]),
+            size_ci95=(float(disturbance.size_ci95[0, k]), float(disturbance.size_ci95[1, k])),
+            time=float(disturbance.time[k]),
+            time_ci95=(float(disturbance.time_ci95[0, k]), float(disturbance.time_ci95[1, k])),
             unit="m/s2" if k < 3 else "rad/s2",
         )
         for k, channel in enumerate(CHANNELS)
@@ -165,7 +165,7 @@ def touched_effects(problem: TouchdownProblem, found: Touched) -> tuple[NamedEff
             per_flight_error=tuple(map(float, sized.error)),
             spread=spread_between(sized.each, sized.error),
         )
-        members = (name, *in_its_place(found, name))
+        members = (name, *confounded_with_it(found, name))
         remedy = problem.library[name].remedy
         effects.append(
             NamedEffect(name, members, found.probability(name), {p.name: estimate}, found.gains[name], remedy)

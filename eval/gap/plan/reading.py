@@ -144,12 +144,12 @@ def _quiet(report: Mapping, name: str) -> Quiet:
     unrest = _table(report.get("unrest", {}), f"{name}: unrest")
     found = np.array([usual.noise, usual.unrest, usual.time])
     for k, channel in enumerate(CHANNELS):
-        stir = _table(unrest.get(channel, {}), f"{name}: unrest.{channel}")
+        disturbance = _table(unrest.get(channel, {}), f"{name}: unrest.{channel}")
         for j, (given, key, where, least) in enumerate(
             (
                 (noise, channel, f"noise.{channel}", 1e-9),
-                (stir, "size", f"unrest.{channel}.size", 0.0),
-                (stir, "time", f"unrest.{channel}.time", 1e-3),
+                (disturbance, "size", f"unrest.{channel}.size", 0.0),
+                (disturbance, "time", f"unrest.{channel}.time", 1e-3),
             )
         ):
             found[j, k] = _number(given.get(key, found[j, k]), f"{name}: {where}")

@@ -219,7 +219,7 @@ def track(one: Track) -> Figure:
 
 
 def _flown(one: Track) -> str:
-    return f"{literal(one.flight)}, {'left out of' if one.left_out else 'part of'} the fit"
+    return f"{literal(one.flight)}, {'left out of' if one.held_out else 'part of'} the fit"
 
 
 def draw_track(axis: Axes, one: Track, k: int) -> None:

@@ -138,12 +138,12 @@ def write(found: Identification, folder: Path, *, base: Path | None = None) -> N
         + "".join(f"; {p.name} {words.span(p.ci95, p.unit)}, 95 % interval" for p in by_field.get(field, []))
         for field in found.fields
     }
-    stir, widths = unrest_fields(found.unrest)
+    disturbance, widths = unrest_fields(found.unrest)
     said = f"estimated by landing-eval identify from {len(found.flights)} flights"
     write_vehicle(
         folder / VEHICLE,
-        dataclasses.replace(found.vehicle, **stir),
-        sources | dict.fromkeys(stir, said),
+        dataclasses.replace(found.vehicle, **disturbance),
+        sources | dict.fromkeys(disturbance, said),
         found.fields | widths,
         base=base,
         heading="Identified by landing-eval identify.\nEvery command takes it with --vehicle.",

@@ -24,14 +24,14 @@ def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = N
     from inclined_landing.models.scene import build_spec
 
     sources, uncertainties = provenance(d, vehicle)
-    stir, widths = unrest_fields(d.unrest)
+    disturbance, widths = unrest_fields(d.unrest)
     said = f"estimated by landing-eval gap from {len(d.flights)} flight{'s' * (len(d.flights) != 1)}"
-    sources |= dict.fromkeys(stir, said)
+    sources |= dict.fromkeys(disturbance, said)
     uncertainties |= widths
     names = ", ".join(effect.name for effect in d.effects) or "no effect"
     write_vehicle(
         folder / VEHICLE,
-        dataclasses.replace(d.corrected, **stir),
+        dataclasses.replace(d.corrected, **disturbance),
         sources,
         uncertainties,
         base=base,

@@ -21,7 +21,7 @@ class Track:
     """Measured positions of one flight and open-loop predictions along it."""
 
     flight: str
-    left_out: bool  # of the fit
+    held_out: bool  # of the fit
     seconds: float  # how far each prediction goes
     t: np.ndarray  # (m,) s
     position: np.ndarray  # (m, 3) m, measured
@@ -40,7 +40,7 @@ class Track:
 
 
 def of(
-    log: FlightLog, before: Vehicle, after: Vehicle, *, left_out: bool, platform: bool = False
+    log: FlightLog, before: Vehicle, after: Vehicle, *, held_out: bool, platform: bool = False
 ) -> Track | None:
     """Predictions along a flight; None when no stretch of it is long enough.
 
@@ -55,7 +55,7 @@ def of(
     shown = slice(starts.first[0], starts.first[-1] + starts.rows + 1)
     return Track(
         flight=log.name,
-        left_out=left_out,
+        held_out=held_out,
         seconds=round(starts.rows * starts.dt, 3),
         t=flight.t[shown],
         position=flight.position[shown],

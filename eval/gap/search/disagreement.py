@@ -19,7 +19,7 @@ from scipy import stats
 
 from inclined_landing.eval.gap.result import Contradiction, Difference
 from inclined_landing.eval.gap.search.evidence import Linear, Problem, Values
-from inclined_landing.eval.gap.search.posterior import BETWEEN, looks_alike, slabs
+from inclined_landing.eval.gap.search.posterior import BETWEEN, confounding, slabs
 
 FALSE_ALARMS = 0.01  # diagnoses of one vehicle in which flights are said to contradict each other
 # The scatter of flights within a group is known beforehand as well as if so many more numbers had been seen,
@@ -71,7 +71,7 @@ class _Table:
         a, b = near.by_flight()
         a, b = a * np.outer(unit, unit), b * unit
         # What looks alike shares the small differences; beside them, no loop is quite of its form.
-        alike = looks_alike(near)
+        alike = confounding(near)
         small = BETWEEN**2 / np.array([alike[c.effect, c.parameter] for c in columns])
         small += (np.array([problem.parameter(c).manoeuvre for c in columns]) / unit) ** 2
         inner = np.linalg.inv(np.eye(len(unit)) + a * small)
@@ -99,7 +99,7 @@ class _Table:
         precision[each, :, each] += a + 1e-6 * known
         return _Part(precision, score, known)
 
-    def telling(self, name: str, flights: np.ndarray) -> np.ndarray:
+    def exciting(self, name: str, flights: np.ndarray) -> np.ndarray:
         """Those of `flights` that tell of an effect."""
         index = self.own[name]
         scale = np.sqrt(self.known[index])
@@ -177,17 +177,17 @@ class _Split:
 def _surest(table: _Table, left: np.ndarray) -> _Split | None:
     """The split whose groups differ most surely; None: none does."""
     best: _Split | None = None
-    telling = {name: table.telling(name, left) for name in table.own}
-    telling = {name: flights for name, flights in telling.items() if len(flights) > 2}
-    for name, flights in telling.items():
+    exciting = {name: table.exciting(name, left) for name in table.own}
+    exciting = {name: flights for name, flights in exciting.items() if len(flights) > 2}
+    for name, flights in exciting.items():
         part = table.part(table.own[name], flights)
         members = part.splits()
-        p = part.chance(members) * _ways(members) * len(telling)
+        p = part.chance(members) * _ways(members) * len(exciting)
         k = int(np.argmin(p))
         if p[k] < FALSE_ALARMS and (best is None or p[k] < best.level):
             apart = tuple(map(int, flights[members[k]]))
             others = tuple(int(f) for f in left if f not in apart)
-            best = _Split(name, apart, others, float(p[k]), len(telling))
+            best = _Split(name, apart, others, float(p[k]), len(exciting))
     return best
 
 
@@ -249,8 +249,8 @@ class _Beside:
 
 def _known(table: _Table, split: _Split, name: str) -> bool:
     """Whether both groups of a split tell of an effect, and how much it scatters."""
-    telling = set(table.telling(name, np.array(split.apart + split.others)))
-    return telling >= set(split.apart) and len(telling & set(split.others)) > 1
+    exciting = set(table.exciting(name, np.array(split.apart + split.others)))
+    return exciting >= set(split.apart) and len(exciting & set(split.others)) > 1
 
 
 def _apart(split: _Split, flights: Sequence[int]) -> np.ndarray:
@@ -260,7 +260,7 @@ def _apart(split: _Split, flights: Sequence[int]) -> np.ndarray:
 
 def _beside(table: _Table, split: _Split, chosen: Sequence[str], name: str) -> _Beside:
     """What the groups of a split gain by differing in one effect more."""
-    flights = table.telling(name, np.array(split.apart + split.others))
+    flights = table.exciting(name, np.array(split.apart + split.others))
     members, own = _apart(split, flights), table.own[name]
     part, share = table.part(own, flights), 1.0
     gain = float(part.difference(members)[0][0])

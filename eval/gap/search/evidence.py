@@ -1,7 +1,6 @@
-"""White window errors of a vehicle, their sensitivity to every effect, and what follows linearly.
+"""Whitened prediction errors of a vehicle over short windows, and their linearisation in all effects.
 
-Everything after one linearisation works on small Gram matrices per window and channel: single-effect
-gains, scores on flights left out, per-flight estimates and classes of effects that look alike.
+Everything after a linearisation works on small Gram matrices per flight: a = J'J, b = J'e, c = e'e.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _RIDGE = 1e-9
 
 @dataclasses.dataclass(frozen=True)
 class Column:
-    """One direction in which an effect changes the prediction."""
+    """One column of the Jacobian: a parameter of an effect, or a model error."""
 
     effect: str
     parameter: str
@@ -44,21 +43,21 @@ class Column:
 
 
 class Suspects:
-    """The vehicle that measurements are compared with, and the effects that may be added to it."""
+    """A nominal vehicle and the candidate effects."""
 
     vehicle: Vehicle
     library: dict[str, Effect]
 
     @staticmethod
     def of(vehicle: Vehicle, library: Mapping[str, Effect]) -> Suspects:
-        """The effects of a library on a vehicle."""
+        """Return the effects of a library as candidates for a vehicle."""
         suspects = Suspects()
         suspects.vehicle = vehicle
         suspects.library = {name: effect.beside(vehicle) for name, effect in library.items()}
         return suspects
 
     def corrected(self, values: Values) -> Vehicle:
-        """The vehicle with effects at `values`, applied in the order of the library."""
+        """Return the vehicle with effects at `values`, applied in the order of the library."""
         vehicle = self.vehicle
         for name, effect in self.library.items():
             if name in values:
@@ -66,7 +65,7 @@ class Suspects:
         return vehicle
 
     def parameter(self, column: Column) -> Parameter:
-        """The parameter that a column is about; of a model error, its weight."""
+        """Return the parameter of a column; of a model error, its weight."""
         if column.effect == BASE:
             wide = form.BASE[column.form]
             return Parameter(column.form, "1", 0.0, (-9.0, 9.0), wide, wide / OFF, manoeuvre=0.5 * wide)
@@ -76,18 +75,18 @@ class Suspects:
         return self.library[column.effect].parameter(column.parameter)
 
     def neutral(self, name: str) -> dict[str, float]:
-        """Values of an effect that change nothing; of the base model, the weights of its errors."""
+        """Return the neutral values of an effect; for the base model, zero model errors."""
         return dict.fromkeys(form.BASE, 0.0) if name == BASE else self.library[name].neutral
 
     def sizes(self, name: str, values: Values) -> np.ndarray:
-        """How far every parameter of an effect is from neutral."""
+        """Return the distance of every parameter of an effect from neutral."""
         return np.array([p.size(values[name][p.name]) for p in self.library[name].parameters])
 
     def columns(self, names: Iterable[str]) -> list[Column]:
-        """Directions of the effects `names`.
+        """Return the columns of the effects `names`.
 
-        A reference changes nothing while its effect is neutral and has no direction of its own there; the
-        first parameter then counts with it to either side: what it does is a sum of both.
+        A reference (the load about which a curve bends) has no slope while its effect is neutral. The effect
+        then has two columns, its first parameter with the reference at either end, whose span is linear.
         """
         result = []
         for name in names:
@@ -103,7 +102,7 @@ class Suspects:
         return result
 
     def to_one_side(self, values: Values, column: Column) -> tuple[Vehicle, float]:
-        """The vehicle with a coordinate a step from `values`, within bounds, and that step."""
+        """Return the vehicle of a one-sided difference along a column at `values`, and its step."""
         p = self.parameter(column)
         step = p.step or p.negligible
         if column.fixed:  # on top of what there is
@@ -116,7 +115,7 @@ class Suspects:
         return beside, step
 
     def coordinates(self, values: Values, columns: Sequence[Column]) -> np.ndarray:
-        """(P,) coordinates of values along columns; of effects' model errors 0."""
+        """Return the coordinates (P,) of values along columns; of effects' model errors 0."""
         result = np.zeros(len(columns))
         for k, column in enumerate(columns):
             at = values.get(column.effect)
@@ -131,7 +130,7 @@ class Suspects:
         return result
 
     def values_at(self, names: Iterable[str], columns: Sequence[Column], at: np.ndarray) -> Values:
-        """Values of the effects `names` at coordinates (P,), within what is possible."""
+        """Return the values of the effects `names` at coordinates (P,), clipped to their bounds."""
         result = {}
         for name, effect in self.library.items():
             if name not in names:
@@ -148,7 +147,7 @@ class Suspects:
         return result
 
     def to_either_side(self, values: Values, column: Column, times: float) -> tuple[list[Vehicle], float]:
-        """Vehicles some negligible sizes below and above `values`, within bounds, and what lies between."""
+        """Return the two vehicles of a central difference over some negligible sizes, and their distance."""
         p = self.parameter(column)
         at = {**self.library[column.effect].neutral, **values.get(column.effect, {}), **dict(column.fixed)}
         low = max(p.bounds[0], at[p.name] - times * p.negligible)
@@ -158,7 +157,7 @@ class Suspects:
 
 
 class Problem(Suspects):
-    """Flights with their windows, and what may explain them."""
+    """Flights cut into windows, with candidate effects and a noise model: a regression problem."""
 
     def __init__(
         self,
@@ -186,25 +185,25 @@ class Problem(Suspects):
         self.logged = np.ones((len(self.flight_of), 6))
         self.logged[~np.array([f.has_yaw for f in self.flights])[self.flight_of], YAW_CHANNEL] = 0.0
         self.weight = self.logged.copy()
-        # Of parameters: how much more they differ between flights, how many look alike.
+        # Of (effect, parameter): between-flight deviation, number of confounded columns, exciting flights.
         self.between: dict[tuple[str, str], float] = {}
-        self.alike: dict[tuple[str, str], float] = {}
-        self.telling: dict[tuple[str, str], float] = {}  # flights that tell of it
+        self.confounded: dict[tuple[str, str], float] = {}
+        self.excitation: dict[tuple[str, str], float] = {}
         # Whether flights of the vehicle have shown by how much the formulas are off.
         self.identified = reference is not None and reference.from_flights
         self._formed: list[np.ndarray] | None = None
         self._pool = ThreadPoolExecutor(2)
 
     def rewhiten(self, unrest: Unrest, vehicle: Vehicle) -> None:
-        """Weigh all errors by noise and unrest, the loops of roll, pitch and yaw those of `vehicle`."""
+        """Whiten with the estimated noise and disturbance; the attitude loops are those of `vehicle`."""
         for flight in self.flights:
             flight.rewhiten(Shapes.of(flight.rows, flight.dt, vehicle), unrest)
 
     def known(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
-        """How far the vehicle is off along `columns`: mean (P,), covariance (P, P).
+        """Return the prior of the vehicle's errors theta along `columns`: mean (P,), covariance (P, P).
 
-        Without a reference only the formulas of the base model are, and while one is made (`free`) by all
-        that they may be.
+        Without a reference only the base model's formulas have errors, small ones unless the vehicle is being
+        identified (`free`).
         """
         if self.reference is not None:
             return self.reference.along(columns)
@@ -213,11 +212,11 @@ class Problem(Suspects):
         return np.zeros(len(columns)), np.diag(np.square(wide))
 
     def white(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
-        """White errors (w, 6, q) of every flight, each with its vehicle."""
+        """Return the white errors (w, 6, q) of every flight, each with its vehicle."""
         return list(self._pool.map(self.white_of, range(len(self.flights)), vehicles))
 
     def white_at(self, values: Values) -> list[np.ndarray]:
-        """White errors (w, 6, q) of every flight with effects at `values`."""
+        """Return the white errors (w, 6, q) of every flight with effects at `values`."""
         if any(values.get(BASE, {}).values()):
             self.formed(self.flights[0])
 
@@ -227,11 +226,11 @@ class Problem(Suspects):
         return list(self._pool.map(of, self.flights))
 
     def predicted(self, flight: Measured, values: Values) -> np.ndarray:
-        """Predicted pose (m, 6) of a flight with effects at `values`, and the base model's errors."""
+        """Return the predicted pose (m, 6) of a flight with effects and model errors at `values`."""
         return self._beside_forms(flight, predict(flight, self.corrected(values)), values)
 
     def reform(self, vehicle: Vehicle) -> None:
-        """Take the errors of the base model's formulas from what `vehicle` predicts."""
+        """Compute the base model's error columns along the prediction of `vehicle`."""
 
         def of(flight: Measured) -> np.ndarray:
             gravity, predicted = vehicle.environment_gravity, predict(flight, vehicle)
@@ -240,7 +239,7 @@ class Problem(Suspects):
         self._formed = list(self._pool.map(of, self.flights))
 
     def formed(self, flight: Measured) -> np.ndarray:
-        """(F, m, 6) by which a prediction of a flight changes with every error of the base model."""
+        """Return the Jacobian (F, m, 6) of a flight's prediction in the base model's errors."""
         if self._formed is None:
             self.reform(self.vehicle)
         return self._formed[self.flights.index(flight)]
@@ -252,17 +251,17 @@ class Problem(Suspects):
         return predicted + np.tensordot([weights[f] for f in form.BASE], self.formed(flight), axes=1)
 
     def white_of(self, k: int, vehicle: Vehicle) -> np.ndarray:
-        """White errors (w, 6, q) of one vehicle on the flight k."""
+        """Return the white errors (w, 6, q) of one vehicle on the flight k."""
         flight = self.flights[k]
         return flight.whitening(flight.cut(flight.measured - predict(flight, vehicle)))
 
     def squares(self, values: Values, inflation: np.ndarray) -> float:
-        """White squared error over all windows with effects at `values`."""
+        """Return the weighted sum of squared white errors with effects at `values`."""
         by_channel = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in self.white_at(values)])
         return float((self.weight / inflation * by_channel).sum())
 
     def form_columns(self, values: Values) -> list[Column]:
-        """Model errors of the base, and of the effects that `values` give a size."""
+        """Return the model error columns of the base and of the effects that are not neutral in `values`."""
         return self.columns([BASE]) + [
             Column(name, "", form=f)
             for name in values
@@ -271,7 +270,7 @@ class Problem(Suspects):
         ]
 
     def slopes(self, values: Values, columns: Sequence[Column]) -> Callable[[Measured], list[np.ndarray]]:
-        """flight -> its predicted pose (m, 6) at `values`, then its change along every column."""
+        """Return a function of a flight: predicted pose (m, 6) at `values`, then its slopes along columns."""
         vehicle, order = self.corrected(values), list(form.BASE)
         beside = {c: self.to_one_side(values, c) for c in columns if not c.form}
         formed = {c.effect for c in columns if c.form} - {BASE}
@@ -296,7 +295,7 @@ class Problem(Suspects):
         return of
 
     def linearise(self, values: Values, columns: Sequence[Column], inflation: np.ndarray) -> Linear:
-        """Errors at `values` and their Gram matrices with all `columns`.
+        """Return the Gram matrices of white errors and Jacobian at `values`.
 
         inflation (6,): by which the squared errors of every channel are divided.
         """
@@ -331,7 +330,7 @@ class Problem(Suspects):
 
 
 def _groups(flights: Sequence[Measured]) -> np.ndarray:
-    """Group of every window: its flight, or part of its flight where there are few."""
+    """Return the group of every window: its flight, or part of it where there are few."""
     parts = 1 if len(flights) >= LEAST_GROUPS else -(-LEAST_GROUPS // len(flights))
     groups, offset = [], 0
     for flight in flights:
@@ -342,13 +341,15 @@ def _groups(flights: Sequence[Measured]) -> np.ndarray:
     return np.concatenate(groups)
 
 
-def tellable(
+def identifiable_effects(
     library: Mapping[str, Effect], flights: Sequence[Measured]
 ) -> tuple[dict[str, Effect], list[str]]:
-    """The effects whose required log channels tell something on these flights; sentences on the others."""
+    """Return the effects whose required log channels were logged and vary, and sentences on the others."""
     kept, notes = {}, []
     for name, effect in library.items():
-        why = {_untold(channel, least, flights) for channel, least in effect.requires.items()} - {""}
+        why = {_why_unidentifiable(channel, least, flights) for channel, least in effect.requires.items()} - {
+            ""
+        }
         if why:
             alike = ", ".join(effect.confused_with)
             notes += [f"{reason}: {name} cannot be told from {alike}" for reason in sorted(why)]
@@ -357,8 +358,8 @@ def tellable(
     return kept, notes
 
 
-def _untold(channel: str, least: float, flights: Sequence[Measured]) -> str:
-    """Why a log channel tells nothing; empty if it does."""
+def _why_unidentifiable(channel: str, least: float, flights: Sequence[Measured]) -> str:
+    """Return why a log channel identifies nothing; empty if it does."""
     logged = [getattr(f, channel) for f in flights]
     if any(x is None for x in logged):
         return f"{channel} not logged in every flight"
@@ -369,7 +370,7 @@ def _untold(channel: str, least: float, flights: Sequence[Measured]) -> str:
 
 @dataclasses.dataclass
 class Linear:
-    """Gram matrices of the white errors of every group of windows with their slopes along columns."""
+    """Linearised least squares: Gram matrices of every group of windows."""
 
     columns: tuple[Column, ...]
     a: np.ndarray  # (g, P, P)
@@ -378,7 +379,7 @@ class Linear:
     problem: Problem
 
     def by_flight(self) -> tuple[np.ndarray, np.ndarray]:
-        """a (f, P, P) and b (f, P) of every flight."""
+        """Return a (f, P, P) and b (f, P) summed over the groups of every flight."""
         flights = len(self.problem.flights)
         of = np.array([self.problem.flight_of[self.problem.group_of == g][0] for g in range(len(self.c))])
         a, b = np.zeros((flights, *self.a.shape[1:])), np.zeros((flights, self.b.shape[1]))
@@ -387,11 +388,11 @@ class Linear:
         return a, b
 
     def left(self, change: np.ndarray) -> float:
-        """Squared error after a change (P,) of all columns."""
+        """Return the squared error after a change (P,):  c - 2 b'x + x'a x."""
         return float(self.c.sum() - 2.0 * self.b.sum(axis=0) @ change + change @ self.a.sum(axis=0) @ change)
 
     def covariance(self) -> np.ndarray:
-        """Covariance (P, P) of the fit of all columns, clustered by group."""
+        """Return the cluster-robust covariance (P, P) of the least-squares fit (sandwich estimator)."""
         inverse, n = invert(self.a.sum(axis=0)), len(self.c)
         with np.errstate(invalid="ignore"):  # what the flights do not show at all is NaN
             scores = self.b - self.a @ (inverse @ self.b.sum(axis=0))
@@ -404,7 +405,7 @@ class Linear:
 
 
 def solve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Solution of a x = b for a positive semidefinite matrix, columns without any effect left at zero."""
+    """Solve a x = b for a positive semidefinite matrix; columns of zeros get zero."""
     live, s, scaled = _scaled(a)
     x = np.zeros_like(b)
     x[live] = np.linalg.solve(scaled, b[live] / s) / s
@@ -412,7 +413,7 @@ def solve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def invert(a: np.ndarray) -> np.ndarray:
-    """Inverse of a positive semidefinite matrix; infinite variance for columns without any effect."""
+    """Invert a positive semidefinite matrix; columns of zeros get infinite variance."""
     live, s, scaled = _scaled(a)
     result = np.diag(np.where(live, 0.0, np.inf))
     result[np.ix_(live, live)] = np.linalg.inv(scaled) / np.outer(s, s)
@@ -420,7 +421,7 @@ def invert(a: np.ndarray) -> np.ndarray:
 
 
 def _scaled(a: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which columns have an effect, their scales, and their matrix with a diagonal of 1 and a ridge."""
+    """Return non-zero columns, their scales, and their matrix scaled to a unit diagonal, with a ridge."""
     scale = np.sqrt(np.diag(a))
     live = scale > 0.0
     s = scale[live]

@@ -1,4 +1,4 @@
-"""Effects fitted together through the simulator, within their bounds."""
+"""Nonlinear least squares (Levenberg-Marquardt) of effects through the simulator, within bounds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from inclined_landing.eval.gap.search.evidence import BASE, Column, Linear, Prob
 
 @dataclasses.dataclass
 class Fitted:
-    """Effects fitted together, with the linearisation at the fit."""
+    """A least-squares fit and its linearisation."""
 
     values: dict[str, dict[str, float]]
     linear: Linear  # columns of the effects in `values`
@@ -33,7 +33,7 @@ def refit(
     tolerance: float = 0.05,
     prior: Callable[[Problem, Sequence[Column]], np.ndarray] | None = None,
 ) -> Fitted:
-    """Levenberg-Marquardt fit, within bounds, of all parameters of the effects in `values`.
+    """Fit all parameters of the effects in `values` by Levenberg-Marquardt, within bounds.
 
     prior: gives the standard deviation (P,) of columns about neutral; None: as the flights say.
     """

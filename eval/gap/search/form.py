@@ -1,10 +1,10 @@
-"""Model (form) errors: what a formula may have wrong, as columns beside the parameters.
+"""Model (form) errors as additional columns of the regression: structural error of the formulas.
 
-No formula is exact. Thrust, drag and the answers of the loops are, in reality, some percent larger or
-smaller at more load, at speed, in a climb, late in a flight or along one axis. Each of these is a column:
-what the base model predicts times a quantity of order one, with a normal weight. Without them an error of the
-base model would be evidence for an effect, and the surer the more flights there are. An effect may have such
-errors of its own (`Effect.forms`), free while it is named.
+No formula is exact. True thrust, drag and loop responses are some percent larger or smaller with the load,
+at speed, in a climb, late in a flight or along one axis. Each of these is a column, the base model's
+contribution times a quantity of order one, with a normal prior on its weight. Without them a structural error
+of the base model would be evidence for an effect, more so with more flights. An effect may have such errors
+of its own (`Effect.forms`), free while it is in the set.
 """
 
 from __future__ import annotations

@@ -1,16 +1,14 @@
-"""How probable a set of effects is, from Gram matrices: marginal likelihoods of a linearised simulator.
+"""Spike-and-slab marginal likelihoods of sets of effects, in a linearised hierarchical model.
 
-    white error of a flight = J (z + u),   z = theta + delta
+    white error of a flight = J (z + u) + noise,   z = theta + delta
 
-theta: by how much the vehicle is off, known from the flights that it was identified from: normal, with the
-covariance of that fit. delta: what the flights have and those had not. Of an effect of the set it has the
-*slab*, as wide as what real vehicles show; of every other the *spike*, as wide as what nobody needs to
-correct: no model is exact, and small errors of what is not named must not be explained by a name. u: each
-flight may differ from the fleet, so that a flight counts for what it can tell, and no more. What the formula
-of an effect of the set may have wrong are columns too (`search.form`).
+theta ~ N(m, Sigma): error of the identified vehicle, with the posterior covariance of its identification.
+delta: change since then. Its prior is the *slab* for an effect of the set, as wide as real vehicles differ,
+and the *spike* for every other, as wide as a negligible error: no model is exact. u ~ N(0, between^2): random
+effect of every flight. Model errors of the formulas are columns of J as well (`search.form`).
 
-Probabilities are averaged over flights drawn with replacement (bagged posterior: Huggins and Miller 2023),
-which keeps them from being surer than the flights agree, where no set is exactly true.
+Probabilities are averaged over bootstrap samples of the flights (bagged posterior: Huggins and Miller 2023),
+since no set is exactly true: the posterior under misspecification would be overconfident.
 """
 
 from __future__ import annotations
@@ -40,30 +38,34 @@ Set = frozenset[str]
 
 
 def spikes(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Standard deviation (P,) of every column that is not named.
+    """Return the spikes' standard deviations (P,).
 
-    What nobody needs to correct, shared by all that look alike; and where flights differ, what the mean of
-    those that tell of a column may be off by: of one flight, all of it.
+    A share of the negligible size, split among confounded columns, plus the standard error of the mean of the
+    flights that excite a column, where flights differ:  hypot(SPIKE negligible, between / sqrt(flights)).
     """
-    count = np.array([problem.telling.get((c.effect, c.parameter), problem.groups) for c in columns])
-    spike = np.hypot(SPIKE * _shares(problem, columns), betweens(problem, columns) / np.sqrt(count))
+    count = np.array([problem.excitation.get((c.effect, c.parameter), problem.groups) for c in columns])
+    spike = np.hypot(
+        SPIKE * _shares(problem, columns), between_flight_deviations(problem, columns) / np.sqrt(count)
+    )
     return np.minimum(spike, MOST * slabs(problem, columns))
 
 
-def betweens(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Standard deviation (P,) of every column between flights."""
+def between_flight_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
+    """Return the between-flight standard deviations (P,)."""
     own = [problem.between.get((c.effect, c.parameter), 0.0) for c in columns]
     return np.maximum(BETWEEN * _shares(problem, columns), own)
 
 
 def _shares(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Each column's share (P,) of negligible, for those that look alike have it together."""
-    alike = [problem.alike.get((c.effect, c.parameter), 1.0) * (2.0 if c.fixed else 1.0) for c in columns]
+    """Return the negligible sizes (P,), each divided by the root of the number of confounded columns."""
+    alike = [
+        problem.confounded.get((c.effect, c.parameter), 1.0) * (2.0 if c.fixed else 1.0) for c in columns
+    ]
     return np.array([problem.parameter(c).negligible for c in columns]) / np.sqrt(alike)
 
 
-def looks_alike(linear: Linear) -> dict[tuple[str, str], float]:
-    """(effect, parameter) -> how many columns change the predictions as it does, itself included."""
+def confounding(linear: Linear) -> dict[tuple[str, str], float]:
+    """Return (effect, parameter) -> effective number of columns collinear with it: sum of squared cosines."""
     a = linear.a.sum(axis=0)
     scale = np.sqrt(np.maximum(np.diag(a), 1e-300))
     squared = (a / np.outer(scale, scale)) ** 2
@@ -71,18 +73,17 @@ def looks_alike(linear: Linear) -> dict[tuple[str, str], float]:
     return {(c.effect, c.parameter): float(x) for c, x in zip(linear.columns, count)}
 
 
-def telling(problem: Problem, linear: Linear) -> dict[tuple[str, str], float]:
-    """(effect, parameter) -> how many flights tell of it more than flights differ by, 1 at least."""
-    spread = betweens(problem, linear.columns)
+def excitation(problem: Problem, linear: Linear) -> dict[tuple[str, str], float]:
+    """Return (effect, parameter) -> number of flights (>= 1) that excite it beyond what flights differ by."""
+    spread = between_flight_deviations(problem, linear.columns)
     share = np.minimum(1.0, np.einsum("gkk->gk", linear.a) * spread**2).sum(axis=0)
     return {(c.effect, c.parameter): max(1.0, float(x)) for c, x in zip(linear.columns, share)}
 
 
-def between_flights(problem: Problem, linear: Linear) -> dict[tuple[str, str], float]:
-    """(effect, parameter) -> its standard deviation between flights, by expectation and maximisation.
+def estimate_between_flights(problem: Problem, linear: Linear) -> dict[tuple[str, str], float]:
+    """Return (effect, parameter) -> between-flight standard deviation, by expectation maximisation.
 
-    Beforehand, flights differ by what the formulas have wrong from one manoeuvre to another, as if that had
-    been seen in SEEN_BEFORE flights: where one flight shows an effect, nothing says how far flights differ.
+    The prior counts as SEEN_BEFORE flights: with one flight that excites an effect, it is all there is.
     """
     unit = _shares(problem, linear.columns)
     a, b = linear.a * np.outer(unit, unit), linear.b * unit
@@ -108,7 +109,7 @@ def between_flights(problem: Problem, linear: Linear) -> dict[tuple[str, str], f
 
 
 def slabs(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Standard deviation (P,) of every column that is named."""
+    """Return the slabs' standard deviations (P,)."""
     width = []
     for column in columns:
         p = problem.parameter(column)
@@ -117,7 +118,7 @@ def slabs(problem: Problem, columns: Sequence) -> np.ndarray:
 
 
 def wide(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Covariance (P, P) of the columns of effects that are named.
+    """Return the slabs' covariance (P, P).
 
     A size s about a reference that lies t N(0, 1/4) of the way to either side is s (1/2 - t) and s (1/2 + t)
     about both sides: with the same sign, or it would be a scale and no shape.
@@ -133,7 +134,7 @@ def wide(problem: Problem, columns: Sequence) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Bounds:
-    """What is possible of the columns of some effects."""
+    """Bounds of the coordinates along columns."""
 
     low: np.ndarray  # (P,)
     high: np.ndarray  # (P,)
@@ -143,7 +144,7 @@ class Bounds:
 
     @staticmethod
     def of(problem: Problem, columns: Sequence, unit: np.ndarray) -> Bounds:
-        """In units (P,) of every column, from neutral."""
+        """Return the bounds in units (P,), from neutral."""
         low, high, pairs = np.full(len(columns), -np.inf), np.full(len(columns), np.inf), []
         for k, column in enumerate(columns):
             if column.form:
@@ -159,7 +160,7 @@ class Bounds:
         return Bounds(low, high, tuple(pairs))
 
     def clip(self, at: np.ndarray) -> np.ndarray:
-        """The nearest possible coordinates (P,)."""
+        """Return coordinates (P,) clipped to the bounds."""
         result = np.clip(at, self.low, self.high)
         for i, j, (least, most), (first, last) in self.pairs:
             size = at[i] + at[j]
@@ -171,11 +172,11 @@ class Bounds:
     def within(
         self, at: np.ndarray, covariance: np.ndarray, own: np.ndarray
     ) -> tuple[np.ndarray, float, np.ndarray]:
-        """The likeliest possible coordinates of a normal distribution, and its log density there less at its
-        mean; which coordinates are at a bound.
+        """Return the mode of a truncated normal distribution, its log density relative to the mean, and a
+        mask of the coordinates at a bound.
 
-        at (P,) mean, covariance (P, P); own (k,): the coordinates that have bounds.
-        What lies outside is put at its bound, and the others follow as the covariance says.
+        at (P,) mean, covariance (P, P); own (k,): the coordinates that have bounds. Active-set iteration:
+        coordinates outside are fixed at their bound, the others conditioned on them.
         """
         outside, result, unlikely = np.zeros(len(at), bool), at, 0.0
         for _ in range(BOUNDED):
@@ -195,9 +196,9 @@ class Bounds:
 
 @dataclasses.dataclass
 class Local:
-    """The flights as functions of the parameters near one point, in units of the spikes.
+    """Quadratic log-likelihood of the flights near one point, coordinates in units of the spikes.
 
-    Flights' own deviations are integrated out; a, b, c are those of every flight (or group of windows).
+    log p = -1/2 (c - 2 b'x + x'a x) of every flight (or group of windows), random effects integrated out.
     """
 
     problem: Problem
@@ -217,7 +218,7 @@ class Local:
 
     @staticmethod
     def of(problem: Problem, linear: Linear, values: Values) -> Local:
-        """From the linearisation at `values`."""
+        """Return the model linearised at `values`."""
         columns = linear.columns
         unit = spikes(problem, columns)
         at = problem.coordinates(values, columns)
@@ -227,7 +228,7 @@ class Local:
         c = linear.c
         own_a, own_b = linear.by_flight()
         own_a, own_b = own_a * np.outer(unit, unit), own_b * unit
-        between = (betweens(problem, columns) / unit) ** 2
+        between = (between_flight_deviations(problem, columns) / unit) ** 2
         # Marginal over a deviation u of each flight, u ~ N(0, between) in every column.
         inner = np.linalg.inv(np.eye(len(columns)) + a * between)
         c = c - np.einsum("gp,p,gpq,gq->g", b, between, inner, b, optimize=True)
@@ -241,21 +242,21 @@ class Local:
         return Local(problem, columns, at, a, b, c, unit, slab, bounds, off, known, between, own_a, own_b)
 
     def index(self, names: Iterable[str]) -> np.ndarray:
-        """Positions of the columns of the effects `names`."""
+        """Return the indices of the columns of the effects `names`."""
         names = set(names)
         return np.array([k for k, column in enumerate(self.columns) if column.effect in names], int)
 
     def fresh(self, names: Set) -> np.ndarray:
-        """Covariance (P, P) of delta when the effects `names` are present."""
+        """Return the prior covariance (P, P) of delta: slabs for `names`, spikes for the others."""
         own = np.isin(np.arange(len(self.columns)), self.index(names))
         return np.where(np.outer(own, own), self.slab, np.diag(~own))
 
     def prior(self, names: Set) -> tuple[np.ndarray, np.ndarray]:
-        """Mean (P,), from the point of linearisation, and covariance (P, P) when `names` are present."""
+        """Return the prior mean (P,) of z, from the linearisation point, and its covariance (P, P)."""
         return self.off - self.at, self.known + self.fresh(names)
 
     def evidence(self, weights: np.ndarray | None = None) -> Evidence:
-        """Of sets of effects, the flights counted by `weights` (g,)."""
+        """Return the marginal likelihood as a function of a set; `weights` (g,): bootstrap counts."""
         w = np.ones(len(self.c)) if weights is None else weights
         mean, covariance = self.prior(frozenset())
         return Evidence.of(
@@ -263,7 +264,7 @@ class Local:
         )
 
     def fit(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Most probable change (P,) of the columns and its covariance (P, P), in spikes."""
+        """Return the posterior mean (P,) of z, from the linearisation point, and covariance, in spikes."""
         w = np.ones(len(self.c)) if weights is None else weights
         mean, prior = self.prior(names)
         a, b = np.tensordot(w, self.a, axes=1), w @ self.b
@@ -271,10 +272,9 @@ class Local:
         return mean + covariance @ (b - a @ mean), 0.5 * (covariance + covariance.T)
 
     def delta(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """What the flights have and those of the reference had not: (P,) from neutral and (P, P), in spikes.
+        """Return the posterior mean (P,) of delta, from neutral, and covariance (P, P), in spikes, unbounded.
 
-        Whether or not it is possible (see `within`). With z = theta + delta, of prior covariance
-        K = known + V:  delta = V K^-1 (z - mean theta).
+        With z = theta + delta and prior covariance K = Sigma + V:  delta = V K^-1 (z - m).
         """
         change, covariance = self.fit(names, weights)
         mean, prior = self.prior(names)
@@ -283,20 +283,20 @@ class Local:
         return share @ (change - mean), fresh + share @ (covariance - prior) @ share.T
 
     def within(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, float]:
-        """The likeliest possible delta (P,) from neutral, and its log density less the largest."""
+        """Return the posterior mode (P,) of delta within bounds, and its log density relative to the mean."""
         return self.bounds.within(*self.delta(names, weights), self.index(names))[:2]
 
     def errors(self, names: Set) -> np.ndarray:
-        """Standard error (P,) of every column, in spikes."""
+        """Return the standard errors (P,) of delta, in spikes."""
         return np.sqrt(np.maximum(self.delta(names)[1].diagonal(), 0.0))
 
     def deviation(self, flight: int, change: np.ndarray) -> np.ndarray:
-        """How far (P,) one flight lies from the fleet's change of the columns, in spikes."""
+        """Return the posterior mean (P,) of one flight's random effect, in spikes."""
         a, b = self.own_a[flight], self.own_b[flight]
         return np.linalg.solve(a + np.diag(1.0 / self.between), b - a @ change)
 
     def sized(self, values: Values) -> dict[tuple[str, str], Sized]:
-        """(effect, parameter) -> how well it is known beside all others, with the effects of `values`."""
+        """Return (effect, parameter) -> its standard errors, for the set of `values`."""
         names = frozenset(values)
         change, _ = self.fit(names)
         _, covariance = self.delta(names)
@@ -320,17 +320,17 @@ class Local:
 
 @dataclasses.dataclass(frozen=True)
 class Sized:
-    """How well a parameter is known, in its unit."""
+    """Standard errors of a parameter, in its unit."""
 
     error: float  # standard error
-    deviation: np.ndarray  # (f,) how far every flight lies from the fleet
-    alone: np.ndarray  # (f,) standard errors of these
-    between: float  # standard deviation between flights
+    deviation: np.ndarray  # (f,) random effect of every flight
+    alone: np.ndarray  # (f,) their standard errors
+    between: float  # between-flight standard deviation
 
 
 @dataclasses.dataclass
 class Evidence:
-    """Log marginal likelihoods of many sets: all that is the same in every set is integrated out once.
+    """Log marginal likelihood as a function of the set; what all sets share is integrated out once.
 
     With the prior covariance K of the empty set, about its mean,
     log p = -1/2 [c - b' (1 + K a)^-1 K b + log det(1 + K a)],  and for what a set has more, the same with
@@ -347,7 +347,7 @@ class Evidence:
 
     @staticmethod
     def of(local: Local, a, b, c: float, mean: np.ndarray, covariance: np.ndarray) -> Evidence:
-        """Of Gram matrices a, b, c summed over flights and the prior of the empty set."""
+        """Return it for Gram matrices a, b, c summed over flights and the prior of the empty set."""
         c = c - 2.0 * b @ mean + mean @ a @ mean
         b = b - a @ mean
         inner = np.linalg.inv(np.eye(len(b)) + a @ covariance)
@@ -360,7 +360,7 @@ class Evidence:
         return Evidence(0.5 * (after + after.T), inner @ b, float(empty), own, local.slab, ends, local.bounds)
 
     def __call__(self, names: Set) -> float:
-        """The log marginal likelihood of a set."""
+        """Return the log marginal likelihood of a set."""
         columns = [self.own[n] for n in sorted(names) if len(self.own[n])]
         if not columns:
             return self.empty
@@ -374,7 +374,7 @@ class Evidence:
         return score + sum(self._shape(n, at[one], at[other]) for n, (one, other) in self.ends if n in names)
 
     def _shape(self, name: str, low: float, high: float) -> float:
-        """By how much less probable sizes about both sides of a reference are than their normal prior says.
+        """Return the log prior ratio of two sizes about a reference, relative to their normal prior.
 
         A size s about a reference t of the way to one side: log N(s) N(t; 0, 1/4) / |s|, less the normal one.
         """
@@ -386,7 +386,7 @@ class Evidence:
         return min(0.0, product - normal)
 
     def _at(self, k: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, float]:
-        """Possible sizes (P,) of the columns k, `times` (k,) as wide, and the log marginal likelihood."""
+        """Return the bounded mode (P,) of the columns k, slabs `times` (k,) as wide, and the log evidence."""
         prior = self.slab[np.ix_(k, k)] * np.outer(times, times) - np.eye(len(k))
         root = np.linalg.cholesky(prior + np.diag(np.maximum(1e-9, 1e-6 - prior.diagonal())))
         inner = np.eye(len(k)) + root.T @ self.a[np.ix_(k, k)] @ root
@@ -404,5 +404,5 @@ class Evidence:
 
 
 def flight_weights(groups: int, seed: int = 0) -> np.ndarray:
-    """How often each of the flights is drawn (DRAWS, g), with replacement."""
+    """Return the bootstrap counts (DRAWS, g) of the flights."""
     return np.random.default_rng(seed).multinomial(groups, np.full(groups, 1.0 / groups), DRAWS).astype(float)

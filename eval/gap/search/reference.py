@@ -1,8 +1,7 @@
-"""What flights of a vehicle leave uncertain of it: the posterior that `identify` writes beside its file.
+"""The posterior of an identified vehicle: mean and covariance of its errors, written beside its file.
 
-A vehicle file gives every constant a value. What the flights that it was identified from cannot tell apart
-is in the covariance of all of them, and what no effect explains of these flights in functions of what was
-logged.
+A vehicle file holds point estimates. Their joint covariance tells which combinations its flights left
+uncertain; functions of logged quantities describe the residual that repeats in these flights.
 """
 
 from __future__ import annotations
@@ -16,8 +15,13 @@ import numpy as np
 
 from inclined_landing.eval.gap.search import form
 from inclined_landing.eval.gap.search.evidence import BASE, Column, Problem, Suspects
-from inclined_landing.eval.gap.search.posterior import Local, between_flights, looks_alike, telling
-from inclined_landing.eval.gap.search.residual import TARGETS, Basis, Left, Repeating
+from inclined_landing.eval.gap.search.posterior import (
+    Local,
+    confounding,
+    estimate_between_flights,
+    excitation,
+)
+from inclined_landing.eval.gap.search.residual import TARGETS, Basis, Repeating, Residual
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -30,7 +34,7 @@ _NORMAL = 1.96  # half-widths of 95 % intervals per standard deviation
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """How far a vehicle may be off along every column of the library and of the base model's errors."""
+    """Normal posterior of a vehicle's errors along all columns of the library and of the model errors."""
 
     columns: tuple[Column, ...]
     mean: np.ndarray  # (P,) coordinates of the parameters
@@ -39,7 +43,7 @@ class Reference:
     from_flights: bool = True  # or from the entries of a vehicle file
 
     def along(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
-        """Mean (Q,) and covariance (Q, Q) of other columns; nothing of those it does not know."""
+        """Return mean (Q,) and covariance (Q, Q) along other columns; zero for those it does not have."""
         place = {column: k for k, column in enumerate(self.columns)}
         share = np.zeros((len(columns), len(place)))
         for i, column in enumerate(columns):
@@ -49,24 +53,24 @@ class Reference:
 
     @staticmethod
     def of(problem: Problem, size: np.ndarray, inflation: np.ndarray) -> Reference:
-        """The posterior of the vehicle of `problem`, every effect as free as real vehicles are.
+        """Return the posterior of the vehicle of `problem`, all effects with their slab priors.
 
         size (6,) of the disturbance, inflation (6,): of the fit that made the vehicle.
         """
         columns = problem.columns([*problem.library, BASE])
         near = problem.linearise({}, columns, inflation)
-        problem.alike = looks_alike(near)
-        problem.between = between_flights(problem, near)
-        problem.telling = telling(problem, near)
+        problem.confounded = confounding(near)
+        problem.between = estimate_between_flights(problem, near)
+        problem.excitation = excitation(problem, near)
         local = Local.of(problem, near, {})
         change, covariance = local.fit(frozenset(problem.library))
-        left = Left.by(problem, local, frozenset(problem.library), {}, size, inflation)
+        left = Residual.by(problem, local, frozenset(problem.library), {}, size, inflation)
         known = covariance * np.outer(local.unit, local.unit)
         return Reference(tuple(columns), (local.at + change) * local.unit, known, Repeating.of(problem, left))
 
     @staticmethod
     def of_file(path: Path | None, vehicle: Vehicle) -> Reference:
-        """Of a vehicle file without a posterior: as uncertain as its entries say, each on its own."""
+        """Return the diagonal covariance of the uncertainties given in a vehicle file."""
         problem = Suspects.of(vehicle, {n: e for n, e in LIBRARY.items() if not e.contact})
         columns = problem.columns([*problem.library, BASE])
         given = {c.field: c for c in constants(path)}
@@ -97,7 +101,7 @@ class Reference:
 
     @staticmethod
     def from_json(table: dict) -> Reference:
-        """The same again. Raises ValueError, KeyError or TypeError where something is wrong with it."""
+        """Return the posterior of `to_json`. Raises ValueError, KeyError or TypeError for a damaged one."""
         if table["version"] != VERSION:
             raise ValueError(f"version {table['version']!r}")
         columns = tuple(
@@ -128,19 +132,19 @@ class Reference:
 
 
 def digest(vehicle: Vehicle) -> str:
-    """What changes with any constant of a vehicle but its disturbance."""
+    """Return a hash of all constants of a vehicle but its disturbance."""
     values = {f.name: getattr(vehicle, f.name) for f in dataclasses.fields(vehicle)}
     text = repr(sorted((n, v) for n, v in values.items() if not n.startswith("unrest")))
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
 def beside(path: Path) -> Path:
-    """Where the posterior of a vehicle file stands."""
+    """Return the path of the posterior of a vehicle file."""
     return path.with_name(path.stem + SUFFIX)
 
 
 def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[Reference, str]:
-    """What is known of the vehicle of a file, and a sentence where its posterior is left aside.
+    """Return the posterior of a vehicle file, and a sentence where it belongs to another vehicle.
 
     Raises UserError for a posterior that is damaged.
     """
@@ -170,7 +174,7 @@ def _numbers(values, dimensions: int) -> np.ndarray:
 
 
 def _deviation(problem: Suspects, column: Column, given: dict[str, Constant]) -> float:
-    """Standard deviation of a column, by the uncertainty of the constants that it changes."""
+    """Return the standard deviation of a column, from the uncertainty of the constants that it changes."""
     if column.form or column.fixed:
         # Without flights nothing tells the formulas' errors from effects.
         return form.ALONE * problem.parameter(column).plausible if column.form else 0.0

@@ -1,13 +1,11 @@
-"""What a corrected vehicle still does not explain, and whether that can be predicted.
+"""Residual analysis: can what a corrected vehicle leaves unexplained be predicted?
 
-A disturbance that is a function of something known - place, speed, heading, commands and their past, time,
-voltage - would be missing physics; one that is not is a disturbance (process noise). Functions are ridge
-regressions on bumps along every input and random Fourier features of all, driven through the same window
-errors as any effect: an acceleration along an axis of the world or of the heading, an angular acceleration of
-a loop. Each is fitted to all flights but one and judged on that one. If nothing repeated, the errors of any
-few seconds might as well have the other sign: over flips of signs, the largest gain of all functions gives
-the rate of false alarms by construction. What repeated in the flights that the vehicle was identified from is
-taken off first.
+A residual force that is a function of logged quantities - position, velocity, heading, commands and their
+past, time, voltage - is missing physics; one that is not is a disturbance (process noise). The functions are
+ridge regressions on radial basis functions of every input and random Fourier features of all, an acceleration
+along an axis or an angular acceleration of a loop, cross-validated over flights. Significance comes from a
+sign-flip permutation test over blocks of a few seconds, with the largest gain of all functions as statistic
+(family-wise error rate). Functions fitted to the residual of the reference flights are subtracted first.
 """
 
 from __future__ import annotations
@@ -43,16 +41,16 @@ LEAST = {"m/s2": 0.01, "rad/s2": 0.3}  # a function's expected size where the ai
 
 
 @dataclasses.dataclass(frozen=True)
-class Left:
-    """What a fit leaves of some flights."""
+class Residual:
+    """Residuals of a fit."""
 
     errors: list[np.ndarray]  # white (w, 6, q) of every flight
     size: np.ndarray  # (6,) of the disturbance [m/s2, rad/s2]
     inflation: np.ndarray  # (6,)
 
     @staticmethod
-    def by(problem: Problem, local: Local, names: Set, at: Values, size: np.ndarray, inflation) -> Left:
-        """Beside the effects `names` near `at`, small errors of all others and flights' own differences."""
+    def by(problem: Problem, local: Local, names: Set, at: Values, size: np.ndarray, inflation) -> Residual:
+        """Return the residuals at the posterior mean of all columns, random effects of flights included."""
         change, _ = local.fit(names)
         errors, slopes_of = [], problem.slopes(at, local.columns)
         for k, flight in enumerate(problem.flights):
@@ -60,12 +58,12 @@ class Left:
             here, *slopes = slopes_of(flight)
             error = flight.measured - here - np.tensordot(own, np.array(slopes), axes=1)
             errors.append(flight.whitening(flight.cut(error)))
-        return Left(errors, size, inflation)
+        return Residual(errors, size, inflation)
 
 
 @dataclasses.dataclass(frozen=True)
 class Basis:
-    """Features of some inputs: bumps along each, random Fourier features of all."""
+    """Features of some inputs: radial basis functions of each, random Fourier features of all."""
 
     centre: np.ndarray  # (k,)
     scale: np.ndarray  # (k,)
@@ -73,7 +71,7 @@ class Basis:
 
     @staticmethod
     def of(seen: np.ndarray, inputs: Sequence[str]) -> Basis:
-        """For inputs like `seen` (m, k)."""
+        """Return a basis scaled to inputs `seen` (m, k)."""
         centre, scale = seen.mean(axis=0), np.maximum(seen.std(axis=0), 1e-9)
         z, count = (seen - centre) / scale, KNOTS
         if tuple(inputs) == (TIME,):  # what beats, or swings
@@ -97,13 +95,13 @@ class Basis:
 
 @dataclasses.dataclass(frozen=True)
 class Repeating:
-    """Functions fitted to what was left of the flights of a reference."""
+    """Functions fitted to the residual of reference flights."""
 
     bases: Mapping[str, Basis]  # of quantities
     weights: Mapping[tuple[str, str], np.ndarray]  # (target, quantity) -> (D,)
 
     @staticmethod
-    def of(problem: Problem, left: Left) -> Repeating:
+    def of(problem: Problem, left: Residual) -> Repeating:
         """Fitted to all flights of `problem`."""
         inputs = quantities(problem.flights)
         bases = {name: _basis(problem, *of) for name, of in inputs.items()}
@@ -113,7 +111,7 @@ class Repeating:
 
 
 def sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Error (w, 6) of every window as an acceleration or angle, its variance by noise and disturbance."""
+    """Return every window's error (w, 6) as a constant acceleration or angle, and its expected variance."""
     value = np.concatenate([f.whitening.sizes(x) for f, x in zip(problem.flights, white)])
     variance = np.concatenate(
         [np.tile(1.0 / f.whitening.power, (len(x), 1)) for f, x in zip(problem.flights, white)]
@@ -122,7 +120,7 @@ def sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.nda
 
 
 def quantities(flights: Sequence[Measured]) -> dict[str, tuple[tuple[str, ...], list[np.ndarray]]]:
-    """What a remainder may depend on: name -> (names of its inputs, inputs (m, k) of every flight)."""
+    """Return the regressors of the residual: name -> (names of its inputs, inputs (m, k) of every flight)."""
     result: dict[str, tuple[tuple[str, ...], list[np.ndarray]]] = {}
 
     def put(name: str, inputs: Sequence[str], of) -> None:
@@ -163,7 +161,7 @@ def _when(times: Sequence[float]) -> list[str]:
 
 @dataclasses.dataclass
 class _Function:
-    """A disturbance along one target as a function of one group of inputs, fitted to the flights."""
+    """A residual along one target regressed on one group of inputs."""
 
     target: str
     on: str
@@ -175,29 +173,29 @@ class _Function:
 
     @property
     def gain(self) -> float:
-        """Decrease of the squared error on flights left out."""
+        """Return the cross-validated decrease of the squared error."""
         return float(self.form.sum())
 
     def scores(self, signs: np.ndarray) -> np.ndarray:
-        """(s,) gains under flips of signs (s, k), in standard deviations over all flips."""
+        """Return the gains (s,) under sign flips (s, k), standardised over all flips."""
         gains = np.einsum("sg,gh,sh->s", signs, self.form, signs, optimize=True) - np.trace(self.form)
         apart = self.form + self.form.T
         np.fill_diagonal(apart, 0.0)
         return gains / max(np.sqrt(0.5 * (apart**2).sum()), 1e-12)
 
     def weights(self, without: int | None = None) -> np.ndarray:
-        """(D,) fitted to all flights, or to all groups but one."""
+        """Return the ridge regression (D,) of all groups, or of all but one."""
         use = np.arange(len(self.a)) != (-1 if without is None else without)
         a = self.a[use].sum(axis=0) + self.ridge * np.eye(self.a.shape[1])
         return np.linalg.solve(a, self.b[use[self.fold_of]].sum(axis=0))
 
     def came_true(self) -> float:
-        """Share of a function that is borne out by groups left out."""
+        """Return the cross-validated gain over the predicted one: the shrinkage that would be optimal."""
         gain, foreseen = self.trusted()
         return float(np.clip(gain.sum() / max(foreseen.sum(), 1e-12), 0.0, 1.0))
 
     def trusted(self) -> tuple[np.ndarray, np.ndarray]:
-        """Decrease of the squared error (g,) of every group left out, and the one foreseen."""
+        """Return the decrease of the squared error (g,) of every held-out group, and the predicted one."""
         gain, foreseen = np.zeros((2, len(self.a)))
         for g in range(len(self.a)):
             w = self.weights(g)
@@ -206,12 +204,8 @@ class _Function:
         return gain, foreseen
 
 
-def assess(problem: Problem, left: Left, vehicle: Vehicle, seed: int = 0) -> Remainder:
-    """Judge what a fit leaves of the flights of `problem`; vehicle: the corrected one.
-
-    Errors that come from parameters off by what nobody needs to correct are taken off first, in every flight
-    by its own estimate.
-    """
+def assess(problem: Problem, left: Residual, vehicle: Vehicle, seed: int = 0) -> Remainder:
+    """Return sizes and significant functions of the residual; vehicle: the corrected one."""
     value, variance = sizes(problem, left.errors)
     size = {}
     for k, channel in enumerate(CHANNELS):
@@ -237,8 +231,10 @@ def assess(problem: Problem, left: Left, vehicle: Vehicle, seed: int = 0) -> Rem
     return Remainder(p_value, size, tuple(depends.values()))
 
 
-def _functions(problem: Problem, left: Left, inputs, bases, repeating: Repeating | None) -> list[_Function]:
-    """One function of every quantity along every target."""
+def _functions(
+    problem: Problem, left: Residual, inputs, bases, repeating: Repeating | None
+) -> list[_Function]:
+    """Fit one function of every quantity along every target."""
     block_of, result = _blocks(problem), []
     for name, (_, arrays) in inputs.items():
         features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, arrays)]
@@ -249,8 +245,10 @@ def _functions(problem: Problem, left: Left, inputs, bases, repeating: Repeating
     return result
 
 
-def _described(problem, function: _Function, basis: Basis, inputs, left: Left, vehicle, score) -> Dependence:
-    """A function in numbers: its size by regime, and its course over the input it goes with most."""
+def _described(
+    problem, function: _Function, basis: Basis, inputs, left: Residual, vehicle, score
+) -> Dependence:
+    """Return a function's size by regime, and its curve over the input that explains most of it."""
     names, arrays = inputs
     weights = function.weights()
     values = [basis(x) @ weights for x in arrays]
@@ -289,10 +287,10 @@ def _described(problem, function: _Function, basis: Basis, inputs, left: Left, v
 
 
 def _displacement(problem, function: _Function, basis: Basis, arrays, vehicle) -> np.ndarray:
-    """What a function predicts of the position error [m] AHEAD, on flights left out, with its 95 % interval.
+    """Return the position error [m] AHEAD that a function explains in held-out flights, with 95 % interval.
 
-    Root mean square of the displacement by the function fitted to the other flights, as much of it as came
-    true: the squared error that it took away there over the one that it would have, were it all.
+    Root mean square of the displacement by the function fitted to the other flights, times the root of its
+    optimal shrinkage (gain over predicted gain); bootstrap over flights.
     """
     if function.target == "yaw":
         return np.zeros(3)
@@ -348,7 +346,7 @@ def _binned(x: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray, np.ndarray
     return float((count * (mean - y.mean()) ** 2).sum() / len(y)), centre, mean
 
 
-def _fit(problem, left: Left, target: str, name: str, features, block_of, known) -> _Function:
+def _fit(problem, left: Residual, target: str, name: str, features, block_of, known) -> _Function:
     """The Gram matrices of a function's slopes with the errors that are left, and its gains.
 
     known (D,): what the function is in the flights of the reference; None: nothing.

@@ -1,8 +1,9 @@
-"""Which set of effects explains the flights: all sets are candidates, the answer is a distribution over them.
+"""Bayesian model selection: a posterior distribution over the sets of effects that may explain the flights.
 
-From no effect on, sets are screened with the Gram matrices of the nearest set that has been fitted, and the
-most probable are fitted through the simulator and linearised anew, until no neighbour - one effect more, less
-or another - promises more than what has been fitted.
+Greedy search with backward elimination for a start. The marginal likelihood of a neighbouring set - one
+effect added, removed or exchanged - is predicted from the linearisation (Gram matrices) of the nearest fitted
+set; the most probable ones are fitted through the simulator by Newton's method and linearised again, until no
+neighbour is predicted to beat the best.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ from inclined_landing.eval.gap.search.posterior import (
     Evidence,
     Local,
     Set,
-    between_flights,
+    confounding,
+    estimate_between_flights,
+    excitation,
     flight_weights,
-    looks_alike,
     slabs,
-    telling,
 )
 
 NOTHING = 0.5  # prior probability that nothing is missing
@@ -76,8 +77,8 @@ class Search:
     local: Local  # the flights at these
     sets: tuple[Scored, ...]  # most probable first
     unrest: unrest.Unrest
-    whole: dict[str, dict[str, float]]  # all effects fitted together
-    near: Linear  # the flights linearised there
+    joint: dict[str, dict[str, float]]  # fit of all effects
+    linear: Linear  # the flights linearised there
     inflation: np.ndarray  # (6,)
 
     def probability(self, *names: str) -> float:
@@ -86,27 +87,29 @@ class Search:
 
 
 def search(problem: Problem) -> Search:
-    """The sets of effects that may explain the flights of `problem`, which is whitened anew."""
-    whole, stir = settle(problem, list(problem.library))
-    inflation = repeated(problem, whole.values)
+    """Return the posterior over sets of effects; the noise model of `problem` is estimated on the way."""
+    joint, disturbance = fit_jointly(problem, list(problem.library))
+    inflation = autocorrelation_inflation(problem, joint.values)
     columns = problem.columns([*problem.library, BASE])
-    near = problem.linearise(whole.values, columns, inflation)
-    problem.alike = looks_alike(near)
-    problem.between = between_flights(problem, near)
-    problem.telling = telling(problem, near)
-    likely = backward_eliminate(problem, Local.of(problem, near, whole.values).evidence())
-    nodes = _explore(problem, inflation, likely, whole.values)
+    linear = problem.linearise(joint.values, columns, inflation)
+    problem.confounded = confounding(linear)
+    problem.between = estimate_between_flights(problem, linear)
+    problem.excitation = excitation(problem, linear)
+    likely = backward_eliminate(problem, Local.of(problem, linear, joint.values).evidence())
+    nodes = _explore(problem, inflation, likely, joint.values)
     best = max(nodes.values(), key=lambda node: node.score)
     scored = _distribution(problem, nodes, best, inflation)
     names = _best(problem, scored)
     if names not in nodes:
         nodes[names] = _visit(problem, names, _start(problem, best, names), inflation)
     chosen = nodes[names]
-    return Search(names, chosen.values, chosen.at, chosen.local, scored, stir, whole.values, near, inflation)
+    return Search(
+        names, chosen.values, chosen.at, chosen.local, scored, disturbance, joint.values, linear, inflation
+    )
 
 
 def _best(problem: Problem, scored: Sequence[Scored]) -> Set:
-    """The most probable set: free flight tells thrust over mass alone, so that these are one name."""
+    """Return the most probable set; mass, thrust scale and bias count as one (only their ratio shows)."""
     together: dict[Set, float] = {}
 
     def merged(names: Set) -> Set:
@@ -119,28 +122,28 @@ def _best(problem: Problem, scored: Sequence[Scored]) -> Set:
     return next(one.names for one in scored if merged(one.names) == most)
 
 
-def settle(problem: Problem, names: Sequence[str]) -> tuple[Fitted, unrest.Unrest]:
-    """Effects fitted together, and the noise and unrest that they leave; the flights weighed by these."""
+def fit_jointly(problem: Problem, names: Sequence[str]) -> tuple[Fitted, unrest.Unrest]:
+    """Fit effects jointly, alternating with the noise model: measurement noise and disturbance level."""
     values: dict[str, dict[str, float]] = {name: {} for name in (*names, BASE)}
-    still, stir = np.ones(6), unrest.Unrest.none()
+    still, disturbance = np.ones(6), unrest.Unrest.none()
     for _ in range(SETTLED):
-        before, fit = stir, refit(problem, values, still, iterations=3, tolerance=5.0, prior=_wide)
+        before, fit = disturbance, refit(problem, values, still, iterations=3, tolerance=5.0, prior=_wide)
         values, vehicle = fit.values, problem.corrected(fit.values)
         predicted = [problem.predicted(f, values) for f in problem.flights]
         errors = [f.measured - p for f, p in zip(problem.flights, predicted)]
         ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
-        stir = unrest.estimate(problem.flights, errors, np.split(problem.weight, ends))
-        problem.rewhiten(stir, vehicle)
+        disturbance = unrest.estimate(problem.flights, errors, np.split(problem.weight, ends))
+        problem.rewhiten(disturbance, vehicle)
         if not problem.identified:
             problem.reform(vehicle)
-        weigh(problem, predicted, errors)
-        if np.allclose(stir.size, before.size, rtol=0.15, atol=1e-3):
+        set_model_error_weights(problem, predicted, errors)
+        if np.allclose(disturbance.size, before.size, rtol=0.15, atol=1e-3):
             break
-    return fit, stir
+    return fit, disturbance
 
 
 def _wide(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Standard deviation (P,) of columns that are all free; of the formulas' errors where no flights told."""
+    """Prior standard deviation (P,) of the joint fit; model errors are tight without reference flights."""
     width = slabs(problem, columns)
     if problem.identified:
         return width
@@ -148,11 +151,12 @@ def _wide(problem: Problem, columns: Sequence) -> np.ndarray:
     return np.where([c.effect == BASE for c in columns], known, width)
 
 
-def weigh(problem: Problem, predicted: Sequence[np.ndarray], errors: Sequence[np.ndarray]) -> None:
-    """Weigh every window by the error that the form of the model makes there.
+def set_model_error_weights(
+    problem: Problem, predicted: Sequence[np.ndarray], errors: Sequence[np.ndarray]
+) -> None:
+    """Set every window's weight from a multiplicative model error, maximum likelihood per channel.
 
-    No formula is exact: beside noise and unrest the error grows with the motion that is predicted, by a
-    share of it that is the most likely one over all windows, in every channel.
+    Variance of a white error in a window with predicted energy E:  1 + f^2 E,  f one of FORMS.
     predicted, errors: (m, 6) of every flight.
     """
 
@@ -167,8 +171,8 @@ def weigh(problem: Problem, predicted: Sequence[np.ndarray], errors: Sequence[np
     problem.weight = problem.logged / np.take_along_axis(variance, best[None, None], axis=0)[0]
 
 
-def repeated(problem: Problem, values) -> np.ndarray:
-    """(6,) how much less a window tells than if it were independent of the one before."""
+def autocorrelation_inflation(problem: Problem, values) -> np.ndarray:
+    """Return the variance inflation (6,) of correlated windows: 1 + 2 sum of their autocorrelations."""
     white = problem.white_at(values)
     scale = np.ones(6)
     for channel in range(6):
@@ -184,15 +188,15 @@ def repeated(problem: Problem, values) -> np.ndarray:
 
 
 def log_prior(problem: Problem, names: Set) -> float:
-    """Log prior probability of a set: every effect alike, nothing with probability NOTHING."""
+    """Return the log prior of a set: independent effects of equal odds, the empty set with NOTHING."""
     share = 1.0 - NOTHING ** (1.0 / max(1, len(problem.library)))
     return len(names) * math.log(share / (1.0 - share))
 
 
 def _visit(problem: Problem, names: Set, start, inflation: np.ndarray, worth: float = -math.inf) -> Node:
-    """Fit a set from `start`, by Newton's steps, and linearise the simulator there.
+    """Fit a set from `start` by Newton's method and linearise the simulator there.
 
-    worth: score below which one step is enough.
+    worth: score below which one iteration is enough.
     """
     new = {n: problem.library[n].neutral | start.get(n, {}) for n in problem.library if n in names}
     for _ in range(STEPS):
@@ -211,36 +215,36 @@ def _visit(problem: Problem, names: Set, start, inflation: np.ndarray, worth: fl
 
 
 def _has_sizes(problem: Problem, names: Set, values) -> bool:
-    """Whether every effect of a set has a size: without one that stayed at nothing it is another set."""
+    """Tell whether every effect of a set is non-zero; with one at zero it is a smaller set."""
     return all(np.any(problem.sizes(name, values)) for name in names)
 
 
 def stepped(problem: Problem, local: Local, names: Set, weights=None) -> dict:
-    """Values of a set's effects beside the small errors of all others."""
+    """Return the posterior mode of a set's effects, within bounds, the others' spikes integrated out."""
     return problem.values_at(names, local.columns, local.within(names, weights)[0] * local.unit)
 
 
-def left_out(problem: Problem, local: Local, names: Set, values: Values) -> list[dict]:
-    """For every flight, the `values` of the effects `names` as the other flights alone have them."""
-    result, whole = [], local.within(frozenset(names))[0]
+def leave_one_out(problem: Problem, local: Local, names: Set, values: Values) -> list[dict]:
+    """Return, for every flight, the effects' values fitted to the other flights only (linearised)."""
+    result, full = [], local.within(frozenset(names))[0]
     at = problem.coordinates(values, local.columns)
     for k in range(len(problem.flights)):
         weights = np.ones(problem.groups)
         if len(problem.flights) > 1:
             weights[np.unique(problem.group_of[problem.flight_of == k])] = 0.0
-        change = (local.within(frozenset(names), weights)[0] - whole) * local.unit
+        change = (local.within(frozenset(names), weights)[0] - full) * local.unit
         result.append(problem.values_at(names, local.columns, at + change))
     return result
 
 
 def _start(problem: Problem, node: Node, names: Set) -> dict:
-    """Where the fit of a neighbour starts: the linear estimate."""
+    """Return the linear estimate of a neighbouring set, where its fit starts."""
     start = stepped(problem, node.local, names)
     return start | {n: dict(v) for n, v in node.values.items() if n in names}
 
 
 def _neighbours(problem: Problem, node: Node) -> list[Set]:
-    """Sets that differ from a node's by one effect more, less or exchanged, and by the best two more."""
+    """Return the sets that differ by one effect added, removed or exchanged, or by two added."""
     names = list(problem.library)
     others = [n for n in names if n not in node.names]
     result = [node.names - {n} for n in node.names]
@@ -255,7 +259,7 @@ def _neighbours(problem: Problem, node: Node) -> list[Set]:
 
 
 def backward_eliminate(problem: Problem, evidence: Evidence) -> Set:
-    """All effects less those without which the flights are more probable, one after the other."""
+    """Return the set that backward elimination by marginal likelihood ends at."""
     kept = frozenset(problem.library)
 
     def score(names: Set) -> float:
@@ -270,7 +274,7 @@ def backward_eliminate(problem: Problem, evidence: Evidence) -> Set:
 
 
 def _explore(problem: Problem, inflation: np.ndarray, likely: Set, values: Values) -> dict[Set, Node]:
-    """The sets that were fitted: from nothing on, and from a likely one with `values`."""
+    """Search greedily from the empty set and from `likely`, started at `values`; return the fitted sets."""
     nodes = {names: _visit(problem, names, values, inflation) for names in (frozenset[str](), likely)}
     promised: dict[Set, tuple[float, Node]] = {}
     expanded: set[Set] = set()
@@ -292,15 +296,15 @@ def _explore(problem: Problem, inflation: np.ndarray, likely: Set, values: Value
         else:  # it promises something beyond its bounds only
             del promised[names]
     best = max(nodes.values(), key=lambda node: node.score)
-    for names in _in_its_place(problem, best, nodes):
+    for names in _exchanges(problem, best, nodes):
         start = _start(problem, best, names)
         if _has_sizes(problem, names, start):
             nodes[names] = _visit(problem, names, start, inflation, best.score - FAR)
     return nodes
 
 
-def _in_its_place(problem: Problem, best: Node, nodes: dict[Set, Node]) -> list[Set]:
-    """For every effect of a set, the set with the likeliest other in its place, where that was not fitted."""
+def _exchanges(problem: Problem, best: Node, nodes: dict[Set, Node]) -> list[Set]:
+    """Return, for every effect of the best set, the best exchanges by another that are not fitted yet."""
     result = []
     for name in sorted(best.names):
         rest = best.names - {name}
@@ -312,10 +316,9 @@ def _in_its_place(problem: Problem, best: Node, nodes: dict[Set, Node]) -> list[
 
 
 def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflation) -> tuple[Scored, ...]:
-    """Probabilities of sets, by the mean of their log evidence in the linearisations at the most probable.
+    """Return bagged posterior probabilities, log evidence averaged over the best POINTS linearisations.
 
-    Every set in the same linearisations: the simulator is linear enough for a difference between sets, not
-    for one between points far apart.
+    All sets are compared in the same linearisations: the error of linearising cancels in the difference.
     """
     weights = flight_weights(problem.groups)
     near = {n: best.screen(n) + log_prior(problem, n) for n in _neighbours(problem, best) if n not in nodes}
@@ -349,7 +352,7 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
 
 
 def _worth_correcting(problem: Problem, local: Local, names: Set) -> dict[Set, float]:
-    """How probable every part of a set is the part whose sizes are beyond what nobody needs to correct."""
+    """Return, for every subset, the probability that exactly its effects exceed their negligible size."""
     at, spread = local.within(names)[0], local.delta(names)[1]
     errors = np.sqrt(np.maximum(spread.diagonal(), 1e-12))
     result: dict[Set, float] = {frozenset(): 1.0}
