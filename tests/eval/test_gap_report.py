@@ -148,7 +148,7 @@ def test_headlines_say_what_is_known_and_what_is_not():
         example(), effects=(named("wind", {"x": 0.3, "y": 0.0}, 0.5), example().effects[1])
     )
     little = dataclasses.replace(little, effects=(little.effects[0], named("attitude_trim", TRIM, 0.001)))
-    assert words.headline(little) == "The model lacks wind (97 %)."
+    assert words.headline(little) == "The model lacks wind (97 %) and 1 smaller effect."
     unsure = dataclasses.replace(little, effects=(dataclasses.replace(little.effects[0], probability=0.6),))
     assert words.headline(unsure) == "The model possibly lacks wind (60 %)."
     assert words.answer_rows(unsure)[0][:2] == ("wind", "possible, 60 %")

@@ -176,9 +176,11 @@ def headline(d: Diagnosis) -> str:
     large = [e for e in d.effects if e.gain >= TO_THE_HEADLINE] or list(d.effects)
     sure = listed([_lacking(e) for e in large if e.sure])
     rest = listed([_lacking(e) for e in large if not e.sure])
+    count = len(d.effects) - len(large)
+    smaller = f"{count} smaller effect{'s' * (count > 1)}" if count else ""
     if rest and not sure and d.verdict != "unknown":
-        return f"The model possibly lacks {rest}."
-    parts = [part for part in (sure, rest and f"possibly {rest}") if part]
+        return f"The model possibly lacks {rest}{smaller and f', and {smaller}'}."
+    parts = [part for part in (sure, rest and f"possibly {rest}", smaller) if part]
     if not parts:
         return "Something is missing that no effect of the library explains."
     if d.verdict == "unknown":
