@@ -152,7 +152,7 @@ def diagnose(
 
 @dataclasses.dataclass(frozen=True)
 class _Touched:
-    """What the landings say; `landed` is empty where they are too few."""
+    """Result on contact effects; `landed` is empty where landings are too few."""
 
     vehicle: Vehicle  # corrected for contact too
     landed: list[Landing] = dataclasses.field(default_factory=list)  # those judged on
@@ -198,7 +198,7 @@ class _Clock:
 
 
 def _limits_in_words(problem: Problem) -> list[str]:
-    """What the flights are too few or too short for."""
+    """Return notes on too few or too short flights."""
     n, notes = len(problem.flights), []
     if n < FEW_FLIGHTS:
         notes.append(
@@ -229,14 +229,14 @@ def _where(problem: Problem, before, after) -> tuple[WhereRow, ...]:
 
 
 def _where_touching(landed, before: Vehicle, after: Vehicle) -> tuple[WhereRow, ...]:
-    """Position error over the motion that follows the touch."""
+    """Return the position error after the touch, as a table row."""
     rms = [float(np.sqrt((after_touch.position_errors(landed, v) ** 2).mean())) for v in (before, after)]
     floor = float(np.sqrt(np.mean([(x.deviation[:, :3] ** 2).sum(axis=1).mean() for x in landed])))
     return (WhereRow("touchdown", "touchdown", *rms, floor, "m", len(landed)),)
 
 
 def _landing_gap(landed, before: Vehicle, after: Vehicle) -> PlantGap:
-    """The gap of logs that hold nothing but landings: at the end of the motion after the touch."""
+    """Return the gap of logs with landings only: error at the end of the motion after the touch."""
     end = [
         float(np.sqrt((after_touch.position_errors(landed, v)[:, -1] ** 2).mean())) for v in (before, after)
     ]
@@ -246,7 +246,7 @@ def _landing_gap(landed, before: Vehicle, after: Vehicle) -> PlantGap:
 
 
 def _starts(problem: Problem, notes: list[str]) -> rollout.Starts | None:
-    """Windows for the gap; flights at the most usual rate."""
+    """Return the windows for the gap, from flights of the most common rate."""
     try:
         return rollout.Starts.of(problem.flights)
     except UserError as error:
@@ -255,7 +255,7 @@ def _starts(problem: Problem, notes: list[str]) -> rollout.Starts | None:
 
 
 def _horizon(problem, starts, effects: Sequence[NamedEffect], after, floor) -> tuple[HorizonCurve, ...]:
-    """Error against horizon with the effects added one by one."""
+    """Return error against horizon with the effects added one by one."""
     t = np.arange(1, starts.rows + 1) * starts.dt
     names, curves = [e.name for e in effects], []
     for k in range(len(names) + 1):
@@ -270,7 +270,7 @@ def _horizon(problem, starts, effects: Sequence[NamedEffect], after, floor) -> t
 
 
 def _costed(problem, starts, effects: Sequence[NamedEffect], one: NamedEffect) -> NamedEffect:
-    """The effect with the error one second ahead that it adds, where it is left out of the others."""
+    """Return the effect with its cost: root of the increase in squared 1-s error without it."""
     measured, vehicles = starts.measured(), []
     for kept in ([e for e in effects if e is not one], effects):
         vehicles.append(problem.corrected({e.name: e.values() for e in kept}))
@@ -279,7 +279,7 @@ def _costed(problem, starts, effects: Sequence[NamedEffect], one: NamedEffect) -
 
 
 def _window_curves(starts, vehicle: Vehicle, corrected: Vehicle) -> tuple[WindowCurves, ...]:
-    """For every regime, the window whose error is largest before."""
+    """Return, for every regime, the window of the largest error before correction."""
     measured = starts.measured()
     before, after = rollout.simulate(starts, vehicle), rollout.simulate(starts, corrected)
     error = ((before - measured)[:, -1, :3] ** 2).sum(axis=1)

@@ -41,7 +41,7 @@ CONFOUNDED = 0.8  # correlation of errors above which two effects cannot be told
 
 @dataclasses.dataclass(frozen=True)
 class Identified:
-    """A number of the vehicle: as it was, as identified, with its 95 % interval clustered by flight."""
+    """An identified constant, with its cluster-robust (by flight) 95 % interval."""
 
     name: str  # lag, attitude gain, ...
     field: str  # of Vehicle
@@ -56,7 +56,7 @@ class Identified:
 
 @dataclasses.dataclass(frozen=True)
 class Identifiable:
-    """How well the flights tell an effect."""
+    """Identifiability of an effect from the flights."""
 
     effect: str
     share: float  # standard error over what real vehicles differ by: 1, and the flights tell nothing
@@ -90,7 +90,7 @@ class Identification:
 
 
 def static_map(vehicle: Vehicle) -> Vehicle:
-    """The same vehicle with the static map of its motors behind the lag in place of the transfer function.
+    """Return the vehicle with a static thrust map behind the motor lag instead of the transfer function.
 
     The map is quadratic with two negative zeros, so that it is a line through the lagged PWM (with its
     offset as the thrust bias) times a sag, here negative, with the load.
@@ -172,7 +172,7 @@ def identify(
 
 
 def _posterior(problem: Problem, vehicle: Vehicle, inflation, size):
-    """What the flights leave uncertain of the vehicle identified, and how well they tell each effect."""
+    """Return the posterior of the identified vehicle and the identifiability of each effect."""
     library, _ = identifiable_effects({n: e for n, e in LIBRARY.items() if not e.contact}, problem.flights)
     around = Problem(problem.flights, vehicle, library)
     around.weight, around.free = problem.weight, True
@@ -192,13 +192,13 @@ def _posterior(problem: Problem, vehicle: Vehicle, inflation, size):
 
 
 def nrmse_fit(measured: np.ndarray, predicted: np.ndarray) -> float:
-    """100 (1 - |y - p| / |y - mean y|) percent."""
+    """Return the NRMSE fit in percent: 100 (1 - |y - p| / |y - mean y|)."""
     spread = np.linalg.norm(measured - measured.mean())
     return float(100.0 * (1.0 - np.linalg.norm(measured - predicted) / spread)) if spread > 0 else math.nan
 
 
 def _compared(flights: list[Measured], before: Vehicle, after: Sequence[Vehicle]):
-    """Channel -> (measured, before, after): velocity changes over FIT_HORIZON, and angles open loop."""
+    """Return channel -> (measured, before, after): velocity changes over FIT_HORIZON, open-loop angles."""
     parts: dict[str, list] = {}
     for flight, own in zip(flights, after):
         predictions = [predict(flight, v) for v in (before, own)]
@@ -218,7 +218,7 @@ def _compared(flights: list[Measured], before: Vehicle, after: Sequence[Vehicle]
 
 
 def _half(problem: Problem, known: Sized) -> float:
-    """Half of a 95 % interval."""
+    """Return the half-width of a 95 % interval."""
     return float(stats.t.ppf(0.975, max(1, problem.groups - 1))) * known.error
 
 
@@ -249,7 +249,7 @@ def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tup
 
 
 def _fields(problem: Problem, values: Values, sized, before: Vehicle, after: Vehicle):
-    """Changed fields of the vehicle with the half-width of their intervals, in the field's own unit."""
+    """Return the changed vehicle fields with the half-widths of their intervals, in the field's unit."""
     changed = [f.name for f in dataclasses.fields(after) if getattr(after, f.name) != getattr(before, f.name)]
     width = {name: np.zeros(np.shape(getattr(after, name))) for name in changed}
     for (effect, parameter), known in sized.items():

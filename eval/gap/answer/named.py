@@ -31,7 +31,7 @@ HELD = 0.95  # of the probability, by the sets that what takes an effect's place
 
 
 def named_effects(problem: Problem, found: Search, values: Values) -> tuple[NamedEffect, ...]:
-    """The effects of `values`, fitted to the flights of `problem`, largest gain first."""
+    """Return the named effects with estimates, largest gain first."""
     sizes, lost = _estimates(problem, found, values), squares_lost(problem, found, values)
     before, after = (by_channel(problem, found, v).sum() for v in ({}, values))
     members = {name: (name, *confounded_with_it(found, name)) for name in values}
@@ -50,12 +50,12 @@ def named_effects(problem: Problem, found: Search, values: Values) -> tuple[Name
 
 
 def likely(found: Search) -> Set:
-    """The effects of the most probable set that, or what may take their place, are rather there than not."""
+    """Return the effects of the best set of probability >= NAMED, confounded ones added."""
     return frozenset(n for n in found.names if found.probability(n, *confounded_with_it(found, n)) >= NAMED)
 
 
 def confounded_with_it(found: Search | Touched, name: str) -> tuple[str, ...]:
-    """What probable sets without an effect have in exchange for it, most probable first.
+    """Return the effects that replace `name` in probable sets without it, most probable first.
 
     What stands beside it more probably than without it does not take its place.
     """
@@ -70,26 +70,26 @@ def confounded_with_it(found: Search | Touched, name: str) -> tuple[str, ...]:
 
 
 def by_channel(problem: Problem, found: Search, values: Values) -> np.ndarray:
-    """White squared error (6,) of every channel with effects at `values`."""
+    """Return the weighted sum of squared white errors (6,) of every channel."""
     white = problem.white_at(values)
     squares = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in white])
     return (problem.weight / found.inflation * squares).sum(axis=0)
 
 
 def squares_lost(problem: Problem, found: Search, values: Values) -> dict[str, np.ndarray]:
-    """Effect -> squared error (6,) of every channel that comes back without it."""
+    """Return effect -> increase of the squared error (6,) of every channel without it."""
     after = by_channel(problem, found, values)
     rest = {name: {n: v for n, v in values.items() if n != name} for name in values}
     return {name: by_channel(problem, found, rest[name]) - after for name in values}
 
 
 def values_with(problem: Problem, found: Search, names: Set, weights=None) -> dict[str, dict[str, float]]:
-    """Values of the effects `names` of the best set; weights (g,): how much every group of windows counts."""
+    """Return the posterior mode of the effects `names`; weights (g,): of the groups of windows."""
     return stepped(problem, found.local, frozenset(names), weights)
 
 
 def _estimates(problem: Problem, found: Search, values: Values) -> dict[str, dict[str, Estimate]]:
-    """Effect -> parameter -> its size beside the small errors of all other effects."""
+    """Return effect -> parameter -> its estimate, the other effects marginalised."""
     sized = found.local.sized(values)
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
@@ -119,12 +119,12 @@ def _estimates(problem: Problem, found: Search, values: Values) -> dict[str, dic
 
 
 def scored_sets(problem: Problem, found: Search) -> tuple[ScoredSet, ...]:
-    """The sets with their probabilities; standard errors from the flights near the most probable one."""
+    """Return the sets with probabilities and standard errors."""
     return _scored(in_doubt(problem, found)[0])
 
 
 def unseen_sets(problem: Problem, found: Search) -> tuple[ScoredSet, ...]:
-    """The most probable set with each effect that the flights could not have shown, at its prior odds."""
+    """Return the best set extended by each unidentifiable effect, at prior odds."""
     return _scored(unseen(problem, found))
 
 
@@ -133,7 +133,7 @@ def _scored(hypotheses: Iterable[Hypothesis]) -> tuple[ScoredSet, ...]:
 
 
 def disturbances(problem: Problem, disturbance: Unrest) -> dict[str, Disturbance]:
-    """Channel -> noise and unrest of the flights; yaw only where it was logged."""
+    """Return channel -> measurement noise and disturbance level; yaw only where it was logged."""
     noise = np.median([f.noise for f in problem.flights], axis=0) * disturbance.noise
     return {
         channel: Disturbance(
@@ -150,7 +150,7 @@ def disturbances(problem: Problem, disturbance: Unrest) -> dict[str, Disturbance
 
 
 def touched_effects(problem: TouchdownProblem, found: Touched) -> tuple[NamedEffect, ...]:
-    """The effects of the most probable set of contact effects, largest gain first."""
+    """Return the named contact effects with estimates, largest gain first."""
     effects = []
     for name, sized in found.sizes.items():
         (p,), (low, high) = problem.library[name].parameters, problem.library[name].parameters[0].bounds
@@ -174,7 +174,7 @@ def touched_effects(problem: TouchdownProblem, found: Touched) -> tuple[NamedEff
 
 
 def with_touched(flown: tuple[ScoredSet, ...], found: Touched) -> tuple[ScoredSet, ...]:
-    """Sets of free flight and of contact together, as if independent, most probable first."""
+    """Return the product of the posteriors of free-flight and contact sets, most probable first."""
     both = [
         ScoredSet(
             (*one.effects, *other.values),

@@ -1,4 +1,4 @@
-"""What does not repeat: measurement noise and the unrest of the air, estimated from window errors.
+"""Noise model: measurement noise and disturbance (process noise), by maximum likelihood from window errors.
 
 An Ornstein-Uhlenbeck acceleration in every channel, of some standard deviation and correlation time, on top
 of the measurement noise: both by maximum likelihood over all windows of all flights, intervals by flights
@@ -25,7 +25,7 @@ DRAWS = 200
 
 @dataclasses.dataclass(frozen=True)
 class Unrest:
-    """Disturbance that does not repeat, in x, y, z [m/s2], roll, pitch and yaw [rad/s2]."""
+    """Ornstein-Uhlenbeck disturbance in x, y, z [m/s2], roll, pitch and yaw [rad/s2]."""
 
     size: np.ndarray  # (6,) standard deviation
     size_ci95: np.ndarray  # (2, 6)
@@ -35,7 +35,7 @@ class Unrest:
 
     @staticmethod
     def none() -> Unrest:
-        """Still air, the noise as the logs show it."""
+        """Return zero disturbance and the noise seen in the logs."""
         zero = np.zeros(6)
         return Unrest(zero, np.zeros((2, 6)), np.full(6, 0.3), np.full((2, 6), 0.3), np.ones(6))
 
@@ -46,7 +46,7 @@ def estimate(
     weights: Sequence[np.ndarray] | None = None,
     seed: int = 0,
 ) -> Unrest:
-    """The unrest of which errors (m, 6), measured minus predicted, of flights are made.
+    """Return the maximum-likelihood noise model of errors (m, 6), measured minus predicted, of flights.
 
     weights (w, 6) of the windows of every flight: the variance of their errors over what it would be beside
     noise and unrest alone, inverted; None: nothing else adds to the errors.
@@ -60,7 +60,7 @@ def estimate(
 
 
 def _of_channel(flights, windows, channel: int, seed: int):
-    """(size, its interval, time, its interval, factor of the noise) of one channel."""
+    """Return (size, its interval, correlation time, its interval, noise factor) of a channel."""
     if channel == 5 and not any(f.has_yaw for f in flights):
         return 0.0, (0.0, 0.0), 0.3, (0.3, 0.3), 1.0
     parts = [_modes(f, w, channel) for f, w in zip(flights, windows)]
@@ -87,7 +87,7 @@ def _of_channel(flights, windows, channel: int, seed: int):
 
 
 def _modes(flight: Measured, windows: np.ndarray, channel: int):
-    """For every time of TIMES: (variances (q,) by unit unrest, mean squares (q,), windows w).
+    """Return, for every correlation time, (variances (q,) by unit disturbance, mean squares (q,), windows w).
 
     In the directions in which noise has unit variance and unrest is uncorrelated.
     """
@@ -102,7 +102,7 @@ def _modes(flight: Measured, windows: np.ndarray, channel: int):
 
 
 def _mean_squares(values: np.ndarray) -> np.ndarray:
-    """Mean squares (q,) of values (w, q); the few windows that outdo all others drawn in."""
+    """Return mean squares (q,) of values (w, q), outlying windows winsorised."""
     squares = values**2
     total = squares.mean(axis=1)
     most = 4.0 * np.median(total) + 1e-300
@@ -110,7 +110,7 @@ def _mean_squares(values: np.ndarray) -> np.ndarray:
 
 
 def _log_likelihood(part, sizes: np.ndarray) -> np.ndarray:
-    """Log-likelihood (times, noise, sizes) of one flight."""
+    """Return the log-likelihood (times, noise, sizes) of one flight."""
     rows = []
     for variance, squares, count in part:
         total = NOISE[:, None, None] + sizes[None, :, None] ** 2 * variance
@@ -119,7 +119,7 @@ def _log_likelihood(part, sizes: np.ndarray) -> np.ndarray:
 
 
 def _refined(x: np.ndarray, y: np.ndarray, k: int) -> float:
-    """Where the parabola through the largest y and its neighbours is highest; x: logarithms."""
+    """Return exp of the vertex of the parabola through the maximum and its neighbours; x: logarithms."""
     if k in (0, len(x) - 1):
         return float(np.exp(x[k]))
     bend = y[k - 1] - 2.0 * y[k] + y[k + 1]

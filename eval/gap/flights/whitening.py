@@ -20,7 +20,7 @@ CHANNELS = 6
 
 @dataclasses.dataclass(frozen=True)
 class Shapes:
-    """What noise and unrest make of a window's error, for windows of one length and one vehicle."""
+    """Linear responses of a window's error to noise and disturbance, for one length and vehicle."""
 
     free: tuple[np.ndarray, ...]  # of 6 (rows, q): everything but the start state, q = rows - 2
     responses: tuple[np.ndarray, ...]  # of 6 (rows, rows): of the error to a unit acceleration in every step
@@ -28,7 +28,7 @@ class Shapes:
 
     @staticmethod
     def of(rows: int, dt: float, vehicle: Vehicle) -> Shapes:
-        """For windows of `rows` samples dt apart, the attitude loops those of `vehicle`."""
+        """Return the responses for windows of `rows` samples dt apart, attitude loops as of `vehicle`."""
         t = np.arange(rows) * dt
         since = t[:, None] - t[None, :]
         modes, stiffness = _of_loop(vehicle)
@@ -50,7 +50,7 @@ class Shapes:
         return Shapes((line,) * 3 + (tilt,) * 2 + (turn,), (moved,) * 3 + (tilted,) * 2 + (turned,), dt)
 
     def noise(self, channel: int, noise: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-        """Covariance (q, q) of a channel's error by measurement noise alone (see `Whitening.of`)."""
+        """Return the covariance (q, q) of a channel's error by measurement noise (see `Whitening.of`)."""
         free = self.free[channel]
         covariance = noise[channel] ** 2 * np.eye(free.shape[1])
         if channel < 3:
@@ -59,14 +59,14 @@ class Shapes:
         return covariance
 
     def unrest(self, channel: int, time: float) -> np.ndarray:
-        """Covariance (q, q) of a channel's error by unrest of unit size with a correlation time [s]."""
+        """Return the error covariance (q, q) of a channel by a unit disturbance of a correlation time [s]."""
         fed = self.free[channel].T @ self.responses[channel]
         steps = np.arange(fed.shape[1]) * self.dt
         return fed @ np.exp(-np.abs(steps[:, None] - steps) / time) @ fed.T
 
 
 def _of_loop(vehicle: Vehicle):
-    """Of the roll and pitch loops: t -> their responses to an angle and to a rate; their stiffness [1/s2]."""
+    """Return the attitude loop's free responses to an initial angle and rate; its stiffness [1/s2]."""
     a, b = 1.0 / vehicle.attitude_time_constant, vehicle.attitude_bandwidth
     mean = 0.5 * vehicle.attitude_damping * (a + b)
     half = np.sqrt(complex(mean * mean - a * b))
@@ -82,7 +82,7 @@ def _of_loop(vehicle: Vehicle):
 
 @dataclasses.dataclass(frozen=True)
 class Whitening:
-    """Matrices for windows of one length and one noise."""
+    """Whitening matrices (inverse Cholesky factors) for windows of one length and one noise model."""
 
     matrices: np.ndarray  # (6, q, rows): q = rows - 2 white numbers of unit variance for each channel
     shapes: np.ndarray  # (6, q) the whitened unit remainder of each channel (see `sizes`)
@@ -113,14 +113,14 @@ class Whitening:
         return Whitening(matrices, np.einsum("cqk,ck->cq", matrices, np.array(unit)))
 
     def __call__(self, windows: np.ndarray) -> np.ndarray:
-        """White errors (w, 6, q) of windows (w, rows, 6)."""
+        """Return the white errors (w, 6, q) of windows (w, rows, 6)."""
         return np.matmul(self.matrices, windows.transpose(2, 1, 0)).transpose(2, 0, 1)
 
     def sizes(self, white: np.ndarray) -> np.ndarray:
-        """Each window's error (w, 6) as a constant acceleration [m/s2] or angle [rad]; yaw: at its end."""
+        """Return the constant acceleration [m/s2] or angle [rad] (w, 6) that fits each window's error."""
         return np.einsum("wcq,cq->wc", white, self.shapes) / self.power
 
     @property
     def power(self) -> np.ndarray:
-        """(6,) inverse variance of `sizes` under noise and unrest alone."""
+        """Return the inverse variance (6,) of `sizes` under noise and disturbance alone."""
         return np.einsum("cq,cq->c", self.shapes, self.shapes)

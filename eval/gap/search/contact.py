@@ -65,23 +65,23 @@ class Touched:
 
     @property
     def names(self) -> Set:
-        """The most probable set."""
+        """Return the most probable set."""
         return self.sets[0].names
 
     @property
     def values(self) -> dict[str, dict[str, float]]:
-        """Its values."""
+        """Return its values."""
         return self.sets[0].values
 
     def probability(self, name: str) -> float:
-        """That an effect is part of what is missing."""
+        """Return the marginal probability of an effect."""
         return sum(s.probability for s in self.sets if name in s.names)
 
 
 def name_contact(
     landings: Sequence[Landing], vehicle: Vehicle, library: Mapping[str, Effect]
 ) -> tuple[TouchdownProblem, Touched]:
-    """The sets of contact effects that `vehicle`, corrected for free flight, may lack in `landings`."""
+    """Return the posterior over sets of contact effects; `vehicle` is corrected for free flight."""
     problem = TouchdownProblem(landings, vehicle, library)
     engine = _Engine(problem)
     sets, chosen = engine.distribution()
@@ -93,26 +93,26 @@ def name_contact(
 
 @dataclasses.dataclass
 class _Scan:
-    """Errors (m, n, 6, q) of the landings at sizes (m,) of one effect, in ascending order."""
+    """White errors (m, n, 6, q) of the landings on a grid of sizes (m,) of one effect."""
 
     sizes: np.ndarray
     errors: np.ndarray
 
     def at(self, sizes: np.ndarray) -> np.ndarray:
-        """Errors (k, n, 6, q) at sizes (k,), between those simulated on a line."""
+        """Return the errors (k, n, 6, q) interpolated linearly to sizes (k,)."""
         k = np.clip(np.searchsorted(self.sizes, sizes) - 1, 0, len(self.sizes) - 2)
         share = ((sizes - self.sizes[k]) / (self.sizes[k + 1] - self.sizes[k]))[:, None, None, None]
         return (1.0 - share) * self.errors[k] + share * self.errors[k + 1]
 
     def with_one(self, size: float, errors: np.ndarray) -> _Scan:
-        """With the errors (n, 6, q) at one more size."""
+        """Return the grid with the errors (n, 6, q) at one more size."""
         k = int(np.searchsorted(self.sizes, size))
         return _Scan(np.insert(self.sizes, k, size), np.insert(self.errors, k, errors, axis=0))
 
 
 @dataclasses.dataclass
 class _Part:
-    """A set with one of its effects scanned: log evidence along that effect, the others linear."""
+    """A set with one effect on a grid (log evidence along it), the others linearised."""
 
     names: Set
     name: str  # the one scanned
@@ -122,17 +122,17 @@ class _Part:
 
     @property
     def evidence(self) -> np.ndarray:
-        """(d,) log marginal likelihoods."""
+        """Return the log marginal likelihoods (d,)."""
         return logsumexp(self.log, axis=1)
 
 
 def _likeliest(parts: Sequence[_Part]) -> _Part:
-    """What the most is seen along: other effects are linear there only, and lose what is not."""
+    """Return the part of the highest evidence."""
     return max(parts, key=lambda x: float(x.evidence[0]))
 
 
 class _Engine:
-    """Scans of every effect, of one parameter each, and what follows for every set."""
+    """Grids of every effect (one parameter each) and the evidence of every set."""
 
     def __init__(self, problem: TouchdownProblem):
         self.problem = problem
@@ -152,7 +152,7 @@ class _Engine:
         self.scans = [self._refined(j, scan, self._widths({j}), {}) for j, scan in enumerate(self.scans)]
 
     def _errors(self, sizes: Mapping[int, float]) -> np.ndarray:
-        """Errors (n, 6, q) with effects at `sizes`, by number."""
+        """Return the errors (n, 6, q) with effects at `sizes`, by index."""
         return self.problem.errors(self.problem.corrected(self._values(sizes)))
 
     def _values(self, sizes: Mapping[int, float]) -> dict[str, dict[str, float]]:
@@ -168,17 +168,17 @@ class _Engine:
         return _Scan(np.array(sizes), np.stack([self._errors({j: x}) if x else self.neutral for x in sizes]))
 
     def _slopes(self, scan: _Scan) -> np.ndarray:
-        """Minus the change (n, 6, q) of the errors by size, about neutral."""
+        """Return minus the slope (n, 6, q) of the errors about neutral."""
         k = int(np.searchsorted(scan.sizes, 0.0))
         low, high = max(k - 1, 0), min(k + 1, len(scan.sizes) - 1)
         return -(scan.errors[high] - scan.errors[low]) / (scan.sizes[high] - scan.sizes[low])
 
     def _widths(self, named: set[int]) -> np.ndarray:
-        """Prior standard deviation (P,) of every effect where those numbered are in the set."""
+        """Return the prior standard deviations (P,): slabs for the set, spikes for the others."""
         return np.where(np.isin(np.arange(len(self.names)), list(named)), self.slab, self.spike)
 
     def _beside(self, named: set[int], j: int, sizes: np.ndarray) -> np.ndarray:
-        """The same (m, P) where the one numbered j has sizes (m,), and what couples with it in MuJoCo."""
+        """Return the same (m, P) with effect j at sizes (m,) and coupled effects free in proportion."""
         width = np.tile(self._widths(named), (len(sizes), 1))
         for other in self.problem.library[self.names[j]].couples_with:
             if other in self.names and (k := self.names.index(other)) not in named:
@@ -186,7 +186,7 @@ class _Engine:
         return width
 
     def _refined(self, j: int, scan: _Scan, width: np.ndarray, beside: Mapping[int, float]) -> _Scan:
-        """The scan with the most probable sizes simulated too."""
+        """Return the grid refined at the most probable sizes."""
         for _ in range(REFINED):
             sizes = _between(scan.sizes, 4)
             log = self._logs(j, scan.at(sizes), width, beside)[0][:, 0] - 0.5 * (sizes / width[j]) ** 2
@@ -197,7 +197,7 @@ class _Engine:
         return scan
 
     def _logs(self, j, errors, width, beside) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Log evidence (m, d) of errors (m, n, 6, q), all effects but the one numbered j integrated out.
+        """Return the log evidence (m, d) of errors (m, n, 6, q), all effects but j marginalised.
 
         width (P,) or (m, P): of their priors; beside: sizes that the errors have already. Returns their most
         probable sizes (m, P) too, and how well every landing knows all of them alone, (m, n, P).
@@ -228,7 +228,7 @@ class _Engine:
         return log, m + at, np.einsum("mipp->mip", a)
 
     def part(self, names: Set, j: int, scan: _Scan, beside: Mapping[int, float]) -> _Part:
-        """A set, its effect numbered j scanned."""
+        """Return a set with effect j on its grid."""
         named = {k for k, n in enumerate(self.names) if n in names}
         width, sizes = self._widths(named), _between(scan.sizes, 2)
         log, _, known = self._logs(j, scan.at(sizes), self._beside(named, j, sizes), beside)
@@ -247,18 +247,18 @@ class _Engine:
         return _Part(names, self.names[j], sizes, log, best[k])
 
     def _sizable(self, sizes: np.ndarray, own: Sequence[int]) -> np.ndarray:
-        """Log factor (m,) of the prior of sizes (m, k): a named effect is larger than what is not named."""
+        """Return the log prior factor (m,) of sizes (m, k): a named effect exceeds its spike."""
         spike, slab = self.spike[own], self.slab[own]
         factor = -np.expm1(-0.5 * (sizes / spike) ** 2) / (1.0 - spike / np.hypot(spike, slab))
         return np.log(np.maximum(factor, 1e-12)).sum(axis=1)
 
     def parts(self, names: Set) -> list[_Part]:
-        """A set along every scan; of several effects along theirs."""
+        """Return the parts of a set."""
         along = [j for j, n in enumerate(self.names) if len(names) < 2 or n in names]
         return [self.part(names, j, self.scans[j], {}) for j in along]
 
     def anew(self, table: dict[Set, list[_Part]], names: Set) -> None:
-        """Scan each effect of a set of several beside the others at their most probable sizes.
+        """Recompute the grids of a set, each effect beside the others at their mode.
 
         Sets without the one that is scanned are seen along it as well: with none of its size, but what any
         contact may be off by.
@@ -274,7 +274,7 @@ class _Engine:
             table[rest].append(self.part(rest, j, scan, others))
 
     def distribution(self) -> tuple[tuple[Scored, ...], list[_Part]]:
-        """The sets by probability, and the parts of the most probable."""
+        """Return the posterior over sets, and the parts of the best."""
         share = 1.0 - NOTHING ** (1.0 / max(1, len(self.names)))
         odds = math.log(share / (1.0 - share))
         table: dict[Set, list[_Part]] = {}
@@ -299,11 +299,11 @@ class _Engine:
         return tuple(Scored(n, float(probability[n]), values[n]) for n in kept), own[kept[0]]
 
     def _best(self, parts: Sequence[_Part]) -> dict[int, float]:
-        """Most probable sizes of a set, by number: each where it was scanned."""
+        """Return the modes of a set by index."""
         return {self.names.index(x.name): float(x.best[self.names.index(x.name)]) for x in parts}
 
     def sized(self, parts: Sequence[_Part]) -> dict[str, Sized]:
-        """Values of a set with intervals, and in every landing."""
+        """Return the estimates of a set, with intervals, and per landing."""
         own, result = self._best(parts), {}
         left = self._errors(own) if own else self.neutral
         weight = _weights(left) / self.inflation
@@ -327,7 +327,7 @@ class _Engine:
         return result
 
     def gains(self, values) -> dict[str, float]:
-        """Effect -> share of what the set closes that comes back without it."""
+        """Return effect -> share of the set's gain that is lost without it."""
 
         def squares(some) -> float:
             return -float(_log_t(self.problem.errors(self.problem.corrected(some))).sum())
@@ -340,30 +340,30 @@ class _Engine:
         return {name: float(np.clip((squares(rest[name]) - after) / closed, 0.0, 1.0)) for name in values}
 
     def left(self, values) -> np.ndarray:
-        """Errors (n, 6, q) beside a set and what all effects may be off by."""
+        """Return the residual errors (n, 6, q), small errors of all effects removed."""
         errors = self.problem.errors(self.problem.corrected(values))[None]
         small = self._logs(None, errors, self._widths(set()), {})[1][0]
         return errors[0] - self.slopes @ small
 
 
 def _between(sizes: np.ndarray, parts: int) -> np.ndarray:
-    """Sizes (m,) with every interval divided into `parts`."""
+    """Return sizes (m,) with every interval divided into `parts`."""
     inner = [np.linspace(a, b, parts, endpoint=False) for a, b in itertools.pairwise(sizes)]
     return np.append(np.concatenate(inner), sizes[-1])
 
 
 def _log_t(errors: np.ndarray) -> np.ndarray:
-    """Log likelihood (..., 6) of errors (..., 6, q), the q of an axis t-distributed with q degrees."""
+    """Return the log-likelihood (..., 6) of errors (..., 6, q), multivariate t with q degrees of freedom."""
     return -errors.shape[-1] * np.log1p((errors**2).mean(axis=-1))
 
 
 def _weights(errors: np.ndarray) -> np.ndarray:
-    """What the axes (..., 6) of landings count, beside errors (..., 6, q) that are as large as expected."""
+    """Return the robust weights (..., 6) of the axes, of that t distribution, at errors (..., 6, q)."""
     return 2.0 / (1.0 + (errors**2).mean(axis=-1))
 
 
 def inflation(errors: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """(6,) how much less the axes of a landing tell than if everything in them were independent.
+    """Return the variance inflation (6,) of correlated samples within a landing.
 
     errors (n, 6, q) near the best explanation, slopes (n, 6, q, P). First the samples of an axis: squares of
     slope times error over what independent samples give, of the effect where they are largest. Then the same
@@ -380,7 +380,7 @@ def inflation(errors: np.ndarray, slopes: np.ndarray) -> np.ndarray:
 
 
 def repeated(landings: Sequence[Landing], left: np.ndarray, inflated: np.ndarray) -> float:
-    """p-value of what landings on the same surface have in common, if idealised contacts differ by that.
+    """Return the p-value of the mean residual of landings on the same surface.
 
     left (n, 6, q): errors beside a set; inflated (6,). On each surface an axis may err alike in all landings,
     in MODES ways, each as much as the resting pose and the motion before it are expected to: squares of what

@@ -32,7 +32,7 @@ OWN = 0.5  # of what an effect changes, the share that others do not, above whic
 
 
 def contradictions(problem: Problem, near: Linear, values: Values) -> tuple[Contradiction, ...]:
-    """Groups of flights that contradict the others, the surest first.
+    """Return the groups of flights that are inconsistent with the others, most significant first.
 
     near: the flights linearised at `values`, all effects of the library fitted together.
     """
@@ -48,14 +48,14 @@ def contradictions(problem: Problem, near: Linear, values: Values) -> tuple[Cont
 
 
 def in_short(against: Contradiction) -> str:
-    """A contradiction as a note."""
+    """Return a one-line note on inconsistent flights."""
     names, several = ", ".join(d.effect for d in against.differences), len(against.flights) > 1
     return f"{', '.join(against.flights)} contradict{'' if several else 's'} the other flights in {names}"
 
 
 @dataclasses.dataclass
 class _Table:
-    """What every flight says of every column, in units of `negligible`, its own small differences free."""
+    """Gram matrices of every flight in units of `negligible`, small random effects integrated out."""
 
     a: np.ndarray  # (f, P, P)
     b: np.ndarray  # (f, P)
@@ -65,7 +65,7 @@ class _Table:
 
     @staticmethod
     def of(problem: Problem, near: Linear) -> _Table:
-        """The table of a linearisation."""
+        """Return the table of a linearisation."""
         columns = near.columns
         unit = np.array([problem.parameter(c).negligible for c in columns])
         a, b = near.by_flight()
@@ -88,7 +88,7 @@ class _Table:
         )
 
     def part(self, index: np.ndarray, flights: Sequence[int]) -> _Part:
-        """Some columns of some flights, about what fits all of these best."""
+        """Return some columns of some flights, relative to their common fit."""
         rows = np.asarray(flights)
         a, b = self.a[np.ix_(rows, index, index)], self.b[np.ix_(rows, index)]
         known = np.diag(self.known[index])
@@ -100,7 +100,7 @@ class _Table:
         return _Part(precision, score, known)
 
     def exciting(self, name: str, flights: np.ndarray) -> np.ndarray:
-        """Those of `flights` that tell of an effect."""
+        """Return those of `flights` that excite an effect."""
         index = self.own[name]
         scale = np.sqrt(self.known[index])
         own = self.a[np.ix_(flights, index, index)] / np.outer(scale, scale)
@@ -109,21 +109,21 @@ class _Table:
 
 @dataclasses.dataclass
 class _Part:
-    """How far each of some flights lies from the others in some columns."""
+    """Heterogeneity of some flights in some columns."""
 
     precision: np.ndarray  # (n, d, n, d)
     score: np.ndarray  # (n, d)
     known: np.ndarray  # (d, d) precision of what is known beforehand
 
     def difference(self, members: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Gain (s,), difference (s, d) to the others and its covariance (s, d, d) of groups (s, n)."""
+        """Return gain (s,), difference (s, d) to the others and its covariance (s, d, d) of groups (s, n)."""
         score, own = self._of(members)
         covariance = np.linalg.inv(own + self.known)
         difference = np.einsum("sij,sj->si", covariance, score)
         return np.einsum("si,si->s", score, difference), difference, covariance
 
     def scatter(self, members: np.ndarray) -> np.ndarray:
-        """Mean square (s,) of what is left of every flight in groups (s, n), at least the usual."""
+        """Return the residual mean square (s,) given groups (s, n), at least 1."""
         n, d = self.score.shape
         flat = self.score.ravel()
         squares = flat @ np.linalg.solve(self.precision.reshape(n * d, n * d), flat)
@@ -132,13 +132,13 @@ class _Part:
         return np.maximum(1.0, (SEEN_BEFORE + squares - closed) / self.freedom)
 
     def chance(self, members: np.ndarray) -> np.ndarray:
-        """Probability (s,) of gains like those of groups (s, n) by chance."""
+        """Return the p-values (s,) of groups (s, n), by an F test."""
         d = len(self.known)
         return stats.f.sf(self.difference(members)[0] / d / self.scatter(members), d, self.freedom)
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom of the scatter."""
+        """Return the residual degrees of freedom."""
         n, d = self.score.shape
         return SEEN_BEFORE + d * (n - 2)
 
@@ -148,7 +148,7 @@ class _Part:
         return inside @ self.score, own
 
     def splits(self) -> np.ndarray:
-        """Groups (s, n) of flights worth a test: each alone, and all parts of rows along a few directions."""
+        """Return candidate groups (s, n): each flight alone, all cuts of the order along some directions."""
         n, d = self.score.shape
         each = np.arange(n)
         own = self.precision[each, :, each]
@@ -165,7 +165,7 @@ class _Part:
 
 @dataclasses.dataclass
 class _Split:
-    """Flights in two groups, and the effect in which they differ most surely."""
+    """Two groups of flights and the effect in which they differ most significantly."""
 
     name: str
     apart: tuple[int, ...]  # the smaller group
@@ -175,7 +175,7 @@ class _Split:
 
 
 def _surest(table: _Table, left: np.ndarray) -> _Split | None:
-    """The split whose groups differ most surely; None: none does."""
+    """Return the most significant split; None where none is significant."""
     best: _Split | None = None
     exciting = {name: table.exciting(name, left) for name in table.own}
     exciting = {name: flights for name, flights in exciting.items() if len(flights) > 2}
@@ -192,7 +192,7 @@ def _surest(table: _Table, left: np.ndarray) -> _Split | None:
 
 
 def _ways(members: np.ndarray) -> np.ndarray:
-    """(s,) how many groups share with each group (s, n) its part of the false alarms, over that part."""
+    """Return the multiple-testing factor (s,) of groups (s, n), from the number of that size."""
     n, sizes = members.shape[1], members.sum(axis=1)
     every = sum(1.0 / m for m in range(1, n // 2 + 1))
     count = np.array([math.comb(n, m) * (0.5 if 2 * m == n else 1.0) for m in sizes])
@@ -200,7 +200,7 @@ def _ways(members: np.ndarray) -> np.ndarray:
 
 
 def _described(problem: Problem, table: _Table, split: _Split, values: Values) -> Contradiction:
-    """All effects in which two groups differ, fitted together; what else may be meant by each."""
+    """Describe the difference of two groups: effects chosen forward, fitted jointly, with confounded ones."""
     chosen, alike = [split.name], {}
     known = [name for name in table.own if _known(table, split, name)]
     while True:
@@ -237,7 +237,7 @@ def _described(problem: Problem, table: _Table, split: _Split, values: Values) -
 
 @dataclasses.dataclass(frozen=True)
 class _Beside:
-    """An effect tested on a split beside others."""
+    """The test of one effect on a split, given the effects already chosen."""
 
     name: str
     chance: float
@@ -248,18 +248,18 @@ class _Beside:
 
 
 def _known(table: _Table, split: _Split, name: str) -> bool:
-    """Whether both groups of a split tell of an effect, and how much it scatters."""
+    """Tell whether both groups excite an effect, with enough flights for its variance."""
     exciting = set(table.exciting(name, np.array(split.apart + split.others)))
     return exciting >= set(split.apart) and len(exciting & set(split.others)) > 1
 
 
 def _apart(split: _Split, flights: Sequence[int]) -> np.ndarray:
-    """The smaller group (1, n) of some flights."""
+    """Return the membership (1, n) of the smaller group among some flights."""
     return np.isin(flights, split.apart)[None]
 
 
 def _beside(table: _Table, split: _Split, chosen: Sequence[str], name: str) -> _Beside:
-    """What the groups of a split gain by differing in one effect more."""
+    """Test one more effect as a difference between the groups of a split."""
     flights = table.exciting(name, np.array(split.apart + split.others))
     members, own = _apart(split, flights), table.own[name]
     part, share = table.part(own, flights), 1.0
@@ -276,7 +276,7 @@ def _beside(table: _Table, split: _Split, chosen: Sequence[str], name: str) -> _
 
 
 def _own_share(table: _Table, split: _Split, before: np.ndarray, own: np.ndarray) -> float:
-    """Share of what the columns `own` change in the smaller group that the columns `before` do not."""
+    """Return the share of the information on the columns `own` not confounded with the columns `before`."""
     index, k = np.concatenate([before, own]), len(before)
     a = table.a[list(split.apart)].sum(axis=0)[np.ix_(index, index)]
     rest = a[k:, k:] - a[k:, :k] @ np.linalg.pinv(a[:k, :k]) @ a[:k, k:]
@@ -291,7 +291,7 @@ def _sized(
     half: np.ndarray,
     values: Values,
 ) -> Difference:
-    """The difference of an effect's parameters as its values in a model of the others, or the other way."""
+    """Return an effect's difference as its values in a model of the others, or the other way round."""
     at = dict(problem.library[name].neutral) | dict(values.get(name, {}))
     parameters = [p for p in problem.library[name].parameters if not p.is_reference]
     swapped = any(p.one_signed and change < 0.0 for p, change in zip(parameters, size))

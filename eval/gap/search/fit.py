@@ -65,22 +65,22 @@ def refit(
 
 
 def fit_at(problem: Problem, values, columns, inflation) -> Fitted:
-    """The linearisation at `values`, nothing fitted."""
+    """Return the linearisation at `values`."""
     return Fitted(values, problem.linearise(values, columns, inflation), inflation)
 
 
 def _unlikely(problem: Problem, columns: Sequence[Column], values: Values, width: np.ndarray) -> float:
-    """Squared sizes of the parameters, each over its `width`."""
+    """Return the prior penalty: the sum of squared coordinates over `width`."""
     return float(((from_neutral(problem, columns, values) / width) ** 2).sum())
 
 
 def from_neutral(problem: Problem, columns: Sequence[Column], values: Values) -> np.ndarray:
-    """(k,) coordinates of all columns."""
+    """Return the coordinates (k,) of all columns."""
     return np.array([problem.parameter(c).coordinate(values[c.effect][c.parameter]) for c in columns])
 
 
 def _moved(problem: Problem, fit: Fitted, damping: float, width: np.ndarray) -> dict[str, dict[str, float]]:
-    """Values after a damped step; parameters that would leave their bounds stay there, the others refit."""
+    """Return the values after a damped Gauss-Newton step within bounds (active set)."""
     a, b = fit.linear.a.sum(axis=0), fit.linear.b.sum(axis=0)
     a, b = a + np.diag(width**-2.0), b - from_neutral(problem, fit.linear.columns, fit.values) * width**-2.0
     at, bounds = at_and_bounds(problem, fit)
@@ -89,14 +89,14 @@ def _moved(problem: Problem, fit: Fitted, damping: float, width: np.ndarray) -> 
 
 
 def at_and_bounds(problem: Problem, fit: Fitted) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates (k,) and bounds (2, k) of all columns of a fit."""
+    """Return coordinates (k,) and bounds (2, k) of all columns of a fit."""
     parameters = [problem.parameter(c) for c in fit.linear.columns]
     bounds = [[p.coordinate(x) for x in p.possible] for p in parameters]
     return from_neutral(problem, fit.linear.columns, fit.values), np.array(bounds).reshape(-1, 2).T
 
 
 def bounded_step(damped, a, b, at, bounds, free) -> np.ndarray:
-    """Step of the `free` columns; what would leave its bounds is held there and the others solved again."""
+    """Return the step of the `free` columns, by active set: those that leave their bounds are fixed there."""
     free, step = free.copy(), np.zeros(len(at))
     for _ in range(len(at) + 1):
         k = np.flatnonzero(free)
@@ -115,7 +115,7 @@ def _predicted(problem: Problem, fit: Fitted, trial: Values) -> float:
 
 
 def spread_between(value: np.ndarray, error: np.ndarray) -> float:
-    """Standard deviation between flights beyond their standard errors (DerSimonian and Laird 1986)."""
+    """Return the between-flight standard deviation, by moments (DerSimonian and Laird 1986)."""
     good = np.isfinite(value) & np.isfinite(error) & (error > 0)
     if good.sum() < 3:
         return 0.0
@@ -127,7 +127,7 @@ def spread_between(value: np.ndarray, error: np.ndarray) -> float:
 
 
 def _stepped(problem: Problem, fit: Fitted, step: np.ndarray) -> dict[str, dict[str, float]]:
-    """Values of a fit after a step of its columns, within bounds."""
+    """Return the values of a fit after a step of its columns, clipped to their bounds."""
     values = {name: dict(v) for name, v in fit.values.items()}
     for column, change in zip(fit.linear.columns, step):
         p = problem.parameter(column)

@@ -33,7 +33,7 @@ _CHANNELS = {"translation": slice(0, 3), "attitude": slice(3, 5), "yaw": slice(5
 
 
 def column(name: str, contribution: np.ndarray, flight: Measured) -> np.ndarray:
-    """(m, 6) what a prediction changes by when a contribution (m, 6) to it is off by one such error."""
+    """Return the Jacobian column (m, 6) of a model error of an effect that contributes (m, 6)."""
     group, what = name.split()
     own = _CHANNELS[group]
     result, part = np.zeros_like(contribution), contribution[:, own]
@@ -51,7 +51,7 @@ def column(name: str, contribution: np.ndarray, flight: Measured) -> np.ndarray:
 
 
 def base_column(name: str, predicted: np.ndarray, gravity: float, flight: Measured) -> np.ndarray:
-    """(m, 6) what a prediction (m, 6) of the base model changes by when it is off by one such error."""
+    """Return the Jacobian column (m, 6) of a model error of the base model that predicts (m, 6)."""
     group, what = name.split()
     if group not in ("thrust", "drag"):
         return column(name, predicted, flight)
@@ -68,13 +68,13 @@ def base_column(name: str, predicted: np.ndarray, gravity: float, flight: Measur
 
 
 def _moved(second: np.ndarray, what: str, flight: Measured) -> np.ndarray:
-    """(m, 3) positions that come of second differences (m - 2, 3) times a quantity."""
+    """Return the positions (m, 3): double sum of second differences (m - 2, 3) times a quantity."""
     bent = second if what == "x" else second * _quantity(what, flight)[1:-1, None]
     return np.vstack([np.zeros((2, 3)), np.cumsum(np.cumsum(bent, axis=0), axis=0)])
 
 
 def _quantity(what: str, flight: Measured) -> np.ndarray:
-    """(m,) what goes with a form error, of order one."""
+    """Return the quantity (m,) of order one that a model error is proportional to."""
     if what == "load":
         pwm = flight.command[:, 0]
         share = np.exp(-flight.dt / _MOTOR)

@@ -79,7 +79,7 @@ class Basis:
         return Basis(centre, scale, tuple(np.quantile(c, np.linspace(0, 1, count)) for c in z.T))
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Features (m, D) of inputs (m, k)."""
+        """Return the features (m, D) of inputs (m, k)."""
         z = np.clip((x - self.centre) / self.scale, -4.0, 4.0)
         parts = []
         for column, knots in zip(z.T, self.knots):
@@ -318,7 +318,7 @@ def _displacement(problem, function: _Function, basis: Basis, arrays, vehicle) -
 
 
 def _through(flight: Measured, target: str, vehicle: Vehicle) -> np.ndarray:
-    """(r,) displacement [m] AHEAD by a unit of a target in each row: m/s2, of a loop rad/s2."""
+    """Return the impulse response (r,): displacement [m] AHEAD per unit of a target in each row."""
     responses = Shapes.of(round(AHEAD / flight.dt), flight.dt, vehicle).responses
     if target not in ("roll", "pitch"):
         return responses[0][-1]
@@ -326,17 +326,17 @@ def _through(flight: Measured, target: str, vehicle: Vehicle) -> np.ndarray:
 
 
 def _channels(target: str) -> tuple[int, ...]:
-    """Channels that a target acts on."""
+    """Return the channels that a target acts on."""
     return {"forward": (0, 1), "left": (0, 1)}.get(target) or (CHANNELS.index(target),)
 
 
 def _basis(problem: Problem, names: Sequence[str], arrays: Sequence[np.ndarray]) -> Basis:
-    """The basis of the inputs of all flights."""
+    """Return the basis of the inputs of all flights."""
     return Basis.of(np.concatenate([x[f.usable] for f, x in zip(problem.flights, arrays)]), names)
 
 
 def _binned(x: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Variance of y between bins of x, bin centres and means."""
+    """Return the between-bin variance of y, bin centres and means."""
     edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
     if len(edges) < 3:
         return 0.0, np.zeros(0), np.zeros(0)
@@ -347,7 +347,7 @@ def _binned(x: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray, np.ndarray
 
 
 def _fit(problem, left: Residual, target: str, name: str, features, block_of, known) -> _Function:
-    """The Gram matrices of a function's slopes with the errors that are left, and its gains.
+    """Return a ridge regression of the residual on features: Gram matrices and cross-validated gains.
 
     known (D,): what the function is in the flights of the reference; None: nothing.
     """
@@ -383,7 +383,7 @@ def _fit(problem, left: Residual, target: str, name: str, features, block_of, kn
 
 
 def form_of(a: np.ndarray, b: np.ndarray, fold_of: np.ndarray, ridge: float) -> np.ndarray:
-    """Q (k, k): s Q s is the decrease of the squared error of all flights, each fitted to the others.
+    """Return the quadratic form Q (k, k): s'Qs is the cross-validated gain under sign flips s.
 
     a (g, D, D) of every flight, b (k, D) of every block, s (k,) the signs of the blocks.
     """
@@ -397,7 +397,7 @@ def form_of(a: np.ndarray, b: np.ndarray, fold_of: np.ndarray, ridge: float) -> 
 
 
 def _blocks(problem: Problem) -> np.ndarray:
-    """Block (w,) of every window: pieces of flights of about BLOCK, none over two groups."""
+    """Return the permutation block (w,) of every window: pieces of flights of about BLOCK seconds."""
     result, count = np.zeros(len(problem.group_of), int), 0
     for g in range(problem.groups):
         w = np.flatnonzero(problem.group_of == g)
@@ -409,7 +409,7 @@ def _blocks(problem: Problem) -> np.ndarray:
 
 
 def _signs(blocks: int, seed: int) -> np.ndarray:
-    """Signs (FLIPS, blocks), those of the first row all positive."""
+    """Return random signs (FLIPS, blocks), the first row all positive."""
     signs = np.random.default_rng(seed).choice((-1.0, 1.0), (FLIPS, blocks))
     signs[0] = 1.0
     return signs
