@@ -25,7 +25,7 @@ from inclined_landing.eval.gap.search.posterior import Set
 from inclined_landing.eval.gap.search.prediction import CHANNELS
 from inclined_landing.eval.gap.search.sets import LEAST, Search, stepped
 
-NAMED = 0.5  # probability from which on an effect is named
+NAMED = 0.75  # probability from which on an effect is named: on development families, fewer are mostly wrong
 LIKELY = 0.03  # probability of a name from which on it may take another's place
 HELD = 0.95  # of the probability, by the sets that what takes an effect's place is looked for in
 

@@ -41,18 +41,20 @@ def sentences(found: Identification) -> list[str]:
     return said
 
 
-def told(found: Identification) -> list[str]:
-    """What the flights tell, how well, and what would help, in sentences."""
-    well = [words.label(one.effect) for one in found.identifiable if one.share <= ROUGH]
-    said = [f"Known to a fifth of what vehicles differ by, or better: {words.listed(well)}."] if well else []
+IDENTIFIABLE = ("effect", "standard error", "confounded with", "excited by")
+
+
+def identifiable_rows(found: Identification) -> list[tuple[str, str, str, str]]:
+    """One row of text for each effect: how well it is identified, and which flight would help."""
+    rows = []
     for one in found.identifiable:
-        if one.share > ROUGH:
-            how = "hardly told" if one.share > UNSEEN else "known roughly"
-            apart = [words.label(name) for name in one.confounded[: words.NAMED]]
-            beside = f", not to be told from {words.listed(apart, 'or')}" if apart else ""
-            where = words.listed([words.REGIMES[r] for r in one.regimes], "or")
-            said.append(f"{words.label(one.effect).capitalize()}: {how}{beside}; it shows in {where}.")
-    return said
+        confounded = [words.label(name) for name in one.confounded[: words.NAMED]]
+        regimes = [words.REGIMES[r] for r in one.regimes]
+        share = f"{min(one.share, 1.0):.0%}".replace("%", " %")
+        rows.append(
+            (words.label(one.effect), share, words.listed(confounded, "or"), words.listed(regimes, "or"))
+        )
+    return rows
 
 
 def identifiability(found: Identification) -> Figure:
@@ -86,7 +88,8 @@ def page(
         title=headline(found),
         lead=sentences(found),
         found=found,
-        told=told(found),
+        identifiable=identifiable_rows(found),
+        identifiable_heads=IDENTIFIABLE,
         identifiability=figures.svg(identifiability(found)),
         contradictions=found.contradictions,
         percent=_percent,
