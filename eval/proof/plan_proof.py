@@ -23,7 +23,7 @@ from inclined_landing.eval.gap.flights.windows import prepare_all
 from inclined_landing.eval.gap.plan import Hypothesis, Quiet, design
 from inclined_landing.eval.gap.plan.information import in_doubt, unseen
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
-from inclined_landing.eval.gap.search.evidence import Problem, tellable
+from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
 from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.gap.search.sets import search
 from inclined_landing.eval.logs import FlightLog
@@ -123,7 +123,7 @@ def _searched(
 ) -> tuple[list[Hypothesis], list[Hypothesis], Quiet]:
     """What the flights leave in doubt, as `landing-eval gap` finds it, and what they could not have shown."""
     measured = prepare_all(flights, vehicle, False, [])
-    library, _ = tellable({n: e for n, e in LIBRARY.items() if not e.contact}, measured)
+    library, _ = identifiable_effects({n: e for n, e in LIBRARY.items() if not e.contact}, measured)
     problem = Problem(measured, vehicle, library, known)
     found = search(problem)
     hypotheses, quiet = in_doubt(problem, found)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.gap import diagnose, measure_gap
-from inclined_landing.eval.gap.answer.identify import identify, static_map
+from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.flights.windows import _on_the_ground, measurement_noise, prepare
 from inclined_landing.eval.gap.search.evidence import Problem
 from inclined_landing.eval.gap.search.fit import bounded_step, refit, spread_between
@@ -294,19 +294,6 @@ def test_what_is_identified_lacks_nothing_on_flights_of_its_vehicle(flown_alike,
     d = diagnose(logs[part], known.vehicle, reference=known.reference, plants=(), curves=False)
     assert (d.verdict, d.effects) == ("nothing", ()) and d.nothing > 0.5
     assert d.corrected == known.vehicle
-
-
-def test_static_map_fits_into_a_vehicle_file():
-    """Line with an offset times a sag is the quadratic map, exactly."""
-    v = static_map(VEHICLE)
-    a, b, c = VEHICLE.motor_pwm_to_force
-    ambient, out = np.array([0.0, np.nan, 0.0, 0.0, 0.0]), np.zeros(5)
-    for pwm in (10000.0, 42000.0, 60000.0):
-        lag = pwm / v.thrust_lag_rate
-        equations.wrench(
-            np.ones(3), np.zeros(3), np.eye(3), lag, pwm, ambient, equations.pack(v)[0], neutral(1)[0], out
-        )
-        assert out[2] == pytest.approx(4 * (a * pwm**2 + b * pwm + c), rel=1e-9)
 
 
 @pytest.mark.slow

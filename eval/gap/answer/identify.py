@@ -89,28 +89,6 @@ class Identification:
         return result
 
 
-def static_map(vehicle: Vehicle) -> Vehicle:
-    """Return the vehicle with a static thrust map behind the motor lag instead of the transfer function.
-
-    The map is quadratic with two negative zeros, so that it is a line through the lagged PWM (with its
-    offset as the thrust bias) times a sag, here negative, with the load.
-    """
-    a, b, c = (vehicle.motor_count * x for x in vehicle.motor_pwm_to_force)
-    root = math.sqrt(b * b - 4.0 * a * c)
-    near, far = (b - root) / (2.0 * a), (b + root) / (2.0 * a)  # minus the zeros
-    reference = vehicle.effects_battery_reference
-    sag = -reference / (far + reference)
-    slope = a * far / (1.0 + sag)  # of the line: a (P + near)(P + far)
-    return dataclasses.replace(
-        vehicle,
-        thrust_state_gain=slope * vehicle.thrust_lag_rate,
-        thrust_direct_gain=0.0,
-        effects_thrust_bias=slope * near,
-        effects_battery_sag=sag,
-        effects_battery_reference=reference,
-    )
-
-
 @threadpool_limits.wrap(limits=1, user_api="blas")  # flights are shared among threads already
 def identify(
     flights: Sequence[FlightLog],
