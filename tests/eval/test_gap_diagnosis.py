@@ -297,6 +297,32 @@ def test_what_is_identified_lacks_nothing_on_flights_of_its_vehicle(flown_alike,
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_a_controller_that_answers_its_battery_is_no_weak_actuator(seed):
+    """In hover the commanded thrust rises as the battery falls, and the acceleration stays.
+
+    The thrust's constants are hardly excited: they are said to be, and no shape of the thrust is named. A
+    vehicle 31 % heavier is one of another ratio of thrust to mass.
+    """
+    rng = np.random.default_rng(seed)
+    reality = simulator.draw("cascade", rng)
+
+    def hovers(**fields):
+        worlds = [simulator.World(battery_voltage=rng.uniform(-0.15, 0.15), **fields) for _ in range(6)]
+        flown = [simulator.fly(simulator.ordinary("yaw", rng, 20.0, 0.0), w, rng, reality) for w in worlds]
+        return generate.logs(flown, voltage=False)
+
+    known = identify(hovers(), VEHICLE)
+    share = {one.effect: one.share for one in known.identifiable}
+    assert min(share["mass"], share["thrust_bias"]) > 0.5
+    kept = {"plants": (), "curves": False, "reference": known.reference}
+    alike, heavy = (diagnose(hovers(mass_scale=x), known.vehicle, **kept) for x in (1.0, 1.31))
+    assert (alike.verdict, alike.effects) == ("nothing", ())
+    (name,) = heavy.effects
+    assert name.sure and "mass" in name.members and all(LIBRARY[n].scales_thrust for n in name.members)
+
+
+@pytest.mark.slow
 def test_late_but_quick_attitude_loop_is_two_effects():
     hidden = {"attitude_delay": {"delay": 0.05}, "attitude_time_constant": {"scale": 0.6}}
     values = quick(flights(hidden, seed=7)).values()
