@@ -35,12 +35,14 @@ _P = tuple(map(np.float32, (0.9999999936, 0.1344453831, 3.571645855e-3, 2.189544
 _Q = tuple(map(np.float32, (1.0, 0.4677786566, 2.616462504e-2, 3.411370214e-4, 8.522894192e-7)))
 
 # Sums may be reordered (no `nnan`: what is not finite stays so); division by zero is IEEE's.
-_compiled = numba.njit(
-    cache=True, fastmath={"reassoc", "contract", "nsz"}, error_model="numpy", nogil=True
-)  # fmt: skip
+_OPTIONS = {"cache": True, "fastmath": {"reassoc", "contract", "nsz"}, "error_model": "numpy", "nogil": True}
+_compiled = numba.njit(**_OPTIONS)
+# Everything that Python does not call is inlined. Else the process that compiles and one that loads from
+# numba's cache link different copies of it, whose sums are in another order: other bits, another training.
+_inlined = numba.njit(**_OPTIONS, forceinline=True)
 
 
-@_compiled
+@_inlined
 def _multiply(w, first, by_row, by_column, rows, columns, a, from_row, z, to_row):
     """z[j] += sum_i w[first + j by_row + i by_column] a[i]: rows of blocks a and z from the given rows on."""
     j = _0
@@ -87,7 +89,7 @@ def _multiply(w, first, by_row, by_column, rows, columns, a, from_row, z, to_row
         j += _1
 
 
-@_compiled
+@_inlined
 def _dot(d, d0, a, a0):
     """The product of two rows of blocks, summed over the samples."""
     total = np.float32(0)
@@ -96,7 +98,7 @@ def _dot(d, d0, a, a0):
     return total
 
 
-@_compiled
+@_inlined
 def _outer(d, a, row, rows, from_row, columns, g, first):
     """g[first + j columns + i] += sum over samples of d[row + j] a[from_row + i]."""
     zero = np.float32(0)
@@ -152,7 +154,7 @@ def _outer(d, a, row, rows, from_row, columns, g, first):
         j += _1
 
 
-@_compiled
+@_inlined
 def _tanh(z, first, count):
     """Hyperbolic tangent in place of `count` numbers."""
     for k in range(first, first + count):
@@ -165,7 +167,7 @@ def _tanh(z, first, count):
         z[k] = x * p / q
 
 
-@_compiled
+@_inlined
 def _load(inputs, rows, first, count, centre, scale, limit, a):
     """The scaled inputs (N, o) of `count` samples rows[first:], as a block; the rest of it 0."""
     for i in range(np.uint64(len(centre))):
@@ -177,7 +179,7 @@ def _load(inputs, rows, first, count, centre, scale, limit, a):
             a[i * _B + s] = limit if x > limit else x
 
 
-@_compiled
+@_inlined
 def _forward(w, widths, a):
     """Activations of every layer after the block of inputs; returns the row at which the outputs begin."""
     row, first = _0, _0
@@ -195,7 +197,7 @@ def _forward(w, widths, a):
     return row
 
 
-@_compiled
+@_inlined
 def _backward(w, widths, a, d, row, g):
     """Add to g what the loss's derivative by the outputs, d from `row` on, says of every weight."""
     first = _0
@@ -224,7 +226,7 @@ def _backward(w, widths, a, d, row, g):
         row = from_row
 
 
-@_compiled
+@_inlined
 def _log_density(deviation, log_std):
     """Of a normal distribution at a deviation in standard deviations."""
     return np.float32(-0.5) * deviation * deviation - log_std - np.float32(_HALF_LOG_TWO_PI)
@@ -281,7 +283,7 @@ def advantages(rewards, values, starts, last_values, last_dones, gamma, gae_lamb
             going, value = np.float32(1) - starts[t, i], values[t, i]
 
 
-@_compiled
+@_inlined
 def _actor_gradient(
     w, widths, data, rows, first, last, clip, entropy, learns, a, d, g, centre, scale, limit, said
 ):
@@ -334,7 +336,7 @@ def _actor_gradient(
     said[0], said[2], said[3], said[4] = loss / samples, -total, kl / samples, clipped / samples
 
 
-@_compiled
+@_inlined
 def _critic_gradient(w, widths, data, rows, first, last, weight, a, d, g, centre, scale, limit, said):
     """g of `weight` times the mean square error of the values over rows[first:last]; `said` gets that."""
     observations, _, _, _, returns = data
@@ -355,7 +357,7 @@ def _critic_gradient(w, widths, data, rows, first, last, weight, a, d, g, centre
     said[1] = loss / samples
 
 
-@_compiled
+@_inlined
 def _square(g):
     total = 0.0
     for k in range(np.uint64(len(g))):
@@ -363,7 +365,7 @@ def _square(g):
     return total
 
 
-@_compiled
+@_inlined
 def _adam(w, g, mean, square, step, share, rate, beta1, beta2, epsilon):
     """One step, the `step`-th, with `share` of the gradient."""
     size = np.float32(rate / (1.0 - beta1**step))
@@ -412,7 +414,7 @@ def _yield(typing):
     return types.void(), generate
 
 
-@_compiled
+@_inlined
 def _meet(counter, arrivals):
     """Wait until counter[0] is `arrivals`, which this thread adds one to."""
     _arrive(counter)
