@@ -71,18 +71,13 @@ def fit_at(problem: Problem, values, columns, inflation) -> Fitted:
 
 def _unlikely(problem: Problem, columns: Sequence[Column], values: Values, width: np.ndarray) -> float:
     """Return the prior penalty: the sum of squared coordinates over `width`."""
-    return float(((from_neutral(problem, columns, values) / width) ** 2).sum())
-
-
-def from_neutral(problem: Problem, columns: Sequence[Column], values: Values) -> np.ndarray:
-    """Return the coordinates (k,) of all columns."""
-    return np.array([problem.parameter(c).coordinate(values[c.effect][c.parameter]) for c in columns])
+    return float(((problem.coordinates(values, columns) / width) ** 2).sum())
 
 
 def _moved(problem: Problem, fit: Fitted, damping: float, width: np.ndarray) -> dict[str, dict[str, float]]:
     """Return the values after a damped Gauss-Newton step within bounds (active set)."""
     a, b = fit.linear.a.sum(axis=0), fit.linear.b.sum(axis=0)
-    a, b = a + np.diag(width**-2.0), b - from_neutral(problem, fit.linear.columns, fit.values) * width**-2.0
+    a, b = a + np.diag(width**-2.0), b - problem.coordinates(fit.values, fit.linear.columns) * width**-2.0
     at, bounds = at_and_bounds(problem, fit)
     step = bounded_step(a + damping * np.diag(np.diag(a)), a, b, at, bounds, np.ones(len(at), bool))
     return _stepped(problem, fit, step)
@@ -92,7 +87,7 @@ def at_and_bounds(problem: Problem, fit: Fitted) -> tuple[np.ndarray, np.ndarray
     """Return coordinates (k,) and bounds (2, k) of all columns of a fit."""
     parameters = [problem.parameter(c) for c in fit.linear.columns]
     bounds = [[p.coordinate(x) for x in p.possible] for p in parameters]
-    return from_neutral(problem, fit.linear.columns, fit.values), np.array(bounds).reshape(-1, 2).T
+    return problem.coordinates(fit.values, fit.linear.columns), np.array(bounds).reshape(-1, 2).T
 
 
 def bounded_step(damped, a, b, at, bounds, free) -> np.ndarray:
@@ -110,7 +105,7 @@ def bounded_step(damped, a, b, at, bounds, free) -> np.ndarray:
 
 
 def _predicted(problem: Problem, fit: Fitted, trial: Values) -> float:
-    there, here = (from_neutral(problem, fit.linear.columns, v) for v in (trial, fit.values))
+    there, here = (problem.coordinates(v, fit.linear.columns) for v in (trial, fit.values))
     return fit.linear.left(there - here)
 
 

@@ -169,11 +169,8 @@ class Bounds:
             result[i], result[j] = size * (1.0 - share), size * share
         return result
 
-    def within(
-        self, at: np.ndarray, covariance: np.ndarray, own: np.ndarray
-    ) -> tuple[np.ndarray, float, np.ndarray]:
-        """Return the mode of a truncated normal distribution, its log density relative to the mean, and a
-        mask of the coordinates at a bound.
+    def within(self, at: np.ndarray, covariance: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the mode of a truncated normal distribution and its log density relative to the mean.
 
         at (P,) mean, covariance (P, P); own (k,): the coordinates that have bounds. Active-set iteration:
         coordinates outside are fixed at their bound, the others conditioned on them.
@@ -191,7 +188,7 @@ class Bounds:
             through = np.linalg.solve(covariance[np.ix_(k, k)] + 1e-9 * np.eye(len(k)), apart)
             result, unlikely = at + covariance[:, k] @ through, -0.5 * float(apart @ through)
             result[k] = clipped[k]
-        return result, unlikely, outside
+        return result, unlikely
 
 
 @dataclasses.dataclass
@@ -282,9 +279,9 @@ class Local:
         share = fresh @ np.linalg.inv(prior)
         return share @ (change - mean), fresh + share @ (covariance - prior) @ share.T
 
-    def within(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, float]:
-        """Return the posterior mode (P,) of delta within bounds, and its log density relative to the mean."""
-        return self.bounds.within(*self.delta(names, weights), self.index(names))[:2]
+    def within(self, names: Set, weights: np.ndarray | None = None) -> np.ndarray:
+        """Return the posterior mode (P,) of delta within bounds, in spikes."""
+        return self.bounds.within(*self.delta(names, weights), self.index(names))[0]
 
     def errors(self, names: Set) -> np.ndarray:
         """Return the standard errors (P,) of delta, in spikes."""
@@ -399,7 +396,7 @@ class Evidence:
             return at, score
         half, covariance = np.linalg.solve(factor, root.T), np.zeros_like(self.a)
         covariance[np.ix_(k, k)] = half.T @ half
-        at, unlikely, _ = self.bounds.within(at, covariance, k)
+        at, unlikely = self.bounds.within(at, covariance, k)
         return at, score + unlikely
 
 

@@ -221,18 +221,18 @@ def _has_sizes(problem: Problem, names: Set, values) -> bool:
 
 def stepped(problem: Problem, local: Local, names: Set, weights=None) -> dict:
     """Return the posterior mode of a set's effects, within bounds, the others' spikes integrated out."""
-    return problem.values_at(names, local.columns, local.within(names, weights)[0] * local.unit)
+    return problem.values_at(names, local.columns, local.within(names, weights) * local.unit)
 
 
 def leave_one_out(problem: Problem, local: Local, names: Set, values: Values) -> list[dict]:
     """Return, for every flight, the effects' values fitted to the other flights only (linearised)."""
-    result, full = [], local.within(frozenset(names))[0]
+    result, full = [], local.within(frozenset(names))
     at = problem.coordinates(values, local.columns)
     for k in range(len(problem.flights)):
         weights = np.ones(problem.groups)
         if len(problem.flights) > 1:
             weights[np.unique(problem.group_of[problem.flight_of == k])] = 0.0
-        change = (local.within(frozenset(names), weights)[0] - full) * local.unit
+        change = (local.within(frozenset(names), weights) - full) * local.unit
         result.append(problem.values_at(names, local.columns, at + change))
     return result
 
@@ -353,7 +353,7 @@ def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflatio
 
 def _worth_correcting(problem: Problem, local: Local, names: Set) -> dict[Set, float]:
     """Return, for every subset, the probability that exactly its effects exceed their negligible size."""
-    at, spread = local.within(names)[0], local.delta(names)[1]
+    at, spread = local.within(names), local.delta(names)[1]
     errors = np.sqrt(np.maximum(spread.diagonal(), 1e-12))
     result: dict[Set, float] = {frozenset(): 1.0}
     for name in names:
