@@ -32,7 +32,7 @@ class WhereRow:
     channel: str  # x, y, z, roll, pitch, yaw, touchdown
     before: float
     after: float
-    floor: float  # what measurement noise and unrest alone give; touchdown: the noise alone
+    floor: float  # what measurement noise and disturbance alone give; touchdown: the noise alone
     unit: str
     windows: int
 
@@ -122,7 +122,7 @@ class Remainder:
     """What is left after the most probable set."""
 
     p_value: float  # of the largest gain of all functions, if nothing repeated
-    size: dict[str, float]  # channel -> root mean square beyond noise and unrest (m/s2 for x, y, z; rad)
+    size: dict[str, float]  # channel -> root mean square beyond noise and disturbance (m/s2 for x, y, z; rad)
     depends_on: tuple[Dependence, ...]  # what repeats, one for each channel, surest first
     error: float = math.nan  # m, position error one second ahead that is left, root mean square
 
@@ -152,7 +152,7 @@ class Touchdowns:
 
 @dataclasses.dataclass(frozen=True)
 class Disturbance:
-    """Noise and unrest of one channel."""
+    """Noise and disturbance of one channel."""
 
     noise: float  # m, rad: standard deviation of the measurement
     size: float  # m/s2, rad/s2
@@ -223,7 +223,7 @@ class Diagnosis:
     separating_manoeuvre: str | None
     where: tuple[WhereRow, ...]
     sets: tuple[ScoredSet, ...]  # most probable first; with effects of contact where there are landings
-    unrest: dict[str, Disturbance]  # channel -> noise and unrest
+    unrest: dict[str, Disturbance]  # channel -> noise and disturbance
     horizon: tuple[HorizonCurve, ...]
     windows: tuple[WindowCurves, ...]
     remainder: Remainder

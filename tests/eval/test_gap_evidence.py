@@ -1,4 +1,4 @@
-"""What the search for sets of effects rests on: unrest, marginal likelihoods, flips of signs."""
+"""What the search for sets of effects rests on: noise model, marginal likelihoods, flips of signs."""
 
 import dataclasses
 import json
@@ -10,7 +10,7 @@ from scipy import optimize, stats
 from scipy.signal import lfilter
 
 from inclined_landing.eval.gap.answer.named import confounded_with_it
-from inclined_landing.eval.gap.flights import unrest
+from inclined_landing.eval.gap.flights.noise_model import estimate
 from inclined_landing.eval.gap.flights.windows import level, prepare
 from inclined_landing.eval.gap.search import form
 from inclined_landing.eval.gap.search.evidence import BASE, Column
@@ -54,7 +54,7 @@ def test_unrest_is_recovered_from_what_it_moved():
     errors = [f.measured - [0.0, 0.0, 1.0, 0.0, 0.0, 0.0] for f in flights]
     for e in errors:
         e[:, 0] += stirred(rng, len(e), 0.4, 0.25)
-    found = unrest.estimate(flights, errors)
+    found = estimate(flights, errors)
     assert found.size_ci95[0, 0] <= 0.4 <= found.size_ci95[1, 0]
     assert found.size[0] == pytest.approx(0.4, rel=0.15)
     assert found.time_ci95[0, 0] <= 0.25 <= found.time_ci95[1, 0]

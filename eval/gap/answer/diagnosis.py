@@ -86,13 +86,13 @@ def diagnose(
         values = refit(problem, values, found.inflation, prior=slabs).values
     effects, corrected = named_effects(problem, found, values), problem.corrected(values)
     rest = residual.Residual.by(
-        problem, found.local, found.names, found.at, found.unrest.size, found.inflation
+        problem, found.local, found.names, found.at, found.noise_model.size, found.inflation
     )
     left = residual.assess(problem, rest, corrected)
     clock("remainder")
     if judged:
         test, after = Problem(judged, vehicle, library), [corrected] * len(judged)
-        test.rewhiten(found.unrest, corrected)
+        test.rewhiten(found.noise_model, corrected)
     else:
         test, after = (
             problem,
@@ -138,7 +138,7 @@ def diagnose(
         sets=touched.sets(scored_sets(problem, found)),
         unseen=unseen_sets(problem, found),
         touchdowns=touched.left,
-        unrest=disturbances(problem, found.unrest),
+        unrest=disturbances(problem, found.noise_model),
         **drawn,
         remainder=left,
         gap=gap,

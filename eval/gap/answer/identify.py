@@ -73,7 +73,7 @@ class Identification:
     parameters: tuple[Identified, ...]
     identifiable: tuple[Identifiable, ...]  # best known first
     fit: dict[str, dict[str, float]]  # channel -> {"before", "after"}: NRMSE fit [%] on flights left out
-    unrest: dict[str, Disturbance]  # channel -> noise and unrest
+    unrest: dict[str, Disturbance]  # channel -> noise and disturbance
     fields: dict[str, tuple[float, ...] | float]  # changed Vehicle field -> half-width of its interval
     flights: tuple[str, ...]
     notes: tuple[str, ...]
@@ -112,7 +112,7 @@ def identify(
     problem = Problem(fitted, vehicle, library)
     problem.free = True
     places = [name for name in problem.library if LIBRARY[name].of_the_place]
-    fit, disturbance = fit_jointly(problem, list(problem.library))
+    fit, noise_model = fit_jointly(problem, list(problem.library))
     inflation = autocorrelation_inflation(problem, fit.values)
     # The vehicle is the best one without the errors of the formulas: no vehicle file can hold these.
     values = refit(problem, {n: fit.values[n] for n in problem.library}, inflation, prior=slabs).values
@@ -122,7 +122,7 @@ def identify(
     problem.between = estimate_between_flights(problem, near)
     local = Local.of(problem, near, values)
     result = problem.corrected({n: v for n, v in values.items() if n not in places})
-    reference, identifiable = _posterior(problem, result, inflation, disturbance.size)
+    reference, identifiable = _posterior(problem, result, inflation, noise_model.size)
     for one in identifiable:
         if one.share > UNSEEN:
             notes.append(f"{one.effect.replace('_', ' ')} is not excited enough in these flights")
@@ -141,7 +141,7 @@ def identify(
         parameters=_parameters(problem, values, sized, vehicle),
         identifiable=identifiable,
         fit=channels,
-        unrest=disturbances(problem, disturbance),
+        unrest=disturbances(problem, noise_model),
         fields=_fields(problem, values, sized, vehicle, result),
         flights=tuple(f.name for f in fitted),
         notes=tuple(notes),

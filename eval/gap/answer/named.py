@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 from scipy import stats
 
-from inclined_landing.eval.gap.flights.unrest import Unrest
+from inclined_landing.eval.gap.flights.noise_model import NoiseModel
 from inclined_landing.eval.gap.plan.information import Hypothesis, in_doubt, unseen
 from inclined_landing.eval.gap.result import (
     Disturbance,
@@ -132,16 +132,16 @@ def _scored(hypotheses: Iterable[Hypothesis]) -> tuple[ScoredSet, ...]:
     return tuple(ScoredSet(h.effects, h.probability, h.values, h.deviations) for h in hypotheses)
 
 
-def disturbances(problem: Problem, disturbance: Unrest) -> dict[str, Disturbance]:
+def disturbances(problem: Problem, noise_model: NoiseModel) -> dict[str, Disturbance]:
     """Return channel -> measurement noise and disturbance level; yaw only where it was logged."""
-    noise = np.median([f.noise for f in problem.flights], axis=0) * disturbance.noise
+    noise = np.median([f.noise for f in problem.flights], axis=0) * noise_model.noise
     return {
         channel: Disturbance(
             noise=float(noise[k]),
-            size=float(disturbance.size[k]),
-            size_ci95=(float(disturbance.size_ci95[0, k]), float(disturbance.size_ci95[1, k])),
-            time=float(disturbance.time[k]),
-            time_ci95=(float(disturbance.time_ci95[0, k]), float(disturbance.time_ci95[1, k])),
+            size=float(noise_model.size[k]),
+            size_ci95=(float(noise_model.size_ci95[0, k]), float(noise_model.size_ci95[1, k])),
+            time=float(noise_model.time[k]),
+            time_ci95=(float(noise_model.time_ci95[0, k]), float(noise_model.time_ci95[1, k])),
             unit="m/s2" if k < 3 else "rad/s2",
         )
         for k, channel in enumerate(CHANNELS)

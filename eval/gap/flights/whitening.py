@@ -1,9 +1,9 @@
-"""Window errors made white: start state projected out, noise and unrest of known shape divided out.
+"""Window errors made white: start state projected out, noise and disturbance of known shape divided out.
 
 The error of a perfect model over a window is a line in time (unknown start position and velocity) plus
 position noise plus the double integral of an acceleration: white, fed in by the noise of the measured
-attitude, and the unrest of the air, an Ornstein-Uhlenbeck process. Roll, pitch and yaw errors carry white
-noise, the decaying modes of their loop, and what its response makes of an unrest in angular acceleration.
+attitude, and the disturbance of the air, an Ornstein-Uhlenbeck process. Roll, pitch and yaw errors carry
+white noise, the free response of their loop, and its response to a disturbance in angular acceleration.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class Whitening:
     ) -> Whitening:
         """Of noise (6,) of the measured pose [m, rad], acceleration (3,) noise per sample [m/s2].
 
-        size, time (6,): of the unrest in every channel [m/s2, rad/s2], [s]; None: the air is still.
+        size, time (6,): of the disturbance in every channel [m/s2, rad/s2], [s]; None: the air is still.
         """
         matrices = []
         for channel, free in enumerate(shapes.free):

@@ -78,11 +78,11 @@ class Measured:
         """Measured pose (m, 6)."""
         return np.hstack([self.position, self.attitude])
 
-    def rewhiten(self, shapes: Shapes, unrest) -> None:
-        """Weigh errors by noise and an `unrest.Unrest` too."""
+    def rewhiten(self, shapes: Shapes, noise_model) -> None:
+        """Whiten with a `NoiseModel`: measurement noise and disturbance."""
         self.shapes = shapes
-        noise = self.noise * unrest.noise
-        self.whitening = Whitening.of(shapes, noise, self.sensed, unrest.size, unrest.time)
+        noise = self.noise * noise_model.noise
+        self.whitening = Whitening.of(shapes, noise, self.sensed, noise_model.size, noise_model.time)
 
     def levelled(self, tilt: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Attitudes in the middle of every step, their rotations, and the first one, without a tilt [rad]."""

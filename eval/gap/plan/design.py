@@ -69,8 +69,8 @@ def design(
 ) -> Plan:
     """The flight of `seconds` that is expected to tell most about which set of effects `vehicle` lacks.
 
-    quiet: noise and unrest of the flights at hand. broadly: what an unexplained remainder depends on, which
-    the flight varies too (see `Breadth`). platform: the slab of the vehicle file stands there.
+    quiet: noise and disturbance of the flights at hand. broadly: what an unexplained remainder depends on,
+    which the flight varies too (see `Breadth`). platform: the slab of the vehicle file stands there.
     tick: called as the work goes on. The same arguments give the same plan.
     Raises UserError when there is no room, the battery does not last, or no safe flight is found.
     """

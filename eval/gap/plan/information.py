@@ -2,7 +2,7 @@
 
 Every set predicts the flight with its own values; how well these are known, and what nobody needs to correct
 of all other effects, are Gaussian. The prediction is linear in both, so that a flight is known by one matrix
-of scalar products of predictions, made white by noise and unrest. Such matrices add up over pieces of flight.
+of scalar products of predictions, whitened by noise and disturbance. Such matrices add up over pieces of flight.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Quiet:
     """What a flight holds besides what any vehicle explains, of x, y, z, roll, pitch, yaw."""
 
     noise: np.ndarray  # (6,) standard deviation of the measured pose [m, rad]
-    unrest: np.ndarray  # (6,) standard deviation of the unrest [m/s2, rad/s2]
+    unrest: np.ndarray  # (6,) standard deviation of the disturbance [m/s2, rad/s2]
     time: np.ndarray  # (6,) its correlation time [s]
     inflation: np.ndarray  # (6,) how much less a window tells than if it were independent of the next
 
@@ -72,7 +72,7 @@ class Quiet:
 
 
 def in_doubt(problem: Problem, found: Search) -> tuple[list[Hypothesis], Quiet]:
-    """What a search holds for possible, with the noise and unrest it found."""
+    """What a search holds for possible, with the noise and disturbance it found."""
     hypotheses = []
     for scored in found.sets:
         names = tuple(n for n in problem.library if n in scored.names)
@@ -82,8 +82,8 @@ def in_doubt(problem: Problem, found: Search) -> tuple[list[Hypothesis], Quiet]:
         for (name, parameter), known in sized.items():
             deviations[name][parameter] = known.error
         hypotheses.append(Hypothesis(names, scored.probability, values, deviations))
-    noise = np.median([f.noise for f in problem.flights], axis=0) * found.unrest.noise
-    return hypotheses, Quiet(noise, found.unrest.size, found.unrest.time, found.inflation)
+    noise = np.median([f.noise for f in problem.flights], axis=0) * found.noise_model.noise
+    return hypotheses, Quiet(noise, found.noise_model.size, found.noise_model.time, found.inflation)
 
 
 def unseen(problem: Problem, found: Search) -> list[Hypothesis]:

@@ -138,7 +138,7 @@ def _broadly(report: Mapping, name: str) -> tuple[str, ...]:
 
 
 def _quiet(report: Mapping, name: str) -> Quiet:
-    """Noise and unrest of the flights, channel by channel; what is usual where the report has none."""
+    """Noise and disturbance of the flights, channel by channel; what is usual where the report has none."""
     usual = Quiet.usual()
     noise = _table(report.get("noise", {}), f"{name}: noise")
     unrest = _table(report.get("unrest", {}), f"{name}: unrest")

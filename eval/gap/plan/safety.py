@@ -80,7 +80,7 @@ def simulated(
     """The first thing that goes wrong when each of `vehicles`, as uncertain as it is, flies the plan.
 
     Also the states (COPIES, m, 13) of every one at the control rate. quiet: noise of what the pilot sees, and
-    unrest of the air.
+    disturbance of the air.
     """
     with ThreadPoolExecutor(2) as pool:
         flown = list(

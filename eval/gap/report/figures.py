@@ -46,7 +46,7 @@ _ENDS = (10.0, 30.0, 100.0, 300.0, 1000.0)  # times the floor, where the colour 
 _HEAT = LinearSegmentedColormap.from_list(
     "heat", ["#f4f8fb", "#fde3c8", "#f9b071", "#e66f22", "#a63c06", "#5e1f04"]
 )
-_MAPS = {"before": "before", "after": "after", "floor": "noise and unrest alone"}
+_MAPS = {"before": "before", "after": "after", "floor": "noise and disturbance alone"}
 _STEPS = (PURPLE, BLUE, "#56b4e9", "#8a8f98", "#c9b458")  # between before and after
 
 
@@ -62,7 +62,7 @@ def svg(figure: Figure) -> str:
 
 
 def where_map(rows: Sequence[WhereRow]) -> Figure | None:
-    """Maps regime by channel: before, after, and what noise and unrest alone give."""
+    """Maps regime by channel: before, after, and what noise and disturbance alone give."""
     if not rows:
         return None
     height = 0.34 * len(_axes_of(rows)[0])

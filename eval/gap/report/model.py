@@ -57,9 +57,9 @@ def provenance(
 
 
 def unrest_fields(unrest: Mapping[str, Disturbance]) -> tuple[dict[str, tuple], dict[str, tuple]]:
-    """Fields of the vehicle's table of unrest, and the half-widths of their 95 % intervals.
+    """Fields of the vehicle's table of disturbance, and the half-widths of their 95 % intervals.
 
-    A channel without unrest, or not logged, is still.
+    A channel without disturbance, or not logged, is still.
     """
     fields: dict[str, tuple] = {}
     widths: dict[str, tuple] = {}

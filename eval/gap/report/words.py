@@ -287,11 +287,11 @@ def _sizes(one: ScoredSet) -> str:
     return "; ".join(parts)
 
 
-QUIET = ("channel", "noise", "unrest", "95 % interval", "correlation time", "95 % interval")
+QUIET = ("channel", "noise", "disturbance", "95 % interval", "correlation time", "95 % interval")
 
 
 def quiet_rows(unrest: Mapping[str, Disturbance]) -> list[tuple[str, ...]]:
-    """Noise and unrest of every channel under the heads QUIET."""
+    """Noise and disturbance of every channel under the heads QUIET."""
     rows: list[tuple[str, ...]] = []
     for channel, q in unrest.items():
         size, time = ("none", ""), ("", "")

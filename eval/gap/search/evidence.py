@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from inclined_landing.eval.gap.flights.unrest import Unrest
+from inclined_landing.eval.gap.flights.noise_model import NoiseModel
 from inclined_landing.eval.gap.flights.whitening import Shapes
 from inclined_landing.eval.gap.flights.windows import Measured
 from inclined_landing.eval.gap.search import form
@@ -194,10 +194,10 @@ class Problem(Suspects):
         self._formed: list[np.ndarray] | None = None
         self._pool = ThreadPoolExecutor(2)
 
-    def rewhiten(self, unrest: Unrest, vehicle: Vehicle) -> None:
+    def rewhiten(self, noise_model: NoiseModel, vehicle: Vehicle) -> None:
         """Whiten with the estimated noise and disturbance; the attitude loops are those of `vehicle`."""
         for flight in self.flights:
-            flight.rewhiten(Shapes.of(flight.rows, flight.dt, vehicle), unrest)
+            flight.rewhiten(Shapes.of(flight.rows, flight.dt, vehicle), noise_model)
 
     def known(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
         """Return the prior of the vehicle's errors theta along `columns`: mean (P,), covariance (P, P).

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import ndtr
 
-from inclined_landing.eval.gap.flights import unrest
+from inclined_landing.eval.gap.flights.noise_model import NoiseModel, estimate
 from inclined_landing.eval.gap.search.evidence import BASE, Linear, Problem, Values
 from inclined_landing.eval.gap.search.fit import Fitted, refit
 from inclined_landing.eval.gap.search.posterior import (
@@ -40,7 +40,7 @@ SMALL = 0.5  # negligible sizes within which a step is linear
 BEHIND = 7.0  # log probability behind the best beyond which a set is not worth telling
 FAR = 20.0  # beyond which it is not worth fitting well
 FORMS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # shares of the motion by which it may be off
-SETTLED = 4  # rounds in which effects and unrest are fitted in turn, at most
+SETTLED = 4  # rounds in which effects and disturbance are fitted in turn, at most
 LEAST = 1e-3  # probability of a set that is worth telling
 POINTS = 3  # linearisations in which sets are compared
 CLEAR = 0.03  # above which it is fitted through the simulator
@@ -76,7 +76,7 @@ class Search:
     at: dict[str, dict[str, float]]  # effect values near it
     local: Local  # the flights at these
     sets: tuple[Scored, ...]  # most probable first
-    unrest: unrest.Unrest
+    noise_model: NoiseModel
     joint: dict[str, dict[str, float]]  # fit of all effects
     linear: Linear  # the flights linearised there
     inflation: np.ndarray  # (6,)
@@ -88,7 +88,7 @@ class Search:
 
 def search(problem: Problem) -> Search:
     """Return the posterior over sets of effects; the noise model of `problem` is estimated on the way."""
-    joint, disturbance = fit_jointly(problem, list(problem.library))
+    joint, noise_model = fit_jointly(problem, list(problem.library))
     inflation = autocorrelation_inflation(problem, joint.values)
     columns = problem.columns([*problem.library, BASE])
     linear = problem.linearise(joint.values, columns, inflation)
@@ -104,7 +104,7 @@ def search(problem: Problem) -> Search:
         nodes[names] = _visit(problem, names, _start(problem, best, names), inflation)
     chosen = nodes[names]
     return Search(
-        names, chosen.values, chosen.at, chosen.local, scored, disturbance, joint.values, linear, inflation
+        names, chosen.values, chosen.at, chosen.local, scored, noise_model, joint.values, linear, inflation
     )
 
 
@@ -122,24 +122,24 @@ def _best(problem: Problem, scored: Sequence[Scored]) -> Set:
     return next(one.names for one in scored if merged(one.names) == most)
 
 
-def fit_jointly(problem: Problem, names: Sequence[str]) -> tuple[Fitted, unrest.Unrest]:
+def fit_jointly(problem: Problem, names: Sequence[str]) -> tuple[Fitted, NoiseModel]:
     """Fit effects jointly, alternating with the noise model: measurement noise and disturbance level."""
     values: dict[str, dict[str, float]] = {name: {} for name in (*names, BASE)}
-    still, disturbance = np.ones(6), unrest.Unrest.none()
+    still, noise_model = np.ones(6), NoiseModel.none()
     for _ in range(SETTLED):
-        before, fit = disturbance, refit(problem, values, still, iterations=3, tolerance=5.0, prior=_wide)
+        before, fit = noise_model, refit(problem, values, still, iterations=3, tolerance=5.0, prior=_wide)
         values, vehicle = fit.values, problem.corrected(fit.values)
         predicted = [problem.predicted(f, values) for f in problem.flights]
         errors = [f.measured - p for f, p in zip(problem.flights, predicted)]
         ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
-        disturbance = unrest.estimate(problem.flights, errors, np.split(problem.weight, ends))
-        problem.rewhiten(disturbance, vehicle)
+        noise_model = estimate(problem.flights, errors, np.split(problem.weight, ends))
+        problem.rewhiten(noise_model, vehicle)
         if not problem.identified:
             problem.reform(vehicle)
         set_model_error_weights(problem, predicted, errors)
-        if np.allclose(disturbance.size, before.size, rtol=0.15, atol=1e-3):
+        if np.allclose(noise_model.size, before.size, rtol=0.15, atol=1e-3):
             break
-    return fit, disturbance
+    return fit, noise_model
 
 
 def _wide(problem: Problem, columns: Sequence) -> np.ndarray:

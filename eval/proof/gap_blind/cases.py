@@ -22,7 +22,7 @@ from inclined_landing.models.parameters import Vehicle
 
 from . import causes, generate
 from .accepted import LEVEL, accepted
-from .causes import FREE_FLIGHT, SIZES, TOUCHDOWN, UNKNOWN, UNREST, Drawn
+from .causes import DISTURBANCE, FREE_FLIGHT, SIZES, TOUCHDOWN, UNKNOWN, Drawn
 
 # Families whose cases thresholds are chosen on, and those that are scored once.
 SETS = {"dev": ("cascade", "firmware", "feed_forward"), "fresh": ("geometric", "full_state")}
@@ -35,7 +35,7 @@ _ROTORPY_LACKS = {
 }
 STRATA = (
     *("single", "pair", "nothing", "few flights", "noisy", "slow log", "paper", "base off"),
-    *("unknown", "unrest", "touchdown"),
+    *("unknown", "disturbance", "touchdown"),
 )
 # A set with the same causes, vehicles and air in every stratum: flights, and how much noise of the family's.
 CURVE = "curve"
@@ -227,7 +227,7 @@ def plans(rng: np.random.Generator, family: str = "dev") -> list[tuple[str, tupl
     for stratum in ("few flights", "noisy", "slow log", "paper", "base off"):
         some = [one for one in rng.permutation(names) if one in _candidates(stratum)][:8]
         result += [(stratum, (str(one),), SIZES[1 + k % 2]) for k, one in enumerate(some)]
-    for stratum, table in (("unknown", UNKNOWN), ("unrest", UNREST)):
+    for stratum, table in (("unknown", UNKNOWN), ("disturbance", DISTURBANCE)):
         result += [(stratum, (name,), size) for name in table if _has(family, name) for size in SIZES[1:]]
     if family != ROTORPY:
         result += [("touchdown", (name,), SIZES[1 + k % 2]) for k, name in enumerate(TOUCHDOWN)]
@@ -293,7 +293,7 @@ def _candidates(stratum: str) -> list[str]:
     """Causes for a stratum: with constants off, those that are not the like of one of them."""
     off = {"paper": _PAPER_OFF, "base off": tuple(BASE_OFF)}.get(stratum, ())
     off = {*off, *(LEVEL if off else ()), *(("body_drag", "lateral_drag") if off else ())}
-    table = {"unknown": UNKNOWN, "unrest": UNREST, "touchdown": TOUCHDOWN}.get(stratum, FREE_FLIGHT)
+    table = {"unknown": UNKNOWN, "disturbance": DISTURBANCE, "touchdown": TOUCHDOWN}.get(stratum, FREE_FLIGHT)
     return [name for name in table if not any(names & off for names in accepted(name))]
 
 

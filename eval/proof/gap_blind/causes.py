@@ -185,8 +185,8 @@ UNKNOWN: dict[str, tuple[tuple[float, float, float], Draw]] = {
     "quantum": ((0.03, 0.05, 0.08), _outside("quantum")),
 }
 
-# What no two flights have alike: unrest, not something unknown.
-UNREST: dict[str, tuple[tuple[float, float, float], Draw]] = {
+# What no two flights have alike: a disturbance, not something unknown.
+DISTURBANCE: dict[str, tuple[tuple[float, float, float], Draw]] = {
     "gust": ((0.4, 0.7, 1.1), _outside("gust")),
     "slow_gust": ((0.3, 0.5, 0.8), _outside("gust", gust_time=4.0)),
     "burst": ((0.6, 1.0, 1.6), _outside("gust", gust_time=0.4, gust_calm=0.75)),
@@ -203,7 +203,7 @@ TOUCHDOWN: dict[str, tuple[tuple[float, float, float], Draw]] = {
 }
 
 
-ALL = FREE_FLIGHT | UNKNOWN | UNREST | TOUCHDOWN
+ALL = FREE_FLIGHT | UNKNOWN | DISTURBANCE | TOUCHDOWN
 
 
 def draw(name: str, size: str, rng: np.random.Generator, reality: Reality | None = None) -> Drawn:

@@ -2,9 +2,8 @@
 
 Outcome of one case, in this order:
 
-- nothing hidden, or only unrest: `right` (verdict nothing, or names of what comes with it), `false alarm` (an
-effect
-  is named) or `false unknown`;
+- nothing hidden, or only a disturbance: `right` (verdict nothing, or names of what comes with it), `false
+  alarm` (an effect is named) or `false unknown`;
 - a cause outside the library: `flagged` (verdict unknown), `misnamed` (only effects) or `missed`;
 - else `named` (every hidden cause is the name of an effect, or one of its declared aliases is), `tie` (every
   one is at least in the class of an effect), `half` (some of several causes), `misnamed` (none, but effects
@@ -23,7 +22,7 @@ from inclined_landing.eval.proof.simulator import constants
 from inclined_landing.models.effects import LIBRARY
 
 from .accepted import EFFECT, LEVEL, NOT_COMPARED, accepted, entailed
-from .causes import UNKNOWN, UNREST
+from .causes import DISTURBANCE, UNKNOWN
 
 OUTCOMES = (
     *("named", "tie", "spurious", "half", "misnamed", "missed"),
@@ -81,7 +80,7 @@ def _found(cause: str, names: Iterable[str], classes: list[set]) -> str | None:
 
 def _among(label: Mapping, classes: list[set], possible: Iterable[str]) -> bool | None:
     """Is every cause among the names, what may take their place, and what is told as possible?"""
-    causes = [cause for cause in label["causes"] if cause not in UNREST]
+    causes = [cause for cause in label["causes"] if cause not in DISTURBANCE]
     if not causes or set(causes) & set(UNKNOWN):
         return None
     every = set().union(*classes, possible)
@@ -92,7 +91,7 @@ def _outcome(label, report, spurious, found, classes) -> str:
     if report["verdict"] == "failed":
         return "failed"
     unknown = report["verdict"] == "unknown"
-    if set(label["causes"]) <= set(UNREST):
+    if set(label["causes"]) <= set(DISTURBANCE):
         return "false alarm" if spurious else "false unknown" if unknown else "right"
     if set(label["causes"]) & set(UNKNOWN):
         return "flagged" if unknown else "misnamed" if found else "missed"
@@ -124,7 +123,7 @@ def belief(label: Mapping, report: Mapping) -> dict | None:
             raise ValueError(f"a probability of {one['probability']}")
         believed[names] = believed.get(names, 0.0) + one["probability"]
     welcome = _welcome(label)
-    causes = [cause for cause in label["causes"] if cause not in UNREST]
+    causes = [cause for cause in label["causes"] if cause not in DISTURBANCE]
 
     def right(names: frozenset[str]) -> bool:
         return names <= welcome and all(_found(cause, names, []) for cause in causes)

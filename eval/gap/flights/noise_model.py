@@ -24,7 +24,7 @@ DRAWS = 200
 
 
 @dataclasses.dataclass(frozen=True)
-class Unrest:
+class NoiseModel:
     """Ornstein-Uhlenbeck disturbance in x, y, z [m/s2], roll, pitch and yaw [rad/s2]."""
 
     size: np.ndarray  # (6,) standard deviation
@@ -34,10 +34,10 @@ class Unrest:
     noise: np.ndarray  # (6,) of the measurement over what every log shows by itself, at least 0.7
 
     @staticmethod
-    def none() -> Unrest:
+    def none() -> NoiseModel:
         """Return zero disturbance and the noise seen in the logs."""
         zero = np.zeros(6)
-        return Unrest(zero, np.zeros((2, 6)), np.full(6, 0.3), np.full((2, 6), 0.3), np.ones(6))
+        return NoiseModel(zero, np.zeros((2, 6)), np.full(6, 0.3), np.full((2, 6), 0.3), np.ones(6))
 
 
 def estimate(
@@ -45,18 +45,18 @@ def estimate(
     errors: Sequence[np.ndarray],
     weights: Sequence[np.ndarray] | None = None,
     seed: int = 0,
-) -> Unrest:
+) -> NoiseModel:
     """Return the maximum-likelihood noise model of errors (m, 6), measured minus predicted, of flights.
 
     weights (w, 6) of the windows of every flight: the variance of their errors over what it would be beside
-    noise and unrest alone, inverted; None: nothing else adds to the errors.
+    noise and disturbance alone, inverted; None: nothing else adds to the errors.
     """
     windows = [f.cut(e) for f, e in zip(flights, errors)]
     if weights is not None:
         windows = [w * np.sqrt(share)[:, None] for w, share in zip(windows, weights)]
     columns = [_of_channel(flights, windows, c, seed) for c in range(6)]
     size, size_ends, time, time_ends, noise = (np.array(x) for x in zip(*columns))
-    return Unrest(size, size_ends.T, time, time_ends.T, noise)
+    return NoiseModel(size, size_ends.T, time, time_ends.T, noise)
 
 
 def _of_channel(flights, windows, channel: int, seed: int):
@@ -64,7 +64,7 @@ def _of_channel(flights, windows, channel: int, seed: int):
     if channel == 5 and not any(f.has_yaw for f in flights):
         return 0.0, (0.0, 0.0), 0.3, (0.3, 0.3), 1.0
     parts = [_modes(f, w, channel) for f, w in zip(flights, windows)]
-    # The size at which unrest alone, of middling correlation time, would explain the errors.
+    # The size at which disturbance alone, of middling correlation time, would explain the errors.
     middle = len(TIMES) // 2
     whole = np.median([z.mean() / v.mean() for v, z, _ in (p[middle] for p in parts)])
     sizes = SIZES * np.sqrt(max(whole, 1e-12))
@@ -89,7 +89,7 @@ def _of_channel(flights, windows, channel: int, seed: int):
 def _modes(flight: Measured, windows: np.ndarray, channel: int):
     """Return, for every correlation time, (variances (q,) by unit disturbance, mean squares (q,), windows w).
 
-    In the directions in which noise has unit variance and unrest is uncorrelated.
+    In the directions in which noise has unit variance and disturbance is uncorrelated.
     """
     shapes = flight.shapes
     noise = shapes.noise(channel, flight.noise, flight.sensed)
