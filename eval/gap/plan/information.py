@@ -2,7 +2,8 @@
 
 Every set predicts the flight with its own values; how well these are known, and what nobody needs to correct
 of all other effects, are Gaussian. The prediction is linear in both, so that a flight is known by one matrix
-of scalar products of predictions, whitened by noise and disturbance. Such matrices add up over pieces of flight.
+of scalar products of predictions, whitened by noise and disturbance. Such matrices add up over pieces of
+flight.
 """
 
 from __future__ import annotations
