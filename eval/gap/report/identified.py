@@ -70,6 +70,7 @@ def identifiability(found: Identification) -> Figure:
     axis.set_xlabel("standard error / what real vehicles differ by [1]")
     name_rows(axis, [words.label(one.effect) for one in found.identifiable], 8.5)
     axis.grid(axis="x")
+    axis.set_axisbelow(True)
     return figure
 
 
