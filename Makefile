@@ -91,7 +91,7 @@ release: wheel
 
 # Compiled functions that most tests call: once, before the workers of the tests start and each of them would do it.
 .venv/.compiled: tests/compile.py $(wildcard models/*.py models/plants/*.py) | .venv/.installed-test
-	$(BIN)/python tests/compile.py >/dev/null
+	$(BIN)/python -m tests.compile >/dev/null
 	@touch $@
 
 # PyTorch alone, first: training here uses the processor only, and the CPU build is a tenth of the default one.

@@ -25,7 +25,6 @@ COLOURS = {"train": "#fdf1e7", "eval": "#f1f6fc", "envs": "#e9f6f1", "models": "
 BOXES = {
     "train": (5.0, 7, 9.2, "PPO in batches, curricula, runs that resume"),
     "eval.cli": (4.75, 6, 8.8, "landing-eval: the table of commands"),
-    "eval.proof": (5.1, 5, 1.9, "does gap work?"),
     "eval.replay": (6.85, 5, 1.0, "flights to see"),
     "eval.mission": (7.93, 5, 0.98, "whole flights"),
     "eval.moving": (9.06, 5, 1.06, "moving decks"),

@@ -1,6 +1,6 @@
 """Compile what most tests call, once, before their workers start and each of them would do it.
 
-python tests/compile.py
+python -m tests.compile
 """
 
 import tempfile
@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.eval.proof.simulator import control, flight
-from inclined_landing.eval.proof.simulator.vehicle import World
 from inclined_landing.models.plants import PLANTS, make_plant
 from inclined_landing.train import cli
+from tests.proof.simulator import control, flight
+from tests.proof.simulator.vehicle import World
 
 
 def main() -> None:

@@ -16,7 +16,8 @@ for _name in ("COLUMNS", "LINES", "FORCE_COLOR", "NO_COLOR", "PYTHONUNBUFFERED",
 import hypothesis
 import pytest
 from _pytest.mark.expression import Expression
-from campaign import judge
+
+from tests.campaign import judge
 
 # Compiled functions take seconds at their first call; the same examples on every machine and run.
 hypothesis.settings.register_profile("suite", deadline=None, derandomize=True)

@@ -19,6 +19,7 @@ from inclined_landing.eval.base.command_line import bound, parse
 from inclined_landing.eval.base.manual import manual
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.sweep.command import command as sweep
+from tests.proof import __main__ as proof
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "docs" / "site"))
@@ -26,8 +27,9 @@ import generated  # noqa: E402, F401  (the pages that the site makes)
 
 SHELLS = ("sh", "console", "bash")
 PROGRAMS = ("landing-eval", "landing-train")
+PROOF = ["python", "-m", "tests.proof"]
 BLOCK = RawFencedCodeBlockLexer(re.compile(r'(?P<language>[a-z]+)(?: title="(?P<title>[^"]+)")?[ \t]*\n'))
-SPAN = re.compile(r"`((?:landing-eval|landing-train) [^`]+)`")
+SPAN = re.compile(r"`((?:landing-eval|landing-train|python -m tests\.proof) [^`]+)`")
 _OPERATORS = ("&", "&&", "||", ";", "|")
 
 
@@ -93,6 +95,9 @@ def check(words: list[str]) -> None:
     elif program == "make":
         known = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
         assert all(word in known or "=" in word for word in rest), words
+    elif words[:3] == PROOF:
+        assert words[3] in proof.COMMANDS, words
+        parse(bound(proof.find(words[3])), " ".join(words[:4]), words[4:])
     elif program == "python" and rest[0].endswith(".py"):
         assert (ROOT / rest[0]).is_file(), words
     elif "pytest" in program:
@@ -108,6 +113,8 @@ def check(words: list[str]) -> None:
 
 def _target(program: str, rest: list[str]):
     """What the words of a command are parsed into; None for those of a program itself (--help, --version)."""
+    if program == "tests.proof":
+        return bound(proof.find(rest[0]))
     if rest and rest[0] in ("--version", "--print-completion"):  # of either program
         return None
     if program == "landing-train" and rest[:1] == ["sweep"]:
@@ -122,9 +129,9 @@ def _target(program: str, rest: list[str]):
 
 def check_span(text: str) -> None:
     """Fail when a command in a sentence, where parts may be left out, has an option that is none."""
-    program, *rest = text.split()
+    program, *rest = text.removeprefix("python -m ").split()
     name = next((word for word in rest if re.fullmatch("[a-z][a-z-]+", word)), None)
-    if program == "landing-eval" and name is None:
+    if program != "landing-train" and name is None:
         return
     for option in re.findall(r"(?<=\s)--[a-z][a-z-]*", text):
         assert option in options(program, name), f"{program} {name} has no option {option}"

@@ -23,7 +23,7 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
-EVAL, TRAIN = "inclined_landing.eval", "inclined_landing.train"
+EVAL, TRAIN, PROOF = "inclined_landing.eval", "inclined_landing.train", "tests.proof"
 # Name of the record -> module, arguments ({out} is a new folder), files whose content is compared.
 COMMANDS = {
     "success_landing": (EVAL, "success landing --thrust-scale 1 1.05 0.95 0.88 --json", ()),
@@ -41,7 +41,7 @@ COMMANDS = {
     "gap_example": (EVAL, "gap-example --out {out}", ("fit", "heldout")),
     "gap": (EVAL, "gap {flights} --out {out}", ("report.json",)),
     "identify": (EVAL, "identify {flights} --out {out}", ("report.json",)),
-    "blind": (EVAL, "gap-blind --set dev --seed 3 --cases 24 --out {out}", ("results.json",)),
+    "blind": (PROOF, "gap-blind --set dev --seed 3 --cases 24 --out {out}", ("results.json",)),
     "success_effects": (EVAL, "success landing --effects --json", ()),
 }
 SKIPPED = {
@@ -64,12 +64,23 @@ def record(folder: Path, names: list[str]) -> None:
         for word in arguments.split():
             filled += [str(f) for f in flights] if word == "{flights}" else [word.format(out=out)]
         began = time.monotonic()
-        done = subprocess.run([sys.executable, "-m", module, *filled], capture_output=True, text=True)
+        done = _run(module, filled)
         if done.returncode:
             sys.exit(f"{name}: exit code {done.returncode}\n{done.stderr[-2000:]}")
         answer = {file: _content(out / file) for file in files} if files else json.loads(done.stdout)
         (folder / f"{name}.json").write_text(json.dumps(answer), "utf-8")
         print(f"{name:18} {time.monotonic() - began:7.1f} s", flush=True)
+
+
+def _run(module: str, words: list[str]) -> subprocess.CompletedProcess[str]:
+    """Run a command of the installed version, whose gap-blind may still be one of landing-eval."""
+    place = None
+    if module == PROOF:
+        from inclined_landing import models
+
+        place = Path(next(iter(models.__path__))).resolve().parent
+        module = PROOF if (place / "tests" / "proof").is_dir() else EVAL
+    return subprocess.run([sys.executable, "-m", module, *words], capture_output=True, text=True, cwd=place)
 
 
 def _content(path: Path):

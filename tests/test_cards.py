@@ -4,10 +4,10 @@ import json
 import shutil
 import subprocess
 
-import documents  # finds docs/site
 import pytest
 
 from inclined_landing.envs.policy import SHIPPED, load_policy
+from tests import documents  # finds docs/site
 
 import cards  # isort: skip
 

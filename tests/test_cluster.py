@@ -22,7 +22,8 @@ from pathlib import Path
 import psutil
 import pytest
 import tomlkit
-from campaign.training import assert_same_policy
+
+from tests.campaign.training import assert_same_policy
 
 pytestmark = pytest.mark.slow
 if not hasattr(pytest.importorskip("ray", reason="Ray is not installed (extra `ray`)"), "init"):

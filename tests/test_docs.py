@@ -4,14 +4,14 @@ import itertools
 import re
 from pathlib import Path
 
-import documents
 import numpy as np
 import pytest
-from documents import ROOT
-from log_files import a_log
 
 from inclined_landing.eval.logs import write_log
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
+from tests import documents
+from tests.documents import ROOT
+from tests.log_files import a_log
 
 # Documents whose Python blocks take minutes.
 LONG = {"eval/gap/README.md"}
@@ -80,6 +80,7 @@ def test_commands_exist_with_their_options(name):
         "make dem",
         "python examples/nothing.py",
         "pip install 'inclined-landing[everything]'",
+        "python -m tests.proof gap-blind --sets dev --out DIR",
         "true && landing-eval gap a.csv",
     ],
 )

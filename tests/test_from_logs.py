@@ -1,25 +1,24 @@
 """The table of docs/from_logs_to_policy.md: its cases can be hidden, and its rows are told from results."""
 
-import runpy
 from pathlib import Path
 
 import pytest
 
-from inclined_landing.eval.proof.simulator import World
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
+from tests.proof import from_logs
+from tests.proof.simulator import World
 
 DOCS = Path(__file__).parents[1] / "docs"
-PROOF = runpy.run_path(str(DOCS / "from_logs_to_policy.py"))
 
 
-@pytest.mark.parametrize("name", PROOF["CASES"])
+@pytest.mark.parametrize("name", from_logs.CASES)
 def test_a_case_is_hidden_in_the_simulator_and_known_to_the_library(name):
-    hidden = PROOF["CASES"][name]
+    hidden = from_logs.CASES[name]
     assert set(hidden.world) <= set(World._fields)
     assert LIBRARY[name].apply(load_vehicle(), hidden.parameters) != load_vehicle()
     assert f"| {name.replace('_', ' ')} |" in (DOCS / "from_logs_to_policy.md").read_text("utf-8")
 
 
 def test_strict_landings_are_counted():
-    assert PROOF["strict"]("landing", load_vehicle())["count"] == 250
+    assert from_logs.strict("landing", load_vehicle())["count"] == 250

@@ -9,9 +9,10 @@ import sys
 import time
 from pathlib import Path
 
-import documents
 import pytest
-from documents import ROOT
+
+from tests import documents
+from tests.documents import ROOT
 
 NOTEBOOK = ROOT / "examples" / "first_landing.ipynb"
 CELLS = json.loads(NOTEBOOK.read_text("utf-8"))["cells"]

@@ -7,9 +7,9 @@ from pathlib import PurePosixPath
 
 import pytest
 import yaml
-from documents import ROOT
 
 from inclined_landing.eval.logs.flights.convert import public_sets
+from tests.documents import ROOT
 
 NOTICES = (ROOT / "THIRD_PARTY_NOTICES.md").read_text("utf-8")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]

@@ -6,10 +6,11 @@ import subprocess
 import sys
 import tomllib
 
-import documents
 import pytest
 import yaml
-from documents import ROOT
+
+from tests import documents
+from tests.documents import ROOT
 
 CHECKS = ROOT / ".ci" / "release.py"
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))

@@ -4,7 +4,8 @@ import logging
 import shutil
 
 import pytest
-from documents import ROOT
+
+from tests.documents import ROOT
 
 pytestmark = pytest.mark.slow
 

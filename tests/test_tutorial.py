@@ -10,9 +10,10 @@ import sys
 import time
 from pathlib import Path
 
-import documents
 import pytest
-from documents import ROOT
+
+from tests import documents
+from tests.documents import ROOT
 
 HOW_TOS = [name for name in documents.documents() if name.startswith("docs/howto/") and "cluster" not in name]
 # Lines of how-tos that take long beyond what they show, as they are run here.

@@ -8,13 +8,13 @@ import typing
 from importlib import resources
 from pathlib import Path
 
-from campaign.flights import a_flight, text
-from campaign.judge import Case, Wrong, command, write
-from campaign.test_toml import STUDY
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.options import Range
 from inclined_landing.train import cli as train
 from inclined_landing.train.config import TrainConfig
+from tests.campaign.flights import a_flight, text
+from tests.campaign.judge import Case, Wrong, command, write
+from tests.campaign.test_toml import STUDY
 
 RECIPE = str(resources.files("inclined_landing.train") / "recipes" / "landing.toml")
 REPORT = '{"sets": [{"effects": ["body_drag"], "probability": 1.0, "values": {"body_drag": {}}}]}'
@@ -46,14 +46,8 @@ NEEDED = {
     "plan": ("{place}/report", "--out", "{place}/out"),
     "effects": (),
     "gap-example": ("--out", "{place}/out"),
-    "gap-blind": ("--out", "{place}/out"),
-    "plan-proof": ("--out", "{place}/out"),
-    "gap-agreement": ("--out", "{place}/out"),
-    "gap-real": ("{place}", "--out", "{place}/out"),
-    "nanobench": ("{place}/log.csv",),
     "crazyflie": ("--port=0", "--seconds=0.1"),
     "fly": ("--simulated", "--out", "{place}/out"),
-    "flight-table": ("--out", "{place}/out"),
     "benchmark": (),
     "doctor": (),
     "train": ("landing", "--steps=8", "--no-report", "--out", "{place}/out"),

@@ -6,7 +6,6 @@ from functools import partial
 
 import numpy as np
 
-from campaign.judge import EVIL, Case, Wrong, judge, parametrised
 from inclined_landing.envs import gym_env
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.sb3 import BatchVecEnv
@@ -15,6 +14,7 @@ from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval.moving.controllers import _Told
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
+from tests.campaign.judge import EVIL, Case, Wrong, judge, parametrised
 
 STATE = hover_states(np.array([[1.0, 0.0, 1.8]]), load_vehicle())[0]
 ARRAYS = {"object array": np.array([None]), "complex": 1j, "bytes": b"x", "none in a list": [None]}

@@ -4,7 +4,8 @@ import tomllib
 
 import pytest
 
-from campaign.judge import (
+from inclined_landing.models.errors import UserError
+from tests.campaign.judge import (
     EVIL,
     Case,
     Wrong,
@@ -16,7 +17,6 @@ from campaign.judge import (
     toml,
     write,
 )
-from inclined_landing.models.errors import UserError
 
 
 def refuse(path):

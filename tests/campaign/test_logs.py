@@ -11,15 +11,15 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
-from log_files import a_log, firmware_values, sd_card, write_bag
 
-from campaign.commands import NAMES
-from campaign.flights import COLUMNS, ROWS, a_flight, fly, text
-from campaign.judge import TEXTS, Case, Wrong, command, judge, mutations, parametrised, places, write
-from campaign.test_toml import case as mapping_case
 from inclined_landing.eval import cli
 from inclined_landing.eval.logs import FlightLog, read_log
 from inclined_landing.models.errors import UserError, shown
+from tests.campaign.commands import NAMES
+from tests.campaign.flights import COLUMNS, ROWS, a_flight, fly, text
+from tests.campaign.judge import TEXTS, Case, Wrong, command, judge, mutations, parametrised, places, write
+from tests.campaign.test_toml import case as mapping_case
+from tests.log_files import a_log, firmware_values, sd_card, write_bag
 
 CELLS = (
     *("nan", "inf", "-inf", "1e300", "-1e300", "1e999", "5e-324", "0", "-1", "65536", "9" * 400),

@@ -7,12 +7,12 @@ import tomllib
 from importlib import resources
 from pathlib import Path
 
-from campaign.commands import NAMES, NEEDED, POLICIES, SUFFIX, accepted, called, options, place, refused
-from campaign.flights import a_flight, text
-from campaign.judge import EVIL, Case, changed, command, judge, parametrised, write
-from campaign.test_policies import pickles, tensors, zips
-from campaign.test_toml import STUDY, VEHICLE, case, elsewhere, spelt, texts
 from inclined_landing.eval import cli
+from tests.campaign.commands import NAMES, NEEDED, POLICIES, SUFFIX, accepted, called, options, place, refused
+from tests.campaign.flights import a_flight, text
+from tests.campaign.judge import EVIL, Case, changed, command, judge, parametrised, write
+from tests.campaign.test_policies import pickles, tensors, zips
+from tests.campaign.test_toml import STUDY, VEHICLE, case, elsewhere, spelt, texts
 
 # Never right for any number, or for any name of something that is there.
 NUMBERS = (
@@ -134,9 +134,7 @@ def wrong_files():
                 yield given(name, bad, ["--policy={wrong}"])
             elif words[:1] and words[0] in POLICIES:
                 yield given(name, bad, ["{wrong}", *words[1:]], needed=False)
-        for bad in (
-            vehicles if "vehicle" in known and name != "gap-real" else ()
-        ):  # reads four data sets first
+        for bad in vehicles if "vehicle" in known else ():
             yield given(name, bad, ["--vehicle={wrong}"])
 
 

@@ -6,17 +6,17 @@ import unittest.mock
 
 import numpy as np
 
-from campaign.judge import EVIL, Case, command, judge, parametrised, write
-from campaign.test_training import TINY
 from inclined_landing.envs import tasks
 from inclined_landing.envs.tasks import Judgement, Start, Task, Training
 from inclined_landing.train import run
 from inclined_landing.train.cli import main
+from tests.campaign.judge import EVIL, Case, command, judge, parametrised, write
+from tests.campaign.test_training import TINY
 
 CODE = """
 import dataclasses
 import numpy as np
-from campaign.test_own_tasks import VALUES
+from tests.campaign.test_own_tasks import VALUES
 from inclined_landing.envs.tasks import Judgement, Task, Training, hover_states
 
 class Plain(Task):

@@ -20,7 +20,12 @@ import numpy as np
 import pytest
 import torch
 
-from campaign.judge import (
+from inclined_landing.envs.flights import record_flights
+from inclined_landing.envs.policy import STAMP, load_policy
+from inclined_landing.envs.policy import tensors as tensors_of
+from inclined_landing.envs.tasks.base import hover_states
+from inclined_landing.eval.machine import benchmark
+from tests.campaign.judge import (
     TEXTS,
     Case,
     Wrong,
@@ -31,11 +36,6 @@ from campaign.judge import (
     spoilt,
     write,
 )
-from inclined_landing.envs.flights import record_flights
-from inclined_landing.envs.policy import STAMP, load_policy
-from inclined_landing.envs.policy import tensors as tensors_of
-from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.eval.machine import benchmark
 
 GOOD = (resources.files("inclined_landing.envs") / "shipped" / "landing.zip").read_bytes()
 with zipfile.ZipFile(io.BytesIO(GOOD)) as archive:

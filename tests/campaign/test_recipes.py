@@ -5,14 +5,14 @@ import functools
 import tomllib
 from pathlib import Path
 
-from campaign.commands import NEEDED, options
-from campaign.judge import TEXTS, Case, Wrong, command, judge, mutations, parametrised, spoilt, write
-from campaign.test_toml import spelt
 from inclined_landing.eval import cli
 from inclined_landing.eval.sweeps import beyond
 from inclined_landing.eval.sweeps.recipe import COMMANDS, read_recipe
 from inclined_landing.train.sweep import jobs
 from inclined_landing.train.sweep.check import check
+from tests.campaign.commands import NEEDED, options
+from tests.campaign.judge import TEXTS, Case, Wrong, command, judge, mutations, parametrised, spoilt, write
+from tests.campaign.test_toml import spelt
 
 GOOD = """
 title = "Small"

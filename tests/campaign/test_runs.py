@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from campaign.judge import TEXTS, Case, command, judge, mutations, parametrised, spoilt
 from inclined_landing.eval import cli
 from inclined_landing.eval.truth.contact_truth import touchdowns
+from tests.campaign.judge import TEXTS, Case, command, judge, mutations, parametrised, spoilt
 
 CELLS = (
     *("nan", "inf", "-inf", "1e300", "-1", "0", "", "abc", "1e-300", "9" * 40, "True", "[1]", '"x', "é\x00"),

@@ -4,9 +4,9 @@ import functools
 import json
 from pathlib import Path
 
-from campaign.judge import TEXTS, Case, judge, mutations, parametrised, respelt, spoilt, write
-from inclined_landing.eval.proof.gap_blind import cases as drawn
-from inclined_landing.eval.proof.gap_blind import command as blind
+from tests.campaign.judge import TEXTS, Case, judge, mutations, parametrised, respelt, spoilt, write
+from tests.proof.gap_blind import cases as drawn
+from tests.proof.gap_blind import command as blind
 
 CASES = {case.name: case.label() for case in drawn.of_set("dev", 0, len(drawn.STRATA))}
 NAME, LABEL = next((name, label) for name, label in CASES.items() if label["causes"])

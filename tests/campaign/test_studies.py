@@ -6,10 +6,10 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from campaign.judge import TEXTS, Case, judge, mutations, parametrised, respelt, spoilt, write
-from campaign.test_toml import STUDY
 from inclined_landing.eval.landings import command, engines
 from inclined_landing.eval.landings.study import read_study
+from tests.campaign.judge import TEXTS, Case, judge, mutations, parametrised, respelt, spoilt, write
+from tests.campaign.test_toml import STUDY
 
 FILES = ("study.json", "parts/00000.parquet", "results.parquet", "parts/00007.parquet", "parts")
 

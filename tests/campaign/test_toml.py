@@ -13,8 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.flights import a_flight, fly, text
-from campaign.judge import TEXTS, Case, Wrong, judge, mutations, parametrised, places, spoilt, toml, write
 from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval.landings import design
@@ -23,6 +21,19 @@ from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.moving.scenario import Scenario, read_scenario, shipped
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
+from tests.campaign.flights import a_flight, fly, text
+from tests.campaign.judge import (
+    TEXTS,
+    Case,
+    Wrong,
+    judge,
+    mutations,
+    parametrised,
+    places,
+    spoilt,
+    toml,
+    write,
+)
 
 DURATION = 0.1  # s, of a flight of a vehicle
 

@@ -13,13 +13,24 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from campaign.judge import EVIL, TEXTS, Case, command, judge, mutations, parametrised, respelt, spoilt, write
 from inclined_landing.train import run
 from inclined_landing.train.checkpoint import read
 from inclined_landing.train.checkpoint import write as write_checkpoint
 from inclined_landing.train.cli import main
 from inclined_landing.train.config import ENDING, TrainConfig
 from inclined_landing.train.run import CHECKPOINT, RECORD, Run
+from tests.campaign.judge import (
+    EVIL,
+    TEXTS,
+    Case,
+    command,
+    judge,
+    mutations,
+    parametrised,
+    respelt,
+    spoilt,
+    write,
+)
 
 TINY = {"environments": 2, "rollout": 4, "batch_size": 8, "steps": 16, "epochs": 1, "threads": 1,
         "evaluate_every": 1, "video_every": 0}  # fmt: skip

@@ -9,10 +9,10 @@ import tomllib
 
 import pytest
 
-from campaign.judge import EVIL, Case, changed, judge, parametrised
-from campaign.test_toml import VEHICLE, case, spelt
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import check_vehicle, constants, load_vehicle
+from tests.campaign.judge import EVIL, Case, changed, judge, parametrised
+from tests.campaign.test_toml import VEHICLE, case, spelt
 
 TABLES = tomllib.loads(VEHICLE)
 

@@ -16,9 +16,9 @@ from inclined_landing.eval.flying.fly import load
 from inclined_landing.eval.flying.pilot import Plan
 from inclined_landing.eval.flying.simulated.firmware import State
 from inclined_landing.eval.flying.simulated.world import Setting, Trace
-from inclined_landing.eval.proof.flight_table import faults, table
-from inclined_landing.eval.proof.flight_table.chain import Flown, fly_once, truth_of
 from inclined_landing.models.attitude import PITCH, VX, X, Z
+from tests.proof.flight_table import faults, table
+from tests.proof.flight_table.chain import Flown, fly_once, truth_of
 
 G = 9.81
 logging.getLogger("cflib").setLevel(logging.CRITICAL)

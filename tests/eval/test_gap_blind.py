@@ -6,17 +6,17 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from pages import EVIL, check_page
 
-from inclined_landing.eval import cli
-from inclined_landing.eval.proof.gap_blind import cases, causes, generate, score, summary
-from inclined_landing.eval.proof.gap_blind import command as run
-from inclined_landing.eval.proof.gap_blind.accepted import ALIASES, EFFECT, ENTAILED, NOT_COMPARED
-from inclined_landing.eval.proof.gap_blind.page import markdown, page, reliability
-from inclined_landing.eval.proof.simulator import FAMILIES
 from inclined_landing.models import effects
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
+from tests.pages import EVIL, check_page
+from tests.proof.__main__ import main
+from tests.proof.gap_blind import cases, causes, generate, score, summary
+from tests.proof.gap_blind import command as run
+from tests.proof.gap_blind.accepted import ALIASES, EFFECT, ENTAILED, NOT_COMPARED
+from tests.proof.gap_blind.page import markdown, page, reliability
+from tests.proof.simulator import FAMILIES
 
 
 def test_every_cause_is_in_the_library_or_declared_outside():
@@ -407,7 +407,7 @@ def test_labels_are_sealed_and_a_run_goes_on(tmp_path, monkeypatch):
     ],
 )
 def test_wrong_options_are_sentences(tmp_path, capsys, wrong, sentence):
-    assert cli.main(["gap-blind", "--out", str(tmp_path / "x"), *wrong]) == 2
+    assert main(["gap-blind", "--out", str(tmp_path / "x"), *wrong]) == 2
     error = capsys.readouterr().err
     assert sentence in error and error.count("\n") == 1
     assert not (tmp_path / "x").exists()

@@ -14,9 +14,9 @@ from inclined_landing.eval import cli
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.flights.reading import read_flights
 from inclined_landing.eval.gap.search.reference import read_reference
-from inclined_landing.eval.proof.gap_blind.causes import Drawn
-from inclined_landing.eval.proof.gap_blind.generate import fly_all, table
 from inclined_landing.models.parameters import load_vehicle
+from tests.proof.gap_blind.causes import Drawn
+from tests.proof.gap_blind.generate import fly_all, table
 
 HIDDEN = Drawn(world={"thrust_scale": 0.88}, parameters={})
 FILES = {"gap.png", "landing.xml", "report.html", "report.json", "run.json", "vehicle.toml"}

@@ -11,14 +11,14 @@ from inclined_landing.eval.gap.flights.windows import _on_the_ground, measuremen
 from inclined_landing.eval.gap.search.evidence import Problem
 from inclined_landing.eval.gap.search.fit import bounded_step, refit, spread_between
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.eval.proof import simulator
-from inclined_landing.eval.proof.gap_blind import generate
-from inclined_landing.eval.proof.gap_blind.causes import Drawn
 from inclined_landing.models import effects, equations
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.perturbation import neutral
+from tests.proof import simulator
+from tests.proof.gap_blind import generate
+from tests.proof.gap_blind.causes import Drawn
 
 STEP, SUBSTEPS = 0.01, 5
 NOISE = np.array([1e-3] * 3 + [0.005] * 3)

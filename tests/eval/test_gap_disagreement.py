@@ -13,11 +13,11 @@ from inclined_landing.eval.gap.search.evidence import BASE, Column, Linear, Prob
 from inclined_landing.eval.gap.search.fit import refit
 from inclined_landing.eval.gap.search.posterior import slabs
 from inclined_landing.eval.gap.search.sets import autocorrelation_inflation
-from inclined_landing.eval.proof import gap_agreement
-from inclined_landing.eval.proof.gap_blind import generate
-from inclined_landing.eval.proof.gap_blind.causes import Drawn
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
+from tests.proof import gap_agreement
+from tests.proof.gap_blind import generate
+from tests.proof.gap_blind.causes import Drawn
 
 NAMES = ("thrust_scale", "mass", "attitude_gain", "attitude_trim", "mocap_tilt")
 OTHER_VEHICLE = {"thrust_scale": 0.85, "attitude_gain_scale": 1.15}

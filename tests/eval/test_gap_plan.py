@@ -15,10 +15,10 @@ from inclined_landing.eval.gap.plan.information import Question
 from inclined_landing.eval.gap.plan.reading import read_report
 from inclined_landing.eval.gap.plan.setpoints import setpoints
 from inclined_landing.eval.logs import read_log
-from inclined_landing.eval.proof import plan_proof
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import AnalyticPlant
+from tests.proof import plan_proof
 
 VEHICLE = load_vehicle()
 FREE, SLAB = (pieces.Space.of(VEHICLE, platform) for platform in (False, True))

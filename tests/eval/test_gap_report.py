@@ -8,7 +8,6 @@ import sys
 
 import numpy as np
 import pytest
-from pages import EVIL, check_page
 
 from inclined_landing.eval.gap.report import figures, model, terminal, words
 from inclined_landing.eval.gap.report.page import page
@@ -31,6 +30,7 @@ from inclined_landing.eval.gap.result import (
 from inclined_landing.models import effects, storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import constants, load_vehicle
+from tests.pages import EVIL, check_page
 
 FLIGHTS = ("a", "b", "c")
 SCALE, TRIM = {"scale": 0.88}, {"roll": 0.02, "pitch": -0.01}

@@ -5,13 +5,13 @@ import sys
 import numpy as np
 import pytest
 
-from inclined_landing.eval import cli
-from inclined_landing.eval.proof.gap_blind import cases
-from inclined_landing.eval.proof.simulator import KINDS, Reality, World, ordinary
-from inclined_landing.eval.proof.simulator.paths import Path
+from tests.proof.__main__ import main
+from tests.proof.gap_blind import cases
+from tests.proof.simulator import KINDS, Reality, World, ordinary
+from tests.proof.simulator.paths import Path
 
 reality = pytest.importorskip(
-    "inclined_landing.eval.proof.gap_blind.rotorpy_reality", exc_type=ImportError, reason="needs rotorpy"
+    "tests.proof.gap_blind.rotorpy_reality", exc_type=ImportError, reason="needs rotorpy"
 )
 VEHICLE = reality.draw(np.random.default_rng(3))
 CALM = VEHICLE.build._replace(unrest=(0.0,) * 3, unrest_torque=(0.0,) * 3, log_ticks=2.0)
@@ -120,6 +120,6 @@ def test_ordinary_flights_are_followed():
 
 def test_without_rotorpy_there_is_a_sentence(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "roma", None)
-    assert cli.main(["gap-blind", "--set", "rotorpy", "--out", str(tmp_path / "x")]) == 2
+    assert main(["gap-blind", "--set", "rotorpy", "--out", str(tmp_path / "x")]) == 2
     error = capsys.readouterr().err
     assert "needs roma; pip install 'inclined-landing[baselines]'" in error and error.count("\n") == 1

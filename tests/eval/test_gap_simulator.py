@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inclined_landing.eval.proof import simulator
-from inclined_landing.eval.proof.simulator import (
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants import AnalyticPlant
+from tests.proof import simulator
+from tests.proof.simulator import (
     FAMILIES,
     Build,
     Reality,
@@ -21,9 +23,7 @@ from inclined_landing.eval.proof.simulator import (
     landing,
     ordinary,
 )
-from inclined_landing.eval.proof.simulator.vehicle import record
-from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants import AnalyticPlant
+from tests.proof.simulator.vehicle import record
 
 C = constants()
 SILENT = {"gyro_noise": 0.0, "position_noise": 0.0, "attitude_noise": 0.0, "voltage_noise": 0.0}

@@ -9,9 +9,9 @@ from inclined_landing.eval.gap.flights.landings import ideal, landings_of
 from inclined_landing.eval.gap.result import ScoredSet
 from inclined_landing.eval.gap.search.after_touch import TouchdownProblem, sag
 from inclined_landing.eval.gap.search.contact import FEWEST, inflation, name_contact, repeated
-from inclined_landing.eval.proof.gap_blind.generate import landings, logs
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
+from tests.proof.gap_blind.generate import landings, logs
 
 VEHICLE = load_vehicle()
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from log_files import a_log, firmware_values, sd_card, write_bag
 from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.logs import FlightLog, read_log, write_log
 from inclined_landing.eval.logs.mapping import shipped
 from inclined_landing.models.errors import UserError
+from tests.log_files import a_log, firmware_values, sd_card, write_bag
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"measured flights are not in {DATA}")

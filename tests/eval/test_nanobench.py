@@ -8,12 +8,12 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from inclined_landing.eval.cli import main
-from inclined_landing.eval.proof.nanobench import Flown, Motion, naive
 from inclined_landing.models import equations
 from inclined_landing.models.attitude import PITCH, ROLL, VX, WX, YAW
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.perturbation import neutral
+from tests.proof.__main__ import main
+from tests.proof.nanobench import Flown, Motion, naive
 
 
 def test_errors_of_the_naive_model_are_what_moved():

@@ -8,7 +8,6 @@ import jinja2
 import jinja2.meta
 import pytest
 from jinja2 import nodes
-from pages import EVIL, check_page
 
 from inclined_landing import eval as rooms
 from inclined_landing.eval.base import page as base_page
@@ -18,21 +17,24 @@ from inclined_landing.eval.gap.report import identified
 from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.replay.page import _as_script
 from inclined_landing.models.parameters import load_vehicle
+from tests import proof
+from tests.pages import EVIL, check_page
 
 ROOM = Path(rooms.__path__[0])
-TEMPLATES = sorted(path.relative_to(ROOM).as_posix() for path in ROOM.rglob("*.html.j2"))
+PROOF = Path(proof.__file__).parent
+TEMPLATES = [*sorted(ROOM.rglob("*.html.j2")), *PROOF.rglob("*.html.j2")]
 UNESCAPED = {"safe", "forceescape", "xmlattr", "tojson"}  # filters that write markup, or other than text
 IN_STYLE = {"{{ super() }}", "{{ paper }}", "{{ style }}"}  # of the program, not from outside
 IN_SCRIPTS = {"{{ script }}", "{{ content }}"}  # the program's own, and JSON that is escaped
 
 
 def test_there_are_templates():
-    assert len(TEMPLATES) >= 8 and "base/page.html.j2" in TEMPLATES
+    assert len(TEMPLATES) >= 8 and ROOM / "base/page.html.j2" in TEMPLATES
 
 
-@pytest.mark.parametrize("name", TEMPLATES)
-def test_a_template_cannot_write_markup_from_outside(name):
-    text = (ROOM / name).read_text("utf-8")
+@pytest.mark.parametrize("path", TEMPLATES, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_a_template_cannot_write_markup_from_outside(path):
+    text = path.read_text("utf-8")
     tree = jinja2.Environment(extensions=[]).parse(text)
     assert not {found.name for found in tree.find_all(nodes.Filter)} & UNESCAPED
     assert not list(tree.find_all(nodes.ScopedEvalContextModifier)) and "autoescape" not in text

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from log_files import sd_card
 
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.logs.flights.convert import convert, public_sets
+from tests.log_files import sd_card
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 

@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from pages import EVIL_FILE, check_page
 from PIL import Image
 
 from inclined_landing.envs.policy import load_policy
@@ -15,6 +14,7 @@ from inclined_landing.eval.policies.success_effects import sizes
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import check_vehicle, load_vehicle
+from tests.pages import EVIL_FILE, check_page
 
 
 def made_report(landed, names=("nominal", "randomised", "history"), starts=251) -> dict:

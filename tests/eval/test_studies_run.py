@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from pages import EVIL, check_page
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.base import cluster, runs
 from inclined_landing.eval.landings import command, design, engines, landing
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
+from tests.pages import EVIL, check_page
 
 STUDY = f"""
 title = {json.dumps("A small one " + EVIL)}

@@ -24,9 +24,6 @@ NO_VEHICLE = {
     "effects",
     "flights",
     "gap-example",
-    "gap-agreement",
-    "gap-blind",
-    "plan-proof",
     "doctor",
 }
 

@@ -10,9 +10,9 @@ import time
 
 import pandas as pd
 import pytest
-from campaign.training import assert_same_policy, train
 
 from inclined_landing.train.run import RECORD
+from tests.campaign.training import assert_same_policy, train
 
 OPTIONS = {
     "landing": "landing --steps 4096 --video-every 3",

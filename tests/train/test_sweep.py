@@ -12,8 +12,6 @@ from pathlib import Path
 import psutil
 import pytest
 import tomlkit
-from campaign.training import assert_same_policy
-from test_own_task import CODE as OWN_TASK
 
 from inclined_landing.envs import tasks
 from inclined_landing.eval.base import runs
@@ -23,6 +21,8 @@ from inclined_landing.train import cli
 from inclined_landing.train.sweep import children, command, jobs, record
 from inclined_landing.train.sweep.check import check
 from inclined_landing.train.sweep.children import Children, Stopped
+from tests.campaign.training import assert_same_policy
+from tests.test_own_task import CODE as OWN_TASK
 
 # In place of landing-train and landing-eval: notes its words, writes what the recipe looks for.
 PRETENDED = """

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from campaign.training import assert_same_policy, weights
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy, tensors
@@ -26,6 +25,7 @@ from inclined_landing.train import cli, run, warm_start
 from inclined_landing.train.config import ALGORITHMS, CARRIED_ON, ENDING, Range, TrainConfig
 from inclined_landing.train.curriculum import SETTLING
 from inclined_landing.train.run import CHECKPOINT, Run, train
+from tests.campaign.training import assert_same_policy, weights
 
 TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "steps": 512, "threads": 1,
         "evaluate_every": 0, "video_every": 0, "checkpoint_every": 2}  # fmt: skip

@@ -1,4 +1,4 @@
-"""`landing-eval gap-agreement`: are flights that contradict the others found, and only these?
+"""`gap-agreement`: are flights that contradict the others found, and only these?
 
 In realities of the simulator's families ten flights of one vehicle and day, in which one or half are of
 another vehicle or of another day's calibration, are given to `landing-eval identify`, from the paper's
@@ -19,13 +19,13 @@ from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Folder, Range, Seed
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.result import Contradiction
-from inclined_landing.eval.proof import simulator
-from inclined_landing.eval.proof.gap_blind import cases as blind
-from inclined_landing.eval.proof.gap_blind import generate
-from inclined_landing.eval.proof.gap_blind.causes import Drawn
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
+from tests.proof import simulator
+from tests.proof.gap_blind import cases as blind
+from tests.proof.gap_blind import generate
+from tests.proof.gap_blind.causes import Drawn
 
 FLIGHTS = 10
 CHARGE = {"battery_voltage": (-0.15, 0.15)}  # V, of every flight

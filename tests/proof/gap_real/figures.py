@@ -17,10 +17,10 @@ from inclined_landing.eval.base.style import (
     literal,
     styled,
 )
-from inclined_landing.eval.proof.gap_real.halves import Fleet, Stability
-from inclined_landing.eval.proof.gap_real.pads import NORMAL
-from inclined_landing.eval.proof.gap_real.thrust import REFERENCE_PWM, REFERENCE_VOLTAGE, Law
 from inclined_landing.models.effects import LIBRARY
+from tests.proof.gap_real.halves import Fleet, Stability
+from tests.proof.gap_real.pads import NORMAL
+from tests.proof.gap_real.thrust import REFERENCE_PWM, REFERENCE_VOLTAGE, Law
 
 _VOLTS = 0.05  # V, width of the bins of the battery's voltage
 STEPS = (PURPLE, BLUE, "#56b4e9", "#8a8f98", "#c9b458", MUTED, "#7a5c3e")

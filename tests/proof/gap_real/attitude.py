@@ -13,9 +13,9 @@ from scipy.optimize import least_squares
 from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.csv_file import read_columns
-from inclined_landing.eval.proof.gap_real.thrust import SMOOTHING, derivative, lagged
 from inclined_landing.models.delays import averages
 from inclined_landing.models.parameters import Vehicle
+from tests.proof.gap_real.thrust import SMOOTHING, derivative, lagged
 
 STARTED = 2.5  # s, after the take-off
 RESTING = 0.0015  # m, height above the first row

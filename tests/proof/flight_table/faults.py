@@ -17,8 +17,8 @@ from inclined_landing.eval.flying.simulated import firmware
 from inclined_landing.eval.flying.simulated.crazyflie import SimulatedFlight
 from inclined_landing.eval.flying.simulated.faults import FAULTS, SWITCHED, Fault
 from inclined_landing.eval.flying.simulated.world import Setting
-from inclined_landing.eval.proof.flight_table.chain import Flown, fly_once
-from inclined_landing.eval.proof.flight_table.table import Loaded, flight_record
+from tests.proof.flight_table.chain import Flown, fly_once
+from tests.proof.flight_table.table import Loaded, flight_record
 
 APPROACH, LANDING = (1.0, 7.0), (0.0, 1.0)  # s after lift-off, and after the hand-over, that faults begin in
 # s on top of every limit: a control period, the radio, the supervisor's period, and the pilot's own steps.

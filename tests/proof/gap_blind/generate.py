@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.eval.proof.simulator import (
+from inclined_landing.models import storage
+from tests.proof.simulator import (
     KINDS,
     Reality,
     Recording,
@@ -23,7 +24,6 @@ from inclined_landing.eval.proof.simulator import (
     ordinary,
     reference,
 )
-from inclined_landing.models import storage
 
 from . import causes
 

@@ -1,4 +1,4 @@
-"""`landing-eval plan-proof`: flights until the right name stands alone, planned against ordinary ones.
+"""`plan-proof`: flights until the right name stands alone, planned against ordinary ones.
 
 Every case is a reality of the simulator's families with one hidden cause, identified first without it. After
 a few ordinary flights the right name is one of several in doubt. From there two ways part: flights that
@@ -27,15 +27,15 @@ from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effe
 from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.gap.search.sets import search
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.eval.proof import simulator
-from inclined_landing.eval.proof.gap_blind import cases as blind
-from inclined_landing.eval.proof.gap_blind import causes, generate
-from inclined_landing.eval.proof.gap_blind.accepted import accepted, entailed
-from inclined_landing.eval.proof.simulator import control
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
+from tests.proof import simulator
+from tests.proof.gap_blind import cases as blind
+from tests.proof.gap_blind import causes, generate
+from tests.proof.gap_blind.accepted import accepted, entailed
+from tests.proof.simulator import control
 
 ALONE = 0.95  # probability from which the right name stands alone ...
 RIVAL = 0.5  # ... while no wrong one has this

@@ -1,4 +1,4 @@
-"""`landing-eval flight-table`: the paper's starts, or every fault, through the whole chain of a flight."""
+"""`flight-table`: the paper's starts, or every fault, through the whole chain of a flight."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def command(
         seed: of everything drawn.
         out: new folder for results.json.
     """
-    from inclined_landing.eval.proof.flight_table import faults as trouble
-    from inclined_landing.eval.proof.flight_table import table
+    from tests.proof.flight_table import faults as trouble
+    from tests.proof.flight_table import table
 
     if out is not None:
         runs.check_new_run(out)

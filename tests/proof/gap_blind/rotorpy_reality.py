@@ -17,7 +17,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from inclined_landing.eval.proof.simulator import (
+from inclined_landing.models.errors import optional
+from tests.proof.simulator import (
     KINDS,
     Build,
     Constants,
@@ -28,8 +29,7 @@ from inclined_landing.eval.proof.simulator import (
     control,
     ordinary,
 )
-from inclined_landing.eval.proof.simulator.vehicle import PILOT_RATE
-from inclined_landing.models.errors import optional
+from tests.proof.simulator.vehicle import PILOT_RATE
 
 from . import rotorpy_faults as faults
 from .causes import Drawn

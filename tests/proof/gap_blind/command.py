@@ -1,4 +1,4 @@
-"""`landing-eval gap-blind`: draw a set, seal its labels, identify and diagnose every case as a user would,
+"""`gap-blind`: draw a set, seal its labels, identify and diagnose every case as a user would,
 open the labels, count."""
 
 from __future__ import annotations

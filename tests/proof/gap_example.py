@@ -1,4 +1,4 @@
-"""`landing-eval gap-example`: flights of the independent simulator to try the gap workflow on."""
+"""`gap-example`: the flights that `landing-eval gap-example` copies, made anew."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Folder, Seed
-from inclined_landing.eval.proof.gap_blind.causes import Drawn
-from inclined_landing.eval.proof.gap_blind.generate import fly_all, write_csv
+from tests.proof.gap_blind.causes import Drawn
+from tests.proof.gap_blind.generate import fly_all, write_csv
 
 # Worn propellers, a vehicle that is not streamlined, and a floor nobody modelled.
 HIDDEN = Drawn(

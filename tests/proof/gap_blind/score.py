@@ -18,8 +18,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from inclined_landing.eval.proof.simulator import constants
 from inclined_landing.models.effects import LIBRARY
+from tests.proof.simulator import constants
 
 from .accepted import EFFECT, LEVEL, NOT_COMPARED, accepted, entailed
 from .causes import DISTURBANCE, UNKNOWN

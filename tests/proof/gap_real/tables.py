@@ -8,10 +8,10 @@ import pandas as pd
 
 from inclined_landing.eval.gap.result import Diagnosis, PlantGap
 from inclined_landing.eval.logs.alignment import Estimate, Pose
-from inclined_landing.eval.proof.gap_real.attitude import Lean, Loop, Tilt
-from inclined_landing.eval.proof.gap_real.halves import Fleet, Stability
-from inclined_landing.eval.proof.gap_real.thrust import Lag, Law
 from inclined_landing.models.parameters import Vehicle
+from tests.proof.gap_real.attitude import Lean, Loop, Tilt
+from tests.proof.gap_real.halves import Fleet, Stability
+from tests.proof.gap_real.thrust import Lag, Law
 
 _SETS = 5  # told of a diagnosis
 

@@ -1,4 +1,4 @@
-"""`landing-eval gap-real`: the tables and figures of docs/real_flights.md from the four public data sets."""
+"""`gap-real`: the tables and figures of docs/real_flights.md from the four public data sets."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from inclined_landing.eval.base.options import Folder, VehicleFile
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap.flights.reading import read_flights
 from inclined_landing.eval.logs import alignment, read_log
-from inclined_landing.eval.proof.gap_real import attitude, figures, halves, pads, tables, thrust
-from inclined_landing.eval.proof.gap_real.halves import Fleet
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle, write_vehicle
+from tests.proof.gap_real import attitude, figures, halves, pads, tables, thrust
+from tests.proof.gap_real.halves import Fleet
 
 MOTORS = Path(__file__).with_name("nanobench_motors.toml")
 _DAY1, _UTIAS, _NANOBENCH = "utias_20250421_*.csv.gz", "utias_*.csv.gz", "nb_*.csv.gz"

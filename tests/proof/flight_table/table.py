@@ -16,8 +16,8 @@ from inclined_landing.eval.flying.fly import load
 from inclined_landing.eval.flying.pilot import Plan
 from inclined_landing.eval.flying.simulated.gaps import vehicle_named
 from inclined_landing.eval.flying.simulated.world import Setting
-from inclined_landing.eval.proof.flight_table.chain import Flown, fly_once
 from inclined_landing.models.errors import UserError
+from tests.proof.flight_table.chain import Flown, fly_once
 
 # The landing policy, the set-point policy, the starts x, z [m].
 Loaded: TypeAlias = tuple[Policy, Policy, list[tuple[float, float]]]

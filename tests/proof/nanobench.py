@@ -1,4 +1,4 @@
-"""`landing-eval nanobench`: the identification task of NanoBench, by its own definitions.
+"""`nanobench`: the identification task of NanoBench, by its own definitions.
 
 Ullah and Baca, arXiv:2603.09908 (2026), section III-E and table V: from a measured state a model predicts 50
 steps of 10 ms, open loop; the errors of position, velocity and angular velocity are Euclidean distances, that
@@ -84,7 +84,7 @@ def command(
     Args:
         files: flights from `landing-eval flights nanobench` that the vehicle was not fitted to.
         vehicle: vehicle file driven by thrust command and angle setpoints.
-        motors: vehicle file for eval/proof/gap_real/nanobench_motors.toml, driven by the PWM of the motors
+        motors: vehicle file for tests/proof/gap_real/nanobench_motors.toml, driven by the PWM of the motors
             alone; the measured angular velocity is held, as in the paper's physics model.
         every: seconds from one start to the next.
         json: print JSON, and nothing else, on standard output.

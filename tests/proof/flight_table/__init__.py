@@ -1,4 +1,4 @@
-"""`landing-eval flight-table`: landings and faults through the whole chain, judged by what truly happened.
+"""`flight-table`: landings and faults through the whole chain, judged by what truly happened.
 
 `chain` flies once, `table` the paper's starts, `faults` everything that can go wrong; `command` shows them.
 """

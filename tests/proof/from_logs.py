@@ -1,6 +1,4 @@
-"""The table of from_logs_to_policy.md: flight logs, the two commands, and what the policies are worth.
-
-    python docs/from_logs_to_policy.py DIR [CASE ...]
+"""`from-logs`: the table of docs/from_logs_to_policy.md: logs, the two commands, what the policies are worth.
 
 Every case is a cause hidden in an independent simulator, which shares no code with the models: ten flights of
 20 s, as CSV. The two commands of the page are run as a user runs them, and timed. Then the shipped policy and
@@ -15,15 +13,21 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import tyro
 
 from inclined_landing.envs import load_policy, record_flights, starts
+from inclined_landing.eval.base import style
+from inclined_landing.eval.base.options import Folder
 from inclined_landing.eval.base.statistics import proportion
-from inclined_landing.eval.proof.gap_blind.causes import Drawn
-from inclined_landing.eval.proof.gap_blind.generate import fly_all, write_csv
+from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
+from tests.proof.gap_blind.causes import Drawn
+from tests.proof.gap_blind.generate import fly_all, write_csv
 
 FLIGHTS, SEED = 10, 7
 # Sizes at which the shipped policy fails, of vehicles that there are: the paper's own gap; the delay of the
@@ -116,15 +120,21 @@ def row(result: dict) -> str:
     return f"| {' | '.join(cells)} | {gap:.0f} + {train:.0f} s | {learned} |"
 
 
-def main() -> None:
-    """Write results.json and the rows of the table."""
-    out, names = Path(sys.argv[1]), sys.argv[2:] or list(CASES)
-    out.mkdir(parents=True, exist_ok=True)
-    for name in names:
+def command(
+    out: Folder,
+    cases: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CASE [CASE ...]")] = tuple(CASES),
+) -> None:
+    """From flight logs to a corrected policy: the two commands, and what the policies are worth (minutes).
+
+    Args:
+        out: folder for a JSON file and the files of each case.
+        cases: one or more of thrust_scale, attitude_delay, com_offset and battery_voltage.
+    """
+    for name in cases:
+        if name not in CASES:
+            raise UserError(f"unknown case {name!r}; known are {', '.join(CASES)}")
+    style.make_folder(out)
+    for name in cases:
         result = run(name, list(CASES).index(name), out / name)
-        (out / f"{name}.json").write_text(json.dumps(result, indent=2), "utf-8")
+        storage.write_json(out / f"{name}.json", result)
         print(row(result), flush=True)
-
-
-if __name__ == "__main__":
-    main()

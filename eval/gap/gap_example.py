@@ -1,0 +1,24 @@
+"""`landing-eval gap-example`: twenty flights that come with the package, to try the gap workflow on.
+
+`python -m tests.proof gap-example`, in the repository, made them with an independent simulator.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from importlib import resources
+
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import Folder
+
+
+def command(out: Folder) -> None:
+    """Twenty flights with hidden effects, of an independent simulator, to try gap.
+
+    Args:
+        out: new folder for fit/*.csv and heldout/*.csv.
+    """
+    flights = resources.files(__package__).joinpath("example_flights.zip")
+    with runs.staged_run(out) as folder, flights.open("rb") as file, zipfile.ZipFile(file) as archive:
+        archive.extractall(folder)
+    print(f"landing-eval gap {out}/fit/*.csv --heldout {out}/heldout/*.csv --out {out}/report")
