@@ -19,11 +19,11 @@ from inclined_landing.eval.base.command_line import bound, parse
 from inclined_landing.eval.base.manual import manual
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.sweep.command import command as sweep
+from tests import ROOT
 from tests.proof import __main__ as proof
 
-ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "docs" / "site"))
-import generated  # noqa: E402, F401  (the pages that the site makes)
+import generated  # noqa: F401  (the pages that the site makes)
 
 SHELLS = ("sh", "console", "bash")
 PROGRAMS = ("landing-eval", "landing-train")

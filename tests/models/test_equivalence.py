@@ -1,7 +1,7 @@
 """Perturbations mean the same in the MuJoCo vehicle and in the equations: free flight, full command bounds.
 
 24 random command sequences of 6 s, RK4 at 4 ms in the engine, far above floor and platform. That the
-unperturbed plants fly alike is tested with the report, in tests/eval/test_equivalence.py.
+unperturbed plants fly alike is tested with the report, in tests/eval/truth/test_equivalence.py.
 """
 
 import numpy as np

@@ -6,7 +6,6 @@ import itertools
 import math
 import re
 from importlib import resources
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +13,8 @@ import pytest
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import check_vehicle, constants, load_vehicle, write_vehicle
+from tests import ROOT
 
-ROOT = Path(__file__).parents[2]
 FOLDERS = ("models", "envs", "eval", "train")
 # Sections whose numbers are the vehicle's own; arena and platform sizes are ordinary numbers such as 0.5.
 DISTINCTIVE = ("body", "thrust", "motor", "drag", "attitude")

@@ -7,7 +7,7 @@ import pandas
 import pytest
 
 from inclined_landing.eval import cli
-from tests.documents import ROOT
+from tests import ROOT
 from tests.proof import __main__ as proof
 from tests.proof import gap_example
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import importlib.util
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -13,8 +12,9 @@ from inclined_landing.models.attitude import LAG, ROLL, VX, WX, X
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import AnalyticPlant, MujocoPlant
 from inclined_landing.models.scene import build_spec
+from tests import ROOT
 
-PLUGIN = Path(__file__).parents[3] / "models" / "plugin"
+PLUGIN = ROOT / "models" / "plugin"
 # Every effect is on, so that every attribute has something to act on.
 V = dataclasses.replace(
     load_vehicle(),

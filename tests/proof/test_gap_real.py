@@ -1,18 +1,17 @@
 """The flights of others, where they are at hand: ../shared/data beside the repository, never in it."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.logs.alignment import pose
 from inclined_landing.models.parameters import load_vehicle
+from tests import ROOT
 from tests.proof.__main__ import main
 from tests.proof.gap_real import attitude, halves, pads, thrust
 from tests.proof.gap_real.command import MOTORS, flights
 
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
+DATA = ROOT.parent / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured flights at {DATA}")
 
 

@@ -2,7 +2,6 @@
 
 import gzip
 import math
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,9 +10,10 @@ import pytest
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.logs.flights.convert import convert, public_sets
+from tests import ROOT
 from tests.log_files import sd_card
 
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
+DATA = ROOT.parent / "shared" / "data"
 
 
 def original(name: str, rows: int = 3, **columns) -> pd.DataFrame:

@@ -1,15 +1,14 @@
 """The table of docs/from_logs_to_policy.md: its cases can be hidden, and its rows are told from results."""
 
-from pathlib import Path
-
 import pytest
 
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
+from tests import ROOT
 from tests.proof import from_logs
 from tests.proof.simulator import World
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = ROOT / "docs"
 
 
 @pytest.mark.parametrize("name", from_logs.CASES)

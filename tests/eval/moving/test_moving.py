@@ -3,7 +3,6 @@
 import hashlib
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from inclined_landing.eval.moving.flying import RIDE, fly, ride
 from inclined_landing.eval.moving.scenario import read_scenario, shipped
 from inclined_landing.models import surface
 from inclined_landing.models.errors import UserError
+from tests import ROOT
 
 VEHICLE = vehicle_flown()
 # Never edited: a change is another scenario, with another name.
@@ -215,8 +215,7 @@ def test_unknown_names_are_sentences(capsys):
 
 
 def test_the_example_lands_and_is_the_one_of_the_page():
-    root = Path(__file__).parents[2]
-    example, page = root / "examples/own_controller.py", (root / "docs/moving.md").read_text()
+    example, page = ROOT / "examples/own_controller.py", (ROOT / "docs/moving.md").read_text()
     text = example.read_text()
     assert text[text.index("class Descend") :].strip() in page
     found = controllers.find(f"{example}:Descend", VEHICLE)

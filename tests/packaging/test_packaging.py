@@ -9,7 +9,6 @@ import re
 import subprocess
 import sys
 from importlib import resources
-from pathlib import Path
 
 import gymnasium
 import pytest
@@ -21,6 +20,7 @@ from inclined_landing.envs.tasks import TASKS
 from inclined_landing.eval.cli import COMMANDS
 from inclined_landing.models import plugins
 from inclined_landing.models.parameters import load_vehicle
+from tests import ROOT
 
 
 def python(code: str) -> str:
@@ -200,7 +200,7 @@ def test_version_is_the_distributions():
 
 
 def test_the_diagram_shows_the_imports_as_they_are():
-    path = Path(__file__).parents[1] / "docs" / "diagram.py"
+    path = ROOT / "docs" / "diagram.py"
     spec = importlib.util.spec_from_file_location("diagram", path)
     diagram = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(diagram)

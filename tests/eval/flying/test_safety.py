@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from inclined_landing.eval.flying.surroundings import CLEAR, Surroundings, Targe
 from inclined_landing.models.attitude import PITCH, VX, VZ, X, Y, Z
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
+from tests import ROOT
 
 VEHICLE = load_vehicle()
 
@@ -91,7 +91,7 @@ def test_every_cause_of_the_module_is_in_the_table_and_the_page():
     assert set(causes) == set(safety.CAUSES) and len(safety.CAUSES) == len({c.name for c in causes})
     elsewhere = {"interrupted", "error", "hang", "bad set-point action", "bad action"}
     assert {cause.name for cause in causes} == elsewhere | set(CASES)
-    page = Path(__file__).parents[2] / "docs" / "flying.md"
+    page = ROOT / "docs" / "flying.md"
     assert safety.table() in page.read_text("utf-8"), "python -m inclined_landing.eval.flying.safety says it"
 
 

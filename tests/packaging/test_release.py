@@ -9,8 +9,7 @@ import tomllib
 import pytest
 import yaml
 
-from tests import documents
-from tests.documents import ROOT
+from tests import ROOT, documents
 
 CHECKS = ROOT / ".ci" / "release.py"
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests import documents
-from tests.documents import ROOT
+from tests import ROOT, documents
 
 NOTEBOOK = ROOT / "examples" / "first_landing.ipynb"
 CELLS = json.loads(NOTEBOOK.read_text("utf-8"))["cells"]

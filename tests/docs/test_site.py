@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from tests.documents import ROOT
+from tests import ROOT
 
 pytestmark = pytest.mark.slow
 

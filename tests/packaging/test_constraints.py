@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests import ROOT
+
 OLDEST, NEWEST = "3.11.0", "3.14"
 # What people install; only `mocap` has no wheel for the newest Python.
 EXTRAS = ("test-all", "wheel")

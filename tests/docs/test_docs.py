@@ -9,8 +9,7 @@ import pytest
 
 from inclined_landing.eval.logs import write_log
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
-from tests import documents
-from tests.documents import ROOT
+from tests import ROOT, documents
 from tests.log_files import a_log
 
 # Documents whose Python blocks take minutes.

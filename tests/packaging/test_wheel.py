@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from tests import ROOT
+
 pytestmark = pytest.mark.slow
-ROOT = Path(__file__).parents[1]
 PACKAGES = ("models", "envs", "eval", "train")
 # What the plugins and three.js are built from, and figures of the documentation.
 LEFT_OUT = ("models/plugin/*.cc", "models/plugin/*.h", "models/plugin/*.py", "models/plugin/CMakeLists.txt",

@@ -12,8 +12,9 @@ from inclined_landing.eval.cli import main
 from inclined_landing.eval.truth.contact_truth import command, laws, touchdowns
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
+from tests import ROOT
 
-FLIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data" / "nanobench"
+FLIGHTS = ROOT.parent / "shared" / "data" / "nanobench"
 measured_flights = pytest.mark.skipif(
     not FLIGHTS.is_dir(),
     reason="the measured flights are not beside the repository (../shared/data/nanobench)",

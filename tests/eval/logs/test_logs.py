@@ -13,9 +13,10 @@ from inclined_landing.eval.cli import main
 from inclined_landing.eval.logs import FlightLog, read_log, write_log
 from inclined_landing.eval.logs.mapping import shipped
 from inclined_landing.models.errors import UserError
+from tests import ROOT
 from tests.log_files import a_log, firmware_values, sd_card, write_bag
 
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+DATA = ROOT.parent / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"measured flights are not in {DATA}")
 
 HEADER = "t,x,y,z,roll,pitch,yaw,cmd_thrust_pwm,cmd_roll,cmd_pitch,cmd_yaw_rate"

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests import documents
-from tests.documents import ROOT
+from tests import ROOT, documents
 
 HOW_TOS = [name for name in documents.documents() if name.startswith("docs/howto/") and "cluster" not in name]
 # Lines of how-tos that take long beyond what they show, as they are run here.

@@ -3,7 +3,6 @@
 import re
 import runpy
 import sys
-from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -16,8 +15,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from inclined_landing import envs, train
 from inclined_landing.train import zoo
+from tests import ROOT
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = ROOT / "examples"
 
 
 @pytest.mark.parametrize(
