@@ -44,7 +44,7 @@ class AtMost:
 
 
 T = TypeVar("T")
-Flat = Annotated[T, tyro.conf.arg(name="")]
+Flat = Annotated[T, tyro.conf.OmitArgPrefixes]
 Seed = Annotated[int, Range(0, 2**32 - 1)]
 Pixels = Annotated[int, Range(16, 4096)]
 Flag = tyro.conf.FlagCreatePairsOff[bool]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -21,6 +22,9 @@ INK, MUTED = "#1f2733", "#5f6b7a"
 AIR, RULE, SLAB, BASE = "#f1f6fc", "#d3deea", "#c9ced4", "#435062"
 STAMP_DPI = 500  # of rendered vehicles in a PDF
 PNG_DPI = 200
+_COLOURS = (ORANGE, BLUE, GREEN, PURPLE, MUTED)
+_MARKERS = ("o", "s", "^", "D", "v")
+_LINES = ("-", "--", "-.", ":")  # from the sixth policy on
 
 STYLE = {
     "font.family": "DejaVu Sans",  # comes with matplotlib
@@ -50,6 +54,31 @@ STYLE = {
 def literal(name: str) -> str:
     """A name as matplotlib shows it: what lies between two dollars would be a formula."""
     return shown(name).replace("$", r"\$")
+
+
+def colour(k: int) -> str:
+    """Return the colour of the k-th policy in every figure."""
+    return _COLOURS[k % len(_COLOURS)]
+
+
+def marker(k: int) -> str:
+    """Return the marker of the k-th policy, another where a colour comes again."""
+    return _MARKERS[(k + k // len(_COLOURS)) % len(_MARKERS)]
+
+
+def percent(proportions: Sequence[Mapping]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return share, lower and upper end of the interval (n,) of n proportions [%]."""
+    low, high = 100 * np.array([p["interval"] for p in proportions]).T
+    return 100 * np.array([p["share"] for p in proportions]), low, high
+
+
+def share_curve(axes: Axes, x: Sequence[float], proportions: Sequence[Mapping], k: int, name: str) -> list:
+    """Draw the shares of the k-th policy over x with their 95 % intervals; return the line in a list."""
+    share, low, high = percent(proportions)
+    axes.fill_between(x, low, high, color=colour(k), alpha=0.2, lw=0, gid="interval")
+    line = _LINES[k // len(_COLOURS) % len(_LINES)]
+    style = {"color": colour(k), "marker": marker(k), "ms": 4, "gid": "share"}
+    return axes.plot(x, share, line, label=literal(name), **style)
 
 
 def styled():

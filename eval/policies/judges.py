@@ -16,6 +16,7 @@ from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.conditions import outcome
 from inclined_landing.eval.base.statistics import mean, proportion, spread
 from inclined_landing.eval.policies.motors_cut import cut_motors
 from inclined_landing.models import surface
@@ -94,13 +95,7 @@ class Landings(Flights):
 
     def summary(self, task, flights: Sequence[Flight]) -> dict:
         """Success, strict success, platform touches and time to the goal box of landing flights."""
-        n = len(flights)
-        return {
-            "success": proportion(sum(f.success for f in flights), n),
-            "strict": proportion(sum(f.strict for f in flights), n),
-            "touched": proportion(sum(f.touched for f in flights), n),
-            "time_to_goal": spread([f.duration for f in flights if f.success]),
-        }
+        return outcome(flights)
 
     def condition(self, task, flown: Mapping[str, Sequence[Flight]], scale: float) -> dict:
         """Each group, the entry into the goal box, and what follows when the motors are cut there."""

@@ -55,7 +55,7 @@ _CAPTIONS = {
 
 
 def show(report: dict) -> None:
-    """Print the report of `success.evaluate` or of `success_effects.evaluate`."""
+    """Print the report of `success.evaluate` or of `success.evaluate_effects`."""
     console = printer()
     kind = report["table"]
     if "effects" in report:

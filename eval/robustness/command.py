@@ -1,0 +1,307 @@
+"""`landing-eval robustness`: policies side by side under conditions that differ from what they know."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from matplotlib.figure import Figure
+
+from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
+from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.options import COMPARED, AtMost, Flag, Flat, NewFolder, PlantName, Range, Seed
+from inclined_landing.eval.base.page import embedded, png, render
+from inclined_landing.eval.base.style import save_figure
+from inclined_landing.eval.moving import report as moving
+from inclined_landing.eval.moving.controllers import BASELINES, Controller, vehicle_flown
+from inclined_landing.eval.moving.controllers import find as find_controller
+from inclined_landing.eval.moving.flying import ride
+from inclined_landing.eval.moving.scenario import read_scenario, shipped
+from inclined_landing.eval.pictures import video
+from inclined_landing.eval.robustness import changes, slopes, vehicles, words
+from inclined_landing.eval.robustness.entries import Entry, parse_entries
+from inclined_landing.eval.robustness.figures import (
+    matrix_figure,
+    slopes_figure,
+    thrust_figure,
+    vehicles_figure,
+)
+from inclined_landing.models import storage
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.errors import UserError, choices, shown
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants import PLANTS
+
+OVER = ("thrust", "effects", "slopes", "vehicles", "moving")
+NAMED = ("crazyflie-2.0", "crazyflie-2.1", "crazyflie-2.1-brushless", "hummingbird")
+_FPS, _LOOK = 12.5, {"camera": "chase", "width": 400, "height": 226, "backend": "auto"}  # of the film
+
+Policies = Annotated[
+    tuple[str, ...],
+    tyro.conf.Positional,
+    tyro.conf.arg(
+        metavar="[POLICY ...]",
+        help=f"landing policies: files, run folders or shipped ones ({', '.join(SHIPPED)}); the others are "
+        "compared with the first. With --over vehicles LABEL=A+B+C are seeds that count as one, "
+        "LABEL@VEHICLE=A those of one vehicle. With --over moving policies in space, planner, or a "
+        "controller of your own, module:NAME or file.py:NAME.",
+        help_behavior_hint=f"(default, of moving alone: {' '.join(BASELINES)})",
+    ),
+    AtMost(100),
+]
+Over = Annotated[tuple[str, ...], tyro.conf.arg(metavar="{thrust,effects,slopes,vehicles,moving} [...]")]
+_EFFECTS = tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="(default: all)")
+_VEHICLE = tyro.conf.arg(
+    metavar="VEHICLE [...]",
+    help_behavior_hint=f"(default: the Crazyflie 2.1; for --over vehicles {' '.join(NAMED)})",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Changes:
+    """Of --over thrust and effects, on the frozen grid of starts.
+
+    Args:
+        thrust: of the vehicle, times what the policies know.
+        effect: of the library, each in three sizes.
+    """
+
+    thrust: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X [X ...]")] = changes.THRUSTS
+    effect: Annotated[tuple[str, ...], _EFFECTS] = tuple(LIBRARY)
+
+
+@dataclasses.dataclass(frozen=True)
+class Draws:
+    """Of --over vehicles.
+
+    Args:
+        ranges: file of ranges that vehicles are drawn from, or a shipped one.
+        draws: vehicles drawn from it (0: none).
+        starts: of the frozen grid that each drawn vehicle flies from; a named one flies from all.
+        seed: of the drawn vehicles and their starts; choose one that no policy was trained with.
+    """
+
+    ranges: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = Path("vehicles")
+    draws: Annotated[int, Range(0, 4096)] = 256
+    starts: Annotated[int, Range(1, 64)] = 4
+    seed: Seed = 2_000_003
+
+
+@dataclasses.dataclass(frozen=True)
+class Moving:
+    """Of --over moving, the frozen benchmark of moving platforms.
+
+    Args:
+        scenario: of the benchmark, or scenario files (default: all of the benchmark).
+        flights: only the first ones of each scenario, to try something.
+        film: scenario whose first flight, of the first controller, becomes flight.gif.
+    """
+
+    scenario: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME|FILE [...]")] = ()
+    flights: Annotated[int | None, Range(1, 100_000)] = None
+    film: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+
+
+@dataclasses.dataclass
+class Study:
+    """What one condition set gave: a report of plain numbers, and what is written of it."""
+
+    name: str
+    report: dict[str, Any]
+    figures: dict[str, Figure]  # by the name of the file
+    texts: dict[str, str] = dataclasses.field(default_factory=dict)  # by the name of the file
+
+
+def command(
+    policies: Policies = (),
+    /,
+    *,
+    over: Over = ("thrust", "effects"),
+    out: NewFolder = None,
+    plant: PlantName = "hybrid",
+    every: Annotated[int, Range(1, 250)] = 1,
+    vehicle: Annotated[tuple[str, ...], _VEHICLE] = (),
+    thrust_and_effects: Flat[Changes] = Changes(),
+    drawn_vehicles: Flat[Draws] = Draws(),
+    moving_platforms: Flat[Moving] = Moving(),
+    json: Flag = False,
+) -> None:
+    """Policies under other thrusts, effects, slopes, vehicles or moving platforms: tables, figures, page.
+
+    Takes minutes. Shares have 95 % Wilson intervals.
+
+    Args:
+        policies: landing policies.
+        over: the conditions: thrust of the vehicle; effects of the library; all slopes that a policy knows;
+            named and drawn vehicles; the frozen benchmark of moving platforms.
+        out: new folder for index.html, the numbers as JSON and CSV, and the figures.
+        plant: the physics to fly in; hybrid is MuJoCo near surfaces and the equations elsewhere. moving is
+            always flown in mujoco.
+        every: fly from each of so many starts only; of thrust, effects and slopes.
+        vehicle: vehicle files, or shipped vehicles by name: the one that is flown, or those of --over
+            vehicles, each flown from the whole frozen grid.
+        json: print JSON, and nothing else, on standard output; of several condition sets by their names.
+    """
+    over = tuple(dict.fromkeys(over))
+    _check(policies, over, plant, vehicle, thrust_and_effects, moving_platforms, out)
+    entries = parse_entries(policies) if over != ("moving",) else []
+    studies: list[Study] = []
+    if "thrust" in over or "effects" in over or "slopes" in over:
+        known = load_vehicle(vehicle[0]) if vehicle else None
+        loaded = {entry.label: load_policy(_only(entry), vehicle=known) for entry in entries}
+        if "thrust" in over or "effects" in over:
+            studies.append(_changes(loaded, over, plant, every, thrust_and_effects))
+        if "slopes" in over:
+            found = slopes.evaluate(loaded, plant=plant, every=every)
+            drawing = slopes_figure(found)
+            studies.append(Study("slopes", found, {"slopes.png": drawing, "slopes.pdf": drawing}))
+    if "vehicles" in over:
+        studies.append(_vehicles(entries, tuple(dict.fromkeys(vehicle)) or NAMED, plant, drawn_vehicles))
+    if "moving" in over:
+        controllers = _controllers(policies)
+        studies.append(_moving(controllers, moving_platforms))
+    if out is not None:
+        with runs.staged_run(out) as folder:
+            _write(folder, studies)
+            if moving_platforms.film is not None:
+                film = [ride(read_scenario(moving_platforms.film), controllers[0])]
+                frames, total, rate = video.film(film, _FPS, 1.0, **_LOOK)
+                video.write({folder / "flight.gif": 1}, frames, total, rate)
+    if json:
+        reports = {study.name: study.report for study in studies}
+        print(storage.to_json(reports if len(studies) > 1 else studies[0].report))
+        return
+    for study in studies:
+        _SETS[study.name].show(study.report)
+
+
+# What prints the report of a study and makes sections of a page from it.
+_SETS = {"robustness": words, "slopes": slopes, "vehicles": vehicles, "moving": moving}
+
+
+def _check(
+    policies: tuple[str, ...],
+    over: tuple[str, ...],
+    plant: str,
+    vehicle: tuple[str, ...],
+    changed: Changes,
+    platforms: Moving,
+    out: Path | None,
+) -> None:
+    """Raise UserError for options that do not go together, before any work."""
+    for name in over:
+        if name not in OVER:
+            raise UserError(f"--over {shown(name, 40)}: {choices(OVER, name)}")
+    if not (over and (policies or over == ("moving",))):
+        raise UserError("name at least one policy, and with --over at least one set of conditions")
+    if not (changed.thrust and changed.effect):
+        raise UserError("name at least one --thrust and one --effect")
+    for name in changed.effect:
+        if name not in LIBRARY:
+            raise UserError(f"unknown effect {shown(name, 40)}; landing-eval effects lists them")
+    for scale in changed.thrust:
+        if not 0 < scale <= 3:
+            raise UserError(f"--thrust must be above 0 and at most 3, not {scale:g}")
+    if plant not in PLANTS:
+        raise UserError(f"unknown plant {shown(plant, 40)!r}; known are {', '.join(PLANTS)}")
+    if len(vehicle) > 1 and over != ("vehicles",):
+        raise UserError("several --vehicle are compared by --over vehicles alone")
+    if vehicle and over == ("moving",):
+        raise UserError("--over moving is flown with the vehicle of the benchmark: leave --vehicle out")
+    if platforms.film is not None and (out is None or "moving" not in over):
+        raise UserError("--film needs --over moving, and --out, the folder that the film is put into")
+    if platforms.film is not None:
+        read_scenario(platforms.film)
+    if out is not None:
+        runs.check_new_run(out)
+
+
+def _only(entry: Entry) -> str:
+    """Return the policy of an entry; raises UserError where it has several."""
+    if len(entry.policies) > 1 or entry.vehicle is not None:
+        raise UserError(
+            f"{entry.label}: policies count as one, or are of one vehicle, with --over vehicles alone"
+        )
+    return entry.policies[0]
+
+
+def _changes(
+    loaded: dict[str, Policy], over: tuple[str, ...], plant: str, every: int, changed: Changes
+) -> Study:
+    """Return the study over thrust, over the effects of the library, or both."""
+    if len(loaded) > COMPARED.count:
+        raise UserError(f"policies: at most {COMPARED.count} stand side by side, not {len(loaded)}")
+    report = changes.evaluate(
+        loaded,
+        plant=plant,
+        every=every,
+        thrusts=changed.thrust if "thrust" in over else (),
+        effects=tuple(dict.fromkeys(changed.effect)) if "effects" in over else (),
+    )
+    figures = {"thrust": thrust_figure(report)} if "thrust" in over else {}
+    if "effects" in over:
+        figures["matrix"] = matrix_figure(report)
+    return Study(
+        "robustness",
+        report,
+        {f"robustness_{k}.{suffix}": figure for k, figure in figures.items() for suffix in ("png", "pdf")},
+        {"results.md": words.markdown(report), "conditions.csv": words.conditions_csv(report)},
+    )
+
+
+def _vehicles(entries: list[Entry], named: tuple[str, ...], plant: str, drawn: Draws) -> Study:
+    """Return the study over vehicles."""
+    if (labels := len({entry.label for entry in entries})) > COMPARED.count:
+        raise UserError(f"policies: at most {COMPARED.count} labels stand side by side, not {labels}")
+    ranges = None if drawn.ranges is None else str(drawn.ranges)
+    options = {"draws": drawn.draws, "starts": drawn.starts, "plant": plant, "seed": drawn.seed}
+    report = vehicles.evaluate(entries, named, ranges, **options)
+    return Study("vehicles", report, {"vehicles.png": vehicles_figure(report)})
+
+
+def _controllers(policies: tuple[str, ...]) -> list[Controller]:
+    """Return the controllers by their names; raises UserError where two are called the same."""
+    vehicle = vehicle_flown()
+    found = [find_controller(name, vehicle) for name in dict.fromkeys(policies or BASELINES)]
+    names = [controller.name for controller in found]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise UserError(f"two controllers are called {twice[0]}; rename one")
+    if len(found) > COMPARED.count:
+        raise UserError(f"controllers: at most {COMPARED.count} stand side by side, not {len(found)}")
+    return found
+
+
+def _moving(controllers: list[Controller], platforms: Moving) -> Study:
+    """Return the study over moving platforms."""
+    scenarios = [read_scenario(name) for name in dict.fromkeys(platforms.scenario or shipped())]
+    report, flown = moving.evaluate(scenarios, controllers, platforms.flights)
+    texts = {"flights.csv": flown.to_csv(index=False, float_format="%.6g")}
+    return Study("moving", report, {"moving.png": moving.figure(report)}, texts)
+
+
+def _write(folder: Path, studies: list[Study]) -> None:
+    """Write numbers, figures and the page of all studies into a folder."""
+    images: dict[str, str] = {}
+    for study in studies:
+        storage.write_json(folder / f"{study.name}.json", study.report)
+        for name, text in study.texts.items():
+            storage.write_text(folder / name, text)
+        for name, figure in study.figures.items():
+            save_figure(figure, folder / name)
+            if name.endswith(".png"):
+                images[name.removesuffix(".png")] = embedded(png(figure))
+    page = render(
+        __package__,
+        "robustness.html.j2",
+        title="Robustness of landing policies",
+        sentences=[text for s in studies if s.name == "robustness" for text in words.sentences(s.report)],
+        sections=[section for study in studies for section in _SETS[study.name].sections(study.report)],
+        images=images,
+        run=shlex.join(["landing-eval", *sys.argv[1:]]),
+        versions=studies[0].report["versions"],
+    )
+    storage.write_text(folder / "index.html", page)
