@@ -17,93 +17,76 @@ from collections.abc import Callable, Sequence
 from inclined_landing.eval.base.command_line import bound, completion, exit_code, parse, shell_of, versions
 from inclined_landing.models.errors import UserError
 
-# By group and command: the package it is in, and the first line of its docstring.
-GROUPS = {
-    "Start": {
-        "demo": (
-            "",
-            "The first thing to try: a landing policy flown, counted, filmed and pictured (half a minute).",
-        ),
-        "doctor": ("machine", "What is installed, what is missing, and what to do about it."),
-        "benchmark": ("machine", "What a step, an action, a picture and a training cost here (a few minutes)."),
-    },
-    "Policies": {
-        "success": (
-            "policies",
-            "Success table of a policy: how often, how fast, how hard it reaches its goal.",
-        ),
-        "robustness": (
-            "",
-            "Policies under other thrusts, effects, slopes, vehicles or moving platforms: tables, figures, page.",
-        ),
-        "touchdown": (
-            "policies",
-            "Touchdown policy beside a landing policy whose motors are cut (minutes).",
-        ),
-        "mission": (
-            "",
-            "Whole missions: from anywhere in the room to the slope, onto it, and to rest, counted and filmed.",
-        ),
-        "export": (
-            "",
-            "A policy as ONNX, as C for a microcontroller or for NumPy, with contract and test vectors.",
-        ),
-    },
-    "Pictures": {
-        "figure": ("pictures", "Stroboscopic trajectory with PWM and pitch over time, or one whole picture."),
-        "video": ("pictures", "Video of flights, one after the other."),
-        "replay": ("", "Flights of policies and logs in 3D: as one page for the browser, or in a window."),
-        "curves": ("pictures", "Learning curves of training runs of one task; seeds with median and range."),
-    },
-    "Physics": {
-        "validate": ("truth", "Is the vehicle the paper's model, and is contact right? A page of claims."),
-        "landings": (
-            "",
-            "Landing study: thousands of touchdowns over friction, speeds ..., each classified.",
-        ),
-        "effects": (
-            "gap",
-            "The physical effects that a model may lack: formula, size, what to do about them.",
-        ),
-    },
-    "Flight logs and the gap to the model": {
-        "logs": ("", "What flight logs hold and whether they can be believed, in words."),
-        "identify": ("gap", "Thrust, lags, delays, attitude loops and drag from flights: a vehicle file."),
-        "gap": ("", "Where simulation and flights disagree, which effect is missing, the corrected model."),
-        "plan": ("gap", "The safe flight that tells best which of the sets of effects of a report is right."),
-        "gap-example": ("proof", "Twenty flights with hidden effects, of an independent simulator, to try gap."),
-        "gap-blind": ("proof", "Hidden causes in flights of independent simulators: what gap names (minutes)."),
-        "gap-agreement": (
-            "proof",
-            "Flights of another vehicle or day among the others: are they found, and only they (minutes).",
-        ),
-        "gap-real": (
-            "proof",
-            "Measured flights of others: what is named, how much of the gap closes (minutes).",
-        ),
-        "nanobench": (
-            "proof",
-            "NanoBench's identification task: an identified vehicle beside the published baselines.",
-        ),
-        "plan-proof": ("proof", "Flights until the right name stands alone, planned or not (minutes)."),
-        "beyond": (
-            "sweeps",
-            "The results of sweeps on one page: question, answer, numbers with their bars, figure, video.",
-        ),
-    },
-    "A real vehicle": {
-        "fly": (
-            "flying",
-            "Fly a Crazyflie, or a simulated one: to the start, and onto the slope; logged as CSV.",
-        ),
-        "crazyflie": ("flying", "A simulated Crazyflie in real time, for cflib over UDP."),
-        "flight-table": (
-            "proof",
-            "Flights of the simulated Crazyflie as they truly went: the paper's starts or every fault (minutes).",
-        ),
-    },
+# Command: the package it is in, and the first line of its docstring.
+COMMANDS = {
+    "demo": (
+        "",
+        "The first thing to try: a landing policy flown, counted, filmed and pictured (half a minute).",
+    ),
+    "success": (
+        "policies",
+        "Success table of a policy: how often, how fast, how hard it reaches its goal.",
+    ),
+    "touchdown": ("policies", "Touchdown policy beside a landing policy whose motors are cut (minutes)."),
+    "robustness": (
+        "",
+        "Policies under other thrusts, effects, slopes, vehicles or moving platforms: tables, figures, page.",
+    ),
+    "mission": (
+        "",
+        "Whole missions: from anywhere in the room to the slope, onto it, and to rest, counted and filmed.",
+    ),
+    "export": (
+        "",
+        "A policy as ONNX, as C for a microcontroller or for NumPy, with contract and test vectors.",
+    ),
+    "figure": ("pictures", "Stroboscopic trajectory with PWM and pitch over time, or one whole picture."),
+    "video": ("pictures", "Video of flights, one after the other."),
+    "replay": ("", "Flights of policies and logs in 3D: as one page for the browser, or in a window."),
+    "curves": ("pictures", "Learning curves of training runs of one task; seeds with median and range."),
+    "beyond": (
+        "sweeps",
+        "The results of sweeps on one page: question, answer, numbers with their bars, figure, video.",
+    ),
+    "validate": ("truth", "Is the vehicle the paper's model, and is contact right? A page of claims."),
+    "landings": ("", "Landing study: thousands of touchdowns over friction, speeds ..., each classified."),
+    "logs": ("", "What flight logs hold and whether they can be believed, in words."),
+    "identify": ("gap", "Thrust, lags, delays, attitude loops and drag from flights: a vehicle file."),
+    "gap": ("", "Where simulation and flights disagree, which effect is missing, the corrected model."),
+    "plan": ("gap", "The safe flight that tells best which of the sets of effects of a report is right."),
+    "effects": ("gap", "The physical effects that a model may lack: formula, size, what to do about them."),
+    "gap-example": ("proof", "Twenty flights with hidden effects, of an independent simulator, to try gap."),
+    "gap-blind": ("proof", "Hidden causes in flights of independent simulators: what gap names (minutes)."),
+    "gap-agreement": (
+        "proof",
+        "Flights of another vehicle or day among the others: are they found, and only they (minutes).",
+    ),
+    "gap-real": ("proof", "Measured flights of others: what is named, how much of the gap closes (minutes)."),
+    "nanobench": (
+        "proof",
+        "NanoBench's identification task: an identified vehicle beside the published baselines.",
+    ),
+    "plan-proof": ("proof", "Flights until the right name stands alone, planned or not (minutes)."),
+    "fly": (
+        "flying",
+        "Fly a Crazyflie, or a simulated one: to the start, and onto the slope; logged as CSV.",
+    ),
+    "crazyflie": ("flying", "A simulated Crazyflie in real time, for cflib over UDP."),
+    "flight-table": (
+        "proof",
+        "Flights of the simulated Crazyflie as they truly went: the paper's starts or every fault (minutes).",
+    ),
+    "benchmark": ("machine", "What a step, an action, a picture and a training cost here (a few minutes)."),
+    "doctor": ("machine", "What is installed, what is missing, and what to do about it."),
 }
-COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
+GROUPS = {
+    "Start": ("demo", "doctor", "benchmark"),
+    "Policies": ("success", "robustness", "touchdown", "mission", "export"),
+    "Pictures": ("figure", "video", "replay", "curves"),
+    "Physics": ("validate", "landings", "effects"),
+    "Flight logs and the gap to the model": ("logs", "identify", "gap", "plan", "gap-example"),
+    "A real vehicle": ("fly", "crazyflie"),
+}
 # Names of the last release, and what they are now; ... stands for the words that follow.
 OLD_NAMES = {
     "contact": "landings ...",
@@ -171,8 +154,8 @@ def _help() -> str:
     width = max(map(len, COMMANDS))
     lines = ["usage: landing-eval COMMAND [OPTIONS]", ""]
     lines.append("Evaluate policies and models: success, pictures, contact, measured flights.")
-    for title, commands in GROUPS.items():
-        lines += ["", f"{title}:", *(f"  {name:{width}}  {line}" for name, (_, line) in commands.items())]
+    for title, names in GROUPS.items():
+        lines += ["", f"{title}:", *(f"  {name:{width}}  {COMMANDS[name][1]}" for name in names)]
     return "\n".join(
         [
             *lines,

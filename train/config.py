@@ -142,8 +142,9 @@ class TrainConfig:
     """Vehicle file (TOML), or a shipped vehicle by name, where it is not the Crazyflie 2.1; the run keeps a
     copy."""
     randomise: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Ranges (TOML) of effects and of entries of the vehicle file, or `robust`, which is shipped: each training
-    episode, and half of the evaluated flights, have a vehicle drawn from them. The run keeps a copy."""
+    """Ranges (TOML) of effects and of entries of the vehicle file, or `robust`, which is shipped: each
+    training episode, and half of the evaluated flights, have a vehicle drawn from them. The run keeps a
+    copy."""
     max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
     """Stop at this wall time; the checkpoint allows to resume."""
     max_cpu_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None

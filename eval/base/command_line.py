@@ -77,10 +77,11 @@ def help_page(target: Callable, prog: str) -> str:
 
 def _tidy(page: str) -> str:
     """Return a page of tyro's with its paragraphs wrapped, and without defaults that say nothing."""
-    page = re.sub(r"\s*\(default:\s*(None|False|)\)", "", page)
+    page = re.sub(r"\s*(\(default:\s*(None|False|)\)|\(repeatable\))", "", page)
     width = shutil.get_terminal_size().columns
     lines = [line.rstrip() for line in page.splitlines()]
-    return "\n".join(line if line.startswith(" ") else textwrap.fill(line, width) for line in lines).strip()
+    text = "\n".join(line if line.startswith(" ") else textwrap.fill(line, width) for line in lines)
+    return re.sub(r"\n{3,}", "\n\n", text).strip()
 
 
 def grouped_help(config: type, prog: str, groups: Mapping[str, Sequence[str]]) -> str:

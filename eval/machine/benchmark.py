@@ -53,6 +53,7 @@ _PICTURE = {"width": 640, "height": 480, "camera": "hero"}
 
 
 def command(
+    *,
     policy: Annotated[str | None, tyro.conf.arg(metavar="POLICY")] = None,
     runs: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR [DIR ...]")] = (),
     quick: Flag = False,

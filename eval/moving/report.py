@@ -119,7 +119,8 @@ def sections(report: dict[str, Any]) -> list[Section]:
     """Return the sections of the page."""
     rule = (
         "A flight counts when the vehicle rests on the platform, on its feet alone, motors idle, as long as "
-        "its scenario says; in the frozen ones for 0.3 s within 10 s, slower than 0.05 m/s against the platform."
+        "its scenario says; in the frozen ones for 0.3 s within 10 s, slower than 0.05 m/s relative to the "
+        "platform."
     )
     partly = "Fewer flights than the scenarios have were flown: this is not a result of the benchmark."
     text = [rule] if all(s["whole"] for s in report["scenarios"]) else [rule, partly]

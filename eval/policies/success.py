@@ -67,6 +67,7 @@ def evaluate(
 def command(
     policy: AnyPolicy,
     /,
+    *,
     flown: Flat[Flown] = Flown(),
     thrust_scale: Scales = (),
     effects: Flag = False,

@@ -156,6 +156,7 @@ def overall(report: dict, mode: str) -> dict | None:
 def command(
     policy: PolicyFile,
     /,
+    *,
     baseline: PolicyName = "landing",
     vehicle: VehicleFile = None,
     friction: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MU [MU ...]")] = FRICTIONS,

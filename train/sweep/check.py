@@ -92,7 +92,8 @@ def _calls(job: Job) -> Iterator[_Call]:
                 config = parse(TrainConfig, program, rest)
                 call = _Call(job, words, vars(config), config)
             else:
-                later = parse(bound(cli.find(rest[0])), f"{program} {rest[0]}", rest[1:])
+                name, *others = cli.renamed(rest)
+                later = parse(bound(cli.find(name)), f"{program} {name}", others)
                 given = inspect.signature(later.func).bind(*later.args, **later.keywords).arguments
                 call = _Call(job, words, given, None)
         yield call
