@@ -147,7 +147,8 @@ def command(
         json: print JSON, and nothing else, on standard output; of several condition sets by their names.
     """
     over = tuple(dict.fromkeys(over))
-    _check(policies, over, plant, vehicle, thrust_and_effects, moving_platforms, out)
+    _check(policies, over, plant, vehicle, out)
+    _check_sets(over, thrust_and_effects, drawn_vehicles, moving_platforms, out)
     entries = parse_entries(policies) if over != ("moving",) else []
     studies: list[Study] = []
     if "thrust" in over or "effects" in over or "slopes" in over:
@@ -188,16 +189,36 @@ def _check(
     over: tuple[str, ...],
     plant: str,
     vehicle: tuple[str, ...],
-    changed: Changes,
-    platforms: Moving,
     out: Path | None,
 ) -> None:
-    """Raise UserError for options that do not go together, before any work."""
+    """Raise UserError for policies, conditions and vehicles that do not go together, before any work."""
     for name in over:
         if name not in OVER:
             raise UserError(f"--over {shown(name, 40)}: {choices(OVER, name)}")
     if not (over and (policies or over == ("moving",))):
         raise UserError("name at least one policy, and with --over at least one set of conditions")
+    if plant not in PLANTS:
+        raise UserError(f"unknown plant {shown(plant, 40)!r}; known are {', '.join(PLANTS)}")
+    if len(vehicle) > 1 and over != ("vehicles",):
+        raise UserError("several --vehicle are compared by --over vehicles alone")
+    if vehicle and over == ("moving",):
+        raise UserError("--over moving is flown with the vehicle of the benchmark: leave --vehicle out")
+    if out is not None:
+        runs.check_new_run(out)
+
+
+def _check_sets(
+    over: tuple[str, ...], changed: Changes, drawn: Draws, platforms: Moving, out: Path | None
+) -> None:
+    """Raise UserError for options of condition sets that are wrong, or whose set is not flown."""
+    for sets, given, default in (
+        (("thrust", "effects"), changed, Changes()),
+        (("vehicles",), drawn, Draws()),
+        (("moving",), platforms, Moving()),
+    ):
+        if given != default and not set(sets) & set(over):
+            names = [f"--{key}" for key, value in vars(given).items() if value != getattr(default, key)]
+            raise UserError(f"{names[0]} is an option of --over {' and '.join(sets)}")
     if not (changed.thrust and changed.effect):
         raise UserError("name at least one --thrust and one --effect")
     for name in changed.effect:
@@ -206,18 +227,10 @@ def _check(
     for scale in changed.thrust:
         if not 0 < scale <= 3:
             raise UserError(f"--thrust must be above 0 and at most 3, not {scale:g}")
-    if plant not in PLANTS:
-        raise UserError(f"unknown plant {shown(plant, 40)!r}; known are {', '.join(PLANTS)}")
-    if len(vehicle) > 1 and over != ("vehicles",):
-        raise UserError("several --vehicle are compared by --over vehicles alone")
-    if vehicle and over == ("moving",):
-        raise UserError("--over moving is flown with the vehicle of the benchmark: leave --vehicle out")
-    if platforms.film is not None and (out is None or "moving" not in over):
-        raise UserError("--film needs --over moving, and --out, the folder that the film is put into")
     if platforms.film is not None:
+        if out is None:
+            raise UserError("--film needs --out, the folder that the film is put into")
         read_scenario(platforms.film)
-    if out is not None:
-        runs.check_new_run(out)
 
 
 def _only(entry: Entry) -> str:

@@ -58,6 +58,8 @@ def check(recipe: Recipe, runs: Runs, last: Job, allowed: Sequence[str] = ()) ->
         _check_place(job)
     for call in calls:
         _check_out(call)
+        if getattr(call.given.get("in_window"), "window", False):
+            raise UserError(f"{_shown(call.words)}: a recipe opens no window")
     for job in looked_at:
         written = [call.out for call in calls if call.job is job and call.out is not None]
         for number in recipe.numbers.values():

@@ -1,4 +1,4 @@
-"""`landing-eval contact-truth`: all measurements as a page, a JSON file and figures."""
+"""`landing-eval validate contact`: all measurements as a page, a JSON file and figures."""
 
 from __future__ import annotations
 

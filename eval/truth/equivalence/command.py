@@ -1,4 +1,4 @@
-"""`landing-eval equivalence`: every measurement, one page, one JSON file and the figures."""
+"""`landing-eval validate equivalence`: every measurement, one page, one JSON file and the figures."""
 
 from __future__ import annotations
 
