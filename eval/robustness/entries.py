@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,8 +27,8 @@ def parse_entry(text: str) -> Entry:
 
     A POLICY is a file, a shipped policy or a run folder. Raises UserError for anything else.
     """
-    head, equals, files = text.partition("=")
-    if not equals:
+    head, _, files = text.partition("=")
+    if not _labelled(text):
         file = policy_file(text)
         label = Path(text).name if file != text else text.rpartition("/")[2].removesuffix(".zip")
         return Entry(label, (file,))
@@ -52,7 +53,7 @@ def parse_entries(texts: Sequence[str]) -> list[Entry]:
     Raises UserError where two policies without a LABEL could still not be told apart.
     """
     entries = [parse_entry(text) for text in texts]
-    plain = ["=" not in text for text in texts]
+    plain = [not _labelled(text) for text in texts]
     labels = [entry.label for entry in entries]
     for k, entry in enumerate(entries):
         if plain[k] and labels.count(entry.label) > 1:
@@ -63,6 +64,11 @@ def parse_entries(texts: Sequence[str]) -> list[Entry]:
         if plain[k] and entries[k].label in [other.label for other in entries[:k]]:
             raise UserError(f"policy {shown(entries[k].label, 100)} is named twice")
     return entries
+
+
+def _labelled(text: str) -> bool:
+    """Return whether this is LABEL=POLICY, and not a file with such a name."""
+    return "=" in text and not os.path.exists(text)
 
 
 def policy_file(policy: str) -> str:

@@ -23,7 +23,8 @@ def pages() -> dict[str, str]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COLUMNS", "100")
         found = {
-            name: command_line.help_page(bound(cli.find(name)), f"landing-eval {name}") for name in cli.COMMANDS
+            name: command_line.help_page(bound(cli.find(name)), f"landing-eval {name}")
+            for name in cli.COMMANDS
         }
         return found | {"landing-train": command_line.grouped_help(TrainConfig, "landing-train", HELP)}
 
