@@ -115,7 +115,8 @@ def find(name: str) -> Callable:
     """Return the function of a command; imports its package."""
     package, _ = COMMANDS[name]
     path = ".".join(filter(None, ("inclined_landing.eval", package, name.replace("-", "_"))))
-    if importlib.util.find_spec(path).submodule_search_locations is not None:
+    spec = importlib.util.find_spec(path)
+    if spec is not None and spec.submodule_search_locations is not None:
         path += ".command"
     return importlib.import_module(path).command
 

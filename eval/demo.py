@@ -6,7 +6,7 @@ import contextlib
 import io
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from inclined_landing.eval.pictures import picture, video
 from inclined_landing.eval.replay import command as replay
 
 POLICY = "landing"
-LOOK = {"width": 640, "height": 360}
+LOOK: dict[str, Any] = {"width": 640, "height": 360}
 
 _NEXT = """\
 What to do next:

@@ -1,6 +1,6 @@
 """What `landing-eval` and `landing-train` share: words become arguments, whatever is wrong one sentence.
 
-Imports nothing heavy: the rooms and tyro are imported when a command is run.
+Imports nothing heavy: the packages and tyro are imported when a command is run.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import functools
 import inspect
 import io
 import itertools
+import operator
 import os
 import platform
 import re
@@ -30,7 +31,7 @@ SHELLS = ("bash", "zsh", "fish")
 
 
 def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -> Any:
-    """What `target` makes of the words of a command line (default: those of this process).
+    """Return what `target` makes of the words of a command line (default: those of this process).
 
     target: a dataclass, or a function from `bound`; its signature and docstring are options and help.
     Raises UserError for words that do not fit; --help is printed and raises SystemExit(0).
@@ -103,12 +104,12 @@ def _only(config: type, names: Sequence[str]) -> type:
     import tyro
 
     hints, texts = typing.get_type_hints(config, include_extras=True), _attribute_texts(config)
-    annotations = {}
+    annotations: dict[str, Any] = {}
     for name, hint in hints.items():
         if name not in names:
-            annotations[name] = tyro.conf.Suppress[hint]
+            annotations[name] = operator.getitem(tyro.conf.Suppress, hint)
         elif name in texts:
-            annotations[name] = typing.Annotated[hint, tyro.conf.arg(help=texts[name])]
+            annotations[name] = operator.getitem(typing.Annotated, (hint, tyro.conf.arg(help=texts[name])))
     body = {"__annotations__": annotations, "__doc__": config.__doc__, "__module__": config.__module__}
     fields = {field.name: field for field in dataclasses.fields(config) if field.name in annotations}
     return dataclasses.dataclass(type(config.__name__, (config,), body | fields))
@@ -116,10 +117,11 @@ def _only(config: type, names: Sequence[str]) -> type:
 
 def _attribute_texts(config: type) -> dict[str, str]:
     """Return the docstrings below the fields of a dataclass, each as one paragraph."""
-    body = ast.parse(textwrap.dedent(inspect.getsource(config))).body[0].body
+    (parsed,) = ast.parse(textwrap.dedent(inspect.getsource(config))).body
+    assert isinstance(parsed, ast.ClassDef)
     return {
-        field.target.id: " ".join(text.value.value.split())
-        for field, text in itertools.pairwise(body)
+        ast.unparse(field.target): " ".join(ast.literal_eval(text.value).split())
+        for field, text in itertools.pairwise(parsed.body)
         if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr)
     }
 
@@ -158,7 +160,7 @@ def shell_of(words: Sequence[str]) -> str:
 
 
 def versions(prog: str) -> str:
-    """The line of --version: this package and what decides its results; imports none of them."""
+    """Return the line of --version: this package and what decides its results; imports none of them."""
     from inclined_landing.eval.base.runs import packages
 
     found = {**packages(), "python": platform.python_version()}
@@ -168,7 +170,7 @@ def versions(prog: str) -> str:
 
 
 def bound(command: Callable) -> Callable:
-    """`command` with the same signature and docstring, which returns the call instead of making it.
+    """Return `command` with the same signature and docstring, which returns the call instead of making it.
 
     Numbers beyond the `Range` of their option are refused here, before any work.
     """
@@ -176,7 +178,7 @@ def bound(command: Callable) -> Callable:
     _joined(command)
 
     @functools.wraps(command)
-    def later(*arguments, **options):
+    def later(*arguments: Any, **options: Any) -> Callable:
         from inclined_landing.eval.base.options import check_ranges
 
         given = inspect.signature(command).bind(*arguments, **options).arguments
@@ -187,7 +189,7 @@ def bound(command: Callable) -> Callable:
 
 
 def exit_code(prog: str, work: Callable[[], int | None], extra: str = "eval") -> int:
-    """Do the work of a command line. Returns what it returns, or says in one sentence why it cannot go on:
+    """Do the work of a command line and return its exit code, or say in one sentence why it cannot go on:
     2 for wrong input, for what `extra` would install, and where the engine or the memory gives out."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names that are no UTF-8
@@ -220,13 +222,13 @@ def exit_code(prog: str, work: Callable[[], int | None], extra: str = "eval") ->
 
 
 def _drop_output() -> None:
-    """Let go of what was printed and cannot be written: Python would try again, and fail, at its end."""
+    """Discard output that cannot be written: Python would try again, and fail, at its end."""
     if sys.stdout is not None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _sentence(box: str, words: Sequence[str], prog: str) -> str:
-    """What is in tyro's box as one sentence: without colours, title, frame and closing line."""
+    """Return tyro's message as one sentence: without colours, title, frame and closing line."""
     rows = [row.strip(" │") for row in re.sub("\x1b\\[[0-9;]*m", "", box).splitlines()[1:]]
     ruled = itertools.groupby(rows, lambda row: not row.strip("─-╭╮╰╯"))
     parts = [" ".join(" ".join(part).split()).rstrip(".") for rule, part in ruled if not rule]
@@ -242,7 +244,7 @@ def _sentence(box: str, words: Sequence[str], prog: str) -> str:
 
 
 def _not_a_number(option: str, words: Sequence[str], kind: type) -> str:
-    """The first value of an option that is no int or no float."""
+    """Return the first value of an option that is no int or no float."""
     given: list[str] = []
     for k, word in enumerate(words):
         name, sign, value = word.partition("=")

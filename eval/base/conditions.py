@@ -12,16 +12,17 @@ from inclined_landing.envs.flights import Flight
 from inclined_landing.eval.base.statistics import proportion, spread
 from inclined_landing.models.errors import UserError
 
+K = TypeVar("K", bound=tuple[str, ...])
 T = TypeVar("T")
 
 
-def fly_all(work: Mapping[tuple[str, ...], Callable[[], T]]) -> dict[tuple[str, ...], T]:
+def fly_all(work: Mapping[K, Callable[[], T]]) -> dict[K, T]:
     """Return what each flight of `work` returns, by the names of policy and condition, with a progress bar.
 
     Raises UserError, with these names, where the simulation diverges.
     """
     console = Console(stderr=True)
-    found: dict[tuple[str, ...], T] = {}
+    found: dict[K, T] = {}
     for names in track(work, "flying", console=console, transient=True, disable=not console.is_terminal):
         try:
             found[names] = work[names]()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -26,7 +27,7 @@ _COLOURS = (ORANGE, BLUE, GREEN, PURPLE, MUTED)
 _MARKERS = ("o", "s", "^", "D", "v")
 _LINES = ("-", "--", "-.", ":")  # from the sixth policy on
 
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib
     "font.size": 9.0,
     "axes.titlesize": 10.0,
@@ -52,7 +53,7 @@ STYLE = {
 
 
 def literal(name: str) -> str:
-    """A name as matplotlib shows it: what lies between two dollars would be a formula."""
+    """Return a name as matplotlib shows it: text between two dollars would be a formula."""
     return shown(name).replace("$", r"\$")
 
 
@@ -77,33 +78,33 @@ def share_curve(axes: Axes, x: Sequence[float], proportions: Sequence[Mapping], 
     share, low, high = percent(proportions)
     axes.fill_between(x, low, high, color=colour(k), alpha=0.2, lw=0, gid="interval")
     line = _LINES[k // len(_COLOURS) % len(_LINES)]
-    style = {"color": colour(k), "marker": marker(k), "ms": 4, "gid": "share"}
+    style: dict[str, Any] = {"color": colour(k), "marker": marker(k), "ms": 4, "gid": "share"}
     return axes.plot(x, share, line, label=literal(name), **style)
 
 
 def styled():
-    """Context in which figures are made and saved."""
+    """Return the context in which figures are made and saved."""
     return matplotlib.rc_context(STYLE)
 
 
 def time_colours(share) -> np.ndarray:
-    """RGB (k, 3) for shares of the way flown (k,): dark violet at 0 to orange at 1."""
+    """Return RGB (k, 3) for shares of the flight path (k,): dark violet at 0 to orange at 1."""
     return matplotlib.colormaps["plasma"](0.02 + 0.76 * np.asarray(share, float))[..., :3]
 
 
 def halo(width: float) -> list:
-    """Path effects that set a line off from what is below it: a white one, `width` points wide, around it."""
+    """Return path effects that surround a line with a white one, `width` points wide."""
     return [patheffects.Stroke(linewidth=width, foreground="white", alpha=0.85), patheffects.Normal()]
 
 
 def panel(figure: Figure, left: float, bottom: float, width: float, height: float, **options) -> Axes:
-    """Axes whose box is given in inches from the lower left corner of the figure."""
+    """Return axes whose box is given in inches from the lower left corner of the figure."""
     w, h = figure.get_size_inches()
     return figure.add_axes((left / w, bottom / h, width / w, height / h), **options)
 
 
 def legend_below(axes: Axes, **options) -> Legend:
-    """The legend of axes with an x label, under it: off the data."""
+    """Return the legend of axes, drawn below their x label."""
     lower = axes.transAxes + ScaledTranslation(0, -0.54, axes.figure.dpi_scale_trans)
     given = {
         "ncols": 2,

@@ -15,7 +15,7 @@ import time
 import timeit
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -38,7 +38,7 @@ VEHICLES = 256
 _BLOCK = 25  # control steps in one timed block
 _FAST = {"integrator": "implicitfast"}
 # Plant and its options, options of the landing task.
-_ENVIRONMENTS = {
+_ENVIRONMENTS: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "mujoco RK4": ("mujoco", {}, {}),
     "mujoco implicitfast": ("mujoco", _FAST, {}),
     "hybrid": ("hybrid", {}, {}),
@@ -49,7 +49,7 @@ _ENVIRONMENTS = {
     "  told its vehicle": ("hybrid", _FAST, {"observe_vehicle": True}),
     "analytic": ("analytic", {}, {}),
 }
-_PICTURE = {"width": 640, "height": 480, "camera": "hero"}
+_PICTURE: dict[str, Any] = {"width": 640, "height": 480, "camera": "hero"}
 
 
 def command(

@@ -150,7 +150,7 @@ def _missing(extra: str) -> list[str]:
         wanted = re.search(r"extra == ['\"]([\w-]+)", condition)
         if (wanted.group(1) if wanted else "") != extra:
             continue
-        name = re.match(r"[A-Za-z0-9._-]+", name).group()
+        name = re.split(r"[^A-Za-z0-9._-]", name.strip())[0]
         try:
             importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:

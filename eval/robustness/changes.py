@@ -108,13 +108,20 @@ def evaluate(
             for name, policy in policies.items()
         }
     )
-    rows, landed = [], np.zeros((len(cases), len(policies), len(starts)))
+    rows: list[dict[str, Any]] = []
+    landed = np.zeros((len(cases), len(policies), len(starts)))
     for c, case in enumerate(cases):
         found = [flown[name, case.words] for name in names]
         landed[c] = [strict for _, strict in found]
         effect = case.effect or LIBRARY[_THRUST]
-        row = {"effect": effect.name, "size": case.size, "parameters": sizes(effect, case.values)}
-        rows.append(row | {"outcomes": [outcomes for outcomes, _ in found]})
+        rows.append(
+            {
+                "effect": effect.name,
+                "size": case.size,
+                "parameters": sizes(effect, case.values),
+                "outcomes": [outcomes for outcomes, _ in found],
+            }
+        )
     curve = sorted((r for r in rows if not r["size"]), key=lambda r: r["parameters"]["scale"]["value"])
     return {
         "command": "robustness",

@@ -194,7 +194,7 @@ def _check(
     """Raise UserError for policies, conditions and vehicles that do not go together, before any work."""
     for name in over:
         if name not in OVER:
-            raise UserError(f"--over {shown(name, 40)}: {choices(OVER, name)}")
+            raise UserError(f"--over {shown(name, 40)}: {choices(OVER, name)}; policies are named before it")
     if not (over and (policies or over == ("moving",))):
         raise UserError("name at least one policy, and with --over at least one set of conditions")
     if plant not in PLANTS:
@@ -271,8 +271,9 @@ def _vehicles(entries: list[Entry], named: tuple[str, ...], plant: str, drawn: D
     if (labels := len({entry.label for entry in entries})) > COMPARED.count:
         raise UserError(f"policies: at most {COMPARED.count} labels stand side by side, not {labels}")
     ranges = None if drawn.ranges is None else str(drawn.ranges)
-    options = {"draws": drawn.draws, "starts": drawn.starts, "plant": plant, "seed": drawn.seed}
-    report = vehicles.evaluate(entries, named, ranges, **options)
+    report = vehicles.evaluate(
+        entries, named, ranges, draws=drawn.draws, starts=drawn.starts, plant=plant, seed=drawn.seed
+    )
     return Study("vehicles", report, {"vehicles.png": vehicles_figure(report)})
 
 

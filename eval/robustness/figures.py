@@ -202,7 +202,7 @@ def _curves(axes: Axes, entries: list[dict], lowest: float) -> None:
     )
 
 
-def _map(figure: Figure, axes: Axes, entry: dict) -> None:
+def _map(figure: Figure, axes: Any, entry: dict) -> None:
     """Draw strict success over azimuth, the direction, and inclination, the radius."""
     share = 100 * np.array([[cell["share"] for cell in row] for row in entry["cells"]], float)
     fine = np.linspace(entry["azimuths"][0], entry["azimuths"][-1], share.shape[1] * _ROUND + 1)
@@ -277,5 +277,12 @@ def _named(
         if name in row["outcomes"]
     ]
     if points:
-        style = {"mec": colour(k), "mfc": "white", "mew": 1.4, "ms": 6, "ls": "none", "gid": "named"}
+        style: dict[str, Any] = {
+            "mec": colour(k),
+            "mfc": "white",
+            "mew": 1.4,
+            "ms": 6,
+            "ls": "none",
+            "gid": "named",
+        }
         axes.plot(*zip(*points), marker=marker(k), label=literal(name) if labelled else None, **style)

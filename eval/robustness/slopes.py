@@ -129,7 +129,7 @@ def _curve(flights: Sequence[Flight], frozen: landing_starts.Slopes) -> list[dic
 
 def cells(report: dict[str, Any]) -> list[tuple[str, ...]]:
     """Return one row, under HEADS, for each policy and kind of slopes."""
-    found = []
+    found: list[tuple[str, ...]] = []
     for entry in report["policies"]:
         rows = {f"{math.degrees(row['inclination']):.1f} deg alone": row for row in entry["single"]}
         if "all" in entry:

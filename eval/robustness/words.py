@@ -19,7 +19,7 @@ ENOUGH, ENOUGH_MEDIUM = 0.97, 0.95  # shares from which a thrust, and a medium e
 
 def summary(report: dict) -> dict[str, tuple]:
     """Return heads and one row for each policy: no effect, thrust range, means over effects, worst effect."""
-    heads = ("policy", "trained", "no effect [%]", f"thrusts with {100 * ENOUGH:.0f} %")
+    heads: tuple[str, ...] = ("policy", "trained", "no effect [%]", f"thrusts with {100 * ENOUGH:.0f} %")
     if report["effects"]:
         heads += tuple(f"{size} [%]" for size in SIZES)
         heads += (f"medium with {100 * ENOUGH_MEDIUM:.0f} %", "worst medium")

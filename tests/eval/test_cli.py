@@ -63,7 +63,7 @@ def test_a_command_and_its_module_are_called_alike(name):
     (["success", "x", "--seed", "one"], "--seed takes a whole number, not 'one'; landing-eval success"),
     (["success", "x", "--inclination=steep"], "--inclination takes a number, not 'steep'; landing-eval succ"),
     (["success", "x", "--thrust-scale", "1", "x"], "--thrust-scale takes numbers, not 'x'"),
-    (["robustness", "--flights", "nan"], "--flights takes a whole number, not 'nan'; landing-eval robustness"),
+    (["robustness", "--flights", "nan"], "--flights takes a whole number, not 'nan'; landing-eval robu"),
     (["success", "x", "--inclination", "nan"], "--inclination takes finite numbers, not nan"),
     (["success", "x", "--thrust-scale", "1", "inf"], "--thrust-scale takes finite numbers, not inf"),
     (["crazyflie", "--seconds", "0"], "--seconds must lie above 0 and below 1000000, not 0.0"),
