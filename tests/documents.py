@@ -134,4 +134,4 @@ def options(program: str, name: str | None) -> frozenset[str]:
     """The options of a command, as its help has them."""
     target = _target(program, [name] if name else [])
     page = grouped_help(target, program, HELP) if target is TrainConfig else help_page(target, program)
-    return frozenset(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", page))
+    return frozenset(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", page)) | {"--help", "--help-all"}

@@ -126,5 +126,5 @@ def test_every_number_of_a_vehicle_and_every_effect_is_on_its_page():
     assert sections.keys() == {"landing-train", *documents.cli.COMMANDS}
     for name, text in sections.items():
         program, command = (name, None) if name == "landing-train" else ("landing-eval", name)
-        for option in documents.options(program, command) - {"-h", "--help"}:
+        for option in documents.options(program, command) - {"-h", "--help", "--help-all"}:
             assert option in text, f"{name} {option}"

@@ -318,8 +318,8 @@ def _landing_train(*options: str) -> float:
 
 
 def _plain(*options: str) -> float:
-    text = _python("inclined_landing.eval.machine.baseline", *options)
-    return float(json_format.loads(text.splitlines()[-1])["steps_per_second"])
+    text = _python("inclined_landing.eval.machine.plain_env", *options[1::2])  # their values
+    return float(text.splitlines()[-1])
 
 
 def _python(module: str, *arguments: str) -> str:
