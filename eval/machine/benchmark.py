@@ -45,8 +45,8 @@ _ENVIRONMENTS: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "hybrid implicitfast": ("hybrid", _FAST, {}),
     "  any slope": ("hybrid", _FAST, {"steepest": 0.45}),
     "  any slope, in space": ("hybrid", _FAST, {"steepest": 0.45, "dimensions": 3}),
-    "  decks that travel and heave": ("hybrid", _FAST, {"dimensions": 3, "fastest": 0.5, "swell": 1.0}),
-    "  told its vehicle": ("hybrid", _FAST, {"observe_vehicle": True}),
+    "  platforms that travel and heave": ("hybrid", _FAST, {"dimensions": 3, "fastest": 0.5, "swell": 1.0}),
+    "  observes its vehicle": ("hybrid", _FAST, {"observe_vehicle": True}),
     "analytic": ("analytic", {}, {}),
 }
 _PICTURE: dict[str, Any] = {"width": 640, "height": 480, "camera": "hero"}
