@@ -17,7 +17,7 @@ from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.base.conditions import fly_all
 from inclined_landing.eval.base.statistics import proportion, spread
 from inclined_landing.eval.base.style import MUTED, colour, literal, marker, percent, share_curve, styled
-from inclined_landing.eval.base.tables import new_table, printer, share_cell
+from inclined_landing.eval.base.tables import share_cell, show_sections
 from inclined_landing.eval.moving.controllers import Controller
 from inclined_landing.eval.moving.flying import FIELDS, fly
 from inclined_landing.eval.moving.scenario import Scenario
@@ -101,18 +101,7 @@ def cells(report: dict[str, Any]) -> list[list[str]]:
 
 def show(report: dict[str, Any]) -> None:
     """Print the report."""
-    console = printer()
-    shown = new_table("At rest on a moving platform", *HEADS, left=2)
-    for row in cells(report):
-        if row[0] and shown.row_count:
-            shown.add_section()
-        shown.add_row(*row)
-    shown.caption = CAPTION
-    console.print(shown)
-    for row in report["all"]:
-        console.print(f"{row['name']}: {share_cell(row['at_rest'])} % of all flights at rest")
-    if not all(scenario["whole"] for scenario in report["scenarios"]):
-        console.print("fewer flights than the scenarios have: not a result of the benchmark")
+    show_sections(sections(report))
 
 
 def sections(report: dict[str, Any]) -> list[Section]:
@@ -123,14 +112,27 @@ def sections(report: dict[str, Any]) -> list[Section]:
         "platform."
     )
     partly = "Fewer flights than the scenarios have were flown: this is not a result of the benchmark."
-    text = [rule] if all(s["whole"] for s in report["scenarios"]) else [rule, partly]
+    whole = all(scenario["whole"] for scenario in report["scenarios"])
     figure = {"moving": "Share of the flights at rest on the platform, with 95 % intervals."}
     flown = [(s["name"], s["title"], s["fingerprint"][:12]) for s in report["scenarios"]]
+    overall = [
+        f"{row['name']}: {share_cell(row['at_rest'])} % of all flights at rest" for row in report["all"]
+    ]
     tables = [
         Table("", HEADS, [tuple(row) for row in cells(report)]),
         Table("What was flown", ("scenario", "platform", "fingerprint"), flown),
     ]
-    return [Section("moving", "Moving platforms", text, [], tables, figure, [CAPTION])]
+    return [
+        Section(
+            "moving",
+            "Moving platforms",
+            rule,
+            [],
+            tables,
+            figure,
+            [CAPTION, *overall, *([] if whole else [partly])],
+        )
+    ]
 
 
 def steady(report: dict[str, Any]) -> list[dict]:

@@ -5,17 +5,20 @@ from __future__ import annotations
 import dataclasses
 import shlex
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 from matplotlib.figure import Figure
 
-from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
+from inclined_landing.envs.policy import SHIPPED, load_policy
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.base.options import COMPARED, AtMost, Flag, Flat, NewFolder, PlantName, Range, Seed
 from inclined_landing.eval.base.page import embedded, png, render
 from inclined_landing.eval.base.style import save_figure
+from inclined_landing.eval.base.tables import show_sections
 from inclined_landing.eval.moving import report as moving
 from inclined_landing.eval.moving.controllers import BASELINES, Controller, vehicle_flown
 from inclined_landing.eval.moving.controllers import find as find_controller
@@ -106,14 +109,19 @@ class Moving:
     film: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
 
 
-@dataclasses.dataclass
-class Study:
-    """What one condition set gave: a report of plain numbers, and what is written of it."""
-
-    name: str
-    report: dict[str, Any]
-    figures: dict[str, Figure]  # by the name of the file
-    texts: dict[str, str] = dataclasses.field(default_factory=dict)  # by the name of the file
+# Figures of each report by file name, and what makes sections of the page from it.
+_FIGURES: dict[str, dict[str, Callable[[dict[str, Any]], Figure]]] = {
+    "robustness": {"robustness_thrust": thrust_figure, "robustness_matrix": matrix_figure},
+    "slopes": {"slopes": slopes_figure},
+    "vehicles": {"vehicles": vehicles_figure},
+    "moving": {"moving": moving.figure},
+}
+_SECTIONS: dict[str, Callable[[dict[str, Any]], list[Section]]] = {
+    "robustness": words.sections,
+    "slopes": slopes.sections,
+    "vehicles": vehicles.sections,
+    "moving": moving.sections,
+}
 
 
 def command(
@@ -146,79 +154,81 @@ def command(
             vehicles, each flown from the whole frozen grid.
         json: print JSON, and nothing else, on standard output; of several condition sets by their names.
     """
-    over = tuple(dict.fromkeys(over))
-    _check(policies, over, plant, vehicle, out)
-    _check_sets(over, thrust_and_effects, drawn_vehicles, moving_platforms, out)
+    over, vehicle = tuple(dict.fromkeys(over)), tuple(dict.fromkeys(vehicle))
+    _check(policies, over, plant, vehicle)
+    _check_options(over, thrust_and_effects, drawn_vehicles, moving_platforms, out)
+    if out is not None:
+        runs.check_new_run(out)
     entries = parse_entries(policies) if over != ("moving",) else []
-    studies: list[Study] = []
-    if "thrust" in over or "effects" in over or "slopes" in over:
+    reports: dict[str, dict[str, Any]] = {}
+    texts: dict[str, str] = {}  # by file name
+    if {"thrust", "effects", "slopes"} & set(over):
         known = load_vehicle(vehicle[0]) if vehicle else None
         loaded = {entry.label: load_policy(_only(entry), vehicle=known) for entry in entries}
-        if "thrust" in over or "effects" in over:
-            studies.append(_changes(loaded, over, plant, every, thrust_and_effects))
+        if {"thrust", "effects"} & set(over):
+            chosen = thrust_and_effects
+            report = reports["robustness"] = changes.evaluate(
+                loaded,
+                plant=plant,
+                every=every,
+                thrusts=chosen.thrust if "thrust" in over else (),
+                effects=tuple(dict.fromkeys(chosen.effect)) if "effects" in over else (),
+            )
+            texts = {"results.md": words.markdown(report), "conditions.csv": words.conditions_csv(report)}
         if "slopes" in over:
-            found = slopes.evaluate(loaded, plant=plant, every=every)
-            drawing = slopes_figure(found)
-            studies.append(Study("slopes", found, {"slopes.png": drawing, "slopes.pdf": drawing}))
+            reports["slopes"] = slopes.evaluate(loaded, plant=plant, every=every)
     if "vehicles" in over:
-        studies.append(_vehicles(entries, tuple(dict.fromkeys(vehicle)) or NAMED, plant, drawn_vehicles))
+        drawn = dataclasses.asdict(drawn_vehicles)
+        reports["vehicles"] = vehicles.evaluate(entries, vehicle or NAMED, plant=plant, **drawn)
     if "moving" in over:
         controllers = _controllers(policies)
-        studies.append(_moving(controllers, moving_platforms))
+        names = moving_platforms.scenario or shipped()
+        scenarios = [read_scenario(name) for name in dict.fromkeys(names)]
+        reports["moving"], flown = moving.evaluate(scenarios, controllers, moving_platforms.flights)
+        texts["flights.csv"] = flown.to_csv(index=False, float_format="%.6g")
     if out is not None:
         with runs.staged_run(out) as folder:
-            _write(folder, studies)
+            _write(folder, reports, texts)
             if moving_platforms.film is not None:
                 film = [ride(read_scenario(moving_platforms.film), controllers[0])]
                 frames, total, rate = video.film(film, _FPS, 1.0, **_LOOK)
                 video.write({folder / "flight.gif": 1}, frames, total, rate)
     if json:
-        reports = {study.name: study.report for study in studies}
-        print(storage.to_json(reports if len(studies) > 1 else studies[0].report))
+        print(storage.to_json(reports if len(reports) > 1 else next(iter(reports.values()))))
         return
-    for study in studies:
-        _SETS[study.name].show(study.report)
+    for name, report in reports.items():
+        if name == "robustness":
+            words.show(report)
+        else:
+            show_sections(_SECTIONS[name](report))
 
 
-# What prints the report of a study and makes sections of a page from it.
-_SETS = {"robustness": words, "slopes": slopes, "vehicles": vehicles, "moving": moving}
-
-
-def _check(
-    policies: tuple[str, ...],
-    over: tuple[str, ...],
-    plant: str,
-    vehicle: tuple[str, ...],
-    out: Path | None,
-) -> None:
+def _check(policies: tuple[str, ...], over: tuple[str, ...], plant: str, vehicle: tuple[str, ...]) -> None:
     """Raise UserError for policies, conditions and vehicles that do not go together, before any work."""
     for name in over:
         if name not in OVER:
             raise UserError(f"--over {shown(name, 40)}: {choices(OVER, name)}; policies are named before it")
     if not (over and (policies or over == ("moving",))):
         raise UserError("name at least one policy, and with --over at least one set of conditions")
+    if len(labels := {policy.partition("=")[0] for policy in policies}) > COMPARED.count:
+        raise UserError(f"policies: at most {COMPARED.count} stand side by side, not {len(labels)}")
     if plant not in PLANTS:
         raise UserError(f"unknown plant {shown(plant, 40)!r}; known are {', '.join(PLANTS)}")
     if len(vehicle) > 1 and over != ("vehicles",):
         raise UserError("several --vehicle are compared by --over vehicles alone")
     if vehicle and over == ("moving",):
         raise UserError("--over moving is flown with the vehicle of the benchmark: leave --vehicle out")
-    if out is not None:
-        runs.check_new_run(out)
 
 
-def _check_sets(
+def _check_options(
     over: tuple[str, ...], changed: Changes, drawn: Draws, platforms: Moving, out: Path | None
 ) -> None:
     """Raise UserError for options of condition sets that are wrong, or whose set is not flown."""
-    for sets, given, default in (
-        (("thrust", "effects"), changed, Changes()),
-        (("vehicles",), drawn, Draws()),
-        (("moving",), platforms, Moving()),
-    ):
-        if given != default and not set(sets) & set(over):
-            names = [f"--{key}" for key, value in vars(given).items() if value != getattr(default, key)]
-            raise UserError(f"{names[0]} is an option of --over {' and '.join(sets)}")
+    of_sets = {("thrust", "effects"): changed, ("vehicles",): drawn, ("moving",): platforms}
+    for sets, given in of_sets.items():
+        names = [key for key, value in vars(given).items() if value != getattr(type(given), key)]
+        if names and not set(sets) & set(over):
+            raise UserError(f"--{names[0]} is an option of --over {' and '.join(sets)}")
     if not (changed.thrust and changed.effect):
         raise UserError("name at least one --thrust and one --effect")
     for name in changed.effect:
@@ -234,88 +244,45 @@ def _check_sets(
 
 
 def _only(entry: Entry) -> str:
-    """Return the policy of an entry; raises UserError where it has several."""
+    """Return the policy of an entry; raises UserError where it has several, or one vehicle."""
     if len(entry.policies) > 1 or entry.vehicle is not None:
-        raise UserError(
-            f"{entry.label}: policies count as one, or are of one vehicle, with --over vehicles alone"
-        )
+        raise UserError(f"{entry.label}: LABEL=A+B and LABEL@VEHICLE=A go with --over vehicles alone")
     return entry.policies[0]
 
 
-def _changes(
-    loaded: dict[str, Policy], over: tuple[str, ...], plant: str, every: int, changed: Changes
-) -> Study:
-    """Return the study over thrust, over the effects of the library, or both."""
-    if len(loaded) > COMPARED.count:
-        raise UserError(f"policies: at most {COMPARED.count} stand side by side, not {len(loaded)}")
-    report = changes.evaluate(
-        loaded,
-        plant=plant,
-        every=every,
-        thrusts=changed.thrust if "thrust" in over else (),
-        effects=tuple(dict.fromkeys(changed.effect)) if "effects" in over else (),
-    )
-    figures = {"thrust": thrust_figure(report)} if "thrust" in over else {}
-    if "effects" in over:
-        figures["matrix"] = matrix_figure(report)
-    return Study(
-        "robustness",
-        report,
-        {f"robustness_{k}.{suffix}": figure for k, figure in figures.items() for suffix in ("png", "pdf")},
-        {"results.md": words.markdown(report), "conditions.csv": words.conditions_csv(report)},
-    )
-
-
-def _vehicles(entries: list[Entry], named: tuple[str, ...], plant: str, drawn: Draws) -> Study:
-    """Return the study over vehicles."""
-    if (labels := len({entry.label for entry in entries})) > COMPARED.count:
-        raise UserError(f"policies: at most {COMPARED.count} labels stand side by side, not {labels}")
-    ranges = None if drawn.ranges is None else str(drawn.ranges)
-    report = vehicles.evaluate(
-        entries, named, ranges, draws=drawn.draws, starts=drawn.starts, plant=plant, seed=drawn.seed
-    )
-    return Study("vehicles", report, {"vehicles.png": vehicles_figure(report)})
-
-
-def _controllers(policies: tuple[str, ...]) -> list[Controller]:
+def _controllers(names: tuple[str, ...]) -> list[Controller]:
     """Return the controllers by their names; raises UserError where two are called the same."""
     vehicle = vehicle_flown()
-    found = [find_controller(name, vehicle) for name in dict.fromkeys(policies or BASELINES)]
-    names = [controller.name for controller in found]
-    if twice := [name for name in names if names.count(name) > 1]:
+    found = [find_controller(name, vehicle) for name in dict.fromkeys(names or BASELINES)]
+    called = [controller.name for controller in found]
+    if twice := [name for name in called if called.count(name) > 1]:
         raise UserError(f"two controllers are called {twice[0]}; rename one")
-    if len(found) > COMPARED.count:
-        raise UserError(f"controllers: at most {COMPARED.count} stand side by side, not {len(found)}")
     return found
 
 
-def _moving(controllers: list[Controller], platforms: Moving) -> Study:
-    """Return the study over moving platforms."""
-    scenarios = [read_scenario(name) for name in dict.fromkeys(platforms.scenario or shipped())]
-    report, flown = moving.evaluate(scenarios, controllers, platforms.flights)
-    texts = {"flights.csv": flown.to_csv(index=False, float_format="%.6g")}
-    return Study("moving", report, {"moving.png": moving.figure(report)}, texts)
-
-
-def _write(folder: Path, studies: list[Study]) -> None:
-    """Write numbers, figures and the page of all studies into a folder."""
-    images: dict[str, str] = {}
-    for study in studies:
-        storage.write_json(folder / f"{study.name}.json", study.report)
-        for name, text in study.texts.items():
-            storage.write_text(folder / name, text)
-        for name, figure in study.figures.items():
-            save_figure(figure, folder / name)
-            if name.endswith(".png"):
-                images[name.removesuffix(".png")] = embedded(png(figure))
+def _write(folder: Path, reports: dict[str, dict[str, Any]], texts: dict[str, str]) -> None:
+    """Write numbers, texts, figures and one page of all reports into a folder."""
+    sections, images = [], {}
+    for name, text in texts.items():
+        storage.write_text(folder / name, text)
+    for name, report in reports.items():
+        storage.write_json(folder / f"{name}.json", report)
+        of_page = _SECTIONS[name](report)
+        shown_there = {figure for section in of_page for figure in section.figures}
+        sections += of_page
+        for figure in sorted(shown_there):
+            drawn = _FIGURES[name][figure](report)
+            save_figure(drawn, folder / f"{figure}.png")
+            save_figure(drawn, folder / f"{figure}.pdf")
+            images[figure] = embedded(png(drawn))
     page = render(
         __package__,
         "robustness.html.j2",
         title="Robustness of landing policies",
-        sentences=[text for s in studies if s.name == "robustness" for text in words.sentences(s.report)],
-        sections=[section for study in studies for section in _SETS[study.name].sections(study.report)],
+        sentences=words.sentences(reports["robustness"]) if "robustness" in reports else [],
+        sections=sections,
         images=images,
         run=shlex.join(["landing-eval", *sys.argv[1:]]),
-        versions=studies[0].report["versions"],
+        versions=next(iter(reports.values()))["versions"],
     )
     storage.write_text(folder / "index.html", page)

@@ -23,7 +23,7 @@ from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.base.conditions import fly_all, outcome
 from inclined_landing.eval.base.statistics import proportion
-from inclined_landing.eval.base.tables import new_table, printer, share_cell, spread_cell
+from inclined_landing.eval.base.tables import share_cell, spread_cell
 from inclined_landing.eval.policies.success_table import slope_words
 from inclined_landing.models.attitude import YAW
 from inclined_landing.models.errors import UserError
@@ -141,17 +141,6 @@ def cells(report: dict[str, Any]) -> list[tuple[str, ...]]:
             name = entry["name"] if k == 0 else ""
             found.append((name, kind, str(row["strict"]["of"]), *shares, spread_cell(row["time_to_goal"])))
     return found
-
-
-def show(report: dict[str, Any]) -> None:
-    """Print the report of `evaluate`."""
-    table = new_table(f"Slopes, {report['plant']} plant", *HEADS, left=2)
-    for row in cells(report):
-        if row[0] and table.row_count:
-            table.add_section()
-        table.add_row(*row)
-    table.caption = CAPTION
-    printer().print(table)
 
 
 def sections(report: dict[str, Any]) -> list[Section]:

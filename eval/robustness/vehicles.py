@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.base.conditions import fly_all, outcome
 from inclined_landing.eval.base.statistics import proportion
-from inclined_landing.eval.base.tables import new_table, printer, share_cell
+from inclined_landing.eval.base.tables import share_cell
 from inclined_landing.eval.robustness.entries import Entry
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG
@@ -35,7 +36,7 @@ from inclined_landing.models.plants import make_plant
 def evaluate(
     entries: Sequence[Entry],
     vehicles: Sequence[str],
-    ranges: str | None,
+    ranges: str | Path | None,
     *,
     draws: int,
     starts: int,
@@ -83,7 +84,7 @@ def evaluate(
         "draws": None,
     }
     if pool:
-        report["draws"] = {"ranges": ranges} | _drawn(entries, pool, starts, plant, seed)
+        report["draws"] = {"ranges": str(ranges)} | _drawn(entries, pool, starts, plant, seed)
     return report | {"versions": runs.versions()}
 
 
@@ -166,11 +167,6 @@ def _pooled(found: Sequence[dict]) -> dict[str, Any]:
     return sums | {"policies": list(found)}
 
 
-def heads(report: dict[str, Any]) -> tuple[str, ...]:
-    """Return the headings of `cells`."""
-    return ("vehicle", "mass [g]", "thrust/weight", *report["labels"])
-
-
 def cells(report: dict[str, Any]) -> list[tuple[str, ...]]:
     """Return a row for each named vehicle, and one for all drawn ones: strict success [%] of each policy."""
 
@@ -194,23 +190,13 @@ def cells(report: dict[str, Any]) -> list[tuple[str, ...]]:
     return rows
 
 
-def show(report: dict[str, Any]) -> None:
-    """Print the report of `evaluate`."""
-    title = f"Strict success [%], {report['plant']} plant, 95 % Wilson intervals"
-    table = new_table(title, *heads(report))
-    for k, row in enumerate(cells(report)):
-        if k == len(report["vehicles"]):
-            table.add_section()
-        table.add_row(*row)
-    printer().print(table)
-
-
 def sections(report: dict[str, Any]) -> list[Section]:
     """Return the section of the page."""
     figure = {
         "vehicles": "Strict success over mass and thrust to weight; lines: drawn vehicles, 95 % intervals."
     }
-    table = Table("", heads(report), cells(report))
+    heads = ("vehicle", "mass [g]", "thrust/weight", *report["labels"])
+    table = Table("", heads, cells(report))
     return [
         Section("vehicles", "Over vehicles", [], [], [table], figure, ["Strict success [%], 95 % intervals."])
     ]

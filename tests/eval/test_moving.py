@@ -180,7 +180,7 @@ def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
     assert printed["scenarios"][0]["outcomes"][0]["at_rest"]["count"] == 3
     assert not printed["scenarios"][0]["whole"]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
-        *("flights.csv", "index.html", "moving.json", "moving.png")
+        *("flights.csv", "index.html", "moving.json", "moving.pdf", "moving.png")
     ]
     assert "not a result" in (tmp_path / "out/index.html").read_text()
 

@@ -91,7 +91,12 @@ def test_the_command_writes_a_whole_folder(tmp_path, capsys):
     words = ["landing", "--vehicle", "crazyflie-2.0", "--draws", "0", "--plant", "analytic"]
     assert cli.main(["robustness", *words, "--over=vehicles", "--out", str(tmp_path / "out")]) == 0
     assert "crazyflie-2.0" in capsys.readouterr().out
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"index.html", "vehicles.json", "vehicles.png"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "index.html",
+        "vehicles.json",
+        "vehicles.pdf",
+        "vehicles.png",
+    }
     assert json.loads((tmp_path / "out/vehicles.json").read_text())["draws"] is None
 
 
