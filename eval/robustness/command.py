@@ -159,6 +159,7 @@ def command(
     _check_options(over, thrust_and_effects, drawn_vehicles, moving_platforms, out)
     if out is not None:
         runs.check_new_run(out)
+    controllers = _controllers(policies) if "moving" in over else []
     entries = parse_entries(policies) if over != ("moving",) else []
     reports: dict[str, dict[str, Any]] = {}
     texts: dict[str, str] = {}  # by file name
@@ -181,7 +182,6 @@ def command(
         drawn = dataclasses.asdict(drawn_vehicles)
         reports["vehicles"] = vehicles.evaluate(entries, vehicle or NAMED, plant=plant, **drawn)
     if "moving" in over:
-        controllers = _controllers(policies)
         names = moving_platforms.scenario or shipped()
         scenarios = [read_scenario(name) for name in dict.fromkeys(names)]
         reports["moving"], flown = moving.evaluate(scenarios, controllers, moving_platforms.flights)

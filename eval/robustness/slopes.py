@@ -149,4 +149,4 @@ def sections(report: dict[str, Any]) -> list[Section]:
         "slopes": "Strict success over the inclination with 95 % intervals; in space over all directions."
     }
     table = Table("", HEADS, cells(report))
-    return [Section("slopes", "Over slopes", [], [], [table], figure, [CAPTION])]
+    return [Section("slopes", f"Over slopes, {report['plant']} plant", [], [], [table], figure, [CAPTION])]

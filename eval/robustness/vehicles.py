@@ -198,5 +198,13 @@ def sections(report: dict[str, Any]) -> list[Section]:
     heads = ("vehicle", "mass [g]", "thrust/weight", *report["labels"])
     table = Table("", heads, cells(report))
     return [
-        Section("vehicles", "Over vehicles", [], [], [table], figure, ["Strict success [%], 95 % intervals."])
+        Section(
+            "vehicles",
+            f"Over vehicles, {report['plant']} plant",
+            [],
+            [],
+            [table],
+            figure,
+            ["Strict success [%], 95 % intervals."],
+        )
     ]

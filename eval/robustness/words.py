@@ -235,7 +235,8 @@ def sections(report: dict[str, Any]) -> list[Section]:
 
     note = (
         "Strict success: the goal box within 300 steps, no touch before; means over the effects of a size. "
-        f"Thrusts without a gap around 1 at which at least {100 * ENOUGH:.0f} % land."
+        f"Thrusts without a gap around 1 at which at least {100 * ENOUGH:.0f} % land. "
+        f"{report['starts']} starts, {report['plant']} plant."
     )
     found = [Section("short", "In short", [], [], tables(summary(report)), {}, [note])]
     if len(report["thrust"]) > 1:
