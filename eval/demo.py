@@ -6,7 +6,7 @@ import contextlib
 import io
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from inclined_landing.eval.pictures import picture, video
 from inclined_landing.eval.replay import command as replay
 
 POLICY = "landing"
-LOOK = {"width": 640, "height": 360}
+LOOK: dict[str, Any] = {"width": 640, "height": 360}
 
 _NEXT = """\
 What to do next:
@@ -64,7 +64,7 @@ def command(
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             look = Look(**LOOK)
             video.command(POLICY, out=folder / "landing.mp4", start=points, look=look, gif=True)
-            picture.command(POLICY, out=folder / "landing.png", start=points[0], look=look)
+            picture.draw(policy, folder / "landing.png", points[0], look, "rest", "mujoco")
             replay.command((POLICY,), out=folder / "landing.html", start=points)
         names = sorted(path.name for path in folder.iterdir())
     seconds = time.monotonic() - began

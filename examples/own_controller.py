@@ -1,4 +1,4 @@
-"""A controller of one's own; `landing-eval moving examples/own_controller.py:Descend` scores it."""
+"""A controller of one's own: `landing-eval robustness examples/own_controller.py:Descend --over moving`."""
 
 import numpy as np
 

@@ -15,9 +15,8 @@ from sybil.evaluators.python import PythonEvaluator
 from sybil.parsers.markdown.lexers import RawFencedCodeBlockLexer
 
 from inclined_landing.eval import cli
-from inclined_landing.eval.base.command_line import bound, parse
-from inclined_landing.eval.base.manual import manual
-from inclined_landing.train.config import TrainConfig
+from inclined_landing.eval.base.command_line import bound, grouped_help, help_page, parse
+from inclined_landing.train.config import HELP, TrainConfig
 from inclined_landing.train.sweep.command import command as sweep
 from tests import ROOT
 from tests.proof import __main__ as proof
@@ -141,4 +140,5 @@ def check_span(text: str) -> None:
 def options(program: str, name: str | None) -> frozenset[str]:
     """The options of a command, as its help has them."""
     target = _target(program, [name] if name else [])
-    return frozenset(name for option in manual(target, program).options for name in option.names)
+    page = grouped_help(target, program, HELP) if target is TrainConfig else help_page(target, program)
+    return frozenset(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", page)) | {"--help", "--help-all"}

@@ -52,12 +52,16 @@ def _train(arguments: list[str] | None, begun: list[TrainConfig]) -> int:
     from inclined_landing.train.config import TrainConfig
 
     if words and words[0].partition("=")[0] == "--print-completion":
-        from inclined_landing.eval.base.completion import script, shell_of
-        from inclined_landing.eval.base.manual import manual
-
         print(
-            script(shell_of(words), "landing-train", {"": manual(TrainConfig, "landing-train")}, {}), end=""
+            command_line.completion(command_line.shell_of(words), "landing-train", {"": TrainConfig}), end=""
         )
+        return 0
+    if any(word in ("-h", "--help", "--help-all") for word in words):
+        from inclined_landing.train.config import HELP
+
+        groups = HELP if "--help-all" in words else {"options": next(iter(HELP.values()))}
+        print(command_line.grouped_help(TrainConfig, "landing-train", groups))
+        print("\nlanding-train --help-all tells all options." * ("--help-all" not in words))
         return 0
     config = command_line.parse(TrainConfig, "landing-train", arguments)
     from inclined_landing.train.report import report

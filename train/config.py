@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from inclined_landing.envs.policy import SHIPPED, action_map, history_of, told_vehicle, trained_for
+from inclined_landing.envs.policy import action_map, history_of, told_vehicle, trained_for
 from inclined_landing.envs.randomise import locate
 from inclined_landing.envs.tasks import TASKS, import_task, is_path, task_class
 from inclined_landing.envs.tasks.base import LONGEST_HISTORY, Training
@@ -118,8 +118,8 @@ class TrainConfig:
         str | None,
         tyro.conf.arg(name="from", metavar="POLICY"),
         _by_task(
-            f"The policy to go on from, a file or one of {', '.join(SHIPPED)}; {descent.NAME}: the law that "
-            "touchdown on moving decks begins with",
+            f"The policy to go on from, a file or a shipped one; {descent.NAME}: the law that touchdown on "
+            "moving platforms begins with",
             "start_from",
         ),
     ] = None
@@ -142,9 +142,9 @@ class TrainConfig:
     """Vehicle file (TOML), or a shipped vehicle by name, where it is not the Crazyflie 2.1; the run keeps a
     copy."""
     randomise: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Ranges (TOML) of effects and of entries of the vehicle file, like [effects.thrust_scale] with
-    scale = [0.8, 1.1] or [body] with mass = [0.027, 0.032]; each training episode has a vehicle from them. Or
-    `robust`, which is shipped. Half of the evaluated flights have such vehicles too. The run keeps a copy."""
+    """Ranges (TOML) of effects and of entries of the vehicle file, or `robust`, which is shipped: each
+    training episode, and half of the evaluated flights, have a vehicle drawn from them. The run keeps a
+    copy."""
     max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
     """Stop at this wall time; the checkpoint allows to resume."""
     max_cpu_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
@@ -467,6 +467,28 @@ _KINDS = {
 
 def _kinds(kinds: tuple) -> tuple:
     return tuple(_KINDS[kind][0] if kind in _KINDS else kind for kind in kinds)
+
+
+# Pages of --help, by title: what people change, which --help shows alone, and the rest.
+HELP = {
+    "options": (
+        *("task", "out", "seed", "steps", "start_from", "algorithm", "plant", "vehicle", "randomise"),
+        *("inclination", "steepest", "dimensions", "resume", "report"),
+    ),
+    "task: slopes, moving platforms, curriculum": (
+        *("random_yaw", "fastest", "swell", "angle_limit", "pwm_centre", "pwm_span", "observe_vehicle"),
+        *("keep_out", "curriculum", "without"),
+    ),
+    "run: how long, how often, on what": (
+        *("success", "min_steps", "max_steps", "max_seconds", "max_cpu_seconds", "evaluate_every"),
+        *("checkpoint_every", "video_every", "environments", "threads", "integrator"),
+    ),
+    "learning": (
+        *("rollout", "batch_size", "epochs", "learning_rate", "gamma", "gae_lambda", "log_std_init"),
+        *("entropy", "update", "buffer_size", "learning_starts", "gradient_steps", "action_noise"),
+        *("reward_scale", "history"),
+    ),
+}
 
 
 def option(name: str) -> str:

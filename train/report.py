@@ -10,7 +10,6 @@ import numpy as np
 
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.rendering import make_renderer
-from inclined_landing.eval.moving import command as benchmark
 from inclined_landing.eval.moving import controllers
 from inclined_landing.eval.moving import report as moving
 from inclined_landing.eval.moving.scenario import read_scenario, shipped
@@ -108,7 +107,7 @@ def _touchdown(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]
 
 def _moving(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
     """moving.json: `final.zip` on the benchmark of moving decks."""
-    controller = controllers.of_policy(load(folder / "final.zip"), benchmark.vehicle_flown())
+    controller = controllers.of_policy(load(folder / "final.zip"), controllers.vehicle_flown())
     table, _ = moving.evaluate([read_scenario(name) for name in shipped()], [controller])
     storage.write_json(folder / "moving.json", table)
     metrics["success"] = {"final": table["all"][0]["at_rest"]}

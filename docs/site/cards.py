@@ -28,6 +28,7 @@ from generated import table  # beside this file
 
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
+from inclined_landing.eval import cli
 from inclined_landing.eval.sweeps import measured
 from inclined_landing.eval.sweeps.recipe import Recipe, read_recipe
 from inclined_landing.models.effects import LIBRARY
@@ -69,7 +70,8 @@ def fly(name: str, words: str) -> dict:
     print(f"landing-eval {command} {name} {' '.join(options)}", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
-        program = [sys.executable, "-m", "inclined_landing.eval", command, name, *options, "--out", str(out)]
+        now = cli.renamed([command, name, *options, "--out", str(out)])
+        program = [sys.executable, "-m", "inclined_landing.eval", *now]
         subprocess.run(program, check=True, stdout=subprocess.DEVNULL)
         report = json.loads((out / f"{command}.json").read_text("utf-8"))
     versions = {key: report["versions"][key] for key in ("mujoco", "inclined-landing")}
@@ -281,8 +283,8 @@ def _described() -> dict:
 
 def _line(name: str, words: str) -> str:
     command, _, options = words.partition(" ")
-    out = " --out DIR" if command in ("slopes", "robustness") else ""
-    return f"landing-eval {command} {name} {options}".rstrip() + out
+    over = f" --over {command}" if command in ("slopes", "vehicles", "moving") else ""
+    return f"landing-eval {'robustness' if over else command} {name} {options}".rstrip() + over
 
 
 # What a policy was trained on, from its own file.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from importlib import resources
 
 import numpy as np
@@ -15,12 +15,11 @@ from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import TASKS, Task, make_task
 from inclined_landing.envs.tasks.base import ACTIONS, COLUMNS
 from inclined_landing.eval import cli
-from inclined_landing.eval.base.command_line import bound
-from inclined_landing.eval.base.manual import manual
+from inclined_landing.eval.base.command_line import bound, grouped_help, help_page
 from inclined_landing.models.attitude import COMMAND_UNITS, STATE_UNITS
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import Constant, constants, load_vehicle
-from inclined_landing.train.config import TrainConfig
+from inclined_landing.train.config import HELP, TrainConfig
 from inclined_landing.train.sweep.command import command as sweep
 
 
@@ -55,21 +54,16 @@ def commands() -> str:
                 *([f"[`landing-eval {name}`](#{name})", line] for name, (_, line) in cli.COMMANDS.items()),
             ],
         ),
-        _command("landing-train", "landing-train", TrainConfig),
-        _command("landing-train sweep", "landing-train sweep", bound(sweep)),
+        _section("landing-train", grouped_help(TrainConfig, "landing-train", HELP)),
+        _section("landing-train sweep", help_page(bound(sweep), "landing-train sweep")),
     ]
     for name in cli.COMMANDS:
-        parts.append(_command(name, f"landing-eval {name}", bound(cli.find(name))))
+        parts.append(_section(name, help_page(bound(cli.find(name)), f"landing-eval {name}")))
     return "\n".join(parts)
 
 
-def _command(title: str, prog: str, target: Callable) -> str:
-    said = manual(target, prog)
-    rows = [
-        [f"`{row.words}`", row.text] for row in (*said.arguments, *said.options) if "--help" not in row.names
-    ]
-    usage = f"```text\n{said.usage.removeprefix('usage: ')}\n```"
-    return "\n\n".join([f"## {title}", usage, *map(cell, said.text), table(["option", ""], rows)])
+def _section(title: str, page: str) -> str:
+    return f"## {title}\n\n```text\n{page}\n```\n"
 
 
 # --- tasks ---------------------------------------------------------------------------------------

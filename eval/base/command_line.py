@@ -1,32 +1,37 @@
 """What `landing-eval` and `landing-train` share: words become arguments, whatever is wrong one sentence.
 
-Imports nothing heavy: the rooms and tyro are imported when a command is run.
+Imports nothing heavy: the packages and tyro are imported when a command is run.
 """
 
 from __future__ import annotations
 
+import ast
 import contextlib
+import dataclasses
 import errno
 import functools
 import inspect
 import io
 import itertools
+import operator
 import os
 import platform
 import re
 import shutil
 import signal
 import sys
+import textwrap
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from inclined_landing.eval.base.manual import manual
 from inclined_landing.models.errors import UserError, not_installed, shown
+
+SHELLS = ("bash", "zsh", "fish")
 
 
 def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -> Any:
-    """What `target` makes of the words of a command line (default: those of this process).
+    """Return what `target` makes of the words of a command line (default: those of this process).
 
     target: a dataclass, or a function from `bound`; its signature and docstring are options and help.
     Raises UserError for words that do not fit; --help is printed and raises SystemExit(0).
@@ -43,19 +48,119 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
             raise UserError(f"{shown(option)} is empty; was a variable of the shell not set?")
         if value.isdigit() and not value.isascii():
             raise UserError(f"{shown(word)}: numbers are written with the digits 0 to 9")
-    said = io.StringIO()
+    message, page = io.StringIO(), io.StringIO()
     try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
-            return tyro.cli(target, prog=prog, args=words)
+        with contextlib.redirect_stderr(message), contextlib.redirect_stdout(page):
+            return tyro.cli(target, prog=prog, args=words, config=_config())
     except SystemExit as end:
         if end.code:
-            raise UserError(_sentence(said.getvalue(), words, prog)) from end
-        print(manual(target, prog).page(shutil.get_terminal_size().columns))
+            raise UserError(_sentence(message.getvalue(), words, prog)) from end
+        print(_tidy(page.getvalue()))
         raise
 
 
+def _config() -> tuple:
+    """Return how options look: those of a group without its name, no word None for what is not given."""
+    import tyro
+
+    return tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone
+
+
+def help_page(target: Callable, prog: str) -> str:
+    """Return the page of --help, as wide as the terminal (environment variable COLUMNS)."""
+    import tyro
+
+    page = io.StringIO()
+    with contextlib.redirect_stdout(page), contextlib.suppress(SystemExit):
+        tyro.cli(target, prog=prog, args=["--help"], config=_config())
+    return _tidy(page.getvalue())
+
+
+def _tidy(page: str) -> str:
+    """Return a page of tyro's with its paragraphs wrapped, and without defaults that say nothing."""
+    page = re.sub(r"\s*(\(default:\s*(None|False|)\)|\(repeatable\))", "", page)
+    width = shutil.get_terminal_size().columns
+    lines = [line.rstrip() for line in page.splitlines()]
+    text = "\n".join(line if line.startswith(" ") else textwrap.fill(line, width) for line in lines)
+    return re.sub(r"\n{3,}", "\n\n", text).strip()
+
+
+def grouped_help(config: type, prog: str, groups: Mapping[str, Sequence[str]]) -> str:
+    """Return a page with the options of a dataclass under a title for each group.
+
+    groups: names of fields by title; the first page also describes the program and its arguments.
+    """
+    pages = []
+    for k, (title, names) in enumerate(groups.items()):
+        head, _, options = help_page(_only(config, names), prog).partition("\n options\n")
+        _, rule, options = options.partition(next(line for line in options.splitlines() if "--" in line))
+        _, _, options = options.partition("show this help message and exit\n")
+        pages.append(f"{head}\n" * (k == 0) + f" {title}\n{rule}\n{options}")
+    return "\n\n".join(pages)
+
+
+def _only(config: type, names: Sequence[str]) -> type:
+    """Return a dataclass whose help shows these fields alone, each text as one paragraph."""
+    import tyro
+
+    hints, texts = typing.get_type_hints(config, include_extras=True), _attribute_texts(config)
+    annotations: dict[str, Any] = {}
+    for name, hint in hints.items():
+        if name not in names:
+            annotations[name] = operator.getitem(tyro.conf.Suppress, hint)
+        elif name in texts:
+            annotations[name] = operator.getitem(typing.Annotated, (hint, tyro.conf.arg(help=texts[name])))
+    body = {"__annotations__": annotations, "__doc__": config.__doc__, "__module__": config.__module__}
+    fields = {field.name: field for field in dataclasses.fields(config) if field.name in annotations}
+    return dataclasses.dataclass(type(config.__name__, (config,), body | fields))
+
+
+def _attribute_texts(config: type) -> dict[str, str]:
+    """Return the docstrings below the fields of a dataclass, each as one paragraph."""
+    (parsed,) = ast.parse(textwrap.dedent(inspect.getsource(config))).body
+    assert isinstance(parsed, ast.ClassDef)
+    return {
+        ast.unparse(field.target): " ".join(ast.literal_eval(text.value).split())
+        for field, text in itertools.pairwise(parsed.body)
+        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr)
+    }
+
+
+def _joined(target: Any) -> None:
+    """Make the text of each argument in a docstring one line, which tyro wraps; of groups of options too."""
+    if target.__doc__:
+        target.__doc__ = re.sub(r"\n {8,}(?=\S)", " ", inspect.cleandoc(target.__doc__))
+    for hint in typing.get_type_hints(target).values():
+        if dataclasses.is_dataclass(hint):
+            _joined(hint)
+
+
+def completion(shell: str, prog: str, targets: Mapping[str, Callable]) -> str:
+    """Return tyro's script that completes a command line.
+
+    targets: by command; "" alone for a program without commands. Raises UserError for an unknown shell.
+    """
+    import tyro
+
+    if shell not in SHELLS:
+        raise UserError(f"--print-completion takes one of {', '.join(SHELLS)}, not {shown(shell, 40)!r}")
+    script, arguments = io.StringIO(), ["--tyro-print-completion", shell]
+    with contextlib.redirect_stdout(script), contextlib.suppress(SystemExit):
+        if "" in targets:
+            tyro.cli(targets[""], prog=prog, args=arguments, config=_config())
+        else:
+            tyro.extras.subcommand_cli_from_dict(dict(targets), prog=prog, args=arguments, config=_config())
+    return script.getvalue()
+
+
+def shell_of(words: Sequence[str]) -> str:
+    """Return SHELL of `--print-completion SHELL` or `--print-completion=SHELL`; "" where it is not given."""
+    _, _, joined = words[0].partition("=")
+    return joined or " ".join(words[1:2])
+
+
 def versions(prog: str) -> str:
-    """The line of --version: this package and what decides its results; imports none of them."""
+    """Return the line of --version: this package and what decides its results; imports none of them."""
     from inclined_landing.eval.base.runs import packages
 
     found = {**packages(), "python": platform.python_version()}
@@ -65,13 +170,15 @@ def versions(prog: str) -> str:
 
 
 def bound(command: Callable) -> Callable:
-    """`command` with the same signature and docstring, which returns the call instead of making it.
+    """Return `command` with the same signature and docstring, which returns the call instead of making it.
 
     Numbers beyond the `Range` of their option are refused here, before any work.
     """
 
+    _joined(command)
+
     @functools.wraps(command)
-    def later(*arguments, **options):
+    def later(*arguments: Any, **options: Any) -> Callable:
         from inclined_landing.eval.base.options import check_ranges
 
         given = inspect.signature(command).bind(*arguments, **options).arguments
@@ -82,7 +189,7 @@ def bound(command: Callable) -> Callable:
 
 
 def exit_code(prog: str, work: Callable[[], int | None], extra: str = "eval") -> int:
-    """Do the work of a command line. Returns what it returns, or says in one sentence why it cannot go on:
+    """Do the work of a command line and return its exit code, or say in one sentence why it cannot go on:
     2 for wrong input, for what `extra` would install, and where the engine or the memory gives out."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names that are no UTF-8
@@ -115,13 +222,13 @@ def exit_code(prog: str, work: Callable[[], int | None], extra: str = "eval") ->
 
 
 def _drop_output() -> None:
-    """Let go of what was printed and cannot be written: Python would try again, and fail, at its end."""
+    """Discard output that cannot be written: Python would try again, and fail, at its end."""
     if sys.stdout is not None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _sentence(box: str, words: Sequence[str], prog: str) -> str:
-    """What is in tyro's box as one sentence: without colours, title, frame and closing line."""
+    """Return tyro's message as one sentence: without colours, title, frame and closing line."""
     rows = [row.strip(" │") for row in re.sub("\x1b\\[[0-9;]*m", "", box).splitlines()[1:]]
     ruled = itertools.groupby(rows, lambda row: not row.strip("─-╭╮╰╯"))
     parts = [" ".join(" ".join(part).split()).rstrip(".") for rule, part in ruled if not rule]
@@ -137,7 +244,7 @@ def _sentence(box: str, words: Sequence[str], prog: str) -> str:
 
 
 def _not_a_number(option: str, words: Sequence[str], kind: type) -> str:
-    """The first value of an option that is no int or no float."""
+    """Return the first value of an option that is no int or no float."""
     given: list[str] = []
     for k, word in enumerate(words):
         name, sign, value = word.partition("=")

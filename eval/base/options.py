@@ -44,7 +44,7 @@ class AtMost:
 
 
 T = TypeVar("T")
-Flat = Annotated[T, tyro.conf.arg(name="")]
+Flat = Annotated[T, tyro.conf.OmitArgPrefixes]
 Seed = Annotated[int, Range(0, 2**32 - 1)]
 Pixels = Annotated[int, Range(16, 4096)]
 Flag = tyro.conf.FlagCreatePairsOff[bool]
@@ -83,7 +83,10 @@ class Flown:
     vehicle: VehicleFile = None
 
     def load(self, policy: str) -> Policy:
-        """The policy for this vehicle and platform. Raises UserError when any of it is unknown or wrong."""
+        """Return the policy for this vehicle and platform.
+
+        Raises UserError when any of it is unknown or wrong.
+        """
         from inclined_landing.envs.policy import load_policy
         from inclined_landing.envs.tasks import import_task, is_path
         from inclined_landing.models.parameters import load_vehicle
@@ -95,7 +98,7 @@ class Flown:
         angle = None if self.inclination is None else math.radians(self.inclination)
         if angle is not None:
             (vehicle or load_vehicle()).check_inclination(angle)
-        task = import_task(self.task).name if is_path(self.task) else self.task
+        task = import_task(self.task).name if self.task and is_path(self.task) else self.task
         turn = None if self.azimuth is None else math.radians(self.azimuth)
         return load_policy(policy, task, vehicle=vehicle, inclination=angle, azimuth=turn)
 
@@ -180,7 +183,7 @@ def check_ranges(group: object, hints: Mapping[str, Any] | None = None) -> None:
 
 
 def _numbers(value: object) -> Iterator[float]:
-    """The floats of an option, which may be a list, or a list of lists of them."""
+    """Yield the floats of an option, which may be a list, or a list of lists of them."""
     if isinstance(value, float):
         yield value
     elif isinstance(value, tuple):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 
 
-def proportion(successes: int, trials: int) -> dict:
-    """Share of successes with its Wilson 95 % interval (null without trials)."""
-    result = {"count": int(successes), "of": int(trials), "share": None, "interval": None}
+def proportion(successes: int, trials: int) -> dict[str, Any]:
+    """Return the share of successes with its Wilson 95 % interval (null without trials)."""
+    result: dict[str, Any] = {"count": int(successes), "of": int(trials), "share": None, "interval": None}
     if trials:
         from scipy.stats import binomtest
 
@@ -17,8 +20,8 @@ def proportion(successes: int, trials: int) -> dict:
     return result
 
 
-def spread(values) -> dict:
-    """Median, 5 % and 95 % quantiles, smallest and largest of the values that are not NaN."""
+def spread(values: npt.ArrayLike) -> dict[str, Any]:
+    """Return median, 5 % and 95 % quantiles, smallest and largest of the values that are not NaN."""
     values = np.asarray(values, float)
     values = values[~np.isnan(values)]
     names = ("min", "p5", "median", "p95", "max")
@@ -27,10 +30,10 @@ def spread(values) -> dict:
     return dict(zip(names, map(float, np.quantile(values, [0, 0.05, 0.5, 0.95, 1]))))
 
 
-def mean(values) -> dict:
-    """Mean with the 95 % interval of Student's t, for more than one value."""
+def mean(values: npt.ArrayLike) -> dict[str, Any]:
+    """Return the mean with the 95 % interval of Student's t, for more than one value."""
     values = np.asarray(values, float)
-    result = {"mean": float(values.mean()), "interval": None}
+    result: dict[str, Any] = {"mean": float(values.mean()), "interval": None}
     if len(values) > 1:
         from scipy.stats import t
 
@@ -39,13 +42,13 @@ def mean(values) -> dict:
     return result
 
 
-def bootstrap(values, seed: int = 0) -> dict:
-    """Mean with its 95 % bootstrap interval (percentiles of 10 000 draws), for more than one value.
+def bootstrap(values: npt.ArrayLike, seed: int = 0) -> dict[str, Any]:
+    """Return the mean with its 95 % bootstrap interval, percentiles of 10 000 draws, for more than one value.
 
     It never leaves the range of the values, and of three or four it is rather narrow.
     """
     values = np.asarray(values, float)
-    result = {"mean": float(values.mean()), "interval": None}
+    result: dict[str, Any] = {"mean": float(values.mean()), "interval": None}
     if len(values) > 1:
         drawn = np.random.default_rng(seed).choice(values, (10_000, len(values))).mean(axis=1)
         result["interval"] = [float(end) for end in np.quantile(drawn, [0.025, 0.975])]

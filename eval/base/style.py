@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -21,8 +23,11 @@ INK, MUTED = "#1f2733", "#5f6b7a"
 AIR, RULE, SLAB, BASE = "#f1f6fc", "#d3deea", "#c9ced4", "#435062"
 STAMP_DPI = 500  # of rendered vehicles in a PDF
 PNG_DPI = 200
+_COLOURS = (ORANGE, BLUE, GREEN, PURPLE, MUTED)
+_MARKERS = ("o", "s", "^", "D", "v")
+_LINES = ("-", "--", "-.", ":")  # from the sixth policy on
 
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib
     "font.size": 9.0,
     "axes.titlesize": 10.0,
@@ -48,33 +53,58 @@ STYLE = {
 
 
 def literal(name: str) -> str:
-    """A name as matplotlib shows it: what lies between two dollars would be a formula."""
+    """Return a name as matplotlib shows it: text between two dollars would be a formula."""
     return shown(name).replace("$", r"\$")
 
 
+def colour(k: int) -> str:
+    """Return the colour of the k-th policy in every figure."""
+    return _COLOURS[k % len(_COLOURS)]
+
+
+def marker(k: int) -> str:
+    """Return the marker of the k-th policy, another where a colour comes again."""
+    return _MARKERS[(k + k // len(_COLOURS)) % len(_MARKERS)]
+
+
+def percent(proportions: Sequence[Mapping]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return share, lower and upper end of the interval (n,) of n proportions [%]."""
+    low, high = 100 * np.array([p["interval"] for p in proportions]).T
+    return 100 * np.array([p["share"] for p in proportions]), low, high
+
+
+def share_curve(axes: Axes, x: Sequence[float], proportions: Sequence[Mapping], k: int, name: str) -> list:
+    """Draw the shares of the k-th policy over x with their 95 % intervals; return the line in a list."""
+    share, low, high = percent(proportions)
+    axes.fill_between(x, low, high, color=colour(k), alpha=0.2, lw=0, gid="interval")
+    line = _LINES[k // len(_COLOURS) % len(_LINES)]
+    style: dict[str, Any] = {"color": colour(k), "marker": marker(k), "ms": 4, "gid": "share"}
+    return axes.plot(x, share, line, label=literal(name), **style)
+
+
 def styled():
-    """Context in which figures are made and saved."""
+    """Return the context in which figures are made and saved."""
     return matplotlib.rc_context(STYLE)
 
 
 def time_colours(share) -> np.ndarray:
-    """RGB (k, 3) for shares of the way flown (k,): dark violet at 0 to orange at 1."""
+    """Return RGB (k, 3) for shares of the flight path (k,): dark violet at 0 to orange at 1."""
     return matplotlib.colormaps["plasma"](0.02 + 0.76 * np.asarray(share, float))[..., :3]
 
 
 def halo(width: float) -> list:
-    """Path effects that set a line off from what is below it: a white one, `width` points wide, around it."""
+    """Return path effects that surround a line with a white one, `width` points wide."""
     return [patheffects.Stroke(linewidth=width, foreground="white", alpha=0.85), patheffects.Normal()]
 
 
 def panel(figure: Figure, left: float, bottom: float, width: float, height: float, **options) -> Axes:
-    """Axes whose box is given in inches from the lower left corner of the figure."""
+    """Return axes whose box is given in inches from the lower left corner of the figure."""
     w, h = figure.get_size_inches()
     return figure.add_axes((left / w, bottom / h, width / w, height / h), **options)
 
 
 def legend_below(axes: Axes, **options) -> Legend:
-    """The legend of axes with an x label, under it: off the data."""
+    """Return the legend of axes, drawn below their x label."""
     lower = axes.transAxes + ScaledTranslation(0, -0.54, axes.figure.dpi_scale_trans)
     given = {
         "ncols": 2,

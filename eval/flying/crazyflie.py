@@ -14,6 +14,7 @@ from inclined_landing.models.storage import check_file
 
 
 def command(
+    *,
     port: Annotated[int, Range(0, 65535)] = 19850,
     poses: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")] = "127.0.0.1:19870",
     vehicle: Annotated[str, tyro.conf.arg(metavar="nominal|hidden|FILE")] = "nominal",

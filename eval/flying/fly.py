@@ -40,6 +40,7 @@ Faults = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(met
 
 def command(
     policy: PolicyFile = "landing",
+    *,
     simulated: Flag = False,
     uri: Annotated[str | None, tyro.conf.arg(metavar="URI")] = None,
     mocap: Annotated[str | None, tyro.conf.arg(metavar="TYPE:HOST:BODY")] = None,

@@ -15,7 +15,7 @@ import time
 import timeit
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -38,21 +38,22 @@ VEHICLES = 256
 _BLOCK = 25  # control steps in one timed block
 _FAST = {"integrator": "implicitfast"}
 # Plant and its options, options of the landing task.
-_ENVIRONMENTS = {
+_ENVIRONMENTS: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "mujoco RK4": ("mujoco", {}, {}),
     "mujoco implicitfast": ("mujoco", _FAST, {}),
     "hybrid": ("hybrid", {}, {}),
     "hybrid implicitfast": ("hybrid", _FAST, {}),
     "  any slope": ("hybrid", _FAST, {"steepest": 0.45}),
     "  any slope, in space": ("hybrid", _FAST, {"steepest": 0.45, "dimensions": 3}),
-    "  decks that travel and heave": ("hybrid", _FAST, {"dimensions": 3, "fastest": 0.5, "swell": 1.0}),
-    "  told its vehicle": ("hybrid", _FAST, {"observe_vehicle": True}),
+    "  platforms that travel and heave": ("hybrid", _FAST, {"dimensions": 3, "fastest": 0.5, "swell": 1.0}),
+    "  observes its vehicle": ("hybrid", _FAST, {"observe_vehicle": True}),
     "analytic": ("analytic", {}, {}),
 }
-_PICTURE = {"width": 640, "height": 480, "camera": "hero"}
+_PICTURE: dict[str, Any] = {"width": 640, "height": 480, "camera": "hero"}
 
 
 def command(
+    *,
     policy: Annotated[str | None, tyro.conf.arg(metavar="POLICY")] = None,
     runs: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR [DIR ...]")] = (),
     quick: Flag = False,
@@ -317,8 +318,8 @@ def _landing_train(*options: str) -> float:
 
 
 def _plain(*options: str) -> float:
-    text = _python("inclined_landing.eval.machine.baseline", *options)
-    return float(json_format.loads(text.splitlines()[-1])["steps_per_second"])
+    text = _python("inclined_landing.eval.machine.plain_env", *options[1::2])  # their values
+    return float(text.splitlines()[-1])
 
 
 def _python(module: str, *arguments: str) -> str:

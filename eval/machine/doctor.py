@@ -9,7 +9,7 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from inclined_landing.envs import policy
 from inclined_landing.eval.base import runs
@@ -35,18 +35,25 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Run every check."""
+    """Run every check and return what each found."""
     engine, more = "run `make` in the repository", "run `make test` for more"
     if os.environ.get("MUJOCO_GL"):
         engine = f"unset MUJOCO_GL (it is {os.environ['MUJOCO_GL']!r}) or install that library"
     rebuild = "run `make` in the repository, or reinstall the package in this environment"
+    compiler = "apt install g++, or name a compiler in CXX"
+    packages = _packages()
     findings = [
-        _python(),
-        _packages(),
+        Finding(
+            "Python",
+            sys.version_info >= _OLDEST_PYTHON,
+            f"{sys.version.split()[0]}, {sys.executable}",
+            "use Python 3.11 or newer: make PYTHON=python3.12",
+        ),
+        packages,
         _installed(),
         _tried("MuJoCo", _engine, engine),
         _tried("native plugins", _plugins, rebuild),
-        _compiler(),
+        _program("C++ compiler", [os.environ.get("CXX", ""), *_COMPILERS], "building the plugins", compiler),
     ]
     if all(finding.ok or not finding.needed for finding in findings):
         findings += [
@@ -54,20 +61,30 @@ def examine() -> list[Finding]:
             _tried("rendering", _rendering, more),
             _opengl(),
         ]
-    extras = [_extra(name) for name in _extras()] if findings[1].ok else []
+    if packages.ok:
+        named = importlib.metadata.metadata("inclined-landing").get_all("Provides-Extra") or []
+        findings += [_extra(name) for name in named if name not in _FOR_DEVELOPERS]
     video = _tried("video encoder", _video, "pip install imageio-ffmpeg")
-    return [*findings, *extras, video, _policies(), _display(), _browser()]
+    browser = _program("Chromium", _BROWSERS, "looking at pages in the tests", "apt install chromium")
+    return [*findings, video, _policies(), _display(), browser]
 
 
 def _tried(name: str, check: Callable[[], tuple[bool, str]], remedy: str) -> Finding:
-    """What a check says, whether all is well and details; an error of any kind says that it is not."""
+    """Return what a check says, whether all is well and details; any error says that it is not."""
     try:
         return Finding(name, *check(), remedy)
     except Exception as error:  # missing GL, say, shows as various errors
         return Finding(name, False, (str(error) or type(error).__name__).splitlines()[0], remedy)
 
 
-def command(json: Flag = False) -> int:
+def _program(name: str, names: Sequence[str], purpose: str, remedy: str) -> Finding:
+    """Return which of the programs is there; nothing but `purpose` needs one."""
+    found = next(filter(None, map(shutil.which, filter(None, names))), None)
+    detail = found or f"none found; only {purpose} needs one"
+    return Finding(name, found is not None, detail, remedy, needed=False)
+
+
+def command(*, json: Flag = False) -> int:
     """What is installed, what is missing, and what to do about it.
 
     The exit code is 2 when something that is needed is missing.
@@ -90,17 +107,8 @@ def command(json: Flag = False) -> int:
     return 0 if healthy else 2
 
 
-def _python() -> Finding:
-    return Finding(
-        "Python",
-        sys.version_info >= _OLDEST_PYTHON,
-        f"{sys.version.split()[0]}, {sys.executable}",
-        "use Python 3.11 or newer: make PYTHON=python3.12",
-    )
-
-
 def _packages() -> Finding:
-    """Are the distribution's own requirements installed?"""
+    """Return whether the distribution's own requirements are installed."""
     remedy = "run `make` in the repository, or pip install inclined-landing"
     try:
         missing = _missing("")
@@ -113,7 +121,7 @@ def _packages() -> Finding:
 
 
 def _installed() -> Finding:
-    """From a wheel, or editable in a folder of sources?"""
+    """Return how the package is installed: from a wheel, or editable in a folder of sources."""
     try:
         package = importlib.metadata.distribution("inclined-landing")
     except importlib.metadata.PackageNotFoundError:
@@ -127,14 +135,8 @@ def _installed() -> Finding:
     return Finding("installation", True, f"{detail}{' from ' + where if where else ''}")
 
 
-def _extras() -> list[str]:
-    """The extras of the distribution that add to what the program can do."""
-    named = importlib.metadata.metadata("inclined-landing").get_all("Provides-Extra") or []
-    return [name for name in named if name not in _FOR_DEVELOPERS]
-
-
 def _extra(name: str) -> Finding:
-    """Are the packages of an extra installed?"""
+    """Return whether the packages of an extra are installed."""
     missing = _missing(name)
     detail = f"missing: {', '.join(missing)}" if missing else "complete"
     return Finding(
@@ -143,14 +145,14 @@ def _extra(name: str) -> Finding:
 
 
 def _missing(extra: str) -> list[str]:
-    """Packages that an extra ("": the base) asks for and that are not installed."""
+    """Return packages that an extra ("": the base) asks for and that are not installed."""
     missing = []
     for requirement in importlib.metadata.requires("inclined-landing") or []:
         name, _, condition = requirement.partition(";")
         wanted = re.search(r"extra == ['\"]([\w-]+)", condition)
         if (wanted.group(1) if wanted else "") != extra:
             continue
-        name = re.match(r"[A-Za-z0-9._-]+", name).group()
+        name = re.split(r"[^A-Za-z0-9._-]", name.strip())[0]
         try:
             importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
@@ -172,20 +174,8 @@ def _plugins() -> tuple[bool, str]:
     return complete, f"{names} for MuJoCo {status.built_for}, {status.library}"
 
 
-def _compiler() -> Finding:
-    names = [os.environ["CXX"]] if os.environ.get("CXX") else []
-    found = next(filter(None, map(shutil.which, [*names, *_COMPILERS])), None)
-    return Finding(
-        "C++ compiler",
-        found is not None,
-        found or "none found; only building the plugins needs one",
-        "apt install g++, or name a compiler in CXX",
-        needed=False,
-    )
-
-
 def _simulation() -> tuple[bool, str]:
-    """Does a hovering vehicle stay where it is for a second?"""
+    """Return whether a hovering vehicle stays where it is for a second."""
     import numpy as np
 
     from inclined_landing.envs.tasks.base import hover_states
@@ -201,7 +191,7 @@ def _simulation() -> tuple[bool, str]:
 
 
 def _rendering() -> tuple[bool, str]:
-    """Rays need nothing but MuJoCo."""
+    """Return how pictures are made; ray casting needs nothing but MuJoCo."""
     from inclined_landing.envs.rendering import make_renderer
     from inclined_landing.envs.rendering.gl import probe
 
@@ -233,39 +223,26 @@ def _video() -> tuple[bool, str]:
 
 
 def _policies() -> Finding:
-    there, missing = [], []
+    missing = []
     for name in policy.SHIPPED:
         try:
             policy.locate(name)
-            there.append(name)
         except UserError:
             missing.append(name)
-    detail = ", ".join(there) or "none"
+    detail = ", ".join(name for name in policy.SHIPPED if name not in missing) or "none"
     if missing:
         detail += f" (missing: {', '.join(missing)})"
     return Finding("shipped policies", not missing, detail, "train one with landing-train", needed=False)
 
 
 def _display() -> Finding:
-    """Is there a screen for a window?"""
+    """Return whether there is a screen for a window."""
     names = [f"{name}={os.environ[name]}" for name in ("WAYLAND_DISPLAY", "DISPLAY") if os.environ.get(name)]
     return Finding(
         "display",
         bool(names) or sys.platform == "darwin",
-        ", ".join(names) or "none; everything but landing-eval view goes without one",
+        ", ".join(names) or "none; everything but landing-eval replay --window goes without one",
         "without one, landing-eval replay and landing-eval video show flights",
-        needed=False,
-    )
-
-
-def _browser() -> Finding:
-    """Is there a Chromium, with which the tests look at pages?"""
-    found = next(filter(None, map(shutil.which, _BROWSERS)), None)
-    return Finding(
-        "Chromium",
-        found is not None,
-        found or "none found; only tests of pages need one, any browser shows them",
-        "apt install chromium",
         needed=False,
     )
 

@@ -22,12 +22,11 @@ _LOOP = 100  # actions of the C code between two looks at the clock: 0.1 ms
 
 
 def latency(policy: Policy, repeats: int, seed: int) -> dict:
-    """Microseconds for one action of one input, per format; what is not installed is said in words.
+    """Return microseconds for one action of one input, per format; what is not installed is said in words.
 
-    _COMPARED = 1000  # inputs
-    _LOOP = 100  # actions of the C code between two looks at the clock
-        NumPy and ONNX Runtime (one thread) call by call. `largest_difference` is that of an action from the
-        policy's, over a thousand inputs. `cost` is counted and estimated, see `export.cost`.
+    C is timed in loops of _LOOP actions, NumPy and ONNX Runtime (one thread) call by call.
+    `largest_difference` is that of an action from the policy's, over a thousand inputs. `cost` is counted and
+    estimated, see `export.cost`.
     """
     network = Network.of(policy)
     terms = contract.of(policy, network)

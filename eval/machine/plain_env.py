@@ -2,9 +2,15 @@
 
 One `MjModel`, one `MjData`, a loop over `mj_step`, observation, reward and starts in NumPy. The scene,
 the task's numbers and the results are those of `envs`; only the way of computing is the plain one.
+
+`python -m inclined_landing.eval.machine.plain_env STEPS SEED [VEHICLE]` trains SB3's PPO with its defaults on
+it, and prints the steps per second.
 """
 
 from __future__ import annotations
+
+import sys
+import time
 
 import gymnasium as gym
 import mujoco
@@ -77,3 +83,19 @@ class PlainLandingEnv(gym.Env):
         w, x, y, z = q[3:7]
         pitch = np.arctan2(-2.0 * (x * z - w * y), 1.0 - 2.0 * (x * x + y * y))
         return np.array([q[0], q[2], v[0], v[2], pitch], np.float32)
+
+
+def main(steps: str, seed: str, vehicle: str | None = None) -> None:
+    """Train for so many steps (whole rollouts of 2048) and print steps per second."""
+    from stable_baselines3 import PPO
+
+    env = PlainLandingEnv(vehicle=load_vehicle(vehicle))
+    env.reset(seed=int(seed))
+    model = PPO("MlpPolicy", env, seed=int(seed), device="cpu")
+    began = time.perf_counter()
+    model.learn(int(steps))
+    print(model.num_timesteps / (time.perf_counter() - began))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -61,13 +61,14 @@ class HandOver:
 
 
 def command(
+    *,
     setpoint: PolicyName = "setpoint",
     landing: PolicyName = "landing",
     touchdown: PolicyName = "touchdown",
     start: Starts = (),
     missions: Annotated[int | None, Range(1, 2000)] = None,
     seed: Seed = 0,
-    given: Flat[HandOver] = HandOver(),
+    hand_overs: Flat[HandOver] = HandOver(),
     inclination: Degrees = None,
     vehicle: VehicleFile = None,
     look: Flat[Look] = Look(camera="arena", width=960, height=540),
@@ -102,7 +103,7 @@ def command(
     if look.width % 2 or look.height % 2:
         raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
     check_look(**dataclasses.asdict(look))
-    plan = make_plan((setpoint, landing, touchdown), given, inclination, vehicle)
+    plan = make_plan((setpoint, landing, touchdown), hand_overs, inclination, vehicle)
     if start:
         starts = np.array([_point(text, "start", "X,Y,Z") for text in start])
         plan.check_starts(starts)

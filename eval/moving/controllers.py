@@ -11,6 +11,7 @@ must make such a function; one is made for every scenario, so that it may rememb
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -25,10 +26,17 @@ from inclined_landing.envs.tasks.own import import_named
 from inclined_landing.eval.moving.planner import Planner
 from inclined_landing.models.attitude import COMMAND_SIZE, PWM, WZ
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 PLANNER = "planner"
+BASELINES = ("touchdown-moving", "landing-moving", PLANNER)
+ANGLE_LIMIT = math.radians(55.0)  # of attitude commands: 50 deg of slope and some to steer with
 _SEEN = WZ + 1  # columns of a state that a controller is given: all but the rotors' lag
+
+
+def vehicle_flown() -> Vehicle:
+    """Return the vehicle of the benchmark: the shipped one, with attitude commands up to 55 deg."""
+    return load_vehicle().changed(command_angle_limit=ANGLE_LIMIT)
 
 
 class Pilot(Protocol):

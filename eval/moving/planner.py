@@ -47,11 +47,11 @@ class Planner:
         self._hover, self._gain = settled_hover(vehicle), vehicle.attitude_gain
         self._lead, self._limit = vehicle.attitude_time_constant, vehicle.command_angle_limit
         self._rest = float(geometry.reach_below(geometry.shapes_of(compile_scene(vehicle)), part="feet"))
-        self._left: np.ndarray | None = None
+        self._left = np.empty(0)
 
     def begin(self, ids: np.ndarray, deck: np.ndarray) -> None:
         """Begin anew with the vehicles `ids` (k,), over decks (n, 12); at first with all of them."""
-        if self._left is None:
+        if not len(self._left):
             n = len(deck)
             self._left = np.empty(n)  # s until touching; inf: not on the last way yet
             self._stopped = np.empty(n, bool)
@@ -63,7 +63,7 @@ class Planner:
 
     def __call__(self, t: float, state: np.ndarray, deck: np.ndarray) -> np.ndarray:
         """Commands (n, 4)."""
-        if self._left is None:
+        if len(self._left) != len(state):
             self.begin(np.arange(len(state)), deck)
         speed = deck[:, VX : VZ + 1]
         self._deck_push += _FILTER * ((speed - self._deck_speed) / self._period - self._deck_push)

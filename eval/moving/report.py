@@ -1,46 +1,53 @@
-"""What the benchmark says: one report, shown as table, figure and page."""
+"""The report of the benchmark, shown as table and figure."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from rich.console import Console
-from rich.progress import track
 
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.claims import Section, Table
+from inclined_landing.eval.base.conditions import fly_all
 from inclined_landing.eval.base.statistics import proportion, spread
-from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, literal, styled
-from inclined_landing.eval.base.tables import new_table, printer, share_cell
+from inclined_landing.eval.base.style import MUTED, colour, literal, marker, percent, share_curve, styled
+from inclined_landing.eval.base.tables import share_cell, show_sections
 from inclined_landing.eval.moving.controllers import Controller
 from inclined_landing.eval.moving.flying import FIELDS, fly
 from inclined_landing.eval.moving.scenario import Scenario
 
-_COLOURS = (ORANGE, BLUE, GREEN, PURPLE, MUTED)
-_MARKS = ("o", "s", "^", "D", "v")
+HEADS = (
+    *("scenario", "controller", "at rest [%]", "after [s]", "into it [m/s]", "along it [m/s]"),
+    "tilt [deg]",
+)
+CAPTION = (
+    "95 % Wilson intervals. Speeds and tilt at the first touch, relative to the platform, and the time until "
+    "rest: medians"
+)
 _ROW, _APART = 0.3, 0.13  # in, and rows between controllers
 
 
 def evaluate(
     scenarios: Sequence[Scenario], controllers: Sequence[Controller], flights: int | None = None
-) -> tuple[dict, pd.DataFrame]:
-    """The report, plain numbers, and a table of all flights.
+) -> tuple[dict[str, Any], pd.DataFrame]:
+    """Return the report as plain numbers, and a table of all flights.
 
     flights: of each scenario at most; None: as many as it says.
     """
-    rows, flown = [], []
-    work = [(scenario, controller) for scenario in scenarios for controller in controllers]
-    console = Console(stderr=True)
-    quiet = not console.is_terminal
-    for scenario, controller in track(work, "flying", console=console, transient=True, disable=quiet):
-        found = fly(scenario, controller, flights)
-        flown.append(found.assign(scenario=scenario.name, controller=controller.name))
-        rows.append({"controller": controller.name, **_summary(found)})
-    each = len(controllers)
+    flown = fly_all(
+        {
+            (scenario.name, controller.name): partial(fly, scenario, controller, flights)
+            for scenario in scenarios
+            for controller in controllers
+        }
+    )
+    table = pd.concat([found.assign(scenario=s, controller=c) for (s, c), found in flown.items()])
     return {
         "command": "moving",
         "controllers": [{"name": c.name, "kind": c.kind} for c in controllers],
@@ -53,39 +60,28 @@ def evaluate(
                 "waves": bool(scenario.waves.amplitude.any()),
                 "slope": scenario.inclination,
                 "whole": flights is None or flights >= scenario.flights,
-                "outcomes": rows[each * k : each * (k + 1)],
+                "outcomes": [
+                    {"controller": c.name, **_summary(flown[scenario.name, c.name])} for c in controllers
+                ],
             }
-            for k, scenario in enumerate(scenarios)
+            for scenario in scenarios
         ],
         "all": [
             {"name": c.name, "at_rest": proportion(rests.sum(), len(rests))}
             for c in controllers
-            for rests in [pd.concat([f for f in flown if f["controller"].iloc[0] == c.name])["at_rest"]]
+            for rests in [table.loc[table["controller"] == c.name, "at_rest"]]
         ],
         "versions": runs.versions(),
-    }, pd.concat(flown, ignore_index=True)
+    }, table.reset_index(drop=True)
 
 
-def _summary(flights: pd.DataFrame) -> dict:
+def _summary(flights: pd.DataFrame) -> dict[str, Any]:
     rest = proportion(flights["at_rest"].sum(), len(flights))
     return {"at_rest": rest} | {name: spread(flights[name]) for name in FIELDS[1:]}
 
 
-def heads(report: dict) -> list[str]:
-    """Of the columns of `cells`."""
-    return [
-        "scenario",
-        "controller",
-        "at rest [%]",
-        "after [s]",
-        "into it [m/s]",
-        "along it [m/s]",
-        "tilt [deg]",
-    ]
-
-
-def cells(report: dict) -> list[list[str]]:
-    """One row for each scenario and controller: share at rest, medians of the touch."""
+def cells(report: dict[str, Any]) -> list[list[str]]:
+    """Return one row, under HEADS, for each scenario and controller: share at rest, medians of the touch."""
     rows = []
     for scenario in report["scenarios"]:
         for k, outcome in enumerate(scenario["outcomes"]):
@@ -103,33 +99,50 @@ def cells(report: dict) -> list[list[str]]:
     return rows
 
 
-def show(report: dict) -> None:
+def show(report: dict[str, Any]) -> None:
     """Print the report."""
-    console = printer()
-    shown = new_table("At rest on a moving deck", *heads(report), left=2)
-    for row in cells(report):
-        if row[0] and shown.row_count:
-            shown.add_section()
-        shown.add_row(*row)
-    shown.caption = (
-        "95 % Wilson intervals. Speeds and tilt at the first touch, relative to the deck, and the time until "
-        "rest: medians"
+    show_sections(sections(report))
+
+
+def sections(report: dict[str, Any]) -> list[Section]:
+    """Return the sections of the page."""
+    rule = (
+        "A flight counts when the vehicle rests on the platform, on its feet alone, motors idle, as long as "
+        "its scenario says; in the frozen ones for 0.3 s within 10 s, slower than 0.05 m/s relative to the "
+        "platform."
     )
-    console.print(shown)
-    for row in report["all"]:
-        console.print(f"{row['name']}: {share_cell(row['at_rest'])} % of all flights at rest")
-    if not all(scenario["whole"] for scenario in report["scenarios"]):
-        console.print("fewer flights than the scenarios have: not a result of the benchmark")
+    partly = "Fewer flights than the scenarios have were flown: this is not a result of the benchmark."
+    whole = all(scenario["whole"] for scenario in report["scenarios"])
+    figure = {"moving": "Share of the flights at rest on the platform, with 95 % intervals."}
+    flown = [(s["name"], s["title"], s["fingerprint"][:12]) for s in report["scenarios"]]
+    overall = [
+        f"{row['name']}: {share_cell(row['at_rest'])} % of all flights at rest" for row in report["all"]
+    ]
+    tables = [
+        Table("", HEADS, [tuple(row) for row in cells(report)]),
+        Table("What was flown", ("scenario", "platform", "fingerprint"), flown),
+    ]
+    return [
+        Section(
+            "moving",
+            "Moving platforms",
+            rule,
+            [],
+            tables,
+            figure,
+            [CAPTION, *overall, *([] if whole else [partly])],
+        )
+    ]
 
 
-def steady(report: dict) -> list[dict]:
-    """The scenarios of level decks that travel steadily, by speed."""
+def steady(report: dict[str, Any]) -> list[dict]:
+    """Return the scenarios of level platforms that travel steadily, by speed."""
     level = [s for s in report["scenarios"] if not s["waves"] and s["slope"] == 0.0]
     return sorted(level, key=lambda scenario: scenario["speed"])
 
 
-def figure(report: dict) -> Figure:
-    """Share at rest over the deck's speed, and in every other scenario; a colour for each controller."""
+def figure(report: dict[str, Any]) -> Figure:
+    """Return the figure of the share at rest over the platform's speed, and in every other scenario."""
     names = [controller["name"] for controller in report["controllers"]]
     level = steady(report)
     others = [s for s in report["scenarios"] if s not in level]
@@ -144,23 +157,19 @@ def figure(report: dict) -> Figure:
             axes.grid(True)
             speeds = [scenario["speed"] for scenario in level]
             for k, name in enumerate(names):
-                share, low, top = _shares(level, k)
-                colour = _COLOURS[k % len(_COLOURS)]
-                axes.fill_between(speeds, low, top, color=colour, alpha=0.2, lw=0)
-                mark = _MARKS[(k + k // 5) % 5]
-                handles += axes.plot(speeds, share, "-", color=colour, marker=mark, ms=4, label=literal(name))
-            axes.set_title("Level decks that travel steadily", loc="left")
-            axes.set_xlabel("speed of the deck [m/s]")
-            axes.set_ylabel("at rest on the deck [%]")
+                handles += share_curve(axes, speeds, _at_rest(level, k), k, name)
+            axes.set_title("Level platforms that travel steadily", loc="left")
+            axes.set_xlabel("speed of the platform [m/s]")
+            axes.set_ylabel("at rest on the platform [%]")
             axes.set_ylim(-3, 103)
         if others:
             axes = panels.pop(0)
             axes.grid(True, axis="x")
             rows = np.arange(len(others))
             for k, name in enumerate(names):
-                share, low, top = _shares(others, k)
+                share, low, top = percent(_at_rest(others, k))
                 at = rows + _APART * (k - 0.5 * (len(names) - 1))
-                style = {"color": _COLOURS[k % len(_COLOURS)], "fmt": _MARKS[(k + k // 5) % 5]}
+                style = {"color": colour(k), "fmt": marker(k)}
                 around = np.maximum(0.0, [share - low, top - share])
                 bars = axes.errorbar(share, at, xerr=around, ms=4, lw=1.2, label=literal(name), **style)
                 handles += [bars] * (not level)
@@ -168,7 +177,7 @@ def figure(report: dict) -> Figure:
             axes.set_ylim(len(others) - 0.5, -0.5)
             axes.set_xlim(-3, 103)
             axes.set_title("Slopes, waves, ships, cars", loc="left")
-            axes.set_xlabel("at rest on the deck [%]")
+            axes.set_xlabel("at rest on the platform [%]")
         labels = [literal(name) for name in names]
         drawn.legend(
             [*handles, Patch(fc=MUTED, alpha=0.35)], [*labels, "95 % interval"],
@@ -177,8 +186,6 @@ def figure(report: dict) -> Figure:
     return drawn
 
 
-def _shares(scenarios: list[dict], k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Share at rest of controller k in scenarios, lower and upper end of its interval [%]."""
-    found = [scenario["outcomes"][k]["at_rest"] for scenario in scenarios]
-    low, top = np.array([p["interval"] for p in found]).T
-    return 100 * np.array([p["share"] for p in found]), 100 * low, 100 * top
+def _at_rest(scenarios: list[dict], k: int) -> list[dict]:
+    """Return the share at rest of controller k in each scenario."""
+    return [scenario["outcomes"][k]["at_rest"] for scenario in scenarios]

@@ -1,48 +1,33 @@
-"""`landing-eval picture`: a whole flight at a glance."""
+"""One picture of a whole flight: copies of the vehicle along its way (`landing-eval figure --whole`)."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated
+from pathlib import Path
 
-import tyro
-
+from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.rendering import check_look
-from inclined_landing.eval.base.options import File, Flat, Flown, Look
-from inclined_landing.eval.base.policies import AnyPolicy
+from inclined_landing.eval.base.options import Look
 from inclined_landing.eval.base.style import make_folder
-from inclined_landing.eval.pictures.flown import Until, check_until, finish, fly, points, report
+from inclined_landing.eval.pictures.flown import check_until, finish, fly, points, report
 from inclined_landing.eval.pictures.frames import strobe, write_picture
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 
-def command(
-    policy: AnyPolicy,
-    /,
-    out: File,
-    start: Annotated[str | None, tyro.conf.arg(metavar="X,Z")] = None,
-    look: Flat[Look] = Look(),
-    until: Until = "rest",
-    flown: Flat[Flown] = Flown(),
-) -> None:
-    """One picture of a whole flight: copies of the vehicle along its way.
-
-    Args:
-        policy: file, or the name of a shipped one.
-        out: .png file.
-        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z.
-        until: where a landing ends: rest goes on after the goal box with the motors cut, by MuJoCo, until
-            the vehicle is at rest; goal ends with the policy's flight.
-    """
+def check(out: Path, look: Look, until: str) -> None:
+    """Raise UserError for a file that is no .png or cannot be written, or for an unknown look or end."""
     if out.suffix.lower() != ".png":
         raise UserError(f"a picture is a .png file, not {out.name!r}")
     check_until(until)
     storage.check_file(out)
     check_look(**dataclasses.asdict(look))
-    loaded = flown.load(policy)
-    flown_from = points([] if start is None else [start], loaded.task)
-    flight = finish(fly(loaded, flown_from, flown.plant), until)[0]
+
+
+def draw(policy: Policy, out: Path, start: str | None, look: Look, until: str, plant: str) -> None:
+    """Fly from `start`, X,Z or (setpoint) X,Y,Z in metres, and write the picture of the flight."""
+    flown_from = points([] if start is None else [start], policy.task)
+    flight = finish(fly(policy, flown_from, plant), until)[0]
     drawn = strobe(flight, **dataclasses.asdict(look))
     make_folder(out.parent)
     write_picture(out, drawn)

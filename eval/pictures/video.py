@@ -42,6 +42,7 @@ _REST = 1.0  # s that the last frame of a flight stays
 def command(
     policy: AnyPolicy,
     /,
+    *,
     out: File,
     start: Starts = (),
     drawn: Drawn = 0,

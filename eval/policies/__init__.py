@@ -1,1 +1,1 @@
-"""What a policy is worth: `success`, `touchdown`."""
+"""How well a policy does its task: `success`, `touchdown`."""

@@ -1,4 +1,4 @@
-"""What the success table of a task is made of: starts, and what is counted of the flights from there.
+"""The success table of a task: its starts, and what is counted of the flights from there.
 
 A judge is found by the task's `table`. The one of this name, `flights`, fits any task.
 """
@@ -6,6 +6,7 @@ A judge is found by the task's `table`. The one of this name, `flights`, fits an
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.conditions import outcome
 from inclined_landing.eval.base.statistics import mean, proportion, spread
 from inclined_landing.eval.policies.motors_cut import cut_motors
 from inclined_landing.models import surface
@@ -30,16 +32,16 @@ RANDOM_STARTS = 200
 class Flights:
     """Random starts of the task: success as the task judges it, the sum of rewards, the duration."""
 
-    paper: tuple | None = None  # the paper's results
+    paper: tuple[dict, ...] | None = None  # the paper's results
     frozen = "random"  # the group of starts from which effects are tried
     report_scales: tuple[float, ...] = (1.0,)  # thrust scales of the report after a training
 
     def groups(self, task: Task, seed: int) -> dict[str, Start]:
-        """Groups of starts by name."""
+        """Return the groups of starts by name."""
         return {"random": task.sample(np.random.default_rng(seed), RANDOM_STARTS)}
 
     def summary(self, task: Task, flights: Sequence[Flight]) -> dict:
-        """What is counted of the flights from one group."""
+        """Return what is counted of the flights from one group."""
         reward = [f.reward.sum() for f in flights]
         return {
             "success": proportion(sum(f.success for f in flights), len(flights)),
@@ -48,15 +50,15 @@ class Flights:
         }
 
     def condition(self, task: Task, flown: Mapping[str, Sequence[Flight]], scale: float) -> dict:
-        """The entry of one thrust scale in the report."""
+        """Return the entry of one thrust scale in the report."""
         return self.summary(task, flown["random"])
 
     def effect(self, task: Task, flights: Sequence[Flight], vehicle: Vehicle) -> dict:
-        """The entry of one effect; vehicle: what was flown."""
+        """Return the entry of one effect; vehicle: what was flown."""
         return self.summary(task, flights)
 
     def headline(self, condition: dict) -> dict:
-        """What the record of a training says of an entry of the report."""
+        """Return the part of an entry that the record of a training keeps."""
         return {"success": condition["success"], "reward": condition["reward"]["mean"]}
 
 
@@ -64,7 +66,7 @@ class Errors(Flights):
     """Distance to the goal at the end, in place of success."""
 
     def summary(self, task, flights: Sequence[Flight]) -> dict:
-        """Position error [m] at the end of the flights, and the share within 5 cm."""
+        """Return the position error [m] at the end of the flights, and the share within 5 cm."""
         error = task.position_error(np.array([f.state[-1] for f in flights]))
         return {
             "error": mean(error) | spread(error),
@@ -72,19 +74,19 @@ class Errors(Flights):
         }
 
     def headline(self, condition: dict) -> dict:
-        """Error and share within 5 cm."""
+        """Return error and share within 5 cm."""
         return {"mean_error": condition["error"], "within": condition["within"]}
 
 
 class Landings(Flights):
     """The paper's starts, scattered ones and the frozen grid; from its flights the motors are cut."""
 
-    paper = PAPER_RESULTS
+    paper: tuple[dict, ...] | None = PAPER_RESULTS
     frozen = "grid"
     report_scales = (1.0, 1.05, 0.95)
 
     def groups(self, task, seed: int) -> dict[str, Start]:
-        """The starts of `envs.starts`."""
+        """Return the starts of `envs.starts`."""
         starts = {
             "paper_starts": landing_starts.paper(),
             "scattered_starts": landing_starts.scattered(seed),
@@ -93,18 +95,12 @@ class Landings(Flights):
         return {name: task.start(landing_starts.at_rest(task, group)) for name, group in starts.items()}
 
     def summary(self, task, flights: Sequence[Flight]) -> dict:
-        """Success, strict success, platform touches and time to the goal box of landing flights."""
-        n = len(flights)
-        return {
-            "success": proportion(sum(f.success for f in flights), n),
-            "strict": proportion(sum(f.strict for f in flights), n),
-            "touched": proportion(sum(f.touched for f in flights), n),
-            "time_to_goal": spread([f.duration for f in flights if f.success]),
-        }
+        """Return success, strict success, platform touches and time to the goal box of landing flights."""
+        return outcome(flights)
 
     def condition(self, task, flown: Mapping[str, Sequence[Flight]], scale: float) -> dict:
-        """Each group, the entry into the goal box, and what follows when the motors are cut there."""
-        condition = {name: self.summary(task, flights) for name, flights in flown.items()}
+        """Return each group, the entry into the goal box, and what follows a motor cut there."""
+        condition: dict[str, Any] = {name: self.summary(task, flights) for name, flights in flown.items()}
         if "grid" in flown:
             left_out = len(landing_starts.grid()) - len(flown["grid"])  # too close at this inclination
             condition["grid"]["left_out"] = left_out
@@ -114,7 +110,7 @@ class Landings(Flights):
         return condition
 
     def effect(self, task, flights: Sequence[Flight], vehicle: Vehicle) -> dict:
-        """The frozen starts; how many rest after their motors were cut, and how fast they touched [m/s]."""
+        """Return the frozen starts, how many rest after a motor cut, and their touchdown speed [m/s]."""
         arrived = [f for f in flights if f.success]
         after = cut_motors(*_in_plane(arrived), vehicle) if arrived else None
         return self.summary(task, flights) | {
@@ -123,7 +119,7 @@ class Landings(Flights):
         }
 
     def headline(self, condition: dict) -> dict:
-        """The frozen starts and the entry into the goal box."""
+        """Return the frozen starts and the entry into the goal box."""
         frozen = condition[self.frozen]
         scale, entry = condition["thrust_scale"], condition["entry"]
         return {
@@ -141,7 +137,7 @@ class Slopes(Landings):
     frozen = "slopes"
 
     def groups(self, task, seed: int) -> dict[str, Start]:
-        """The starts of `envs.starts.over_slopes`."""
+        """Return the starts of `envs.starts.over_slopes`."""
         return {"slopes": landing_starts.over_slopes(task).start}
 
 
@@ -149,14 +145,15 @@ JUDGES = {"flights": Flights(), "error": Errors(), "goal_box": Landings(), "slop
 
 
 def judge_of(task: Task) -> Flights:
-    """The judge of a task; raises UserError for a task that a command of its own judges."""
+    """Return the judge of a task; raises UserError for a task that another command evaluates."""
     if task.table not in JUDGES:
-        raise UserError(f"the task {task.name} has a table of its own: landing-eval {task.table} judges it")
+        other = {"moving": "robustness --over moving"}.get(task.table, task.table)
+        raise UserError(f"the task {task.name} has a table of its own: landing-eval {other} evaluates it")
     return JUDGES[task.table]
 
 
 def report_of(command: str, policy: Policy, plant: str, seed: int) -> dict:
-    """What every report says of the policy and how it was flown."""
+    """Return what every report says of the policy and how it was flown."""
     return {
         "command": command,
         "policy": str(policy.path),
@@ -171,13 +168,13 @@ def report_of(command: str, policy: Policy, plant: str, seed: int) -> dict:
 
 
 def _in_plane(arrived: Sequence[Flight]) -> tuple[np.ndarray, np.ndarray]:
-    """Last states (n, 13) of flights, turned so that their slopes have azimuth 0; and the inclinations."""
-    deck = np.array([f.deck[-1] for f in arrived])
+    """Return the last states (n, 13) of flights, turned to slopes of azimuth 0, and the inclinations."""
+    deck = np.array([f.deck[-1] for f in arrived if f.deck is not None])
     return turned(np.array([f.state[-1] for f in arrived]), -deck[:, YAW]), deck[:, PITCH]
 
 
 def _entry(arrived: Sequence[Flight]) -> dict:
-    """Velocities [m/s] and pitch error [rad] of the flights at the entry into the goal box."""
+    """Return velocities [m/s] and pitch error [rad] of the flights at the entry into the goal box."""
     state, inclination = _in_plane(arrived)
     velocity = state[:, VX : VZ + 1]
     away, along = split(velocity, inclination)

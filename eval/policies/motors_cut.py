@@ -1,4 +1,4 @@
-"""What becomes of a vehicle whose motors are cut where the policy hands over: the real landing.
+"""The touchdown of a vehicle whose motors are cut where the policy hands over: the real landing.
 
 From each given state the vehicle flies on in the MuJoCo plant with PWM 0 and no attitude torque (the
 torques come from the motors too) for two seconds, watched at every engine step. It is not flown on where
@@ -58,6 +58,6 @@ def cut_motors(
 
 
 def _slow(state: np.ndarray) -> np.ndarray:
-    """(n,) bool: so slow that it will not be faster than at rest."""
+    """Return (n,) bool: so slow that the vehicle will not be faster than at rest."""
     speed = np.linalg.norm(state[:, VX : VZ + 1], axis=1)
     return (speed < _SLOW * REST_SPEED) & (np.linalg.norm(state[:, WX : WZ + 1], axis=1) < _SLOW * REST_RATE)

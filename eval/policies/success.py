@@ -11,31 +11,36 @@ Set-point: the position error after 3 s from 200 random starts. Other tasks: suc
 reward and duration, from as many (`judges.py`).
 
 With ``--effects`` the frozen grid (or the random starts) alone, once for every effect of the library
-(`success_effects.py`).
+(`evaluate_effects`).
 """
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 import tyro
-from rich.console import Console
-from rich.progress import track
 
-from inclined_landing.envs.flights import record_flights
+from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks import Start
 from inclined_landing.envs.tasks.base import joined
 from inclined_landing.eval.base import runs
+from inclined_landing.eval.base.conditions import fly_all
 from inclined_landing.eval.base.options import Flag, Flat, Flown, NewFolder, Seed
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.policies import success_table
 from inclined_landing.eval.policies.judges import judge_of, report_of
+from inclined_landing.models.attitude import LAG
+from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import make_plant
 
 Scales = Annotated[
@@ -50,8 +55,8 @@ def evaluate(
     thrust_scales: Sequence[float] = (1.0,),
     unrest: bool = False,
     seed: int = 0,
-) -> dict:
-    """The success report of a policy, as plain numbers; one entry of `conditions` per thrust scale.
+) -> dict[str, Any]:
+    """Return the success report of a policy as plain numbers; one entry of `conditions` per thrust scale.
 
     plant: "mujoco", "hybrid" or "analytic", always the plain one (no keep-out zone, RK4 at 4 ms).
     unrest: fly in that of the task's vehicle, always the same. seed: of the random starts.
@@ -62,6 +67,7 @@ def evaluate(
 def command(
     policy: AnyPolicy,
     /,
+    *,
     flown: Flat[Flown] = Flown(),
     thrust_scale: Scales = (),
     effects: Flag = False,
@@ -98,10 +104,10 @@ def command(
         raise UserError(
             "--unrest needs a --vehicle whose table [unrest] is not all 0; this one's air is still"
         )
+    report: dict[str, Any]
+    flights: list[tuple[float, str, Flight]] | None = None
     if effects:
-        from inclined_landing.eval.policies import success_effects
-
-        report, flights = success_effects.evaluate(loaded, plant=flown.plant, seed=seed), None
+        report = evaluate_effects(loaded, plant=flown.plant, seed=seed)
     else:
         report, flights = _evaluate(loaded, flown.plant, scales, unrest, seed)
     report["vehicle"] = str(flown.vehicle) if flown.vehicle is not None else "crazyflie.toml"
@@ -109,20 +115,25 @@ def command(
     runs.hand_over(report, success_table.show, json, out, files)
 
 
-def _evaluate(policy: Policy, plant: str, thrust_scales: Sequence[float], unrest: bool, seed: int):
+def _evaluate(
+    policy: Policy, plant: str, thrust_scales: Sequence[float], unrest: bool, seed: int
+) -> tuple[dict[str, Any], list[tuple[float, str, Flight]]]:
+    """Return the report, and every flight with its thrust scale and group of starts."""
     task, judge = policy.task, judge_of(policy.task)
     groups = judge.groups(task, seed)
-    names = np.repeat(list(groups), [len(starts) for starts in groups.values()])
+    names = np.repeat(list(groups), [len(starts) for starts in groups.values()]).tolist()
     starts = joined(list(groups.values()))
-    conditions, rows = [], []
-    for scale in track(thrust_scales, "flying", console=Console(stderr=True), transient=True):
+
+    def fly_scaled(scale: float) -> list[Flight]:
         fleet = make_plant(plant, len(starts), task.vehicle, unrest=0 if unrest else None)
         if scale != 1.0:
             fleet.perturb(thrust_scale=scale)
-        try:
-            flights = record_flights(policy, fleet, starts, steps=task.judged_steps)
-        except FloatingPointError as error:
-            raise UserError(f"thrust scale {scale:g}: {error}") from error
+        return record_flights(policy, fleet, starts, steps=task.judged_steps)
+
+    conditions, rows = [], []
+    found = fly_all({(f"thrust scale {scale}",): partial(fly_scaled, scale) for scale in thrust_scales})
+    for scale in thrust_scales:
+        flights = found[f"thrust scale {scale}",]
         flown = {name: [f for f, group in zip(flights, names) if group == name] for name in groups}
         conditions.append({"thrust_scale": float(scale), **judge.condition(task, flown, scale)})
         rows += [(scale, name, flight) for name, flight in zip(names, flights)]
@@ -130,8 +141,64 @@ def _evaluate(policy: Policy, plant: str, thrust_scales: Sequence[float], unrest
     return report | ({"unrest": True} if unrest else {}), rows
 
 
-def _flights_csv(flights) -> str:
-    """One row per flight; times in s, positions in m."""
+def evaluate_effects(policy: Policy, *, plant: str = "mujoco", seed: int = 0) -> dict[str, Any]:
+    """Return the report as plain numbers; one entry of `effects` per effect, the first without any.
+
+    Only the vehicle in the plant has the effect, at its plausible size: the policy, its task and its goal
+    know nothing of it. Landing policies fly from the frozen grid, and where they arrive their motors are cut;
+    others fly from random starts. plant: "mujoco", "hybrid" or "analytic". seed: of the random starts.
+    """
+    task, judge = policy.task, judge_of(policy.task)
+    starts = judge.groups(task, seed)[judge.frozen]
+
+    def count(vehicle: Vehicle) -> dict[str, Any]:
+        return judge.effect(task, fly(policy, plant, vehicle, starts), vehicle)
+
+    vehicles = {"none": task.vehicle}
+    vehicles |= {name: effect.apply(task.vehicle, effect.plausible) for name, effect in LIBRARY.items()}
+    found = fly_all({(f"effect {name}",): partial(count, vehicle) for name, vehicle in vehicles.items()})
+    rows = [
+        {
+            "effect": name,
+            "parameters": sizes(LIBRARY[name], LIBRARY[name].plausible) if name in LIBRARY else {},
+            **found[f"effect {name}",],
+        }
+        for name in vehicles
+    ]
+    return report_of("success --effects", policy, plant, seed) | {"effects": rows}
+
+
+def sizes(effect: Effect, values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+    """Return values of an effect's parameters with their units, for a report."""
+    units = {p.name: p.unit for p in effect.parameters}
+    return {name: {"value": value, "unit": units[name]} for name, value in values.items()}
+
+
+def fly(policy: Policy, plant: str, vehicle: Vehicle, starts: Start) -> list[Flight]:
+    """Return flights of `vehicle`, of which the policy knows nothing, from `starts` of its own vehicle."""
+    task, starts = policy.task, dataclasses.replace(starts, state=starts.state.copy())
+    starts.state[:, LAG] *= task.vehicle.thrust_lag_rate / vehicle.thrust_lag_rate  # the same load
+    tilt = vehicle.platform_inclination - task.vehicle.platform_inclination
+    fleet = make_plant(plant, len(starts), vehicle)
+    return record_flights(policy, _Tilted(fleet, tilt) if tilt else fleet, starts, steps=task.judged_steps)
+
+
+class _Tilted:
+    """A plant whose platforms are inclined by `tilt` [rad] more than the task sets them."""
+
+    def __init__(self, plant: Any, tilt: float):
+        self._plant, self._tilt = plant, tilt
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._plant, name)
+
+    def set_platform(self, ids, inclination, present=True, azimuth=0.0) -> None:
+        """Set the platforms as the plant does, inclined by more."""
+        self._plant.set_platform(ids, np.asarray(inclination) + self._tilt, present, azimuth)
+
+
+def _flights_csv(flights: Sequence[tuple[float, str, Flight]]) -> str:
+    """Return one row per flight; times in s, positions in m."""
     columns = "thrust_scale starts x y z success touched time end_x end_y end_z".split()
     rows = [
         (scale, group, *f.state[0, :3], int(f.success), int(f.touched), f.duration, *f.state[-1, :3])

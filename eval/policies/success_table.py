@@ -49,19 +49,21 @@ _COLUMNS["slopes"] = _COLUMNS["goal_box"]
 _CAPTIONS = {
     "goal_box": "success: the goal box within 300 steps; strict: and no touch before; "
     "95 % Wilson intervals; time to the goal: median (5 % to 95 %)",
-    "error": None,
+    "error": "",
     "flights": "95 % Wilson interval; reward and duration: median (5 % to 95 %)",
 }
 
 
 def show(report: dict) -> None:
-    """Print the report of `success.evaluate` or of `success_effects.evaluate`."""
+    """Print the report of `success.evaluate` or of `success.evaluate_effects`."""
     console = printer()
     kind = report["table"]
+    labels: tuple[str, ...]
+    blocks: list[list[tuple[tuple[str, ...], dict]]]
     if "effects" in report:
         labels = ("effect", "size")
-        rows = [((row["effect"], size_words(row["parameters"])), row) for row in report["effects"]]
-        blocks = [rows[:1], rows[1:]]
+        of_effects = [((row["effect"], size_words(row["parameters"])), row) for row in report["effects"]]
+        blocks = [list(of_effects[:1]), list(of_effects[1:])]
     elif any(name in report["conditions"][0] for name in _GROUPS):
         labels = ("starts", "thrust")
         blocks = [
@@ -86,9 +88,10 @@ def show(report: dict) -> None:
         if "of" in result:
             share += f" ({result['count']} of {result['of']})"
         table.add_row("paper's results", "", "", share)
-    table.caption = _CAPTIONS["goal_box" if kind == "slopes" else kind]
+    caption = _CAPTIONS["goal_box" if kind == "slopes" else kind]
     if "at_rest_on_feet" in blocks[0][0][1]:
-        table.caption += "; at rest on feet: 2 s after the motors were cut in the goal box"
+        caption += "; at rest on feet: 2 s after the motors were cut in the goal box"
+    table.caption = caption or None
     console.print(table)
     if "entry" in report.get("conditions", [{}])[0]:
         console.print(_entry(report["conditions"]))

@@ -99,7 +99,7 @@ def evaluate(
     frictions: Sequence[float] = FRICTIONS,
     restitutions: Sequence[float] = RESTITUTIONS,
 ) -> dict:
-    """The comparison as plain numbers."""
+    """Return the comparison as plain numbers."""
     if not isinstance(policy.task, InclinedTouchdown):
         raise UserError(f"policy {policy.path} is for the task {policy.task.name}, not for touchdown")
     if not baseline.task.cut_at_success:
@@ -116,7 +116,7 @@ def evaluate(
     work = list(itertools.product(zip(MODES, (baseline, policy)), pairs))
     for (mode, pilot), (mu, e) in track(work, "landing", console=Console(stderr=True), transient=True):
         flown.append(land(pilot, states, mu, e).assign(mode=mode, friction=mu, restitution=e))
-    flights = pd.concat(flown) if flown else None
+    flights = pd.concat(flown) if flown else pd.DataFrame()
 
     def both(part: pd.DataFrame) -> dict:
         return {mode: _summary(part[part["mode"] == mode]) for mode in MODES}
@@ -143,19 +143,20 @@ def evaluate(
 
 
 def _summary(flights: pd.DataFrame) -> dict:
-    """Share at rest and spreads."""
+    """Return the share at rest and spreads."""
     rest = proportion(flights["at_rest"].sum(), len(flights))
     return {"at_rest": rest} | {name: spread(flights[name]) for name in _FIELDS[1:]}
 
 
 def overall(report: dict, mode: str) -> dict | None:
-    """The share at rest over all conditions that friction can hold."""
+    """Return the share at rest over all conditions that friction can hold."""
     return report["all"][mode]["at_rest"] if report["all"] else None
 
 
 def command(
     policy: PolicyFile,
     /,
+    *,
     baseline: PolicyName = "landing",
     vehicle: VehicleFile = None,
     friction: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MU [MU ...]")] = FRICTIONS,

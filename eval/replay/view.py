@@ -1,48 +1,49 @@
-"""`landing-eval view`: MuJoCo's viewer with a policy's flights, in real time."""
+"""MuJoCo's viewer with a policy's flights, in real time (`landing-eval replay --window`)."""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from typing import Annotated
 
 from inclined_landing.envs.flights import Flight, refly
+from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.rendering.window import Window, check_display
-from inclined_landing.eval.base.options import Flag, Flat, Flown, Range, Starts
-from inclined_landing.eval.base.policies import AnyPolicy
-from inclined_landing.eval.pictures.flown import fly, points, report
+from inclined_landing.eval.base.options import Flag, Range
+from inclined_landing.eval.pictures.flown import fly, report
 from inclined_landing.eval.pictures.to_rest import to_rest
 
 _FPS = 50.0  # moments shown in a second
 _LINGERS = 1.5  # s that the last moment of a flight stays
 
 
-def command(
-    policy: AnyPolicy,
-    /,
-    start: Starts = (),
-    slow: Annotated[float, Range(0.1, 100)] = 1.0,
-    again: Flag = False,
-    flown: Flat[Flown] = Flown(),
-) -> None:
-    """Watch a policy fly in MuJoCo's viewer, in real time; needs a display.
-
-    Mouse and menus work meanwhile; closing the window ends it. Without a display, replay writes a page for
-    any browser and video a film.
+@dataclasses.dataclass(frozen=True)
+class InWindow:
+    """A window instead of a page, which needs a display. Closing it ends the command.
 
     Args:
-        policy: file, or the name of a shipped one.
-        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for more flights.
+        window: show policies in MuJoCo's viewer, in real time.
         slow: 2 plays at half speed.
         again: begin again after the last flight, until the window is closed.
     """
-    loaded = flown.load(policy)
-    where = points(start, loaded.task)
+
+    window: Flag = False
+    slow: Annotated[float, Range(0.1, 100)] = 1.0
+    again: Flag = False
+
+
+def show(policy: Policy, where: Sequence[tuple[float, ...]], plant: str, how: InWindow) -> None:
+    """Show flights of a policy from points of its task's start axes [m].
+
+    Raises UserError without a display.
+    """
     check_display()
-    flights = fly(loaded, where, flown.plant)
-    with Window(loaded.task.vehicle) as window:
+    flights = fly(policy, where, plant)
+    with Window(policy.task.vehicle) as window:
         first = True
-        while window.open and (first or again):
+        while window.open and (first or how.again):
             for k, flight in enumerate(flights):
-                play(window, flight, flown.plant, slow)
+                play(window, flight, plant, how.slow)
                 if first:
                     report(flight, f"flight {k + 1}")
             first = False

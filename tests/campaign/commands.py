@@ -23,24 +23,24 @@ NEEDED = {
     "demo": ("--out", "{place}/out"),
     "success": ("landing",),
     "touchdown": ("touchdown",),
-    "vehicles": ("landing", "--out", "{place}/out"),
     "mission": (),
     "robustness": ("landing", "--out", "{place}/out"),
-    "moving": ("planner", "--out", "{place}/out"),
+    "robustness slopes": ("landing-slopes", "--over=slopes", "--out", "{place}/out"),
+    "robustness vehicles": ("landing", "--over=vehicles", "--out", "{place}/out"),
+    "robustness moving": ("planner", "--over=moving", "--out", "{place}/out"),
     "export": ("landing", "--format", "numpy", "--out", "{place}/out"),
     "figure": ("landing", "--out", "{place}/out"),
     "video": ("landing", "--out", "{place}/out.mp4"),
-    "picture": ("landing", "--out", "{place}/out.png"),
+    "figure whole": ("landing", "--whole", "--out", "{place}/out.png"),
     "replay": ("landing", "{place}/log.csv", "--out", "{place}/out.html"),
-    "view": ("landing",),
+    "replay window": ("landing", "--window"),
     "beyond": (RECIPE, "--out", "{place}/out"),
-    "slopes": ("landing-slopes", "--out", "{place}/out"),
     "curves": ("{place}", "--out", "{place}/out.png"),
-    "equivalence": ("--out", "{place}/out"),
-    "contact-truth": ("--out", "{place}/out"),
+    "validate": ("equivalence", "--out", "{place}/out"),
+    "validate contact": ("contact", "--out", "{place}/out"),
     "landings": ("{place}/study.toml", "--out", "{place}/out"),
     "logs": ("{place}/log.csv",),
-    "flights": ("nanobench", "{place}/log.csv", "--out", "{place}/out"),
+    "logs public": ("--public", "nanobench", "{place}/log.csv", "--out", "{place}/out"),
     "identify": ("{place}/log.csv", "--out", "{place}/out"),
     "gap": ("{place}/log.csv", "--out", "{place}/out"),
     "plan": ("{place}/report", "--out", "{place}/out"),
@@ -54,7 +54,7 @@ NEEDED = {
     "train sweep": (RECIPE, "--out", "{place}/out"),
 }
 # What is written as one file, and what its name ends in.
-SUFFIX = {"video": ".mp4", "picture": ".png", "curves": ".png", "replay": ".html", "crazyflie": ".csv"}
+SUFFIX = {"video": ".mp4", "figure whole": ".png", "curves": ".png", "replay": ".html", "crazyflie": ".csv"}
 POLICIES = ("landing", "touchdown", "landing-slopes", "planner")  # of NEEDED
 NAMES = (
     *(
@@ -94,7 +94,7 @@ def find(name: str):
         from inclined_landing.train.sweep.command import command as sweep
 
         return sweep
-    return TrainConfig if name == "train" else cli.find(name)
+    return TrainConfig if name == "train" else cli.find(name.split()[0])
 
 
 def options(name: str) -> dict[str, Option]:
@@ -148,7 +148,7 @@ def called(name: str, words: list[str], folder: Path, needed: bool = True) -> st
     with contextlib.chdir(folder):
         if first == "train":
             return command(train.main, [*rest, *given, *more])
-        return command(cli.main, [name, *given, *more])
+        return command(cli.main, [first, *given, *more])
 
 
 def accepted(printed: str) -> None:

@@ -171,7 +171,7 @@ JOBS = {
     "gap": lambda f, n: [flight(f, n), vehicle(f, n)],
     "identify": lambda f, n: [flight(f, n), vehicle(f, n)],
     "gap-example": lambda f, n: [],
-    "picture": lambda f, n: [policy(f, n), "--width=64", "--height=48"],
+    "figure whole": lambda f, n: [policy(f, n), "--whole", "--width=64", "--height=48"],
 }
 
 
@@ -182,7 +182,8 @@ def evil_names():
 
             def take(folder: Path, job=job, words=words, name=name) -> str:
                 return command(
-                    cli.main, [job, *words(folder, name), f"--out={folder}/{name}{SUFFIX.get(job, '')}"]
+                    cli.main,
+                    [job.split()[0], *words(folder, name), f"--out={folder}/{name}{SUFFIX.get(job, '')}"],
                 )
 
             yield Case(f"{job} called {k}", lambda folder: folder, take, seconds=90, named="")
@@ -197,7 +198,7 @@ def in_empty_folders():
         def take(folder: Path, job=job, words=words) -> list[Path]:
             (folder / "empty").mkdir()
             with contextlib.chdir(folder / "empty"):
-                command(cli.main, [job, *words(folder, "a"), "--out=."])
+                command(cli.main, [job.split()[0], *words(folder, "a"), "--out=."])
                 return list(Path().iterdir())
 
         def works(files: list[Path]) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.sweeps import beyond
-from inclined_landing.eval.sweeps.recipe import COMMANDS, read_recipe
+from inclined_landing.eval.sweeps.recipe import COMMANDS, OLD_COMMANDS, read_recipe
 from inclined_landing.train.sweep import jobs
 from inclined_landing.train.sweep.check import check
 from tests.campaign.commands import NEEDED, options
@@ -174,7 +174,7 @@ def outputs():
 def others():
     """Commands that fly vehicles, open ports, or are about something else, and options that no recipe has."""
     for name in [*cli.COMMANDS, *cli.OLD_NAMES, "sweep", "", "--help"]:
-        if name not in COMMANDS:
+        if name not in (*COMMANDS, *OLD_COMMANDS):
             for where in ("evaluate", "together"):
                 filled = {where: [[name, *words(name)[1:]] if name in NEEDED else [name or "{run}"]]}
                 yield case(f"{where} {name}", lambda filled=filled: changed(**filled), accepted, named=where)

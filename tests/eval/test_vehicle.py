@@ -17,12 +17,10 @@ HEAVY = dataclasses.replace(V, body_mass=1.1 * V.body_mass)
 NO_VEHICLE = {
     "demo",
     "export",
-    "moving",  # a frozen benchmark of the shipped vehicle
     "curves",
     "beyond",
     "logs",
     "effects",
-    "flights",
     "gap-example",
     "doctor",
 }

@@ -58,6 +58,8 @@ def check(recipe: Recipe, runs: Runs, last: Job, allowed: Sequence[str] = ()) ->
         _check_place(job)
     for call in calls:
         _check_out(call)
+        if getattr(call.given.get("in_window"), "window", False):
+            raise UserError(f"{_shown(call.words)}: a recipe opens no window")
     for job in looked_at:
         written = [call.out for call in calls if call.job is job and call.out is not None]
         for number in recipe.numbers.values():
@@ -92,7 +94,8 @@ def _calls(job: Job) -> Iterator[_Call]:
                 config = parse(TrainConfig, program, rest)
                 call = _Call(job, words, vars(config), config)
             else:
-                later = parse(bound(cli.find(rest[0])), f"{program} {rest[0]}", rest[1:])
+                name, *others = cli.renamed(rest)
+                later = parse(bound(cli.find(name)), f"{program} {name}", others)
                 given = inspect.signature(later.func).bind(*later.args, **later.keywords).arguments
                 call = _Call(job, words, given, None)
         yield call

@@ -1,4 +1,4 @@
-"""`landing-eval flights`: where the measured flights of others are, and their files as documented CSV."""
+"""`landing-eval logs --public`: where measured flights of others are, and their files as documented CSV."""
 
 from __future__ import annotations
 
@@ -6,31 +6,20 @@ import gzip
 import hashlib
 import io
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.options import NewFolder
 from inclined_landing.eval.logs.flights.convert import PublicSet, convert, public_sets
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
 
-def command(
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[SET]")] = "",
-    files: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FILE ...]")] = (),
-    out: NewFolder = None,
-) -> None:
-    """Measured flights of others: where to get each set; its own files converted to documented CSV.
+def public_flights(name: str, files: Sequence[str], out: Path | None) -> None:
+    """Print where every set of measured flights, or the one called `name`, is; or convert its files.
 
-    Without arguments it says where every set is, under which licence, and which command converts it.
-
-    Args:
-        name: utias_fmpc, nanobench, crazypad or arp_sysid.
-        files: files of that set as they are in its repository.
-        out: new folder for one .csv.gz per flight and source.txt.
+    files: of that set as they are in its repository. out: new folder for one .csv.gz per flight and
+    source.txt.
     """
     sets = public_sets()
     if not name:
@@ -77,7 +66,7 @@ def _where(name: str, known: PublicSet) -> str:
         (
             known.title,
             f"  git clone {known.repository} && git -C {folder} checkout {known.commit[:7]}",
-            f"  landing-eval flights {name} {folder}/{known.files} --out {name}",
+            f"  landing-eval logs --public {name} {folder}/{known.files} --out {name}",
             f"  licence: {known.licence}",
             f"  cite: {known.cite}",
         )

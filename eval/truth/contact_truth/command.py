@@ -1,19 +1,16 @@
-"""`landing-eval contact-truth`: all measurements as a page, a JSON file and figures."""
+"""`landing-eval validate contact`: all measurements as a page, a JSON file and figures."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
 
-import tyro
 from rich.console import Console
 from rich.progress import Progress
 from rich.text import Text
 
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.claims import Section
-from inclined_landing.eval.base.options import Folder, NewFolder, VehicleFile
 from inclined_landing.eval.base.tables import new_table, printer
 from inclined_landing.eval.truth.contact_truth import touchdowns
 from inclined_landing.eval.truth.contact_truth.laws import FINDINGS, setting
@@ -22,23 +19,16 @@ from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 
 def command(
-    out: Folder,
-    flights: NewFolder = None,
-    vehicle: VehicleFile = None,
-    friction: float | None = None,
-    restitution: float | None = None,
-    contact_time: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
+    out: Path,
+    flights: Path | None,
+    vehicle: Path | None,
+    friction: float | None,
+    restitution: float | None,
+    contact_time: float | None,
 ) -> None:
-    """Can contact be believed? Rest, slip, drops, energy ... as page and figures.
+    """Write contact.html, contact.json and the figures into a new folder, and print the claims.
 
-    Args:
-        out: new folder for contact.html, contact.json and the figures.
-        flights: folder of measured NanoBench flights (nb_*.csv.gz): their touchdowns are simulated and the
-            contact setting is fitted.
-        vehicle: vehicle file (TOML), where it differs from the shipped one.
-        friction: of a setting of your own, measured besides the default.
-        restitution: of your own setting, 0 to 0.6; together with the contact time.
-        contact_time: of your own setting in seconds, 0.012 to 0.02.
+    See `validate.Contact` for the options.
     """
     runs.check_new_run(out)
     dropped = load_vehicle(vehicle)

@@ -36,7 +36,7 @@ def write(findings: list[Section], out: Path, vehicle: Vehicle) -> None:
         findings,
         images,
         verdicts={True: ("met", "are met"), False: ("not met", "are not met")},
-        run="landing-eval contact-truth",
+        run="landing-eval validate contact",
         versions=versions,
     )
     storage.write_text(out / "contact.html", page)

@@ -1,9 +1,10 @@
-"""`landing-eval equivalence`: every measurement, one page, one JSON file and the figures."""
+"""`landing-eval validate equivalence`: every measurement, one page, one JSON file and the figures."""
 
 from __future__ import annotations
 
 import math
 import time
+from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -11,30 +12,16 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.claims import Claim, number
-from inclined_landing.eval.base.options import Flag, Folder, PolicyName, Seed, VehicleFile
 from inclined_landing.eval.base.page import png
 from inclined_landing.eval.truth.equivalence import report
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle
 
 
-def command(
-    out: Folder,
-    policy: PolicyName = "landing",
-    vehicle: VehicleFile = None,
-    seed: Seed = 0,
-    quick: Flag = False,
-) -> int:
-    """Is the MuJoCo vehicle the paper's model? One page of claims with tolerances.
+def command(out: Path, policy: str, vehicle: Path | None, seed: int, quick: bool) -> int:
+    """Write report.html, report.json and the figures into a new folder; return 1 when a claim fails, else 0.
 
-    The exit code is 1 when a claim fails.
-
-    Args:
-        out: new folder for report.html, report.json and the figures.
-        policy: landing policy for recorded commands and closed loops: a file, or a shipped one.
-        vehicle: vehicle file (TOML), where it differs from the shipped one.
-        seed: of commands and states.
-        quick: fewer commands, states and starts.
+    See `validate.Equivalence` for the options.
     """
     runs.check_new_run(out)
     loaded = load_policy(policy, "landing", vehicle=None if vehicle is None else load_vehicle(vehicle))

@@ -123,7 +123,7 @@ def as_record(sections: list[Section], **head) -> dict:
 
 def as_page(sections: list[Section], images: dict[str, bytes], record: dict) -> str:
     """The page, figures inside."""
-    command = "landing-eval equivalence" + (" --quick" if record["quick"] else "")
+    command = "landing-eval validate equivalence" + (" --quick" if record["quick"] else "")
     policy, seconds = Path(record["policy"]).name, round(record["seconds"])
     return claims_page(
         TITLE,

@@ -9,7 +9,7 @@ import pytest
 
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.moving import controllers, report, spectra
-from inclined_landing.eval.moving.command import vehicle_flown
+from inclined_landing.eval.moving.controllers import vehicle_flown
 from inclined_landing.eval.moving.flying import RIDE, fly, ride
 from inclined_landing.eval.moving.scenario import read_scenario, shipped
 from inclined_landing.models import surface
@@ -17,6 +17,7 @@ from inclined_landing.models.errors import UserError
 from tests import ROOT
 
 VEHICLE = vehicle_flown()
+MOVING = ("robustness", "--over", "moving", "--every", "1")
 # Never edited: a change is another scenario, with another name.
 FROZEN = {
     "car_road": "f7251e1b1ed916c2",
@@ -117,7 +118,7 @@ def test_a_malformed_scenario_is_one_sentence(tmp_path, capsys, old, new, said):
     assert old in GOOD
     file = tmp_path / "mine.toml"
     file.write_text(GOOD.replace(old, new, 1))
-    assert main(["moving", "planner", "--scenario", str(file), "--out", str(tmp_path / "out")]) == 2
+    assert main([*MOVING, "planner", "--scenario", str(file), "--out", str(tmp_path / "out")]) == 2
     err = capsys.readouterr().err
     assert said in err and "mine.toml" in err and err.count("\n") == 1
     assert not (tmp_path / "out").exists()
@@ -155,14 +156,14 @@ class Unmade:
 def test_a_bad_controller_is_one_sentence(tmp_path, capsys, name, said):
     file = tmp_path / "mine.py"
     file.write_text(BAD)
-    words = ["moving", f"{file}:{name}", "--scenario", "still_00_deg", "--flights", "2"]
+    words = [*MOVING, f"{file}:{name}", "--scenario", "still_00_deg", "--flights", "2"]
     assert main([*words, "--out", str(tmp_path / "out")]) == 2
     err = capsys.readouterr().err
     assert said in err and err.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
 def test_a_policy_of_the_plane_is_refused(capsys):
-    assert main(["moving", "touchdown", "--scenario", "still_00_deg"]) == 2
+    assert main([*MOVING, "touchdown", "--scenario", "still_00_deg"]) == 2
     assert "flies in a plane" in capsys.readouterr().err
 
 
@@ -172,14 +173,14 @@ def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
     flown = fly(scenario, planner, 3)
     assert flown["at_rest"].all() and (flown["normal_speed"] > 0).all()
     assert fly(scenario, planner, 1).iloc[0].equals(flown.iloc[0])
-    words = ["moving", "planner", "--scenario", "ship_5_bow", "--flights", "3"]
+    words = [*MOVING, "planner", "--scenario", "ship_5_bow", "--flights", "3"]
     assert main([*words, "--out", str(tmp_path / "out"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((tmp_path / "out/moving.json").read_text())
     assert printed["scenarios"][0]["outcomes"][0]["at_rest"]["count"] == 3
     assert not printed["scenarios"][0]["whole"]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
-        *("flights.csv", "index.html", "moving.json", "moving.png")
+        *("flights.csv", "index.html", "moving.json", "moving.pdf", "moving.png")
     ]
     assert "not a result" in (tmp_path / "out/index.html").read_text()
 
@@ -210,7 +211,7 @@ def test_a_pilot_gets_no_more_than_it_is_told(tmp_path):
 def test_unknown_names_are_sentences(capsys):
     with pytest.raises(UserError, match="does not exist"):
         read_scenario("ship_9")
-    assert main(["moving", "no-such-policy"]) == 2
+    assert main([*MOVING, "no-such-policy"]) == 2
     assert "does not exist" in capsys.readouterr().err
 
 

@@ -463,7 +463,7 @@ def test_slow_video_has_every_sample_once(hover_policy):
 def test_picture_and_curves_commands(hover_policy, tmp_path):
     out = tmp_path / "new" / "picture.png"
     size = ["--width", "160", "--height", "90", "--backend", "ray", "--plant", "analytic"]
-    assert cli.main(["picture", hover_policy, "--out", str(out), "--start", "1,2", *size]) == 0
+    assert cli.main(["figure", "--whole", hover_policy, "--out", str(out), "--start", "1,2", *size]) == 0
     with Image.open(out) as image:
         assert image.size == (160, 90)
     run, curves = write_run(tmp_path / "run"), tmp_path / "curves.pdf"
@@ -488,7 +488,9 @@ def test_picture_and_curves_commands(hover_policy, tmp_path):
             ["video", "--out", "file/a.mp4", "--width", "64", "--height", "64"],
             "cannot write into file: file is not a folder",
         ),
-        (["picture", "--out", "a.jpg"], "a picture is a .png file, not 'a.jpg'"),
+        (["figure", "--whole", "--out", "a.jpg"], "a picture is a .png file, not 'a.jpg'"),
+        (["figure", "--whole", "--out", "a.png", "--start", "1,2", "--start", "1,2"], "give --start once"),
+        (["figure", "--out", "new", "--camera", "side"], "add --whole, or leave them out"),
         (["figure", "--out", "file"], "cannot write into file: file is not a folder"),
         (["figure", "--out", "new", "--plant", "paper"], "unknown plant 'paper'"),
         (["figure", "--out", "new", "--inclination", "70"], "outside the supported range"),

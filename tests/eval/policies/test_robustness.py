@@ -9,8 +9,8 @@ from PIL import Image
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.statistics import mean, proportion, spread
-from inclined_landing.eval.policies.robustness import command, figures, study, words
-from inclined_landing.eval.policies.success_effects import sizes
+from inclined_landing.eval.policies.success import sizes
+from inclined_landing.eval.robustness import changes, figures, words
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import check_vehicle, load_vehicle
@@ -20,7 +20,7 @@ from tests.pages import EVIL_FILE, check_page
 def made_report(landed, names=("nominal", "randomised", "history"), starts=251) -> dict:
     """A report whose shares are `landed(policy, condition)`."""
     rows = []
-    cases = study.conditions()
+    cases = changes.conditions()
     share = np.array([[landed(k, case) for k in range(len(names))] for case in cases])
     for case, row in zip(cases, share):
         outcomes = []
@@ -37,7 +37,7 @@ def made_report(landed, names=("nominal", "randomised", "history"), starts=251) 
     differences = []
     for k in range(1, len(names)):
         one = {"none": {"mean": share[0, k] - share[0, 0], "interval": [share[0, k] - share[0, 0]] * 2}}
-        for size in study.SIZES:
+        for size in changes.SIZES:
             own = [c for c, case in enumerate(cases) if case.size == size]
             one[size] = mean(share[own, k] - share[own, 0])
         differences.append(one)
@@ -59,12 +59,12 @@ def by_thrust(k, case):
     if not case.size:
         return float((0.88 if k == 0 else 0.79) < case.values["scale"] < 1.11)
     rng = np.random.default_rng(list(case.words.encode()))
-    return max(0.0, 1.0 - rng.random() * study.SIZES[case.size] * (0.5 if k == 0 else 0.1))
+    return max(0.0, 1.0 - rng.random() * changes.SIZES[case.size] * (0.5 if k == 0 else 0.1))
 
 
 def test_sizes_are_distances_from_neutral_within_what_is_possible():
     for effect in LIBRARY.values():
-        weak, medium, strong = (study.sized(effect, share) for share in study.SIZES.values())
+        weak, medium, strong = (changes.sized(effect, share) for share in changes.SIZES.values())
         assert medium == pytest.approx(effect.plausible)
         for p in effect.parameters:
             low, high = p.possible
@@ -75,17 +75,17 @@ def test_sizes_are_distances_from_neutral_within_what_is_possible():
             far = p.plausible - p.neutral
             assert weak[p.name] - p.neutral == pytest.approx(0.5 * far)
             assert far * (strong[p.name] - p.plausible) > 0.0  # further off, the same way
-    assert study.sized(LIBRARY["contact_stiffness"], 2.0) == {"scale": 0.1}  # its bound; twice is -0.2
+    assert changes.sized(LIBRARY["contact_stiffness"], 2.0) == {"scale": 0.1}  # its bound; twice is -0.2
 
 
 def test_every_condition_is_a_vehicle():
-    cases = study.conditions()
-    assert len(cases) == len(study.THRUSTS) + 3 * len(LIBRARY)
+    cases = changes.conditions()
+    assert len(cases) == len(changes.THRUSTS) + 3 * len(LIBRARY)
     known = load_vehicle()
     for case in cases:
         check_vehicle(case.vehicle(known))
-    assert cases[0].vehicle(known) is known and study.THRUSTS[0] == 0.7 and study.THRUSTS[-1] == 1.15
-    assert [case.values["scale"] for case in cases[1:10]] == [x for x in study.THRUSTS if x != 1.0]
+    assert cases[0].vehicle(known) is known and changes.THRUSTS[0] == 0.7 and changes.THRUSTS[-1] == 1.15
+    assert [case.values["scale"] for case in cases[1:10]] == [x for x in changes.THRUSTS if x != 1.0]
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def flown(tmp_path_factory):
 
 
 def test_the_terminal_shows_every_policy_whole(capsys):
-    command.show(made_report(by_thrust, names=("landing", "landing-robust", "landing-history")))
+    words.show(made_report(by_thrust, names=("landing", "landing-robust", "landing-history")))
     printed = capsys.readouterr().out
     assert "…" not in printed and max(map(len, printed.splitlines())) <= 120
     for name in ("landing-robust", "randomised, history 4", "second_order_attitude", "x 1.15"):
@@ -221,4 +221,4 @@ def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, sentence, tmp
 def test_policies_for_other_slopes_are_not_compared():
     flat = load_policy("landing", inclination=-0.2)
     with pytest.raises(UserError, match="platforms of different inclination"):
-        study.evaluate([load_policy("landing"), flat])
+        changes.evaluate({"landing": load_policy("landing"), "flat": flat})

@@ -8,7 +8,7 @@ import pytest
 
 from inclined_landing.envs.policy import SHIPPED, load_policy, locate, trained_for
 from inclined_landing.eval.moving import controllers
-from inclined_landing.eval.moving.command import vehicle_flown
+from inclined_landing.eval.moving.controllers import vehicle_flown
 from inclined_landing.eval.moving.flying import fly
 from inclined_landing.eval.moving.scenario import read_scenario
 from inclined_landing.eval.policies.success import evaluate

@@ -9,7 +9,7 @@ from inclined_landing.envs.policy import SHIPPED, load_policy
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.export import contract
 from inclined_landing.eval.export.network import Network
-from inclined_landing.eval.policies.slopes.study import evaluate
+from inclined_landing.eval.robustness.slopes import evaluate
 
 NAMES = [name for name in SHIPPED if load_policy(name).task.table == "slopes"]
 
@@ -17,7 +17,7 @@ NAMES = [name for name in SHIPPED if load_policy(name).task.table == "slopes"]
 def test_curve_and_table_of_a_policy(tmp_path, capsys):
     out = tmp_path / "slopes"
     options = ["--plant", "analytic", "--every", "25", "--out", str(out)]
-    assert main(["slopes", "landing-slopes", "landing", *options]) == 0
+    assert main(["robustness", "landing-slopes", "landing", *options, "--over", "slopes"]) == 0
     text = capsys.readouterr().out
     assert "landing-slopes" in text and "alone" in text
     report = json.loads((out / "slopes.json").read_text())
@@ -30,8 +30,8 @@ def test_curve_and_table_of_a_policy(tmp_path, capsys):
 
 def test_map_of_a_policy_in_space(tmp_path):
     """Also where a cell has no flight at all."""
-    out = tmp_path / "slopes"
-    assert main(["slopes", "landing-3d", "--plant", "analytic", "--every", "25", "--out", str(out)]) == 0
+    out, options = tmp_path / "slopes", ["--over=slopes", "--plant", "analytic", "--every", "25"]
+    assert main(["robustness", "landing-3d", *options, "--out", str(out)]) == 0
     entry = json.loads((out / "slopes.json").read_text())["policies"][0]
     counted = sum(cell["of"] for row in entry["cells"] for cell in row)
     assert counted == entry["all"]["strict"]["of"] == entry["any_heading"]["strict"]["of"] == 44
@@ -39,9 +39,10 @@ def test_map_of_a_policy_in_space(tmp_path):
 
 
 def test_each_policy_stands_under_its_own_name(tmp_path, capsys):
-    assert main(["slopes", "landing", "landing", "--out", str(tmp_path / "a")]) == 2
-    assert "same name" in capsys.readouterr().err
-    assert main(["slopes", "setpoint", "--out", str(tmp_path / "a")]) == 2
+    options = ["--over", "slopes", "--out", str(tmp_path / "a")]
+    assert main(["robustness", "landing", "landing", *options]) == 2
+    assert "named twice" in capsys.readouterr().err
+    assert main(["robustness", "setpoint", *options]) == 2
     assert "not for landing" in capsys.readouterr().err and not list(tmp_path.iterdir())
 
 

@@ -13,7 +13,7 @@ from inclined_landing.envs.tasks import Moment, make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
 from inclined_landing.eval.base import statistics
-from inclined_landing.eval.policies import judges, motors_cut, success, success_effects, success_table
+from inclined_landing.eval.policies import judges, motors_cut, success, success_table
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ
 from inclined_landing.models.effects import LIBRARY
@@ -258,14 +258,14 @@ def test_setpoint_report_of_a_policy_that_hovers():
 def few(monkeypatch):
     """Three effects and ten starts of the grid."""
     names = ("thrust_scale", "motor_lag", "platform_tilt")
-    monkeypatch.setattr(success_effects, "LIBRARY", {name: LIBRARY[name] for name in names})
+    monkeypatch.setattr(success, "LIBRARY", {name: LIBRARY[name] for name in names})
     grid = landing_starts.grid()[::25]
     monkeypatch.setattr(landing_starts, "grid", lambda: grid)
 
 
 def test_effects_report_of_a_policy_that_hovers(landing, few, capsys):
     """It hangs where it starts, unless the thrust is another; the start keeps its load under another lag."""
-    report = success_effects.evaluate(Constant(landing, 0.0, 0.0), plant="mujoco")
+    report = success.evaluate_effects(Constant(landing, 0.0, 0.0), plant="mujoco")
     none, weak, slow, tilted = report["effects"]
     assert [row["effect"] for row in report["effects"]] == [
         "none",
@@ -291,14 +291,14 @@ def test_a_tilted_platform_is_tilted_for_the_plant_alone(landing, few, monkeypat
         inclinations.append(flights[0].inclination)
         return flights
 
-    monkeypatch.setattr(success_effects, "record_flights", recorded)
-    success_effects.evaluate(Constant(landing, 0.0, 0.0), plant="analytic")
+    monkeypatch.setattr(success, "record_flights", recorded)
+    success.evaluate_effects(Constant(landing, 0.0, 0.0), plant="analytic")
     assert inclinations == pytest.approx([ALPHA, ALPHA, ALPHA, ALPHA + 0.05])
 
 
 def test_effects_report_of_a_setpoint_policy(few, capsys):
     task = make_task("setpoint", pwm_centre="hover")
-    report = success_effects.evaluate(Constant(task, 0.0, 0.0, 0.0), plant="analytic")
+    report = success.evaluate_effects(Constant(task, 0.0, 0.0, 0.0), plant="analytic")
     none, weak, _, _ = report["effects"]
     assert weak["error"]["mean"] > none["error"]["mean"] + 1.0
     success_table.show(report)

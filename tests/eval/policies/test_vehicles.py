@@ -6,8 +6,9 @@ import pytest
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.style import styled
-from inclined_landing.eval.policies.vehicles.figure import vehicles_figure
-from inclined_landing.eval.policies.vehicles.study import Entry, evaluate, parse_entry
+from inclined_landing.eval.robustness.entries import Entry, parse_entries, parse_entry
+from inclined_landing.eval.robustness.figures import vehicles_figure
+from inclined_landing.eval.robustness.vehicles import evaluate
 from inclined_landing.models.errors import UserError
 
 NAMED = ("crazyflie-2.1", "hummingbird")
@@ -38,6 +39,22 @@ def test_entries():
     ):
         with pytest.raises(UserError, match=sentence):
             parse_entry(wrong)
+
+
+def test_runs_are_called_by_their_folders_and_files_told_apart(tmp_path):
+    for name in "ab":
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "final.zip").touch()
+    one, other = tmp_path / "a", tmp_path / "b/final.zip"
+    assert [entry.label for entry in parse_entries([str(one), str(other), "landing"])] == [
+        "a",
+        "final",
+        "landing",
+    ]
+    files = [str(one / "final.zip"), str(other)]
+    assert [entry.label for entry in parse_entries(files)] == ["a/final", "b/final"]
+    with pytest.raises(UserError, match="policy landing is named twice"):
+        parse_entries(["landing", "landing"])
 
 
 def test_every_policy_is_counted_on_every_vehicle_it_is_for(report):
@@ -72,9 +89,14 @@ def test_the_figure_shows_them(report):
 
 def test_the_command_writes_a_whole_folder(tmp_path, capsys):
     words = ["landing", "--vehicle", "crazyflie-2.0", "--draws", "0", "--plant", "analytic"]
-    assert cli.main(["vehicles", *words, "--out", str(tmp_path / "out")]) == 0
+    assert cli.main(["robustness", *words, "--over=vehicles", "--out", str(tmp_path / "out")]) == 0
     assert "crazyflie-2.0" in capsys.readouterr().out
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"vehicles.json", "vehicles.png"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "index.html",
+        "vehicles.json",
+        "vehicles.pdf",
+        "vehicles.png",
+    }
     assert json.loads((tmp_path / "out/vehicles.json").read_text())["draws"] is None
 
 
@@ -89,6 +111,6 @@ def test_the_command_writes_a_whole_folder(tmp_path, capsys):
     ([], "name at least one policy"),
 ])  # fmt: skip
 def test_wrong_input_is_one_sentence_and_writes_nothing(words, sentence, tmp_path, capsys):
-    assert cli.main(["vehicles", *words, "--out", str(tmp_path / "out")]) == 2
+    assert cli.main(["robustness", *words, "--over=vehicles", "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr()
     assert sentence in said.err and not said.out and not (tmp_path / "out").exists()

@@ -123,7 +123,7 @@ def test_a_made_up_bounce_is_found_and_fitted(tmp_path):
 def test_the_page_is_written(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(command, "FINDINGS", {k: laws.FINDINGS[k] for k in ("slip", "parts")})
     out = tmp_path / "page"
-    assert main(["contact-truth", "--out", str(out), "--friction", "0.6"]) == 0
+    assert main(["validate", "contact", "--out", str(out), "--friction", "0.6"]) == 0
     assert sorted(p.name for p in out.iterdir()) == ["contact.html", "contact.json", "slip.png"]
     saved = json.loads((out / "contact.json").read_text())
     assert set(saved["findings"]) == {"setting", "slip", "parts"}
@@ -142,7 +142,7 @@ def test_the_page_is_written(tmp_path, monkeypatch, capsys):
 ])  # fmt: skip
 def test_wrong_input_is_one_sentence_and_writes_nothing(options, sentence, tmp_path, capsys):
     out = tmp_path / "page"
-    assert main(["contact-truth", "--out", str(out), *options]) == 2
+    assert main(["validate", "contact", "--out", str(out), *options]) == 2
     error = capsys.readouterr().err
     assert error.startswith("landing-eval: ") and sentence in error and error.count("\n") == 1
     assert not out.exists()
@@ -162,6 +162,6 @@ def test_folders_that_hold_no_flights_are_refused(tmp_path):
 
 def test_an_existing_page_is_not_overwritten(tmp_path, capsys):
     (tmp_path / "contact.html").write_text("mine")
-    assert main(["contact-truth", "--out", str(tmp_path)]) == 2
+    assert main(["validate", "contact", "--out", str(tmp_path)]) == 2
     assert "exists and is not empty" in capsys.readouterr().err
     assert (tmp_path / "contact.html").read_text() == "mine"

@@ -213,7 +213,7 @@ def test_numbers_as_people_write_them():
 @pytest.fixture(scope="module")
 def quick_run(tmp_path_factory):
     out = tmp_path_factory.mktemp("equivalence") / "run"
-    return cli.main(["equivalence", "--out", str(out), "--quick", "--seed", "5"]), out
+    return cli.main(["validate", "equivalence", "--out", str(out), "--quick", "--seed", "5"]), out
 
 
 @pytest.mark.slow
@@ -240,7 +240,7 @@ def test_failing_claims_give_exit_code_1(tmp_path, capsys, monkeypatch, quick_ru
     section = report.Section("levels", "Levels", ["Text."], [failing])
     monkeypatch.setattr(report, "measure", lambda *_, **__: ([section], {}))
     monkeypatch.setattr(report, "headlines", lambda sections: [])
-    assert cli.main(["equivalence", "--out", str(tmp_path / "run")]) == 1
+    assert cli.main(["validate", "equivalence", "--out", str(tmp_path / "run")]) == 1
     assert "fails: water is dry: 1 m, tolerance at most 0" in capsys.readouterr().out
     assert "1 of 1 claims fail" in (tmp_path / "run" / "report.html").read_text()
 
@@ -252,7 +252,7 @@ def test_failing_claims_give_exit_code_1(tmp_path, capsys, monkeypatch, quick_ru
 ])  # fmt: skip
 def test_wrong_input_is_one_sentence(arguments, sentence, tmp_path, capsys):
     out = tmp_path / "run"
-    assert cli.main(["equivalence", "--out", str(out), *arguments]) == 2
+    assert cli.main(["validate", "equivalence", "--out", str(out), *arguments]) == 2
     error = capsys.readouterr().err
     assert sentence in error and error.count("\n") == 1
     assert not out.exists()
@@ -260,6 +260,6 @@ def test_wrong_input_is_one_sentence(arguments, sentence, tmp_path, capsys):
 
 def test_a_used_folder_is_refused_before_any_work(tmp_path, capsys):
     (tmp_path / "kept.txt").write_text("kept")
-    assert cli.main(["equivalence", "--out", str(tmp_path)]) == 2
+    assert cli.main(["validate", "equivalence", "--out", str(tmp_path)]) == 2
     assert "exists and is not empty" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["kept.txt"]

@@ -1,1 +1,0 @@
-"""What a policy that observes the slope is worth on every one: `command` < `figures` < `study`."""

@@ -1,1 +1,0 @@
-"""Landing policies on other quadrotors: `landing-eval vehicles`."""
