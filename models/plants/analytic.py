@@ -93,5 +93,5 @@ class AnalyticPlant(Plant):
 
     def _advance(self, commands: np.ndarray, dt: float, substeps: int, push: np.ndarray) -> None:
         rate_loop = self.attitude == "rate_loop"
-        vehicles = self.state, commands, self._ambient, self._constants, self.perturbation
-        equations.advance(*vehicles, rate_loop, dt, substeps, push)
+        conditions = equations.Conditions(self._constants, self.perturbation, self._ambient, push)
+        equations.advance(self.state, commands, conditions, rate_loop, dt, substeps)

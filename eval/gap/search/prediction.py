@@ -11,12 +11,14 @@ held between rows and averaged exactly over each step, which makes delays differ
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
 from inclined_landing.models.attitude import PWM, euler_rates, tilted
 from inclined_landing.models.delays import averages
-from inclined_landing.models.equations import angle_steps, lag_step, pack, wrench, yaw_steps
+from inclined_landing.models.equations import Pose, angle_steps, lag_step, pack, wrench, yaw_steps
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import NEUTRAL
 
@@ -75,14 +77,23 @@ def translated(flight, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     if any(tilt):
         attitude, rotation, _ = flight.levelled(tilt)
     out, twist = np.empty((flight.samples, 3)), np.zeros((flight.samples - 1, 3))
-    middle = (flight.middle_position, flight.middle_velocity, rotation, attitude)
-    _translate(*middle, pwm, flight.ambient, pack(vehicle), dt, out, twist)
+    measured = _Measured(flight.middle_position, flight.middle_velocity, rotation, attitude)
+    _translate(measured, pwm, flight.ambient, pack(vehicle), dt, out, twist)
     return out, twist
 
 
+class _Measured(NamedTuple):
+    """The measured motion in the middle of each of m steps."""
+
+    position: np.ndarray  # (m, 3) m
+    velocity: np.ndarray  # (m, 3) m/s
+    rotation: np.ndarray  # (m, 3, 3), body to world
+    attitude: np.ndarray  # (m, 3) roll, pitch, yaw, rad
+
+
 @numba.njit(cache=True, nogil=True)
-def _translate(position, velocity, attitude_matrix, attitude, pwm, ambient, vehicle, dt, out, twist):
-    """Positions from rest at zero into out, angular accelerations (roll, pitch, yaw) into twist."""
+def _translate(measured, pwm, ambient, vehicle, dt, out, twist):
+    """Write positions from rest at zero into out, angular accelerations (roll, pitch, yaw) into twist."""
     v, f = vehicle[0], np.zeros(5)
     lag = pwm[0] / v.thrust.lag_rate
     moved, speed = np.zeros(3), np.zeros(3)
@@ -90,8 +101,9 @@ def _translate(position, velocity, attitude_matrix, attitude, pwm, ambient, vehi
     for k in range(pwm.shape[0]):
         u = pwm[k]
         lag, mean = lag_step(lag, u, dt, v)
-        r = attitude_matrix[k]
-        wrench(position[k], velocity[k], r, mean, u, ambient[k], v, _NEUTRAL, f)
+        r, attitude = measured.rotation[k], measured.attitude[k]
+        wrench(Pose(measured.position[k], measured.velocity[k], r), mean, u, ambient[k], v, _NEUTRAL, f)
+        # a = R f/m - (0, 0, g); x += dt (v + dt/2 a), v += dt a
         for i in range(3):
             a = (r[i, 0] * f[0] + r[i, 1] * f[1] + r[i, 2] * f[2]) / v.body.mass
             if i == 2:
@@ -101,5 +113,5 @@ def _translate(position, velocity, attitude_matrix, attitude, pwm, ambient, vehi
             out[k + 1, i] = moved[i]
         if f[3] != 0.0 or f[4] != 0.0:
             twist[k, 0], twist[k, 1], twist[k, 2] = euler_rates(
-                attitude[k, 0], attitude[k, 1], f[3] / v.body.inertia[0], f[4] / v.body.inertia[1], 0.0
+                attitude[0], attitude[1], f[3] / v.body.inertia[0], f[4] / v.body.inertia[1], 0.0
             )
