@@ -77,33 +77,26 @@ class Conditions(NamedTuple):
     push: np.ndarray = STILL  # (n, 6) further acceleration [m/s2], torque [N m] in the world's axes; or STILL
 
 
-class Inputs(NamedTuple):
-    """What the derivative of one vehicle's state depends on beside the state."""
-
-    command: np.ndarray  # (4,)
-    ambient: np.ndarray  # (AMBIENT_SIZE,)
-    push: np.ndarray  # (1, 6) or (0, 6), the vehicle's row of `Conditions.push`
-    vehicle: np.void  # a record of `pack`
-    perturbation: np.ndarray  # (7,)
-    rate_loop: bool  # which attitude model
-
-
-class Pose(NamedTuple):
-    """Where one vehicle is, and how fast it moves."""
-
-    position: np.ndarray  # (3,) m
-    velocity: np.ndarray  # (3,) m/s, in the world
-    rotation: np.ndarray  # (3, 3), body to world
-
-
-class Workspace(NamedTuple):
-    """Working memory of `rk4`, from `workspace`."""
-
-    stage: np.ndarray  # (13,) integrated vector of a stage
-    total: np.ndarray  # (13,) weighted sum of the stages' derivatives
-    derivative: np.ndarray  # (13,)
-    rotation: np.ndarray  # (3, 3)
-    wrench: np.ndarray  # (5,) see `wrench`
+# One vehicle while it is integrated, as `rk4` takes it: a record, which unlike a tuple of arrays counts no
+# references.
+STEP = np.dtype(
+    [
+        ("y", float, _SIZE),  # integrated vector
+        ("command", float, 4),
+        ("ambient", float, AMBIENT_SIZE),
+        ("push", float, 6),  # further acceleration [m/s2] and torque [N m] in the world's axes
+        ("perturbation", float, 7),
+        ("torque_limits", float, 3),  # N m about the body's axes, of the rate loops
+        ("pushed", bool),  # whether there is a push
+        ("limited", bool),  # whether the torques are limited
+        ("rate_loop", bool),  # which attitude model
+        # Working memory: a stage's integrated vector, its derivative, weighted sum of the derivatives,
+        # attitude matrix, force and torque.
+        *(("stage", float, _SIZE), ("derivative", float, _SIZE), ("total", float, _SIZE)),
+        *(("rotation", float, (3, 3)), ("wrench", float, 5)),
+    ],
+    align=True,
+)
 
 
 @functools.cache
@@ -409,14 +402,14 @@ def ground_effect(position, r, thrust, inclination, present, azimuth, v):
 
 
 @numba.njit(cache=True, inline="always")
-def wrench(pose, lag, pwm, ambient, v, p, out):
+def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
     """Write force (3,) [N] and torque (x, y) [N m] in the body frame, without gravity, into `out` (5,).
 
-    pose: a `Pose`; lag state and PWM, ambient (AMBIENT_SIZE,), vehicle v and perturbation p (7,).
+    position, velocity (3,) in the world, attitude r (3, 3), lag state and PWM, ambient (AMBIENT_SIZE,), vehicle
+    v and perturbation p (7,).
     """
-    r = pose.rotation
     thrust = total_thrust(lag, pwm, v, p)
-    ax, ay, az = pose.velocity[0], pose.velocity[1], pose.velocity[2]  # through the air
+    ax, ay, az = velocity[0], velocity[1], velocity[2]
     out[3] = out[4] = 0.0
     if v.any_effect != 0.0:
         thrust = powered_thrust(thrust, lag, ambient[TIME], ambient[VOLTAGE], v)
@@ -435,7 +428,7 @@ def wrench(pose, lag, pwm, ambient, v, p, out):
         thrust *= lift * max(0.0, 1.0 - v.effects.axial_inflow * bz)
         if v.effects.ground_effect != 0.0:
             extra, out[3], out[4] = ground_effect(
-                pose.position, r, thrust, ambient[INCLINATION], ambient[PRESENT], ambient[AZIMUTH], v
+                position, r, thrust, ambient[INCLINATION], ambient[PRESENT], ambient[AZIMUTH], v
             )
             thrust += extra
         # Thrust beside the centre of mass: tau = (-c_y F, c_x F)
@@ -472,14 +465,9 @@ def _saturations(y, dy, v, limits):
 
 
 @numba.njit(cache=True)
-def _derivative(y, inputs, torque_limits, work):
-    """Write dy/dt of the integrated vector y (13,) into `work.derivative`.
-
-    inputs: an `Inputs`; torque_limits (3,) [N m] about the body's axes, of the rate loops, or None.
-    """
-    u, v, p, push = inputs.command, inputs.vehicle, inputs.perturbation, inputs.push
-    dy, r, f = work.derivative, work.rotation, work.wrench
-    pushed = len(push) > 0
+def _derivative(y, s, v):
+    """Write dy/dt of an integrated vector y (13,) into `s.derivative`; s: a STEP, v: the vehicle's record."""
+    u, p, push, dy, r, f = s.command, s.perturbation, s.push, s.derivative, s.rotation, s.wrench
     # R = Rz(psi) Rx(phi) Ry(theta)
     sr, cr = math.sin(y[_PHI]), math.cos(y[_PHI])
     sp, cp = math.sin(y[_THETA]), math.cos(y[_THETA])
@@ -487,19 +475,19 @@ def _derivative(y, inputs, torque_limits, work):
     r[0, 0], r[0, 1], r[0, 2] = cy * cp - sy * sr * sp, -sy * cr, cy * sp + sy * sr * cp
     r[1, 0], r[1, 1], r[1, 2] = sy * cp + cy * sr * sp, cy * cr, sy * sp - cy * sr * cp
     r[2, 0], r[2, 1], r[2, 2] = -cr * sp, sr, cr * cp
-    wrench(Pose(y[:3], y[VX : VZ + 1], r), y[_OMEGA], u[PWM], inputs.ambient, v, p, f)
+    wrench(y[:3], y[VX : VZ + 1], r, y[_OMEGA], u[PWM], s.ambient, v, p, f)
     # dx/dt = v, dv/dt = R f/m + push - (0, 0, g)
     mass = v.body.mass * p[MASS_SCALE]
     for k in range(3):
         dy[k] = y[VX + k]
         dy[VX + k] = (r[k, 0] * f[0] + r[k, 1] * f[1] + r[k, 2] * f[2]) / mass
-        if pushed:
-            dy[VX + k] += push[0, k]
+        if s.pushed:
+            dy[VX + k] += push[k]
     dy[VZ] -= v.environment.gravity
     dy[_OMEGA] = lag_derivative(y[_OMEGA], u[PWM], v, p)
     roll, pitch = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
     roll_rate, pitch_rate, yaw_rate = loop_rates(roll, pitch, u, v, p)  # commanded
-    if inputs.rate_loop:
+    if s.rate_loop:
         phid, thetad, psid = y[_RATES], y[_RATES + 1], y[_RATES + 2]
         tau = v.attitude.time_constant * p[TIME_CONSTANT_SCALE]
         dy[_PHI], dy[_THETA], dy[_PSI] = phid, thetad, psid
@@ -508,13 +496,13 @@ def _derivative(y, inputs, torque_limits, work):
         dy[_RATES + 1] = rate_loop_acceleration(pitch_rate, thetad, bandwidth, tau, damping)
         dy[_RATES + 2] = v.attitude.yaw_bandwidth * (yaw_rate - psid)
         tx, ty, tz = f[3], f[4], 0.0
-        if torque_limits is not None:
-            over_x, over_y, over_z = _saturations(y, dy, v, torque_limits)
+        if s.limited:
+            over_x, over_y, over_z = _saturations(y, dy, v, s.torque_limits)
             tx, ty, tz = tx + over_x, ty + over_y, tz + over_z
-        if pushed:  # its torque along the body's axes: R^T tau
-            tx += r[0, 0] * push[0, 3] + r[1, 0] * push[0, 4] + r[2, 0] * push[0, 5]
-            ty += r[0, 1] * push[0, 3] + r[1, 1] * push[0, 4] + r[2, 1] * push[0, 5]
-            tz += r[0, 2] * push[0, 3] + r[1, 2] * push[0, 4] + r[2, 2] * push[0, 5]
+        if s.pushed:  # its torque along the body's axes: R^T tau
+            tx += r[0, 0] * push[3] + r[1, 0] * push[4] + r[2, 0] * push[5]
+            ty += r[0, 1] * push[3] + r[1, 1] * push[4] + r[2, 1] * push[5]
+            tz += r[0, 2] * push[3] + r[1, 2] * push[4] + r[2, 2] * push[5]
         if tx != 0.0 or ty != 0.0 or tz != 0.0:
             # d2(phi, theta, psi)/dt2 += E(phi, theta) J^-1 tau, E: Euler rates from body rates
             j = v.body.inertia
@@ -531,12 +519,6 @@ def free_air(n: int) -> np.ndarray:
     ambient = np.zeros((n, AMBIENT_SIZE))
     ambient[:, VOLTAGE] = np.nan
     return ambient
-
-
-@numba.njit(cache=True)
-def workspace():
-    """Return working memory for `rk4`."""
-    return Workspace(np.zeros(_SIZE), np.zeros(_SIZE), np.zeros(_SIZE), np.empty((3, 3)), np.zeros(5))
 
 
 @numba.njit(cache=True, inline="always")
@@ -558,32 +540,51 @@ def unpack_state(y, s):
 
 
 @numba.njit(cache=True)
-def rk4(y, inputs, torque_limits, dt, work):
-    """Advance an integrated vector y (13,), and the time of its ambient conditions, in place by `dt` [s].
-
-    inputs, torque_limits: see `_derivative`; work: from `workspace`.
-    """
+def rk4(s, v, dt):
+    """Advance a STEP, its integrated vector and its time, in place by `dt` [s]; v: the vehicle's record."""
     # k1 = f(y), k2 = f(y + dt/2 k1), k3 = f(y + dt/2 k2), k4 = f(y + dt k3)
-    z, total, k, time = work.stage, work.total, work.derivative, inputs.ambient
-    size = _SIZE if inputs.rate_loop else _RATES
-    _derivative(y, inputs, torque_limits, work)
+    y, z, k, total = s.y, s.stage, s.derivative, s.total
+    size = _SIZE if s.rate_loop else _RATES
+    _derivative(y, s, v)
     for j in range(size):
         total[j] = k[j]
         z[j] = y[j] + 0.5 * dt * k[j]
-    time[TIME] += 0.5 * dt
-    _derivative(z, inputs, torque_limits, work)
+    s.ambient[TIME] += 0.5 * dt
+    _derivative(z, s, v)
     for j in range(size):
         total[j] += 2.0 * k[j]
         z[j] = y[j] + 0.5 * dt * k[j]
-    _derivative(z, inputs, torque_limits, work)
+    _derivative(z, s, v)
     for j in range(size):
         total[j] += 2.0 * k[j]
         z[j] = y[j] + dt * k[j]
-    time[TIME] += 0.5 * dt
-    _derivative(z, inputs, torque_limits, work)
+    s.ambient[TIME] += 0.5 * dt
+    _derivative(z, s, v)
     # y <- y + dt/6 (k1 + 2 k2 + 2 k3 + k4)
     for j in range(size):
         y[j] += dt / 6.0 * (total[j] + k[j])
+
+
+@numba.njit(cache=True)
+def disturb(s, perturbation, push, i):
+    """Write the rows of vehicle i of perturbation (n, 7) and push (n, 6), or STILL, into a STEP."""
+    for k in range(7):
+        s.perturbation[k] = perturbation[i, k]
+    s.pushed = len(push) > 0
+    for k in range(6 if s.pushed else 0):
+        s.push[k] = push[i, k]
+
+
+@numba.njit(cache=True)
+def _begin(s, state, command, conditions, i, rate_loop):
+    """Write state (13,), command (4,) and conditions of vehicle i into a STEP, with unlimited torques."""
+    pack_state(state, s.y)
+    for k in range(4):
+        s.command[k] = command[k]
+    for k in range(AMBIENT_SIZE):
+        s.ambient[k] = conditions.ambient[i, k]
+    disturb(s, conditions.perturbation, conditions.push, i)
+    s.rate_loop, s.limited = rate_loop, False
 
 
 @numba.njit(cache=True)
@@ -594,17 +595,28 @@ def advance(state, commands, conditions, rate_loop, dt, substeps):
     rate_loop: which attitude model. With the kinematic model the body rates in the state are those of the
     first-order loops at the end of the step, and torques have no effect.
     """
-    vehicle, y, work = conditions.vehicle, np.zeros(_SIZE), workspace()
+    steps = np.zeros(1, STEP)
     for i in range(state.shape[0]):
-        v, p, u = vehicle[i if len(vehicle) > 1 else 0], conditions.perturbation[i], commands[i]
-        inputs = Inputs(u, conditions.ambient[i], conditions.push[i : i + 1], v, p, rate_loop)
-        pack_state(state[i], y)
+        s, v = steps[0], conditions.vehicle[i if len(conditions.vehicle) > 1 else 0]
+        _begin(s, state[i], commands[i], conditions, i, rate_loop)
         for _ in range(substeps):
-            rk4(y, inputs, None, dt, work)
+            rk4(s, v, dt)
+        y = s.y
         if not rate_loop:
             roll, pitch = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
-            y[_RATES], y[_RATES + 1], y[_RATES + 2] = loop_rates(roll, pitch, u, v, p)
+            y[_RATES], y[_RATES + 1], y[_RATES + 2] = loop_rates(roll, pitch, s.command, v, s.perturbation)
         unpack_state(y, state[i])
+        conditions.ambient[i, TIME] = s.ambient[TIME]
+
+
+@numba.njit(cache=True)
+def _derivatives(state, command, conditions, rate_loop):
+    """Return dy/dt (13,) of the integrated vector of one vehicle."""
+    steps = np.zeros(1, STEP)
+    s = steps[0]
+    _begin(s, state, command, conditions, 0, rate_loop)
+    _derivative(s.y, s, conditions.vehicle[0])
+    return steps[0].derivative.copy()
 
 
 def derivative(
@@ -615,12 +627,8 @@ def derivative(
     state (13,), command (4,). The dict has `acceleration` (3,) [m/s2], `euler_rates` (3,) [rad/s],
     `lag_rate` [PWM] and, for the rate loop, `euler_accelerations` (3,) [rad/s2].
     """
-    y, work, p = np.zeros(_SIZE), workspace(), np.array(NEUTRAL)
-    pack_state(np.asarray(state, float), y)
-    ambient, v = free_air(1)[0], pack(vehicle)[0]
-    inputs = Inputs(np.asarray(command, float), ambient, STILL, v, p, bool(rate_loop))
-    _derivative(y, inputs, None, work)
-    dy = work.derivative
+    conditions = Conditions(pack(vehicle), np.array([NEUTRAL]), free_air(1))
+    dy = _derivatives(np.asarray(state, float), np.asarray(command, float), conditions, bool(rate_loop))
     result: dict[str, np.ndarray | float] = {
         "acceleration": dy[VX : VZ + 1].copy(),
         "euler_rates": dy[_PHI : _PSI + 1].copy(),

@@ -244,7 +244,7 @@ def _pushed(position, velocity, rotation, pwm, lag, ambient, vehicle, dt, moved,
         for k in range(pwm.shape[1]):
             state, mean = equations.lag_step(state, pwm[i, k], dt, v)
             r = rotation[i, k]
-            equations.wrench(equations.Pose(x, u, r), mean, pwm[i, k], ambient[i, k], v, none, f)
+            equations.wrench(x, u, r, mean, pwm[i, k], ambient[i, k], v, none, f)
             for j in range(3):
                 a = (r[j, 0] * f[0] + r[j, 1] * f[1] + r[j, 2] * f[2]) / v.body.mass
                 if j == 2:

@@ -173,8 +173,7 @@ def _fly(ids, period, vehicles, platforms, engine, results):
     others are what it would have made of them, without a warm start of its solver, which had no contact.
     """
     dt, substeps, held = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
-    moving, y, u, work = len(period.deck_speed) > 0, np.zeros(13), np.empty(4), equations.workspace()
-    ambient, torque_limits = np.empty(equations.AMBIENT_SIZE), np.empty(3)
+    moving, steps = len(period.deck_speed) > 0, np.zeros(1, equations.STEP)
     poses = np.empty((len(platforms.bodies), 3))
     boxes, sizes = vehicles.fleet.box_centres, vehicles.fleet.box_sizes
     count = 0
@@ -182,7 +181,10 @@ def _fly(ids, period, vehicles, platforms, engine, results):
         i = ids[row]
         d, present = platforms.deck[i], platforms.present[i]
         v = vehicles.constants[i if len(vehicles.constants) > 1 else 0]
-        inputs = equations.Inputs(u, ambient, period.push[i : i + 1], v, vehicles.perturbation[i], True)
+        s = steps[0]
+        y, u, ambient, torque_limits = s.y, s.command, s.ambient, s.torque_limits
+        s.rate_loop = s.limited = True
+        equations.disturb(s, vehicles.perturbation, period.push, i)
         for k in range(3):
             torque_limits[k] = v.attitude.yaw_torque_limit if k == 2 else v.attitude.torque_limit
             if not vehicles.torque_limited:
@@ -219,7 +221,7 @@ def _fly(ids, period, vehicles, platforms, engine, results):
             out_of_reach = spare > dt * before and _as_exact(y, dt)
             if not out_of_reach:
                 break
-            equations.rk4(y, inputs, torque_limits, dt, work)
+            equations.rk4(s, v, dt)
             after = math.sqrt(y[VX] ** 2 + y[VX + 1] ** 2 + y[VZ] ** 2)
             change = math.sqrt((y[VX] - vx) ** 2 + (y[VX + 1] - vy) ** 2 + (y[VZ] - vz) ** 2)
             out_of_reach = spare > dt * (max(before, after) + change)

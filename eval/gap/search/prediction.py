@@ -18,7 +18,7 @@ import numpy as np
 
 from inclined_landing.models.attitude import PWM, euler_rates, tilted
 from inclined_landing.models.delays import averages
-from inclined_landing.models.equations import Pose, angle_steps, lag_step, pack, wrench, yaw_steps
+from inclined_landing.models.equations import angle_steps, lag_step, pack, wrench, yaw_steps
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import NEUTRAL
 
@@ -94,6 +94,7 @@ class _Measured(NamedTuple):
 @numba.njit(cache=True, nogil=True)
 def _translate(measured, pwm, ambient, vehicle, dt, out, twist):
     """Write positions from rest at zero into out, angular accelerations (roll, pitch, yaw) into twist."""
+    position, velocity, rotation, attitude = measured
     v, f = vehicle[0], np.zeros(5)
     lag = pwm[0] / v.thrust.lag_rate
     moved, speed = np.zeros(3), np.zeros(3)
@@ -101,8 +102,8 @@ def _translate(measured, pwm, ambient, vehicle, dt, out, twist):
     for k in range(pwm.shape[0]):
         u = pwm[k]
         lag, mean = lag_step(lag, u, dt, v)
-        r, attitude = measured.rotation[k], measured.attitude[k]
-        wrench(Pose(measured.position[k], measured.velocity[k], r), mean, u, ambient[k], v, _NEUTRAL, f)
+        r = rotation[k]
+        wrench(position[k], velocity[k], r, mean, u, ambient[k], v, _NEUTRAL, f)
         # a = R f/m - (0, 0, g); x += dt (v + dt/2 a), v += dt a
         for i in range(3):
             a = (r[i, 0] * f[0] + r[i, 1] * f[1] + r[i, 2] * f[2]) / v.body.mass
@@ -113,5 +114,5 @@ def _translate(measured, pwm, ambient, vehicle, dt, out, twist):
             out[k + 1, i] = moved[i]
         if f[3] != 0.0 or f[4] != 0.0:
             twist[k, 0], twist[k, 1], twist[k, 2] = euler_rates(
-                attitude[0], attitude[1], f[3] / v.body.inertia[0], f[4] / v.body.inertia[1], 0.0
+                attitude[k, 0], attitude[k, 1], f[3] / v.body.inertia[0], f[4] / v.body.inertia[1], 0.0
             )
