@@ -405,8 +405,8 @@ def ground_effect(position, r, thrust, inclination, present, azimuth, v):
 def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
     """Write force (3,) [N] and torque (x, y) [N m] in the body frame, without gravity, into `out` (5,).
 
-    position, velocity (3,) in the world, attitude r (3, 3), lag state and PWM, ambient (AMBIENT_SIZE,), vehicle
-    v and perturbation p (7,).
+    position, velocity (3,) in the world, attitude r (3, 3), lag state and PWM, ambient (AMBIENT_SIZE,),
+    vehicle v and perturbation p (7,).
     """
     thrust = total_thrust(lag, pwm, v, p)
     ax, ay, az = velocity[0], velocity[1], velocity[2]
@@ -565,7 +565,7 @@ def rk4(s, v, dt):
         y[j] += dt / 6.0 * (total[j] + k[j])
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def disturb(s, perturbation, push, i):
     """Write the rows of vehicle i of perturbation (n, 7) and push (n, 6), or STILL, into a STEP."""
     for k in range(7):

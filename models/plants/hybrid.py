@@ -42,8 +42,7 @@ _MARGIN = 1e-3  # m
 _LARGEST_ANGLE = 1.2  # rad, of roll and pitch: cos(roll) is far from 0
 # In a time step; RK4 is then within _TURN^5/120 = 1e-7 rad of the true attitude.
 _TURN = 0.1  # rad
-# No moving decks, no delays in the engine: arrays all the same, so that one compiled kernel serves all.
-_NOTHING_MOVES, _NO_HISTORY = np.empty(0), np.empty((0, 0))
+_NOTHING_MOVES = np.empty(0)  # the type of `Decks.fastest`, so that one compiled kernel serves both
 _FIRST_RATE = 10  # entry of the integrated vector of `equations.pack_state`
 
 
@@ -90,7 +89,7 @@ class _Engine(NamedTuple):
     ctrl: np.ndarray  # (n, 4)
     time: np.ndarray  # (n,)
     warmstart: np.ndarray  # (n, nv)
-    history: np.ndarray  # (n, h) or _NO_HISTORY
+    history: np.ndarray  # (n, h)
     samples: np.ndarray  # (actuators,) length of each one's history
     addresses: np.ndarray  # (actuators,) where it begins
 
@@ -124,7 +123,8 @@ class HybridPlant(MujocoPlant):
         self._results = _Results(self.state, c.near, c.touch, c.force, self.in_engine, left)
         self._engine = _Engine(
             *(self._qpos, self._qvel, self._act, self._ctrl, self._time, self._warmstart),
-            _NO_HISTORY if self._history is None else self._history,
+            # Without one, which no actuator has then: memory of its layout, for one compiled kernel.
+            np.empty((self.n, 2))[:, :1] if self._history is None else self._history,
             model.actuator_history[:, 0],
             model.actuator_historyadr,
         )
@@ -250,13 +250,12 @@ def _write(i, s, substeps, dt, engine):
         qvel[i, k], qvel[i, 3 + k] = s[VX + k], s[9 + k]
     engine.act[i, 0] = s[12]
     for _ in range(substeps):
-        if len(engine.history) > 0:
-            _note(engine.history[i], engine.samples, engine.addresses, engine.ctrl[i], engine.time[i])
+        _note(engine.history[i], engine.samples, engine.addresses, engine.ctrl[i], engine.time[i])
         engine.time[i] += dt
     engine.warmstart[i] = 0.0
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def _note(history, samples, addresses, ctrl, time):
     """Write commands ctrl (4,) at a time [s] into the engine's history (h,) of the actuators that have one.
 
