@@ -11,6 +11,7 @@ import inspect
 import os
 import threading
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -136,6 +137,9 @@ class FastPPO(PPO):
     """
 
     threads = min(2, CORES)
+    policy_kwargs: dict[str, Any]
+    _last_obs: np.ndarray
+    _last_episode_starts: np.ndarray
 
     def _setup_model(self) -> None:
         given = self.policy_kwargs
