@@ -188,7 +188,7 @@ class Effect:
         return next((p for p in self.parameters if p.is_reference), None)
 
     def at_ends(self, value: float, reference: float) -> tuple[float, float]:
-        """Return sizes about the lowest and the highest reference that together equal one about `reference`."""
+        """Return sizes about the lowest and the highest reference that together equal this one."""
         share = self._towards(reference)
         return value * (1.0 - share), value * share
 

@@ -64,7 +64,7 @@ class Decks:
         joints = [model.joint(f"deck_{name}") for name in _JOINTS]
         dofs = np.array([int(joint.dofadr[0]) for joint in joints])
         self._joints = _Joints(
-            *(batch.bind(name) for name in ("qpos", "qvel", "qfrc_applied")),
+            *(batch.bind("qpos"), batch.bind("qvel"), batch.bind("qfrc_applied")),
             np.array([int(joint.qposadr[0]) for joint in joints]),
             dofs,
             float(model.dof_armature[dofs[0]]),
