@@ -9,12 +9,14 @@ that an action does not depend on how many others are computed with it.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 import re
 import shutil
 import zipfile
 from importlib import resources
 from pathlib import Path
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -45,6 +47,19 @@ _TRAINED_WITH = ("dimensions", "steepest", "fastest", "swell", "angle_limit")
 _LARGEST_TABLE = 10_000_000  # bytes of the header and of the stamp
 # Beyond, sums of products could overflow.
 _LARGEST_WEIGHT, _DEEPEST, _WIDEST = 1e6, 16, 8192
+
+
+class _Network(NamedTuple):
+    """A `Policy` as the compiled loop takes it; fields as there."""
+
+    centre: np.ndarray
+    scale: np.ndarray
+    limit: float
+    weights: tuple[np.ndarray, ...]
+    biases: tuple[np.ndarray, ...]
+    activation: int  # index into _ACTIVATIONS
+    squashed: bool
+    bound: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,11 +115,14 @@ class Policy:
                 f"policy {self.name} takes observations of {len(self.centre)} numbers, "
                 f"not an array of shape {observation.shape}"
             )
-        action = _forward(
-            rows, self.centre, self.scale, self.limit, self.weights, self.biases,
-            _ACTIVATIONS.index(self.activation), self.squashed, self.bound,
-        )  # fmt: skip
+        action = _forward(rows, self._network)
         return action[0] if observation.ndim == 1 else action
+
+    @functools.cached_property
+    def _network(self) -> _Network:
+        activation = _ACTIVATIONS.index(self.activation)
+        scaling = self.centre, self.scale, self.limit
+        return _Network(*scaling, self.weights, self.biases, activation, self.squashed, self.bound)
 
     def for_its_vehicle(self) -> Policy:
         """The same policy for its task's vehicle alone: what it is told of it is part of the network.
@@ -131,7 +149,9 @@ class Policy:
 
 
 @numba.njit(cache=True)
-def _forward(rows, centre, scale, limit, weights, biases, activation, squashed, bound):
+def _forward(rows, network):
+    """Return the actions (n, a) of observations (n, o)."""
+    centre, scale, limit, weights, biases, activation, squashed, bound = network
     widest = len(centre)
     for bias in biases:
         widest = max(widest, len(bias))
@@ -139,6 +159,7 @@ def _forward(rows, centre, scale, limit, weights, biases, activation, squashed, 
     x, y = np.empty(widest), np.empty(widest)
     for r in range(len(rows)):
         for i in range(len(centre)):
+            # x_0 = clip((o - centre)/scale), x_k+1 = activation(W_k x_k + b_k), the last layer without
             x[i] = min(limit, max(-limit, (rows[r, i] - centre[i]) / scale[i]))
         for k in range(len(weights)):
             w, b = weights[k], biases[k]

@@ -10,6 +10,9 @@ attitude matrix corrected (see `attitude.py`). Two attitude models:
 
 The named effects of the vehicle (`effects_...`; see `effects/`) are terms of the same equations, left
 out while all are neutral. Delays are not equations: the plant shifts the commands.
+
+Symbols of the comments: position x, velocity v, attitude matrix R (body to world), F_t total thrust, f and
+tau force and torque in the body frame, Omega state of the thrust lag, phi, theta, psi roll, pitch and yaw.
 """
 
 import dataclasses
@@ -17,6 +20,7 @@ import functools
 import math
 from collections.abc import Callable
 from operator import attrgetter
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -52,21 +56,52 @@ from inclined_landing.models.perturbation import (
 
 # The integrated vector: position, velocity, Euler angles, lag, Euler rates (rate loop only).
 _PHI, _THETA, _PSI, _OMEGA, _RATES, _SIZE = 6, 7, 8, 9, 10, 13
-# What a vehicle meets: time [s], battery voltage [V] (NaN: that of the vehicle file), inclination of the
-# platform [rad], whether it is there, and by what it is turned about the vertical [rad].
+# Columns of a vehicle's ambient conditions: time [s], battery voltage [V] (NaN: that of the vehicle file),
+# inclination of the platform [rad], whether it is there, its azimuth about the vertical [rad].
 AMBIENT_SIZE = 5
 TIME, VOLTAGE, INCLINATION, PRESENT, AZIMUTH = range(AMBIENT_SIZE)
-# Entries of [effects] that are no terms here: what other entries refer to, and what the plants do.
 STILL = np.empty((0, 6))  # no push; None would be another type, and compile everything once more
+# Entries of [effects] that are no terms here: what other entries refer to, and what the plants do.
 _NO_TERMS = frozenset(
     "battery_reference voltage_reference voltage_open voltage_drop voltage_discharge "
     "ground_fading thrust_delay attitude_delay mocap_tilt mocap_delay".split()
 )
 
 
+class Conditions(NamedTuple):
+    """What n vehicles fly under."""
+
+    vehicle: np.ndarray  # from `pack`: (1,) for all, or (n,) with a record for each
+    perturbation: np.ndarray  # (n, 7), see `perturbation.py`
+    ambient: np.ndarray  # (n, AMBIENT_SIZE); `advance` moves the time on
+    push: np.ndarray = STILL  # (n, 6) further acceleration [m/s2], torque [N m] in the world's axes; or STILL
+
+
+# One vehicle while it is integrated, as `rk4` takes it: a record, which unlike a tuple of arrays counts no
+# references.
+STEP = np.dtype(
+    [
+        ("y", float, _SIZE),  # integrated vector
+        ("command", float, 4),
+        ("ambient", float, AMBIENT_SIZE),
+        ("push", float, 6),  # further acceleration [m/s2] and torque [N m] in the world's axes
+        ("perturbation", float, 7),
+        ("torque_limits", float, 3),  # N m about the body's axes, of the rate loops
+        ("pushed", bool),  # whether there is a push
+        ("limited", bool),  # whether the torques are limited
+        ("rate_loop", bool),  # which attitude model
+        # Working memory: a stage's integrated vector, its derivative, weighted sum of the derivatives,
+        # attitude matrix, force and torque.
+        *(("stage", float, _SIZE), ("derivative", float, _SIZE), ("total", float, _SIZE)),
+        *(("rotation", float, (3, 3)), ("wrench", float, 5)),
+    ],
+    align=True,
+)
+
+
 @functools.cache
 def _layout() -> tuple[Callable, Callable, np.dtype]:
-    """What reads all values of a vehicle, what reads the terms of effects, the type of `pack`'s array."""
+    """Return getters of all values of a vehicle and of its effects' terms, and the type of `pack`'s array."""
     shipped = load_vehicle()
     tables: dict[str, list[tuple]] = {}
     for field in dataclasses.fields(Vehicle):
@@ -79,7 +114,7 @@ def _layout() -> tuple[Callable, Callable, np.dtype]:
 
 
 def pack(vehicle: Vehicle) -> np.ndarray:
-    """The vehicle as the kernels take it: (1,), a record `v` in which entry `b` of table `a` is `v.a.b`.
+    """Return the vehicle as the kernels take it: (1,), a record `v` whose entry `b` of table `a` is `v.a.b`.
 
     `v.any_effect` is 1 where any term beyond the paper's equations is not neutral, else 0. The names are
     part of the array's type, and so of a compiled kernel's signature.
@@ -94,9 +129,10 @@ def pack(vehicle: Vehicle) -> np.ndarray:
 
 @numba.njit(cache=True, inline="always")
 def rotor_speed_sum(thrust, v):
-    """Sum of rotor speeds [rad/s] at total thrust [N] through the static maps; 0 without thrust.
+    """Return the sum of the rotor speeds [rad/s] at a total thrust [N], 0 without thrust.
 
-    Below the force that the map gives at PWM 0 the sum goes linearly to zero.
+    From the static maps of one motor, force a PWM^2 + b PWM + c and speed d PWM + e. Below the force c at
+    PWM 0 the sum goes linearly to zero.
     """
     motors = v.motor.count
     to_force, to_speed = v.motor.pwm_to_force, v.motor.pwm_to_speed
@@ -107,19 +143,21 @@ def rotor_speed_sum(thrust, v):
         return 0.0
     if force < idle_force:
         return motors * idle_speed * force / idle_force
+    # a PWM^2 + b PWM + c = F_t / motors, solved for PWM; sum = motors (d PWM + e)
     pwm = (-linear + math.sqrt(linear * linear + 4.0 * quadratic * (force - idle_force))) / (2.0 * quadratic)
     return motors * (slope * pwm + idle_speed)
 
 
 @numba.njit(cache=True, inline="always")
 def total_thrust(lag, pwm, v, p):
-    """Total thrust F_t [N] from the lag state and the PWM command."""
+    """Return the total thrust F_t [N] at a lag state [PWM s] and a PWM command."""
+    # F_t = scale (c_Omega Omega + c_PWM PWM) + bias
     return p[THRUST_SCALE] * (v.thrust.state_gain * lag + v.thrust.direct_gain * pwm) + p[THRUST_BIAS]
 
 
 @numba.njit(cache=True, inline="always")
-def held_angles(roll, pitch, yaw, vx, vy, vz, v):
-    """Roll and pitch [rad] as the onboard estimate has them, at a velocity [m/s] in the world."""
+def estimated_angles(roll, pitch, yaw, vx, vy, vz, v):
+    """Return roll and pitch [rad] of the onboard estimate at a velocity [m/s] in the world."""
     lean = v.effects.estimator_lean
     if lean == 0.0:
         return roll, pitch
@@ -128,15 +166,17 @@ def held_angles(roll, pitch, yaw, vx, vy, vz, v):
     sy, cy = math.sin(yaw), math.cos(yaw)
     forward = (cy * cp - sy * sr * sp) * vx + (sy * cp + cy * sr * sp) * vy - cr * sp * vz
     left = -sy * cr * vx + cy * cr * vy + sr * vz
+    # phi_e = phi + lean v_left, theta_e = theta - lean v_forward, (v_forward, v_left, .) = R^T v
     return roll + lean * left, pitch - lean * forward
 
 
 @numba.njit(cache=True, inline="always")
 def loop_rates(roll, pitch, u, v, p):
-    """Euler rates [rad/s] of the paper's first-order loops at (roll, pitch) under command u (4,).
+    """Return the Euler rates [rad/s] of the paper's first-order loops under a command u (4,).
 
-    roll, pitch: those of the onboard estimate (`held_angles`).
+    roll, pitch: those of the onboard estimate (`estimated_angles`).
     """
+    # dphi/dt = (k (phi_c + trim) - phi_e)/tau, theta alike; dpsi/dt = k_psi r_c + drift
     gain, tau = v.attitude.gain * p[GAIN_SCALE], v.attitude.time_constant * p[TIME_CONSTANT_SCALE]
     return (
         (gain * (u[ROLL_COMMAND] + v.effects.attitude_trim[0]) - roll) / tau,
@@ -146,23 +186,28 @@ def loop_rates(roll, pitch, u, v, p):
 
 
 @numba.njit(cache=True, inline="always")
-def rate_loop_acceleration(rate_wanted, rate, bandwidth, tau, damping):
-    """Angular acceleration [rad/s2] of the loop whose poles are -1/tau and -bandwidth, with damping 1."""
+def rate_loop_acceleration(commanded_rate, rate, bandwidth, tau, damping):
+    """Return the angular acceleration [rad/s2] of the loop whose poles are -1/tau and -B with damping 1."""
+    # d2phi/dt2 = B (rate_c - rate) - rate/tau - (damping - 1) (B + 1/tau) rate
     beyond = (damping - 1.0) * (bandwidth + 1.0 / tau)
-    return bandwidth * (rate_wanted - rate) - rate / tau - beyond * rate
+    return bandwidth * (commanded_rate - rate) - rate / tau - beyond * rate
 
 
 @numba.njit(cache=True, nogil=True)
 def angle_steps(axis, command, twist, start, dt, vehicle):
-    """Angle (m + 1,) [rad] of the roll (axis 0) or pitch (1) loop from rest at `start`: the exact solution.
+    """Return the angle (m + 1,) [rad] of the roll (axis 0) or pitch (1) loop, solved exactly.
 
-    command (m,) [rad] and twist (m,) further angular accelerations [rad/s2], held for `dt` [s] each.
+    The loop starts at rest at `start` [rad]. command (m,) [rad] and twist (m,) further angular accelerations
+    [rad/s2] are held for `dt` [s] each.
     """
     v = vehicle[0]
     a, b = 1.0 / v.attitude.time_constant, v.attitude.bandwidth
     gain, trim = v.attitude.gain, v.effects.attitude_trim[axis]
-    # The poles lie `half` to either side of -mean. From (angle, rate) off rest to the next:
-    # drive = exp(-mean dt) sinh(half dt)/half, or sin where they are complex.
+    # a = 1/tau, b = B: x'' = a b (rest - x) - damping (a + b) x', rest = k (command + trim) + twist/(a b).
+    # Poles -mean +- half. Off the rest, e = x - rest, over one step:
+    #   e   <- stay e + drive x',          stay = exp(-mean dt) cosh(half dt) + mean drive
+    #   x'  <- (stay - 2 mean drive) x' - a b drive e,   drive = exp(-mean dt) sinh(half dt)/half
+    # with cos and sin of |half| dt where the poles are complex.
     mean = 0.5 * v.attitude.damping * (a + b)
     square = mean * mean - a * b
     half = math.sqrt(abs(square))
@@ -186,20 +231,25 @@ def angle_steps(axis, command, twist, start, dt, vehicle):
 
 @numba.njit(cache=True, nogil=True)
 def yaw_steps(command, dt, vehicle):
-    """Yaw (m + 1,) [rad] from 0 at the first commanded rate (m,) [rad/s], held for `dt` [s] each: exact."""
+    """Return yaw (m + 1,) [rad] from 0, first at the first of the commanded rates (m,) [rad/s]; exact.
+
+    Each rate is held for `dt` [s].
+    """
     gain, bandwidth = vehicle[0].attitude.yaw_gain, vehicle[0].attitude.yaw_bandwidth
     drift, decay = vehicle[0].effects.yaw_drift, math.exp(-bandwidth * dt)
     out, rate = np.zeros(len(command) + 1), gain * command[0] + drift
     for k in range(len(command)):
-        wanted = gain * command[k] + drift
-        out[k + 1] = out[k] + wanted * dt + (rate - wanted) * (1.0 - decay) / bandwidth
-        rate = wanted + (rate - wanted) * decay
+        # r <- r_c + (r - r_c) exp(-B_psi dt), and its integral; r_c = k_psi command + drift
+        commanded = gain * command[k] + drift
+        out[k + 1] = out[k] + commanded * dt + (rate - commanded) * (1.0 - decay) / bandwidth
+        rate = commanded + (rate - commanded) * decay
     return out
 
 
 @numba.njit(cache=True, inline="always")
 def lag_derivative(lag, pwm, v, p):
-    """dOmega/dt [PWM] of the thrust lag; slower while it spins down, with that effect."""
+    """Return dOmega/dt [PWM] of the thrust lag; slower while it spins down, with that effect."""
+    # dOmega/dt = (PWM - lambda Omega)/scale, over 1 + spin_down where that is negative
     rate = (pwm - v.thrust.lag_rate * lag) / p[LAG_SCALE]
     if v.effects.spin_down != 0.0 and rate < 0.0:
         rate /= 1.0 + v.effects.spin_down
@@ -208,7 +258,8 @@ def lag_derivative(lag, pwm, v, p):
 
 @numba.njit(cache=True, inline="always")
 def lag_step(lag, pwm, dt, v):
-    """Lag [PWM s] after `dt` [s] under a held command, and its mean on the way: the exact solution."""
+    """Return the lag [PWM s] after `dt` [s] under a held command, and its mean over the step; exact."""
+    # Omega(dt) = Omega_s + (Omega - Omega_s) exp(-lambda dt), Omega_s = PWM/lambda
     rate, steady = v.thrust.lag_rate, pwm / v.thrust.lag_rate
     if v.effects.spin_down != 0.0 and pwm < v.thrust.lag_rate * lag:
         rate /= 1.0 + v.effects.spin_down
@@ -219,7 +270,7 @@ def lag_step(lag, pwm, dt, v):
 
 @numba.njit(cache=True, nogil=True)
 def lags(pwm, dt, vehicle):
-    """Lag [PWM s] (m + 1,) under commands (m,) held for `dt` [s] each, steady under the first of them."""
+    """Return the lag [PWM s] (m + 1,) under commands (m,) held for `dt` [s], first steady under the first."""
     v, out = vehicle[0], np.empty(len(pwm) + 1)
     out[0] = pwm[0] / v.thrust.lag_rate
     for k in range(len(pwm)):
@@ -229,20 +280,21 @@ def lags(pwm, dt, vehicle):
 
 @numba.njit(cache=True, inline="always")
 def fade(time, v):
-    """Thrust times this, at a flight time [s]."""
+    """Return the factor of the thrust after a flight time [s]."""
     return 1.0 - v.effects.thrust_fade * time
 
 
 @numba.njit(cache=True, inline="always")
 def battery_voltage(lag, time, v):
-    """Voltage [V] of the vehicle file's battery under the load of a lag state, after a flight time [s]."""
+    """Return the voltage [V] of the vehicle file's battery at a lag state, after a flight time [s]."""
+    # U = U_open - drop load - discharge t, the load as steady PWM: lambda Omega
     load = v.thrust.lag_rate * lag
     return v.effects.voltage_open - v.effects.voltage_drop * load - v.effects.voltage_discharge * time
 
 
 @numba.njit(cache=True, inline="always")
 def supply(voltage, lag, time, v):
-    """Thrust times this, under the battery's voltage [V]; NaN: that of the vehicle file under this load."""
+    """Return the factor of the thrust at the battery's voltage [V]; NaN: that of the vehicle file."""
     if math.isnan(voltage):
         voltage = battery_voltage(lag, time, v)
     return 1.0 + v.effects.voltage_sensitivity * (voltage - v.effects.voltage_reference)
@@ -250,15 +302,16 @@ def supply(voltage, lag, time, v):
 
 @numba.njit(cache=True, inline="always")
 def powered_thrust(thrust, lag, time, voltage, v):
-    """Thrust [N] with bias, fade, sag under load and battery voltage: what changes the rotor speed."""
+    """Return the thrust [N] that sets the rotor speed: with bias, fade, sag under load, battery voltage."""
+    # F = (F_t + bias) (1 - fade t) (1 - sag (load/reference - 1)) (1 + sensitivity (U - U_ref))
     load = v.thrust.lag_rate * lag
     sag = 1.0 - v.effects.battery_sag * (load / v.effects.battery_reference - 1.0)
     return (thrust + v.effects.thrust_bias) * fade(time, v) * sag * supply(voltage, lag, time, v)
 
 
 @numba.njit(cache=True)
-def _carrying(low, high, vehicle, p):
-    """The PWM between two bounds whose settled thrust carries the weight; the upper one where none does."""
+def _hover_pwm(low, high, vehicle, p):
+    """Return the PWM between two bounds whose steady thrust is the weight; the upper one where none is."""
     v = vehicle[0]
     weight = v.body.mass * v.environment.gravity
     for _ in range(60):  # halves: to 1e-13 of what lies between
@@ -272,7 +325,7 @@ def _carrying(low, high, vehicle, p):
 
 
 def settled_hover(vehicle: Vehicle) -> float:
-    """PWM that holds the vehicle in the air at time 0 with its effects on the thrust: bias, sag, voltage.
+    """Return the hover PWM at time 0 with the effects on the thrust: bias, sag, voltage.
 
     `Vehicle.hover_pwm` where there are none; the highest command where no command carries the weight.
     """
@@ -280,21 +333,22 @@ def settled_hover(vehicle: Vehicle) -> float:
     if not packed["any_effect"][0]:
         return vehicle.hover_pwm
     high = max(vehicle.hover_pwm, vehicle.command_pwm_range[1])
-    return _carrying(0.0, high, packed, NEUTRAL)
+    return _hover_pwm(0.0, high, packed, NEUTRAL)
 
 
 @numba.njit(cache=True, inline="always")
 def disc_inside(distance, radius):
-    """Share of a disc on the inner side of a straight edge, its centre `distance` within."""
+    """Return the share of a disc on the inner side of a straight edge, its centre `distance` within."""
+    # 1/2 + (d sqrt(1 - d^2) + arcsin d)/pi, the area of a circular segment with d = distance/radius
     d = min(1.0, max(-1.0, distance / radius))
     return 0.5 + (d * math.sqrt(1.0 - d * d) + math.asin(d)) / math.pi
 
 
 @numba.njit(cache=True, inline="always")
 def ground_gain(height, v):
-    """Share of thrust that a rotor gains all over a surface, its disc's centre `height` [m] from it.
+    """Return the share of thrust that a rotor gains over an endless surface, at a height h [m] of its disc.
 
-    strength (radius/(4 h))^2 after Cheeseman and Bennett (1955) to first order, times the fading
+    gain = strength (radius/(4 h))^2 after Cheeseman and Bennett (1955) to first order, times the fading
     exp((4 radius - h) fading), which is 1 where the strength is read; radius/(4 h) at most 1/2, the gain 1.
     """
     ratio = 0.5
@@ -306,7 +360,7 @@ def ground_gain(height, v):
 
 @numba.njit(cache=True)
 def ground_effect(position, r, thrust, inclination, present, azimuth, v):
-    """Extra thrust [N] and body torque (x, y) [N m] of the rotors near a surface.
+    """Return the extra thrust [N] and body torque (x, y) [N m] of the rotors near a surface.
 
     position (3,), attitude r (3, 3), thrust [N] of all rotors. Each rotor sees the slab along its axis with
     the share of its disc that is over it, and the floor with the rest; heights are along the normals.
@@ -339,6 +393,7 @@ def ground_effect(position, r, thrust, inclination, present, azimuth, v):
                 gain = share * ground_gain(normal, v)
         if pz > 0.0:
             gain += (1.0 - share) * ground_gain(pz, v)
+        # Each rotor carries a quarter: f_i = gain_i F/4, torque = sum of r_i x (0, 0, f_i)
         force = 0.25 * thrust * gain
         extra += force
         torque_x += y * force
@@ -348,9 +403,10 @@ def ground_effect(position, r, thrust, inclination, present, azimuth, v):
 
 @numba.njit(cache=True, inline="always")
 def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
-    """Force (3,) [N] and torque (x, y) [N m] on the vehicle in its body frame, without gravity, into `out`.
+    """Write force (3,) [N] and torque (x, y) [N m] in the body frame, without gravity, into `out` (5,).
 
-    position, velocity (3,) in the world, attitude r (3, 3), lag state and PWM, ambient (AMBIENT_SIZE,).
+    position, velocity (3,) in the world, attitude r (3, 3), lag state and PWM, ambient (AMBIENT_SIZE,),
+    vehicle v and perturbation p (7,).
     """
     thrust = total_thrust(lag, pwm, v, p)
     ax, ay, az = velocity[0], velocity[1], velocity[2]
@@ -359,6 +415,7 @@ def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
         thrust = powered_thrust(thrust, lag, ambient[TIME], ambient[VOLTAGE], v)
         ax -= v.effects.wind[0]
         ay -= v.effects.wind[1]
+    # Rotor drag: f = K (sum of rotor speeds) b, b = R^T (v - wind), K diagonal
     speed = rotor_speed_sum(thrust, v) * (1.0 + p[DRAG_CHANGE])
     bx = r[0, 0] * ax + r[1, 0] * ay + r[2, 0] * az
     by = r[0, 1] * ax + r[1, 1] * ay + r[2, 1] * az
@@ -366,6 +423,7 @@ def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
     k = v.drag.coefficients
     out[0], out[1], out[2] = k[0] * speed * bx, k[1] * speed * by, k[2] * speed * bz
     if v.any_effect != 0.0:
+        # F (1 + lift (b_x^2 + b_y^2)) max(0, 1 - inflow b_z)
         lift = 1.0 + v.effects.translational_lift * (bx * bx + by * by)
         thrust *= lift * max(0.0, 1.0 - v.effects.axial_inflow * bz)
         if v.effects.ground_effect != 0.0:
@@ -373,8 +431,10 @@ def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
                 position, r, thrust, ambient[INCLINATION], ambient[PRESENT], ambient[AZIMUTH], v
             )
             thrust += extra
+        # Thrust beside the centre of mass: tau = (-c_y F, c_x F)
         out[3] -= v.effects.com_offset[1] * thrust
         out[4] += v.effects.com_offset[0] * thrust
+        # Body drag: f = -c |b| b
         drag = -v.effects.body_drag * math.sqrt(bx * bx + by * by + bz * bz)
         out[0] += drag * bx
         out[1] += drag * by
@@ -383,93 +443,87 @@ def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
 
 
 @numba.njit(cache=True, inline="always")
-def _over(torque, limit):
-    """What must be added to a torque so that it is within +-limit."""
+def _saturation(torque, limit):
+    """Return what must be added to a torque so that it is within +-limit."""
     return min(limit, max(-limit, torque)) - torque
 
 
 @numba.njit(cache=True, inline="always")
-def _beyond_limits(y, dy, v, limits):
-    """Body torque (x, y, z) [N m] that limits (3,) [N m] add to those which the loops ask for in dy."""
+def _saturations(y, dy, v, limits):
+    """Return the body torque (x, y, z) [N m] by which limits (3,) [N m] change that of the loops in dy."""
     j, roll, pitch = v.body.inertia, y[_PHI], y[_THETA]
     rates = y[_RATES], y[_RATES + 1], y[_RATES + 2]
-    wanted = dy[_RATES], dy[_RATES + 1], dy[_RATES + 2]
+    accelerations = dy[_RATES], dy[_RATES + 1], dy[_RATES + 2]
     wx, wy, wz = body_rates(roll, pitch, rates[0], rates[1], rates[2])
-    ax, ay, az = body_accelerations(roll, pitch, rates, wanted)
+    ax, ay, az = body_accelerations(roll, pitch, rates, accelerations)
+    # Euler: tau = J dw/dt + w x J w
     return (
-        _over(j[0] * ax + (j[2] - j[1]) * wy * wz, limits[0]),
-        _over(j[1] * ay + (j[0] - j[2]) * wz * wx, limits[1]),
-        _over(j[2] * az + (j[1] - j[0]) * wx * wy, limits[2]),
+        _saturation(j[0] * ax + (j[2] - j[1]) * wy * wz, limits[0]),
+        _saturation(j[1] * ay + (j[0] - j[2]) * wz * wx, limits[1]),
+        _saturation(j[2] * az + (j[1] - j[0]) * wx * wy, limits[2]),
     )
 
 
 @numba.njit(cache=True)
-def _derivative(y, u, ambient, push, i, limits, v, p, rate_loop, r, f, dy):
-    """dy/dt of the integrated vector y (13,) under command u (4,); r (3, 3) and f (5,) are scratch.
-
-    push (n, 6), or `STILL`: of it row i is further acceleration [m/s2] and torque [N m] in the world's axes.
-    limits (3,), or None: of the rate loops' torques about the body's axes [N m].
-    """
-    pushed = len(push) > 0
+def _derivative(y, s, v):
+    """Write dy/dt of an integrated vector y (13,) into `s.derivative`; s: a STEP, v: the vehicle's record."""
+    u, p, push, dy, r, f = s.command, s.perturbation, s.push, s.derivative, s.rotation, s.wrench
+    # R = Rz(psi) Rx(phi) Ry(theta)
     sr, cr = math.sin(y[_PHI]), math.cos(y[_PHI])
     sp, cp = math.sin(y[_THETA]), math.cos(y[_THETA])
     sy, cy = math.sin(y[_PSI]), math.cos(y[_PSI])
     r[0, 0], r[0, 1], r[0, 2] = cy * cp - sy * sr * sp, -sy * cr, cy * sp + sy * sr * cp
     r[1, 0], r[1, 1], r[1, 2] = sy * cp + cy * sr * sp, cy * cr, sy * sp - cy * sr * cp
     r[2, 0], r[2, 1], r[2, 2] = -cr * sp, sr, cr * cp
-    wrench(y[:3], y[VX : VZ + 1], r, y[_OMEGA], u[PWM], ambient, v, p, f)
+    wrench(y[:3], y[VX : VZ + 1], r, y[_OMEGA], u[PWM], s.ambient, v, p, f)
+    # dx/dt = v, dv/dt = R f/m + push - (0, 0, g)
     mass = v.body.mass * p[MASS_SCALE]
     for k in range(3):
         dy[k] = y[VX + k]
         dy[VX + k] = (r[k, 0] * f[0] + r[k, 1] * f[1] + r[k, 2] * f[2]) / mass
-        if pushed:
-            dy[VX + k] += push[i, k]
+        if s.pushed:
+            dy[VX + k] += push[k]
     dy[VZ] -= v.environment.gravity
     dy[_OMEGA] = lag_derivative(y[_OMEGA], u[PWM], v, p)
-    roll, pitch = held_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
-    roll_wanted, pitch_wanted, yaw_wanted = loop_rates(roll, pitch, u, v, p)
-    if rate_loop:
+    roll, pitch = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
+    roll_rate, pitch_rate, yaw_rate = loop_rates(roll, pitch, u, v, p)  # commanded
+    if s.rate_loop:
         phid, thetad, psid = y[_RATES], y[_RATES + 1], y[_RATES + 2]
         tau = v.attitude.time_constant * p[TIME_CONSTANT_SCALE]
         dy[_PHI], dy[_THETA], dy[_PSI] = phid, thetad, psid
         bandwidth, damping = v.attitude.bandwidth, v.attitude.damping
-        dy[_RATES] = rate_loop_acceleration(roll_wanted, phid, bandwidth, tau, damping)
-        dy[_RATES + 1] = rate_loop_acceleration(pitch_wanted, thetad, bandwidth, tau, damping)
-        dy[_RATES + 2] = v.attitude.yaw_bandwidth * (yaw_wanted - psid)
+        dy[_RATES] = rate_loop_acceleration(roll_rate, phid, bandwidth, tau, damping)
+        dy[_RATES + 1] = rate_loop_acceleration(pitch_rate, thetad, bandwidth, tau, damping)
+        dy[_RATES + 2] = v.attitude.yaw_bandwidth * (yaw_rate - psid)
         tx, ty, tz = f[3], f[4], 0.0
-        if limits is not None:
-            beyond_x, beyond_y, beyond_z = _beyond_limits(y, dy, v, limits)
-            tx, ty, tz = tx + beyond_x, ty + beyond_y, tz + beyond_z
-        if pushed:
-            tx += r[0, 0] * push[i, 3] + r[1, 0] * push[i, 4] + r[2, 0] * push[i, 5]
-            ty += r[0, 1] * push[i, 3] + r[1, 1] * push[i, 4] + r[2, 1] * push[i, 5]
-            tz += r[0, 2] * push[i, 3] + r[1, 2] * push[i, 4] + r[2, 2] * push[i, 5]
+        if s.limited:
+            over_x, over_y, over_z = _saturations(y, dy, v, s.torque_limits)
+            tx, ty, tz = tx + over_x, ty + over_y, tz + over_z
+        if s.pushed:  # its torque along the body's axes: R^T tau
+            tx += r[0, 0] * push[3] + r[1, 0] * push[4] + r[2, 0] * push[5]
+            ty += r[0, 1] * push[3] + r[1, 1] * push[4] + r[2, 1] * push[5]
+            tz += r[0, 2] * push[3] + r[1, 2] * push[4] + r[2, 2] * push[5]
         if tx != 0.0 or ty != 0.0 or tz != 0.0:
+            # d2(phi, theta, psi)/dt2 += E(phi, theta) J^-1 tau, E: Euler rates from body rates
             j = v.body.inertia
             a, b, d = euler_rates(y[_PHI], y[_THETA], tx / j[0], ty / j[1], tz / j[2])
             dy[_RATES] += a
             dy[_RATES + 1] += b
             dy[_RATES + 2] += d
     else:
-        dy[_PHI], dy[_THETA], dy[_PSI] = roll_wanted, pitch_wanted, yaw_wanted
+        dy[_PHI], dy[_THETA], dy[_PSI] = roll_rate, pitch_rate, yaw_rate
 
 
 def free_air(n: int) -> np.ndarray:
-    """What n vehicles meet (n, AMBIENT_SIZE) at time 0 with the vehicle file's battery and no platform."""
+    """Return the ambient conditions (n, AMBIENT_SIZE) at time 0, the battery the file's and no platform."""
     ambient = np.zeros((n, AMBIENT_SIZE))
     ambient[:, VOLTAGE] = np.nan
     return ambient
 
 
-@numba.njit(cache=True)
-def scratch():
-    """Working memory of `rk4`."""
-    return np.zeros(_SIZE), np.zeros(_SIZE), np.zeros(_SIZE), np.empty((3, 3)), np.zeros(5)
-
-
 @numba.njit(cache=True, inline="always")
-def take(s, y):
-    """A state s (13,) with the columns of `attitude.py` as the integrated vector y (13,)."""
+def pack_state(s, y):
+    """Write a state s (13,) with the columns of `attitude.py` as the integrated vector y (13,)."""
     for j in range(9):
         y[j] = s[j]
     y[_OMEGA] = s[LAG]
@@ -477,8 +531,8 @@ def take(s, y):
 
 
 @numba.njit(cache=True, inline="always")
-def give(y, s):
-    """The inverse of `take`."""
+def unpack_state(y, s):
+    """Write an integrated vector y (13,) as a state s (13,): the inverse of `pack_state`."""
     for j in range(9):
         s[j] = y[j]
     s[LAG] = y[_OMEGA]
@@ -486,68 +540,96 @@ def give(y, s):
 
 
 @numba.njit(cache=True)
-def rk4(y, u, around, push, i, limits, v, p, rate_loop, dt, work):
-    """One step of `dt` [s] of an integrated vector y (13,) and its time, in place; see `_derivative`.
-
-    around (AMBIENT_SIZE,): what the vehicle meets; work: `scratch()`.
-    """
-    z, total, k, r, f = work
-    size = _SIZE if rate_loop else _RATES
-    _derivative(y, u, around, push, i, limits, v, p, rate_loop, r, f, k)
+def rk4(s, v, dt):
+    """Advance a STEP, its integrated vector and its time, in place by `dt` [s]; v: the vehicle's record."""
+    # k1 = f(y), k2 = f(y + dt/2 k1), k3 = f(y + dt/2 k2), k4 = f(y + dt k3)
+    y, z, k, total = s.y, s.stage, s.derivative, s.total
+    size = _SIZE if s.rate_loop else _RATES
+    _derivative(y, s, v)
     for j in range(size):
         total[j] = k[j]
         z[j] = y[j] + 0.5 * dt * k[j]
-    around[TIME] += 0.5 * dt
-    _derivative(z, u, around, push, i, limits, v, p, rate_loop, r, f, k)
+    s.ambient[TIME] += 0.5 * dt
+    _derivative(z, s, v)
     for j in range(size):
         total[j] += 2.0 * k[j]
         z[j] = y[j] + 0.5 * dt * k[j]
-    _derivative(z, u, around, push, i, limits, v, p, rate_loop, r, f, k)
+    _derivative(z, s, v)
     for j in range(size):
         total[j] += 2.0 * k[j]
         z[j] = y[j] + dt * k[j]
-    around[TIME] += 0.5 * dt
-    _derivative(z, u, around, push, i, limits, v, p, rate_loop, r, f, k)
+    s.ambient[TIME] += 0.5 * dt
+    _derivative(z, s, v)
+    # y <- y + dt/6 (k1 + 2 k2 + 2 k3 + k4)
     for j in range(size):
         y[j] += dt / 6.0 * (total[j] + k[j])
 
 
+@numba.njit(cache=True, inline="always")
+def disturb(s, perturbation, push, i):
+    """Write the rows of vehicle i of perturbation (n, 7) and push (n, 6), or STILL, into a STEP."""
+    for k in range(7):
+        s.perturbation[k] = perturbation[i, k]
+    s.pushed = len(push) > 0
+    for k in range(6 if s.pushed else 0):
+        s.push[k] = push[i, k]
+
+
 @numba.njit(cache=True)
-def advance(state, commands, ambient, vehicle, p, rate_loop, dt, substeps, push):
+def _begin(s, state, command, conditions, i, rate_loop):
+    """Write state (13,), command (4,) and conditions of vehicle i into a STEP, with unlimited torques."""
+    pack_state(state, s.y)
+    for k in range(4):
+        s.command[k] = command[k]
+    for k in range(AMBIENT_SIZE):
+        s.ambient[k] = conditions.ambient[i, k]
+    disturb(s, conditions.perturbation, conditions.push, i)
+    s.rate_loop, s.limited = rate_loop, False
+
+
+@numba.njit(cache=True)
+def advance(state, commands, conditions, rate_loop, dt, substeps):
     """Advance every vehicle, and its time, in place by substeps * dt with RK4.
 
-    state (n, 13) with the columns of `attitude.py`, commands (n, 4) held constant, ambient
-    (n, AMBIENT_SIZE), vehicle from `pack`, (1,) for all or (n,) with a record
-    for each, p (n, 7) perturbations, rate_loop: which attitude model, push (n, 6) further accelerations
-    [m/s2] and torques [N m] in the world's axes, or `STILL`.
-    With the kinematic model the body rates in the state are those of the first-order loops at the end of
-    the step, and torques have no effect.
+    state (n, 13) with the columns of `attitude.py`, commands (n, 4) held constant, conditions: `Conditions`,
+    rate_loop: which attitude model. With the kinematic model the body rates in the state are those of the
+    first-order loops at the end of the step, and torques have no effect.
     """
-    each, y, work = len(vehicle) > 1, np.zeros(_SIZE), scratch()
+    steps = np.zeros(1, STEP)
     for i in range(state.shape[0]):
-        s, u, around, v = state[i], commands[i], ambient[i], vehicle[i if each else 0]
-        take(s, y)
+        s, v = steps[0], conditions.vehicle[i if len(conditions.vehicle) > 1 else 0]
+        _begin(s, state[i], commands[i], conditions, i, rate_loop)
         for _ in range(substeps):
-            rk4(y, u, around, push, i, None, v, p[i], rate_loop, dt, work)
+            rk4(s, v, dt)
+        y = s.y
         if not rate_loop:
-            roll, pitch = held_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
-            y[_RATES], y[_RATES + 1], y[_RATES + 2] = loop_rates(roll, pitch, u, v, p[i])
-        give(y, s)
+            roll, pitch = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
+            y[_RATES], y[_RATES + 1], y[_RATES + 2] = loop_rates(roll, pitch, s.command, v, s.perturbation)
+        unpack_state(y, state[i])
+        conditions.ambient[i, TIME] = s.ambient[TIME]
 
 
-def derivative(state: np.ndarray, command: np.ndarray, vehicle: Vehicle, rate_loop=False):
-    """Time derivative of one state, for model comparison.
+@numba.njit(cache=True)
+def _derivatives(state, command, conditions, rate_loop):
+    """Return dy/dt (13,) of the integrated vector of one vehicle."""
+    steps = np.zeros(1, STEP)
+    s = steps[0]
+    _begin(s, state, command, conditions, 0, rate_loop)
+    _derivative(s.y, s, conditions.vehicle[0])
+    return steps[0].derivative.copy()
 
-    state (13,), command (4,). Returns a dict with `acceleration` (3,) [m/s2], `euler_rates` (3,)
-    [rad/s], `lag_rate` [PWM] and, for the rate loop, `euler_accelerations` (3,) [rad/s2].
+
+def derivative(
+    state: np.ndarray, command: np.ndarray, vehicle: Vehicle, rate_loop: bool = False
+) -> dict[str, np.ndarray | float]:
+    """Return the time derivative of one state, for model comparison.
+
+    state (13,), command (4,). The dict has `acceleration` (3,) [m/s2], `euler_rates` (3,) [rad/s],
+    `lag_rate` [PWM] and, for the rate loop, `euler_accelerations` (3,) [rad/s2].
     """
-    y, dy = np.zeros(_SIZE), np.zeros(_SIZE)
-    y[:9], y[_OMEGA] = state[:9], state[LAG]
-    y[_RATES:] = euler_rates(state[ROLL], state[PITCH], state[WX], state[WY], state[WZ])
-    v, p, command = pack(vehicle)[0], np.array(NEUTRAL), np.asarray(command, float)
-    still = free_air(1)[0], STILL, 0, None
-    _derivative(y, command, *still, v, p, rate_loop, np.empty((3, 3)), np.zeros(5), dy)
-    result = {
+    conditions = Conditions(pack(vehicle), np.array([NEUTRAL]), free_air(1))
+    dy = _derivatives(np.asarray(state, float), np.asarray(command, float), conditions, bool(rate_loop))
+    result: dict[str, np.ndarray | float] = {
         "acceleration": dy[VX : VZ + 1].copy(),
         "euler_rates": dy[_PHI : _PSI + 1].copy(),
         "lag_rate": float(dy[_OMEGA]),

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import mujoco
 import numba
@@ -42,7 +43,7 @@ class Shapes:
 
 
 def shapes_of(model: mujoco.MjModel) -> Shapes:
-    """Read the shapes of a compiled scene."""
+    """Return the shapes of a compiled scene."""
     centres, radii, parts = [], [], []
     for part, body in enumerate(PART_BODIES):
         identity = model.body(body).id
@@ -68,8 +69,7 @@ def shapes_of(model: mujoco.MjModel) -> Shapes:
     )
 
 
-@dataclasses.dataclass(frozen=True)
-class Fleet:
+class Fleet(NamedTuple):
     """The shapes of m vehicles that differ in size alone, before platforms of the same shapes."""
 
     centres: np.ndarray  # (m, k, 3) m
@@ -81,7 +81,7 @@ class Fleet:
 
     @classmethod
     def of(cls, members: Sequence[Shapes]) -> Fleet:
-        """Of the shapes of each of them."""
+        """Return the fleet of these members."""
         centres, radii, reach = (
             np.array([getattr(s, k) for s in members]) for k in ("centres", "radii", "reach")
         )
@@ -90,7 +90,7 @@ class Fleet:
 
 
 def reach_below(shapes: Shapes, up=(0.0, 0.0, 1.0), *, lowered=0.0, part: str | None = None) -> np.ndarray:
-    """How far the vehicle's shapes reach below its centre of mass [m], (...,).
+    """Return how far the vehicle's shapes reach below its centre of mass [m], (...,).
 
     up (..., 3): the direction that counts as up, in the vehicle's axes.
     lowered (...): how much lower than the model's its feet stand [m].
@@ -105,7 +105,7 @@ def reach_below(shapes: Shapes, up=(0.0, 0.0, 1.0), *, lowered=0.0, part: str | 
 
 
 def _outline(kind: int, size: np.ndarray) -> tuple[np.ndarray, float]:
-    """Sphere centres (k, 3) in the geom frame and their radius [m] for one geom."""
+    """Return sphere centres (k, 3) in the frame of one geom, and their radius [m]."""
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         return np.zeros((1, 3)), size[0]
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
@@ -121,10 +121,10 @@ def _outline(kind: int, size: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def platform_poses(inclination, present, vehicle: Vehicle, surface_height=None, azimuth=0.0):
-    """Poses of PLATFORM_BODIES for platforms of the given inclinations.
+    """Return the poses of PLATFORM_BODIES for platforms of the given inclinations.
 
     inclination (n,) [rad], present (n,) bool, surface_height (n,) [m] where it is not the vehicle's,
-    azimuth (n,) or a number [rad] by which all of it is turned about the vertical. Returns
+    azimuth (n,) or a number [rad] by which all of it is turned about the vertical. The result is
     positions (n, 4, 3) [m] and quaternions (n, 4, 4). The slab's top surface passes through
     (0, 0, surface_height); the walls stand under its two edges, the core fills the space below the lower
     edge. Absent platforms are parked far below the floor.
@@ -154,18 +154,29 @@ def platform_poses(inclination, present, vehicle: Vehicle, surface_height=None, 
     return position, quaternion
 
 
-@numba.njit(cache=True, inline="always")
-def box_distance(x, y, z, position, turn, lean, tilt, centre, size):
-    """Signed distance [m] of a point to a box of the platform, negative inside.
+class _Frame(NamedTuple):
+    """Frame of a body of the platform; angles as (sine, cosine)."""
 
-    position (3,) of its body, turn, lean and tilt (sine, cosine) of its azimuth, roll and inclination,
-    centre and half size (3,) in the body.
+    position: np.ndarray  # (3,) m
+    azimuth: tuple[float, float]
+    roll: tuple[float, float]
+    inclination: tuple[float, float]
+
+
+@numba.njit(cache=True, inline="always")
+def _box_distance(x, y, z, frame, centre, size):
+    """Return the signed distance [m] of a point to a box of the platform, negative inside.
+
+    frame: of its body; centre and half size (3,) [m] in it.
     """
+    # p = Ry(-inclination) Rx(-roll) Rz(-azimuth) (x - position)
+    position, turn, lean, tilt = frame
     dx, dy, dz = x - position[0], y - position[1], z - position[2]
     dx, dy = turn[1] * dx + turn[0] * dy, turn[1] * dy - turn[0] * dx
     if lean[0] != 0.0:
         dy, dz = lean[1] * dy + lean[0] * dz, lean[1] * dz - lean[0] * dy
     dx, dz = tilt[1] * dx - tilt[0] * dz, tilt[0] * dx + tilt[1] * dz
+    # q = |p - centre| - size; distance = |max(q, 0)| + min(max(q_x, q_y, q_z), 0)
     dx, dy, dz = abs(dx - centre[0]) - size[0], abs(dy - centre[1]) - size[1], abs(dz - centre[2]) - size[2]
     outside = math.sqrt(max(dx, 0.0) ** 2 + max(dy, 0.0) ** 2 + max(dz, 0.0) ** 2)
     return outside + min(max(dx, dy, dz), 0.0)
@@ -176,30 +187,28 @@ _UPRIGHT = (0.0, 1.0)  # sine, cosine of no angle
 
 @numba.njit(cache=True)
 def platform_distance(point, roll, inclination, azimuth, position, boxes, sizes):
-    """Signed distance [m] of a point (3,) to the platform; position (4, 3) from `platform_poses`."""
+    """Return the signed distance [m] of a point (3,) to a platform; position (4, 3) of `platform_poses`."""
     x, y, z = point[0], point[1], point[2]
     turn = math.sin(azimuth), math.cos(azimuth)
     lean = (math.sin(roll), math.cos(roll)) if roll != 0.0 else _UPRIGHT
     tilt = math.sin(inclination), math.cos(inclination)
-    nearest = box_distance(x, y, z, position[0], turn, lean, tilt, boxes[0], sizes[0])
+    nearest = _box_distance(x, y, z, _Frame(position[0], turn, lean, tilt), boxes[0], sizes[0])
     for b in range(1, len(sizes)):  # only the slab is tilted
-        base = box_distance(x, y, z, position[b], turn, _UPRIGHT, _UPRIGHT, boxes[b], sizes[b])
-        nearest = min(nearest, base)
+        base = _Frame(position[b], turn, _UPRIGHT, _UPRIGHT)
+        nearest = min(nearest, _box_distance(x, y, z, base, boxes[b], sizes[b]))
     return nearest
 
 
 @numba.njit(cache=True)
-def _clearances(
-    state, inclination, azimuth, position, which, all_centres, all_radii, parts, boxes, sizes, reach, out
-):
-    """Smallest distance (n, 3 surfaces, 3 parts) of the vehicles' shapes to the scene [m]."""
+def _clearances(state, inclination, azimuth, position, which, fleet, out):
+    """Write the smallest distance (n, 3 surfaces, 3 parts) of the vehicles' shapes to the scene [m]."""
+    boxes, sizes = fleet.box_centres, fleet.box_sizes
     rotated = np.empty(3)
     for i in range(state.shape[0]):
         out[i, :, :] = np.inf
         r = rotation(state[i, 6], state[i, 7], state[i, 8])
-        own_shapes = which[i]
-        centres, radii = all_centres[own_shapes], all_radii[own_shapes]
-        near_floor = state[i, 2] < 2.0 * reach[own_shapes]
+        centres, radii = fleet.centres[which[i]], fleet.radii[which[i]]
+        near_floor = state[i, 2] < 2.0 * fleet.reach[which[i]]
         turn = math.sin(azimuth[i]), math.cos(azimuth[i])
         tilt = math.sin(inclination[i]), math.cos(inclination[i])
         for k in range(centres.shape[0]):
@@ -207,13 +216,12 @@ def _clearances(
                 rotated[a] = state[i, a] + (
                     r[a, 0] * centres[k, 0] + r[a, 1] * centres[k, 1] + r[a, 2] * centres[k, 2]
                 )
-            part = parts[k]
+            part = fleet.parts[k]
             if near_floor:
                 out[i, 2, part] = min(out[i, 2, part], rotated[2] - radii[k])
             for b in range(sizes.shape[0]):
-                own = tilt if b == 0 else _UPRIGHT  # only the slab is tilted
-                x, y, z = rotated[0], rotated[1], rotated[2]
-                distance = box_distance(x, y, z, position[i, b], turn, _UPRIGHT, own, boxes[b], sizes[b])
+                frame = _Frame(position[i, b], turn, _UPRIGHT, tilt if b == 0 else _UPRIGHT)  # only the slab
+                distance = _box_distance(rotated[0], rotated[1], rotated[2], frame, boxes[b], sizes[b])
                 distance -= radii[k]
                 surface = 0 if b == 0 else 1
                 out[i, surface, part] = min(out[i, surface, part], distance)
@@ -222,7 +230,7 @@ def _clearances(
 def clearances(
     state, inclination, position, shapes: Shapes | Fleet, out=None, azimuth=0.0, which=None
 ) -> np.ndarray:
-    """Signed distance [m] of every part to every surface, (n, 3 surfaces, 3 parts).
+    """Return the signed distance [m] of every part to every surface, (n, 3 surfaces, 3 parts).
 
     state (n, 13), inclination and azimuth (n,) or a number [rad], position (n, 4, 3) from
     `platform_poses`; which (n,): the member of a fleet that each is. Negative where shapes overlap. The
@@ -235,8 +243,5 @@ def clearances(
         for angle in (inclination, azimuth)
     )
     out = np.empty((len(state), 3, 3)) if out is None else out
-    _clearances(
-        state, inclination, azimuth, position, which, fleet.centres, fleet.radii, fleet.parts,
-        fleet.box_centres, fleet.box_sizes, fleet.reach, out,
-    )  # fmt: skip
+    _clearances(state, inclination, azimuth, position, which, fleet, out)
     return out

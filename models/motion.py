@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -22,6 +23,15 @@ from inclined_landing.models.errors import UserError
 
 MODES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 _LARGEST_ROLL = 1.2  # rad: the angles' chart ends at 90 deg
+
+
+class Waves(NamedTuple):
+    """A `Motion` as the compiled functions take it, shapes as there."""
+
+    velocity: np.ndarray
+    amplitude: np.ndarray
+    frequency: np.ndarray
+    phase: np.ndarray
 
 
 @dataclasses.dataclass
@@ -56,14 +66,14 @@ class Motion:
 
     @classmethod
     def still(cls, n: int, waves: int = 1) -> Motion:
-        """n decks that do not move."""
+        """Return the motions of n decks that do not move."""
         return cls(np.zeros((n, 3)), *np.zeros((3, n, 6, waves)))
 
     def __len__(self) -> int:
         return len(self.velocity) if self.velocity.ndim else 0
 
     def __getitem__(self, ids) -> Motion:
-        """The motions of the decks `ids`, an index array, a mask or a slice; copies."""
+        """Return copies of the motions of the decks `ids`, an index array, a mask or a slice."""
         return Motion(self.velocity[ids], self.amplitude[ids], self.frequency[ids], self.phase[ids])
 
     def __setitem__(self, ids, motion: Motion) -> None:
@@ -76,31 +86,31 @@ class Motion:
             setattr(self, name, own)
 
     @property
-    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Velocity, amplitude, frequency, phase: as the compiled functions take them."""
-        return self.velocity, self.amplitude, self.frequency, self.phase
+    def arrays(self) -> Waves:
+        """The arrays as the compiled functions take them."""
+        return Waves(self.velocity, self.amplitude, self.frequency, self.phase)
 
     def at(self, times) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Displacement, rate and acceleration (n, 6) in each mode at times (n,) or one number [s].
+        """Return displacement, rate and acceleration (n, 6) in each mode at times (n,) or one number [s].
 
         Rates and accelerations of the angles are those of the Euler angles.
         """
         out = np.empty((len(self), 3, 6))
-        _moved(_times(times, len(self)), *self.arrays, out)
+        _displacements(_times(times, len(self)), self.arrays, out)
         return out[:, 0], out[:, 1], out[:, 2]
 
     def decks(self, times, rest: np.ndarray) -> np.ndarray:
-        """States (n, 12) of decks at times (n,) or one number [s], columns as `Plant.deck`.
+        """Return states (n, 12) of decks at times (n,) or one number [s], columns as `Plant.deck`.
 
         rest (n, 12): the platforms' states where they do not move.
         """
         deck = np.array(rest, float)
-        _decks(_times(times, len(self)), rest, *self.arrays, deck)
+        _decks(_times(times, len(self)), rest, self.arrays, deck)
         return deck
 
 
 def _widened(array: np.ndarray, waves: int) -> np.ndarray:
-    """(n, 6, w) with zeros up to (n, 6, waves)."""
+    """Return (n, 6, w) padded with zeros to (n, 6, waves)."""
     return np.pad(array, ((0, 0), (0, 0), (0, waves - array.shape[2])))
 
 
@@ -109,41 +119,42 @@ def _times(times, n: int) -> np.ndarray:
 
 
 @numba.njit(cache=True)
-def moved(i, t, velocity, amplitude, frequency, phase, out):
-    """Displacement, rate, acceleration of deck i at t [s] in each mode, into `out` (3, 6)."""
+def displacement(i, t, waves, out):
+    """Write displacement, rate and acceleration of deck i at t [s] in each mode into `out` (3, 6)."""
     for mode in range(6):
+        # x = v_0 t + sum A sin(w t + p), v = v_0 + sum A w cos(w t + p), a = -sum A w^2 sin(w t + p)
         x, v, a = 0.0, 0.0, 0.0
         if mode < 3:
-            v = velocity[i, mode]
+            v = waves.velocity[i, mode]
             x = v * t
-        for w in range(amplitude.shape[2]):
-            size, turn = amplitude[i, mode, w], frequency[i, mode, w]
+        for k in range(waves.amplitude.shape[2]):
+            size, omega = waves.amplitude[i, mode, k], waves.frequency[i, mode, k]
             if size != 0.0:
-                angle = turn * t + phase[i, mode, w]
+                angle = omega * t + waves.phase[i, mode, k]
                 along = size * math.sin(angle)
                 x += along
-                v += size * turn * math.cos(angle)
-                a -= turn * turn * along
+                v += size * omega * math.cos(angle)
+                a -= omega * omega * along
         out[0, mode], out[1, mode], out[2, mode] = x, v, a
 
 
 @numba.njit(cache=True)
-def _moved(times, velocity, amplitude, frequency, phase, out):
+def _displacements(times, waves, out):
     for i in range(len(out)):
-        moved(i, times[i], velocity, amplitude, frequency, phase, out[i])
+        displacement(i, times[i], waves, out[i])
 
 
 @numba.njit(cache=True)
-def _decks(times, rest, velocity, amplitude, frequency, phase, deck):
+def _decks(times, rest, waves, deck):
     now = np.empty((3, 6))
     for i in range(len(deck)):
-        moved(i, times[i], velocity, amplitude, frequency, phase, now)
-        as_state(now, rest[i], deck[i])
+        displacement(i, times[i], waves, now)
+        write_state(now, rest[i], deck[i])
 
 
 @numba.njit(cache=True)
-def as_state(now, rest, deck):
-    """The state (12,) of a deck, into `deck`, of what `moved` says and its state at rest (12,)."""
+def write_state(now, rest, deck):
+    """Write the state (12,) of a deck into `deck`, from its `displacement` and its state at rest (12,)."""
     for k in range(3):
         deck[k] = rest[k] + now[0, k]
         deck[VX + k] = now[1, k]

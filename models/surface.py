@@ -1,6 +1,6 @@
-"""The frame of an inclined surface: out of it, and along it. Inclinations as the platform's, in rad.
+"""Frames and normals of an inclined surface. Inclinations as the platform's, in rad.
 
-`heading_frame` is a vehicle before any surface as somebody sees it who looks where the vehicle points.
+`heading_frame` gives a vehicle's state relative to a surface, along level axes with the surface's yaw.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ HEADING_SIZE = SLOPE_PITCH + 1
 
 
 def turned(state: np.ndarray, angle) -> np.ndarray:
-    """States (n, 13) turned about the vertical axis through the origin by angle (n,) [rad]."""
+    """Return states (n, 13) turned about the vertical axis through the origin by angle (n,) [rad]."""
     state, sin, cos = state.copy(), np.sin(angle), np.cos(angle)
     for first in (X, VX):
         x, y = state[:, first].copy(), state[:, first + 1].copy()
@@ -28,27 +28,28 @@ def turned(state: np.ndarray, angle) -> np.ndarray:
 
 
 def normal_of(inclination) -> np.ndarray:
-    """Unit normal (..., 3) of surfaces inclined by `inclination` (...)."""
+    """Return the unit normal (..., 3) of surfaces inclined by `inclination` (...)."""
     a = np.asarray(inclination, float)
     return np.stack([np.sin(a), np.zeros_like(a), np.cos(a)], axis=-1)
 
 
 def downhill_of(inclination) -> np.ndarray:
-    """Unit vector (..., 3) along the surface towards -x, downhill where the inclination is negative."""
+    """Return the unit vector (..., 3) along the surface towards -x: downhill at a negative inclination."""
     a = np.asarray(inclination, float)
     return np.stack([-np.cos(a), -np.zeros_like(a), np.sin(a)], axis=-1)
 
 
 def split(vector: np.ndarray, inclination) -> tuple[np.ndarray, np.ndarray]:
-    """Vectors (..., 3) as their part along the normal, positive outward, and the size of the rest."""
+    """Return the normal component of vectors (..., 3), positive outward, and the tangential part's norm."""
     normal = normal_of(inclination)
     away = (vector * normal).sum(axis=-1)
     return away, np.linalg.norm(vector - away[..., None] * normal, axis=-1)
 
 
 @numba.njit(cache=True, inline="always")
-def seen_from(roll, pitch, turn):
-    """Roll and pitch [rad] of a vehicle with the same thrust axis whose heading is less by `turn` [rad]."""
+def yaw_turned(roll, pitch, turn):
+    """Return roll and pitch [rad] of a vehicle with the same thrust axis and a yaw less by `turn` [rad]."""
+    # Thrust axis without the yaw: (sin theta, -sin phi cos theta, cos phi cos theta), turned about z
     sin, cos = math.sin(turn), math.cos(turn)
     flat = math.cos(pitch)
     ahead, left, up = math.sin(pitch), -math.sin(roll) * flat, math.cos(roll) * flat
@@ -65,44 +66,45 @@ def _heading_frame(state, deck, out):
             out[i, first], out[i, first + 1] = cos * x + sin * y, cos * y - sin * x
         out[i, Z], out[i, VZ] = state[i, Z] - deck[i, Z], state[i, VZ] - deck[i, VZ]
         turn = state[i, YAW] - deck[i, YAW]
-        out[i, ROLL], out[i, PITCH] = seen_from(state[i, ROLL], state[i, PITCH], turn)
+        out[i, ROLL], out[i, PITCH] = yaw_turned(state[i, ROLL], state[i, PITCH], turn)
         out[i, SLOPE_ROLL], out[i, SLOPE_PITCH] = deck[i, ROLL], deck[i, PITCH]
     return out
 
 
 def heading_frame(state: np.ndarray, deck: np.ndarray) -> np.ndarray:
-    """Vehicles as seen from their surfaces, along level axes with the surfaces' heading, (n, 10).
+    """Return states (n, 10) relative to the vehicles' surfaces, along level axes with the surfaces' yaw.
 
-    state (n, 13), deck (n, 12): see `Plant.deck`. Columns: x, y, z [m] from the surface's centre and vx, vy,
-    vz [m/s] against it, along axes turned by the deck's yaw about the vertical; the roll and pitch [rad] of a
-    vehicle with this heading and the same thrust axis; and those that it has standing on the surface. So a
-    slope looks the same whichever way it faces, and wherever the vehicle's nose points.
+    state (n, 13), deck (n, 12): see `Plant.deck`. Columns: position x, y, z [m] from the surface's centre and
+    velocity vx, vy, vz [m/s] relative to it, along axes turned by the deck's yaw about the vertical; the roll
+    and pitch [rad] of a vehicle with this yaw and the same thrust axis; and those of one at rest on the
+    surface. They depend neither on the surface's azimuth nor on the vehicle's yaw.
     """
     return _heading_frame(state, deck, np.empty((len(state), HEADING_SIZE)))
 
 
 @numba.njit(cache=True)
-def _own_angles(angles, gain, limit, state, deck):
+def _vehicle_commands(angles, gain, limit, state, deck):
     for i in range(len(angles)):
         turn = deck[i, YAW] - state[i, YAW]
-        own = seen_from(gain * angles[i, 0], gain * angles[i, 1], turn)
+        turned = yaw_turned(gain * angles[i, 0], gain * angles[i, 1], turn)
         for k in range(2):
-            angles[i, k] = min(limit, max(-limit, own[k] / gain))
+            angles[i, k] = min(limit, max(-limit, turned[k] / gain))
     return angles
 
 
-def own_angles(
+def vehicle_commands(
     angles: np.ndarray, gain: float, limit: float, state: np.ndarray, deck: np.ndarray
 ) -> np.ndarray:
-    """Roll and pitch commands (n, 2) [rad] for vehicles in states (n, 13), of ones in their heading frames.
+    """Return roll and pitch commands (n, 2) [rad] in the vehicles' yaw, of ones in their heading frames.
 
-    gain: attitude that a command leads to over the command; limit [rad]: of each command.
+    gain: steady attitude over the command that leads to it; limit [rad]: of each command. state (n, 13),
+    deck (n, 12).
     """
-    return _own_angles(np.array(angles, float), gain, limit, state, deck)
+    return _vehicle_commands(np.array(angles, float), gain, limit, state, deck)
 
 
 def deck_motion(deck: np.ndarray) -> np.ndarray:
-    """Velocity [m/s] and rates [rad/s] of decks (n, 12), (n, 6), along the level axes of `heading_frame`."""
+    """Return velocity [m/s] and rates [rad/s] (n, 6) of decks (n, 12) along the axes of `heading_frame`."""
     turning = np.einsum(
         "nij,nj->ni", rotations(np.ascontiguousarray(deck[:, ROLL : YAW + 1])), deck[:, WX : WZ + 1]
     )
@@ -115,21 +117,23 @@ def deck_motion(deck: np.ndarray) -> np.ndarray:
 
 
 def on_deck(state: np.ndarray, deck: np.ndarray) -> np.ndarray:
-    """Positions (n, 3) [m] of vehicles from the centres of decks (n, 12): along the decks' own axes, z out
-    of them."""
+    """Return positions (n, 3) [m] of vehicles in the frames of decks (n, 12), z along the normal."""
     frames = rotations(np.ascontiguousarray(deck[:, ROLL : YAW + 1]))
     return np.einsum("nji,nj->ni", frames, state[:, : Z + 1] - deck[:, : Z + 1])
 
 
 def slope_of(deck: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inclination (n,) and azimuth (n,) [rad] of slopes with the normals of decks (n, 12)."""
+    """Return inclination (n,) and azimuth (n,) [rad] of slopes with the normals of decks (n, 12)."""
     x, y, z = normals(deck).T
     flat = np.hypot(x, y)
     return np.arctan2(flat, z), np.arctan2(y, x)
 
 
-def standing_normal(roll, pitch) -> np.ndarray:
-    """Unit normal (..., 3), in the heading frame, of the surface on which one stands with roll and pitch."""
+def normal_at_rest(roll, pitch) -> np.ndarray:
+    """Return the unit normal (..., 3), in the heading frame, of the surface on which a vehicle rests.
+
+    roll, pitch (...) [rad]: of the vehicle at rest.
+    """
     roll, pitch = np.asarray(roll, float), np.asarray(pitch, float)
     return np.stack(
         [np.sin(pitch), -np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)],
@@ -137,15 +141,14 @@ def standing_normal(roll, pitch) -> np.ndarray:
     )
 
 
-def standing(inclination, turn) -> tuple[np.ndarray, np.ndarray]:
-    """Roll and pitch [rad] of one who stands on a slope of this inclination, which is turned by `turn` from
-    his heading [rad]: azimuth less yaw."""
+def attitude_at_rest(inclination, turn) -> tuple[np.ndarray, np.ndarray]:
+    """Return roll and pitch [rad] of a vehicle at rest on a slope; turn [rad]: azimuth less the yaw."""
     x, _, z = np.moveaxis(normal_of(inclination), -1, 0)
     return np.arctan2(-x * np.sin(turn), z), np.arcsin(x * np.cos(turn))
 
 
 def normals(deck: np.ndarray) -> np.ndarray:
-    """Unit normals (n, 3) of decks (n, 12), columns as `Plant.deck`."""
+    """Return the unit normals (n, 3) of decks (n, 12), columns as `Plant.deck`."""
     roll, pitch, yaw = deck[:, ROLL], deck[:, PITCH], deck[:, YAW]
     ahead, left = np.sin(pitch), -np.sin(roll) * np.cos(pitch)
     cos, sin = np.cos(yaw), np.sin(yaw)
@@ -153,11 +156,11 @@ def normals(deck: np.ndarray) -> np.ndarray:
 
 
 def relative(state: np.ndarray, deck: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vehicles (n, 12 or more) as seen from their decks (n, 12), of which they may be carried along.
+    """Return position, velocity and rates of vehicles (n, 12 or more) relative to their decks (n, 12).
 
-    Returns positions (n, 3) from the decks' centres, and velocities (n, 3) relative to the decks' points
-    where the vehicles are, both along the world's axes [m, m/s]; and rates (n, 3) relative to the decks,
-    about the vehicles' own axes [rad/s].
+    Positions (n, 3) [m] from the decks' centres and velocities (n, 3) [m/s] relative to the decks' points
+    where the vehicles are, both along the world's axes; rates (n, 3) [rad/s] relative to the decks, about the
+    vehicles' axes. A vehicle that a deck carries along has neither velocity nor rates.
     """
     position, velocity, rate = np.empty((3, len(state), 3))
     _relative(np.asarray(state, float), np.asarray(deck, float), position, velocity, rate)
@@ -179,6 +182,7 @@ def _relative(state, deck, position, velocity, rate):
                 r[1, 0] * a + r[1, 1] * b + r[1, 2] * c,
                 r[2, 0] * a + r[2, 1] * b + r[2, 2] * c,
             )
+            # v - omega x r, r the position from the deck's centre
             v[0] -= b * x[2] - c * x[1]
             v[1] -= c * x[0] - a * x[2]
             v[2] -= a * x[1] - b * x[0]

@@ -48,7 +48,7 @@ class Unrest:
         rows = 1 if len(vehicles) == 1 else n  # else what holds for all
         self._size, self._keep, self._fresh, self._inertia = (x[[0] * rows] for x in self._of_each.values())
         self.now = np.zeros((n, 6))  # m/s2 along the world's axes, rad/s2 about the body's
-        self._push = np.zeros((n, 6))
+        self.held = np.zeros((n, 6))  # what `push` returns
 
     def assign(self, ids, choice: np.ndarray) -> None:
         """Give the vehicles `ids` the unrest of other ones of `vehicles`, by their numbers (k,)."""
@@ -86,8 +86,8 @@ class Unrest:
 
         state (n, 13); torque: whether it has an effect, else it is 0.
         """
-        _push(self.now, state, self._inertia, torque, self._push)
-        return self._push
+        _push(self.now, state, self._inertia, torque, self.held)
+        return self.held
 
     def step(self, ids=slice(None)) -> None:
         """One control period on, for the vehicles `ids`."""

@@ -349,7 +349,7 @@ class InclinedLanding(Task):
         if self.dimensions == 3:
             both, v = [ROLL_COMMAND, PITCH_COMMAND], self.vehicle
             limits = v.attitude_gain, v.command_angle_limit
-            commands[:, both] = surface.own_angles(commands[:, both], *limits, state, deck)
+            commands[:, both] = surface.vehicle_commands(commands[:, both], *limits, state, deck)
         return commands
 
     def start_box(self) -> tuple[np.ndarray, np.ndarray]:
@@ -470,7 +470,7 @@ class InclinedLanding(Task):
         """(n,) bool: inside the goal box of size d = goal_size (n,) along the normal of decks (n, 12)."""
         seen = surface.heading_frame(state, deck)
         standing = seen[:, surface.SLOPE_ROLL :]
-        seen[:, X : Z + 1] -= GOAL_HEIGHT * surface.standing_normal(*standing.T)
+        seen[:, X : Z + 1] -= GOAL_HEIGHT * surface.normal_at_rest(*standing.T)
         seen[:, ROLL : PITCH + 1] -= standing
         place, _, speed, _, angle = goal_box(goal_size)
         return (

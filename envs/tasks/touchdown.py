@@ -272,7 +272,7 @@ class InclinedTouchdown(InclinedLanding):
         state[:, LAG] = v.hover_lag * far * rng.uniform(*_CLOSE_THRUST, k)
         state = self._into_space(rng, state, start)
         if start.azimuth is not None:
-            roll, pitch = surface.standing(inclination, start.azimuth - state[:, YAW])
+            roll, pitch = surface.attitude_at_rest(inclination, start.azimuth - state[:, YAW])
             state[:, ROLL] = roll + far * rng.uniform(-_CLOSE_PITCH, _CLOSE_PITCH, k)
             state[:, PITCH] += pitch - inclination
         return state

@@ -179,7 +179,10 @@ def _watch(steps, active, pwm, given, running):
             over = abs(s) <= given.half_length and abs(q[1]) <= given.half_depth and out > -0.01
             feet, other, elsewhere, force = _contact(steps.sensors[i, k], given.sensors, sin, cos)
             ahead, left, up = _axes(q, sin, cos)
-            mean = _mean_force(steps, i, k, own, sin, cos, up, pwm[own], given)
+            lag = 0.5 * (steps.act[i, k, 0] + steps.act[i, k + 1, 0])
+            thrust = (given.state_gain * lag + given.direct_gain * pwm[own]) * up  # along the normal
+            v, w = steps.qvel[i, k], steps.qvel[i, k + 1]
+            mean = _mean_force(v, w, thrust, given.mass[own], sin, cos, given)
             before, running.before[own] = running.before[own], mean
             if not running.touch[own] >= 0.0:
                 if elsewhere or ((feet or other) and not over):
@@ -202,7 +205,7 @@ def _watch(steps, active, pwm, given, running):
                 running.impulse[own] += given.dt * mean
             running.tilt[own] = max(running.tilt[own], math.acos(min(1.0, max(-1.0, up))))
             running.distance[own] = math.sqrt((s - running.s0[own]) ** 2 + (q[1] - running.y0[own]) ** 2)
-            _settle(running, own, steps.qvel[i, k], feet, other or elsewhere, now, given.dt)
+            _settle(running, own, v, feet, other or elsewhere, now, given.dt)
 
 
 @numba.njit(cache=True)
@@ -234,13 +237,15 @@ def _axes(q, sin, cos):
 
 
 @numba.njit(cache=True)
-def _mean_force(steps, i, k, own, sin, cos, up, pwm, given):
-    """What pushed outwards on average over the step: change of momentum, weight and thrust taken off [N]."""
-    v, w = steps.qvel[i, k], steps.qvel[i, k + 1]
-    lag = 0.5 * (steps.act[i, k, 0] + steps.act[i, k + 1, 0])
+def _mean_force(v, w, thrust, mass, sin, cos, given):
+    """Return the mean normal contact force [N] over a step from velocity v to w (6,).
+
+    thrust [N]: its part along the surface's normal.
+    """
+    # F = m ((w_n - v_n)/dt + g cos(alpha)) - F_t,n
     into = -(sin * v[0] + cos * v[2])
     gained = (sin * w[0] + cos * w[2] + into) / given.dt + given.gravity * cos
-    return given.mass[own] * gained - (given.state_gain * lag + given.direct_gain * pwm) * up
+    return mass * gained - thrust
 
 
 @numba.njit(cache=True)

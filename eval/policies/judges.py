@@ -178,7 +178,7 @@ def _entry(arrived: Sequence[Flight]) -> dict:
     state, inclination = _in_plane(arrived)
     velocity = state[:, VX : VZ + 1]
     away, along = split(velocity, inclination)
-    _, standing = surface.standing(inclination, -state[:, YAW])
+    _, standing = surface.attitude_at_rest(inclination, -state[:, YAW])
     return {
         "speed": spread(np.linalg.norm(velocity, axis=1)),
         "normal_speed": spread(-away),  # towards the surface

@@ -1,4 +1,4 @@
-"""What an effect is: a named physical cause that the paper's equations leave out or may have wrong."""
+"""An effect: a named physical cause that the paper's equations leave out or may have wrong."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class FittedConstant:
     parts: tuple[int, ...] = ()  # which numbers of the field it rescales; (): all
 
     def unit_of(self, vehicle: Vehicle) -> float:
-        """The quantity by which a factor of 1 more changes `vehicle`; 1 of what is a share anyway."""
+        """Return by how much [unit] a factor greater by 1 changes the number; 1 for a share."""
         if self.unit == "s":
             return self.number(vehicle, 2.0) - self.number(vehicle, 1.0)
         if self.parts:
@@ -67,14 +67,15 @@ class Parameter:
 
     @property
     def between(self) -> float:
-        """By how much [unit] flights of one vehicle may well differ."""
+        """Return by how much [unit] flights of one vehicle may differ."""
         return max(self.manoeuvre, self.negligible)
 
     @property
     def possible(self) -> tuple[float, float]:
-        """Bounds of what has a physical cause; of a reference, how far it may be off.
+        """Return the bounds of physically possible values.
 
-        With a reference further away, a shape would stand for a scale.
+        The bounds of a reference are narrow: with a distant reference the effect would be a constant scale of
+        the thrust, and no longer identifiable beside it.
         """
         low, high = self.bounds
         if self.is_reference:
@@ -82,17 +83,16 @@ class Parameter:
         return (self.neutral, high) if self.one_signed else (low, high)
 
     def either_side(self, times: float = 1.0) -> tuple[float, float]:
-        """Values of a reference as far below and above its own as it may well lie, or some times that."""
+        """Return the lowest and highest plausible value of a reference, or some `times` as far from it."""
         low, high = self.bounds
         away = times * OFF * self.negligible
         return max(low, self.neutral - away), min(high, self.neutral + away)
 
     def beside(self, vehicle: Vehicle) -> Parameter:
-        """The parameter as it may change `vehicle`.
+        """Return the parameter with the bounds and sizes that apply to `vehicle`.
 
-        Of an effect that the vehicle has already there may be less, down to nothing. Of a factor of a time
-        or a drag, the sizes are those of the quantity: as many ms as of the shipped vehicle, not as large a
-        share.
+        An effect that the vehicle has already may also shrink, down to none. Sizes of a factor on a time or a
+        drag are absolute: as many ms as for the shipped vehicle, not the same share.
         """
         own = float(getattr(vehicle, self.adds_to)) if self.adds_to else 0.0
         if self.one_signed and own > 0.0:
@@ -114,7 +114,7 @@ class Parameter:
         )
 
     def size(self, value: float) -> float:
-        """How far a value is from neutral; 0 of a reference."""
+        """Return the distance of a value from neutral; 0 for a reference."""
         return 0.0 if self.is_reference else value - self.neutral
 
     @property
@@ -123,19 +123,19 @@ class Parameter:
         return self.is_factor and self.bounds[0] > 0.0
 
     def coordinate(self, value: float) -> float:
-        """What a fit counts in: the value from neutral, of a ratio its logarithm."""
+        """Return the coordinate in which a value is fitted: its distance from neutral, or a ratio's log."""
         return math.log(value) if self.is_ratio else value - self.neutral
 
     def value_at(self, coordinate: float) -> float:
-        """The value of a coordinate."""
+        """Return the value at a coordinate."""
         return math.exp(min(coordinate, 50.0)) if self.is_ratio else self.neutral + coordinate
 
     def bounded(self, coordinate: float) -> float:
-        """The value of a coordinate, within bounds."""
+        """Return the value at a coordinate, clipped to the bounds."""
         return float(np.clip(self.value_at(coordinate), *self.bounds))
 
     def slope(self, value: float) -> float:
-        """By how much [unit] the value changes with its coordinate."""
+        """Return the derivative [unit] of the value by its coordinate."""
         return value if self.is_ratio else 1.0
 
 
@@ -155,23 +155,22 @@ class Effect:
     source: str
     parameters: tuple[Parameter, ...]
     regimes: tuple[str, ...]  # where it shows: see REGIMES
-    confused_with: tuple[str, ...]  # effects that look alike in ordinary flights
+    confused_with: tuple[str, ...]  # effects that ordinary flights do not distinguish from it
     remedy: str  # what a person can do about it
     channels: tuple[str, ...]  # in what it shows: see CHANNELS
     apply: Callable[[Vehicle, Mapping[str, float]], Vehicle]
     says: str  # part of a sentence; {parameter} stands for its value with unit
-    # Log channel (or `yaw_rate_command`) without which it cannot be told -> change over the flights below
-    # which neither.
+    # Log channel (or `yaw_rate_command`) -> least change over the flights for it to be identifiable.
     requires: Mapping[str, float] = dataclasses.field(default_factory=dict)
     scales_thrust: bool = False  # free flight shows the ratio of thrust to mass alone
-    # What MuJoCo's contact changes along with it and feet do not: it may be off beside it, as far as it is.
+    # Effects that MuJoCo's contact model changes along with it but real feet do not: they may be as far off.
     couples_with: tuple[str, ...] = ()
     # Errors of its formula that are free while it is named (`eval/gap/search/form.py`), and the standard
     # deviation of their weights: from simulators of other forms (docs/gap_blind.md, development families).
     forms: tuple[str, ...] = ()
     form: float = 0.05
-    of_the_place: bool = False  # no part of the vehicle: another day or room has another value
-    told_by: str = ""  # how it is told without a flight, a sentence; "": by flights
+    of_the_place: bool = False  # of the surroundings: another value on another day or in another room
+    told_by: str = ""  # how it is measured without a flight, a sentence; "": by flights
 
     @property
     def neutral(self) -> dict[str, float]:
@@ -189,12 +188,12 @@ class Effect:
         return next((p for p in self.parameters if p.is_reference), None)
 
     def at_ends(self, value: float, reference: float) -> tuple[float, float]:
-        """A size about a reference as sizes about both of its sides: together they do the same."""
+        """Return sizes about the lowest and the highest reference that together equal this one."""
         share = self._towards(reference)
         return value * (1.0 - share), value * share
 
     def from_ends(self, low: float, high: float) -> tuple[float, float]:
-        """The size, and the reference that it is about, of two sizes about both sides of the reference."""
+        """Return size and reference equivalent to sizes about the lowest and the highest reference."""
         value = low + high
         share = high / value if value else 0.5
         about = self._about
@@ -221,11 +220,11 @@ class Effect:
         return self.channels == ("touchdown",)
 
     def beside(self, vehicle: Vehicle) -> Effect:
-        """The effect as it may be added to `vehicle`."""
+        """Return the effect with the bounds and sizes that apply to `vehicle`."""
         return dataclasses.replace(self, parameters=tuple(p.beside(vehicle) for p in self.parameters))
 
     def parameter(self, name: str) -> Parameter:
-        """The parameter called `name`."""
+        """Return the parameter called `name`."""
         return next(p for p in self.parameters if p.name == name)
 
 

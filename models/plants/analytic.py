@@ -47,6 +47,8 @@ class AnalyticPlant(Plant):
         self._distance = np.empty((n, 3, 3))
         self._ambient = equations.free_air(n)
         self._ambient[:, equations.INCLINATION], self._ambient[:, equations.PRESENT] = self.inclination, True
+        push = equations.STILL if self.unrest is None else self.unrest.held
+        self._conditions = equations.Conditions(self._constants, self.perturbation, self._ambient, push)
         self.reset(np.arange(n), self.state)
 
     def _arrays(self):
@@ -74,15 +76,14 @@ class AnalyticPlant(Plant):
         """Advance every vehicle by one control period under commands (n, 4), whichever are wanted."""
         commands = np.ascontiguousarray(commands, dtype=float)
         dt = self.control_period / self.substeps
-        push = equations.STILL
         if self.unrest is not None:
-            push = self.unrest.push(self.state, self.attitude == "rate_loop")
+            self.unrest.push(self.state, self.attitude == "rate_loop")
         self.delays.push_commands(commands)
         if self.delays.of_commands:
             for k in range(self.substeps):
-                self._advance(self.delays.acting(k * dt, dt), dt, 1, push)
+                self._advance(self.delays.acting(k * dt, dt), dt, 1)
         else:
-            self._advance(commands, dt, self.substeps, push)
+            self._advance(commands, dt, self.substeps)
         if self.unrest:
             self.unrest.step()
         self.delays.push_state(self.state)
@@ -91,7 +92,6 @@ class AnalyticPlant(Plant):
         np.less(self._distance, self.keep_out, out=self.contacts.near)
         np.less(self._distance, 0.0, out=self.contacts.touch)
 
-    def _advance(self, commands: np.ndarray, dt: float, substeps: int, push: np.ndarray) -> None:
+    def _advance(self, commands: np.ndarray, dt: float, substeps: int) -> None:
         rate_loop = self.attitude == "rate_loop"
-        vehicles = self.state, commands, self._ambient, self._constants, self.perturbation
-        equations.advance(*vehicles, rate_loop, dt, substeps, push)
+        equations.advance(self.state, commands, self._conditions, rate_loop, dt, substeps)

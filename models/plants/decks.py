@@ -14,6 +14,7 @@ The joints' inertia is practically infinite, so that contacts do not move a deck
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import mujoco
 import numba
@@ -29,6 +30,25 @@ from inclined_landing.models.parameters import Vehicle
 _JOINTS = ("x", "y", "z", "roll", "pitch", "yaw")  # of models/scene.py, in the order of motion.MODES
 
 
+class _Clock(NamedTuple):
+    """Times of the decks' motions, and when the engine asks for them."""
+
+    now: np.ndarray  # (n,) s, times of the motions
+    step: float  # s, of the engine
+    late: float  # s by which the engine's speeds and accelerations belong earlier than its positions
+
+
+class _Joints(NamedTuple):
+    """The decks' joints in the engine's arrays, in the order of motion.MODES."""
+
+    qpos: np.ndarray  # (n, nq)
+    qvel: np.ndarray  # (n, nv)
+    force: np.ndarray  # (n, nv)
+    positions: np.ndarray  # (6,) columns of qpos
+    dofs: np.ndarray  # (6,) columns of qvel and force
+    inertia: float  # kg, kg m2
+
+
 class Decks:
     """Platforms of n simulations of a scene that was built with `moving`.
 
@@ -42,12 +62,14 @@ class Decks:
         self.begun = np.zeros(n)  # s, time of the motions at the vehicles' reset
         self._deck = deck
         joints = [model.joint(f"deck_{name}") for name in _JOINTS]
-        places = np.array([int(joint.qposadr[0]) for joint in joints])
-        speeds = np.array([int(joint.dofadr[0]) for joint in joints])
-        bind = batch.bind
-        self._engine = bind("qpos"), bind("qvel"), bind("qfrc_applied"), places, speeds
-        self._time = bind("time")
-        self._inertia = float(model.dof_armature[speeds[0]])
+        dofs = np.array([int(joint.dofadr[0]) for joint in joints])
+        self._joints = _Joints(
+            *(batch.bind("qpos"), batch.bind("qvel"), batch.bind("qfrc_applied")),
+            np.array([int(joint.qposadr[0]) for joint in joints]),
+            dofs,
+            float(model.dof_armature[dofs[0]]),
+        )
+        self._time = batch.bind("time")
         self._step = model.opt.timestep
         self._late = 0.0 if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.5 * self._step
         self._period = substeps * self._step
@@ -57,16 +79,16 @@ class Decks:
         )
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What a snapshot of the plant needs of them."""
+        """Return what a snapshot of the plant needs of them."""
         names = ("deck_velocity", "deck_amplitude", "deck_frequency", "deck_phase")
         return {"deck_rest": self.rest, "deck_begun": self.begun, **dict(zip(names, self.motion.arrays))}
 
     def make_room(self, arrays: dict[str, np.ndarray]) -> None:
-        """Have as many waves as a snapshot's arrays."""
+        """Make room for as many waves as a snapshot's arrays have."""
         self.motion = Motion.still(len(self.rest), arrays["deck_amplitude"].shape[2])
 
     def stop(self, ids, rest: np.ndarray) -> None:
-        """Leave the decks `ids` standing at `rest` (k, 12)."""
+        """Stop the decks `ids` at `rest` (k, 12)."""
         self.rest[ids], self.begun[ids] = rest, 0.0
         self.motion[ids] = Motion.still(len(rest))
 
@@ -77,66 +99,66 @@ class Decks:
         self.motion[ids], self.begun[ids] = moves, time
 
     def at(self, times) -> np.ndarray:
-        """States (n, 12) of the decks at times (n,) or a number [s] since the vehicles' reset."""
+        """Return states (n, 12) of the decks at times (n,) or a number [s] since the vehicles' reset."""
         return self.motion.decks(times + self.begun, self.rest)
 
     def place(self, ids: np.ndarray, present: np.ndarray) -> None:
         """Put the decks `ids` where their motions have them now, in the engine and in `deck`."""
-        clock = self._time + self.begun, self._step, self._late
-        moves = self.rest, *self.motion.arrays
-        _place(ids, *clock, present, *moves, self._deck, self._inertia, *self._engine)
+        _place(ids, self._clock(), present, self.motion.arrays, self.rest, self._deck, self._joints)
 
     def forces(self, ids: np.ndarray, present: np.ndarray) -> np.ndarray:
-        """Forces (k, substeps, nv) that move the decks `ids` through the control period that begins."""
-        out, at = self._forces[: len(ids)], self._engine[-1]
-        clock = self._time + self.begun, self._step, self._late
-        _forces(ids, *clock, present, *self.motion.arrays, self._inertia, at, out)
+        """Return forces (k, substeps, nv) that move the decks `ids` through the period that begins."""
+        out = self._forces[: len(ids)]
+        _forces(ids, self._clock(), present, self.motion.arrays, self._joints, out)
         return out
 
+    def _clock(self) -> _Clock:
+        return _Clock(self._time + self.begun, self._step, self._late)
+
     def fastest(self, ids: np.ndarray) -> np.ndarray:
-        """(k,) bound of the speed [m/s] of any point of the decks `ids` in the period that begins.
+        """Return a bound (k,) of the speed [m/s] of any point of the decks `ids` in the period that begins.
 
         The speed of the centre now and what the largest acceleration of its motion adds, and as much for the
         angles, each of which turns about an axis, times the reach of the slab.
         """
         _, amplitude, frequency, _ = self.motion.arrays
         gained = self._period * (np.abs(amplitude[ids]) * frequency[ids] ** 2).sum(axis=2)
-        speed = np.abs(self._engine[1][np.ix_(ids, self._engine[-1])]) + gained
+        speed = np.abs(self._joints.qvel[np.ix_(ids, self._joints.dofs)]) + gained
         return np.linalg.norm(speed[:, :3], axis=1) + self._reach * speed[:, 3:].sum(axis=1)
 
 
 @numba.njit(cache=True)
-def _place(
-    ids, time, step, late, present, rest, velocity, amplitude, frequency, phase, deck, inertia,
-    qpos, qvel, force, places, speeds,
-):  # fmt: skip
-    now, then, next_ = np.empty((3, 6)), np.empty((3, 6)), np.empty((3, 6))
+def _place(ids, clock, present, waves, rest, deck, joints):
+    """Write the decks' states into `deck`, and positions, speeds and forces into the engine's arrays."""
+    qpos, qvel, force, positions, dofs, inertia = joints
+    now, then, middle = np.empty((3, 6)), np.empty((3, 6)), np.empty((3, 6))
     for i in ids:
-        t = time[i]
-        motion.moved(i, t, velocity, amplitude, frequency, phase, now)
-        motion.as_state(now, rest[i], deck[i])
+        t = clock.now[i]
+        motion.displacement(i, t, waves, now)
+        motion.write_state(now, rest[i], deck[i])
         if not present[i]:
             for k in range(6):
-                qpos[i, places[k]] = qvel[i, speeds[k]] = force[i, speeds[k]] = 0.0
-            qpos[i, places[Z]] = PARKED
+                qpos[i, positions[k]] = qvel[i, dofs[k]] = force[i, dofs[k]] = 0.0
+            qpos[i, positions[Z]] = PARKED
             continue
         then[:] = now
-        if late > 0.0:
-            motion.moved(i, t - late, velocity, amplitude, frequency, phase, then)
-        motion.moved(i, t + 0.5 * step - late, velocity, amplitude, frequency, phase, next_)
+        if clock.late > 0.0:
+            motion.displacement(i, t - clock.late, waves, then)
+        motion.displacement(i, t + 0.5 * clock.step - clock.late, waves, middle)
         for k in range(6):
-            qpos[i, places[k]] = rest[i, k if k < 3 else ROLL + k - 3] + now[0, k]
-            qvel[i, speeds[k]] = then[1, k]
-            force[i, speeds[k]] = inertia * next_[2, k]
+            qpos[i, positions[k]] = rest[i, k if k < 3 else ROLL + k - 3] + now[0, k]
+            qvel[i, dofs[k]] = then[1, k]
+            force[i, dofs[k]] = inertia * middle[2, k]  # F = I a
 
 
 @numba.njit(cache=True)
-def _forces(ids, time, step, late, present, velocity, amplitude, frequency, phase, inertia, speeds, out):
+def _forces(ids, clock, present, waves, joints, out):
+    """Write the forces of every time step, from the accelerations in its middle, into `out`."""
     now = np.empty((3, 6))
     for row in range(len(ids)):
         i = ids[row]
         for s in range(out.shape[1]):
-            t = time[i] + (s + 0.5) * step - late
-            motion.moved(i, t, velocity, amplitude, frequency, phase, now)
+            t = clock.now[i] + (s + 0.5) * clock.step - clock.late
+            motion.displacement(i, t, waves, now)
             for k in range(6):
-                out[row, s, speeds[k]] = inertia * now[2, k] if present[i] else 0.0
+                out[row, s, joints.dofs[k]] = joints.inertia * now[2, k] if present[i] else 0.0

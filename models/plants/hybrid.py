@@ -13,19 +13,21 @@ acceleration does between. A moving deck is taken where it was at the period's b
 any of its points can have moved since (`Decks.fastest`). So no contact that the engine would see is missed,
 and contacts, forces and the zone are always the engine's own.
 
-By the equations fly attitudes and rates only for which they are as exact as the engine: roll short of the
-Euler angles' singular 90 deg, turns in a time step of less than `_TURN`. Torque limits, clamped commands,
-motors that are off, perturbations, unrest and all effects are in the equations; delayed commands are written
-into the engine's history as it would write them. The engine flies everything with kinematic attitude, the
-mode for exact comparison, while its steps are recorded (`advance(record=...)`), and vehicles with a ground
-effect over decks that can move, which the equations know standing still only. Its own delayed motion
-capture sensors, which nothing reads, are as old as its last step.
+The equations fly only attitudes and rates for which they are as exact as the engine: roll short of the
+Euler angles' singularity at 90 deg, turns in a time step of less than `_TURN`. Torque limits, clamped
+commands, motors that are off, perturbations, unrest and all effects are in the equations; delayed commands
+are written into the engine's history as the engine would write them. The engine flies everything with
+kinematic attitude, the mode for exact comparison, and while its steps are recorded (`advance(record=...)`).
+It also flies vehicles with a ground effect over decks that can move, because the equations know the ground
+effect of a platform at rest only. The engine's delayed motion capture sensors, which nothing reads, are as
+old as its last step.
 """
 
 from __future__ import annotations
 
 import functools
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -40,9 +42,67 @@ _MARGIN = 1e-3  # m
 _LARGEST_ANGLE = 1.2  # rad, of roll and pitch: cos(roll) is far from 0
 # In a time step; RK4 is then within _TURN^5/120 = 1e-7 rad of the true attitude.
 _TURN = 0.1  # rad
-# Decks that stand, and an engine without delays: the same types as those of others, so one compiled kernel.
-_STANDING, _NO_HISTORY = np.empty(0), np.empty((0, 0))
-_FIRST_RATE = 10  # entry of the integrated vector of `equations.take`
+_NOTHING_MOVES = np.empty(0)  # the type of `Decks.fastest`, so that one compiled kernel serves both
+_FIRST_RATE = 10  # entry of the integrated vector of `equations.pack_state`
+
+
+class _Period(NamedTuple):
+    """What one control period happens under."""
+
+    commands: np.ndarray  # (substeps, n, 4) that act in each time step, or (1, n, 4) in all of them
+    push: np.ndarray  # (n, 6) or STILL, see `equations.Conditions`
+    torque_needs_motors: bool
+    deck_speed: np.ndarray  # (k,) m/s, see `Decks.fastest`, of the vehicles that fly; empty if none can move
+
+
+class _Vehicles(NamedTuple):
+    """The n vehicles of a plant."""
+
+    constants: np.ndarray  # (n,) or (1,) from `equations.pack`
+    perturbation: np.ndarray  # (n, 7)
+    size: np.ndarray  # (n,) member of the fleet
+    fleet: geometry.Fleet
+    contact: np.ndarray  # (n, 4), the last the feet's reach below the centre of mass [m]
+    foot_height: float  # m, nominal
+    keep_out: float  # m
+    command_range: np.ndarray  # (4, 2)
+    torque_limited: bool
+    timestep: float  # s
+    substeps: int
+
+
+class _Platforms(NamedTuple):
+    """Their platforms."""
+
+    deck: np.ndarray  # (n, 12)
+    present: np.ndarray  # (n,) bool
+    position: np.ndarray  # (n, b, 3) m, of the engine's mocap bodies
+    bodies: np.ndarray  # (4,) which of them are geometry.PLATFORM_BODIES
+
+
+class _Engine(NamedTuple):
+    """Arrays of the engine that a control period changes."""
+
+    qpos: np.ndarray  # (n, nq)
+    qvel: np.ndarray  # (n, nv)
+    act: np.ndarray  # (n, 1)
+    ctrl: np.ndarray  # (n, 4)
+    time: np.ndarray  # (n,)
+    warmstart: np.ndarray  # (n, nv)
+    history: np.ndarray  # (n, h)
+    samples: np.ndarray  # (actuators,) length of each one's history
+    addresses: np.ndarray  # (actuators,) where it begins
+
+
+class _Results(NamedTuple):
+    """Arrays of the plant that a control period changes."""
+
+    state: np.ndarray  # (n, 13)
+    near: np.ndarray  # (n, 3, 3) bool, see `Contacts`
+    touch: np.ndarray  # (n, 3, 3) bool
+    force: np.ndarray  # (n, 3, 3) N
+    in_engine: np.ndarray  # (n,) bool
+    left: np.ndarray  # (n,) numbers of the vehicles that are left to the engine, first ones
 
 
 class HybridPlant(MujocoPlant):
@@ -57,18 +117,33 @@ class HybridPlant(MujocoPlant):
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
         self.in_engine = np.ones(self.n, bool)
-        self._near = np.empty(self.n, int)
-        self._limited = bool(self.model.actuator_forcelimited[self._loops].all())
         self._acting = np.empty((self.substeps, self.n, 4))
-        self._boxes = self.shapes.box_centres, self.shapes.box_sizes, np.array(self._mocap)
+        c, model = self.contacts, self.model
+        left = np.empty(self.n, int)
+        self._results = _Results(self.state, c.near, c.touch, c.force, self.in_engine, left)
+        self._engine = _Engine(
+            *(self._qpos, self._qvel, self._act, self._ctrl, self._time, self._warmstart),
+            # Without one, which no actuator has then: memory of its layout, for one compiled kernel.
+            np.empty((self.n, 2))[:, :1] if self._history is None else self._history,
+            model.actuator_history[:, 0],
+            model.actuator_historyadr,
+        )
+        self._platforms = _Platforms(self.deck, self.present, self._mocap_pos, np.array(self._mocap))
+        self._kernel_vehicles = _Vehicles(
+            *(self._constants, self.perturbation, self.size, self.fleet, self._contact),
+            *(self.foot_height, float(self.keep_out), model.actuator_ctrlrange),
+            bool(model.actuator_forcelimited[self._loops].all()),
+            model.opt.timestep,
+            self.substeps,
+        )
 
     def advance(self, commands, ids=None, record=()):
         """`step` without its check, for the vehicles `ids` (k,) alone; see `MujocoPlant.advance`."""
-        own = self._everyone if ids is None else np.asarray(ids)
+        chosen = self._everyone if ids is None else np.asarray(ids)
         if record or self.attitude != "rate_loop":
-            self.in_engine[own] = True
+            self.in_engine[chosen] = True
             return super().advance(commands, ids, record)
-        push = self._give(np.asarray(commands, float), own)
+        push = self._give(np.asarray(commands, float), chosen)
         acting, step = self._acting[:1], self.control_period / self.substeps
         if self.delays.of_commands:
             acting = self._acting
@@ -76,22 +151,14 @@ class HybridPlant(MujocoPlant):
                 acting[k] = self.delays.acting(k * step, step)
         else:
             acting[0] = self._ctrl
-        fastest = self.decks.fastest(own) if self.decks else _STANDING
-        c, model = self.contacts, self.model
-        near = self._near[: _fly(
-            own, acting, model.actuator_ctrlrange, push, self._limited, self.torque_needs_motors,
-            self._constants, self.perturbation, model.opt.timestep, self.substeps,
-            self.deck, fastest, self.present, self._mocap_pos, *self._boxes,
-            self.fleet.reach, self.size, self.foot_height, self._contact, self.keep_out,
-            self.state, self._qpos, self._qvel, self._act, self._ctrl, self._time, self._warmstart,
-            _NO_HISTORY if self._history is None else self._history,
-            model.actuator_history[:, 0], model.actuator_historyadr,
-            c.near, c.touch, c.force, self.in_engine, self._near,
-        )]  # fmt: skip
+        deck_speed = self.decks.fastest(chosen) if self.decks else _NOTHING_MOVES
+        period = _Period(acting, push, self.torque_needs_motors, deck_speed)
+        count = _fly(chosen, period, self._kernel_vehicles, self._platforms, self._engine, self._results)
+        near = self._results.left[:count]
         if len(near):
             self._roll(None if len(near) == self.n else near)
-        self._place_decks(own)
-        self.delays.push_state(self.state, own)
+        self._place_decks(chosen)
+        self.delays.push_state(self.state, chosen)
         return {}
 
 
@@ -99,92 +166,100 @@ functools.update_wrapper(HybridPlant.__init__, MujocoPlant.__init__)  # with its
 
 
 @numba.njit(cache=True)
-def _fly(
-    ids, acting, ranges, push, limited, needs_motors, vehicle, p, dt, substeps,
-    deck, fastest, present, mocap, boxes, sizes, bodies, reach, size, nominal, contact, zone,
-    state, qpos, qvel, act, ctrl, time, warmstart, history, samples, addresses,
-    near, touch, force, in_engine, left,
-):  # fmt: skip
+def _fly(ids, period, vehicles, platforms, engine, results):
     """Fly those of the vehicles `ids` by the equations that stay out of reach.
 
-    Returns how many are left to the engine; their numbers are put into `left`. The engine's arrays of the
+    Returns how many are left to the engine; their numbers are in `results.left`. The engine's arrays of the
     others are what it would have made of them, without a warm start of its solver, which had no contact.
     """
-    each, held, work = len(vehicle) > 1, len(acting) == 1, equations.scratch()
-    moving, remembered = len(fastest) > 0, len(history) > 0
-    y, u, around = np.zeros(13), np.empty(4), np.empty(equations.AMBIENT_SIZE)
-    own_limits, poses = np.empty(3), np.empty((len(bodies), 3))
+    dt, substeps, held = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
+    moving, steps = len(period.deck_speed) > 0, np.zeros(1, equations.STEP)
+    poses = np.empty((len(platforms.bodies), 3))
+    boxes, sizes = vehicles.fleet.box_centres, vehicles.fleet.box_sizes
     count = 0
     for row in range(len(ids)):
         i = ids[row]
-        d = deck[i]
-        v = vehicle[i if each else 0]
+        d, present = platforms.deck[i], platforms.present[i]
+        v = vehicles.constants[i if len(vehicles.constants) > 1 else 0]
+        s = steps[0]
+        y, u, ambient, torque_limits = s.y, s.command, s.ambient, s.torque_limits
+        s.rate_loop = s.limited = True
+        equations.disturb(s, vehicles.perturbation, period.push, i)
         for k in range(3):
-            own_limits[k] = v.attitude.yaw_torque_limit if k == 2 else v.attitude.torque_limit
-            if not limited:
-                own_limits[k] = math.inf
-            elif needs_motors and not ctrl[i, PWM] > 0.0:
-                own_limits[k] = 0.0
-        for b in range(len(bodies)):
+            torque_limits[k] = v.attitude.yaw_torque_limit if k == 2 else v.attitude.torque_limit
+            if not vehicles.torque_limited:
+                torque_limits[k] = math.inf
+            elif period.torque_needs_motors and not engine.ctrl[i, PWM] > 0.0:
+                torque_limits[k] = 0.0
+        for b in range(len(poses)):
             for k in range(3):
-                poses[b, k] = mocap[i, bodies[b], k]
-        comes = 0.0  # what the slab can have come nearer in a time step
+                poses[b, k] = platforms.position[i, platforms.bodies[b], k]
+        approach = 0.0  # m that the slab can have come nearer in a time step
         if moving:
             poses[0, X], poses[0, Y], poses[0, Z] = d[X], d[Y], d[Z]
-            if not present[i]:
+            if not present:
                 poses[0, Z] = geometry.PARKED
-            comes = dt * fastest[row]
-        around[equations.TIME], around[equations.VOLTAGE] = time[i], math.nan
-        around[equations.INCLINATION], around[equations.PRESENT] = d[PITCH], present[i]
-        around[equations.AZIMUTH] = d[YAW]
-        radius = reach[size[i]] + max(0.0, contact[i, 3] - nominal)
-        equations.take(state[i], y)
-        out_of_reach = not (moving and present[i] and v.effects.ground_effect != 0.0)
+            approach = dt * period.deck_speed[row]
+        ambient[equations.TIME], ambient[equations.VOLTAGE] = engine.time[i], math.nan
+        ambient[equations.INCLINATION], ambient[equations.PRESENT] = d[PITCH], present
+        ambient[equations.AZIMUTH] = d[YAW]
+        lowered = max(0.0, vehicles.contact[i, 3] - vehicles.foot_height)
+        radius = vehicles.fleet.reach[vehicles.size[i]] + lowered
+        equations.pack_state(results.state[i], y)
+        out_of_reach = not (moving and present and v.effects.ground_effect != 0.0)
         for step in range(substeps if out_of_reach else 0):
             if step == 0 or not held:
                 for k in range(4):
-                    u[k] = min(ranges[k, 1], max(ranges[k, 0], acting[step, i, k]))
-            platform = geometry.platform_distance(y, d[ROLL], d[PITCH], d[YAW], poses, boxes, sizes) - zone
-            free = min(platform - (step + 1) * comes, y[Z]) - radius - _MARGIN
+                    low, high = vehicles.command_range[k, 0], vehicles.command_range[k, 1]
+                    u[k] = min(high, max(low, period.commands[step, i, k]))
+            # Distance to spare > dt |v| before the step, and > dt (max(|v|, |v'|) + |v' - v|) after it.
+            platform = geometry.platform_distance(y, d[ROLL], d[PITCH], d[YAW], poses, boxes, sizes)
+            platform = platform - vehicles.keep_out - (step + 1) * approach
+            spare = min(platform, y[Z]) - radius - _MARGIN
             vx, vy, vz = y[VX], y[VX + 1], y[VZ]
-            begun = math.sqrt(vx * vx + vy * vy + vz * vz)
-            out_of_reach = free > dt * begun and _tame(y, dt)
+            before = math.sqrt(vx * vx + vy * vy + vz * vz)
+            out_of_reach = spare > dt * before and _as_exact(y, dt)
             if not out_of_reach:
                 break
-            equations.rk4(y, u, around, push, i, own_limits, v, p[i], True, dt, work)
-            ended = math.sqrt(y[VX] ** 2 + y[VX + 1] ** 2 + y[VZ] ** 2)
-            gained = math.sqrt((y[VX] - vx) ** 2 + (y[VX + 1] - vy) ** 2 + (y[VZ] - vz) ** 2)
-            out_of_reach = free > dt * (max(begun, ended) + gained)
+            equations.rk4(s, v, dt)
+            after = math.sqrt(y[VX] ** 2 + y[VX + 1] ** 2 + y[VZ] ** 2)
+            change = math.sqrt((y[VX] - vx) ** 2 + (y[VX + 1] - vy) ** 2 + (y[VZ] - vz) ** 2)
+            out_of_reach = spare > dt * (max(before, after) + change)
             if not out_of_reach:
                 break
-        in_engine[i] = not (out_of_reach and _tame(y, dt))
-        if in_engine[i]:
-            left[count] = i
+        results.in_engine[i] = not (out_of_reach and _as_exact(y, dt))
+        if results.in_engine[i]:
+            results.left[count] = i
             count += 1
             continue
         if abs(y[YAW]) > math.pi:
             y[YAW] -= 2.0 * math.pi * round(y[YAW] / (2.0 * math.pi))
-        s = state[i]
-        equations.give(y, s)
-        qpos[i, 0], qpos[i, 1], qpos[i, 2] = s[X], s[Y], s[Z]
-        qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6] = quaternion(s[ROLL], s[PITCH], s[YAW])
-        for k in range(3):
-            qvel[i, k], qvel[i, 3 + k] = s[VX + k], s[9 + k]
-        act[i, 0] = s[12]
-        for _ in range(substeps):
-            if remembered:
-                _note(history[i], samples, addresses, ctrl[i], time[i])
-            time[i] += dt
-        warmstart[i] = 0.0
-        near[i], touch[i], force[i] = False, False, 0.0
+        equations.unpack_state(y, results.state[i])
+        results.near[i], results.touch[i], results.force[i] = False, False, 0.0
+        _write(i, results.state[i], substeps, dt, engine)
     return count
 
 
 @numba.njit(cache=True)
-def _note(history, samples, addresses, ctrl, time):
-    """Commands ctrl (4,) at a time [s] into the engine's history (h,) of those actuators that have one.
+def _write(i, s, substeps, dt, engine):
+    """Write vehicle i in a state s (13,) after some time steps of `dt` [s] into the engine's arrays."""
+    qpos, qvel = engine.qpos, engine.qvel
+    qpos[i, 0], qpos[i, 1], qpos[i, 2] = s[X], s[Y], s[Z]
+    qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6] = quaternion(s[ROLL], s[PITCH], s[YAW])
+    for k in range(3):
+        qvel[i, k], qvel[i, 3 + k] = s[VX + k], s[9 + k]
+    engine.act[i, 0] = s[12]
+    for _ in range(substeps):
+        _note(engine.history[i], engine.samples, engine.addresses, engine.ctrl[i], engine.time[i])
+        engine.time[i] += dt
+    engine.warmstart[i] = 0.0
 
-    It is, from an actuator's address on: a user's number, which sample is the newest, times, values.
+
+@numba.njit(cache=True, inline="always")
+def _note(history, samples, addresses, ctrl, time):
+    """Write commands ctrl (4,) at a time [s] into the engine's history (h,) of the actuators that have one.
+
+    Its layout from an actuator's address on: a user's number, index of the newest sample, times, values.
     """
     for k in range(len(samples)):
         count, at = samples[k], addresses[k]
@@ -196,7 +271,7 @@ def _note(history, samples, addresses, ctrl, time):
 
 
 @numba.njit(cache=True, inline="always")
-def _tame(y, dt):
-    """Are attitude and rates those that the equations know as well as the engine? False for NaN."""
+def _as_exact(y, dt):
+    """Return whether the equations are as exact as the engine at attitude and rates of y; False for NaN."""
     rates = max(abs(y[_FIRST_RATE]), abs(y[_FIRST_RATE + 1]), abs(y[_FIRST_RATE + 2]))
     return max(abs(y[ROLL]), abs(y[PITCH])) < _LARGEST_ANGLE and rates * dt < _TURN

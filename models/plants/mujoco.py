@@ -441,7 +441,7 @@ def _synchronise_rates(qpos, qvel, ctrl, vehicle, p, kept):
         v = vehicle[i if len(vehicle) > 1 else 0]
         roll, pitch, yaw = euler_angles(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
         x, y, z = qvel[i, 0], qvel[i, 1], qvel[i, 2]
-        held = equations.held_angles(roll, pitch, yaw, x, y, z, v)
+        held = equations.estimated_angles(roll, pitch, yaw, x, y, z, v)
         a, b, d = equations.loop_rates(held[0], held[1], ctrl[i], v, p[i])
         qvel[i, 3], qvel[i, 4], qvel[i, 5] = body_rates(roll, pitch, a, b, d)
 

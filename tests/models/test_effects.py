@@ -352,8 +352,8 @@ def test_neutral_effects_change_no_bit():
         data.qpos[2], data.act[:] = states[0][0, Z], V.hover_lag
     for row in COMMANDS[:, :1]:
         for state, constants_ in zip(states, (plain, active)):
-            around, p = equations.free_air(1), perturbation.neutral(1)
-            equations.advance(state, row, around, constants_, p, True, 0.004, 5, equations.STILL)
+            conditions = equations.Conditions(constants_, perturbation.neutral(1), equations.free_air(1))
+            equations.advance(state, row, conditions, True, 0.004, 5)
         for model, data in zip(models, engines):
             data.ctrl[:] = row
             mujoco.mj_step(model, data, 5)

@@ -29,9 +29,9 @@ def fly(state, commands, duration, steps, rate_loop=False, vehicle=V) -> np.ndar
     """Copy of `state` (n, 13) after `duration` [s] in `steps` RK4 steps."""
     state = np.array(state)
     commands = np.broadcast_to(np.asarray(commands, float), (len(state), 4)).copy()
-    around, p = equations.free_air(len(state)), neutral(len(state))
-    how = p, rate_loop, duration / steps, steps, equations.STILL
-    equations.advance(state, commands, around, equations.pack(vehicle), *how)
+    n = len(state)
+    conditions = equations.Conditions(equations.pack(vehicle), neutral(n), equations.free_air(n))
+    equations.advance(state, commands, conditions, rate_loop, duration / steps, steps)
     return state
 
 
@@ -256,8 +256,8 @@ def test_vehicles_do_not_influence_each_other():
         ([V] * 7, equations.pack(V)),
         (others, np.concatenate([equations.pack(v) for v in others])),
     ):
-        together, around = states.copy(), equations.free_air(7)
-        equations.advance(together, commands, around, packed, neutral(7), True, 0.004, 5, equations.STILL)
+        together, conditions = states.copy(), equations.Conditions(packed, neutral(7), equations.free_air(7))
+        equations.advance(together, commands, conditions, True, 0.004, 5)
         for i, v in enumerate(vehicles):
             alone = fly(states[i : i + 1], commands[i], 0.02, 5, True, v)[0]
             np.testing.assert_array_equal(alone, together[i])

@@ -44,6 +44,6 @@ def test_commands_lead_to_the_attitude_that_was_meant():
     """Where no limit is met: a vehicle with gain times the turned command shows gain times the meant one."""
     state, deck = somewhere(200)
     meant, gain = RNG.uniform(-0.4, 0.4, (200, 2)), 1.1
-    state[:, [ROLL, PITCH]] = gain * surface.own_angles(meant, gain, 1.0, state, deck)
+    state[:, [ROLL, PITCH]] = gain * surface.vehicle_commands(meant, gain, 1.0, state, deck)
     assert np.abs(surface.heading_frame(state, deck)[:, [ROLL, PITCH]] - gain * meant).max() < 1e-13
-    assert np.abs(surface.own_angles(meant, gain, 0.1, state, deck)).max() <= 0.1
+    assert np.abs(surface.vehicle_commands(meant, gain, 0.1, state, deck)).max() <= 0.1

@@ -194,12 +194,13 @@ def by_commands(flown: Flown, vehicle: Vehicle) -> Motion:
         state[:, ROLL : ROLL + 3] = level(state[:, ROLL : ROLL + 3].copy(), tilt)
     state[:, LAG] = starts.gather([lag for _, lag in driven], 1)[:, 0]
     ambient = starts.gather([f.ambient for f in starts.flights])
-    packed, around = equations.pack(vehicle), ambient[:, 0].copy()
+    around = ambient[:, 0].copy()
+    conditions = equations.Conditions(equations.pack(vehicle), neutral(n), around)
     found = np.empty((n, steps, LAG))
     for k in range(steps):
         around[:, 1:] = ambient[:, k, 1:]
         now = np.ascontiguousarray(commands[:, k])
-        equations.advance(state, now, around, packed, neutral(n), True, starts.dt, 1, equations.STILL)
+        equations.advance(state, now, conditions, True, starts.dt, 1)
         found[:, k] = state[:, :LAG]
     attitude = found[..., ROLL : ROLL + 3].reshape(-1, 3).copy()
     if any(tilt):

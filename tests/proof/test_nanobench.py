@@ -42,8 +42,8 @@ def flight(tmp_path):
     states = np.empty((m, 13))
     for k in range(m):
         states[k] = state[0]
-        arguments = (equations.free_air(1), equations.pack(vehicle), neutral(1), True, dt / 2, 2)
-        equations.advance(state, commands[k : k + 1], *arguments, equations.STILL)
+        conditions = equations.Conditions(equations.pack(vehicle), neutral(1), equations.free_air(1))
+        equations.advance(state, commands[k : k + 1], conditions, True, dt / 2, 2)
     angles = states[:, [YAW, ROLL, PITCH]]
     quaternion = Rotation.from_euler("ZXY", angles).as_quat()
     asked = Rotation.from_euler("XY", commands[:, 1:3]).as_euler("ZYX")

@@ -7,11 +7,15 @@ Indices are unsigned, or the compiler would ask for negative ones before each ac
 
 The loss is that of Stable-Baselines3: Schulman et al., Proximal Policy Optimization Algorithms, 2017, with
 advantages normalised in each minibatch, a global limit of the gradient's norm, and Kingma and Ba's Adam.
+
+Symbols of the comments: policy pi with parameters theta, observation o, action a, advantage A, return R,
+value V, reward r, discount gamma.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -42,9 +46,90 @@ _compiled = numba.njit(**_OPTIONS)
 _inlined = numba.njit(**_OPTIONS, forceinline=True)
 
 
+class Network(NamedTuple):
+    """A network to be evaluated."""
+
+    weights: np.ndarray  # (w,) float32
+    widths: np.ndarray  # (layers + 1,) uint64
+    activations: np.ndarray  # memory for one block of all layers' activations
+
+
+class Learner(NamedTuple):
+    """A network that learns."""
+
+    weights: np.ndarray  # (w,) float32
+    widths: np.ndarray  # (layers + 1,) uint64
+    moments: np.ndarray  # (2, w) float32, Adam's
+    steps: np.ndarray  # (1,) float64, Adam's until now
+    activations: np.ndarray  # memory for one block of all layers' activations
+    derivatives: np.ndarray  # of the loss by them
+    gradient: np.ndarray  # (w,)
+
+
+class Scaling(NamedTuple):
+    """How observations o are scaled: clip((o - centre)/scale, -limit, limit)."""
+
+    centre: np.ndarray  # (o,) float32
+    scale: np.ndarray  # (o,) float32
+    limit: np.float32
+
+
+class Bounds(NamedTuple):
+    """Of the actions."""
+
+    low: np.ndarray  # (a,) float32
+    high: np.ndarray  # (a,) float32
+
+
+class Drawn(NamedTuple):
+    """Actions of n environments."""
+
+    actions: np.ndarray  # (n, a) float32
+    clipped: np.ndarray  # (n, a) within the bounds
+    log_prob: np.ndarray  # (n,)
+
+
+class Rollout(NamedTuple):
+    """The samples of an update, float32."""
+
+    observations: np.ndarray  # (N, o)
+    actions: np.ndarray  # (N, a)
+    log_probs: np.ndarray  # (N,) of the policy that drew them
+    advantages: np.ndarray  # (N,)
+    returns: np.ndarray  # (N,)
+
+
+class Settings(NamedTuple):
+    """Of an update."""
+
+    batch: np.uint64  # samples in a minibatch
+    actor_learns: bool
+    clip: float  # epsilon of the clipped surrogate
+    entropy: float  # weight of the entropy in the loss
+    values: float  # weight of the values' error in the loss
+    largest_norm: float  # of the gradient
+    rate: float  # Adam's, and its other constants
+    beta1: float
+    beta2: float
+    epsilon: float
+
+
+class _Matrix(NamedTuple):
+    """A matrix within a vector of weights: entry (j, i) is weights[first + j by_row + i by_column]."""
+
+    weights: np.ndarray
+    first: np.uint64
+    by_row: np.uint64
+    by_column: np.uint64
+    rows: np.uint64
+    columns: np.uint64
+
+
 @_inlined
-def _multiply(w, first, by_row, by_column, rows, columns, a, from_row, z, to_row):
-    """z[j] += sum_i w[first + j by_row + i by_column] a[i]: rows of blocks a and z from the given rows on."""
+def _multiply(matrix, a, from_row, z, to_row):
+    """Add to z, from a row on, the product of the matrix and the rows of a from a row on."""
+    # z_j += sum_i w_ji a_i
+    w, first, by_row, by_column, rows, columns = matrix
     j = _0
     while j + _4 <= rows:
         z0 = (to_row + j) * _B
@@ -91,7 +176,7 @@ def _multiply(w, first, by_row, by_column, rows, columns, a, from_row, z, to_row
 
 @_inlined
 def _dot(d, d0, a, a0):
-    """The product of two rows of blocks, summed over the samples."""
+    """Return the product of two rows of blocks, summed over the samples."""
     total = np.float32(0)
     for s in range(_B):
         total += d[d0 + s] * a[a0 + s]
@@ -100,7 +185,8 @@ def _dot(d, d0, a, a0):
 
 @_inlined
 def _outer(d, a, row, rows, from_row, columns, g, first):
-    """g[first + j columns + i] += sum over samples of d[row + j] a[from_row + i]."""
+    """Add the outer product of rows of d and a, summed over samples, to the gradient g from `first` on."""
+    # g_ji += sum_s d_j a_i
     zero = np.float32(0)
     j = _0
     while j + _4 <= rows:
@@ -156,9 +242,10 @@ def _outer(d, a, row, rows, from_row, columns, g, first):
 
 @_inlined
 def _tanh(z, first, count):
-    """Hyperbolic tangent in place of `count` numbers."""
+    """Take the hyperbolic tangent of `count` numbers in place."""
     for k in range(first, first + count):
         x = z[k]
+        # tanh(x) = x P(x^2)/Q(x^2)
         x = -_LIMIT if x < -_LIMIT else x  # NaN passes both
         x = _LIMIT if x > _LIMIT else x
         y = x * x
@@ -168,8 +255,9 @@ def _tanh(z, first, count):
 
 
 @_inlined
-def _load(inputs, rows, first, count, centre, scale, limit, a):
-    """The scaled inputs (N, o) of `count` samples rows[first:], as a block; the rest of it 0."""
+def _load(inputs, rows, first, count, scaling, a):
+    """Write the scaled inputs (N, o) of `count` samples rows[first:] as a block into a; the rest of it 0."""
+    centre, scale, limit = scaling
     for i in range(np.uint64(len(centre))):
         for s in range(_B):
             a[i * _B + s] = np.float32(0)
@@ -181,7 +269,8 @@ def _load(inputs, rows, first, count, centre, scale, limit, a):
 
 @_inlined
 def _forward(w, widths, a):
-    """Activations of every layer after the block of inputs; returns the row at which the outputs begin."""
+    """Write the activations of every layer behind the inputs in a; return the row where the outputs begin."""
+    # a_l+1 = tanh(W_l a_l + b_l), the last layer without tanh
     row, first = _0, _0
     last = np.uint64(len(widths)) - _2
     for layer in range(last + _1):
@@ -190,7 +279,7 @@ def _forward(w, widths, a):
         for j in range(rows):
             for s in range(_B):
                 a[(to_row + j) * _B + s] = w[bias + j]
-        _multiply(w, first, columns, _1, rows, columns, a, row, a, to_row)
+        _multiply(_Matrix(w, first, columns, _1, rows, columns), a, row, a, to_row)
         if layer < last:
             _tanh(a, to_row * _B, rows * _B)
         row, first = to_row, bias + rows
@@ -199,7 +288,8 @@ def _forward(w, widths, a):
 
 @_inlined
 def _backward(w, widths, a, d, row, g):
-    """Add to g what the loss's derivative by the outputs, d from `row` on, says of every weight."""
+    """Add the gradient by the weights to g, from the loss's derivative by the outputs in d from `row` on."""
+    # dL/dW_l = d_l+1 a_l^T, dL/db_l = d_l+1, d_l = (W_l^T d_l+1) (1 - a_l^2)
     first = _0
     layers = np.uint64(len(widths)) - _1
     for layer in range(layers):
@@ -220,7 +310,8 @@ def _backward(w, widths, a, d, row, g):
             begin, end = from_row * _B, row * _B
             for k in range(begin, end):
                 d[k] = np.float32(0)
-            _multiply(w, first, _1, columns, columns, rows, d, row, d, from_row)
+            transposed = _Matrix(w, first, _1, columns, columns, rows)
+            _multiply(transposed, d, row, d, from_row)
             for k in range(begin, end):
                 d[k] *= np.float32(1) - a[k] * a[k]
         row = from_row
@@ -228,41 +319,45 @@ def _backward(w, widths, a, d, row, g):
 
 @_inlined
 def _log_density(deviation, log_std):
-    """Of a normal distribution at a deviation in standard deviations."""
+    """Return the log density of a normal distribution at a deviation in standard deviations."""
+    # log N(a; mu, sigma) = -x^2/2 - log sigma - log(2 pi)/2, x = (a - mu)/sigma
     return np.float32(-0.5) * deviation * deviation - log_std - np.float32(_HALF_LOG_TWO_PI)
 
 
 @_compiled
-def act(w, widths, centre, scale, limit, observations, noise, low, high, a, actions, clipped, log_prob):
-    """Actions (n, a) drawn with standard normal `noise` (n, a), clipped ones, and log_prob (n,)."""
+def act(network, scaling, observations, noise, bounds, drawn):
+    """Draw actions for observations (n, o) with standard normal `noise` (n, a), into `drawn`."""
+    w, widths, a = network
     n, size = np.uint64(len(observations)), widths[-1]
     log_std = np.uint64(len(w)) - size
     std = np.exp(w[log_std:])
     rows = np.arange(len(observations)).astype(np.uint64)
     for first in range(_0, n, _B):
         count = min(_B, n - first)
-        _load(observations, rows, first, count, centre, scale, limit, a)
+        _load(observations, rows, first, count, scaling, a)
         out = _forward(w, widths, a)
         for s in range(count):
             total = np.float32(0)
             for k in range(size):
                 mean = a[(out + k) * _B + s]
+                # a = mu(o) + sigma noise
                 action = mean + std[k] * noise[first + s, k]
                 total += _log_density((action - mean) / std[k], w[log_std + k])
-                actions[first + s, k] = action
-                action = low[k] if action < low[k] else action
-                clipped[first + s, k] = high[k] if action > high[k] else action
-            log_prob[first + s] = total
+                drawn.actions[first + s, k] = action
+                action = bounds.low[k] if action < bounds.low[k] else action
+                drawn.clipped[first + s, k] = bounds.high[k] if action > bounds.high[k] else action
+            drawn.log_prob[first + s] = total
 
 
 @_compiled
-def evaluate(w, widths, centre, scale, limit, observations, a, values):
-    """The critic's values (n,) of observations (n, o)."""
+def evaluate(network, scaling, observations, values):
+    """Write the critic's values (n,) of observations (n, o)."""
+    w, widths, a = network
     n = np.uint64(len(observations))
     rows = np.arange(len(observations)).astype(np.uint64)
     for first in range(_0, n, _B):
         count = min(_B, n - first)
-        _load(observations, rows, first, count, centre, scale, limit, a)
+        _load(observations, rows, first, count, scaling, a)
         out = _forward(w, widths, a)
         for s in range(count):
             values[first + s] = a[out * _B + s]
@@ -270,13 +365,14 @@ def evaluate(w, widths, centre, scale, limit, observations, a, values):
 
 @numba.njit(cache=True, nogil=True)
 def advantages(rewards, values, starts, last_values, last_dones, gamma, gae_lambda, result):
-    """Generalised advantage estimates (t, n); in float32 and in the order of SB3's `RolloutBuffer`."""
+    """Write the generalised advantage estimates (t, n), in float32 and in the order of SB3's buffer."""
     steps, n = rewards.shape
     gamma32, both = np.float32(gamma), np.float32(gamma * gae_lambda)
     for i in range(n):
         going = np.float32(1) - np.float32(last_dones[i])
         value, total = last_values[i], np.float32(0)
         for t in range(steps - 1, -1, -1):
+            # delta_t = r_t + gamma V_t+1 - V_t, A_t = delta_t + gamma lambda A_t+1, within an episode
             delta = rewards[t, i] + gamma32 * value * going - values[t, i]
             total = delta + both * going * total
             result[t, i] = total
@@ -284,11 +380,11 @@ def advantages(rewards, values, starts, last_values, last_dones, gamma, gae_lamb
 
 
 @_inlined
-def _actor_gradient(
-    w, widths, data, rows, first, last, clip, entropy, learns, a, d, g, centre, scale, limit, said
-):
-    """g of the clipped loss and the entropy over rows[first:last]; `said` gets STATISTICS of them."""
-    observations, actions, before, gains, _ = data
+def _actor_gradient(actor, rollout, rows, first, last, scaling, settings, statistics):
+    """Write the gradient of the clipped surrogate and the entropy over rows[first:last], and STATISTICS."""
+    w, widths, _, _, a, d, g = actor
+    observations, actions, before, gains, _ = rollout
+    clip, entropy, learns = np.float32(settings.clip), np.float32(settings.entropy), settings.actor_learns
     size, samples = widths[-1], last - first
     log_std = np.uint64(len(w)) - size
     g[:] = 0
@@ -304,7 +400,7 @@ def _actor_gradient(
     per_std, deviations = np.float32(1) / np.exp(w[log_std:]), np.empty(size, np.float32)
     for begin in range(first, last, _B):
         count = min(_B, last - begin)
-        _load(observations, rows, begin, count, centre, scale, limit, a)
+        _load(observations, rows, begin, count, scaling, a)
         out = _forward(w, widths, a)
         for k in range(out * _B, (out + size) * _B):
             d[k] = np.float32(0)
@@ -314,6 +410,8 @@ def _actor_gradient(
             for k in range(size):
                 deviations[k] = (actions[row, k] - a[(out + k) * _B + s]) * per_std[k]
                 density += _log_density(deviations[k], w[log_std + k])
+            # A <- (A - mean A)/(std A + 1e-8); ratio = pi(a|o)/pi_old(a|o)
+            # L = -min(ratio A, clip(ratio, 1 - eps, 1 + eps) A); KL ~ (ratio - 1) - log ratio
             gain = np.float32((gains[row] - np.float32(mean)) / (np.float32(std) + np.float32(1e-8)))
             log_ratio = density - before[row]
             ratio = np.exp(log_ratio)
@@ -323,29 +421,35 @@ def _actor_gradient(
             loss -= gain * limited if flat else gain * ratio
             kl += (ratio - np.float32(1)) - log_ratio
             clipped += abs(ratio - np.float32(1)) > clip
+            # dL/dlog pi = -ratio A/N; dlog pi/dmu = x/sigma, dlog pi/dlog sigma = x^2 - 1
             slope = np.float32(0) if flat else -gain * ratio / np.float32(samples)
             for k in range(size):
                 d[(out + k) * _B + s] = slope * deviations[k] * per_std[k]
                 g[log_std + k] += slope * (deviations[k] * deviations[k] - np.float32(1))
         if learns:
             _backward(w, widths, a, d, out, g)
+    # Entropy of the normal distribution: H = sum(1/2 + log(2 pi)/2 + log sigma)
     total = 0.0
     for k in range(size):
         g[log_std + k] -= entropy
         total += 0.5 + _HALF_LOG_TWO_PI + w[log_std + k]
-    said[0], said[2], said[3], said[4] = loss / samples, -total, kl / samples, clipped / samples
+    statistics[0], statistics[2] = loss / samples, -total
+    statistics[3], statistics[4] = kl / samples, clipped / samples
 
 
 @_inlined
-def _critic_gradient(w, widths, data, rows, first, last, weight, a, d, g, centre, scale, limit, said):
-    """g of `weight` times the mean square error of the values over rows[first:last]; `said` gets that."""
-    observations, _, _, _, returns = data
+def _critic_gradient(critic, rollout, rows, first, last, scaling, settings, statistics):
+    """Write the gradient of the weighted mean square error of the values over rows[first:last], and that."""
+    # L = weight mean((V - R)^2)
+    w, widths, _, _, a, d, g = critic
+    observations, _, _, _, returns = rollout
+    weight = np.float32(settings.values)
     samples = last - first
     g[:] = 0
     loss = 0.0
     for begin in range(first, last, _B):
         count = min(_B, last - begin)
-        _load(observations, rows, begin, count, centre, scale, limit, a)
+        _load(observations, rows, begin, count, scaling, a)
         out = _forward(w, widths, a)
         for s in range(_B):
             d[out * _B + s] = np.float32(0)
@@ -354,11 +458,12 @@ def _critic_gradient(w, widths, data, rows, first, last, weight, a, d, g, centre
             loss += error * error
             d[out * _B + s] = weight * np.float32(2) * error / np.float32(samples)
         _backward(w, widths, a, d, out, g)
-    said[1] = loss / samples
+    statistics[1] = loss / samples
 
 
 @_inlined
 def _square(g):
+    """Return the square of the norm of g."""
     total = 0.0
     for k in range(np.uint64(len(g))):
         total += g[k] * g[k]
@@ -366,11 +471,16 @@ def _square(g):
 
 
 @_inlined
-def _adam(w, g, mean, square, step, share, rate, beta1, beta2, epsilon):
-    """One step, the `step`-th, with `share` of the gradient."""
+def _adam(learner, share, settings):
+    """Take one step of Adam with `share` of the gradient."""
+    # g <- share dL/dw, m <- b1 m + (1 - b1) g, v <- b2 v + (1 - b2) g^2
+    # w <- w - rate/(1 - b1^t) m/(sqrt(v)/sqrt(1 - b2^t) + epsilon)
+    w, g, mean, square = learner.weights, learner.gradient, learner.moments[0], learner.moments[1]
+    learner.steps[0] += 1
+    step, rate, beta1, beta2 = learner.steps[0], settings.rate, settings.beta1, settings.beta2
     size = np.float32(rate / (1.0 - beta1**step))
     root = np.float32(math.sqrt(1.0 - beta2**step))
-    b1, b2, small = np.float32(1.0 - beta1), np.float32(beta2), np.float32(epsilon)
+    b1, b2, small = np.float32(1.0 - beta1), np.float32(beta2), np.float32(settings.epsilon)
     rest = np.float32(1.0 - beta2)
     for k in range(np.uint64(len(w))):
         slope = g[k] * share
@@ -381,7 +491,7 @@ def _adam(w, g, mean, square, step, share, rate, beta1, beta2, epsilon):
 
 @intrinsic
 def _arrive(typing, counter):
-    """Add one to counter[0], seen by all cores at once."""
+    """Add one to counter[0] atomically."""
 
     def generate(context, builder, signature, arguments):
         array = context.make_array(signature.args[0])(context, builder, arguments[0])
@@ -393,7 +503,7 @@ def _arrive(typing, counter):
 
 @intrinsic
 def _arrived(typing, counter):
-    """counter[0] as all cores see it."""
+    """Return counter[0] as all cores see it."""
 
     def generate(context, builder, signature, arguments):
         array = context.make_array(signature.args[0])(context, builder, arguments[0])
@@ -427,55 +537,39 @@ def _meet(counter, arrivals):
 
 @_compiled
 def update(
-    actor_part, critic_part, counter, norms, actor, critic, data, order, batch, scaling, actor_learns, loss,
-    adam, said,
-):  # fmt: skip
-    """Every minibatch of every epoch, for the actor, the critic or both.
+    actor_part, critic_part, counter, norms, actor, critic, rollout, order, scaling, settings, statistics
+):
+    """Take the steps of every minibatch of every epoch, for the actor, the critic or both.
 
     Two threads may share it, one for each network: they meet once per minibatch, to add the squares of their
     gradients. Whichever way, the same numbers are computed in the same order.
 
     counter (1,) int64, 0 at first, NOBODY if the other thread has failed.
     norms (2, 2) float64, of even and odd minibatches.
-    actor, critic: (weights, widths, moments (2, w), steps (1,), activations, their derivatives, gradient).
-    data: observations (N, o), actions (N, a), log-probabilities, advantages and returns (N,), all float32.
-    order: (epochs, N) uint64, which samples; batch: how many in a minibatch.
-    scaling: (centre, scale, limit) of the observations.
-    loss: (clip, entropy's weight, values' weight, greatest norm); adam: (rate, beta 1, beta 2, epsilon).
-    said: (minibatches, 5) float64, STATISTICS.
+    actor, critic: each a `Learner`.
+    order: (epochs, N) uint64, which samples.
+    statistics: (minibatches, 5) float64, STATISTICS.
     """
-    centre, scale, limit = scaling
-    clip, entropy, weight, most = loss
-    rate, beta1, beta2, epsilon = adam
-    w, widths, moments, steps, a, d, g = actor
-    cw, cwidths, cmoments, csteps, ca, cd, cg = critic
     samples = np.uint64(order.shape[1])
     k = 0
     for epoch in range(len(order)):
         rows = order[epoch]
-        for first in range(_0, samples, batch):
-            last = min(first + batch, samples)
+        for first in range(_0, samples, settings.batch):
+            last = min(first + settings.batch, samples)
             now = norms[k % 2]
             if actor_part:
-                _actor_gradient(
-                    w, widths, data, rows, first, last, np.float32(clip), np.float32(entropy), actor_learns,
-                    a, d, g, centre, scale, limit, said[k],
-                )  # fmt: skip
-                now[0] = _square(g) if actor_learns else 0.0
+                _actor_gradient(actor, rollout, rows, first, last, scaling, settings, statistics[k])
+                now[0] = _square(actor.gradient) if settings.actor_learns else 0.0
             if critic_part:
-                _critic_gradient(
-                    cw, cwidths, data, rows, first, last, np.float32(weight), ca, cd, cg,
-                    centre, scale, limit, said[k],
-                )  # fmt: skip
-                now[1] = _square(cg)
+                _critic_gradient(critic, rollout, rows, first, last, scaling, settings, statistics[k])
+                now[1] = _square(critic.gradient)
             k += 1
             if not (actor_part and critic_part):
                 _meet(counter, 2 * k)
-            share = most / (math.sqrt(now[0] + now[1]) + 1e-6)
+            # share = min(1, largest norm/(|g| + 1e-6))
+            share = settings.largest_norm / (math.sqrt(now[0] + now[1]) + 1e-6)
             share = np.float32(1.0 if share > 1.0 else share)
-            if actor_part and actor_learns:
-                steps[0] += 1
-                _adam(w, g, moments[0], moments[1], steps[0], share, rate, beta1, beta2, epsilon)
+            if actor_part and settings.actor_learns:
+                _adam(actor, share, settings)
             if critic_part:
-                csteps[0] += 1
-                _adam(cw, cg, cmoments[0], cmoments[1], csteps[0], share, rate, beta1, beta2, epsilon)
+                _adam(critic, share, settings)

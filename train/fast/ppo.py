@@ -11,6 +11,7 @@ import inspect
 import os
 import threading
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -28,7 +29,7 @@ CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os
 
 
 class _Network:
-    """One of the policy's networks as the kernels take it; the tensors stay torch's."""
+    """One of the policy's networks with its weights in one vector; the tensors stay torch's."""
 
     def __init__(self, layers: list[torch.nn.Linear], log_std: torch.Tensor | None = None):
         self.tensors = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
@@ -40,19 +41,28 @@ class _Network:
         self.weights = gather(self.tensors)
 
     def activations(self) -> np.ndarray:
-        """Room for one block of all layers' activations."""
+        """Return memory for one block of all layers' activations."""
         return np.empty(int(self.widths.sum()) * kernels.BLOCK, np.float32)
 
+    def forward(self) -> kernels.Network:
+        """Return the network to be evaluated, with memory of its own."""
+        return kernels.Network(self.weights, self.widths, self.activations())
+
+    def learner(self, optimizer: torch.optim.Adam) -> kernels.Learner:
+        """Return the network to be trained, with the optimizer's moments and memory of its own."""
+        memory = self.activations(), self.activations(), np.empty_like(self.weights)
+        return kernels.Learner(self.weights, self.widths, *self.moments(optimizer), *memory)
+
     def moments(self, optimizer: torch.optim.Adam) -> tuple[np.ndarray, np.ndarray]:
-        """Adam's two moments (2, w) and its steps (1,) until now."""
+        """Return Adam's two moments (2, w) and its steps (1,) until now."""
         states = [optimizer.state.get(tensor) for tensor in self.tensors]
         if not all(states):  # no gradient until now
             return np.zeros((2, len(self.weights)), np.float32), np.zeros(1)
         both = [gather([state[name] for state in states]) for name in ("exp_avg", "exp_avg_sq")]
         return np.stack(both), np.array([float(states[0]["step"])])
 
-    def keep(self, optimizer: torch.optim.Adam, moments: np.ndarray, steps: np.ndarray) -> None:
-        """Hand weights, moments and steps back to torch."""
+    def store(self, optimizer: torch.optim.Adam, moments: np.ndarray, steps: np.ndarray) -> None:
+        """Write weights, moments and steps back into torch's tensors."""
         scatter(self.weights, self.tensors)
         for tensor in self.tensors:
             state = optimizer.state[tensor]
@@ -73,7 +83,7 @@ class Adam(torch.optim.Adam):
 
 
 def gather(tensors: list[torch.Tensor]) -> np.ndarray:
-    """All numbers in one new vector."""
+    """Return all numbers in one new vector."""
     return np.concatenate([tensor.detach().numpy().ravel() for tensor in tensors])
 
 
@@ -86,7 +96,7 @@ def scatter(vector: np.ndarray, tensors: list[torch.Tensor]) -> None:
 
 
 def both(work: Callable[[int], None], threads: int, let_go: Callable[[], None] | None = None) -> None:
-    """work(0) and work(1), on two threads if there are two.
+    """Call work(0) and work(1), on two threads if there are two.
 
     When one of them fails or is interrupted, `let_go` must keep the other from waiting for it.
     """
@@ -127,6 +137,9 @@ class FastPPO(PPO):
     """
 
     threads = min(2, CORES)
+    policy_kwargs: dict[str, Any]
+    _last_obs: np.ndarray
+    _last_episode_starts: np.ndarray
 
     def _setup_model(self) -> None:
         given = self.policy_kwargs
@@ -165,18 +178,19 @@ class FastPPO(PPO):
                 raise UserError(f"the fast update is for {what}; take stock PPO instead")
 
     def _networks(self) -> tuple[_Network, _Network]:
-        """Actor and critic as they are."""
+        """Return actor and critic."""
         policy, mlp = self.policy, self.policy.mlp_extractor
         actor = _Network([*list(mlp.policy_net)[::2], policy.action_net], policy.log_std)
         return actor, _Network([*list(mlp.value_net)[::2], policy.value_net])
 
-    def _scaling(self) -> tuple[np.ndarray, np.ndarray, np.float32]:
-        """Centre and scale (o,) of the observations, and the limit of what that makes of them."""
+    def _scaling(self) -> kernels.Scaling:
+        """Return how the policy scales observations."""
         extractor = self.policy.features_extractor
         if isinstance(extractor, ScaledObservation):
-            return extractor.centre.numpy(), extractor.scale.numpy(), np.float32(ScaledObservation.LIMIT)
+            limit = np.float32(ScaledObservation.LIMIT)
+            return kernels.Scaling(extractor.centre.numpy(), extractor.scale.numpy(), limit)
         o = extractor.features_dim
-        return np.zeros(o, np.float32), np.ones(o, np.float32), np.float32(np.inf)
+        return kernels.Scaling(np.zeros(o, np.float32), np.ones(o, np.float32), np.float32(np.inf))
 
     def collect_rollouts(self, env, callback, rollout_buffer, n_rollout_steps) -> bool:
         """Fill the buffer with `n_rollout_steps` of every environment; False if the callback stopped it.
@@ -188,9 +202,9 @@ class FastPPO(PPO):
         buffer.reset()
         callback.on_rollout_start()
         actor, critic = self._networks()
-        scaling, room = self._scaling(), actor.activations()
-        low, high = self.action_space.low, self.action_space.high
-        noise = torch.randn((n_rollout_steps, n, len(low))).numpy()
+        scaling, network = self._scaling(), actor.forward()
+        bounds = kernels.Bounds(self.action_space.low, self.action_space.high)
+        noise = torch.randn((n_rollout_steps, n, len(bounds.low))).numpy()
         cut, cut_at = [], []  # observations at which time ran out, and when and where
         dones = self._last_episode_starts
         n_steps = 0
@@ -199,10 +213,8 @@ class FastPPO(PPO):
             buffer.observations[t] = self._last_obs.reshape(n, -1)
             buffer.episode_starts[t] = self._last_episode_starts
             clipped_actions = np.empty_like(buffer.actions[t])
-            kernels.act(
-                actor.weights, actor.widths, *scaling, buffer.observations[t], noise[t], low, high, room,
-                buffer.actions[t], clipped_actions, buffer.log_probs[t],
-            )  # fmt: skip
+            drawn = kernels.Drawn(buffer.actions[t], clipped_actions, buffer.log_probs[t])
+            kernels.act(network, scaling, buffer.observations[t], noise[t], bounds, drawn)
             new_obs, rewards, dones, infos = env.step(clipped_actions)
             self.num_timesteps += n
             callback.update_locals(locals())
@@ -243,14 +255,7 @@ class FastPPO(PPO):
 
         def part(k: int) -> None:
             rows = slice(middle, None) if k else slice(0, middle)
-            kernels.evaluate(
-                critic.weights,
-                critic.widths,
-                *scaling,
-                observations[rows],
-                critic.activations(),
-                values[rows],
-            )
+            kernels.evaluate(critic.forward(), scaling, observations[rows], values[rows])
 
         both(part, self.threads if middle else 1)
 
@@ -269,24 +274,22 @@ class FastPPO(PPO):
                 setattr(buffer, name, buffer.swap_and_flatten(getattr(buffer, name)))
             buffer.generator_ready = True
         names = ("observations", "actions", "log_probs", "advantages", "returns")
-        data = tuple(getattr(buffer, name).reshape(len(buffer.values), -1) for name in names[:2])
-        data += tuple(getattr(buffer, name).reshape(-1) for name in names[2:])
+        rollout = kernels.Rollout(
+            *(getattr(buffer, name).reshape(len(buffer.values), -1) for name in names[:2]),
+            *(getattr(buffer, name).reshape(-1) for name in names[2:]),
+        )
         samples = len(buffer.values)
         order = [np.random.permutation(samples) for _ in range(self.n_epochs)]  # noqa: NPY002 (as SB3 does)
         batches = -(-samples // self.batch_size)
-        said = np.zeros((self.n_epochs * batches, len(kernels.STATISTICS)))
-        packed, moments = [], []
-        for network in (actor, critic):
-            moments.append(network.moments(optimizer))
-            room = (network.activations(), network.activations(), np.empty_like(network.weights))
-            packed.append((network.weights, network.widths, *moments[-1], *room))
+        statistics = np.zeros((self.n_epochs * batches, len(kernels.STATISTICS)))
+        learners = actor.learner(optimizer), critic.learner(optimizer)
+        settings = kernels.Settings(
+            *(np.uint64(self.batch_size), actor.learns, clip_range),
+            *map(float, (self.ent_coef, self.vf_coef, self.max_grad_norm)),
+            *map(float, (group["lr"], *group["betas"], group["eps"])),
+        )
         counter, norms = np.zeros(1, np.int64), np.zeros((2, 2))
-        rest = (
-            *packed, data, np.array(order, np.uint64), np.uint64(self.batch_size), self._scaling(),
-            actor.learns,
-            (clip_range, float(self.ent_coef), float(self.vf_coef), float(self.max_grad_norm)),
-            (float(group["lr"]), *map(float, group["betas"]), float(group["eps"])), said,
-        )  # fmt: skip
+        rest = *learners, rollout, np.array(order, np.uint64), self._scaling(), settings, statistics
         if self.threads < 2:
             kernels.update(True, True, counter, norms, *rest)
         else:
@@ -295,15 +298,15 @@ class FastPPO(PPO):
                 self.threads,
                 let_go=lambda: counter.fill(kernels.NOBODY),
             )
-        for network, kept in zip((actor, critic), moments):
+        for network, learner in zip((actor, critic), learners):
             if network.learns:
-                network.keep(optimizer, *kept)
+                network.store(optimizer, learner.moments, learner.steps)
         self._n_updates += self.n_epochs
-        self._record(said, batches, clip_range)
+        self._record(statistics, batches, clip_range)
 
-    def _record(self, said: np.ndarray, batches: int, clip_range: float) -> None:
+    def _record(self, statistics: np.ndarray, batches: int, clip_range: float) -> None:
         """Log what SB3 logs."""
-        policy_loss, value_loss, entropy, kl, clipped = said.T
+        policy_loss, value_loss, entropy, kl, clipped = statistics.T
         loss = policy_loss[-1] + self.ent_coef * entropy[-1] + self.vf_coef * value_loss[-1]
         buffer = self.rollout_buffer
         record = self.logger.record

@@ -123,7 +123,7 @@ class Body:
         """Roll, pitch, yaw (3,) [rad] of the onboard estimate, as the vehicle file has it lean and tilt."""
         state = self.state_at(time)
         angles = state[ROLL : YAW + 1].copy()
-        angles[:2] = equations.held_angles(*angles, *state[VX : VX + 3], self._constants)
+        angles[:2] = equations.estimated_angles(*angles, *state[VX : VX + 3], self._constants)
         turned = angles[None].copy()
         tilted(angles[None], *self.vehicle.effects_mocap_tilt, turned)
         return turned[0]

@@ -11,6 +11,8 @@ held between rows and averaged exactly over each step, which makes delays differ
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -75,14 +77,24 @@ def translated(flight, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     if any(tilt):
         attitude, rotation, _ = flight.levelled(tilt)
     out, twist = np.empty((flight.samples, 3)), np.zeros((flight.samples - 1, 3))
-    middle = (flight.middle_position, flight.middle_velocity, rotation, attitude)
-    _translate(*middle, pwm, flight.ambient, pack(vehicle), dt, out, twist)
+    measured = _Measured(flight.middle_position, flight.middle_velocity, rotation, attitude)
+    _translate(measured, pwm, flight.ambient, pack(vehicle), dt, out, twist)
     return out, twist
 
 
+class _Measured(NamedTuple):
+    """The measured motion in the middle of each of m steps."""
+
+    position: np.ndarray  # (m, 3) m
+    velocity: np.ndarray  # (m, 3) m/s
+    rotation: np.ndarray  # (m, 3, 3), body to world
+    attitude: np.ndarray  # (m, 3) roll, pitch, yaw, rad
+
+
 @numba.njit(cache=True, nogil=True)
-def _translate(position, velocity, attitude_matrix, attitude, pwm, ambient, vehicle, dt, out, twist):
-    """Positions from rest at zero into out, angular accelerations (roll, pitch, yaw) into twist."""
+def _translate(measured, pwm, ambient, vehicle, dt, out, twist):
+    """Write positions from rest at zero into out, angular accelerations (roll, pitch, yaw) into twist."""
+    position, velocity, rotation, attitude = measured
     v, f = vehicle[0], np.zeros(5)
     lag = pwm[0] / v.thrust.lag_rate
     moved, speed = np.zeros(3), np.zeros(3)
@@ -90,8 +102,9 @@ def _translate(position, velocity, attitude_matrix, attitude, pwm, ambient, vehi
     for k in range(pwm.shape[0]):
         u = pwm[k]
         lag, mean = lag_step(lag, u, dt, v)
-        r = attitude_matrix[k]
+        r = rotation[k]
         wrench(position[k], velocity[k], r, mean, u, ambient[k], v, _NEUTRAL, f)
+        # a = R f/m - (0, 0, g); x += dt (v + dt/2 a), v += dt a
         for i in range(3):
             a = (r[i, 0] * f[0] + r[i, 1] * f[1] + r[i, 2] * f[2]) / v.body.mass
             if i == 2:

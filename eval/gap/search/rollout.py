@@ -150,16 +150,16 @@ def simulate(
 
 def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
     n = len(starts)
-    c, p = equations.pack(vehicle), neutral(n)
     pose = np.empty((n, starts.rows + 1, 6))
     pose[:, 0] = state[:, _POSE]
     substeps = max(1, math.ceil(starts.dt / ENGINE_STEP))
     around = ambient[:, 0].copy()
     around[:, 0] -= 0.5 * starts.dt
+    conditions = equations.Conditions(equations.pack(vehicle), neutral(n), around)
     for k in range(starts.rows):
         around[:, 1:] = ambient[:, k, 1:]
         command, dt = np.ascontiguousarray(commands[:, k]), starts.dt / substeps
-        equations.advance(state, command, around, c, p, True, dt, substeps, equations.STILL)
+        equations.advance(state, command, conditions, True, dt, substeps)
         pose[:, k + 1] = state[:, _POSE]
     return pose
 

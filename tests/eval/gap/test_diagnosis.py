@@ -39,7 +39,8 @@ def flights(hidden=None, *, count=5, seconds=10.0, seed=0, voltage=None, distort
 
 def _fly(vehicle, rng, seconds, name, voltage, distort):
     m, h = round(seconds / STEP), STEP / SUBSTEPS
-    c, p = equations.pack(vehicle), neutral(1)
+    around = equations.free_air(1)
+    conditions = equations.Conditions(equations.pack(vehicle), neutral(1), around)
     state = np.zeros((1, 13))
     state[0, :3] = rng.uniform([-1, -1, 0.8], [1, 1, 1.5])
     state[0, 12] = VEHICLE.hover_pwm / vehicle.thrust_lag_rate
@@ -47,7 +48,6 @@ def _fly(vehicle, rng, seconds, name, voltage, distort):
     behind = round(vehicle.effects_mocap_delay / h)
     seen, sent, pose, commands = [], [], np.zeros((m, 6)), np.zeros((m, 4))
     goal, until, u = state[0, :3].copy(), 0.0, np.zeros(4)
-    around = np.array([[0.0, np.nan, 0.0, 0.0]])
     for k in range(m):
         t = k * STEP
         if t >= until:
@@ -65,8 +65,8 @@ def _fly(vehicle, rng, seconds, name, voltage, distort):
             received = sent[max(0, len(sent) - 1 - late[1])].copy()
             received[0] = sent[max(0, len(sent) - 1 - late[0])][0]
             if voltage is not None:
-                around[0, 1] = voltage(t)
-            equations.advance(state, received[None], around, c, p, True, h, 1, equations.STILL)
+                around[0, equations.VOLTAGE] = voltage(t)
+            equations.advance(state, received[None], conditions, True, h, 1)
     pose += NOISE * rng.standard_normal(pose.shape)
     t = np.arange(m) * STEP
     volts = None if voltage is None else np.array([voltage(x) for x in t])
