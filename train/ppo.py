@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections import deque
 from typing import Any
 
@@ -73,20 +72,17 @@ def drawn(config: TrainConfig, vehicle: Vehicle, seed: int, count: int = POOL) -
 
 def build_task(config: TrainConfig) -> Task:
     """The task with the configured vehicle, platform and action map."""
-    vehicle, options = load_vehicle(config.vehicle), {"history": config.history} if config.history else {}
-    options |= config.slopes()
-    if config.inclination is not None:
+    vehicle, options = load_vehicle(config.vehicle), config.task_options()
+    if "inclination" in options:
         try:
-            options["inclination"] = vehicle.check_inclination(math.radians(config.inclination))
+            vehicle.check_inclination(options["inclination"])
         except UserError as error:
             raise UserError(f"--inclination: {error}") from error
-    if config.observe_vehicle:
-        options["observe_vehicle"] = True
     # What a policy's actions command must not depend on the vehicle that it is flown with later, unless that
     # is asked for.
-    fixed = config.vehicle and config.pwm_centre != OWN
-    centre = resolve_pwm_centre(config.pwm_centre, vehicle) if fixed else config.pwm_centre
-    return make_task(config.task, vehicle, pwm_centre=centre, pwm_span=config.pwm_span, **options)
+    if config.vehicle and config.pwm_centre != OWN:
+        options["pwm_centre"] = resolve_pwm_centre(config.pwm_centre, vehicle)
+    return make_task(config.task, vehicle, **options)
 
 
 def evaluation_seed(config: TrainConfig) -> int:

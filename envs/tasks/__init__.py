@@ -1,5 +1,6 @@
 """The tasks, by name, as `ids.py` lists them. Their environments follow."""
 
+import sys
 from importlib import import_module
 
 from inclined_landing.envs.ids import TASK_CLASSES
@@ -8,6 +9,7 @@ from inclined_landing.envs.tasks.landing import InclinedLanding
 from inclined_landing.envs.tasks.own import import_class, is_path
 from inclined_landing.envs.tasks.setpoint import Setpoint
 from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
+from inclined_landing.envs.tasks.variants import VARIANTS, variant
 from inclined_landing.models.errors import UserError, shown
 
 TASKS: dict[str, type[Task]] = {
@@ -59,9 +61,20 @@ def import_task(path: str) -> type[Task]:
 
 
 def make_task(name: str, vehicle=None, **options) -> Task:
-    """A task by name with the options of its class."""
+    """Return the task of this name with the options of its class; raises UserError for any other option."""
     kind = task_class(name)
+    known = kind.option_names()
+    for option in options:
+        if option not in known:
+            known_words = ", ".join(known)
+            raise UserError(f"the task {name} has no option {shown(repr(option), 40)}; it has {known_words}")
     try:
-        return kind(vehicle, **options)
+        return variant(kind, options)(vehicle, **options)
     except TypeError as error:
         raise UserError(f"task {name}: {error}") from error
+
+
+def manual(kind: type[Task]) -> str:
+    """Return the manual of a task: the docstring of its module, and of those of its variants."""
+    kinds = (kind, *VARIANTS) if kind is InclinedLanding else (kind,)
+    return "\n".join(sys.modules[part.__module__].__doc__ or "" for part in kinds)

@@ -1,18 +1,19 @@
-"""What a task is: observation, action map, starts, judgement, and everything others ask about it.
+"""What a task is: observation, action map, starts, reward, and everything that others ask about it.
 
 A task holds no vehicle state and steps nothing. `BatchEnv` owns the plant and the episodes and asks
 the task; every function here takes and returns arrays whose first axis is the vehicle.
 
-A new task is a class derived from `Task`: in a file beside this one with its entry in `TASKS`, or anywhere
-and named as `module:Class` or `file.py:Class` (`envs.tasks.own`). It must have `name`, the names and scale of
-its observations, `action_names`, `sample` and `judge`; everything else has a default: it can then be trained,
-evaluated, filmed and pictured.
+A new task is a class derived from `Task`: in a file beside this one with its entry in `TASK_CLASSES`
+(`envs/ids.py`), or anywhere and named as `module:Class` or `file.py:Class` (`envs.tasks.own`). It must have
+`name`, the names and scale of its observations, `action_names`, `sample` and `judge`; everything else has a
+default: it can then be trained, evaluated, filmed and pictured.
 """
 
 from __future__ import annotations
 
 import abc
 import dataclasses
+import inspect
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -20,26 +21,30 @@ from typing import Any
 
 import numpy as np
 
+from inclined_landing.envs.tasks.options import TaskOptions, Training
 from inclined_landing.models.attitude import (
     COMMAND_SIZE,
     LAG,
+    PITCH,
     PITCH_COMMAND,
     PWM,
     ROLL_COMMAND,
     STATE_NAMES,
     STATE_SIZE,
+    YAW,
     YAW_RATE_COMMAND,
+    Z,
 )
 from inclined_landing.models.equations import settled_hover
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle, constants, load_vehicle
 from inclined_landing.models.plants import Contacts
+from inclined_landing.models.plants.base import DECK_SIZE
 
 COLUMNS = {name: column for column, name in enumerate(STATE_NAMES)}  # of the state
 ACTIONS = {"thrust": PWM, "roll": ROLL_COMMAND, "pitch": PITCH_COMMAND, "yaw rate": YAW_RATE_COMMAND}
 _UNKNOWN: Any = None
-LONGEST_HISTORY = 50  # steps
 FARTHEST = 1e4  # of any entry of a start state, SI units: no flight is there, and the engine diverges
 OWN = "own"  # a PWM at action 0 that is the hover of whatever vehicle is flown
 
@@ -66,6 +71,13 @@ class Start:
         motion = None if self.motion is None else self.motion[ids]
         of = self.state[ids], self.inclination[ids], self.present[ids], self.goal_size[ids]
         return Start(*of, contact, azimuth, motion)
+
+    def decks(self, vehicle: Vehicle, t: float = 0.0) -> np.ndarray:
+        """Return the states (k, 12) of the platforms t [s] after the starts."""
+        rest = np.zeros((len(self), DECK_SIZE))
+        rest[:, Z], rest[:, PITCH] = vehicle.platform_surface_height, self.inclination
+        rest[:, YAW] = 0.0 if self.azimuth is None else self.azimuth
+        return rest if self.motion is None else self.motion.decks(t, rest)
 
     def put(self, rows: np.ndarray, other: Start) -> None:
         """Replace some of the starts, by their rows, by the starts of `other`."""
@@ -139,26 +151,6 @@ class Judgement:
 
 
 @dataclasses.dataclass(frozen=True)
-class Training:
-    """What `landing-train` takes where its option of the same name is not given."""
-
-    steps: int | None = 1_000_000  # fixed beforehand, where `success` does not end the run
-    success: float | None = None  # share of the evaluated flights that ends it
-    min_steps: int = 300_000  # such a run has
-    max_steps: int = 3_000_000
-    curriculum: str = "none"
-    rollout: int = 128
-    batch_size: int = 512
-    epochs: int = 5
-    gamma: float = 0.99
-    integrator: str = "implicitfast"
-    keep_out: float = 0.04  # m
-    learning_rate: float = 1e-3
-    log_std_init: float = -0.4
-    start_from: str | None = None  # the shipped policy, and with it the task, that training goes on from
-
-
-@dataclasses.dataclass(frozen=True)
 class ScoreCurve:
     """How the learning curves show what `Task.score` says."""
 
@@ -173,11 +165,10 @@ class ScoreCurve:
 class Task(abc.ABC):
     """A task for vehicles of one kind. Everything but the first four and the two methods has a default.
 
-    `options` is what `make_task(name, **options)` needs to build the task again; `history` is how many past
-    steps its policy is given besides the observation, `observe_vehicle` whether it is told the numbers of its
-    vehicle (`envs.history`); `angle_limit` [rad] is that of the attitude commands where it is not the
-    vehicle's, and then that of `vehicle`; `conditions` is what a curriculum may ease, None where there is
-    nothing to ease.
+    `settings` are the options as they were given, `options` those of them that a policy file carries:
+    `make_task(name, **options)` builds the task again. `history` is how many past steps its policy is given
+    besides the observation, `observe_vehicle` whether it is given the numbers of its vehicle
+    (`envs.history`); `conditions` is what a curriculum may ease, None where there is nothing to ease.
     """
 
     name: str
@@ -185,8 +176,16 @@ class Task(abc.ABC):
     observation_scale: np.ndarray  # typical size of each observation
     action_names: tuple[str, ...]  # of: thrust, roll, pitch, yaw rate
 
+    options_type: type[TaskOptions] = TaskOptions
+    settings: TaskOptions
     max_steps = 300
     has_platform = False
+    is_planar = False  # does the vehicle fly in the plane y = 0
+    observes_slope = False  # is everything observed from the platform, and its slope too
+    platform_moves = False
+    inclination = 0.0  # of the platform where no other is drawn or given, rad
+    azimuth = 0.0  # direction that the platform faces there, from +x, rad
+    steepest: float | None = None  # largest inclination that is drawn, rad; None: there is one slope
     goal_size: float | None = None  # half width of the goal box, m
     idle_action: float | None = None  # thrust actions up to this one command PWM 0
     cut_at_success = False  # are the motors cut from outside where an episode ends with success
@@ -203,34 +202,29 @@ class Task(abc.ABC):
     figure_starts: Mapping[str, tuple[float, ...]] = MappingProxyType({"trajectory": film_starts[0]})
     conditions: Any = None
 
-    def __init__(
-        self,
-        vehicle: Vehicle | None = None,
-        *,
-        angle_limit: float | None = None,
-        pwm_centre: float | str = "hover",
-        pwm_span: float | None = None,
-        history: int = 0,
-        observe_vehicle: bool = False,
-    ):
-        self.vehicle = limited(vehicle or load_vehicle(), angle_limit)
-        self.pwm_centre = resolve_pwm_centre(pwm_centre, self.vehicle)
-        self.pwm_span = resolve_pwm_span(pwm_span, self.vehicle)
-        whole = isinstance(history, (int, np.integer)) and not isinstance(history, bool)
-        if not (whole and 0 <= history <= LONGEST_HISTORY):
-            said = shown(repr(history), 40)
-            raise UserError(f"history must be a whole number from 0 to {LONGEST_HISTORY}, not {said}")
-        self.history = int(history)
-        self.options: dict[str, Any] = {"pwm_centre": pwm_centre, "pwm_span": self.pwm_span}
-        if self.history:
-            self.options["history"] = self.history
-        if angle_limit is not None:
-            self.options["angle_limit"] = self.vehicle.command_angle_limit
-        if not isinstance(observe_vehicle, bool):
-            raise UserError(f"observe_vehicle must be True or False, not {shown(repr(observe_vehicle), 40)}")
-        self.observe_vehicle = observe_vehicle
-        if self.observe_vehicle:
-            self.options["observe_vehicle"] = True
+    @classmethod
+    def option_names(cls) -> list[str]:
+        """Return what the constructor takes: the record's fields, and keywords of one of its own."""
+        keywords = inspect.signature(cls).parameters.values()
+        added = [parameter.name for parameter in keywords if parameter.kind is parameter.KEYWORD_ONLY]
+        return [*added, *(field.name for field in dataclasses.fields(cls.options_type))]
+
+    def __init__(self, vehicle: Vehicle | None = None, **options: Any):
+        given = self.options_type(**options)
+        self.vehicle = limited(vehicle or load_vehicle(), given.angle_limit)
+        self.pwm_centre = resolve_pwm_centre(given.pwm_centre, self.vehicle)
+        self.pwm_span = resolve_pwm_span(given.pwm_span, self.vehicle)
+        given.check()
+        self.history = int(given.history)
+        self.observe_vehicle = given.observe_vehicle
+        self.options: dict[str, Any] = {}
+        self.settings = given
+        self._resolve(pwm_span=self.pwm_span)
+
+    def _resolve(self, **values: Any) -> None:
+        """Put numbers in place of options that were left to the vehicle, and note what policy files carry."""
+        self.settings = dataclasses.replace(self.settings, **values)
+        self.options = self.settings.recorded()
 
     # --- what every task must say ----------------------------------------------------------------
 
@@ -272,9 +266,9 @@ class Task(abc.ABC):
         return tuple(found)
 
     @property
-    def own_hover(self) -> bool:
+    def per_vehicle_hover(self) -> bool:
         """Is action 0 the hover of each vehicle (`pwm_centre="own"`), not one PWM for all."""
-        return self.options["pwm_centre"] == OWN
+        return self.settings.pwm_centre == OWN
 
     def commands(self, actions: np.ndarray, pwm_centre: np.ndarray | None = None) -> np.ndarray:
         """Plant commands (n, 4) for actions (n, a) in [-1, 1].
@@ -288,10 +282,10 @@ class Task(abc.ABC):
             u[:, channel.column] = command if channel.idle is None else command * (action > channel.idle)
         return u
 
-    def headed(self, commands: np.ndarray, state: np.ndarray, deck: np.ndarray) -> np.ndarray:
-        """`commands` (n, 4) as vehicles in states (n, 13) over decks (n, 12) are given them: here the same.
+    def body_commands(self, commands: np.ndarray, state: np.ndarray, deck: np.ndarray) -> np.ndarray:
+        """Return `commands` (n, 4) along the axes of the vehicles in states (n, 13) over decks (n, 12).
 
-        For tasks whose attitude actions are meant along other axes than the vehicles' own.
+        Here they are so already; some tasks have attitude actions along other axes.
         """
         return commands
 
@@ -335,6 +329,19 @@ class Task(abc.ABC):
     def goal_on(self, deck: np.ndarray | None) -> np.ndarray | None:
         """The goal as a state (13,) where the platform is as deck (12,) says, see `Plant.deck`."""
         return self.goal_state
+
+    def in_goal(
+        self, state: np.ndarray, goal_size: float | np.ndarray, deck: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return (n,) bool: which states (n, 13) are in the goal box of size d = goal_size, (n,) or a number.
+
+        deck (n, 12): the platforms, needed where the slope is observed. A task without a goal box has none.
+        """
+        return np.zeros(len(state), bool)
+
+    def start_clearance(self, start: Start) -> np.ndarray:
+        """Return the distance (k,) of the real shapes to the platform [m]; inf without one."""
+        return np.full(len(start), np.inf)
 
     @property
     def judged_steps(self) -> int | None:

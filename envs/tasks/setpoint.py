@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -78,24 +79,8 @@ class Setpoint(Task):
         logarithmic=True,
     )
 
-    def __init__(
-        self,
-        vehicle: Vehicle | None = None,
-        *,
-        angle_limit: float | None = None,
-        pwm_centre: float | str = "hover",
-        pwm_span: float | None = None,
-        history: int = 0,
-        observe_vehicle: bool = False,
-    ):
-        super().__init__(
-            vehicle,
-            angle_limit=angle_limit,
-            pwm_centre=pwm_centre,
-            pwm_span=pwm_span,
-            history=history,
-            observe_vehicle=observe_vehicle,
-        )
+    def __init__(self, vehicle: Vehicle | None = None, **options: Any):
+        super().__init__(vehicle, **options)
         self.conditions = Conditions()
 
     @property

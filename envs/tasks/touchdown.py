@@ -53,6 +53,8 @@ from inclined_landing.envs.tasks.base import (
 )
 from inclined_landing.envs.tasks.landing import START_CLEARANCE, InclinedLanding
 from inclined_landing.envs.tasks.landing import Conditions as LandingConditions
+from inclined_landing.envs.tasks.options import option
+from inclined_landing.envs.tasks.platform import LandingOptions
 from inclined_landing.models import geometry, surface
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Y, Z
 from inclined_landing.models.errors import UserError
@@ -80,27 +82,32 @@ _BESIDE = (-1.0, 2.5)
 
 @dataclasses.dataclass(frozen=True)
 class Conditions(LandingConditions):
-    """What an episode starts under. The defaults are the task; the rest are training aids.
+    """Under which conditions episodes begin. The defaults are the task; the rest are training aids.
 
-    contact_limit ends episodes on the wrong parts. With a `departure` price, those that it or leave_limit
-    ends are over at that price, about what staying there would cost; without one they are truncated.
+    contact_limit ends episodes on the wrong parts. With an `out_of_bounds_penalty`, about the return of
+    staying there, episodes that it or leave_limit ends are terminated; without one they are truncated.
     """
 
     beside: float = 0.0  # share of the episodes that begin around the raised edge, mostly low
     close: float = 0.0  # share of the episodes that begin just over the slope, in any motion
     impact: float = IMPACT  # reward lost for each weight of force beyond two
-    departure: float = 0.0
     friction: tuple[float, float] | None = None  # drawn per episode; None: the plant's own
     restitution: tuple[float, float] | None = None
 
 
-class InclinedTouchdown(InclinedLanding):
-    """The task for vehicles of one kind, on slopes as in `InclinedLanding`.
+@dataclasses.dataclass(frozen=True)
+class TouchdownOptions(LandingOptions):
+    """The landing's options, and one more."""
 
-    observe_contact: append the feet's contact to the observation.
-    """
+    observe_contact: bool = option(False, recorded=True)  # append the feet's contact to the observation
+
+
+class InclinedTouchdown(InclinedLanding):
+    """The task for vehicles of one kind, with platforms as in `InclinedLanding`."""
 
     name = "touchdown"
+    options_type = TouchdownOptions
+    settings: TouchdownOptions
     goal_size = None
     idle_action = IDLE_ACTION
     cut_at_success = False
@@ -118,71 +125,36 @@ class InclinedTouchdown(InclinedLanding):
     training_conditions = None
     score_curve = ScoreCurve("at_rest", "at rest on the slope [%]")
 
-    def __init__(
-        self,
-        vehicle: Vehicle | None = None,
-        *,
-        inclination: float | None = None,
-        steepest: float | None = None,
-        dimensions: int = 2,
-        azimuth: float = 0.0,
-        random_yaw: bool = False,
-        fastest: float | None = None,
-        swell: float = 0.0,
-        angle_limit: float | None = None,
-        pwm_centre: float | str = "hover",
-        pwm_span: float | None = None,
-        observe_contact: bool = False,
-        history: int = 0,
-        observe_vehicle: bool = False,
-    ):
-        super().__init__(
-            vehicle,
-            inclination=inclination,
-            steepest=steepest,
-            dimensions=dimensions,
-            azimuth=azimuth,
-            random_yaw=random_yaw,
-            fastest=fastest,
-            swell=swell,
-            angle_limit=angle_limit,
-            pwm_centre=pwm_centre,
-            pwm_span=pwm_span,
-            history=history,
-            observe_vehicle=observe_vehicle,
-        )
-        self.observe_contact = bool(observe_contact)
-        self.options["observe_contact"] = self.observe_contact
+    def __init__(self, vehicle: Vehicle | None = None, **options: Any):
+        super().__init__(vehicle, **options)
+        self.observe_contact = self.settings.observe_contact
         self.conditions = Conditions()
         if self.observe_contact:
             self.observation_names = (*self.observation_names, "feet")
             self.observation_scale = np.append(self.observation_scale, 1.0)
-        self._rest_height = float(geometry.reach_below(self._shapes, part="feet"))  # m
+        self.goal_height = float(geometry.reach_below(self._shapes, part="feet"))  # at rest on the feet, m
         self._weight = self.vehicle.body_mass * self.vehicle.environment_gravity
 
     @property
     def rest_position(self) -> tuple[float, float]:
         """(x, z) of a vehicle at rest in the middle of the slope [m]."""
-        height = self._rest_height
+        height = self.goal_height
         x, z = height * math.sin(self.inclination), height * math.cos(self.inclination)
         return x, self.vehicle.platform_surface_height + z
 
     @property
     def goal(self) -> np.ndarray | None:
         """The observation at rest in the middle of the slope, (5,) or (6,); None where it is observed."""
-        if self.sees_slope:
+        if self.observes_slope:
             return None
         rest = [*self.rest_position, 0.0, 0.0, self.inclination]
         return np.array(rest + [1.0] * self.observe_contact)
 
-    def goal_on(self, deck: np.ndarray | None) -> np.ndarray | None:
-        """Rest in the middle of a deck (12,) as a state (13,), with its heading."""
-        return self._over(deck, self._rest_height) if self.sees_slope else super().goal_on(deck)
-
     @property
     def observation_centre(self) -> np.ndarray:
         """The landing's, and 0 for the contact."""
-        return np.append(super().observation_centre, [0.0] * self.observe_contact)
+        centre = super().observation_centre
+        return np.append(centre, np.zeros(len(self.observation_names) - len(centre)))
 
     def prepare(self, plant) -> None:
         """Set a plant up for this task; raises UserError for one without contact."""
@@ -196,10 +168,14 @@ class InclinedTouchdown(InclinedLanding):
         start = super().sample(rng, k)
         if c.beside > 0.0:
             beside = (rng.random(k) < c.beside) & start.present
-            start.state[beside] = self._along(start[beside], self._beside(rng, self.stopped(start[beside])))
+            start.state[beside] = self._along(
+                start[beside], self._beside(rng, self.at_standstill(start[beside]))
+            )
         if c.close > 0.0:
             close = (rng.random(k) < c.close) & start.present
-            start.state[close] = self._along(start[close], self._close(rng, self.stopped(start[close])), True)
+            start.state[close] = self._along(
+                start[close], self._close(rng, self.at_standstill(start[close])), True
+            )
         contact: dict[str, Any] = {}
         if c.friction is not None:
             contact["friction"] = rng.uniform(*c.friction, k)
@@ -233,7 +209,7 @@ class InclinedTouchdown(InclinedLanding):
         """
         if start.motion is None:
             return state
-        deck = self.decks(start)
+        deck = start.decks(self.vehicle)
         state[:, : Z + 1] += deck[:, : Z + 1]
         state[:, Z] -= self.vehicle.platform_surface_height
         if moving:
@@ -260,7 +236,7 @@ class InclinedTouchdown(InclinedLanding):
         sin, cos = np.sin(inclination), np.cos(inclination)  # along (cos, -sin), normal (sin, cos)
         far = rng.random(k)  # 0: at rest on the feet, motors at idle
         along = rng.uniform(-_CLOSE_ALONG, _CLOSE_ALONG, k)
-        height = self._rest_height + far * _CLOSE_HEIGHT
+        height = self.goal_height + far * _CLOSE_HEIGHT
         speed = far * rng.uniform(-_CLOSE_SPEED, _CLOSE_SPEED, k)
         fall = far * rng.uniform(0.0, _CLOSE_FALL, k)
         state = np.zeros((k, STATE_SIZE))
@@ -294,31 +270,27 @@ class InclinedTouchdown(InclinedLanding):
             raise UserError("this touchdown task observes the feet's contact; give it to observe")
         return np.column_stack([observation, moment.contacts.touch[:, 0, 0].astype(np.float32)])
 
-    def holding(self, state: np.ndarray, idle: np.ndarray, contacts, deck: np.ndarray) -> np.ndarray:
-        """(n,) bool: at rest on the feet with motors at idle (n,) now; see the module's docstring."""
-        return resting(state, deck, idle, contacts)
-
     def judge(self, moment: Moment) -> Judgement:
         """See the module's docstring."""
         c, state, contacts = self.conditions, moment.state, moment.contacts
-        wrong, carried = wrong_contact(contacts), self.carried(moment)
-        holding = self.holding(state, moment.actions[:, 0] <= IDLE_ACTION, contacts, moment.deck)
+        wrong, in_arena = wrong_contact(contacts), self.in_arena(moment)
+        holding = resting(state, moment.deck, moment.actions[:, 0] <= IDLE_ACTION, contacts)
         excess = np.maximum(contacts.force[:, 0, 0] / self._weight - GENTLE_FORCE, 0.0)
         terms = {
             "time": -1.0 * ~holding,
-            "bounds": -1.0 * (~wrong & self.near_bounds(carried)),
+            "bounds": -1.0 * (~wrong & self.near_bounds(in_arena)),
             "obstacle": -6.0 * wrong,
             "impact": -c.impact * excess,
         }
         success = holding & (moment.held + 1 >= HOLD_STEPS)
         cut = np.zeros_like(success)
         if c.leave_limit < math.inf:
-            cut |= self.near_bounds(carried, -c.leave_limit) | contacts.touch[:, 2].any(axis=1)
+            cut |= self.near_bounds(in_arena, -c.leave_limit) | contacts.touch[:, 2].any(axis=1)
         if c.contact_limit:
             cut |= wrong & (moment.in_contact >= c.contact_limit)
         cut &= ~success
-        if c.departure:
-            terms["departure"] = -c.departure * cut
+        if c.out_of_bounds_penalty:
+            terms["out_of_bounds"] = -c.out_of_bounds_penalty * cut
             return Judgement(terms, success, success | cut, np.zeros_like(cut), holding)
         return Judgement(terms, success, success, cut, holding)
 

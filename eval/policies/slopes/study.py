@@ -18,7 +18,7 @@ from rich.progress import track
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.tasks import InclinedLanding, Start
+from inclined_landing.envs.tasks import Start, Task, make_task
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.statistics import proportion, spread
 from inclined_landing.models.attitude import YAW
@@ -34,7 +34,7 @@ def evaluate(policies: Mapping[str, Policy], *, plant: str = "mujoco", every: in
     every: flies from each k-th start only. Raises UserError for policies that do not land.
     """
     for policy in policies.values():
-        if not (isinstance(policy.task, InclinedLanding) and policy.task.cut_at_success):
+        if not policy.task.cut_at_success:
             raise UserError(f"policy {policy.path} is for the task {policy.task.name}, not for landing")
     entries = [
         _entry(name, policy, plant, every)
@@ -54,7 +54,7 @@ def _entry(name: str, policy: Policy, plant: str, every: int) -> dict:
         "task_options": task.options,
         "single": [_single(policy, angle, plant, every) for angle in single_slopes(task)],
     }
-    if not task.sees_slope:
+    if not task.observes_slope:
         return entry
     frozen = landing_starts.over_slopes(task, every=every)
     flights = _fly(policy, plant, frozen.start)
@@ -65,7 +65,7 @@ def _entry(name: str, policy: Policy, plant: str, every: int) -> dict:
         "cells": _cells(flights, frozen),
         "curve": _curve(flights, frozen),
     }
-    if task.dimensions == 3:
+    if not task.is_planar:
         turned = dataclasses.replace(frozen.start, state=frozen.start.state.copy())
         draw = np.random.default_rng(_HEADINGS_SEED)
         turned.state[:, YAW] = draw.uniform(-math.pi, math.pi, len(turned))
@@ -73,21 +73,21 @@ def _entry(name: str, policy: Policy, plant: str, every: int) -> dict:
     return entry
 
 
-def single_slopes(task: InclinedLanding) -> list[float]:
+def single_slopes(task: Task) -> list[float]:
     """Inclinations [rad] that a policy is judged on alone."""
     if task.steepest is None:
         return [task.inclination]
     paper = task.vehicle.platform_inclination
-    known = [-task.steepest, task.steepest] if task.dimensions == 2 else []
+    known = [-task.steepest, task.steepest] if task.is_planar else []
     return [*known, *([paper] if abs(paper) < task.steepest - 1e-6 else [])]
 
 
 def _single(policy: Policy, inclination: float, plant: str, every: int) -> dict:
     """One slope towards +x, from those of the frozen grid that are clear of it."""
     options = policy.task.options | {"inclination": inclination, "azimuth": 0.0}
-    if policy.task.dimensions == 2:
+    if policy.task.is_planar:
         del options["azimuth"]
-    task = type(policy.task)(policy.task.vehicle, **options)
+    task = make_task(policy.task.name, policy.task.vehicle, **options)
     grid = landing_starts.clear(task, landing_starts.grid())[::every]
     start = task.start(landing_starts.at_rest(task, grid))
     return {"inclination": task.inclination} | summary(_fly(policy, plant, start))
