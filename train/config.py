@@ -15,7 +15,7 @@ import tyro
 
 from inclined_landing.envs.policy import SHIPPED, action_map, history_of, told_vehicle, trained_for
 from inclined_landing.envs.randomise import locate
-from inclined_landing.envs.tasks import TASKS, import_task, is_path, task_class
+from inclined_landing.envs.tasks import TASKS, Task, import_task, is_path, task_class
 from inclined_landing.envs.tasks.options import TaskOptions, Training, fields_of
 from inclined_landing.eval.base.options import Range, Seed, check_ranges
 from inclined_landing.models.errors import UserError, shown
@@ -217,6 +217,7 @@ class TrainConfig:
     if TYPE_CHECKING:  # the fields that `_GROUPS` adds
 
         def __getattr__(self, name: str) -> Any: ...
+        def __setattr__(self, name: str, value: Any) -> None: ...
 
     def resolved(self) -> TrainConfig:
         """A copy with every default filled in and every value checked; raises UserError."""
@@ -247,14 +248,14 @@ class TrainConfig:
         if self.start_from is None and self.fastest is not None and training.start_from is not None:
             filled["start_from"] = descent.NAME
         start = None if filled["start_from"] == descent.NAME else filled["start_from"]
-        same = start is not None and trained_for(start) == kind.name
-        filled |= self._ending(training, CARRIED_ON if same else training.min_steps)
+        same = start if start is not None and trained_for(start) == kind.name else None
+        filled |= self._ending(training, training.min_steps if same is None else CARRIED_ON)
         out = Path(self.out or f"runs/{kind.name}-{self.seed}")
         vehicle = None if self.vehicle is None else Path(self.vehicle)
         randomise = None if self.randomise is None else Path(self.randomise)
         if self.history is None:
-            filled["history"] = history_of(start) if same else 0
-        filled["observe_vehicle"] = self.observe_vehicle or (same and told_vehicle(start))
+            filled["history"] = 0 if same is None else history_of(same)
+        filled["observe_vehicle"] = self.observe_vehicle or (same is not None and told_vehicle(same))
         filled |= self._action_map(start)
         config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)
         if config.algorithm != "ppo":
@@ -269,11 +270,17 @@ class TrainConfig:
         return config
 
     @property
+    def folder(self) -> Path:
+        """The run folder; of a resolved configuration."""
+        assert self.out is not None
+        return self.out
+
+    @property
     def resumable(self) -> bool:
         """Are there checkpoints to go on from: a replay buffer is not kept."""
         return self.algorithm == "ppo"
 
-    def _of_the_algorithm(self, kind: type) -> dict:
+    def _of_the_algorithm(self, kind: type[Task]) -> dict:
         """Defaults that are the algorithm's and not the task's; raises UserError for options of another."""
         if self.algorithm not in ALGORITHMS:
             known = ", ".join(ALGORITHMS)
@@ -301,7 +308,7 @@ class TrainConfig:
             raise UserError(
                 f"--buffer-size must be {least} or more, for a step of each vehicle and for a minibatch"
             )
-        if self.learning_starts >= self.most_steps():
+        if (self.learning_starts or 0) >= self.most_steps():
             raise UserError(
                 f"--learning-starts {self.learning_starts} leaves nothing of {self.most_steps()} steps "
                 "to learn in"

@@ -35,9 +35,12 @@ class Curriculum(Protocol):
     """What the training callback needs."""
 
     name: str
-    level: float  # 0 easiest, 1 the task itself
 
-    def conditions(self):
+    @property
+    def level(self) -> float:
+        """0 easiest, 1 the task itself."""
+
+    def conditions(self) -> Any:
         """Conditions of the next episodes; None where the task has none."""
 
     def stages(self) -> list[tuple[str, Any]]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.rendering import make_renderer
+from inclined_landing.envs.tasks import InclinedLanding
 from inclined_landing.eval.moving import command as benchmark
 from inclined_landing.eval.moving import controllers
 from inclined_landing.eval.moving import report as moving
@@ -61,7 +62,7 @@ def _draw(folder: Path, config: dict, policy: Policy) -> list[Path]:
     stages = make_curriculum(
         config["curriculum"], task.name, config["gamma"], config["without"] or ""
     ).stages()
-    if stages:
+    if stages and isinstance(task, InclinedLanding):
         files.append(save_figure(curriculum_figure(stages, task=task), folder / "curriculum.png"))
     flights = fly(policy, list(task.figure_starts.values()), "mujoco", task.judged_steps)
     for name, flight in zip(task.figure_starts, flights):

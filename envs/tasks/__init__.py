@@ -6,6 +6,7 @@ from importlib import import_module
 from inclined_landing.envs.ids import TASK_CLASSES
 from inclined_landing.envs.tasks.base import Judgement, Moment, Start, Task, Training, hover_states
 from inclined_landing.envs.tasks.landing import InclinedLanding
+from inclined_landing.envs.tasks.options import TaskOptions, option
 from inclined_landing.envs.tasks.own import import_class, is_path
 from inclined_landing.envs.tasks.setpoint import Setpoint
 from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
@@ -26,11 +27,13 @@ __all__ = [
     "Setpoint",
     "Start",
     "Task",
+    "TaskOptions",
     "Training",
     "hover_states",
     "import_task",
     "is_path",
     "make_task",
+    "option",
 ]
 
 
@@ -64,10 +67,10 @@ def make_task(name: str, vehicle=None, **options) -> Task:
     """Return the task of this name with the options of its class; raises UserError for any other option."""
     kind = task_class(name)
     known = kind.option_names()
-    for option in options:
-        if option not in known:
+    for given in options:
+        if given not in known:
             known_words = ", ".join(known)
-            raise UserError(f"the task {name} has no option {shown(repr(option), 40)}; it has {known_words}")
+            raise UserError(f"the task {name} has no option {shown(repr(given), 40)}; it has {known_words}")
     try:
         return variant(kind, options)(vehicle, **options)
     except TypeError as error:

@@ -11,13 +11,14 @@ import importlib.util
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import TypeGuard
 
 from inclined_landing.envs.tasks.base import Task
 from inclined_landing.envs.tasks.guard import guarded
 from inclined_landing.models.errors import UserError, shown
 
 
-def is_path(name) -> bool:
+def is_path(name: object) -> TypeGuard[str]:
     """Does `name` say where a class is, rather than what a task of this package is called."""
     return isinstance(name, str) and ":" in name
 
