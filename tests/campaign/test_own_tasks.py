@@ -10,7 +10,7 @@ import numpy as np
 from campaign.judge import EVIL, Case, command, judge, parametrised, write
 from campaign.test_training import TINY
 from inclined_landing.envs import tasks
-from inclined_landing.envs.tasks import Judgement, Start, Task, Training
+from inclined_landing.envs.tasks import Judgement, Task, Training
 from inclined_landing.train import run
 from inclined_landing.train.cli import main
 
@@ -93,13 +93,17 @@ def raised():
 
 def fields():
     """Starts and judgements with one field wrong, or with one entry of it."""
-    for name, kind in (("sample", Start), ("judge", Judgement)):
-        for field in dataclasses.fields(kind):
+    start = ("state", "inclination", "present", "goal_size")
+    for name, names in (
+        ("sample", start),
+        ("judge", [field.name for field in dataclasses.fields(Judgement)]),
+    ):
+        for field in names:
             for value in VALUES:
                 yield case(
-                    f"{name} {field.name} {value}",
+                    f"{name} {field} {value}",
                     f"def {name}(self, *given): return dataclasses.replace("
-                    f"super().{name}(*given), {field.name}=VALUES[{value!r}])",
+                    f"super().{name}(*given), {field}=VALUES[{value!r}])",
                 )
     for value in VALUES:
         changed = f"super().judge(moment).terms | {{'more': VALUES[{value!r}]}}"
@@ -117,7 +121,7 @@ def attributes():
             yield case(
                 f"training {field.name} {value}",
                 f"training = Training({field.name}=VALUES[{value!r}])",
-                named="own.py" if field.name != "start_from" else "policy",
+                named="own.py" if field.name != "start_from" else "",
             )
 
 
