@@ -45,13 +45,13 @@ from inclined_landing.models.plants.base import DECK_SIZE
 COLUMNS = {name: column for column, name in enumerate(STATE_NAMES)}  # of the state
 ACTIONS = {"thrust": PWM, "roll": ROLL_COMMAND, "pitch": PITCH_COMMAND, "yaw rate": YAW_RATE_COMMAND}
 _UNKNOWN: Any = None
-FARTHEST = 1e4  # of any entry of a start state, SI units: no flight is there, and the engine diverges
-OWN = "own"  # a PWM at action 0 that is the hover of whatever vehicle is flown
+FARTHEST = 1e4  # largest entry of a start state, SI units: beyond, the engine diverges
+OWN = "own"  # PWM at action 0: the hover of each vehicle that is flown
 
 
 @dataclasses.dataclass
 class Start:
-    """Where k new episodes begin, and under which conditions."""
+    """Initial states of k episodes, their platforms and their contact."""
 
     state: np.ndarray  # (k, 13)
     inclination: np.ndarray  # (k,) rad
@@ -65,7 +65,7 @@ class Start:
         return len(self.state)
 
     def __getitem__(self, ids) -> Start:
-        """Those of the episodes `ids`."""
+        """Return the starts of the episodes `ids`."""
         azimuth = None if self.azimuth is None else self.azimuth[ids]
         contact = None if self.contact is None else {name: x[ids] for name, x in self.contact.items()}
         motion = None if self.motion is None else self.motion[ids]
@@ -80,7 +80,7 @@ class Start:
         return rest if self.motion is None else self.motion.decks(t, rest)
 
     def put(self, rows: np.ndarray, other: Start) -> None:
-        """Replace some of the starts, by their rows, by the starts of `other`."""
+        """Overwrite the given rows with the starts of `other`."""
         for field in dataclasses.fields(self):
             own, new = getattr(self, field.name), getattr(other, field.name)
             pairs = [(own[key], new[key]) for key in own] if isinstance(own, dict) else [(own, new)]
@@ -90,7 +90,7 @@ class Start:
 
 
 def joined(starts: Sequence[Start]) -> Start:
-    """All of them in one, in their order; they have an azimuth and a contact all of them, or none."""
+    """Return all starts in one, in their order; either all or none have an azimuth, and a contact."""
     parts: dict[str, Any] = {}
     for field in dataclasses.fields(Start):
         own = [getattr(start, field.name) for start in starts]
@@ -105,10 +105,10 @@ def joined(starts: Sequence[Start]) -> Start:
 
 @dataclasses.dataclass(frozen=True)
 class Moment:
-    """What a task is told of n vehicles at one moment.
+    """What observation and reward of n vehicles are computed from, after one control step.
 
-    `observe` needs the state, as motion capture reports it, and where contact is observed the contacts;
-    `judge` needs everything, and the true state.
+    `observe` is given the state as motion capture reports it, the contacts and the platforms; `judge` is
+    given everything, with the true state.
     """
 
     state: np.ndarray  # (n, 13)
@@ -116,14 +116,14 @@ class Moment:
     actions: np.ndarray = _UNKNOWN  # (n, a) in [-1, 1] that led here
     start: Start = _UNKNOWN  # of the running episodes
     length: np.ndarray = _UNKNOWN  # (n,) steps of the episode so far, the last one included
-    in_contact: np.ndarray = _UNKNOWN  # (n,) those of them in contact with the platform
-    held: np.ndarray = _UNKNOWN  # (n,) steps in a row, before the last one, that were held
-    deck: np.ndarray = _UNKNOWN  # (n, 12) the platforms' own states, see `Plant.set_platform`
+    in_contact: np.ndarray = _UNKNOWN  # (n,) of them, steps in contact with the platform
+    held: np.ndarray = _UNKNOWN  # (n,) consecutive held steps before the last one
+    deck: np.ndarray = _UNKNOWN  # (n, 12) states of the platforms, see `Plant.set_platform`
 
 
 @dataclasses.dataclass(frozen=True)
 class Channel:
-    """What one action commands: centre + span a, cut to low .. high, and 0 for actions up to `idle`."""
+    """The command of one action a: centre + span a, clipped to low .. high, and 0 up to action `idle`."""
 
     name: str  # of the action
     column: int  # of the plant commands
@@ -136,13 +136,13 @@ class Channel:
 
 @dataclasses.dataclass
 class Judgement:
-    """What a task says of one step; the reward is the sum of the terms."""
+    """Reward terms and end of one step; the reward is the sum of the terms."""
 
     terms: dict[str, np.ndarray]  # name -> (n,)
     success: np.ndarray  # (n,) bool
     terminated: np.ndarray  # (n,) bool
-    cut: np.ndarray  # (n,) bool: a training aid ends the episode (as a truncation)
-    holding: np.ndarray | None = None  # (n,) bool: where the task wants it, this moment counts as held
+    cut: np.ndarray  # (n,) bool: a training aid truncates the episode
+    holding: np.ndarray | None = None  # (n,) bool: does this step count as held; None: the task has no hold
 
     @property
     def reward(self) -> np.ndarray:
@@ -152,7 +152,7 @@ class Judgement:
 
 @dataclasses.dataclass(frozen=True)
 class ScoreCurve:
-    """How the learning curves show what `Task.score` says."""
+    """How the learning curves plot an entry of `Task.score`."""
 
     column: str = "score"
     label: str = "success [%]"
@@ -222,7 +222,7 @@ class Task(abc.ABC):
         self._resolve(pwm_span=self.pwm_span)
 
     def _resolve(self, **values: Any) -> None:
-        """Put numbers in place of options that were left to the vehicle, and note what policy files carry."""
+        """Set options that were left to the vehicle, and note what policy files carry."""
         self.settings = dataclasses.replace(self.settings, **values)
         self.options = self.settings.recorded()
 
@@ -230,11 +230,11 @@ class Task(abc.ABC):
 
     @abc.abstractmethod
     def sample(self, rng: np.random.Generator, k: int) -> Start:
-        """k random starts."""
+        """Return k random starts."""
 
     @abc.abstractmethod
     def judge(self, moment: Moment) -> Judgement:
-        """Reward terms, success and end of the step that led to this moment."""
+        """Return reward terms, success and end of the step that led to this moment."""
 
     # --- what an environment asks ----------------------------------------------------------------
 
@@ -247,13 +247,13 @@ class Task(abc.ABC):
         """Set a plant up for this task; raises UserError for one that cannot serve it."""
 
     def start(self, state: np.ndarray) -> Start:
-        """Starts from given states (k, 13)."""
+        """Return starts from given states (k, 13)."""
         k = len(state)
         return Start(state, np.zeros(k), np.zeros(k, bool), np.full(k, np.nan))
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """What each action commands; the commands that no action gives are 0."""
+        """The command of each action; commands that no action gives are 0."""
         v = self.vehicle
         found = []
         for name in self.action_names:
@@ -271,9 +271,9 @@ class Task(abc.ABC):
         return self.settings.pwm_centre == OWN
 
     def commands(self, actions: np.ndarray, pwm_centre: np.ndarray | None = None) -> np.ndarray:
-        """Plant commands (n, 4) for actions (n, a) in [-1, 1].
+        """Return plant commands (n, 4) for actions (n, a) in [-1, 1].
 
-        pwm_centre (n,): the PWM at thrust action 0 of each vehicle, where they are others than the task's.
+        pwm_centre (n,): the PWM at thrust action 0 of each vehicle, where it is not the task's.
         """
         u = np.zeros((len(actions), COMMAND_SIZE))
         for channel, action in zip(self.channels, actions.T):
@@ -290,11 +290,11 @@ class Task(abc.ABC):
         return commands
 
     def thrust_of(self, other: Task) -> tuple[float, float]:
-        """Gain and offset that make a thrust action of `other` the one that commands the same PWM here."""
+        """Return gain and offset that map a thrust action of `other` to the one with the same PWM here."""
         return other.pwm_span / self.pwm_span, (other.pwm_centre - self.pwm_centre) / self.pwm_span
 
     def observe(self, moment: Moment) -> np.ndarray:
-        """Observations (n, o), float32: those of `observation_names` that the state has."""
+        """Return observations (n, o), float32: those of `observation_names` that the state has."""
         columns = [COLUMNS[name] for name in self.observation_names if name in COLUMNS]
         return moment.state[:, columns].astype(np.float32)
 
@@ -302,7 +302,7 @@ class Task(abc.ABC):
 
     @property
     def observation_centre(self) -> np.ndarray:
-        """(o,) what a policy network subtracts from the observation."""
+        """(o,) that a policy network subtracts from the observation."""
         return np.zeros(len(self.observation_names)) if self.goal is None else self.goal
 
     @property
@@ -312,12 +312,12 @@ class Task(abc.ABC):
 
     @property
     def goal_half_widths(self) -> np.ndarray | None:
-        """(o,) half widths of the box around the goal that is success; None where it is something else."""
+        """(o,) half widths of the goal box around `goal`; None where success is something else."""
         return None
 
     @property
     def goal_state(self) -> np.ndarray | None:
-        """The goal as a state (13,), what is not observed being 0."""
+        """The goal as a state (13,); what is not observed is 0."""
         if self.goal is None:
             return None
         state = np.zeros(STATE_SIZE)
@@ -327,7 +327,7 @@ class Task(abc.ABC):
         return state
 
     def goal_on(self, deck: np.ndarray | None) -> np.ndarray | None:
-        """The goal as a state (13,) where the platform is as deck (12,) says, see `Plant.deck`."""
+        """Return the goal as a state (13,) for a platform in state (12,), see `Plant.deck`."""
         return self.goal_state
 
     def in_goal(
@@ -345,26 +345,26 @@ class Task(abc.ABC):
 
     @property
     def judged_steps(self) -> int | None:
-        """Control steps that an evaluated flight lasts at most; None: all."""
+        """Largest number of control steps of an evaluated flight; None: max_steps."""
         if self.judged_after is None:
             return None
         return round(self.judged_after / self.vehicle.command_control_period)
 
     def evaluation_starts(self, rng: np.random.Generator, k: int) -> Start:
-        """k random starts of the task itself, and the contact to judge them in."""
+        """Return k random starts of the task itself, with the contact parameters of evaluation."""
         return self.sample(rng, k)
 
     def score(self, flights: Sequence) -> dict[str, float]:
-        """What recorded flights of the task are worth: `score`, best 1, and more for the curves."""
+        """Return `score`, at best 1, of recorded flights, and more columns for the learning curves."""
         reward = float(np.mean([flight.reward.sum() for flight in flights]))
         return {"score": float(np.mean([flight.success for flight in flights])), "reward": reward}
 
     def score_words(self, score: dict[str, float]) -> str:
-        """A result of `score` in a few words."""
+        """Return a result of `score` in a few words."""
         return f"{score['score']:.0%}"
 
     def flight_words(self, flight) -> str:
-        """How a recorded flight ended, in one line."""
+        """Return how a recorded flight ended, in one line."""
         end = "success" if flight.success else "no success"
         return f"{end} after {flight.duration:.2f} s"
 
@@ -372,11 +372,11 @@ class Task(abc.ABC):
 
     @property
     def start_form(self) -> str:
-        """How a start is written: "X,Z" or "X,Y,Z"."""
+        """The form of a start on the command line: "X,Z" or "X,Y,Z"."""
         return ",".join(self.start_axes).upper()
 
     def parse_start(self, text: str) -> tuple[float, ...]:
-        """The start [m] that `text` writes; raises UserError unless it is in the arena and free."""
+        """Return the start [m] in `text`; raises UserError unless it is in the arena and free."""
         try:
             point = tuple(float(number) for number in text.split(","))
         except ValueError:
@@ -393,24 +393,24 @@ class Task(abc.ABC):
         return point
 
     def check_start(self, point: tuple[float, ...]) -> None:  # noqa: B027 (or to check)
-        """Raise UserError where something stands at the start `point` [m]."""
+        """Raise UserError where the start `point` [m] is not free."""
 
     def start_words(self, state: np.ndarray) -> str:
-        """Where a state (13,) is, as starts are written."""
+        """Return the position of a state (13,) as starts are written."""
         return ", ".join(f"{name} {state[COLUMNS[name]]:g}" for name in self.start_axes) + " m"
 
     def states_at(self, points: Sequence[tuple[float, ...]]) -> np.ndarray:
-        """States (k, 13) of vehicles hovering at k starts [m]."""
+        """Return states (k, 13) of vehicles hovering at k starts [m]."""
         positions = np.zeros((len(points), 3))
         positions[:, [COLUMNS[name] for name in self.start_axes]] = points
         return hover_states(positions, self.vehicle)
 
 
 def resolve_pwm_centre(centre, vehicle: Vehicle) -> float:
-    """PWM at action 0: a number, "paper" (42 000), "hover" or "own" (`equations.settled_hover`).
+    """Return the PWM at action 0 for a number, "paper" (42 000), "hover" or "own".
 
-    Hover is the vehicle's that a policy is trained for, and stays its PWM on others; own is that of each
-    vehicle that it is flown on.
+    "hover" is that of the vehicle that a policy is trained for (`equations.settled_hover`), whatever vehicle
+    it is flown on later; "own" is that of each vehicle that it is flown on.
     """
     if isinstance(centre, str) and centre == "paper":
         return vehicle.command_pwm_centre
@@ -426,7 +426,7 @@ def resolve_pwm_centre(centre, vehicle: Vehicle) -> float:
 
 
 def resolve_pwm_span(span, vehicle: Vehicle) -> float:
-    """PWM between action 0 and 1: a number, or None for the vehicle file's (16 500)."""
+    """Return the PWM between action 0 and 1 for a number, or for None the vehicle file's (16 500)."""
     if span is None:
         return vehicle.command_pwm_span
     high = vehicle.command_pwm_range[1]
@@ -436,7 +436,7 @@ def resolve_pwm_span(span, vehicle: Vehicle) -> float:
 
 
 def limited(vehicle: Vehicle, angle_limit: float | None) -> Vehicle:
-    """The vehicle with roll and pitch commands up to angle_limit [rad]; None: as it is."""
+    """Return the vehicle with roll and pitch commands up to angle_limit [rad]; None: as it is."""
     if angle_limit is None:
         return vehicle
     low, high = next(c.range[0] for c in constants() if c.field == "command_angle_limit")
@@ -447,7 +447,7 @@ def limited(vehicle: Vehicle, angle_limit: float | None) -> Vehicle:
 
 
 def hover_states(positions: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """States (k, 13) at rest, level, thrust settled at hover, at positions (k, 3) [m]."""
+    """Return states (k, 13) at rest, level, thrust settled at hover, at positions (k, 3) [m]."""
     state = np.zeros((len(positions), STATE_SIZE))
     state[:, :3] = positions
     state[:, LAG] = vehicle.hover_lag

@@ -104,7 +104,7 @@ AIDED = Conditions(contact_limit=8, leave_limit=0.3, out_of_bounds_penalty=100.0
 
 
 def goal_box(goal_size) -> tuple[np.ndarray, ...]:
-    """Half widths of x, z, vx, vz and pitch of goal boxes of size d = goal_size (n,) or a number."""
+    """Return half widths of x, z, vx, vz and pitch of goal boxes of size d = goal_size, (n,) or a number."""
     d = np.asarray(goal_size)
     speed = np.minimum(10 * d, 1.5)
     return d, d, speed, speed, 0.25 * d
@@ -211,7 +211,7 @@ class InclinedLanding(Task):
     # --- starts ------------------------------------------------------------------------------------
 
     def start_box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper corner, (2,) as x, z or (3,) as x, y, z [m], of the box of random starts."""
+        """Return lower and upper corner, (2,) as x, z or (3,) as x, y, z [m], of the box of random starts."""
         c, v = self.conditions, self.vehicle
         goal = np.array(self.goal_position)
         reach = np.full(len(goal), c.start_reach)
@@ -316,12 +316,12 @@ class InclinedLanding(Task):
         return Judgement(terms, goal, goal, (cut | outside) & ~goal)
 
     def score(self, flights: Sequence) -> dict[str, float]:
-        """Shares of the flights that reach the goal box without a touch before, and at all."""
+        """Return the shares of the flights that reach the goal box without a touch before, and at all."""
         strict = float(np.mean([flight.strict for flight in flights]))
         goal = float(np.mean([flight.success for flight in flights]))
         return {"score": strict, "strict_success": strict, "goal_reached": goal}
 
     def flight_words(self, flight) -> str:
-        """When a flight reached the goal box, if it did."""
+        """Return when a flight reached the goal box, if it did."""
         end = f"goal box after {flight.duration:.2f} s" if flight.success else "goal box not reached"
         return end + (", platform touched before" if flight.touched else "")

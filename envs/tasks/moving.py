@@ -39,6 +39,7 @@ class MovingLanding(SpaceLanding):
         super().__init__(vehicle, **options)
         self.table = "moving"
         self.fastest = float(self.settings.fastest or 0.0)
+        self._resolve(fastest=self.fastest, swell=float(self.settings.swell))
         self.extra_room = CATCHING_UP * self.fastest
 
     @property
