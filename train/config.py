@@ -16,7 +16,7 @@ import tyro
 from inclined_landing.envs.policy import SHIPPED, action_map, history_of, told_vehicle, trained_for
 from inclined_landing.envs.randomise import locate
 from inclined_landing.envs.tasks import TASKS, Task, import_task, is_path, task_class
-from inclined_landing.envs.tasks.options import TaskOptions, Training, fields_of
+from inclined_landing.envs.tasks.options import Record, TaskOptions, Training, fields_of, option
 from inclined_landing.eval.base.options import Range, Seed, check_ranges
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle, locate_vehicle
@@ -25,7 +25,6 @@ from inclined_landing.models.scene import INTEGRATORS
 from inclined_landing.train import descent
 from inclined_landing.train.curriculum import RISING
 
-_OF_EVERY_TASK = {field.name for field in dataclasses.fields(TaskOptions)}
 # A field of `envs.tasks.options.Training` that is left at None becomes what the task says there.
 _OF_THE_TASK = tuple(field.name for field in dataclasses.fields(Training))
 _TASK_OPTIONS = tuple(task.options_type for task in TASKS.values())
@@ -35,35 +34,54 @@ COPIED = {"vehicle": "vehicle.toml", "randomise": "randomise.toml"}
 ENDING = ("steps", "success", "min_steps", "max_steps")
 UPDATES = ("fast", "stock")
 
+_MANY, _INTERVAL = (1, 10**9), (0, 10**9)
+
+
+@dataclasses.dataclass(frozen=True)
+class OnPolicy(Record):
+    """Options that only ppo has."""
+
+    gae_lambda: float = option(0.95, "Of the advantage estimate", limits=(0, 1))
+    entropy: float = option(0.0, "Entropy bonus; sac finds its own", limits=(0, 1))
+    update: str = option(
+        "fast",
+        "fast (PPO compiled for these networks) or stock (Stable-Baselines3's own): the same loss and files",
+        more={"metavar": "{fast,stock}"},
+    )
+    checkpoint_every: int = option(20, "Iterations between checkpoints", limits=_MANY)
+
+
+@dataclasses.dataclass(frozen=True)
+class ReplayBuffer(Record):
+    """Options of algorithms with a replay buffer."""
+
+    buffer_size: int = option(300_000, "Samples in the replay buffer, the latest ones", limits=_MANY)
+    learning_starts: int = option(
+        5_000, "Environment steps with random actions before the first update", limits=_INTERVAL
+    )
+    gradient_steps: int = option(2, "Updates after each step of all vehicles", limits=(1, 16_384))
+
+
+@dataclasses.dataclass(frozen=True)
+class TD3(ReplayBuffer):
+    """Options of td3."""
+
+    action_noise: float = option(0.2, "Standard deviation of the noise on actions", limits=(0, 1))
+
+
 # Options of one kind of algorithm, and what they are where they are not given; None: what the task says.
-_ON_POLICY = {
-    **dict.fromkeys(("start_from", "epochs", "log_std_init")),
-    **{"gae_lambda": 0.95, "entropy": 0.0, "update": "fast", "checkpoint_every": 20},
-}
-_OFF_POLICY = {"buffer_size": 300_000, "learning_starts": 5_000, "gradient_steps": 2}
+_ON_POLICY = dict.fromkeys(("start_from", "epochs", "log_std_init")) | dataclasses.asdict(OnPolicy())
 # By algorithm: the options that others refuse.
 ALGORITHMS: dict[str, dict] = {
     "ppo": _ON_POLICY,
-    "sac": _OFF_POLICY,
-    "td3": _OFF_POLICY | {"action_noise": 0.2},
+    "sac": dataclasses.asdict(ReplayBuffer()),
+    "td3": dataclasses.asdict(TD3()),
 }
 _REPLAYED = {"learning_rate": 1e-3, "batch_size": 256}  # of those with a replay buffer, not the task's
 # Rewards are multiplied by this. SAC's are small beside its price of entropy otherwise.
 REWARD_SCALE = {"ppo": 0.1, "sac": 1.0, "td3": 0.1}
 
 CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its own task
-
-_MANY = Range(1, 10**9)
-_INTERVAL = Range(0, 10**9)
-
-
-def _by_algorithm(text: str, name: str):
-    """Return what tyro is told of an option that some algorithms do not have."""
-    having = [algorithm for algorithm, own in ALGORITHMS.items() if name in own]
-    default = ALGORITHMS[having[0]][name]
-    return tyro.conf.arg(
-        help=f"{text}.", help_behavior_hint=f"(default: {default}; of {' and '.join(having)} only)"
-    )
 
 
 _TASK = tyro.conf.arg(
@@ -75,38 +93,43 @@ _WORDS = {
 }
 
 
-def _as_options(*records: type) -> dict[str, tuple[Any, Any]]:
+def _as_options(*records: type[Record]) -> dict[str, tuple[Any, Any]]:
     """Return annotation and default of an option for each field of records that has a help text.
 
-    The default is None, but for flags: what is not given is left to the task. What every task has comes last.
+    The default is None, but for flags: what is not given is left to the task or the algorithm.
     """
     found = {}
-    for field, option, kind in sorted(fields_of(*records), key=lambda known: known[0].name in _OF_EVERY_TASK):
-        more: dict[str, Any] = {"help": option.help.format(**_WORDS)} | option.more
-        if field.name in _OF_THE_TASK:
+    for field, known, kind in fields_of(*records):
+        more: dict[str, Any] = {"help": known.help.format(**_WORDS)} | known.more
+        if not issubclass(records[0], TaskOptions):
             more |= {"help": f"{more['help']}.", "help_behavior_hint": f"(default: {_defaults(field.name)})"}
-        limits = [Range(*option.limits, option.open)] if option.limits else []
+        limits = [Range(*known.limits, known.open)] if known.limits else []
         flag = kind is bool
-        if option.help:
-            kind = kind if flag else (option.kind or kind) | None
+        if known.help:
+            kind = kind if flag else (known.kind or kind) | None
             found[field.name] = Annotated[kind, *limits, tyro.conf.arg(**more)], False if flag else None
     return found
 
 
 def _defaults(name: str) -> str:
-    """Return what the tasks say of a field of `Training`, those alone that it is for."""
-    said = [(task.name, getattr(task.training, name), task.training.success) for task in TASKS.values()]
+    """Return what the algorithms, or the tasks that it is for, say of an option."""
+    having = [algorithm for algorithm, own in ALGORITHMS.items() if name in own]
+    if name not in _OF_THE_TASK:
+        return f"{ALGORITHMS[having[0]][name]}; of {' and '.join(having)} only"
     by_success = name in ("min_steps", "max_steps")
-    return ", ".join(
-        f"{task} {n}" for task, n, success in said if n is not None and (success or not by_success)
-    )
+    tasks = [task for task in TASKS.values() if task.training.success or not by_success]
+    said = [(task.name, getattr(task.training, name)) for task in tasks]
+    return ", ".join(f"{task} {default}" for task, default in said if default is not None)
 
 
 _GIVEN = _as_options(Training)
+_OF_TASKS = _as_options(*_TASK_OPTIONS)
+_OF_EVERY_TASK = {field.name: _OF_TASKS.pop(field.name) for field in dataclasses.fields(TaskOptions)}
 # Options that records make, each group after a field of the configuration.
 _GROUPS = {
-    "seed": {name: _GIVEN.pop(name) for name in (*ENDING, "start_from")} | _as_options(*_TASK_OPTIONS),
+    "seed": {name: _GIVEN.pop(name) for name in (*ENDING, "start_from")} | _OF_TASKS | _OF_EVERY_TASK,
     "without": _GIVEN,
+    "environments": _as_options(OnPolicy, TD3),
 }
 
 
@@ -168,37 +191,6 @@ class TrainConfig:
     from the first step on; without departure, a vehicle that leaves is cut and pays nothing."""
     environments: Annotated[int, Range(1, 16_384)] = 64
     """Vehicles stepped together."""
-    gae_lambda: Annotated[
-        float | None, Range(0, 1), _by_algorithm("Of the advantage estimate", "gae_lambda")
-    ] = None
-    entropy: Annotated[
-        float | None,
-        Range(0, 1),
-        _by_algorithm("Entropy bonus; sac finds its own", "entropy"),
-    ] = None
-    update: Annotated[
-        str | None,
-        tyro.conf.arg(metavar="{fast,stock}", help_behavior_hint="(default: fast; of ppo only)"),
-    ] = None
-    """fast (PPO compiled for these networks) or stock (Stable-Baselines3's own): the same loss and files."""
-    buffer_size: Annotated[
-        int | None, _MANY, _by_algorithm("Samples in the replay buffer, the latest ones", "buffer_size")
-    ] = None
-    learning_starts: Annotated[
-        int | None,
-        _INTERVAL,
-        _by_algorithm("Environment steps with random actions before the first update", "learning_starts"),
-    ] = None
-    gradient_steps: Annotated[
-        int | None,
-        Range(1, 16_384),
-        _by_algorithm("Updates after each step of all vehicles", "gradient_steps"),
-    ] = None
-    action_noise: Annotated[
-        float | None,
-        Range(0, 1),
-        _by_algorithm("Standard deviation of the noise on actions", "action_noise"),
-    ] = None
     reward_scale: Annotated[
         float | None,
         Range(0, 1000, open=True),
@@ -206,12 +198,9 @@ class TrainConfig:
     ] = None
     """Rewards are multiplied by this before the algorithm sees them."""
 
-    evaluate_every: Annotated[int, _INTERVAL] = 16
+    evaluate_every: Annotated[int, Range(*_INTERVAL)] = 16
     """Iterations between evaluations in the hybrid plant, without training aids (0: never)."""
-    checkpoint_every: Annotated[
-        int | None, _MANY, _by_algorithm("Iterations between checkpoints", "checkpoint_every")
-    ] = None
-    video_every: Annotated[int, _INTERVAL] = 0
+    video_every: Annotated[int, Range(*_INTERVAL)] = 0
     """Iterations between videos of one flight (0: never); each takes as long as some 100 000 steps."""
 
     if TYPE_CHECKING:  # the fields that `_GROUPS` adds
@@ -243,7 +232,7 @@ class TrainConfig:
         check_ranges(self)
         for name in self.task_options():
             if name not in kind.option_names():
-                raise UserError(f"{option(name)} is no option of the task {kind.name}")
+                raise UserError(f"{flag_of(name)} is no option of the task {kind.name}")
         _check_gamma(self.gamma)
         if self.start_from is None and self.fastest is not None and training.start_from is not None:
             filled["start_from"] = descent.NAME
@@ -290,7 +279,7 @@ class TrainConfig:
             if getattr(self, name) is not None:
                 others = " and ".join(algorithm for algorithm, has in ALGORITHMS.items() if name in has)
                 raise UserError(
-                    f"{option(name)} is an option of {others}, which {self.algorithm} does not have"
+                    f"{flag_of(name)} is an option of {others}, which {self.algorithm} does not have"
                 )
         if self.algorithm == "ppo":
             return {name: default for name, default in own.items() if default is not None}
@@ -326,7 +315,7 @@ class TrainConfig:
 
     def _ending(self, training: Training, least: int) -> dict:
         """When the run ends: the fields in ENDING, filled in; `least`: the usual min_steps."""
-        given = [option(name) for name in ENDING[1:] if getattr(self, name) is not None]
+        given = [flag_of(name) for name in ENDING[1:] if getattr(self, name) is not None]
         if self.steps is not None:
             if given:
                 raise UserError(f"--steps fixes how long the run is; {given[0]} goes without it")
@@ -352,10 +341,10 @@ class TrainConfig:
     def task_options(self) -> dict[str, Any]:
         """Return the options of the task that are given, angles in rad."""
         given = {}
-        for field, option, _ in fields_of(*_TASK_OPTIONS):
-            value = getattr(self, field.name) if option.help else None
+        for field, known, _ in fields_of(*_TASK_OPTIONS):
+            value = getattr(self, field.name) if known.help else None
             if value is not None and value is not False:
-                given[field.name] = math.radians(value) if option.degrees else value
+                given[field.name] = math.radians(value) if known.degrees else value
         return given
 
     def copied(self) -> dict[str, Path]:
@@ -376,7 +365,7 @@ class TrainConfig:
             value = getattr(self, name)
             if (isinstance(value, bool) and bool not in kinds) or not isinstance(value, _kinds(kinds)):
                 words = " or ".join(_KINDS[kind][1] for kind in kinds if kind in _KINDS)
-                raise UserError(f"{option(name)} must be {words}, not {shown(repr(value), 40)}")
+                raise UserError(f"{flag_of(name)} must be {words}, not {shown(repr(value), 40)}")
 
     def as_json(self) -> dict:
         """The configuration with JSON types only."""
@@ -406,6 +395,6 @@ def _kinds(kinds: tuple) -> tuple:
     return tuple(_KINDS[kind][0] if kind in _KINDS else kind for kind in kinds)
 
 
-def option(name: str) -> str:
+def flag_of(name: str) -> str:
     """How a field is written on the command line."""
     return "--from" if name == "start_from" else f"--{name.replace('_', '-')}"

@@ -22,7 +22,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import Snapshot, make_plant
 from inclined_landing.train.checkpoint import check_array, check_names, check_number
-from inclined_landing.train.config import ALGORITHMS, TrainConfig, option
+from inclined_landing.train.config import ALGORITHMS, TrainConfig, flag_of
 from inclined_landing.train.curriculum import RISING, rising_gamma
 from inclined_landing.train.fast.ppo import FastPPO
 
@@ -44,7 +44,7 @@ def check_memory(config: TrainConfig) -> None:
     free = psutil.virtual_memory().available
     if needed > free:
         raise UserError(
-            f"--environments {config.environments} and {option(kept)} {getattr(config, kept)} need about "
+            f"--environments {config.environments} and {flag_of(kept)} {getattr(config, kept)} need about "
             f"{needed / 1e9:.0f} GB of memory, and {free / 1e9:.0f} GB are free; choose fewer"
         )
 
@@ -57,6 +57,7 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
     task = build_task(config)
     options |= drawn(config, task.vehicle, config.seed) | task.plant_options
     plant = make_plant(config.plant, config.environments, task.vehicle, **options)
+    assert config.reward_scale is not None  # a resolved configuration
     nominal = None if config.randomise is None else read_ranges(config.randomise).nominal
     return BatchVecEnv(BatchEnv(task, plant, config.seed, nominal), reward_scale=config.reward_scale)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.train.curriculum import make_curriculum
 from inclined_landing.train.run import VEHICLE
 
-_LOOK = {"width": 960, "height": 540}  # of video and picture
+_LOOK: dict[str, Any] = {"width": 960, "height": 540}  # of video and picture
 _FILM_FPS = 25.0  # half as many as `landing-eval video` shows
 
 

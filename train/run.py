@@ -52,7 +52,7 @@ from inclined_landing.train.callbacks import (
     ProgressCallback,
 )
 from inclined_landing.train.checkpoint import Checkpoint
-from inclined_landing.train.config import COPIED, TrainConfig, option
+from inclined_landing.train.config import COPIED, TrainConfig, flag_of
 from inclined_landing.train.curriculum import make_curriculum
 from inclined_landing.train.rehearsal import rehearse
 
@@ -641,7 +641,7 @@ def _check_same(config: TrainConfig, begun: TrainConfig) -> None:
         was = f"has {shown(own, 40)}" if own is not None else "has none"
         final = shlex.quote(str(config.folder / "final.zip"))
         raise UserError(
-            f"--resume goes on with the options of the run, which {was} for {option(field.name)}, not "
+            f"--resume goes on with the options of the run, which {was} for {flag_of(field.name)}, not "
             f"{shown(asked, 40)}; begin a new run with another --out, perhaps --from {final}"
         )
 
