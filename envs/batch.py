@@ -93,7 +93,7 @@ class BatchEnv:
         vehicles = (task.vehicle, *plant.pool)  # what is hidden in a plant's own vehicle nobody is told
         self._told = np.array([vehicle_numbers(v) for v in vehicles]) if task.observe_vehicle else None
         self._centres = None
-        if task.own_hover and plant.pool:
+        if task.per_vehicle_hover and plant.pool:
             self._centres = np.array([task.pwm_centre, *map(settled_hover, plant.pool)])
         task.prepare(plant)
 
@@ -228,7 +228,7 @@ class BatchEnv:
         self.actions = np.clip(actions, -1.0, 1.0)
         centres = None if self._centres is None else self._centres[self.plant.choice]
         self.commands = self.task.commands(self.actions, *(() if centres is None else (centres,)))
-        self.commands = self.task.headed(self.commands, self.plant.measurement, self.plant.deck)
+        self.commands = self.task.body_commands(self.commands, self.plant.measurement, self.plant.deck)
         if self.task.history:
             self.past.note(self._present(), self.actions)
 

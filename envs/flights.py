@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Protocol
 
 import numpy as np
 
@@ -72,8 +73,17 @@ class Flight(Track):
         return float(self.t[-1])
 
 
+class Actor(Protocol):
+    """A policy, or what is flown in place of one."""
+
+    @property
+    def task(self) -> Task: ...
+
+    def predict(self, observation: np.ndarray) -> np.ndarray: ...
+
+
 def record_flights(
-    policy: Policy, plant, states: np.ndarray | Start, *, steps: int | None = None
+    policy: Actor, plant, states: np.ndarray | Start, *, steps: int | None = None
 ) -> list[Flight]:
     """Fly the deterministic policy from each of `states` (n, 13), or of n starts, all at once.
 

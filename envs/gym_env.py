@@ -35,7 +35,6 @@ types and sizes is a UserError, a ValueError with one sentence.
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import gymnasium as gym
@@ -46,7 +45,7 @@ from gymnasium.vector.utils import batch_space
 from inclined_landing.envs.batch import check_seed, numbers
 from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.spaces import action_space, observation_space
-from inclined_landing.envs.tasks import TASKS, Task
+from inclined_landing.envs.tasks import TASKS, Task, manual
 from inclined_landing.models.errors import UserError, shown
 
 _HISTORY = "\nVersion history: v0.\n"
@@ -298,8 +297,7 @@ class TaskVectorEnv(VectorEnv):
 
 def _faces(task: type[Task]) -> dict[str, type]:
     """Both environments of a task, by name; their manual is that of the task's module."""
-    manual = (sys.modules[task.__module__].__doc__ or "") + _HISTORY
-    content = {"__doc__": manual, "__module__": __name__, "task_name": task.name}
+    content = {"__doc__": manual(task) + _HISTORY, "__module__": __name__, "task_name": task.name}
     kinds = {f"{task.__name__}Env": TaskEnv, f"{task.__name__}VectorEnv": TaskVectorEnv}
     return {name: type(name, (kind,), content) for name, kind in kinds.items()}
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.envs.batch import BatchEnv, is_whole
-from inclined_landing.envs.tasks import make_task, task_class
+from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
@@ -60,7 +60,6 @@ def make_batch(
             raise UserError(
                 f"{name} of the {plant} plant must be from {low:g} to {high:g}, not {shown(repr(value), 40)}"
             )
-    _check_options(options, task_class(task), f"the task {task}")
     built = make_task(task, vehicle, **options)
     return BatchEnv(built, make_plant(plant, n, built.vehicle, **built.plant_options | plant_options), seed)
 

@@ -119,7 +119,7 @@ class Plan:
         They lie in the set-point task's START_BOX, and a climb from there to the hand-over point's height
         keeps CLEAR to the platform.
         """
-        landing: InclinedLanding = self.landing.task  # type: ignore[assignment]
+        landing = self.landing.task
         low, high = np.array(START_BOX).T
         free = ((starts >= low) & (starts <= high)).all(axis=1)
         for height in np.arange(low[Z], self.hand_over[1] + _STEP, _STEP):

@@ -25,6 +25,7 @@ from inclined_landing.envs import weights
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.tasks import TASKS, Task, known, make_task, task_class
 from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre, resolve_pwm_span
+from inclined_landing.envs.tasks.options import fields_of
 from inclined_landing.envs.vehicle_numbers import vehicle_numbers
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
@@ -42,8 +43,6 @@ SHIPPED = tuple(
 _ACTIVATIONS = ("Tanh", "ReLU")  # index is the code in the compiled loop
 _LIMIT = 10.0  # of `features.ScaledObservation`
 _WEIGHTS = "policy.pth"  # member with the network
-# Options of tasks that change what a policy meets: it is not to be flown with others unnoticed.
-_TRAINED_WITH = ("dimensions", "steepest", "fastest", "swell", "angle_limit")
 _LARGEST_TABLE = 10_000_000  # bytes of the header and of the stamp
 # Beyond, sums of products could overflow.
 _LARGEST_WEIGHT, _DEEPEST, _WIDEST = 1e6, 16, 8192
@@ -130,7 +129,7 @@ class Policy:
         Itself where it is told nothing and its PWM at action 0 is a number.
         """
         task = self.task
-        if not (task.observe_vehicle or task.own_hover):
+        if not (task.observe_vehicle or task.per_vehicle_hover):
             return self
         options = {k: v for k, v in task.options.items() if k != "observe_vehicle"}
         plain = make_task(task.name, task.vehicle, **options | {"pwm_centre": task.pwm_centre})
@@ -325,11 +324,11 @@ def _check_meets(task: Task, metadata: dict, inclination, path) -> None:
             f"policy {path} is {'told' if told else 'not told'} the numbers of its vehicle; "
             f"give the {task.name} task here observe_vehicle={told}"
         )
-    trained = _action_map(options)
-    if (trained[0] == OWN) != task.own_hover:
+    trained, per_vehicle = _action_map(options), task.per_vehicle_hover
+    if (trained[0] == OWN) != per_vehicle:
         raise UserError(
             f"policy {path} was trained with {_centre_words(trained[0])} at thrust action 0, and the "
-            f"{task.name} task here has {_centre_words(OWN if task.own_hover else task.pwm_centre)}; give it "
+            f"{task.name} task here has {_centre_words(OWN if per_vehicle else task.pwm_centre)}; give it "
             f"pwm_centre={_centre_option(trained[0])} and pwm_span={trained[1]:.15g}"
         )
     trained, own = (
@@ -342,10 +341,10 @@ def _check_meets(task: Task, metadata: dict, inclination, path) -> None:
             f"and the {task.name} task here has {own[0]:.0f} +- {own[1]:.0f}; give it "
             f"pwm_centre={trained[0]:.15g} and pwm_span={trained[1]:.15g}"
         )
-    for name in _TRAINED_WITH:
-        usual = getattr(type(task), name, None)
-        given, has = options.get(name, usual), task.options.get(name, usual)
-        if given != has:
+    for field, option, _ in fields_of(task.options_type):
+        name = field.name
+        given, has = options.get(name, field.default), task.options.get(name, field.default)
+        if option.trained_with and given != has:
             raise UserError(
                 f"policy {path} was trained with {name}={shown(given, 40)}, and the {task.name} task "
                 f"here has {has}; give it {name}={shown(given, 40)}"

@@ -23,7 +23,7 @@ def save_policy(model, path: str | Path) -> None:
     """Save a Stable-Baselines3 model that learned on a `BatchVecEnv`, with the stamp for `load_policy`."""
     task = model.get_env().env.task
     model.save(path, exclude=["lr_schedule"])  # perhaps of a callback, and not needed
-    action_map = {"pwm_centre": OWN if task.own_hover else task.pwm_centre, "pwm_span": task.pwm_span}
+    action_map = {"pwm_centre": OWN if task.per_vehicle_hover else task.pwm_centre, "pwm_span": task.pwm_span}
     stamp(
         Path(path).with_suffix(".zip"),
         {

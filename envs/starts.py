@@ -16,8 +16,9 @@ from importlib import resources
 
 import numpy as np
 
-from inclined_landing.envs.tasks.base import Start, hover_states
-from inclined_landing.envs.tasks.landing import PAPER_STARTS, START_CLEARANCE, InclinedLanding
+from inclined_landing.envs.tasks.base import Start, Task, hover_states
+from inclined_landing.envs.tasks.landing import PAPER_STARTS, START_CLEARANCE
+from inclined_landing.envs.tasks.slopes import SlopeLanding
 from inclined_landing.models.errors import UserError
 
 _FILE = "shipped/landing_grid.csv"
@@ -32,25 +33,25 @@ _EACH, _SPACE_EACH = 50, 15  # starts of a cell
 
 
 def grid() -> np.ndarray:
-    """The frozen starts (k, 2): x, z [m]."""
+    """Return the frozen starts (k, 2): x, z [m]."""
     text = resources.files("inclined_landing.envs").joinpath(_FILE).read_text("utf-8")
     return np.loadtxt(io.StringIO(text), delimiter=",", comments="#", ndmin=2)
 
 
-def make_grid(task: InclinedLanding) -> np.ndarray:
-    """The starts (k, 2) of the grid that lie clear of the task's platform, x by x."""
+def make_grid(task: Task) -> np.ndarray:
+    """Return the starts (k, 2) of the grid that lie clear of the task's platform, x by x."""
     x, z = np.meshgrid(_X, _Z, indexing="ij")
     return clear(task, np.column_stack([x.ravel(), z.ravel()]))
 
 
-def clear(task: InclinedLanding, starts: np.ndarray) -> np.ndarray:
-    """Those of `starts` (k, 2) whose shapes keep 5 cm to the platform."""
+def clear(task: Task, starts: np.ndarray) -> np.ndarray:
+    """Return those of `starts` (k, 2) whose shapes keep 5 cm to the platform."""
     states = at_rest(task, starts)
     return starts[task.start_clearance(task.start(states)) >= START_CLEARANCE]
 
 
 def grid_text(starts: np.ndarray) -> str:
-    """The frozen file's text for `starts` (k, 2)."""
+    """Return the frozen file's text for `starts` (k, 2)."""
     lines = [
         "# Frozen evaluation starts of the landing task, vehicle level, at rest, thrust at hover.",
         f"# x from {_X[0]:g} to {_X[-1]:g} m, z from {_Z[0]:g} to {_Z[-1]:g} m, without the starts "
@@ -64,12 +65,12 @@ def grid_text(starts: np.ndarray) -> str:
 
 
 def paper() -> np.ndarray:
-    """The paper's three starts (3, 2): x, z [m]."""
+    """Return the paper's three starts (3, 2): x, z [m]."""
     return np.array(PAPER_STARTS)
 
 
 def scattered(seed: int) -> np.ndarray:
-    """The paper's starts with offsets uniform within 0.1 m in x and z, ten each (30, 2)."""
+    """Return the paper's starts with offsets uniform within 0.1 m in x and z, ten each (30, 2)."""
     rng = np.random.default_rng(seed)
     starts = np.repeat(paper(), _SCATTERED, axis=0)
     return starts + rng.uniform(-_OFFSET, _OFFSET, starts.shape)
@@ -85,7 +86,7 @@ class Slopes:
     azimuths: np.ndarray  # (b + 1,) rad; of one cell from 0 to 0 in the plane
 
 
-def over_slopes(task: InclinedLanding, steepest: float | None = None, every: int = 1) -> Slopes:
+def over_slopes(task: Task, steepest: float | None = None, every: int = 1) -> Slopes:
     """The frozen starts of a task with slopes up to `steepest` [rad], by default the task's own.
 
     In the plane 20 cells of the inclination with 50 starts each; in space 6 of the inclination and 12 of the
@@ -93,14 +94,14 @@ def over_slopes(task: InclinedLanding, steepest: float | None = None, every: int
     A task in space with one slope has that alone. every: each k-th start only. Raises UserError for a task
     that does not observe the slope.
     """
-    steepest = task.steepest if steepest is None else steepest
-    if not task.sees_slope:
+    if not isinstance(task, SlopeLanding):
         raise UserError(f"the {task.name} task of this policy has one slope, and does not observe it")
+    steepest = task.steepest if steepest is None else steepest
     rng = np.random.default_rng(_SLOPES_SEED)
     if steepest is None:
         inclinations, azimuths = np.full(2, task.inclination), np.full(2, task.azimuth)
         each = _CELLS * _EACH
-    elif task.dimensions == 2:
+    elif task.is_planar:
         inclinations, azimuths, each = np.linspace(-steepest, steepest, _CELLS + 1), np.zeros(2), _EACH
     else:
         inclinations, each = np.linspace(0.0, steepest, _SPACE_CELLS + 1), _SPACE_EACH
@@ -112,8 +113,8 @@ def over_slopes(task: InclinedLanding, steepest: float | None = None, every: int
     return Slopes(task.sample_over(rng, *drawn)[::every], cells[:, ::every], inclinations, azimuths)
 
 
-def at_rest(task: InclinedLanding, starts: np.ndarray) -> np.ndarray:
-    """States (k, 13) of a vehicle hovering at `starts` (k, 2): x, z [m]."""
+def at_rest(task: Task, starts: np.ndarray) -> np.ndarray:
+    """Return states (k, 13) of a vehicle hovering at `starts` (k, 2): x, z [m]."""
     positions = np.zeros((len(starts), 3))
     positions[:, [0, 2]] = starts
     return hover_states(positions, task.vehicle)

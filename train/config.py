@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import itertools
 import math
 import numbers
 import types
 import typing
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from inclined_landing.envs.policy import action_map, history_of, told_vehicle, trained_for
 from inclined_landing.envs.randomise import locate
-from inclined_landing.envs.tasks import TASKS, import_task, is_path, task_class
-from inclined_landing.envs.tasks.base import LONGEST_HISTORY, Training
+from inclined_landing.envs.tasks import TASKS, Task, import_task, is_path, task_class
+from inclined_landing.envs.tasks.options import Record, TaskOptions, Training, fields_of, option
 from inclined_landing.eval.base.options import Range, Seed, check_ranges
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle, locate_vehicle
@@ -26,25 +25,57 @@ from inclined_landing.models.scene import INTEGRATORS
 from inclined_landing.train import descent
 from inclined_landing.train.curriculum import RISING
 
-# A field of `envs.tasks.base.Training` that is left at None becomes what the task says there.
+# A field of `envs.tasks.options.Training` that is left at None becomes what the task says there.
 _OF_THE_TASK = tuple(field.name for field in dataclasses.fields(Training))
+_TASK_OPTIONS = tuple(task.options_type for task in TASKS.values())
 # Files of which a run keeps a copy, and its name there.
 COPIED = {"vehicle": "vehicle.toml", "randomise": "randomise.toml"}
 # Those that say when a run ends: the first alone, or the others.
 ENDING = ("steps", "success", "min_steps", "max_steps")
 UPDATES = ("fast", "stock")
 
+_MANY, _INTERVAL = (1, 10**9), (0, 10**9)
+
+
+@dataclasses.dataclass(frozen=True)
+class OnPolicy(Record):
+    """Options that only ppo has."""
+
+    gae_lambda: float = option(0.95, "Of the advantage estimate", limits=(0, 1))
+    entropy: float = option(0.0, "Entropy bonus; sac finds its own", limits=(0, 1))
+    update: str = option(
+        "fast",
+        "fast (PPO compiled for these networks) or stock (Stable-Baselines3's own): the same loss and files",
+        more={"metavar": "{fast,stock}"},
+    )
+    checkpoint_every: int = option(20, "Iterations between checkpoints", limits=_MANY)
+
+
+@dataclasses.dataclass(frozen=True)
+class ReplayBuffer(Record):
+    """Options of algorithms with a replay buffer."""
+
+    buffer_size: int = option(300_000, "Samples in the replay buffer, the latest ones", limits=_MANY)
+    learning_starts: int = option(
+        5_000, "Environment steps with random actions before the first update", limits=_INTERVAL
+    )
+    gradient_steps: int = option(2, "Updates after each step of all vehicles", limits=(1, 16_384))
+
+
+@dataclasses.dataclass(frozen=True)
+class TD3(ReplayBuffer):
+    """Options of td3."""
+
+    action_noise: float = option(0.2, "Standard deviation of the noise on actions", limits=(0, 1))
+
+
 # Options of one kind of algorithm, and what they are where they are not given; None: what the task says.
-_ON_POLICY = {
-    **dict.fromkeys(("start_from", "epochs", "log_std_init")),
-    **{"gae_lambda": 0.95, "entropy": 0.0, "update": "fast", "checkpoint_every": 20},
-}
-_OFF_POLICY = {"buffer_size": 300_000, "learning_starts": 5_000, "gradient_steps": 2}
+_ON_POLICY = dict.fromkeys(("start_from", "epochs", "log_std_init")) | dataclasses.asdict(OnPolicy())
 # By algorithm: the options that others refuse.
 ALGORITHMS: dict[str, dict] = {
     "ppo": _ON_POLICY,
-    "sac": _OFF_POLICY,
-    "td3": _OFF_POLICY | {"action_noise": 0.2},
+    "sac": dataclasses.asdict(ReplayBuffer()),
+    "td3": dataclasses.asdict(TD3()),
 }
 _REPLAYED = {"learning_rate": 1e-3, "batch_size": 256}  # of those with a replay buffer, not the task's
 # Rewards are multiplied by this. SAC's are small beside its price of entropy otherwise.
@@ -52,41 +83,69 @@ REWARD_SCALE = {"ppo": 0.1, "sac": 1.0, "td3": 0.1}
 
 CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its own task
 
-_MANY = Range(1, 10**9)
-_INTERVAL = Range(0, 10**9)
-
-
-def _by_task(text: str, name: str, **more: str):
-    """Help of an option that is the task's to fill in: a text, and what the tasks say."""
-    said = [(task.name, getattr(task.training, name)) for task in TASKS.values()]
-    defaults = ", ".join(f"{task} {value}" for task, value in said if value is not None)
-    return tyro.conf.arg(help=f"{text}.", help_behavior_hint=f"(default: {defaults})", **more)
-
-
-def _by_algorithm(text: str, name: str):
-    """The same of an option that some algorithms do not have."""
-    having = [algorithm for algorithm, own in ALGORITHMS.items() if name in own]
-    default = ALGORITHMS[having[0]][name]
-    return tyro.conf.arg(
-        help=f"{text}.", help_behavior_hint=f"(default: {default}; of {' and '.join(having)} only)"
-    )
-
-
-def _by_success(text: str, name: str):
-    """The same of an option for the tasks whose runs end by success."""
-    said = [(task.name, getattr(task.training, name)) for task in TASKS.values() if task.training.success]
-    return tyro.conf.arg(
-        help=f"{text}.", help_behavior_hint=f"(default: {', '.join(f'{task} {n}' for task, n in said)})"
-    )
-
 
 _TASK = tyro.conf.arg(
     metavar="[TASK]", help=f"{', '.join(TASKS)}, or one of your own: module:Class or file.py:Class."
 )
-_CURRICULA = "; ".join(f"{name}: {', '.join(task.curricula)}" for name, task in TASKS.items())
+_WORDS = {
+    "curricula": "; ".join(f"{name}: {', '.join(task.curricula)}" for name, task in TASKS.items()),
+    "start": f"{descent.NAME}: the law that touchdown on moving platforms begins with",
+}
+
+
+def _as_options(*records: type[Record]) -> dict[str, tuple[Any, Any]]:
+    """Return annotation and default of an option for each field of records that has a help text.
+
+    The default is None, but for flags: what is not given is left to the task or the algorithm.
+    """
+    found = {}
+    for field, known, kind in fields_of(*records):
+        more: dict[str, Any] = {"help": known.help.format(**_WORDS)} | known.more
+        if not issubclass(records[0], TaskOptions):
+            more |= {"help": f"{more['help']}.", "help_behavior_hint": f"(default: {_defaults(field.name)})"}
+        limits = [Range(*known.limits, known.open)] if known.limits else []
+        flag = kind is bool
+        if known.help:
+            kind = kind if flag else (known.kind or kind) | None
+            found[field.name] = Annotated[kind, *limits, tyro.conf.arg(**more)], False if flag else None
+    return found
+
+
+def _defaults(name: str) -> str:
+    """Return what the algorithms, or the tasks that it is for, say of an option."""
+    having = [algorithm for algorithm, own in ALGORITHMS.items() if name in own]
+    if name not in _OF_THE_TASK:
+        return f"{ALGORITHMS[having[0]][name]}; of {' and '.join(having)} only"
+    by_success = name in ("min_steps", "max_steps")
+    tasks = [task for task in TASKS.values() if task.training.success or not by_success]
+    said = [(task.name, getattr(task.training, name)) for task in tasks]
+    return ", ".join(f"{task} {default}" for task, default in said if default is not None)
+
+
+_GIVEN = _as_options(Training)
+_OF_TASKS = _as_options(*_TASK_OPTIONS)
+_OF_EVERY_TASK = {field.name: _OF_TASKS.pop(field.name) for field in dataclasses.fields(TaskOptions)}
+# Options that records make, each group after a field of the configuration.
+_GROUPS = {
+    "seed": {name: _GIVEN.pop(name) for name in (*ENDING, "start_from")} | _OF_TASKS | _OF_EVERY_TASK,
+    "without": _GIVEN,
+    "environments": _as_options(OnPolicy, TD3),
+}
+
+
+def _with_groups(config: type) -> type:
+    """Return the class with the fields of `_GROUPS` in their places."""
+    own, config.__annotations__ = config.__annotations__, {}
+    for name, hint in own.items():
+        config.__annotations__[name] = hint
+        for field, (kind, default) in _GROUPS.get(name, {}).items():
+            config.__annotations__[field] = kind
+            setattr(config, field, default)
+    return config
 
 
 @dataclasses.dataclass
+@_with_groups
 class TrainConfig:
     """Train a policy with Stable-Baselines3; everything lands in one run folder.
 
@@ -102,42 +161,6 @@ class TrainConfig:
     """Run folder (default: runs/TASK-seed)."""
     seed: Seed = 0
     """Of the policy, the starts and the minibatches; periodic evaluation uses starts of its own."""
-    steps: Annotated[int | None, _MANY, _by_task("Environment steps, fixed beforehand", "steps")] = None
-    success: Annotated[
-        float | None,
-        Range(0, 1),
-        _by_task("Share of successes, in two evaluations in a row, that ends the run", "success"),
-    ] = None
-    min_steps: Annotated[
-        int | None, _INTERVAL, _by_success("Environment steps that such a run has at least", "min_steps")
-    ] = None
-    max_steps: Annotated[
-        int | None, _MANY, _by_success("Environment steps that such a run has at most", "max_steps")
-    ] = None
-    start_from: Annotated[
-        str | None,
-        tyro.conf.arg(name="from", metavar="POLICY"),
-        _by_task(
-            f"The policy to go on from, a file or a shipped one; {descent.NAME}: the law that touchdown on "
-            "moving platforms begins with",
-            "start_from",
-        ),
-    ] = None
-    inclination: Annotated[float | None, Range(-90, 90), tyro.conf.arg(metavar="DEG")] = None
-    """Of the platform in degrees, where it differs from the vehicle file's."""
-    steepest: Annotated[float | None, Range(0, 90, open=True), tyro.conf.arg(metavar="DEG")] = None
-    """Every episode has a slope of its own, which the policy observes: up to this inclination in degrees, to
-    both sides; in three dimensions to all sides."""
-    dimensions: Annotated[int | None, Range(2, 3), tyro.conf.arg(metavar="{2,3}")] = None
-    """3: fly in space, with roll, and not in a plane (default: as the task is)."""
-    random_yaw: bool = False
-    """With three dimensions: every episode begins with a heading of its own."""
-    fastest: Annotated[float | None, Range(0, 10), tyro.conf.arg(metavar="M/S")] = None
-    """With three dimensions: decks that travel steadily, any way, at up to this speed, which is observed."""
-    swell: Annotated[float | None, Range(0, 2)] = None
-    """With --fastest: decks that heave, roll and pitch too; 1: by up to 0.24 m and 16 deg (default: 0)."""
-    angle_limit: Annotated[float | None, Range(1, 80), tyro.conf.arg(metavar="DEG")] = None
-    """Of roll and pitch commands in degrees, where it differs from the vehicle file's."""
     vehicle: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Vehicle file (TOML), or a shipped vehicle by name, where it is not the Crazyflie 2.1; the run keeps a
     copy."""
@@ -160,112 +183,14 @@ class TrainConfig:
     buffer cannot be resumed."""
     plant: Annotated[str, tyro.conf.arg(metavar="{mujoco,hybrid,analytic}")] = "hybrid"
     """mujoco; hybrid: the same with the equations in free flight; or analytic."""
-    integrator: Annotated[
-        str | None, _by_task("Of the engine in training, 4 ms steps; evaluation uses RK4", "integrator")
-    ] = None
-    keep_out: Annotated[
-        float | None,
-        Range(0, 1),
-        _by_task("Sensor-only zone around the platform that is an obstacle in training, m", "keep_out"),
-    ] = None
     threads: Annotated[int, Range(0, 1024)] = 0
     """Physics threads (0: all cores)."""
 
-    curriculum: Annotated[
-        str | None, _by_task(f"What eases the task at first; {_CURRICULA}", "curriculum")
-    ] = None
     without: Annotated[str | None, tyro.conf.arg(metavar="PART[,PART...]")] = None
     """Parts of the landing's curriculum to leave out: start, tilt, motion, goal and platform are the task's
     from the first step on; without departure, a vehicle that leaves is cut and pays nothing."""
-    pwm_centre: Annotated[
-        float | str | None,
-        tyro.conf.arg(
-            metavar="NUMBER|hover|own|paper", help_behavior_hint="(default: hover; with --from the policy's)"
-        ),
-    ] = None
-    """PWM at action 0: a number, hover (of the vehicle with its effects), own (of each vehicle that
-    is drawn, or flown later) or paper (42 000). A policy to go on from is rewritten where it has another."""
-    pwm_span: Annotated[
-        float | None,
-        Range(1, 65_535),
-        tyro.conf.arg(
-            metavar="NUMBER",
-            help_behavior_hint="(default: the vehicle file's, 16500; with --from the policy's)",
-        ),
-    ] = None
-    """PWM from action 0 to action 1: wider, for a vehicle whose motors have lost thrust."""
-    history: Annotated[int | None, Range(0, LONGEST_HISTORY)] = None
-    """Past steps, observation and action each, that the policy is given besides the observation (default: as
-    many as the policy in --from, else 0)."""
-
-    observe_vehicle: bool = False
-    """Tell the policy six numbers of each vehicle: thrust to weight, lags, gain, drag, reach. One that goes
-    on from a policy that is told them is too."""
-
     environments: Annotated[int, Range(1, 16_384)] = 64
     """Vehicles stepped together."""
-    rollout: Annotated[
-        int | None,
-        Range(1, 65_536),
-        _by_task("Steps of each vehicle in an iteration; ppo updates after it", "rollout"),
-    ] = None
-    batch_size: Annotated[
-        int | None,
-        Range(2, 10**9),
-        _by_task("Samples in a minibatch, of ppo at most a whole rollout; sac and td3 256", "batch_size"),
-    ] = None
-    epochs: Annotated[int | None, Range(1, 1000), _by_task("Passes of ppo over each rollout", "epochs")] = (
-        None
-    )
-    learning_rate: Annotated[
-        float | None,
-        Range(0, 1, open=True),
-        _by_task("Initial, the curriculum says when it falls; sac and td3 0.001", "learning_rate"),
-    ] = None
-    gamma: Annotated[
-        float | str | None,
-        _by_task(
-            "Discount; paper: from 0.97 to 0.99 over 800 000 steps, as in the curriculum paper anyway",
-            "gamma",
-            metavar="NUMBER|paper",
-        ),
-    ] = None
-    gae_lambda: Annotated[
-        float | None, Range(0, 1), _by_algorithm("Of the advantage estimate", "gae_lambda")
-    ] = None
-    log_std_init: Annotated[
-        float | None,
-        Range(-10, 2),
-        _by_task("Logarithm of the initial exploration noise of ppo", "log_std_init"),
-    ] = None
-    entropy: Annotated[
-        float | None,
-        Range(0, 1),
-        _by_algorithm("Entropy bonus; sac finds its own", "entropy"),
-    ] = None
-    update: Annotated[
-        str | None,
-        tyro.conf.arg(metavar="{fast,stock}", help_behavior_hint="(default: fast; of ppo only)"),
-    ] = None
-    """fast (PPO compiled for these networks) or stock (Stable-Baselines3's own): the same loss and files."""
-    buffer_size: Annotated[
-        int | None, _MANY, _by_algorithm("Samples in the replay buffer, the latest ones", "buffer_size")
-    ] = None
-    learning_starts: Annotated[
-        int | None,
-        _INTERVAL,
-        _by_algorithm("Environment steps with random actions before the first update", "learning_starts"),
-    ] = None
-    gradient_steps: Annotated[
-        int | None,
-        Range(1, 16_384),
-        _by_algorithm("Updates after each step of all vehicles", "gradient_steps"),
-    ] = None
-    action_noise: Annotated[
-        float | None,
-        Range(0, 1),
-        _by_algorithm("Standard deviation of the noise on actions", "action_noise"),
-    ] = None
     reward_scale: Annotated[
         float | None,
         Range(0, 1000, open=True),
@@ -273,19 +198,25 @@ class TrainConfig:
     ] = None
     """Rewards are multiplied by this before the algorithm sees them."""
 
-    evaluate_every: Annotated[int, _INTERVAL] = 16
+    evaluate_every: Annotated[int, Range(*_INTERVAL)] = 16
     """Iterations between evaluations in the hybrid plant, without training aids (0: never)."""
-    checkpoint_every: Annotated[
-        int | None, _MANY, _by_algorithm("Iterations between checkpoints", "checkpoint_every")
-    ] = None
-    video_every: Annotated[int, _INTERVAL] = 0
+    video_every: Annotated[int, Range(*_INTERVAL)] = 0
     """Iterations between videos of one flight (0: never); each takes as long as some 100 000 steps."""
+
+    if TYPE_CHECKING:  # the fields that `_GROUPS` adds
+
+        def __getattr__(self, name: str) -> Any: ...
+        def __setattr__(self, name: str, value: Any) -> None: ...
 
     def resolved(self) -> TrainConfig:
         """A copy with every default filled in and every value checked; raises UserError."""
         self._check_types()
         kind = import_task(self.task) if is_path(self.task) else task_class(self.task)
         training = kind.training
+        try:
+            training.check()
+        except UserError as error:  # of a task of one's own
+            raise UserError(f"task {shown(self.task, 60)}, its training: {error}") from error
         if self.plant not in PLANTS:
             raise UserError(f"unknown plant {shown(self.plant, 40)!r}; known are {', '.join(PLANTS)}")
         if self.integrator not in (None, *INTEGRATORS):
@@ -294,36 +225,28 @@ class TrainConfig:
         if self.update not in (None, *UPDATES):
             raise UserError(f"unknown update {shown(self.update, 40)!r}; known are {' and '.join(UPDATES)}")
         own = self._of_the_algorithm(kind)
-        if self.inclination is not None and not kind.has_platform:
-            raise UserError(f"--inclination: the task {kind.name} has no inclined platform")
         own["reward_scale"] = REWARD_SCALE[self.algorithm]
         given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}
         defaults = {name: getattr(training, name) for name in given} | own
         filled = {k: value if getattr(self, k) is None else getattr(self, k) for k, value in defaults.items()}
         check_ranges(self)
-        known = inspect.signature(kind).parameters
-        for name in self.slopes():
-            if name not in known:
-                raise UserError(f"{option(name)} is no option of the task {kind.name}")
+        for name in self.task_options():
+            if name not in kind.option_names():
+                raise UserError(f"{flag_of(name)} is no option of the task {kind.name}")
         _check_gamma(self.gamma)
         if self.start_from is None and self.fastest is not None and training.start_from is not None:
             filled["start_from"] = descent.NAME
         start = None if filled["start_from"] == descent.NAME else filled["start_from"]
-        same = start is not None and trained_for(start) == kind.name
-        filled |= self._ending(training, CARRIED_ON if same else training.min_steps)
+        same = start if start is not None and trained_for(start) == kind.name else None
+        filled |= self._ending(training, training.min_steps if same is None else CARRIED_ON)
         out = Path(self.out or f"runs/{kind.name}-{self.seed}")
         vehicle = None if self.vehicle is None else Path(self.vehicle)
         randomise = None if self.randomise is None else Path(self.randomise)
         if self.history is None:
-            filled["history"] = history_of(start) if same else 0
-        filled["observe_vehicle"] = self.observe_vehicle or (same and told_vehicle(start))
+            filled["history"] = 0 if same is None else history_of(same)
+        filled["observe_vehicle"] = self.observe_vehicle or (same is not None and told_vehicle(same))
         filled |= self._action_map(start)
         config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)
-        if is_path(self.task):  # which says defaults of its own
-            try:
-                check_ranges(config)
-            except UserError as error:
-                raise UserError(f"task {shown(self.task, 60)}, its training: {error}") from error
         if config.algorithm != "ppo":
             config._check_buffer()
             return config
@@ -336,11 +259,17 @@ class TrainConfig:
         return config
 
     @property
+    def folder(self) -> Path:
+        """The run folder; of a resolved configuration."""
+        assert self.out is not None
+        return self.out
+
+    @property
     def resumable(self) -> bool:
         """Are there checkpoints to go on from: a replay buffer is not kept."""
         return self.algorithm == "ppo"
 
-    def _of_the_algorithm(self, kind: type) -> dict:
+    def _of_the_algorithm(self, kind: type[Task]) -> dict:
         """Defaults that are the algorithm's and not the task's; raises UserError for options of another."""
         if self.algorithm not in ALGORITHMS:
             known = ", ".join(ALGORITHMS)
@@ -350,7 +279,7 @@ class TrainConfig:
             if getattr(self, name) is not None:
                 others = " and ".join(algorithm for algorithm, has in ALGORITHMS.items() if name in has)
                 raise UserError(
-                    f"{option(name)} is an option of {others}, which {self.algorithm} does not have"
+                    f"{flag_of(name)} is an option of {others}, which {self.algorithm} does not have"
                 )
         if self.algorithm == "ppo":
             return {name: default for name, default in own.items() if default is not None}
@@ -368,7 +297,7 @@ class TrainConfig:
             raise UserError(
                 f"--buffer-size must be {least} or more, for a step of each vehicle and for a minibatch"
             )
-        if self.learning_starts >= self.most_steps():
+        if (self.learning_starts or 0) >= self.most_steps():
             raise UserError(
                 f"--learning-starts {self.learning_starts} leaves nothing of {self.most_steps()} steps "
                 "to learn in"
@@ -386,7 +315,7 @@ class TrainConfig:
 
     def _ending(self, training: Training, least: int) -> dict:
         """When the run ends: the fields in ENDING, filled in; `least`: the usual min_steps."""
-        given = [option(name) for name in ENDING[1:] if getattr(self, name) is not None]
+        given = [flag_of(name) for name in ENDING[1:] if getattr(self, name) is not None]
         if self.steps is not None:
             if given:
                 raise UserError(f"--steps fixes how long the run is; {given[0]} goes without it")
@@ -409,17 +338,14 @@ class TrainConfig:
             "max_steps": max(training.max_steps, low or 0) if high is None else high,
         }
 
-    def slopes(self) -> dict[str, Any]:
-        """Options of the task that are given in degrees, or as what they are, of slopes and attitudes."""
-        given = {
-            "steepest": None if self.steepest is None else math.radians(self.steepest),
-            "dimensions": self.dimensions,
-            "random_yaw": self.random_yaw or None,
-            "fastest": self.fastest,
-            "swell": self.swell,
-            "angle_limit": None if self.angle_limit is None else math.radians(self.angle_limit),
-        }
-        return {name: value for name, value in given.items() if value is not None}
+    def task_options(self) -> dict[str, Any]:
+        """Return the options of the task that are given, angles in rad."""
+        given = {}
+        for field, known, _ in fields_of(*_TASK_OPTIONS):
+            value = getattr(self, field.name) if known.help else None
+            if value is not None and value is not False:
+                given[field.name] = math.radians(value) if known.degrees else value
+        return given
 
     def copied(self) -> dict[str, Path]:
         """Of what the run keeps a copy, by the copy's name."""
@@ -439,7 +365,7 @@ class TrainConfig:
             value = getattr(self, name)
             if (isinstance(value, bool) and bool not in kinds) or not isinstance(value, _kinds(kinds)):
                 words = " or ".join(_KINDS[kind][1] for kind in kinds if kind in _KINDS)
-                raise UserError(f"{option(name)} must be {words}, not {shown(repr(value), 40)}")
+                raise UserError(f"{flag_of(name)} must be {words}, not {shown(repr(value), 40)}")
 
     def as_json(self) -> dict:
         """The configuration with JSON types only."""
@@ -491,6 +417,6 @@ HELP = {
 }
 
 
-def option(name: str) -> str:
+def flag_of(name: str) -> str:
     """How a field is written on the command line."""
     return "--from" if name == "start_from" else f"--{name.replace('_', '-')}"

@@ -26,7 +26,7 @@ PARTS = {
     "motion": ("motion",),
     "goal": ("goal_size",),
     "platform": ("platform",),
-    "departure": ("departure",),
+    "departure": ("out_of_bounds_penalty",),
 }
 RISING = "paper"  # how the paper's discount is called
 
@@ -35,9 +35,12 @@ class Curriculum(Protocol):
     """What the training callback needs."""
 
     name: str
-    level: float  # 0 easiest, 1 the task itself
 
-    def conditions(self):
+    @property
+    def level(self) -> float:
+        """0 easiest, 1 the task itself."""
+
+    def conditions(self) -> Any:
         """Conditions of the next episodes; None where the task has none."""
 
     def stages(self) -> list[tuple[str, Any]]:
@@ -351,9 +354,9 @@ class TouchdownCurriculum(NoCurriculum):
     coming to rest is learned before gentleness. A share of the episodes begins just over the slope, from
     0.2 down to none at RAMP. Three tenths begin around the raised edge: most of the starts that failed lie
     there, as the edge has to be passed at once, and few uniform starts show it. Friction and restitution
-    are drawn for every episode. Whoever leaves, falls to the floor or lies on the slab the wrong way pays a
-    price once and is out: cut without one, such episodes end in a state whose value the critic never
-    learned. The learning rate is constant for 40 % of the run and then falls linearly to zero; only the
+    are drawn for every episode. Leaving the arena, falling to the floor or lying on the slab the wrong way
+    terminates the episode with a penalty: a truncation would bootstrap from states whose value the critic
+    never learned. The learning rate is constant for 40 % of the run and then falls linearly to zero; only the
     critic learns at first (`warm_start.CRITIC_FIRST`).
     """
 
@@ -368,7 +371,7 @@ class TouchdownCurriculum(NoCurriculum):
         return touchdown.Conditions(
             contact_limit=8,
             leave_limit=0.3,
-            departure=150.0,
+            out_of_bounds_penalty=150.0,
             beside=0.3,
             close=0.2 * (1.0 - self.level),
             impact=touchdown.IMPACT * min(1.0, 2.0 * self.level),
@@ -392,8 +395,8 @@ class TouchdownCurriculum(NoCurriculum):
 class Changed:
     """A curriculum but for parts that are left out: in those, every episode is the task itself.
 
-    parts: of PARTS; without a departure's price, who leaves is cut. rising: the paper's discount instead of
-    its own.
+    parts: of PARTS; without an out-of-bounds penalty, leaving truncates. rising: the paper's discount instead
+    of its own.
     """
 
     def __init__(self, whole: Curriculum, parts: Sequence[str], rising: bool):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections import deque
 from typing import Any
 
@@ -23,7 +22,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import Snapshot, make_plant
 from inclined_landing.train.checkpoint import check_array, check_names, check_number
-from inclined_landing.train.config import ALGORITHMS, TrainConfig, option
+from inclined_landing.train.config import ALGORITHMS, TrainConfig, flag_of
 from inclined_landing.train.curriculum import RISING, rising_gamma
 from inclined_landing.train.fast.ppo import FastPPO
 
@@ -45,7 +44,7 @@ def check_memory(config: TrainConfig) -> None:
     free = psutil.virtual_memory().available
     if needed > free:
         raise UserError(
-            f"--environments {config.environments} and {option(kept)} {getattr(config, kept)} need about "
+            f"--environments {config.environments} and {flag_of(kept)} {getattr(config, kept)} need about "
             f"{needed / 1e9:.0f} GB of memory, and {free / 1e9:.0f} GB are free; choose fewer"
         )
 
@@ -58,6 +57,7 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
     task = build_task(config)
     options |= drawn(config, task.vehicle, config.seed) | task.plant_options
     plant = make_plant(config.plant, config.environments, task.vehicle, **options)
+    assert config.reward_scale is not None  # a resolved configuration
     nominal = None if config.randomise is None else read_ranges(config.randomise).nominal
     return BatchVecEnv(BatchEnv(task, plant, config.seed, nominal), reward_scale=config.reward_scale)
 
@@ -73,20 +73,17 @@ def drawn(config: TrainConfig, vehicle: Vehicle, seed: int, count: int = POOL) -
 
 def build_task(config: TrainConfig) -> Task:
     """The task with the configured vehicle, platform and action map."""
-    vehicle, options = load_vehicle(config.vehicle), {"history": config.history} if config.history else {}
-    options |= config.slopes()
-    if config.inclination is not None:
+    vehicle, options = load_vehicle(config.vehicle), config.task_options()
+    if "inclination" in options:
         try:
-            options["inclination"] = vehicle.check_inclination(math.radians(config.inclination))
+            vehicle.check_inclination(options["inclination"])
         except UserError as error:
             raise UserError(f"--inclination: {error}") from error
-    if config.observe_vehicle:
-        options["observe_vehicle"] = True
     # What a policy's actions command must not depend on the vehicle that it is flown with later, unless that
     # is asked for.
-    fixed = config.vehicle and config.pwm_centre != OWN
-    centre = resolve_pwm_centre(config.pwm_centre, vehicle) if fixed else config.pwm_centre
-    return make_task(config.task, vehicle, pwm_centre=centre, pwm_span=config.pwm_span, **options)
+    if config.vehicle and config.pwm_centre != OWN:
+        options["pwm_centre"] = resolve_pwm_centre(config.pwm_centre, vehicle)
+    return make_task(config.task, vehicle, **options)
 
 
 def evaluation_seed(config: TrainConfig) -> int:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.rendering import make_renderer
+from inclined_landing.envs.tasks import InclinedLanding
 from inclined_landing.eval.moving import controllers
 from inclined_landing.eval.moving import report as moving
 from inclined_landing.eval.moving.scenario import read_scenario, shipped
@@ -25,7 +27,7 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.train.curriculum import make_curriculum
 from inclined_landing.train.run import VEHICLE
 
-_LOOK = {"width": 960, "height": 540}  # of video and picture
+_LOOK: dict[str, Any] = {"width": 960, "height": 540}  # of video and picture
 _FILM_FPS = 25.0  # half as many as `landing-eval video` shows
 
 
@@ -60,7 +62,7 @@ def _draw(folder: Path, config: dict, policy: Policy) -> list[Path]:
     stages = make_curriculum(
         config["curriculum"], task.name, config["gamma"], config["without"] or ""
     ).stages()
-    if stages:
+    if stages and isinstance(task, InclinedLanding):
         files.append(save_figure(curriculum_figure(stages, task=task), folder / "curriculum.png"))
     flights = fly(policy, list(task.figure_starts.values()), "mujoco", task.judged_steps)
     for name, flight in zip(task.figure_starts, flights):

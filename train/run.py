@@ -51,7 +51,8 @@ from inclined_landing.train.callbacks import (
     Iterations,
     ProgressCallback,
 )
-from inclined_landing.train.config import COPIED, TrainConfig, option
+from inclined_landing.train.checkpoint import Checkpoint
+from inclined_landing.train.config import COPIED, TrainConfig, flag_of
 from inclined_landing.train.curriculum import make_curriculum
 from inclined_landing.train.rehearsal import rehearse
 
@@ -86,12 +87,12 @@ class Run:
 
     def __init__(self, config: TrainConfig):
         given, config = config, config.resolved()
-        self.folder = config.out
+        self.folder = config.folder
         self.resumed = config.resume
         if config.resume:
-            config, self.record = stored(dataclasses.replace(given, out=config.out))
+            config, self.record = stored(dataclasses.replace(given, out=config.folder))
         else:
-            _check_new(config.out)
+            _check_new(config.folder)
             self.record = _record(config)
         self.config = config
         ppo.check_memory(config)
@@ -386,14 +387,14 @@ class Run:
             "spent": dict(self.clock.spent),
             "cpu": self.clock.cpu,
         }
-        checkpoint.write(self.folder / CHECKPOINT, checkpoint.Checkpoint(state, arrays, self.best))
+        checkpoint.write(self.folder / CHECKPOINT, Checkpoint(state, arrays, self.best))
         self._write_histories()
 
     def _write_histories(self) -> None:
         for name, rows in (("learning", self.history), ("evaluations", self.evaluations)):
             storage.write_text(self.folder / f"{name}.csv", pd.DataFrame(rows).to_csv(index=False))
 
-    def _read_checkpoint(self) -> checkpoint.Checkpoint | None:
+    def _read_checkpoint(self) -> Checkpoint | None:
         """The checkpoint of the run to resume; None if it was stopped before the first."""
         path = self.folder / CHECKPOINT
         if os.path.lexists(path):
@@ -406,7 +407,7 @@ class Run:
             )
         return None
 
-    def _restore(self, saved: checkpoint.Checkpoint) -> None:
+    def _restore(self, saved: Checkpoint) -> None:
         """Carry the new model, vehicles and curriculum on to a checkpoint; UserError if it is wrong."""
         state = dict(saved.state)
         own = self.record["config"]
@@ -575,13 +576,13 @@ _STATE = (
 
 
 def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
-    """Configuration and run.json of the run to resume in `config.out`; the limits of time are taken anew."""
-    path = config.out / RECORD
-    if os.path.exists(config.out) and not config.out.is_dir():
-        raise UserError(f"nothing to resume: {config.out} is a file, not a run folder")
+    """Return configuration and run.json of the run to resume; the limits of time are taken anew."""
+    path = config.folder / RECORD
+    if os.path.exists(config.folder) and not config.folder.is_dir():
+        raise UserError(f"nothing to resume: {config.folder} is a file, not a run folder")
     if not os.path.lexists(path):
-        raise UserError(f"nothing to resume: {config.out} holds no {RECORD}")
-    storage.check_folder(config.out)
+        raise UserError(f"nothing to resume: {config.folder} holds no {RECORD}")
+    storage.check_folder(config.folder)
     record = storage.read_json(path, "run record", storage.LARGEST)
     try:
         checkpoint.check_names(record, ("config", "command", "versions"), "it")
@@ -604,13 +605,15 @@ def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
     _check_same(config, given)
     if not given.resumable:
         raise UserError(
-            f"{config.out} was trained with {given.algorithm}, and a replay buffer is not kept: begin a new "
-            "run with another --out"
+            f"{config.folder} was trained with {given.algorithm}, and a replay buffer is not kept: begin a "
+            "new run with another --out"
         )
-    limits = {"max_seconds": config.max_seconds, "max_cpu_seconds": config.max_cpu_seconds}
-    given = dataclasses.replace(given, out=config.out, **limits, resume=False)
+    seconds, cpu_seconds = config.max_seconds, config.max_cpu_seconds
+    given = dataclasses.replace(
+        given, out=config.folder, max_seconds=seconds, max_cpu_seconds=cpu_seconds, resume=False
+    )
     for name, file in COPIED.items():
-        copy, first = config.out / file, getattr(given, name)
+        copy, first = config.folder / file, getattr(given, name)
         if first is not None:  # its copy, unless the run was stopped before it was made
             setattr(given, name, copy if copy.is_file() else Path(first))
     return given, record
@@ -636,9 +639,9 @@ def _check_same(config: TrainConfig, begun: TrainConfig) -> None:
         if field.name in (*_FREE, "resume") or asked in (field.default, own) or str(asked) == str(own):
             continue
         was = f"has {shown(own, 40)}" if own is not None else "has none"
-        final = shlex.quote(str(config.out / "final.zip"))
+        final = shlex.quote(str(config.folder / "final.zip"))
         raise UserError(
-            f"--resume goes on with the options of the run, which {was} for {option(field.name)}, not "
+            f"--resume goes on with the options of the run, which {was} for {flag_of(field.name)}, not "
             f"{shown(asked, 40)}; begin a new run with another --out, perhaps --from {final}"
         )
 

@@ -53,7 +53,7 @@ def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
     shipped one. Raises UserError for any other policy.
     """
     if name == descent.NAME:
-        if not (isinstance(task, InclinedTouchdown) and task.dimensions == 3):
+        if not (isinstance(task, InclinedTouchdown) and not task.is_planar):
             raise UserError(
                 f"--from {name} is for touchdown in three dimensions, not for this {task.name} task"
             )
@@ -84,7 +84,7 @@ def take_over(model: PPO, policy: Policy) -> None:
         raise UserError(f"policy {policy.path} goes on {how} --observe-vehicle")
     if policy.task.observe_vehicle and policy.task.history != task.history:
         raise UserError(f"policy {policy.path} is told its vehicle, and goes on with its own history only")
-    if policy.task.own_hover != task.own_hover:
+    if policy.task.per_vehicle_hover != task.per_vehicle_hover:
         raise UserError(f"policy {policy.path} goes on with its own PWM at action 0 only")
     known = len(policy.centre)
     more = (task.history - policy.task.history) * (len(task.observation_names) + len(task.action_names))
@@ -130,14 +130,12 @@ def lesson(moment: Moment, landing: Policy) -> np.ndarray:
     action[:, 0] = np.maximum(action[:, 0], _LOWEST)
     place = surface.on_deck(state, deck)
     over = (place[:, Z] < CUT_HEIGHT) & (np.abs(place[:, X]) < v.slab_half_length)
-    if task.sees_slope:
+    on_slope = deck[:, ROLL : PITCH + 1]  # roll and pitch of a vehicle that stands there
+    if task.observes_slope:
         over &= np.abs(place[:, Y]) < 0.5 * v.platform_depth
-        idle = over | task.in_goal_over(state, deck, GOAL_SIZE)
-        standing = surface.heading_frame(state, deck)[:, surface.SLOPE_ROLL :]
-    else:
-        idle = over | task.in_goal(state, task.inclination, GOAL_SIZE)
-        standing = deck[:, ROLL : PITCH + 1]
-    angles = {"roll": standing[:, 0], "pitch": standing[:, 1]}
+        on_slope = surface.heading_frame(state, deck)[:, surface.SLOPE_ROLL :]
+    idle = over | task.in_goal(state, GOAL_SIZE, deck)
+    angles = {"roll": on_slope[:, 0], "pitch": on_slope[:, 1]}
     action[idle, 0] = _IDLE
     for column, name in enumerate(task.action_names[1:], 1):
         action[idle, column] = angles[name][idle] / (v.attitude_gain * v.command_angle_limit)

@@ -314,7 +314,7 @@ def _observes(policy: Policy) -> str:
 
 
 def _pwm(policy: Policy) -> str:
-    about = "each vehicle's hover" if policy.task.own_hover else f"{policy.task.pwm_centre:.0f}"
+    about = "each vehicle's hover" if policy.task.per_vehicle_hover else f"{policy.task.pwm_centre:.0f}"
     return f"{about} ± {policy.task.pwm_span:.0f}"
 
 

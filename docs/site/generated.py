@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import re
-import sys
 from collections.abc import Iterable, Iterator
 from importlib import resources
 
@@ -13,6 +12,7 @@ import numpy as np
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import TASKS, Task, make_task
+from inclined_landing.envs.tasks import manual as task_manual
 from inclined_landing.envs.tasks.base import ACTIONS, COLUMNS
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.command_line import bound, grouped_help, help_page
@@ -78,7 +78,6 @@ def tasks() -> str:
     ]
     for name, kind in TASKS.items():
         task = make_task(name)
-        manual = _module_text(kind)
         parts += [
             f"## {kind.__name__}\n",
             f'`make_task({name!r})`, `gymnasium.make("{kind.__name__}-v0")`\n',
@@ -86,13 +85,9 @@ def tasks() -> str:
             _actions(task),
             f"Control period {task.vehicle.command_control_period:g} s, at most {task.max_steps} steps.\n",
             '??? note "The manual of the task: goal, reward, end"\n',
-            "\n".join(f"    {line}" if line else "" for line in manual.splitlines()) + "\n",
+            "\n".join(f"    {line}" if line else "" for line in task_manual(kind).splitlines()) + "\n",
         ]
     return "\n".join(parts)
-
-
-def _module_text(kind: type[Task]) -> str:
-    return sys.modules[kind.__module__].__doc__ or ""
 
 
 def _observations(task: Task) -> str:

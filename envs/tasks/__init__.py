@@ -1,13 +1,16 @@
 """The tasks, by name, as `ids.py` lists them. Their environments follow."""
 
+import sys
 from importlib import import_module
 
 from inclined_landing.envs.ids import TASK_CLASSES
 from inclined_landing.envs.tasks.base import Judgement, Moment, Start, Task, Training, hover_states
 from inclined_landing.envs.tasks.landing import InclinedLanding
+from inclined_landing.envs.tasks.options import TaskOptions, option
 from inclined_landing.envs.tasks.own import import_class, is_path
 from inclined_landing.envs.tasks.setpoint import Setpoint
 from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
+from inclined_landing.envs.tasks.variants import VARIANTS, variant
 from inclined_landing.models.errors import UserError, shown
 
 TASKS: dict[str, type[Task]] = {
@@ -24,11 +27,13 @@ __all__ = [
     "Setpoint",
     "Start",
     "Task",
+    "TaskOptions",
     "Training",
     "hover_states",
     "import_task",
     "is_path",
     "make_task",
+    "option",
 ]
 
 
@@ -38,7 +43,7 @@ def known(name) -> bool:
 
 
 def task_class(name: str) -> type[Task]:
-    """The class of a task by name, or by the path it was imported by; raises UserError for an unknown one."""
+    """Return the class of a task by name, or by its path if imported; raises UserError for an unknown one."""
     if not known(name):
         raise UserError(f"unknown task {shown(repr(name), 60)}; known are {', '.join(TASKS)}")
     return TASKS[name] if name in TASKS else _OWN[name]
@@ -59,9 +64,20 @@ def import_task(path: str) -> type[Task]:
 
 
 def make_task(name: str, vehicle=None, **options) -> Task:
-    """A task by name with the options of its class."""
+    """Return the task of this name with the options of its class; raises UserError for any other option."""
     kind = task_class(name)
+    known = kind.option_names()
+    for given in options:
+        if given not in known:
+            known_words = ", ".join(known)
+            raise UserError(f"the task {name} has no option {shown(repr(given), 40)}; it has {known_words}")
     try:
-        return kind(vehicle, **options)
+        return variant(kind, options)(vehicle, **options)
     except TypeError as error:
         raise UserError(f"task {name}: {error}") from error
+
+
+def manual(kind: type[Task]) -> str:
+    """Return the manual of a task: the docstring of its module, and of those of its variants."""
+    kinds = (kind, *VARIANTS) if kind is InclinedLanding else (kind,)
+    return "\n".join(sys.modules[part.__module__].__doc__ or "" for part in kinds)

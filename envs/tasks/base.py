@@ -1,18 +1,19 @@
-"""What a task is: observation, action map, starts, judgement, and everything others ask about it.
+"""What a task is: observation, action map, starts, reward, and everything that others ask about it.
 
 A task holds no vehicle state and steps nothing. `BatchEnv` owns the plant and the episodes and asks
 the task; every function here takes and returns arrays whose first axis is the vehicle.
 
-A new task is a class derived from `Task`: in a file beside this one with its entry in `TASKS`, or anywhere
-and named as `module:Class` or `file.py:Class` (`envs.tasks.own`). It must have `name`, the names and scale of
-its observations, `action_names`, `sample` and `judge`; everything else has a default: it can then be trained,
-evaluated, filmed and pictured.
+A new task is a class derived from `Task`: in a file beside this one with its entry in `TASK_CLASSES`
+(`envs/ids.py`), or anywhere and named as `module:Class` or `file.py:Class` (`envs.tasks.own`). It must have
+`name`, the names and scale of its observations, `action_names`, `sample` and `judge`; everything else has a
+default: it can then be trained, evaluated, filmed and pictured.
 """
 
 from __future__ import annotations
 
 import abc
 import dataclasses
+import inspect
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -20,33 +21,37 @@ from typing import Any
 
 import numpy as np
 
+from inclined_landing.envs.tasks.options import TaskOptions, Training
 from inclined_landing.models.attitude import (
     COMMAND_SIZE,
     LAG,
+    PITCH,
     PITCH_COMMAND,
     PWM,
     ROLL_COMMAND,
     STATE_NAMES,
     STATE_SIZE,
+    YAW,
     YAW_RATE_COMMAND,
+    Z,
 )
 from inclined_landing.models.equations import settled_hover
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle, constants, load_vehicle
 from inclined_landing.models.plants import Contacts
+from inclined_landing.models.plants.base import DECK_SIZE
 
 COLUMNS = {name: column for column, name in enumerate(STATE_NAMES)}  # of the state
 ACTIONS = {"thrust": PWM, "roll": ROLL_COMMAND, "pitch": PITCH_COMMAND, "yaw rate": YAW_RATE_COMMAND}
 _UNKNOWN: Any = None
-LONGEST_HISTORY = 50  # steps
-FARTHEST = 1e4  # of any entry of a start state, SI units: no flight is there, and the engine diverges
-OWN = "own"  # a PWM at action 0 that is the hover of whatever vehicle is flown
+FARTHEST = 1e4  # largest entry of a start state, SI units: beyond, the engine diverges
+OWN = "own"  # PWM at action 0: the hover of each vehicle that is flown
 
 
 @dataclasses.dataclass
 class Start:
-    """Where k new episodes begin, and under which conditions."""
+    """Initial states of k episodes, their platforms and their contact."""
 
     state: np.ndarray  # (k, 13)
     inclination: np.ndarray  # (k,) rad
@@ -60,15 +65,22 @@ class Start:
         return len(self.state)
 
     def __getitem__(self, ids) -> Start:
-        """Those of the episodes `ids`."""
+        """Return the starts of the episodes `ids`."""
         azimuth = None if self.azimuth is None else self.azimuth[ids]
         contact = None if self.contact is None else {name: x[ids] for name, x in self.contact.items()}
         motion = None if self.motion is None else self.motion[ids]
         of = self.state[ids], self.inclination[ids], self.present[ids], self.goal_size[ids]
         return Start(*of, contact, azimuth, motion)
 
+    def decks(self, vehicle: Vehicle, t: float = 0.0) -> np.ndarray:
+        """Return the states (k, 12) of the platforms t [s] after the starts."""
+        rest = np.zeros((len(self), DECK_SIZE))
+        rest[:, Z], rest[:, PITCH] = vehicle.platform_surface_height, self.inclination
+        rest[:, YAW] = 0.0 if self.azimuth is None else self.azimuth
+        return rest if self.motion is None else self.motion.decks(t, rest)
+
     def put(self, rows: np.ndarray, other: Start) -> None:
-        """Replace some of the starts, by their rows, by the starts of `other`."""
+        """Overwrite the given rows with the starts of `other`."""
         for field in dataclasses.fields(self):
             own, new = getattr(self, field.name), getattr(other, field.name)
             pairs = [(own[key], new[key]) for key in own] if isinstance(own, dict) else [(own, new)]
@@ -78,7 +90,7 @@ class Start:
 
 
 def joined(starts: Sequence[Start]) -> Start:
-    """All of them in one, in their order; they have an azimuth and a contact all of them, or none."""
+    """Return all starts in one, in their order; either all or none have an azimuth, and a contact."""
     parts: dict[str, Any] = {}
     for field in dataclasses.fields(Start):
         own = [getattr(start, field.name) for start in starts]
@@ -93,10 +105,10 @@ def joined(starts: Sequence[Start]) -> Start:
 
 @dataclasses.dataclass(frozen=True)
 class Moment:
-    """What a task is told of n vehicles at one moment.
+    """What observation and reward of n vehicles are computed from, after one control step.
 
-    `observe` needs the state, as motion capture reports it, and where contact is observed the contacts;
-    `judge` needs everything, and the true state.
+    `observe` is given the state as motion capture reports it, the contacts and the platforms; `judge` is
+    given everything, with the true state.
     """
 
     state: np.ndarray  # (n, 13)
@@ -104,14 +116,14 @@ class Moment:
     actions: np.ndarray = _UNKNOWN  # (n, a) in [-1, 1] that led here
     start: Start = _UNKNOWN  # of the running episodes
     length: np.ndarray = _UNKNOWN  # (n,) steps of the episode so far, the last one included
-    in_contact: np.ndarray = _UNKNOWN  # (n,) those of them in contact with the platform
-    held: np.ndarray = _UNKNOWN  # (n,) steps in a row, before the last one, that were held
-    deck: np.ndarray = _UNKNOWN  # (n, 12) the platforms' own states, see `Plant.set_platform`
+    in_contact: np.ndarray = _UNKNOWN  # (n,) of them, steps in contact with the platform
+    held: np.ndarray = _UNKNOWN  # (n,) consecutive held steps before the last one
+    deck: np.ndarray = _UNKNOWN  # (n, 12) states of the platforms, see `Plant.set_platform`
 
 
 @dataclasses.dataclass(frozen=True)
 class Channel:
-    """What one action commands: centre + span a, cut to low .. high, and 0 for actions up to `idle`."""
+    """The command of one action a: centre + span a, clipped to low .. high, and 0 up to action `idle`."""
 
     name: str  # of the action
     column: int  # of the plant commands
@@ -124,13 +136,13 @@ class Channel:
 
 @dataclasses.dataclass
 class Judgement:
-    """What a task says of one step; the reward is the sum of the terms."""
+    """Reward terms and end of one step; the reward is the sum of the terms."""
 
     terms: dict[str, np.ndarray]  # name -> (n,)
     success: np.ndarray  # (n,) bool
     terminated: np.ndarray  # (n,) bool
-    cut: np.ndarray  # (n,) bool: a training aid ends the episode (as a truncation)
-    holding: np.ndarray | None = None  # (n,) bool: where the task wants it, this moment counts as held
+    cut: np.ndarray  # (n,) bool: a training aid truncates the episode
+    holding: np.ndarray | None = None  # (n,) bool: does this step count as held; None: the task has no hold
 
     @property
     def reward(self) -> np.ndarray:
@@ -139,28 +151,8 @@ class Judgement:
 
 
 @dataclasses.dataclass(frozen=True)
-class Training:
-    """What `landing-train` takes where its option of the same name is not given."""
-
-    steps: int | None = 1_000_000  # fixed beforehand, where `success` does not end the run
-    success: float | None = None  # share of the evaluated flights that ends it
-    min_steps: int = 300_000  # such a run has
-    max_steps: int = 3_000_000
-    curriculum: str = "none"
-    rollout: int = 128
-    batch_size: int = 512
-    epochs: int = 5
-    gamma: float = 0.99
-    integrator: str = "implicitfast"
-    keep_out: float = 0.04  # m
-    learning_rate: float = 1e-3
-    log_std_init: float = -0.4
-    start_from: str | None = None  # the shipped policy, and with it the task, that training goes on from
-
-
-@dataclasses.dataclass(frozen=True)
 class ScoreCurve:
-    """How the learning curves show what `Task.score` says."""
+    """How the learning curves plot an entry of `Task.score`."""
 
     column: str = "score"
     label: str = "success [%]"
@@ -173,11 +165,10 @@ class ScoreCurve:
 class Task(abc.ABC):
     """A task for vehicles of one kind. Everything but the first four and the two methods has a default.
 
-    `options` is what `make_task(name, **options)` needs to build the task again; `history` is how many past
-    steps its policy is given besides the observation, `observe_vehicle` whether it is told the numbers of its
-    vehicle (`envs.history`); `angle_limit` [rad] is that of the attitude commands where it is not the
-    vehicle's, and then that of `vehicle`; `conditions` is what a curriculum may ease, None where there is
-    nothing to ease.
+    `settings` are the options as they were given, `options` those of them that a policy file carries:
+    `make_task(name, **options)` builds the task again. `history` is how many past steps its policy is given
+    besides the observation, `observe_vehicle` whether it is given the numbers of its vehicle
+    (`envs.history`); `conditions` is what a curriculum may ease, None where there is nothing to ease.
     """
 
     name: str
@@ -185,8 +176,16 @@ class Task(abc.ABC):
     observation_scale: np.ndarray  # typical size of each observation
     action_names: tuple[str, ...]  # of: thrust, roll, pitch, yaw rate
 
+    options_type: type[TaskOptions] = TaskOptions
+    settings: TaskOptions
     max_steps = 300
     has_platform = False
+    is_planar = False  # does the vehicle fly in the plane y = 0
+    observes_slope = False  # is everything observed from the platform, and its slope too
+    platform_moves = False
+    inclination = 0.0  # of the platform where no other is drawn or given, rad
+    azimuth = 0.0  # direction that the platform faces there, from +x, rad
+    steepest: float | None = None  # largest inclination that is drawn, rad; None: there is one slope
     goal_size: float | None = None  # half width of the goal box, m
     idle_action: float | None = None  # thrust actions up to this one command PWM 0
     cut_at_success = False  # are the motors cut from outside where an episode ends with success
@@ -203,44 +202,39 @@ class Task(abc.ABC):
     figure_starts: Mapping[str, tuple[float, ...]] = MappingProxyType({"trajectory": film_starts[0]})
     conditions: Any = None
 
-    def __init__(
-        self,
-        vehicle: Vehicle | None = None,
-        *,
-        angle_limit: float | None = None,
-        pwm_centre: float | str = "hover",
-        pwm_span: float | None = None,
-        history: int = 0,
-        observe_vehicle: bool = False,
-    ):
-        self.vehicle = limited(vehicle or load_vehicle(), angle_limit)
-        self.pwm_centre = resolve_pwm_centre(pwm_centre, self.vehicle)
-        self.pwm_span = resolve_pwm_span(pwm_span, self.vehicle)
-        whole = isinstance(history, (int, np.integer)) and not isinstance(history, bool)
-        if not (whole and 0 <= history <= LONGEST_HISTORY):
-            said = shown(repr(history), 40)
-            raise UserError(f"history must be a whole number from 0 to {LONGEST_HISTORY}, not {said}")
-        self.history = int(history)
-        self.options: dict[str, Any] = {"pwm_centre": pwm_centre, "pwm_span": self.pwm_span}
-        if self.history:
-            self.options["history"] = self.history
-        if angle_limit is not None:
-            self.options["angle_limit"] = self.vehicle.command_angle_limit
-        if not isinstance(observe_vehicle, bool):
-            raise UserError(f"observe_vehicle must be True or False, not {shown(repr(observe_vehicle), 40)}")
-        self.observe_vehicle = observe_vehicle
-        if self.observe_vehicle:
-            self.options["observe_vehicle"] = True
+    @classmethod
+    def option_names(cls) -> list[str]:
+        """Return what the constructor takes: the record's fields, and keywords of one of its own."""
+        keywords = inspect.signature(cls).parameters.values()
+        added = [parameter.name for parameter in keywords if parameter.kind is parameter.KEYWORD_ONLY]
+        return [*added, *(field.name for field in dataclasses.fields(cls.options_type))]
+
+    def __init__(self, vehicle: Vehicle | None = None, **options: Any):
+        given = self.options_type(**options)
+        self.vehicle = limited(vehicle or load_vehicle(), given.angle_limit)
+        self.pwm_centre = resolve_pwm_centre(given.pwm_centre, self.vehicle)
+        self.pwm_span = resolve_pwm_span(given.pwm_span, self.vehicle)
+        given.check()
+        self.history = int(given.history)
+        self.observe_vehicle = given.observe_vehicle
+        self.options: dict[str, Any] = {}
+        self.settings = given
+        self._resolve(pwm_span=self.pwm_span)
+
+    def _resolve(self, **values: Any) -> None:
+        """Set options that were left to the vehicle, and note what policy files carry."""
+        self.settings = dataclasses.replace(self.settings, **values)
+        self.options = self.settings.recorded()
 
     # --- what every task must say ----------------------------------------------------------------
 
     @abc.abstractmethod
     def sample(self, rng: np.random.Generator, k: int) -> Start:
-        """k random starts."""
+        """Return k random starts."""
 
     @abc.abstractmethod
     def judge(self, moment: Moment) -> Judgement:
-        """Reward terms, success and end of the step that led to this moment."""
+        """Return reward terms, success and end of the step that led to this moment."""
 
     # --- what an environment asks ----------------------------------------------------------------
 
@@ -253,13 +247,13 @@ class Task(abc.ABC):
         """Set a plant up for this task; raises UserError for one that cannot serve it."""
 
     def start(self, state: np.ndarray) -> Start:
-        """Starts from given states (k, 13)."""
+        """Return starts from given states (k, 13)."""
         k = len(state)
         return Start(state, np.zeros(k), np.zeros(k, bool), np.full(k, np.nan))
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """What each action commands; the commands that no action gives are 0."""
+        """The command of each action; commands that no action gives are 0."""
         v = self.vehicle
         found = []
         for name in self.action_names:
@@ -272,14 +266,14 @@ class Task(abc.ABC):
         return tuple(found)
 
     @property
-    def own_hover(self) -> bool:
+    def per_vehicle_hover(self) -> bool:
         """Is action 0 the hover of each vehicle (`pwm_centre="own"`), not one PWM for all."""
-        return self.options["pwm_centre"] == OWN
+        return self.settings.pwm_centre == OWN
 
     def commands(self, actions: np.ndarray, pwm_centre: np.ndarray | None = None) -> np.ndarray:
-        """Plant commands (n, 4) for actions (n, a) in [-1, 1].
+        """Return plant commands (n, 4) for actions (n, a) in [-1, 1].
 
-        pwm_centre (n,): the PWM at thrust action 0 of each vehicle, where they are others than the task's.
+        pwm_centre (n,): the PWM at thrust action 0 of each vehicle, where it is not the task's.
         """
         u = np.zeros((len(actions), COMMAND_SIZE))
         for channel, action in zip(self.channels, actions.T):
@@ -288,19 +282,19 @@ class Task(abc.ABC):
             u[:, channel.column] = command if channel.idle is None else command * (action > channel.idle)
         return u
 
-    def headed(self, commands: np.ndarray, state: np.ndarray, deck: np.ndarray) -> np.ndarray:
-        """`commands` (n, 4) as vehicles in states (n, 13) over decks (n, 12) are given them: here the same.
+    def body_commands(self, commands: np.ndarray, state: np.ndarray, deck: np.ndarray) -> np.ndarray:
+        """Return `commands` (n, 4) along the axes of the vehicles in states (n, 13) over decks (n, 12).
 
-        For tasks whose attitude actions are meant along other axes than the vehicles' own.
+        Here they are so already; some tasks have attitude actions along other axes.
         """
         return commands
 
     def thrust_of(self, other: Task) -> tuple[float, float]:
-        """Gain and offset that make a thrust action of `other` the one that commands the same PWM here."""
+        """Return gain and offset that map a thrust action of `other` to the one with the same PWM here."""
         return other.pwm_span / self.pwm_span, (other.pwm_centre - self.pwm_centre) / self.pwm_span
 
     def observe(self, moment: Moment) -> np.ndarray:
-        """Observations (n, o), float32: those of `observation_names` that the state has."""
+        """Return observations (n, o), float32: those of `observation_names` that the state has."""
         columns = [COLUMNS[name] for name in self.observation_names if name in COLUMNS]
         return moment.state[:, columns].astype(np.float32)
 
@@ -308,7 +302,7 @@ class Task(abc.ABC):
 
     @property
     def observation_centre(self) -> np.ndarray:
-        """(o,) what a policy network subtracts from the observation."""
+        """(o,) that a policy network subtracts from the observation."""
         return np.zeros(len(self.observation_names)) if self.goal is None else self.goal
 
     @property
@@ -318,12 +312,12 @@ class Task(abc.ABC):
 
     @property
     def goal_half_widths(self) -> np.ndarray | None:
-        """(o,) half widths of the box around the goal that is success; None where it is something else."""
+        """(o,) half widths of the goal box around `goal`; None where success is something else."""
         return None
 
     @property
     def goal_state(self) -> np.ndarray | None:
-        """The goal as a state (13,), what is not observed being 0."""
+        """The goal as a state (13,); what is not observed is 0."""
         if self.goal is None:
             return None
         state = np.zeros(STATE_SIZE)
@@ -333,31 +327,44 @@ class Task(abc.ABC):
         return state
 
     def goal_on(self, deck: np.ndarray | None) -> np.ndarray | None:
-        """The goal as a state (13,) where the platform is as deck (12,) says, see `Plant.deck`."""
+        """Return the goal as a state (13,) for a platform in state (12,), see `Plant.deck`."""
         return self.goal_state
+
+    def in_goal(
+        self, state: np.ndarray, goal_size: float | np.ndarray, deck: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return (n,) bool: which states (n, 13) are in the goal box of size d = goal_size, (n,) or a number.
+
+        deck (n, 12): the platforms, needed where the slope is observed. A task without a goal box has none.
+        """
+        return np.zeros(len(state), bool)
+
+    def start_clearance(self, start: Start) -> np.ndarray:
+        """Return the distance (k,) of the real shapes to the platform [m]; inf without one."""
+        return np.full(len(start), np.inf)
 
     @property
     def judged_steps(self) -> int | None:
-        """Control steps that an evaluated flight lasts at most; None: all."""
+        """Largest number of control steps of an evaluated flight; None: max_steps."""
         if self.judged_after is None:
             return None
         return round(self.judged_after / self.vehicle.command_control_period)
 
     def evaluation_starts(self, rng: np.random.Generator, k: int) -> Start:
-        """k random starts of the task itself, and the contact to judge them in."""
+        """Return k random starts of the task itself, with the contact parameters of evaluation."""
         return self.sample(rng, k)
 
     def score(self, flights: Sequence) -> dict[str, float]:
-        """What recorded flights of the task are worth: `score`, best 1, and more for the curves."""
+        """Return `score`, at best 1, of recorded flights, and more columns for the learning curves."""
         reward = float(np.mean([flight.reward.sum() for flight in flights]))
         return {"score": float(np.mean([flight.success for flight in flights])), "reward": reward}
 
     def score_words(self, score: dict[str, float]) -> str:
-        """A result of `score` in a few words."""
+        """Return a result of `score` in a few words."""
         return f"{score['score']:.0%}"
 
     def flight_words(self, flight) -> str:
-        """How a recorded flight ended, in one line."""
+        """Return how a recorded flight ended, in one line."""
         end = "success" if flight.success else "no success"
         return f"{end} after {flight.duration:.2f} s"
 
@@ -365,11 +372,11 @@ class Task(abc.ABC):
 
     @property
     def start_form(self) -> str:
-        """How a start is written: "X,Z" or "X,Y,Z"."""
+        """The form of a start on the command line: "X,Z" or "X,Y,Z"."""
         return ",".join(self.start_axes).upper()
 
     def parse_start(self, text: str) -> tuple[float, ...]:
-        """The start [m] that `text` writes; raises UserError unless it is in the arena and free."""
+        """Return the start [m] in `text`; raises UserError unless it is in the arena and free."""
         try:
             point = tuple(float(number) for number in text.split(","))
         except ValueError:
@@ -386,24 +393,24 @@ class Task(abc.ABC):
         return point
 
     def check_start(self, point: tuple[float, ...]) -> None:  # noqa: B027 (or to check)
-        """Raise UserError where something stands at the start `point` [m]."""
+        """Raise UserError where the start `point` [m] is not free."""
 
     def start_words(self, state: np.ndarray) -> str:
-        """Where a state (13,) is, as starts are written."""
+        """Return the position of a state (13,) as starts are written."""
         return ", ".join(f"{name} {state[COLUMNS[name]]:g}" for name in self.start_axes) + " m"
 
     def states_at(self, points: Sequence[tuple[float, ...]]) -> np.ndarray:
-        """States (k, 13) of vehicles hovering at k starts [m]."""
+        """Return states (k, 13) of vehicles hovering at k starts [m]."""
         positions = np.zeros((len(points), 3))
         positions[:, [COLUMNS[name] for name in self.start_axes]] = points
         return hover_states(positions, self.vehicle)
 
 
 def resolve_pwm_centre(centre, vehicle: Vehicle) -> float:
-    """PWM at action 0: a number, "paper" (42 000), "hover" or "own" (`equations.settled_hover`).
+    """Return the PWM at action 0 for a number, "paper" (42 000), "hover" or "own".
 
-    Hover is the vehicle's that a policy is trained for, and stays its PWM on others; own is that of each
-    vehicle that it is flown on.
+    "hover" is that of the vehicle that a policy is trained for (`equations.settled_hover`), whatever vehicle
+    it is flown on later; "own" is that of each vehicle that it is flown on.
     """
     if isinstance(centre, str) and centre == "paper":
         return vehicle.command_pwm_centre
@@ -419,7 +426,7 @@ def resolve_pwm_centre(centre, vehicle: Vehicle) -> float:
 
 
 def resolve_pwm_span(span, vehicle: Vehicle) -> float:
-    """PWM between action 0 and 1: a number, or None for the vehicle file's (16 500)."""
+    """Return the PWM between action 0 and 1 for a number, or for None the vehicle file's (16 500)."""
     if span is None:
         return vehicle.command_pwm_span
     high = vehicle.command_pwm_range[1]
@@ -429,7 +436,7 @@ def resolve_pwm_span(span, vehicle: Vehicle) -> float:
 
 
 def limited(vehicle: Vehicle, angle_limit: float | None) -> Vehicle:
-    """The vehicle with roll and pitch commands up to angle_limit [rad]; None: as it is."""
+    """Return the vehicle with roll and pitch commands up to angle_limit [rad]; None: as it is."""
     if angle_limit is None:
         return vehicle
     low, high = next(c.range[0] for c in constants() if c.field == "command_angle_limit")
@@ -440,7 +447,7 @@ def limited(vehicle: Vehicle, angle_limit: float | None) -> Vehicle:
 
 
 def hover_states(positions: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """States (k, 13) at rest, level, thrust settled at hover, at positions (k, 3) [m]."""
+    """Return states (k, 13) at rest, level, thrust settled at hover, at positions (k, 3) [m]."""
     state = np.zeros((len(positions), STATE_SIZE))
     state[:, :3] = positions
     state[:, LAG] = vehicle.hover_lag

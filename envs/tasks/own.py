@@ -8,20 +8,17 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import inspect
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import TypeGuard
 
-from inclined_landing.envs.tasks.attributes import complaint
 from inclined_landing.envs.tasks.base import Task
 from inclined_landing.envs.tasks.guard import guarded
 from inclined_landing.models.errors import UserError, shown
 
-_NEEDED = ("name", "observation_names", "observation_scale", "action_names")
 
-
-def is_path(name) -> bool:
+def is_path(name: object) -> TypeGuard[str]:
     """Does `name` say where a class is, rather than what a task of this package is called."""
     return isinstance(name, str) and ":" in name
 
@@ -33,13 +30,12 @@ def would_import(text: str) -> bool:
 
 
 def import_class(path: str) -> type[Task]:
-    """The class that `path` names, imported, checked and guarded; raises UserError if it is none."""
+    """Return the class that `path` names, imported and guarded; raises UserError if it is no task."""
     what = f"task {shown(path, 60)}"
     kind = import_named(path, "task", "Class")
     if not (isinstance(kind, type) and issubclass(kind, Task)):
         source, _, name = path.rpartition(":")
         raise UserError(f"{what}: {source} has no class {name} derived from inclined_landing.envs.tasks.Task")
-    _check(kind, what)
     return guarded(kind, path)
 
 
@@ -77,14 +73,3 @@ def _from_module(name: str) -> ModuleType:
     if here not in sys.path:  # as python -m has it
         sys.path.insert(0, here)
     return importlib.import_module(name)
-
-
-def _check(kind: type[Task], what: str) -> None:
-    """Raise UserError unless the class says what every task must say."""
-    if inspect.isabstract(kind):
-        raise UserError(f"{what} lacks {' and '.join(sorted(kind.__abstractmethods__))}")
-    missing = [name for name in _NEEDED if not hasattr(kind, name)]
-    if missing:
-        raise UserError(f"{what} lacks {' and '.join(missing)}")
-    if wrong := complaint(kind):
-        raise UserError(f"{what} {wrong}")

@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -78,24 +79,8 @@ class Setpoint(Task):
         logarithmic=True,
     )
 
-    def __init__(
-        self,
-        vehicle: Vehicle | None = None,
-        *,
-        angle_limit: float | None = None,
-        pwm_centre: float | str = "hover",
-        pwm_span: float | None = None,
-        history: int = 0,
-        observe_vehicle: bool = False,
-    ):
-        super().__init__(
-            vehicle,
-            angle_limit=angle_limit,
-            pwm_centre=pwm_centre,
-            pwm_span=pwm_span,
-            history=history,
-            observe_vehicle=observe_vehicle,
-        )
+    def __init__(self, vehicle: Vehicle | None = None, **options: Any):
+        super().__init__(vehicle, **options)
         self.conditions = Conditions()
 
     @property
@@ -104,18 +89,18 @@ class Setpoint(Task):
         return np.array([*GOAL, 0.0, 0.0, 0.0, 0.0, 0.0])
 
     def sample(self, rng: np.random.Generator, k: int) -> Start:
-        """k starts at rest, uniform over START_BOX."""
+        """Return k starts at rest, uniform over START_BOX."""
         low, high = np.array(START_BOX).T
         return self.start(hover_states(rng.uniform(low, high, (k, 3)), self.vehicle))
 
     def position_error(self, state: np.ndarray) -> np.ndarray:
-        """(n,) distance to the goal [m]."""
+        """Return the distance (n,) to the goal [m]."""
         return np.linalg.norm(state[:, :3] - GOAL, axis=1)
 
     def shifted(self, state: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """States (n, 13) as if `goal`, (3,) or (n, 3) [m], were the task's own: so any point is flown to.
+        """Return states (n, 13) shifted so that `goal`, (3,) or (n, 3) [m], is at GOAL.
 
-        Who is farther away than a start can be is shown at the edge of START_BOX.
+        So any point is flown to. Positions outside START_BOX are clipped to it.
         """
         low, high = np.array(START_BOX).T
         shown = state.copy()
@@ -123,7 +108,7 @@ class Setpoint(Task):
         return shown
 
     def across(self, state: np.ndarray, y: float | np.ndarray) -> np.ndarray:
-        """States (n, 13) `shifted` to a goal at y [m], (n,) or a number, and at it in all but motion along y.
+        """Return states (n, 13) `shifted` to a goal at y [m], (n,) or a number, at it but for motion along y.
 
         The roll that answers them holds a planar flight in its plane.
         """
@@ -149,15 +134,15 @@ class Setpoint(Task):
         return Judgement(terms, e_p < TOLERANCE, never, moment.length >= c.episode_limit)
 
     def score(self, flights: Sequence) -> dict[str, float]:
-        """Share of the flights that end within 5 cm of the goal, and the mean distance there [m]."""
+        """Return the share of the flights that end within 5 cm of the goal, and their mean distance [m]."""
         error = self.position_error(np.array([flight.state[-1] for flight in flights]))
         return {"score": float((error < TOLERANCE).mean()), "mean_error": float(error.mean())}
 
     def score_words(self, score: dict[str, float]) -> str:
-        """The mean distance."""
+        """Return the mean distance."""
         return f"{100 * score['mean_error']:.1f} cm"
 
     def flight_words(self, flight) -> str:
-        """How far from the goal a flight ended."""
+        """Return how far from the goal a flight ended."""
         away = self.position_error(flight.state[-1:])[0]
         return f"{100 * away:.1f} cm from the goal after {flight.duration:.2f} s"

@@ -42,6 +42,7 @@ from typing import Any
 
 import numpy as np
 
+from inclined_landing.envs.tasks import touchdown_starts
 from inclined_landing.envs.tasks.base import (
     Judgement,
     Moment,
@@ -49,12 +50,12 @@ from inclined_landing.envs.tasks.base import (
     Start,
     Task,
     Training,
-    hover_states,
 )
-from inclined_landing.envs.tasks.landing import START_CLEARANCE, InclinedLanding
 from inclined_landing.envs.tasks.landing import Conditions as LandingConditions
+from inclined_landing.envs.tasks.landing import InclinedLanding
+from inclined_landing.envs.tasks.options import option
+from inclined_landing.envs.tasks.platform import LandingOptions
 from inclined_landing.models import geometry, surface
-from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Y, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
@@ -66,41 +67,36 @@ GENTLE_FORCE = 2.0  # force on the feet that costs nothing, in weights
 IMPACT = 0.5  # reward lost for each weight beyond it
 CONTACT_TIME = 0.02  # s, wherever a restitution is set
 FRICTION, RESTITUTION = (0.55, 1.2), (0.0, 0.5)  # spread of the contact in training and its evaluation
-# Training starts close to the slope: these bounds times a number from 0 (at rest on the slope) to 1.
-_CLOSE_HEIGHT = 0.25  # m over the height at rest
-_CLOSE_PITCH = 0.15  # rad to both sides of the inclination
-_CLOSE_FALL = 0.8  # m/s into the surface
-_CLOSE_SPEED = 0.5  # m/s along it, both ways
-_CLOSE_THRUST = (0.3, 1.1)  # lag state as a share of hover
-_CLOSE_ALONG = 0.25  # m to both sides of the centre, always
-_CLOSE_ACROSS = 0.6  # of the slab's half depth to both sides, always, in space
-# Training starts around the raised edge, in half lengths of the slab towards it from the centre.
-_BESIDE = (-1.0, 2.5)
 
 
 @dataclasses.dataclass(frozen=True)
 class Conditions(LandingConditions):
-    """What an episode starts under. The defaults are the task; the rest are training aids.
+    """Under which conditions episodes begin. The defaults are the task; the rest are training aids.
 
-    contact_limit ends episodes on the wrong parts. With a `departure` price, those that it or leave_limit
-    ends are over at that price, about what staying there would cost; without one they are truncated.
+    contact_limit ends episodes on the wrong parts. With an `out_of_bounds_penalty`, about the return of
+    staying there, episodes that it or leave_limit ends are terminated; without one they are truncated.
     """
 
     beside: float = 0.0  # share of the episodes that begin around the raised edge, mostly low
     close: float = 0.0  # share of the episodes that begin just over the slope, in any motion
     impact: float = IMPACT  # reward lost for each weight of force beyond two
-    departure: float = 0.0
     friction: tuple[float, float] | None = None  # drawn per episode; None: the plant's own
     restitution: tuple[float, float] | None = None
 
 
-class InclinedTouchdown(InclinedLanding):
-    """The task for vehicles of one kind, on slopes as in `InclinedLanding`.
+@dataclasses.dataclass(frozen=True)
+class TouchdownOptions(LandingOptions):
+    """The landing's options, and one more."""
 
-    observe_contact: append the feet's contact to the observation.
-    """
+    observe_contact: bool = option(False, recorded=True)  # append the feet's contact to the observation
+
+
+class InclinedTouchdown(InclinedLanding):
+    """The task for vehicles of one kind, with platforms as in `InclinedLanding`."""
 
     name = "touchdown"
+    options_type = TouchdownOptions
+    settings: TouchdownOptions
     goal_size = None
     idle_action = IDLE_ACTION
     cut_at_success = False
@@ -118,71 +114,36 @@ class InclinedTouchdown(InclinedLanding):
     training_conditions = None
     score_curve = ScoreCurve("at_rest", "at rest on the slope [%]")
 
-    def __init__(
-        self,
-        vehicle: Vehicle | None = None,
-        *,
-        inclination: float | None = None,
-        steepest: float | None = None,
-        dimensions: int = 2,
-        azimuth: float = 0.0,
-        random_yaw: bool = False,
-        fastest: float | None = None,
-        swell: float = 0.0,
-        angle_limit: float | None = None,
-        pwm_centre: float | str = "hover",
-        pwm_span: float | None = None,
-        observe_contact: bool = False,
-        history: int = 0,
-        observe_vehicle: bool = False,
-    ):
-        super().__init__(
-            vehicle,
-            inclination=inclination,
-            steepest=steepest,
-            dimensions=dimensions,
-            azimuth=azimuth,
-            random_yaw=random_yaw,
-            fastest=fastest,
-            swell=swell,
-            angle_limit=angle_limit,
-            pwm_centre=pwm_centre,
-            pwm_span=pwm_span,
-            history=history,
-            observe_vehicle=observe_vehicle,
-        )
-        self.observe_contact = bool(observe_contact)
-        self.options["observe_contact"] = self.observe_contact
+    def __init__(self, vehicle: Vehicle | None = None, **options: Any):
+        super().__init__(vehicle, **options)
+        self.observe_contact = self.settings.observe_contact
         self.conditions = Conditions()
         if self.observe_contact:
             self.observation_names = (*self.observation_names, "feet")
             self.observation_scale = np.append(self.observation_scale, 1.0)
-        self._rest_height = float(geometry.reach_below(self._shapes, part="feet"))  # m
+        self.goal_height = float(geometry.reach_below(self._shapes, part="feet"))  # at rest on the feet, m
         self._weight = self.vehicle.body_mass * self.vehicle.environment_gravity
 
     @property
     def rest_position(self) -> tuple[float, float]:
         """(x, z) of a vehicle at rest in the middle of the slope [m]."""
-        height = self._rest_height
+        height = self.goal_height
         x, z = height * math.sin(self.inclination), height * math.cos(self.inclination)
         return x, self.vehicle.platform_surface_height + z
 
     @property
     def goal(self) -> np.ndarray | None:
         """The observation at rest in the middle of the slope, (5,) or (6,); None where it is observed."""
-        if self.sees_slope:
+        if self.observes_slope:
             return None
         rest = [*self.rest_position, 0.0, 0.0, self.inclination]
         return np.array(rest + [1.0] * self.observe_contact)
 
-    def goal_on(self, deck: np.ndarray | None) -> np.ndarray | None:
-        """Rest in the middle of a deck (12,) as a state (13,), with its heading."""
-        return self._over(deck, self._rest_height) if self.sees_slope else super().goal_on(deck)
-
     @property
     def observation_centre(self) -> np.ndarray:
         """The landing's, and 0 for the contact."""
-        return np.append(super().observation_centre, [0.0] * self.observe_contact)
+        centre = super().observation_centre
+        return np.append(centre, np.zeros(len(self.observation_names) - len(centre)))
 
     def prepare(self, plant) -> None:
         """Set a plant up for this task; raises UserError for one without contact."""
@@ -191,15 +152,15 @@ class InclinedTouchdown(InclinedLanding):
         plant.torque_needs_motors = True
 
     def sample(self, rng: np.random.Generator, k: int) -> Start:
-        """k starts: as in the landing task, but for the conditions' shares of others."""
+        """Return k starts: as in the landing task, but for the conditions' shares of others."""
         c = self.conditions
         start = super().sample(rng, k)
         if c.beside > 0.0:
-            beside = (rng.random(k) < c.beside) & start.present
-            start.state[beside] = self._along(start[beside], self._beside(rng, self.stopped(start[beside])))
+            rows = (rng.random(k) < c.beside) & start.present
+            start.state[rows] = touchdown_starts.beside(self, rng, start[rows])
         if c.close > 0.0:
-            close = (rng.random(k) < c.close) & start.present
-            start.state[close] = self._along(start[close], self._close(rng, self.stopped(start[close])), True)
+            rows = (rng.random(k) < c.close) & start.present
+            start.state[rows] = touchdown_starts.close(self, rng, start[rows], self.goal_height)
         contact: dict[str, Any] = {}
         if c.friction is not None:
             contact["friction"] = rng.uniform(*c.friction, k)
@@ -207,78 +168,8 @@ class InclinedTouchdown(InclinedLanding):
             contact |= {"restitution": rng.uniform(*c.restitution, k), "contact_time": CONTACT_TIME}
         return dataclasses.replace(start, contact=contact or None)
 
-    def _beside(self, rng: np.random.Generator, start: Start) -> np.ndarray:
-        """States (k, 13) at rest around the raised edge, where the way to the slope leads over it.
-
-        Half of them lie in the lowest quarter of the start box. start: as drawn, with slopes and headings.
-        """
-        k = len(start.state)
-        uphill = np.where(start.inclination > 0.0, -1.0, 1.0) * self.vehicle.slab_half_length
-        (*_, low), (*_, high) = self.start_box()
-        positions = np.zeros((k, 3))
-        todo = np.arange(k)
-        beside = dataclasses.replace(start, state=np.zeros((k, STATE_SIZE)), present=np.ones(k, bool))
-        while len(todo):
-            positions[todo, 0] = uphill[todo] * rng.uniform(*_BESIDE, len(todo))
-            positions[todo, 2] = low + (high - low) * rng.random(len(todo)) ** 2
-            state = hover_states(positions[todo], self.vehicle)
-            beside.state[todo] = self._into_space(rng, state, start[todo])
-            todo = todo[self.start_clearance(beside[todo]) < START_CLEARANCE]
-        return beside.state
-
-    def _along(self, start: Start, state: np.ndarray, moving: bool = False) -> np.ndarray:
-        """States (k, 13) over decks in their usual place as states over those of the starts.
-
-        moving: they move along with the decks' centres.
-        """
-        if start.motion is None:
-            return state
-        deck = self.decks(start)
-        state[:, : Z + 1] += deck[:, : Z + 1]
-        state[:, Z] -= self.vehicle.platform_surface_height
-        if moving:
-            state[:, VX : VZ + 1] += deck[:, VX : VZ + 1]
-        return state
-
-    def _into_space(self, rng: np.random.Generator, state: np.ndarray, start: Start) -> np.ndarray:
-        """States (k, 13) in the plane of their slopes, shifted across it and turned with the slopes.
-
-        They take the headings of the starts. In the plane they stay as they are.
-        """
-        if start.azimuth is None:
-            return state
-        state, half = state.copy(), 0.5 * self.vehicle.platform_depth
-        state[:, Y] += rng.uniform(-_CLOSE_ACROSS * half, _CLOSE_ACROSS * half, len(state))
-        state = surface.turned(state, start.azimuth)
-        state[:, YAW] = start.state[:, YAW]
-        return state
-
-    def _close(self, rng: np.random.Generator, start: Start) -> np.ndarray:
-        """States (k, 13) just over the slope, in motion; start: as drawn, with slopes and headings."""
-        inclination = start.inclination
-        k, v = len(inclination), self.vehicle
-        sin, cos = np.sin(inclination), np.cos(inclination)  # along (cos, -sin), normal (sin, cos)
-        far = rng.random(k)  # 0: at rest on the feet, motors at idle
-        along = rng.uniform(-_CLOSE_ALONG, _CLOSE_ALONG, k)
-        height = self._rest_height + far * _CLOSE_HEIGHT
-        speed = far * rng.uniform(-_CLOSE_SPEED, _CLOSE_SPEED, k)
-        fall = far * rng.uniform(0.0, _CLOSE_FALL, k)
-        state = np.zeros((k, STATE_SIZE))
-        state[:, X] = along * cos + height * sin
-        state[:, Z] = v.platform_surface_height - along * sin + height * cos
-        state[:, VX] = speed * cos - fall * sin
-        state[:, VZ] = -speed * sin - fall * cos
-        state[:, PITCH] = inclination + far * rng.uniform(-_CLOSE_PITCH, _CLOSE_PITCH, k)
-        state[:, LAG] = v.hover_lag * far * rng.uniform(*_CLOSE_THRUST, k)
-        state = self._into_space(rng, state, start)
-        if start.azimuth is not None:
-            roll, pitch = surface.attitude_at_rest(inclination, start.azimuth - state[:, YAW])
-            state[:, ROLL] = roll + far * rng.uniform(-_CLOSE_PITCH, _CLOSE_PITCH, k)
-            state[:, PITCH] += pitch - inclination
-        return state
-
     def thrust_of(self, other: Task) -> tuple[float, float]:
-        """As they are; raises UserError where the PWM of an action differs, as idle is an action here."""
+        """Return 1 and 0; raises UserError where the PWM of an action differs, as idle is an action here."""
         if (other.pwm_centre, other.pwm_span) != (self.pwm_centre, self.pwm_span):
             raise UserError(
                 f"the {self.name} task goes on only from policies of its own pwm_centre and pwm_span"
@@ -286,7 +177,7 @@ class InclinedTouchdown(InclinedLanding):
         return 1.0, 0.0
 
     def observe(self, moment: Moment) -> np.ndarray:
-        """That of the landing task, float32, and the feet's contact where it is observed."""
+        """Return the landing task's observations, float32, and the feet's contact where it is observed."""
         observation = super().observe(moment)
         if not self.observe_contact:
             return observation
@@ -294,36 +185,32 @@ class InclinedTouchdown(InclinedLanding):
             raise UserError("this touchdown task observes the feet's contact; give it to observe")
         return np.column_stack([observation, moment.contacts.touch[:, 0, 0].astype(np.float32)])
 
-    def holding(self, state: np.ndarray, idle: np.ndarray, contacts, deck: np.ndarray) -> np.ndarray:
-        """(n,) bool: at rest on the feet with motors at idle (n,) now; see the module's docstring."""
-        return resting(state, deck, idle, contacts)
-
     def judge(self, moment: Moment) -> Judgement:
         """See the module's docstring."""
         c, state, contacts = self.conditions, moment.state, moment.contacts
-        wrong, carried = wrong_contact(contacts), self.carried(moment)
-        holding = self.holding(state, moment.actions[:, 0] <= IDLE_ACTION, contacts, moment.deck)
+        wrong, in_arena = wrong_contact(contacts), self.in_arena(moment)
+        holding = resting(state, moment.deck, moment.actions[:, 0] <= IDLE_ACTION, contacts)
         excess = np.maximum(contacts.force[:, 0, 0] / self._weight - GENTLE_FORCE, 0.0)
         terms = {
             "time": -1.0 * ~holding,
-            "bounds": -1.0 * (~wrong & self.near_bounds(carried)),
+            "bounds": -1.0 * (~wrong & self.near_bounds(in_arena)),
             "obstacle": -6.0 * wrong,
             "impact": -c.impact * excess,
         }
         success = holding & (moment.held + 1 >= HOLD_STEPS)
         cut = np.zeros_like(success)
         if c.leave_limit < math.inf:
-            cut |= self.near_bounds(carried, -c.leave_limit) | contacts.touch[:, 2].any(axis=1)
+            cut |= self.near_bounds(in_arena, -c.leave_limit) | contacts.touch[:, 2].any(axis=1)
         if c.contact_limit:
             cut |= wrong & (moment.in_contact >= c.contact_limit)
         cut &= ~success
-        if c.departure:
-            terms["departure"] = -c.departure * cut
+        if c.out_of_bounds_penalty:
+            terms["out_of_bounds"] = -c.out_of_bounds_penalty * cut
             return Judgement(terms, success, success | cut, np.zeros_like(cut), holding)
         return Judgement(terms, success, success, cut, holding)
 
     def evaluation_starts(self, rng: np.random.Generator, k: int) -> Start:
-        """k random starts of the task itself, with a contact of their own each."""
+        """Return k random starts of the task itself, each with friction and restitution drawn."""
         before, self.conditions = self.conditions, Conditions(friction=FRICTION, restitution=RESTITUTION)
         try:
             return self.sample(rng, k)
@@ -331,24 +218,24 @@ class InclinedTouchdown(InclinedLanding):
             self.conditions = before
 
     def score(self, flights: Sequence) -> dict[str, float]:
-        """Share of the flights that come to rest."""
+        """Return the share of the flights that come to rest."""
         rest = float(np.mean([flight.success for flight in flights]))
         return {"score": rest, "at_rest": rest}
 
     def flight_words(self, flight) -> str:
-        """When a flight came to rest, if it did."""
+        """Return when a flight came to rest, if it did."""
         return f"at rest on the slope after {flight.duration:.2f} s" if flight.success else "not at rest"
 
 
 def wrong_contact(contacts) -> np.ndarray:
-    """(n,) bool: body or rotors touch the slab, or anything touches the base."""
+    """Return (n,) bool: body or rotors touch the slab, or anything touches the base."""
     return contacts.touch[:, 0, 1:].any(axis=1) | contacts.touch[:, 1].any(axis=1)
 
 
 def resting(
     state: np.ndarray, deck: np.ndarray, idle: np.ndarray, contacts, speed=REST_SPEED, rate=REST_RATE
 ) -> np.ndarray:
-    """(n,) bool: on the feet and nothing else, slower than `speed` [m/s], turning slower than `rate` [rad/s].
+    """Return (n,) bool: on the feet alone, slower than `speed` [m/s] and `rate` [rad/s], motors at idle.
 
     Both are relative to the deck (n, 12) and its point where the vehicle is. idle: (n,) bool, of the motors.
     """

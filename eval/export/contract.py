@@ -83,7 +83,7 @@ def of(policy: Policy, network: Network) -> dict:
         "task": _task(task),
         "control_period": task.vehicle.command_control_period,
         "rate": 1.0 / task.vehicle.command_control_period,
-        "frames": FRAMES | ({"surface": _SURFACE} if _sees_slope(task) else {}),
+        "frames": FRAMES | ({"surface": _SURFACE} if task.observes_slope else {}),
         "observation": _observation(task),
         "input": _input(policy),
         "network": {
@@ -139,17 +139,12 @@ def _task(task: Task) -> dict:
     return {
         "name": task.name,
         "options": task.options,
-        "inclination": None if _sees_slope(task) else getattr(task, "inclination", None),
+        "inclination": task.inclination if task.has_platform and not task.observes_slope else None,
         "max_steps": task.max_steps,
         "goal": named(goal),
         "goal_half_widths": named(half),
         "motors_cut_at_goal": task.cut_at_success,
     }
-
-
-def _sees_slope(task: Task) -> bool:
-    """Does the policy observe the slope, and everything from it."""
-    return getattr(task, "sees_slope", False)
 
 
 def _observation(task: Task) -> list[dict]:
@@ -159,7 +154,7 @@ def _observation(task: Task) -> list[dict]:
         quantity, frame = _QUANTITIES.get(name, (name, None))
         unit = STATE_UNITS[COLUMNS[name]] if name in COLUMNS else "1" if name in _QUANTITIES else None
         arena = getattr(task.vehicle, f"arena_{name}", None) if name in ("x", "y", "z") else None
-        if _sees_slope(task) and name != "feet":
+        if task.observes_slope and name != "feet":
             frame, arena = "surface", None
             unit = "rad" if name.startswith("slope") else unit
         rows.append(

@@ -28,7 +28,6 @@ from inclined_landing.models.errors import UserError, not_installed, shown
 
 if TYPE_CHECKING:
     from inclined_landing.envs.policy import Policy
-    from inclined_landing.envs.tasks.landing import InclinedLanding
     from inclined_landing.eval.flying.interfaces import Clock, MotionCapture
     from inclined_landing.eval.flying.pilot import Pilot, Plan, Report
 
@@ -176,7 +175,7 @@ def load(
             raise UserError(
                 f"policy {shown(name)} is for the task {shown(task, 40)}; wanted is {' or '.join(wanted)}"
             )
-        if getattr(load_policy(name).task, "sees_slope", False):
+        if load_policy(name).task.observes_slope:
             raise UserError(f"policy {shown(name)} observes the slope; the pilot flies policies of one slope")
         centre, span = action_map(name)
         options |= {"pwm_centre": centre, "pwm_span": span, "history": history_of(name)}
@@ -186,8 +185,7 @@ def load(
     angle = room.platform_inclination if inclination is None else math.radians(inclination)
     landing = built(policy, ("landing", "touchdown"), inclination=room.check_inclination(angle))
     hover = built(setpoint, ("setpoint",))
-    task: InclinedLanding = landing.task  # type: ignore[assignment]
-    starts = [task.parse_start(text) for text in start] or list(PAPER_STARTS)
+    starts = [landing.task.parse_start(text) for text in start] or list(PAPER_STARTS)
     return landing, hover, [(point[0], point[1]) for point in starts]
 
 

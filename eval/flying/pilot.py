@@ -303,7 +303,7 @@ class Pilot:
     def _land(self, belief: Belief) -> np.ndarray | None:
         state = belief.state
         goal_size = self.task.goal_size
-        if goal_size is not None and self.task.in_goal(state[None], self.task.inclination, goal_size)[0]:
+        if goal_size is not None and self.task.in_goal(state[None], goal_size)[0]:
             self._succeed("goal box", belief)
             return None
         action, command = self._lander.act(state)

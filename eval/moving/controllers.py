@@ -87,9 +87,9 @@ class _PolicyPilot:
             self._past.begin(slice(None), observation)
         actions = self._policy.predict(self._past.behind(observation)).astype(float)
         self._past.note(observation, actions)
-        commands = self._task.headed(self._task.commands(actions), moment.state, moment.deck)
+        commands = self._task.body_commands(self._task.commands(actions), moment.state, moment.deck)
         if self._task.cut_at_success:
-            self._cut |= self._task.in_goal_over(moment.state, moment.deck, GOAL_SIZE)
+            self._cut |= self._task.in_goal(moment.state, GOAL_SIZE, moment.deck)
             commands[self._cut, PWM] = 0.0
         return commands
 

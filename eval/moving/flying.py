@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from inclined_landing.envs.flights import Flight
-from inclined_landing.envs.tasks import InclinedTouchdown, Moment
+from inclined_landing.envs.tasks import Moment, make_task
 from inclined_landing.envs.tasks.touchdown import resting
 from inclined_landing.eval.moving.controllers import Controller
 from inclined_landing.eval.moving.scenario import Drawn, Scenario
@@ -104,7 +104,7 @@ def ride(scenario: Scenario, controller: Controller) -> Ride:
             left = RIDE
         left -= period
     state, deck = map(np.array, zip(*rows))
-    task = InclinedTouchdown(controller.vehicle, dimensions=3)
+    task = make_task("touchdown", controller.vehicle, dimensions=3)
     success = not math.isinf(left)
     return Ride(
         task=task,

@@ -31,7 +31,7 @@ from inclined_landing.envs.history import History
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import Moment
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
-from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, InclinedTouchdown
+from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, InclinedTouchdown, resting
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flag, NewFolder, PolicyFile, PolicyName, VehicleFile
 from inclined_landing.eval.base.statistics import proportion, spread
@@ -75,12 +75,12 @@ def land(policy: Policy, states: np.ndarray, friction: float, restitution: float
         past.note(observation, actions)
         commands = task.commands(actions)
         if cutting:
-            entered = ~cut & task.in_goal(plant.state, task.inclination, GOAL_SIZE)
+            entered = ~cut & task.in_goal(plant.state, GOAL_SIZE)
             last[entered] = tick - 1 + SETTLING
             cut |= entered
             commands[cut, PWM] = 0.0
         recorder.step(commands, np.flatnonzero(~ended))
-        holding = judge.holding(plant.state, commands[:, PWM] == 0.0, plant.contacts, plant.deck)
+        holding = resting(plant.state, plant.deck, commands[:, PWM] == 0.0, plant.contacts)
         held = np.where(holding, held + 1, 0)
         rests = (held >= HOLD_STEPS) & ~ended
         time[rests] = tick * plant.control_period

@@ -18,7 +18,7 @@ import numpy as np
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.tasks import InclinedLanding, Start
+from inclined_landing.envs.tasks import Start, Task, make_task
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.base.conditions import fly_all, outcome
@@ -40,7 +40,7 @@ def evaluate(policies: Mapping[str, Policy], *, plant: str = "mujoco", every: in
     every: fly from each k-th start only. Raises UserError for policies that do not land.
     """
     for policy in policies.values():
-        if not (isinstance(policy.task, InclinedLanding) and policy.task.cut_at_success):
+        if not policy.task.cut_at_success:
             raise UserError(f"policy {policy.path} is for the task {policy.task.name}, not for landing")
     entries = fly_all({(name,): partial(_entry, name, p, plant, every) for name, p in policies.items()})
     return {
@@ -60,7 +60,7 @@ def _entry(name: str, policy: Policy, plant: str, every: int) -> dict[str, Any]:
         "task_options": task.options,
         "single": [_single(policy, angle, plant, every) for angle in single_slopes(task)],
     }
-    if not task.sees_slope:
+    if not task.observes_slope:
         return entry
     frozen = landing_starts.over_slopes(task, every=every)
     flights = _fly(policy, plant, frozen.start)
@@ -71,7 +71,7 @@ def _entry(name: str, policy: Policy, plant: str, every: int) -> dict[str, Any]:
         "cells": _cells(flights, frozen),
         "curve": _curve(flights, frozen),
     }
-    if task.dimensions == 3:
+    if not task.is_planar:
         turned = dataclasses.replace(frozen.start, state=frozen.start.state.copy())
         draw = np.random.default_rng(_HEADINGS_SEED)
         turned.state[:, YAW] = draw.uniform(-math.pi, math.pi, len(turned))
@@ -79,21 +79,21 @@ def _entry(name: str, policy: Policy, plant: str, every: int) -> dict[str, Any]:
     return entry
 
 
-def single_slopes(task: InclinedLanding) -> list[float]:
+def single_slopes(task: Task) -> list[float]:
     """Return the single inclinations [rad] that a policy is evaluated on."""
     if task.steepest is None:
         return [task.inclination]
     paper = task.vehicle.platform_inclination
-    known = [-task.steepest, task.steepest] if task.dimensions == 2 else []
+    known = [-task.steepest, task.steepest] if task.is_planar else []
     return [*known, *([paper] if abs(paper) < task.steepest - 1e-6 else [])]
 
 
 def _single(policy: Policy, inclination: float, plant: str, every: int) -> dict:
     """Return the outcome on one slope towards +x, from the starts of the frozen grid clear of it."""
     options = policy.task.options | {"inclination": inclination, "azimuth": 0.0}
-    if policy.task.dimensions == 2:
+    if policy.task.is_planar:
         del options["azimuth"]
-    task = type(policy.task)(policy.task.vehicle, **options)
+    task = make_task(policy.task.name, policy.task.vehicle, **options)
     grid = landing_starts.clear(task, landing_starts.grid())[::every]
     start = task.start(landing_starts.at_rest(task, grid))
     return {"inclination": task.inclination} | outcome(_fly(policy, plant, start))

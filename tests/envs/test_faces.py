@@ -177,7 +177,7 @@ WRONG_OPTIONS = [
     (
         InclinedLandingEnv,
         {"inclination": "steep"},
-        "inclination of the task landing must be a number or None",
+        "inclination must be a number, not 'steep'",
     ),
     (InclinedLandingEnv, {"pwm_centre": float("nan")}, "pwm_centre must be"),
     (InclinedLandingEnv, {"colour": "red"}, "the task landing has no option 'colour'"),

@@ -12,14 +12,14 @@ from inclined_landing.envs import swell
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.envs.tasks import InclinedTouchdown, Moment, make_task
+from inclined_landing.envs.tasks import Moment, make_task
 from inclined_landing.envs.tasks.touchdown import Conditions, resting
 from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, WX, WZ, YAW, Z, rotation
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import Contacts, make_plant
 from inclined_landing.train.descent import Descent
 
-TASK = InclinedTouchdown(dimensions=3, fastest=2.0, swell=1.0, steepest=0.35)
+TASK = make_task("touchdown", dimensions=3, fastest=2.0, swell=1.0, steepest=0.35)
 SPEEDS = st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3)
 
 
@@ -72,10 +72,10 @@ def test_who_stands_on_a_turning_deck_rests_though_it_moves_in_the_room():
 def test_over_decks_that_stand_still_a_moving_plant_judges_as_the_plain_one():
     """Onto the same slopes with motors idle, in both plants: the same rewards and success."""
     outcomes = []
-    for task in (InclinedTouchdown(dimensions=3), InclinedTouchdown(dimensions=3, fastest=0.0)):
+    for task in (make_task("touchdown", dimensions=3), make_task("touchdown", dimensions=3, fastest=0.0)):
         task.conditions = Conditions(close=1.0)
         env = BatchEnv(task, make_plant("mujoco", 6, task.vehicle, threads=1, **task.plant_options), seed=5)
-        start = InclinedTouchdown(dimensions=3)
+        start = make_task("touchdown", dimensions=3)
         start.conditions = task.conditions
         env.reset(start=start.sample(np.random.default_rng(5), 6))
         steps = [env.step(np.tile([-1.0, 0.0, 0.0], (6, 1))) for _ in range(30)]
@@ -106,10 +106,10 @@ def test_the_swell_keeps_within_what_it_says():
 
 
 def test_close_starts_move_along_with_their_decks():
-    task = InclinedTouchdown(dimensions=3, fastest=2.0, swell=1.0, steepest=0.35)
+    task = make_task("touchdown", dimensions=3, fastest=2.0, swell=1.0, steepest=0.35)
     task.conditions = Conditions(close=1.0)
     start = task.sample(np.random.default_rng(2), 100)
-    deck = task.decks(start)
+    deck = start.decks(task.vehicle)
     apart = start.state[:, : Z + 1] - deck[:, : Z + 1]
     assert np.linalg.norm(apart, axis=1).max() < 0.6  # 0.25 m along, half the depth across, 0.27 m up
     # At most 0.8 m/s into and 0.5 m/s along the slope, relative to it.
@@ -121,10 +121,10 @@ def test_the_arena_is_carried_along():
     """A vehicle over a deck 20 m away is in the middle of its arena; the room itself ends at 3.4 m."""
     state, deck = np.zeros((1, 13)), np.zeros((1, 12))
     state[0, :3], deck[0, :3] = (20.0, -8.0, 1.5), (20.0, -8.0, 1.15)
-    assert not TASK.near_bounds(TASK.carried(Moment(state, deck=deck)))[0]
+    assert not TASK.near_bounds(TASK.in_arena(Moment(state, deck=deck)))[0]
     assert TASK.near_bounds(state)[0]
-    still = InclinedTouchdown(dimensions=3)
-    assert still.near_bounds(still.carried(Moment(state, deck=deck)))[0]
+    still = make_task("touchdown", dimensions=3)
+    assert still.near_bounds(still.in_arena(Moment(state, deck=deck)))[0]
 
 
 def test_the_law_that_training_begins_with_lands():
@@ -170,5 +170,5 @@ def test_a_policy_of_a_still_deck_is_refused_over_moving_ones():
 def test_given_starts_stand_over_decks_that_stand_still():
     start = TASK.start(TASK.states_at([(0.0, 0.0, 2.0)]))
     assert start.motion is None and dataclasses.is_dataclass(start)
-    deck = TASK.decks(start)[0]
+    deck = start.decks(TASK.vehicle)[0]
     assert (deck[VX : VZ + 1] == 0.0).all() and deck[PITCH] == TASK.inclination

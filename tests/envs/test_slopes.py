@@ -69,8 +69,8 @@ def test_what_is_seen_and_judged_does_not_depend_on_where_the_slope_faces(slope,
     moved = turned(state, np.full(8, azimuth))
     seen = SPACE.observe(Moment(state, deck=deck))
     np.testing.assert_allclose(SPACE.observe(Moment(moved, deck=other)), seen, atol=1e-5)  # float32
-    inside = SPACE.in_goal_over(state, deck, np.full(8, 0.1))
-    assert inside[0] and (SPACE.in_goal_over(moved, other, np.full(8, 0.1)) == inside).all()
+    inside = SPACE.in_goal(state, 0.1, deck)
+    assert inside[0] and (SPACE.in_goal(moved, 0.1, other) == inside).all()
 
 
 @pytest.mark.parametrize("inclination", [-STEEP, -0.3, 0.0, STEEP])
@@ -92,7 +92,7 @@ def test_goal_lies_along_the_normal_with_the_papers_half_widths(inclination):
             for share, inside in ((0.999, True), (1.001, False)):
                 state = goal.copy()
                 state[column] += sign * share * width
-                assert PLANE.in_goal_over(state[None], deck, np.array([0.1]))[0] == inside
+                assert PLANE.in_goal(state[None], 0.1, deck)[0] == inside
 
 
 def test_the_plain_task_is_as_it_was():
@@ -133,7 +133,7 @@ def test_gymnasium_checks_it(options):
         ({"dimensions": True}, "dimensions must be 2 or 3"),
         ({"random_yaw": True}, "random_yaw needs dimensions=3"),
         ({"azimuth": 1.0}, "azimuth needs dimensions=3"),
-        ({"azimuth": math.inf, "dimensions": 3}, "azimuth must be an angle in rad"),
+        ({"azimuth": math.inf, "dimensions": 3}, "azimuth must be a number, not inf"),
         ({"angle_limit": 3.0}, "angle_limit must be an angle from 0.01 to 1.4 rad, not 3.0"),
     ],
     ids=str,

@@ -42,7 +42,7 @@ def judge(state=None, action=IDLE, touching=((0, 0),), force=WEIGHT, held=0, con
         contacts.force[0][pair] = force
     count, start = np.ones(1, int), task.start(state)
     records = start, count, 9 * count, np.array([held])
-    return task.judge(Moment(state, contacts, action[None], *records, deck=task.decks(start)))
+    return task.judge(Moment(state, contacts, action[None], *records, deck=start.decks(task.vehicle)))
 
 
 def terms(judgement) -> dict:
@@ -89,9 +89,9 @@ def test_near_the_bounds_and_training_aids():
     assert terms(judge(state, FLY, ())) == {"time": -1.0, "bounds": -1.0}
     aids = Conditions(contact_limit=8, leave_limit=0.3)
     assert judge(touching=((0, 1),), conditions=aids).cut[0]
-    priced = judge(touching=((0, 1),), conditions=Conditions(contact_limit=8, departure=150.0))
+    priced = judge(touching=((0, 1),), conditions=Conditions(contact_limit=8, out_of_bounds_penalty=150.0))
     assert priced.terminated[0] and not priced.cut[0] and not priced.success[0]
-    assert terms(priced) == {"time": -1.0, "obstacle": -6.0, "departure": -150.0}
+    assert terms(priced) == {"time": -1.0, "obstacle": -6.0, "out_of_bounds": -150.0}
     assert not judge(conditions=aids).cut[0]  # feet may stay as long as they like
 
 

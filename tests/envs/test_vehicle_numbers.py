@@ -119,11 +119,11 @@ def stamped(folder, **options):
     return path
 
 
-def test_a_policy_flies_each_vehicle_by_its_own_hover_where_it_was_trained_so(tmp_path):
+def test_a_policy_flies_each_vehicle_by_its_per_vehicle_hover_where_it_was_trained_so(tmp_path):
     path, big = stamped(tmp_path, pwm_centre="own"), load_vehicle("hummingbird")
     assert load_policy(path, vehicle=big).task.pwm_centre == big.hover_pwm
     assert load_policy(path).task.pwm_centre == V.hover_pwm
-    assert load_policy(path, make_task("landing", big, pwm_centre="own")).task.own_hover
+    assert load_policy(path, make_task("landing", big, pwm_centre="own")).task.per_vehicle_hover
     with pytest.raises(UserError, match=r"with the hover of each vehicle at thrust action 0, and .*'own'"):
         load_policy(path, make_task("landing", pwm_centre=40_000.0))
     path = stamped(tmp_path, pwm_centre=34_000.0)
@@ -151,7 +151,7 @@ def test_a_policy_for_its_vehicle_alone_flies_the_same(history):
         policy = pilot(task)
         alone = policy.for_its_vehicle()
         assert len(alone.centre) == len(policy.centre) - len(NAMES)
-        assert alone.task.pwm_centre == task.pwm_centre and not alone.task.own_hover
+        assert alone.task.pwm_centre == task.pwm_centre and not alone.task.per_vehicle_hover
         states = task.sample(np.random.default_rng(2), 3).state
         flights = [record_flights(p, "analytic", states, steps=30) for p in (policy, alone)]
         for one, other in zip(*flights):

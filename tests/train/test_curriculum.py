@@ -32,7 +32,7 @@ def as_task(conditions: landing.Conditions) -> landing.Conditions:
         conditions,
         contact_limit=TASK.contact_limit,
         leave_limit=TASK.leave_limit,
-        departure=TASK.departure,
+        out_of_bounds_penalty=TASK.out_of_bounds_penalty,
         goal_while_touching=TASK.goal_while_touching,
         start_reach_z=TASK.start_reach_z,
     )
@@ -281,7 +281,7 @@ def test_what_is_left_out_is_the_task_and_nothing_else_changes(name, part):
 
 def test_several_parts_are_left_out_at_once():
     c = make_curriculum("adaptive", "landing", 0.98, "start, tilt,motion,goal,platform")
-    assert as_task(c.conditions()) == TASK and c.conditions().departure > 0
+    assert as_task(c.conditions()) == TASK and c.conditions().out_of_bounds_penalty > 0
 
 
 @pytest.mark.parametrize("task, name, without", [

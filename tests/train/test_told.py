@@ -24,7 +24,7 @@ def test_a_run_stamps_what_its_policy_is_told(tmp_path):
     run = Run(TrainConfig("landing", out=tmp_path / "told", **told, **SMALL))
     run.execute()
     policy = load_policy(tmp_path / "told/final.zip", vehicle=load_vehicle("hummingbird"))
-    assert policy.task.observe_vehicle and policy.task.own_hover and len(policy.centre) == 11
+    assert policy.task.observe_vehicle and policy.task.per_vehicle_hover and len(policy.centre) == 11
     assert policy.task.pwm_centre == load_vehicle("hummingbird").hover_pwm
     assert policy.metadata["ranges"]["vehicles"][0] == "crazyflie-2.0"
     on = TrainConfig("landing", start_from=str(tmp_path / "told/final.zip"), success=0.9).resolved()

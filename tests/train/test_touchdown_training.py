@@ -34,7 +34,7 @@ def test_the_lesson_is_the_motor_cut():
     task = landing.task
     over = at_rest(task, np.array([task.goal_position, (0.0, 1.20), (1.5, 1.8)]))
     over[0, PITCH] = task.inclination
-    moment = Moment(over, deck=task.decks(task.start(over)))
+    moment = Moment(over, deck=task.start(over).decks(task.vehicle))
     lesson = warm_start.lesson(moment, landing)
     assert (lesson[:2, 0] < IDLE_ACTION).all() and lesson[2, 0] > IDLE_ACTION
     held = lesson[0, 1] * landing.task.vehicle.command_angle_limit * landing.task.vehicle.attitude_gain
@@ -58,7 +58,9 @@ def test_a_short_run_is_reproducible_and_stamped(tmp_path, monkeypatch):
 def test_curriculum():
     curriculum = make_curriculum("touchdown", "touchdown", 0.99)
     first = curriculum.conditions()
-    assert first.impact == 0.0 and first.departure > 0.0 and first.close > 0.0 and first.beside > 0.0
+    assert (
+        first.impact == 0.0 and first.out_of_bounds_penalty > 0.0 and first.close > 0.0 and first.beside > 0.0
+    )
     assert first.friction == (0.55, 1.2)
     curriculum.advance(TouchdownCurriculum.RAMP)
     last = curriculum.conditions()

@@ -528,7 +528,7 @@ WRONG = {
     "setpoint --curriculum adaptive": "unknown curriculum 'adaptive' for task setpoint",
     "--pwm-centre static": "pwm_centre must be",
     "--inclination 80": "--inclination: platform inclination 80 deg is outside the supported range",
-    "setpoint --inclination 10": "--inclination: the task setpoint has no inclined platform",
+    "setpoint --inclination 10": "--inclination is no option of the task setpoint",
     "setpoint --steepest 10": "--steepest is no option of the task setpoint",
     "--random-yaw": "random_yaw needs dimensions=3",
     "--steepest 60": "steepest must be an angle above 0 and up to 0.873 rad",

@@ -383,7 +383,7 @@ def test_the_contract_is_the_task_the_stamp_and_the_vehicle():
     inside = np.zeros((2, 13))
     inside[:, [0, 2, 3, 5, 7]] = task.goal + 0.999 * np.array([*terms["task"]["goal_half_widths"].values()])
     inside[1, 0] *= 1.01
-    assert task.in_goal(inside, task.inclination, task.goal_size).tolist() == [True, False]
+    assert task.in_goal(inside, task.goal_size).tolist() == [True, False]
     assert terms["policy"]["training"]["command"] == policy.metadata["command"]
     assert [entry["unit"] for entry in terms["observation"]] == ["m", "m", "m/s", "m/s", "rad"]
 

@@ -108,7 +108,7 @@ def truth_of(trace: Trace, plan: Plan) -> Truth:
     task, v = plan.landing.task, plan.landing.task.vehicle
     state, time = trace.state, trace.time
     size = task.goal_size if task.goal_size is not None else 0.0
-    inside = np.flatnonzero(task.in_goal(state, task.inclination, size)) if size else []
+    inside = np.flatnonzero(task.in_goal(state, size)) if size else []
     on_platform = trace.touching[:, :2].any(axis=1)
     running = np.flatnonzero(trace.command[:, PWM] > 0.0)
     positions = state[:, X : Z + 1]

@@ -1,0 +1,75 @@
+"""Moving platforms: the landing in space with `fastest` [m/s].
+
+Every platform travels steadily, in any direction, at up to this speed, and with `swell` it heaves, rolls and
+pitches too (`envs.swell`). The vehicle starts at rest in the room. Everything is observed and judged relative
+to the platform: velocities are against its centre, and six more observations are the platform's velocity and
+rates, along the axes of the heading frame. The arena is carried along with the platform's centre, and wider
+by the way of half a second at `fastest`, so that there is room to catch up. Given starts have platforms that
+stand still.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from inclined_landing.envs import swell as swells
+from inclined_landing.envs.tasks.base import Moment, Start
+from inclined_landing.envs.tasks.slopes import SEEN, SEEN_SCALE
+from inclined_landing.envs.tasks.space import SpaceLanding
+from inclined_landing.models import surface
+from inclined_landing.models.attitude import Y, Z
+from inclined_landing.models.parameters import Vehicle
+
+SEEN_MOVING = ("deck vx", "deck vy", "deck vz", "deck wx", "deck wy", "deck wz")
+SEEN_MOVING_SCALE = np.array([1.0, 1.0, 0.5, 0.5, 0.5, 0.5])
+CATCHING_UP = 0.5  # s of the fastest platform's way by which the arena is wider
+
+
+class MovingLanding(SpaceLanding):
+    """The landing in space on platforms that move."""
+
+    observation_names = (*SEEN, *SEEN_MOVING)
+    observation_scale = np.append(SEEN_SCALE, SEEN_MOVING_SCALE)
+    platform_moves = True
+
+    def __init__(self, vehicle: Vehicle | None = None, **options: Any):
+        super().__init__(vehicle, **options)
+        self.table = "moving"
+        self.fastest = float(self.settings.fastest or 0.0)
+        self._resolve(fastest=self.fastest, swell=float(self.settings.swell))
+        self.extra_room = CATCHING_UP * self.fastest
+
+    @property
+    def plant_options(self) -> dict[str, Any]:
+        """A plant with moving platforms."""
+        return {"moving": True}
+
+    def observe(self, moment: Moment) -> np.ndarray:
+        """Return observations (n, o), float32: over the slope, and the platforms' own motion."""
+        seen = super().observe(moment)
+        return np.concatenate([seen, surface.deck_motion(moment.deck).astype(np.float32)], axis=1)
+
+    def in_arena(self, moment: Moment) -> np.ndarray:
+        """Return states (n, 13) relative to an arena that is carried along with the platforms' centres."""
+        state = moment.state.copy()
+        state[:, : Y + 1] -= moment.deck[:, : Y + 1]
+        return state
+
+    def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:
+        super()._draw_platforms(rng, start)
+        share = self.conditions.motion
+        start.motion = swells.draw(rng, len(start), share * self.fastest, share * self.settings.swell)
+
+    def at_standstill(self, start: Start) -> Start:
+        """Return the starts relative to platforms in their usual place, with their slopes of the start."""
+        if start.motion is None:
+            return start
+        deck = start.decks(self.vehicle)
+        state = start.state.copy()
+        state[:, : Z + 1] -= deck[:, : Z + 1]
+        state[:, Z] += self.vehicle.platform_surface_height
+        slope, azimuth = surface.slope_of(deck)
+        return dataclasses.replace(start, state=state, inclination=slope, azimuth=azimuth, motion=None)

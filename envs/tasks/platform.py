@@ -1,0 +1,83 @@
+"""What the landings share: the record of their options, and where the platform is in the way."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from inclined_landing.envs.tasks.options import TaskOptions, option
+from inclined_landing.models.attitude import X, Y, Z
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle
+
+
+@dataclasses.dataclass(frozen=True)
+class LandingOptions(TaskOptions):
+    """Options of the landing and of what it becomes with them."""
+
+    inclination: float | None = option(
+        None,
+        "Of the platform in degrees, where it differs from the vehicle file's.",
+        limits=(-90, 90),
+        degrees=True,
+        more={"metavar": "DEG"},
+        recorded=True,
+    )
+    steepest: float | None = option(
+        None,
+        "Every episode has a slope of its own, which the policy observes: up to this inclination in degrees, "
+        "to both sides; in three dimensions to all sides.",
+        limits=(0, 90),
+        open=True,
+        degrees=True,
+        more={"metavar": "DEG"},
+        trained_with=True,
+    )
+    dimensions: int = option(
+        2,
+        "3: fly in space, with roll, and not in a plane (default: as the task is).",
+        limits=(2, 3),
+        more={"metavar": "{2,3}"},
+        trained_with=True,
+    )
+    azimuth: float = option(0.0)  # direction that the slope faces, from +x, rad
+    random_yaw: bool = option(False, "With three dimensions: every episode begins with a heading of its own.")
+    fastest: float | None = option(
+        None,
+        "With three dimensions: decks that travel steadily, any way, at up to this speed, which is observed.",
+        limits=(0, 10),
+        more={"metavar": "M/S"},
+        trained_with=True,
+    )
+    swell: float = option(
+        0.0,
+        "With --fastest: decks that heave, roll and pitch too; 1: by up to 0.24 m and 16 deg (default: 0).",
+        limits=(0, 2),
+        trained_with=True,
+    )
+
+    def check(self) -> None:
+        """Raise UserError for a value beyond its limits, or for options that do not go together."""
+        super().check()
+        if self.dimensions == 2 and (self.azimuth or self.random_yaw):
+            named = "azimuth" if self.azimuth else "random_yaw"
+            raise UserError(f"{named} needs dimensions=3: in the plane a vehicle cannot follow it")
+        if self.fastest is None and self.swell:
+            raise UserError("swell is of moving decks: give it fastest too, which may be 0")
+        if self.fastest is not None and self.dimensions == 2:
+            raise UserError("fastest needs dimensions=3: in the plane a vehicle cannot follow a deck")
+
+
+def in_platform(position: np.ndarray, inclination: float, azimuth: float, vehicle: Vehicle) -> bool:
+    """Is a point (3,) [m] in the slab or in the hollow under it."""
+    cos, sin = math.cos(azimuth), math.sin(azimuth)
+    x, y = cos * position[X] + sin * position[Y], cos * position[Y] - sin * position[X]
+    z = position[Z] - vehicle.platform_surface_height
+    sin, cos = math.sin(inclination), math.cos(inclination)
+    along, height = x * cos - z * sin, x * sin + z * cos  # of the slab's surface
+    thick, half = vehicle.platform_thickness, vehicle.slab_half_length
+    in_slab = abs(along) < half and -thick <= height < 0.0
+    under = abs(x + thick * sin) < half * cos and height < -thick
+    return bool((in_slab or under) and abs(y) < 0.5 * vehicle.platform_depth)

@@ -1,0 +1,114 @@
+"""Any slope in the plane: the landing with `steepest` [rad], which is observed.
+
+Each episode's inclination is drawn uniformly from -steepest to steepest; `inclination` is then that of given
+starts. Everything is observed from the centre of the surface, along level axes with the surface's heading
+(`models.surface.heading_frame`): a slope looks the same whichever way it faces.
+
+| in the plane | in space | quantity | unit |
+|---|---|---|---|
+| 0, 1 | 0, 1, 2 | x, (y,) z from the surface's centre | m |
+| 2, 3 | 3, 4, 5 | vx, (vy,) vz | m/s |
+| 4 | 6, 7 | (roll,) pitch | rad |
+| 5 | 8, 9 | (slope roll,) slope pitch: of a vehicle of this heading that stands on it | rad |
+
+The goal lies 0.10 m over the surface along its normal, as 0.10 m straight above would leave 6.4 cm over a
+slope of 50 deg. In the goal box y, vy and roll have the half widths of x, vx and pitch, about the attitude of
+a vehicle that stands on the slope. Steep slopes need attitudes beyond 30 deg: `angle_limit` [rad] takes the
+place of the vehicle's.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from inclined_landing.envs.tasks.base import Moment, Start, hover_states
+from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, InclinedLanding, goal_box
+from inclined_landing.models import surface
+from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Z, rotation
+from inclined_landing.models.errors import UserError, shown
+
+# Columns of the heading frame, and their typical sizes.
+SEEN = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "slope roll", "slope pitch")
+SEEN_SCALE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5, 0.5])
+_PLANAR = [SEEN.index(name) for name in ("x", "z", "vx", "vz", "pitch", "slope pitch")]
+
+
+class SlopeLanding(InclinedLanding):
+    """The landing in the plane on slopes that differ from episode to episode."""
+
+    observation_names: tuple[str, ...] = tuple(SEEN[column] for column in _PLANAR)
+    observation_scale = SEEN_SCALE[_PLANAR]
+    observes_slope = True
+    table = "slopes"
+    goal_height = GOAL_HEIGHT  # over the surface along its normal, m
+    columns: Any = _PLANAR  # of the heading frame, those that are observed
+    least = -1.0  # inclination that is drawn, as a share of `steepest`
+
+    def _usual_inclination(self) -> float:
+        self.steepest, limit = self.settings.steepest, self.vehicle.platform_max_inclination + 1e-12
+        if self.steepest is None:
+            return super()._usual_inclination()
+        if not 0.0 < self.steepest <= limit:
+            said = shown(repr(self.steepest), 40)
+            raise UserError(f"steepest must be an angle above 0 and up to {limit:.3g} rad, not {said}")
+        return float(np.clip(super()._usual_inclination(), -self.steepest, self.steepest))
+
+    @property
+    def goal(self) -> None:
+        """None: the goal is the slope's."""
+        return None
+
+    @property
+    def goal_half_widths(self) -> None:
+        """None, as for the goal."""
+        return None
+
+    def goal_on(self, deck: np.ndarray | None) -> np.ndarray | None:
+        """Return the goal as a state (13,) over the slope of a platform (12,), with its heading."""
+        if deck is None:
+            return None
+        state = np.zeros(STATE_SIZE)
+        state[: len(deck)] = deck
+        state[: Z + 1] += self.goal_height * rotation(*deck[ROLL : YAW + 1])[:, 2]
+        return state
+
+    @property
+    def observation_centre(self) -> np.ndarray:
+        """The goal over a level platform: (o,)."""
+        return np.where(np.array(self.observation_names) == "z", GOAL_HEIGHT, 0.0)
+
+    def observe(self, moment: Moment) -> np.ndarray:
+        """Return observations (n, o), float32; the platforms of the moment are needed."""
+        if moment.deck is None:
+            raise UserError(f"this {self.name} task observes the slope; give observe the deck")
+        seen = surface.heading_frame(moment.state, moment.deck)[:, self.columns]
+        return seen.astype(np.float32)
+
+    def in_goal(self, state, goal_size, deck=None, inclination=None) -> np.ndarray:
+        """Return (n,) bool: which states (n, 13) are in the goal box along the normal of decks (n, 12)."""
+        seen = surface.heading_frame(state, deck)
+        on_slope = seen[:, surface.SLOPE_ROLL :]  # roll and pitch of a vehicle that stands there
+        seen[:, X : Z + 1] -= GOAL_HEIGHT * surface.normal_at_rest(*on_slope.T)
+        seen[:, ROLL : PITCH + 1] -= on_slope
+        place, _, speed, _, angle = goal_box(goal_size)
+        return (
+            (np.abs(seen[:, X : Z + 1]).max(axis=1) < place)
+            & (np.abs(seen[:, VX : VZ + 1]).max(axis=1) < speed)
+            & (np.abs(seen[:, ROLL : PITCH + 1]).max(axis=1) < angle)
+        )
+
+    def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:
+        if self.steepest is not None:
+            drawn = rng.uniform(self.least * self.steepest, self.steepest, len(start))
+            start.inclination = drawn * self.conditions.tilt
+
+    def sample_over(self, rng: np.random.Generator, inclination: np.ndarray, azimuth: np.ndarray) -> Start:
+        """Return random starts as in `sample` over given slopes (k,) [rad]; azimuths count in space only."""
+        k = len(inclination)
+        start = self._start(hover_states(np.zeros((k, 3)), self.vehicle), np.ones(k, bool))
+        start.inclination = np.array(inclination, float)
+        if start.azimuth is not None:
+            start.azimuth = np.array(azimuth, float)
+        return self._place(rng, start)

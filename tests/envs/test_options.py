@@ -1,0 +1,74 @@
+"""Options of tasks: one record each, from which constructors, `landing-train` and policy files take them."""
+
+import dataclasses
+import typing
+
+import pytest
+
+from inclined_landing.envs.tasks import TASKS, InclinedLanding, InclinedTouchdown, make_task, variants
+from inclined_landing.envs.tasks.options import TaskOptions, Training, fields_of, option
+from inclined_landing.eval.base.options import Range
+from inclined_landing.models.errors import UserError
+from inclined_landing.train.config import TrainConfig
+
+RECORDS = [kind.options_type for kind in TASKS.values()]
+
+
+def test_landing_train_has_every_option_with_a_help_text():
+    hints = typing.get_type_hints(TrainConfig, include_extras=True)
+    for field, known, kind in fields_of(Training, *RECORDS):
+        assert (field.name in hints) == bool(known.help), field.name
+        if known.help:
+            limits = [found for found in hints[field.name].__metadata__ if isinstance(found, Range)]
+            assert limits == ([Range(*known.limits, known.open)] if known.limits else [])
+            assert getattr(TrainConfig, field.name) is (False if kind is bool else None)
+
+
+@pytest.mark.parametrize("kind", TASKS.values(), ids=TASKS)
+def test_defaults_are_the_tasks_and_are_accepted(kind):
+    task = make_task(kind.name)
+    kind.options_type().check()
+    kind.training.check()
+    always = {field.name for field, known, _ in fields_of(kind.options_type) if known.recorded}
+    assert set(task.options) == always
+    assert make_task(kind.name, **task.options).options == task.options
+
+
+def test_a_field_more_is_an_option_more():
+    @dataclasses.dataclass(frozen=True)
+    class Options(InclinedLanding.options_type):
+        wind: float = option(0.0, "Speed of the wind, m/s.", limits=(0, 5))
+
+    class Windy(InclinedLanding):
+        name = "windy"
+        options_type = Options
+
+    assert "wind" in Windy.option_names() and Windy().options == make_task("landing").options
+    assert Windy(wind=2).settings.wind == Windy(wind=2).options["wind"] == 2
+    with pytest.raises(UserError, match="wind must be a number from 0 to 5, not 6"):
+        Windy(wind=6)
+    slope = variants.variant(Windy, {"steepest": 0.3})
+    assert issubclass(slope, Windy) and slope(steepest=0.3, wind=1.0).observes_slope
+
+
+@pytest.mark.parametrize("name, kind", [("landing", InclinedLanding), ("touchdown", InclinedTouchdown)])
+def test_options_find_the_class(name, kind):
+    found = [
+        ({}, (True, False, False)),
+        ({"steepest": 0.3}, (True, True, False)),
+        ({"dimensions": 3}, (False, True, False)),
+        ({"dimensions": 3, "fastest": 1.0}, (False, True, True)),
+    ]
+    for options, traits in found:
+        task = make_task(name, **options)
+        assert isinstance(task, kind) and task.name == name
+        assert (task.is_planar, task.observes_slope, task.platform_moves) == traits
+        if options:
+            with pytest.raises(UserError, match=f"make_task.'{name}', .... has the class"):
+                kind(**options)
+
+
+def test_what_is_no_option_is_refused():
+    with pytest.raises(UserError, match="the task setpoint has no option 'swell'; it has angle_limit"):
+        make_task("setpoint", swell=1.0)
+    assert {field.name for field in dataclasses.fields(TaskOptions)} == set(TASKS["setpoint"].option_names())
