@@ -105,7 +105,9 @@ def _words(kind: inspect.Type) -> str:
         if kind.ge is not None and kind.le is not None:
             return noun if kind.le >= 1e300 else f"{noun} from {_digits(kind.ge)} to {_digits(kind.le)}"
         limits = {"at least": kind.ge, "above": kind.gt, "at most": kind.le, "below": kind.lt}
-        found = " and ".join(f"{word} {_digits(limit)}" for word, limit in limits.items() if limit is not None)
+        found = " and ".join(
+            f"{word} {_digits(limit)}" for word, limit in limits.items() if limit is not None
+        )
         return f"{noun} {found}".strip()
     if isinstance(kind, inspect.StrType):
         return "text" + _count(kind, "characters")
