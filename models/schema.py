@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Mapping
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import msgspec
@@ -20,7 +21,7 @@ T = TypeVar("T")
 _STEP = re.compile(r"\.([\w-]+)|\[(\d+|\.\.\.)\]")  # of a path such as $.start.x[0] or $.columns[...].unit
 
 
-class Table(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Table(Struct, frozen=True, forbid_unknown_fields=True):
     """A table with the entries of its class and no others."""
 
 
@@ -39,21 +40,31 @@ def parse(data: Any, kind: type[T], where: str = "") -> T:
 def _sentence(said: str, value: Any, kind: Any) -> str:
     """Return the sentence for the entry whose path ends msgspec's message ("... - at `$.deck.speed`")."""
     way: list[str] = []
-    for key, place in _STEP.findall(said.rpartition(" - at `$")[2]):
+    path = "" if _unknown(value, kind) else said.rpartition(" - at `$")[2]
+    for key, place in _STEP.findall(path):
         name, value, kind = _step(value, kind, key, place)
         way[-1:] = [*way[-1:], name] if key or place == "..." else ["".join(way[-1:]) + name]
-    table = f"[{'.'.join(way)}]" if way else "the file"
-    known = next((structs.fields(k) for k in _members(kind) if _is_table(k)), ())
-    if not known or not isinstance(value, dict):
+    if not isinstance(value, dict) or not (known := _entries(kind)):
         label = f"[{'.'.join(way[:-1])}] {way[-1]}" if way[1:] else "".join(way) or "the file"
         return f"{label} must be {expected(kind)}, not {shown(repr(value), 40)}"
-    names = [field.encode_name for field in known]
-    if unknown := sorted(set(value) - set(names)):
-        near = difflib.get_close_matches(unknown[0], names, 1)
-        hint = f"did you mean {near[0]}?" if near else choices(names, unknown[0])
+    table = f"[{'.'.join(way)}]" if way else "the file"
+    if unknown := _unknown(value, kind):
+        near = difflib.get_close_matches(unknown[0], known, 1)
+        hint = f"did you mean {near[0]}?" if near else choices(known, unknown[0])
         return f"unknown entry {shown(repr(unknown[0]), 40)} in {table}; {hint}"
-    missing = next((f.encode_name for f in known if f.required and f.encode_name not in value), "")
+    missing = next((name for name, entry in known.items() if entry.required and name not in value), "")
     return f"{table} lacks {missing}" if way else f"{missing} is missing"
+
+
+def _entries(kind: Any) -> dict[str, structs.FieldInfo]:
+    """Return the entries of a table by the names they have in files; none for what is no table."""
+    tables = (member for member in _members(kind) if _is_table(member))
+    return {entry.encode_name: entry for table in tables for entry in structs.fields(table)}
+
+
+def _unknown(value: Any, kind: Any) -> list[str]:
+    known = _entries(kind)
+    return sorted(set(value) - set(known)) if known and isinstance(value, dict) else []
 
 
 def _step(value: Any, kind: Any, key: str, place: str) -> tuple[str, Any, Any]:
@@ -61,8 +72,8 @@ def _step(value: Any, kind: Any, key: str, place: str) -> tuple[str, Any, Any]:
     for member in _members(kind):
         origin, inner = get_origin(member), get_args(member)
         if key and _is_table(member):
-            return key, value[key], next(f.type for f in structs.fields(member) if f.encode_name == key)
-        if place == "..." and origin is dict:
+            return key, value[key], _entries(member)[key].type
+        if place == "..." and origin in (dict, Mapping):
             key = next(key for key, entry in value.items() if not _fits(entry, inner[1]))
             return shown(key, 60), value[key], inner[1]
         if place and origin in (list, tuple):
@@ -117,6 +128,8 @@ def _words(kind: inspect.Type) -> str:
         return f"a list of {len(kind.item_types)}, each {_words(kind.item_types[0])}"
     if isinstance(kind, inspect.ListType | inspect.VarTupleType):
         return f"a list{_count(kind, 'entries')}, each {_words(kind.item_type)}"
+    if isinstance(kind, inspect.DictType):
+        return "a table" + _count(kind, "entries")
     return "true or false" if isinstance(kind, inspect.BoolType) else "a table"
 
 
@@ -124,7 +137,9 @@ def _digits(limit: float) -> str:
     return str(limit) if isinstance(limit, int) else f"{limit:g}"
 
 
-def _count(kind: inspect.StrType | inspect.ListType | inspect.VarTupleType, noun: str) -> str:
+def _count(
+    kind: inspect.StrType | inspect.ListType | inspect.VarTupleType | inspect.DictType, noun: str
+) -> str:
     """Return " of 1 to 40 characters" where a length has limits."""
     least, most = kind.min_length, kind.max_length
     if most is None:
