@@ -113,13 +113,11 @@ def _words(kind: inspect.Type) -> str:
         return " or ".join(_words(one) for one in kind.types if not isinstance(one, inspect.NoneType))
     if isinstance(kind, inspect.IntType | inspect.FloatType):
         noun = "a whole number" if isinstance(kind, inspect.IntType) else "a number"
-        if kind.ge is not None and kind.le is not None:
-            return noun if kind.le >= 1e300 else f"{noun} from {_digits(kind.ge)} to {_digits(kind.le)}"
-        limits = {"at least": kind.ge, "above": kind.gt, "at most": kind.le, "below": kind.lt}
-        found = " and ".join(
-            f"{word} {_digits(limit)}" for word, limit in limits.items() if limit is not None
-        )
-        return f"{noun} {found}".strip()
+        limits = {"of at least": kind.ge, "above": kind.gt, "of at most": kind.le, "below": kind.lt}
+        said = {word: _digits(x) for word, x in limits.items() if x is not None and abs(x) < 1e300}
+        if said.keys() == {"of at least", "of at most"}:
+            return f"{noun} from {said['of at least']} to {said['of at most']}"
+        return " ".join([noun, " and ".join(f"{word} {digits}" for word, digits in said.items())]).strip()
     if isinstance(kind, inspect.StrType):
         return "text" + _count(kind, "characters")
     if isinstance(kind, inspect.LiteralType):

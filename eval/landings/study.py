@@ -10,7 +10,7 @@ import math
 import os
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import mujoco
 import numpy as np
@@ -29,7 +29,7 @@ _NARROWEST, _WIDEST = 1e-6, 1e3  # a normal distribution's deviation over its ra
 _DECADES = 12  # of a logarithmic range
 
 
-class Entry(Table):
+class Entry(Table, frozen=True):
     """A table of [parameters]: one of value, values, from and to, or mean and deviation; in `unit`."""
 
     unit: str
@@ -43,20 +43,20 @@ class Entry(Table):
     deviation: Real | None = None
 
 
-class Start(Table):
+class Start(Table, frozen=True):
     """[start]: where landings begin, instead of at a touchdown."""
 
     policy: str | None = None
 
 
-class Simulation(Table):
+class Simulation(Table, frozen=True):
     """[simulation], in s."""
 
     duration: Annotated[float, Meta(ge=0.2, le=20)] = 2.0
     timestep: Annotated[float, Meta(ge=1e-5, le=1)] = 0.004
 
 
-class File(Table):
+class File(Table, frozen=True):
     """What a study file holds."""
 
     sampling: Literal["factorial", "latin-hypercube"]
@@ -124,8 +124,11 @@ class Study:
             for entry in data["parameters"]
         )
         if "vehicle" in data:
-            given = data["vehicle"].items()
-            data["vehicle"] = Vehicle(**{k: tuple(v) if isinstance(v, list) else v for k, v in given})
+            fields: dict[str, Any] = {
+                name: tuple(value) if isinstance(value, list) else value
+                for name, value in data["vehicle"].items()
+            }
+            data["vehicle"] = Vehicle(**fields)
         return Study(**data)
 
     def fingerprint(self) -> str:

@@ -24,7 +24,7 @@ from inclined_landing.models.schema import Table
 DEEPEST = 20  # mapping files that inherit one another
 
 
-class Source(Table):
+class Source(Table, frozen=True):
     """Where one canonical column comes from: value = sign * factor(unit) * column + add, at t - late."""
 
     column: str | None = None  # or, of several:
@@ -41,7 +41,7 @@ class Source(Table):
         return self.mean or self.sum or (self.column or "",)
 
 
-class ColumnMap(Table):
+class ColumnMap(Table, frozen=True):
     """A mapping file, read."""
 
     description: str = ""
@@ -171,17 +171,25 @@ def apply(
     for canonical in column_map.columns:
         if canonical == "t":
             continue
-        time = None if clock is None else clock.value
+        time = np.array(0.0) if clock is None else clock.value
         channel = _channel(canonical, column_map, record, names, given, time, notes)
         if channel is not None:
             channels[canonical] = channel
     return channels, notes
 
 
-def _channel(canonical, column_map, record, names, given, clock, notes) -> Channel | None:
+def _channel(
+    canonical: str,
+    column_map: ColumnMap,
+    record: Record,
+    names: list[str],
+    given: Mapping[str, str],
+    clock: np.ndarray,
+    notes: list[str],
+) -> Channel | None:
     for source in column_map.sources(canonical):
-        found = [find(names, column, record.path) for column in source.columns]
-        if None in found:
+        found = [name for column in source.columns if (name := find(names, column, record.path)) is not None]
+        if len(found) < len(source.columns):
             continue
         unit = given.get(canonical) or record.units.get(found[0]) or source.unit
         scale = 1.0 if unit is None else units.factor(canonical, unit, record.path)

@@ -34,7 +34,7 @@ Text = Annotated[str, Meta(min_length=1, max_length=2000, pattern=r"\S")]
 _STEEPEST = 60.0  # deg: the deck's roll and pitch, with the mean slope
 
 
-class Deck(Table):
+class Deck(Table, frozen=True):
     """[deck]: its mean slope, falling towards the bow (the deck's own +x) where positive."""
 
     inclination_deg: Annotated[float, Meta(ge=-50, le=50)]
@@ -42,28 +42,28 @@ class Deck(Table):
     friction: Annotated[float, Meta(ge=0, le=3)]  # between feet and deck
 
 
-class Travel(Table):
+class Travel(Table, frozen=True):
     """[motion]: steady travel."""
 
     speed: Speed
     course_deg: Angle | Literal["any"]  # from the bow
 
 
-class Shift(Table):
+class Shift(Table, frozen=True):
     """W components of an axis: along the bow, to port of it, up."""
 
     amplitude: list[Length]
     phase_deg: list[Angle]
 
 
-class Turn(Table):
+class Turn(Table, frozen=True):
     """W components of an axis: about the deck's own axes."""
 
     amplitude: list[Angle]
     phase_deg: list[Angle]
 
 
-class Components(Table):
+class Components(Table, frozen=True):
     """[waves]: the axes that move."""
 
     period: Annotated[tuple[Annotated[float, Meta(ge=0.05, le=1000)], ...], Meta(max_length=64)] = ()  # s
@@ -75,7 +75,7 @@ class Components(Table):
     yaw: Turn | None = None
 
 
-class Start(Table):
+class Start(Table, frozen=True):
     """[start]: box of the starts at rest, along the room's axes from the centre of the deck then."""
 
     x: tuple[Length, Length]
@@ -83,7 +83,7 @@ class Start(Table):
     z: tuple[Length, Length]
 
 
-class Success(Table):
+class Success(Table, frozen=True):
     """[success]: how slow a vehicle rests on the deck, on its feet alone, motors idle, and for how long."""
 
     speed: Speed  # relative to the deck
@@ -92,7 +92,7 @@ class Success(Table):
     within: Annotated[float, Meta(ge=0.1, le=600)]  # s after the start, longer than `hold`
 
 
-class File(Table):
+class File(Table, frozen=True):
     """What a scenario file holds."""
 
     version: Literal[1]  # of the format

@@ -119,7 +119,7 @@ class Measured:
         return [worst if value is None else value for value in self.values]
 
 
-class Ran(Table, kw_only=True):
+class Ran(Table, frozen=True, kw_only=True):
     """What one run took."""
 
     variant: Text = ""
@@ -129,7 +129,7 @@ class Ran(Table, kw_only=True):
     ended: Text = ""  # how
 
 
-class Entry(Table, kw_only=True):
+class Entry(Table, frozen=True, kw_only=True):
     """One number of one variant as the file has it: NaN (of JSON: null) where a seed never got there."""
 
     variant: Text = ""
@@ -141,7 +141,7 @@ class Entry(Table, kw_only=True):
     interval: tuple[Real, Real] | None = None
 
 
-class File(Table, kw_only=True):
+class File(Table, frozen=True, kw_only=True):
     """Table [result] of a recipe, or a sweep's result.json."""
 
     command: Text

@@ -45,7 +45,7 @@ Commands = Annotated[tuple[Command, ...], Meta(max_length=50)]
 Step = Annotated[str, Meta(min_length=1)] | int
 
 
-class Entry(Table, kw_only=True):
+class Entry(Table, frozen=True, kw_only=True):
     """A table [numbers.NAME]: one number of the result, where a run has it, and what it has to be."""
 
     title: Line = ""
@@ -59,7 +59,7 @@ class Entry(Table, kw_only=True):
     bar_for: tuple[str, ...] = ()  # variants that have to meet the bar; none: all
 
 
-class Number(Entry, kw_only=True):
+class Number(Entry, frozen=True, kw_only=True):
     """One number of the result, with its name and its path in steps."""
 
     name: str
@@ -72,7 +72,7 @@ class Number(Entry, kw_only=True):
         return structs.replace(self, bar=None)
 
 
-class File(Table, kw_only=True):
+class File(Table, frozen=True, kw_only=True):
     """What a recipe file holds."""
 
     title: Annotated[Line, Required]
@@ -94,7 +94,7 @@ class File(Table, kw_only=True):
     result: dict[str, Any] | None = None  # checked by `measured.read`
 
 
-class Recipe(File, kw_only=True):
+class Recipe(File, frozen=True, kw_only=True):
     """A recipe as its file says it; without variants it has the one of name "" and no arguments."""
 
     name: str
