@@ -7,9 +7,10 @@ converts, without a word on rules between entries: they are their reader's.
 from __future__ import annotations
 
 import difflib
-import re
-from collections.abc import Mapping
-from typing import Annotated, Any, TypeVar, get_args, get_origin
+import itertools
+from collections.abc import Iterator, Mapping
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 import msgspec
 from msgspec import Meta, Struct, inspect, structs
@@ -18,7 +19,6 @@ from inclined_landing.models.errors import UserError, choices, shown
 
 Real = Annotated[float, Meta(ge=-1e300, le=1e300)]  # any number that is finite
 T = TypeVar("T")
-_STEP = re.compile(r"\.([\w-]+)|\[(\d+|\.\.\.)\]")  # of a path such as $.start.x[0] or $.columns[...].unit
 
 
 class Table(Struct, frozen=True, forbid_unknown_fields=True):
@@ -34,52 +34,40 @@ def parse(data: Any, kind: type[T], where: str = "") -> T:
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        raise UserError(where + _sentence(str(error), data, kind)) from error
+        raise UserError(where + _sentence(data, kind, [])) from error
 
 
-def _sentence(said: str, value: Any, kind: Any) -> str:
-    """Return the sentence for the entry whose path ends msgspec's message ("... - at `$.deck.speed`")."""
-    way: list[str] = []
-    path = "" if _unknown(value, kind) else said.rpartition(" - at `$")[2]
-    for key, place in _STEP.findall(path):
-        name, value, kind = _step(value, kind, key, place)
-        way[-1:] = [*way[-1:], name] if key or place == "..." else ["".join(way[-1:]) + name]
-    if not isinstance(value, dict) or not (known := _entries(kind)):
-        label = f"[{'.'.join(way[:-1])}] {way[-1]}" if way[1:] else "".join(way) or "the file"
+def _sentence(value: Any, kind: Any, way: list[str]) -> str:
+    """Return the sentence for the innermost entry that does not fit; way: the keys that lead to `value`."""
+    for key, entry, wanted in _entries(value, kind):
+        if not _fits(entry, wanted):
+            inner = [*way, key] if isinstance(key, str) else [*way[:-1], f"{''.join(way[-1:])}[{key}]"]
+            return _sentence(entry, wanted, inner)
+    names = [shown(key, 60) for key in way]
+    known = _fields(kind)
+    if not known or not isinstance(value, dict):
+        label = f"[{'.'.join(names[:-1])}] {names[-1]}" if names[1:] else "".join(names) or "the file"
         return f"{label} must be {expected(kind)}, not {shown(repr(value), 40)}"
-    table = f"[{'.'.join(way)}]" if way else "the file"
-    if unknown := _unknown(value, kind):
+    table = f"[{'.'.join(names)}]" if names else "the file"
+    if unknown := sorted(set(value) - set(known)):
         near = difflib.get_close_matches(unknown[0], known, 1)
         hint = f"did you mean {near[0]}?" if near else choices(known, unknown[0])
         return f"unknown entry {shown(repr(unknown[0]), 40)} in {table}; {hint}"
-    missing = next((name for name, entry in known.items() if entry.required and name not in value), "")
-    return f"{table} lacks {missing}" if way else f"{missing} is missing"
+    missing = next(name for name, field in known.items() if field.required and name not in value)
+    return f"{table} lacks {missing}" if names else f"{missing} is missing"
 
 
-def _entries(kind: Any) -> dict[str, structs.FieldInfo]:
-    """Return the entries of a table by the names they have in files; none for what is no table."""
-    tables = (member for member in _members(kind) if _is_table(member))
-    return {entry.encode_name: entry for table in tables for entry in structs.fields(table)}
-
-
-def _unknown(value: Any, kind: Any) -> list[str]:
-    known = _entries(kind)
-    return sorted(set(value) - set(known)) if known and isinstance(value, dict) else []
-
-
-def _step(value: Any, kind: Any, key: str, place: str) -> tuple[str, Any, Any]:
-    """Return name, value and type of the entry `key` of a table or at a `place`; "...": the wrong one."""
+def _entries(value: Any, kind: Any) -> Iterator[tuple[str | int, Any, Any]]:
+    """Yield key, value and type of everything in a table or list."""
+    if isinstance(value, dict):
+        yield from ((name, value[name], field.type) for name, field in _fields(kind).items() if name in value)
     for member in _members(kind):
         origin, inner = get_origin(member), get_args(member)
-        if key and _is_table(member):
-            return key, value[key], _entries(member)[key].type
-        if place == "..." and origin in (dict, Mapping):
-            key = next(key for key, entry in value.items() if not _fits(entry, inner[1]))
-            return shown(key, 60), value[key], inner[1]
-        if place and origin in (list, tuple):
-            k = int(place)
-            return f"[{k}]", value[k], inner[0 if origin is list or inner[-1] is ... else k]
-    raise AssertionError(f"{kind} has no {key}{place}")
+        if isinstance(value, dict) and origin in (dict, Mapping):
+            yield from ((key, entry, inner[1]) for key, entry in value.items())
+        if isinstance(value, list) and origin in (list, tuple):
+            kinds = inner if origin is tuple and inner[-1] is not ... else itertools.repeat(inner[0])
+            yield from ((k, entry, wanted) for k, (entry, wanted) in enumerate(zip(value, kinds)))
 
 
 def _fits(value: Any, kind: Any) -> bool:
@@ -90,17 +78,19 @@ def _fits(value: Any, kind: Any) -> bool:
     return True
 
 
+def _fields(kind: Any) -> dict[str, structs.FieldInfo]:
+    """Return the entries of a table by their names in files; none for what is no table."""
+    tables = (one for one in _members(kind) if isinstance(one, type) and issubclass(one, Struct))
+    return {field.encode_name: field for table in tables for field in structs.fields(table)}
+
+
 def _members(kind: Any) -> tuple[Any, ...]:
     """Return the types of a union, or the only one, without their limits."""
     if get_origin(kind) is Annotated:
         return _members(get_args(kind)[0])
-    if isinstance(inspect.type_info(kind), inspect.UnionType):
+    if get_origin(kind) in (Union, UnionType):
         return tuple(member for one in get_args(kind) for member in _members(one))
     return (kind,)
-
-
-def _is_table(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, Struct)
 
 
 def expected(kind: Any) -> str:
@@ -135,9 +125,7 @@ def _digits(limit: float) -> str:
     return str(limit) if isinstance(limit, int) else f"{limit:g}"
 
 
-def _count(
-    kind: inspect.StrType | inspect.ListType | inspect.VarTupleType | inspect.DictType, noun: str
-) -> str:
+def _count(kind: Any, noun: str) -> str:
     """Return " of 1 to 40 characters" where a length has limits."""
     least, most = kind.min_length, kind.max_length
     if most is None:
