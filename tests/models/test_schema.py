@@ -77,7 +77,7 @@ def test_a_whole_number_becomes_the_float_next_to_it(number):
         (("part", "colour"), 1, "unknown entry 'colour' in [part]; known are size, sides, from"),
         (("part",), 3, "part must be a table, not 3"),
         (("title",), "", "title must be text of 1 to 5 characters, not ''"),
-        (("kind",), "left", "kind must be a number from 0 to 1 or 'down' or 'up', not 'left'"),
+        (("kind",), "left", "kind must be 'down' or 'up' or a number from 0 to 1, not 'left'"),
         (("parts", "left one", "size"), 2, "[parts.left one] size must be a number from 0 to 1, not 2"),
         (
             ("rows",),
