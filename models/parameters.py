@@ -350,7 +350,7 @@ def write_vehicle(
     storage.write_text(path, "\n".join(lines).lstrip("\n") + "\n")
 
 
-def _toml(value: object) -> str:
+def _toml(value: Any) -> str:
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, (tuple, list)):

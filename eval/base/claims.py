@@ -22,12 +22,12 @@ class Claim:
 
     @property
     def passed(self) -> bool:
-        """Is the measured value a number within the bounds?"""
+        """Return whether the measured value is a number within the bounds."""
         return bool(self.low <= self.measured <= self.high)
 
     @property
     def tolerance(self) -> str:
-        """The bounds as text."""
+        """Return the bounds as text."""
         if math.isinf(self.low):
             return f"at most {number(self.high)}"
         if math.isinf(self.high):
@@ -35,7 +35,7 @@ class Claim:
         return f"{number(self.low)} to {number(self.high)}"
 
     def record(self) -> dict:
-        """Plain numbers for the JSON report; a bound that does not exist is null."""
+        """Return plain numbers for the JSON report; a bound that does not exist is null."""
         return {
             "claim": self.name,
             "measured": float(self.measured),
@@ -57,7 +57,7 @@ class Table:
 
     @property
     def numbers(self) -> tuple[str, ...]:
-        """Headings of the columns that hold numbers."""
+        """Return the headings of the columns that hold numbers."""
         first = self.rows[0] if self.rows else ()
         return tuple(head for head, cell in zip(self.heads, first) if isinstance(cell, numbers.Number))
 
@@ -84,7 +84,7 @@ class Section:
 
     @property
     def passed(self) -> bool:
-        """Do all claims hold?"""
+        """Return whether all claims hold."""
         return all(claim.passed for claim in self.claims)
 
 
@@ -100,25 +100,24 @@ class Words:
         self.tables = tomllib.loads(resources.files(package).joinpath("claims.toml").read_text("utf-8"))
 
     def claim(self, section: str, key: str, measured: float, **filling) -> Claim:
-        """A claim with what was measured."""
+        """Return a claim with what was measured."""
         entry = self.tables[section][key]
         name, unit, why = (entry[word].format(**filling) for word in ("claim", "unit", "why"))
         return Claim(name, measured, entry.get("high", math.inf), unit, why, entry.get("low", -math.inf))
 
     def section(self, key: str, measured: dict[str, float] | list[Claim], filling=None, **rest) -> Section:
-        """A section; measured: values by claim, or the claims themselves; rest: its other fields."""
+        """Return a section; measured: values by claim, or the claims themselves; rest: its other fields."""
         filling, entry = filling or {}, self.tables[key]
-        claims = measured
         if isinstance(measured, dict):
-            claims = [self.claim(key, name, value, **filling) for name, value in measured.items()]
+            measured = [self.claim(key, name, value, **filling) for name, value in measured.items()]
         remarks = [text.format(**filling) for text in entry.get("remarks", [])]
         figures = {f"{key}.png": entry["figure"]} if "figure" in entry else {}
         said = {"remarks": remarks, "figures": figures} | rest
-        return Section(key, entry["title"], entry["text"].format(**filling), claims, **said)
+        return Section(key, entry["title"], entry["text"].format(**filling), measured, **said)
 
 
-def number(value: float) -> str:
-    """Three digits, as a person writes them: 0.42, 1.3e-6, 34 100."""
+def number(value: float | None) -> str:
+    """Return a number with three digits, as a person writes them: 0.42, 1.3e-6, 34 100."""
     if value is None or not math.isfinite(value):
         return "–"
     size = abs(value)

@@ -72,14 +72,14 @@ class Channel:
 
 @cache
 def shipped() -> Mapping[str, ColumnMap]:
-    """The mappings that come with this package, by name."""
+    """Return the mappings that come with this package, by name."""
     folder = resources.files("inclined_landing.eval.logs") / "mappings"
     files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
     return {f.name[:-5]: _parse(f.name, tomllib.loads(f.read_text("utf-8")), ()) for f in files}
 
 
 def load(name: str | Path) -> ColumnMap:
-    """A shipped mapping by its name, or a mapping file (TOML) by its path.
+    """Return a shipped mapping by its name, or a mapping file (TOML) by its path.
 
     Raises UserError when there is no such mapping or it cannot be understood.
     """
@@ -89,7 +89,7 @@ def load(name: str | Path) -> ColumnMap:
 
 
 def _load(path: Path, heirs: tuple[Path, ...]) -> ColumnMap:
-    """The mapping file, or the shipped mapping of that name, which `heirs` inherit."""
+    """Return the mapping file, or the shipped mapping of that name, which `heirs` inherit."""
     if str(path) in shipped():
         return shipped()[str(path)]
     if not os.path.lexists(path):
@@ -105,7 +105,7 @@ def _load(path: Path, heirs: tuple[Path, ...]) -> ColumnMap:
 
 
 def detect(names: Sequence[str], where: str) -> ColumnMap:
-    """The shipped mapping that asks for most of the column names at hand.
+    """Return the shipped mapping that asks for most of the column names at hand.
 
     Raises UserError, listing the columns, when none fits.
     """
@@ -123,7 +123,7 @@ def _any(names: Sequence[str], pattern: str) -> bool:
 
 
 def find(names: Sequence[str], pattern: str, where: str) -> str | None:
-    """The one name that is `pattern` or, if it has a `*`, matches it; None without.
+    """Return the one name that is `pattern` or, if it has a `*`, matches it; None without.
 
     Raises UserError when several match: two vehicles in one bag, say.
     """
@@ -137,7 +137,7 @@ def find(names: Sequence[str], pattern: str, where: str) -> str | None:
 
 
 def patterns(column_map: ColumnMap | None) -> list[str]:
-    """Every column name a mapping asks for; those of all shipped mappings for None."""
+    """Return every column name that a mapping asks for; those of all shipped mappings for None."""
     asked = shipped().values() if column_map is None else [column_map]
     sources = [source for m in asked for canonical in m.columns for source in m.sources(canonical)]
     return [column for source in sources for column in source.columns]
@@ -146,7 +146,7 @@ def patterns(column_map: ColumnMap | None) -> list[str]:
 def apply(
     column_map: ColumnMap, record: Record, given: Mapping[str, str]
 ) -> tuple[dict[str, Channel], list[str]]:
-    """Channels of one record in canonical names and units, and notes in words.
+    """Return the channels of one record in canonical names and units, and notes in words.
 
     given: unit per canonical column, as the user says; it goes before the file's units row and the
         mapping's unit.

@@ -109,7 +109,7 @@ class File(Table, frozen=True):
 
 @dataclasses.dataclass(frozen=True)
 class Waves:
-    """Components of a motion, W of them; see the module's docstring."""
+    """W components of a motion in all six axes; see the module's docstring."""
 
     period: np.ndarray  # (W,) s
     amplitude: np.ndarray  # (6, W) m and rad, of motion.MODES
@@ -136,7 +136,7 @@ class Scenario:
     fingerprint: str  # of the file
 
     def draw(self, vehicle: Vehicle, flights: int | None = None) -> Drawn:
-        """The flights of the scenario; fewer are the first ones.
+        """Draw the flights of the scenario; fewer are the first ones.
 
         Every flight has a generator of its own, so that how many are flown changes none.
         """
@@ -180,7 +180,7 @@ class Drawn:
 
 
 def shipped() -> dict[str, Path]:
-    """The frozen scenarios, by name, in the order of the tables."""
+    """Return the paths of the frozen scenarios by name, in the order of the tables."""
     folder = Path(str(resources.files("inclined_landing.eval.moving") / "scenarios"))
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
