@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, field, structs
 
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.models import schema, storage
@@ -104,7 +104,7 @@ class File(Table, frozen=True):
     motion: Travel
     start: Start
     success: Success
-    waves: Components = Components()
+    components: Components = field(name="waves", default=Components())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,24 +116,34 @@ class Waves:
     phase: np.ndarray  # (6, W) rad
 
 
-@dataclasses.dataclass(frozen=True)
-class Scenario:
-    """One scenario file."""
+class Scenario(File, frozen=True, kw_only=True):
+    """A scenario file, read."""
 
     name: str
-    title: str
-    source: str
-    seed: int
-    flights: int
-    inclination: float  # rad
-    azimuth: float | None  # rad; None: any
-    friction: float
-    speed: float  # m/s
-    course: float | None  # rad; None: any
-    waves: Waves
-    start: np.ndarray  # (3, 2) m, from and to
-    success: Success
     fingerprint: str  # of the file
+
+    @property
+    def inclination(self) -> float:
+        """Return the deck's mean slope [rad]."""
+        return math.radians(self.deck.inclination_deg)
+
+    @property
+    def waves(self) -> Waves:
+        """Return the deck's motion in SI units; raises UserError for lists of other lengths than `period`."""
+        given: dict[str, Shift | Turn | None] = {mode: getattr(self.components, mode) for mode in MODES}
+        if not self.components.period and not any(given.values()):
+            return Waves(np.ones(1), np.zeros((6, 1)), np.zeros((6, 1)))
+        w = len(self.components.period)
+        amplitude, phase = np.zeros((6, w)), np.zeros((6, w))
+        for k, (mode, wave) in enumerate(given.items()):
+            if wave is None:
+                continue
+            if not len(wave.amplitude) == len(wave.phase_deg) == w:
+                lists = "amplitude and phase_deg must have as many numbers as period"
+                raise UserError(f"[waves] {mode}: {lists}, {w}")
+            amplitude[k] = (1.0 if k < 3 else math.pi / 180.0) * np.array(wave.amplitude)
+            phase[k] = np.radians(wave.phase_deg)
+        return Waves(np.array(self.components.period), amplitude, phase)
 
     def draw(self, vehicle: Vehicle, flights: int | None = None) -> Drawn:
         """Draw the flights of the scenario; fewer are the first ones.
@@ -141,18 +151,22 @@ class Scenario:
         Every flight has a generator of its own, so that how many are flown changes none.
         """
         n = self.flights if flights is None else min(self.flights, flights)
-        w = len(self.waves.period)
-        place, azimuth, course = np.empty((n, 3)), np.empty(n), np.empty(n)
-        phase = np.empty((n, w))
+        made = self.waves
+        w = len(made.period)
+        place, phase = np.empty((n, 3)), np.empty((n, w))
+        low, high = np.transpose([self.start.x, self.start.y, self.start.z])
+        azimuth, course = (np.full(n, _radians(a)) for a in (self.deck.azimuth_deg, self.motion.course_deg))
         for k in range(n):
             draws = np.random.default_rng([self.seed, k]).random(5 + w)
-            place[k] = self.start[:, 0] + draws[:3] * (self.start[:, 1] - self.start[:, 0])
-            azimuth[k] = 2.0 * math.pi * draws[3] - math.pi if self.azimuth is None else self.azimuth
-            course[k] = 2.0 * math.pi * draws[4] - math.pi if self.course is None else self.course
+            place[k] = low + draws[:3] * (high - low)
+            if self.deck.azimuth_deg == "any":
+                azimuth[k] = 2.0 * math.pi * draws[3] - math.pi
+            if self.motion.course_deg == "any":
+                course[k] = 2.0 * math.pi * draws[4] - math.pi
             phase[k] = 2.0 * math.pi * draws[5:]
         heading = azimuth + course
-        velocity = self.speed * np.column_stack([np.cos(heading), np.sin(heading), np.zeros(n)])
-        waves = self.waves.amplitude * np.exp(1j * (self.waves.phase + phase[:, None, :]))  # (n, 6, W)
+        velocity = self.motion.speed * np.column_stack([np.cos(heading), np.sin(heading), np.zeros(n)])
+        waves = made.amplitude * np.exp(1j * (made.phase + phase[:, None, :]))  # (n, 6, W)
         bow = np.exp(1j * azimuth)[:, None]
         surge, sway = waves[:, 0].copy(), waves[:, 1].copy()
         waves[:, 0] = bow.real * surge - bow.imag * sway
@@ -160,7 +174,7 @@ class Scenario:
         motion = Motion(
             velocity=velocity,
             amplitude=np.abs(waves),
-            frequency=np.broadcast_to(2.0 * math.pi / self.waves.period, (n, 6, w)),
+            frequency=np.broadcast_to(2.0 * math.pi / made.period, (n, 6, w)),
             phase=np.angle(waves) + 0.5 * math.pi,  # of a sine
         )
         rest = np.zeros((n, DECK_SIZE))
@@ -206,57 +220,25 @@ def read_scenario(name: str | Path) -> Scenario:
 
 def _parse(name: str, data: dict, fingerprint: str) -> Scenario:
     file = schema.parse(data, File)
-    inclination, waves = math.radians(file.deck.inclination_deg), _waves(file.waves)
-    tilt = np.abs(waves.amplitude[3:5]).sum() + abs(inclination)
+    scenario = Scenario(
+        **structs.asdict(file)
+        | {"title": file.title.strip(), "source": file.source.strip()}
+        | {"name": name, "fingerprint": fingerprint}
+    )
+    tilt = np.abs(scenario.waves.amplitude[3:5]).sum() + abs(scenario.inclination)
     if tilt > math.radians(_STEEPEST):
         raise UserError(
             f"slope, roll and pitch together reach {math.degrees(tilt):.0f} deg; {_STEEPEST:g} at most"
         )
-    if file.success.hold >= file.success.within:
-        raise UserError(
-            f"[success] hold is {file.success.hold:g} s, but must be shorter than within, "
-            f"{file.success.within:g} s"
-        )
-    start = np.array([file.start.x, file.start.y, file.start.z])
-    for axis, (low, high) in zip("xyz", start):
+    hold, within = file.success.hold, file.success.within
+    if hold >= within:
+        raise UserError(f"[success] hold is {hold:g} s, but must be shorter than within, {within:g} s")
+    for axis, (low, high) in structs.asdict(file.start).items():
         if low > high:
             raise UserError(f"[start] {axis} goes from {low:g} down to {high:g}")
-    return Scenario(
-        name=name,
-        title=file.title.strip(),
-        source=file.source.strip(),
-        seed=file.seed,
-        flights=file.flights,
-        inclination=inclination,
-        azimuth=_radians(file.deck.azimuth_deg),
-        friction=file.deck.friction,
-        speed=file.motion.speed,
-        course=_radians(file.motion.course_deg),
-        waves=waves,
-        start=start,
-        success=file.success,
-        fingerprint=fingerprint,
-    )
+    return scenario
 
 
-def _waves(given: Components) -> Waves:
-    modes: dict[str, Shift | Turn | None] = {mode: getattr(given, mode) for mode in MODES}
-    if not given.period and not any(modes.values()):
-        return Waves(np.ones(1), np.zeros((6, 1)), np.zeros((6, 1)))
-    w = len(given.period)
-    amplitude, phase = np.zeros((6, w)), np.zeros((6, w))
-    for k, (mode, wave) in enumerate(modes.items()):
-        if wave is None:
-            continue
-        if not len(wave.amplitude) == len(wave.phase_deg) == w:
-            raise UserError(
-                f"[waves] {mode}: amplitude and phase_deg must have as many numbers as period, {w}"
-            )
-        amplitude[k] = (1.0 if k < 3 else math.pi / 180.0) * np.array(wave.amplitude)
-        phase[k] = np.radians(wave.phase_deg)
-    return Waves(np.array(given.period), amplitude, phase)
-
-
-def _radians(angle: float | Literal["any"]) -> float | None:
-    """Return an angle in deg in rad, None for "any"."""
-    return None if isinstance(angle, str) else math.radians(angle)
+def _radians(angle: float | Literal["any"]) -> float:
+    """Return an angle in deg in rad, NaN for "any"."""
+    return math.nan if angle == "any" else math.radians(angle)
