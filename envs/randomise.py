@@ -63,22 +63,15 @@ Range = tuple[float, float]
 
 POOL = 256  # vehicles that a run draws
 _FOLDER = Path(str(resources.files("inclined_landing.envs") / "shipped"))
-_SAME = ("command", "arena", "rotor", "platform")  # tables
-_OF_THE_VEHICLE = (
-    "body_",
-    "thrust_",
-    "motor_",
-    "rotor_",
-    "drag_",
-    "attitude_",
-)  # fields that differ by vehicle
-_BUT = "platform.surface_height"
+_COMMON = ("command", "arena", "rotor", "platform")  # tables that all vehicles of a plant share
+_OF_THE_VEHICLE = ("body_", "thrust_", "motor_", "rotor_", "drag_", "attitude_")  # fields, by their beginning
+_EXCEPT = "platform.surface_height"
 _STREAM = 7_000_003  # of random numbers, beside those that starts come from
 
 
 @dataclasses.dataclass(frozen=True)
 class Ranges:
-    """What a file of ranges says."""
+    """A file of ranges, read."""
 
     given: dict[str, Any]  # as it stands there
     nominal: float  # share of the episodes
@@ -89,7 +82,7 @@ class Ranges:
     vehicles: tuple[Vehicle, ...] = ()  # between which drawn ones lie, neighbours beside each other
 
     def draw(self, vehicle: Vehicle, seed: int, count: int = POOL) -> list[Vehicle]:
-        """`count` vehicles, all of the same seed alike; raises UserError where one of them cannot be."""
+        """Draw `count` vehicles from a seed; raises UserError where one of them cannot be."""
         rng = np.random.default_rng([_STREAM, seed])
 
         def spread(low: float, high: float) -> np.ndarray:
@@ -106,13 +99,13 @@ class Ranges:
         drawn = []
         for k in range(count):
             base = vehicle if places is None else between(self.vehicles, float(places[k]), vehicle)
-            own = {f: rows[k].tolist() for f, rows in entries.items()}
-            single = {f: not isinstance(getattr(vehicle, f), tuple) for f in own}
-            member = base.changed(**{f: x[0] if single[f] else tuple(x) for f, x in own.items()})
-            for name, values in sizes.items():
+            numbers = {f: rows[k].tolist() for f, rows in entries.items()}
+            single = {f: not isinstance(getattr(vehicle, f), tuple) for f in numbers}
+            member = base.changed(**{f: x[0] if single[f] else tuple(x) for f, x in numbers.items()})
+            for name, columns in sizes.items():
                 if present[name][k]:
-                    of = {parameter: float(numbers[k]) for parameter, numbers in values.items()}
-                    member = LIBRARY[name].apply(member, of)
+                    values = {parameter: float(column[k]) for parameter, column in columns.items()}
+                    member = LIBRARY[name].apply(member, values)
             try:
                 check_vehicle(member)
             except UserError as error:
@@ -122,7 +115,7 @@ class Ranges:
 
 
 def between(vehicles: Sequence[Vehicle], place: float, like: Vehicle) -> Vehicle:
-    """The vehicle at a place on the row of `vehicles`, 0 the first; all but the vehicle itself is of `like`.
+    """Return the vehicle at a place on the row of `vehicles`, 0 the first; arena and the like are of `like`.
 
     Each number is interpolated by the same share: geometrically where both neighbours have it with the same
     sign, else linearly.
@@ -133,26 +126,27 @@ def between(vehicles: Sequence[Vehicle], place: float, like: Vehicle) -> Vehicle
     for field, value in vars(one).items():
         if field.startswith(_OF_THE_VEHICLE):
             a, b = np.asarray(value, float), np.asarray(getattr(other, field), float)
-            alike = a * b > 0.0
-            size = np.where(alike, np.abs(a), 1.0) ** (1.0 - share) * np.where(alike, np.abs(b), 1.0) ** share
-            mixed = np.where(alike, np.sign(a) * size, (1.0 - share) * a + share * b)
+            same_sign = a * b > 0.0
+            one_size, other_size = (np.where(same_sign, np.abs(x), 1.0) for x in (a, b))
+            size = one_size ** (1.0 - share) * other_size**share
+            mixed = np.where(same_sign, np.sign(a) * size, (1.0 - share) * a + share * b)
             mixed = np.where(a == b, a, mixed)  # whole numbers stay whole
             fields[field] = tuple(mixed.tolist()) if isinstance(value, tuple) else float(mixed)
     return like.changed(**fields)
 
 
 def shipped() -> list[str]:
-    """Names of the shipped files."""
+    """Return the names of the shipped files."""
     return sorted(path.stem for path in _FOLDER.glob("*.toml"))
 
 
 def locate(name: str | Path) -> Path:
-    """Path of a file of ranges: a shipped one by name, otherwise a file."""
+    """Return the path of a file of ranges: a shipped one by name, otherwise a file."""
     return _FOLDER / f"{name}.toml" if str(name) in shipped() else Path(name)
 
 
 def read_ranges(name: str | Path) -> Ranges:
-    """The ranges in a file, or in a shipped one by name.
+    """Read the ranges in a file, or in a shipped one by name.
 
     Raises UserError for what is none, or cannot differ from vehicle to vehicle.
     """
@@ -176,7 +170,7 @@ def read_ranges(name: str | Path) -> Ranges:
                 entry = entries.get(f"{table}_{key}")
                 if entry is None or entry.label != label:
                     raise UserError(f"{what}: {shown(label, 60)} is {_UNKNOWN[table == 'effects']}")
-                if table in _SAME and label != _BUT:
+                if table in _COMMON and label != _EXCEPT:
                     raise UserError(f"{what}: {label} cannot differ from vehicle to vehicle")
                 fields[entry.field] = _of_entry(entry, value, what)
     if not (fields or effects or vehicles):
@@ -185,7 +179,7 @@ def read_ranges(name: str | Path) -> Ranges:
     return Ranges(given, nominal, fields, effects, probability, what, vehicles)
 
 
-def _vehicles(value, what: str) -> tuple[Vehicle, ...]:
+def _vehicles(value: object, what: str) -> tuple[Vehicle, ...]:
     if not (isinstance(value, list) and len(value) > 1 and all(isinstance(name, str) for name in value)):
         raise UserError(
             f"{what}: vehicles must be two or more files or names ({', '.join(vehicle_names())}), not "
@@ -221,7 +215,7 @@ def _of_effect(name: str, lines: dict, what: str) -> dict[str, Range]:
     }
 
 
-def _of_entry(entry: Constant, value, what: str) -> tuple[Range, ...]:
+def _of_entry(entry: Constant, value: object, what: str) -> tuple[Range, ...]:
     units, count = entry.unit.split(", "), len(entry.range)
     if not isinstance(entry.value, tuple):
         return (_range(value, entry.range[0], entry.label, units[0], what),)
@@ -235,7 +229,7 @@ def _of_entry(entry: Constant, value, what: str) -> tuple[Range, ...]:
     )
 
 
-def _range(value, limits: Range, label: str, unit: str, what: str) -> Range:
+def _range(value: object, limits: Range, label: str, unit: str, what: str) -> Range:
     low, high = limits
     numbers: list = value if isinstance(value, list) and len(value) == 2 else [None]
     if not all(type(x) in (int, float) and low <= x <= high for x in numbers):
@@ -248,7 +242,7 @@ def _range(value, limits: Range, label: str, unit: str, what: str) -> Range:
     return float(numbers[0]), float(numbers[1])
 
 
-def _share(value, name: str, what: str) -> float:
+def _share(value: Any, name: str, what: str) -> float:
     if type(value) not in (int, float) or not 0 <= value <= 1:
         raise UserError(f"{what}: {name} must be a number from 0 to 1, not {shown(repr(value), 40)}")
     return float(value)

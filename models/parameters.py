@@ -16,17 +16,29 @@ from collections.abc import Mapping
 from importlib import resources
 from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from inclined_landing.models import plausible, storage
+from msgspec import Meta
+
+from inclined_landing.models import plausible, schema, storage
 from inclined_landing.models.errors import UserError, shown
 
 # Tables and entries that a vehicle file may leave out, whole or in part: the shipped entries are taken.
 _LATER = {"effects", "rotor", "unrest", "attitude.yaw_gain", "attitude.damping"}
-_FIELDS = ("value", "unit", "source", "uncertainty")
 _SHIPPED = "crazyflie.toml"
+Size = Annotated[float, Meta(ge=0, le=1e300)]
 _BASE, _BASED_ON = "crazyflie-2.1", "based_on"  # what a vehicle file that holds only what differs begins with
 _FOLDER = Path(str(resources.files("inclined_landing.models").joinpath("vehicles")))
+
+
+class Entry(schema.Table, frozen=True):
+    """One entry as a vehicle file has it."""
+
+    value: schema.Real | tuple[schema.Real, ...]
+    unit: str
+    source: str
+    uncertainty: str | Size | tuple[Size, ...]
+    range: Any = None  # the shipped one, or none
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,12 +55,12 @@ class Constant:
 
     @property
     def label(self) -> str:
-        """How sentences call it: as it stands in the file."""
+        """Return how sentences call it: as it stands in the file."""
         return f"{self.section}.{self.name}"
 
     @property
     def field(self) -> str:
-        """Name of the field of `Vehicle`."""
+        """Return the name of the field of `Vehicle`."""
         return f"{self.section}_{self.name}"
 
 
@@ -127,7 +139,7 @@ class Vehicle:
     effects_mocap_delay: float
 
     def changed(self, **fields: object) -> Vehicle:
-        """A variant with other values of some fields: `dataclasses.replace`, ten times as fast."""
+        """Return a variant with other values of some fields: `dataclasses.replace`, ten times as fast."""
         if unknown := fields.keys() - self.__dict__.keys():
             raise TypeError(f"a vehicle has no {', '.join(sorted(unknown))}")
         variant = object.__new__(type(self))
@@ -136,29 +148,29 @@ class Vehicle:
 
     @property
     def thrust_per_pwm(self) -> float:
-        """Steady total thrust per PWM [N/PWM] of the transfer function."""
+        """Return the steady total thrust per PWM [N/PWM] of the transfer function."""
         return self.thrust_state_gain / self.thrust_lag_rate + self.thrust_direct_gain
 
     @property
     def hover_pwm(self) -> float:
-        """PWM at which the transfer function carries the weight (about 34 100)."""
+        """Return the PWM at which the transfer function carries the weight (about 34 100)."""
         return self.body_mass * self.environment_gravity / self.thrust_per_pwm
 
     @property
     def hover_lag(self) -> float:
-        """Lag state Omega in hover [PWM s]."""
+        """Return the lag state Omega in hover [PWM s]."""
         return self.hover_pwm / self.thrust_lag_rate
 
     @property
     def static_hover_pwm(self) -> float:
-        """PWM at which the *static* map carries the weight (the paper quotes 42 000)."""
+        """Return the PWM at which the *static* map carries the weight (the paper quotes 42 000)."""
         a, b, c = self.motor_pwm_to_force
         force = self.body_mass * self.environment_gravity / self.motor_count
         return (-b + math.sqrt(b * b - 4 * a * (c - force))) / (2 * a)
 
     @property
     def slab_half_length(self) -> float:
-        """Half the slab's length along the slope [m]: `width` is horizontal at the default angle."""
+        """Return half the slab's length along the slope [m]: `width` is horizontal at the default angle."""
         return 0.5 * self.platform_width / math.cos(self.platform_inclination)
 
     def check_inclination(self, inclination: float) -> float:
@@ -173,19 +185,19 @@ class Vehicle:
 
 
 def vehicle_names() -> list[str]:
-    """Names of the shipped vehicles; `crazyflie-2.1` is the one of `crazyflie.toml`."""
+    """Return the names of the shipped vehicles; `crazyflie-2.1` is the one of `crazyflie.toml`."""
     return sorted([_BASE, *(path.stem for path in _FOLDER.glob("*.toml"))])
 
 
 def locate_vehicle(name: str | Path) -> Path:
-    """Path of a vehicle file: a shipped one by name, otherwise a file."""
+    """Return the path of a vehicle file: a shipped one by name, otherwise a file."""
     if str(name) not in vehicle_names():
         return Path(name)
     return _FOLDER.parent / _SHIPPED if str(name) == _BASE else _FOLDER / f"{name}.toml"
 
 
 def constants(path: str | Path | None = None) -> list[Constant]:
-    """Every entry of a vehicle file, or of a shipped one by name, in the order of `crazyflie.toml` (default).
+    """Return every entry of a vehicle file, or of a shipped one by name, in the order of `crazyflie.toml`.
 
     Where another file lacks what `_LATER` names, the shipped entries stand in, so that files older than
     these tables and entries stay what they were; one with `based_on = "crazyflie-2.1"` on top may lack any.
@@ -200,79 +212,52 @@ def constants(path: str | Path | None = None) -> list[Constant]:
     based_on = tables.pop(_BASED_ON, None)
     if based_on not in (None, _BASE):
         raise UserError(f'{what}: {_BASED_ON} can only be "{_BASE}", not {shown(repr(based_on), 40)}')
-    given = _entries(tables, what)
-    unknown = [f"{section}.{name}" for section, name in given if f"{section}_{name}" not in shipped]
-    if unknown:
+    given = schema.parse(tables, dict[str, dict[str, Entry]], f"{what}: ")
+    found = {f"{section}.{name}": entry for section, table in given.items() for name, entry in table.items()}
+    known = {c.label for c in shipped.values()}
+    if unknown := [label for label in found if label not in known]:
         raise UserError(f"{what} has unknown entries: {_first(unknown)}")
-    found = {f"{section}_{name}": entry for (section, name), entry in given.items()}
-    missing = [c for c in shipped.values() if c.field not in found and not {c.section, c.label} & _LATER]
+    missing = [c for c in shipped.values() if c.label not in found and not {c.section, c.label} & _LATER]
     if missing and based_on is None:
         raise UserError(
             f"{what} lacks entries: {_first([c.label for c in missing])}; one that holds only what differs "
             f'begins with {_BASED_ON} = "{_BASE}"'
         )
     return [
-        _constant(found[field], like, f"{what}: {like.label}") if field in found else like
-        for field, like in shipped.items()
+        _constant(found[like.label], like, f"{what}: {like.label}") if like.label in found else like
+        for like in shipped.values()
     ]
 
 
 @functools.lru_cache(maxsize=1)
 def _shipped() -> dict[str, Constant]:
-    """The shipped entries by the names of `Vehicle`'s fields."""
-    file = resources.files("inclined_landing.models") / _SHIPPED
-    with resources.as_file(file) as path:
-        entries = _entries(storage.read_toml(path, "vehicle file"), f"vehicle file {path}")
+    """Return the shipped entries by the names of `Vehicle`'s fields."""
     result = {}
-    for (section, name), entry in entries.items():
-        value, spread, uncertainty = (_tuples(entry[k]) for k in ("value", "range", "uncertainty"))
-        if not isinstance(spread[0], tuple):
-            spread = (spread,) * (len(value) if isinstance(value, tuple) else 1)
-        constant = Constant(section, name, value, spread, entry["unit"], entry["source"], uncertainty)
-        result[constant.field] = constant
+    for section, table in storage.read_toml(locate_vehicle(_BASE), "vehicle file").items():
+        for name, entry in table.items():
+            value, spread, uncertainty = (_tuples(entry[k]) for k in ("value", "range", "uncertainty"))
+            if not isinstance(spread[0], tuple):
+                spread = (spread,) * (len(value) if isinstance(value, tuple) else 1)
+            constant = Constant(section, name, value, spread, entry["unit"], entry["source"], uncertainty)
+            result[constant.field] = constant
     return result
 
 
-def _entries(tables: dict, what: str) -> dict[tuple[str, str], dict]:
-    """The entries of a vehicle file by table and name; every one is a table with the right fields."""
-    entries = {}
-    for section, table in tables.items():
-        if not isinstance(table, dict):
-            raise UserError(f"{what}: entry {shown(section, 60)} stands outside any table")
-        for name, entry in table.items():
-            if not isinstance(entry, dict) or set(entry) - {"range"} != set(_FIELDS):
-                raise UserError(
-                    f"{what}: entry {shown(f'{section}.{name}', 60)} must have exactly the fields "
-                    + ", ".join(_FIELDS)
-                )
-            entries[section, name] = entry
-    return entries
-
-
-def _constant(entry: dict, like: Constant, what: str) -> Constant:
-    """One entry of another vehicle file, checked against the shipped one."""
-    value = _checked(entry["value"], like, what)
-    if entry["unit"] != like.unit:
-        raise UserError(f"{what} must be in {like.unit!r}, not in {shown(repr(entry['unit']), 40)}")
-    given = entry.get("range")
-    if given is not None and _tuples(given) not in (like.range, like.range[0]):
+def _constant(entry: Entry, like: Constant, what: str) -> Constant:
+    """Return one entry of another vehicle file, checked against the shipped one."""
+    value = _checked(entry.value, like, what)
+    if entry.unit != like.unit:
+        raise UserError(f"{what} must be in {like.unit!r}, not in {shown(repr(entry.unit), 40)}")
+    if entry.range is not None and _tuples(entry.range) not in (like.range, like.range[0]):
         raise UserError(f"{what} has a range of its own; leave it out, {_SHIPPED} has the ranges")
-    source, uncertainty = entry["source"], entry["uncertainty"]
-    if not isinstance(source, str):
-        raise UserError(f"{what}: its source must be a text, not {shown(repr(source), 40)}")
-    if not isinstance(uncertainty, str):
-        numbers = _numbers(uncertainty)
-        if numbers is None or _shape(uncertainty) not in ("one number", _shape(value)) or min(numbers) < 0:
-            raise UserError(
-                f"{what}: its uncertainty must be a text or numbers that are not negative, not "
-                f"{shown(repr(uncertainty), 40)}"
-            )
-        uncertainty = numbers if isinstance(uncertainty, list) else numbers[0]
-    return Constant(like.section, like.name, value, like.range, like.unit, source, uncertainty)
+    uncertainty = entry.uncertainty
+    if isinstance(uncertainty, tuple) and _shape(uncertainty) != _shape(value):
+        raise UserError(f"{what}: its uncertainty must be a text, one number or {_shape(value)}")
+    return Constant(like.section, like.name, value, like.range, like.unit, entry.source, uncertainty)
 
 
-def _checked(value, like: Constant, what: str) -> float | tuple[float, ...]:
-    """The value of an entry as numbers within their range."""
+def _checked(value: object, like: Constant, what: str) -> float | tuple[float, ...]:
+    """Return the value of an entry as numbers within their range."""
     if _shape(value) != _shape(like.value):
         raise UserError(f"{what} needs {_shape(like.value)}, it has {_shape(value)}")
     numbers = _numbers(value)
@@ -287,8 +272,8 @@ def _checked(value, like: Constant, what: str) -> float | tuple[float, ...]:
     return numbers if isinstance(value, (list, tuple)) else numbers[0]
 
 
-def _numbers(value) -> tuple[float, ...] | None:
-    """A number, or a list of them, as finite floats; None for anything else."""
+def _numbers(value: object) -> tuple[float, ...] | None:
+    """Return a number, or a list of them, as finite floats; None for anything else."""
     numbers = value if isinstance(value, (list, tuple)) else (value,)
     if any(isinstance(x, bool) or not isinstance(x, Real) for x in numbers):
         return None
@@ -365,7 +350,7 @@ def write_vehicle(
     storage.write_text(path, "\n".join(lines).lstrip("\n") + "\n")
 
 
-def _toml(value) -> str:
+def _toml(value: Any) -> str:
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, (tuple, list)):
@@ -373,15 +358,15 @@ def _toml(value) -> str:
     return repr(float(value))
 
 
-def _shape(value) -> str:
+def _shape(value: object) -> str:
     return f"a list of {len(value)}" if isinstance(value, (tuple, list)) else "one number"
 
 
-def _tuples(value):
+def _tuples(value: Any) -> Any:
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def _first(names: list[str]) -> str:
-    """Names as words can hold them: the first three and how many more."""
+    """Return names as sentences can hold them: the first three and how many more."""
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return ", ".join(shown(name, 60) for name in names[:3]) + more

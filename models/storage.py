@@ -11,6 +11,7 @@ import tempfile
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ _DOTS = 3e7  # squared and summed over the lines of a TOML file: a dotted key ta
 
 
 def read_bytes(path: str | Path, what: str, largest: int = LARGEST) -> bytes:
-    """The content of a file of at most `largest` bytes.
+    """Return the content of a file of at most `largest` bytes.
 
     what: how sentences call it, as in "vehicle file". Raises UserError for a file that is missing,
     unreadable or too large, and for pipes and devices, which have no end.
@@ -46,7 +47,7 @@ def read_bytes(path: str | Path, what: str, largest: int = LARGEST) -> bytes:
 
 
 def read_text(path: str | Path, what: str, largest: int = LARGEST) -> str:
-    """The UTF-8 text of a file, with the limits and errors of `read_bytes`."""
+    """Return the UTF-8 text of a file, with the limits and errors of `read_bytes`."""
     try:
         return read_bytes(path, what, largest).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -54,7 +55,7 @@ def read_text(path: str | Path, what: str, largest: int = LARGEST) -> str:
 
 
 def read_toml(path: str | Path, what: str) -> dict:
-    """The tables of a TOML file; UserError when it cannot be read or is none."""
+    """Return the tables of a TOML file; raises UserError where it cannot be read or is none."""
     text = read_text(path, what)
     if sum(line.count(".") ** 2 for line in text.splitlines()) > _DOTS:
         raise UserError(f"{what} {path} is not read: it has lines with thousands of dots")
@@ -64,13 +65,13 @@ def read_toml(path: str | Path, what: str) -> dict:
         raise UserError(f"{what} {path} is not TOML: {_lower(error)}") from error
 
 
-def read_json(path: str | Path, what: str, largest: int = LARGEST_JSON):
-    """The value in a JSON file; UserError when it cannot be read or is none."""
+def read_json(path: str | Path, what: str, largest: int = LARGEST_JSON) -> Any:
+    """Return the value in a JSON file; raises UserError where it cannot be read or is none."""
     return parse_json(read_text(path, what, largest), f"{what} {path}")
 
 
-def parse_json(text: str | bytes, what: str):
-    """The value in a JSON text; UserError, beginning with `what`, when it is none."""
+def parse_json(text: str | bytes, what: str) -> Any:
+    """Return the value in a JSON text; raises UserError, beginning with `what`, where it is none."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -87,7 +88,7 @@ def _lower(error: Exception) -> str:
 
 @contextlib.contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
-    """A temporary path beside `path`, with the same suffix, renamed to `path` on success.
+    """Yield a temporary path beside `path`, with the same suffix, renamed to `path` on success.
 
     On any error the temporary file is removed and `path` stays as it was. OSErrors (a full disk, a
     folder that cannot be written) become UserErrors.
@@ -102,7 +103,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def scratch(path: str | Path) -> Iterator[Path]:
-    """A temporary path beside `path`, with the same suffix; what is written there is removed at the end."""
+    """Yield a temporary path beside `path`, with the same suffix, whose file is removed at the end."""
     path = Path(path)
     part = path.with_name(f".{path.stem[:40]}.{os.getpid()}.part{path.suffix}")
     try:
@@ -113,7 +114,7 @@ def scratch(path: str | Path) -> Iterator[Path]:
 
 
 def is_part(path: Path) -> bool:
-    """Is this a temporary file or folder of `atomic` or of a staged run, perhaps left by a killed process?"""
+    """Return whether this is a temporary file or folder of `atomic` or of a staged run."""
     return re.fullmatch(r"\..*\.\d+\.part(\..*)?", path.name, re.DOTALL) is not None
 
 
@@ -173,17 +174,17 @@ def write_text(path: str | Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
-def write_json(path: str | Path, value) -> None:
+def write_json(path: str | Path, value: object) -> None:
     """Write `value` as JSON to `path`, whole or not at all."""
     write_text(path, to_json(value) + "\n")
 
 
-def to_json(value) -> str:
-    """JSON text; NumPy numbers and arrays become plain ones, NaN and infinity become null."""
+def to_json(value: object) -> str:
+    """Return JSON text; NumPy numbers and arrays become plain ones, NaN and infinity become null."""
     return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
 
 
-def _plain(value):
+def _plain(value: object) -> object:
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -198,5 +199,5 @@ def _plain(value):
 
 
 def reason(error: Exception) -> str:
-    """What went wrong, as part of a sentence."""
+    """Return what went wrong, as part of a sentence."""
     return (getattr(error, "strerror", None) or str(error)).lower()

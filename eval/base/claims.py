@@ -118,8 +118,8 @@ class Words:
         return Section(key, entry["title"], entry["text"].format(**filling), claims, **said)
 
 
-def number(value: float) -> str:
-    """Return a value with three digits, as a person writes it: 0.42, 1.3e-6, 34 100."""
+def number(value: float | None) -> str:
+    """Return a number with three digits, as a person writes it: 0.42, 1.3e-6, 34 100."""
     if value is None or not math.isfinite(value):
         return "–"
     size = abs(value)

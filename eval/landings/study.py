@@ -10,27 +10,64 @@ import math
 import os
 from importlib import resources
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import mujoco
 import numpy as np
+from msgspec import Meta, field, structs
 
 from inclined_landing.eval.landings.parameters import UNITS, Parameter, catalogue
-from inclined_landing.models import storage
+from inclined_landing.models import schema, storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.geometry import reach_below, shapes_of
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.scene import compile_scene
+from inclined_landing.models.schema import Real, Table
 
-SAMPLINGS = ("factorial", "latin-hypercube")
-DISTRIBUTIONS = ("uniform", "log-uniform", "normal")
 MOST_LANDINGS = 5_000_000
-_KEYS = {"title", "question", "sampling", "samples", "seed", "maps", "start", "simulation", "parameters"}
-_DURATION = (0.2, 20.0)  # s
-_SHORTEST_STEP = 1e-5  # s
-_TITLE, _QUESTION = 200, 5000  # characters
 _NARROWEST, _WIDEST = 1e-6, 1e3  # a normal distribution's deviation over its range
-_HUGE = 1e300  # for whole numbers that no float holds
 _DECADES = 12  # of a logarithmic range
+
+
+class Entry(Table, frozen=True):
+    """A table of [parameters]: one of value, values, from and to, or mean and deviation; in `unit`."""
+
+    unit: str
+    value: Real | None = None
+    values: Annotated[tuple[Real, ...], Meta(min_length=1)] | None = None
+    start: Real | None = field(name="from", default=None)
+    stop: Real | None = field(name="to", default=None)
+    count: Annotated[int, Meta(ge=2, le=MOST_LANDINGS)] | None = None
+    distribution: Literal["uniform", "log-uniform", "normal"] | None = None
+    mean: Real | None = None
+    deviation: Real | None = None
+
+
+class Start(Table, frozen=True):
+    """[start]: where landings begin, instead of at a touchdown."""
+
+    policy: str | None = None
+
+
+class Simulation(Table, frozen=True):
+    """[simulation], in s."""
+
+    duration: Annotated[float, Meta(ge=0.2, le=20)] = 2.0
+    timestep: Annotated[float, Meta(ge=1e-5, le=1)] = 0.004
+
+
+class File(Table, frozen=True):
+    """What a study file holds."""
+
+    sampling: Literal["factorial", "latin-hypercube"]
+    parameters: dict[str, Entry]
+    title: Annotated[str, Meta(max_length=200)] = ""
+    question: Annotated[str, Meta(max_length=5000)] = ""
+    samples: Annotated[int, Meta(ge=1, le=MOST_LANDINGS)] | None = None
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
+    maps: tuple[tuple[str, str], ...] = ()
+    start: Start = Start()
+    simulation: Simulation = Simulation()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,8 +124,11 @@ class Study:
             for entry in data["parameters"]
         )
         if "vehicle" in data:
-            given = data["vehicle"].items()
-            data["vehicle"] = Vehicle(**{k: tuple(v) if isinstance(v, list) else v for k, v in given})
+            fields: dict[str, Any] = {
+                name: tuple(value) if isinstance(value, list) else value
+                for name, value in data["vehicle"].items()
+            }
+            data["vehicle"] = Vehicle(**fields)
         return Study(**data)
 
     def fingerprint(self) -> str:
@@ -135,46 +175,35 @@ def read_study(name: str | Path, vehicle: Vehicle | None = None) -> Study:
 
 
 def _parse(data: dict, vehicle: Vehicle) -> Study:
-    _only(data, _KEYS, "the file")
-    sampling = data.get("sampling")
-    if sampling not in SAMPLINGS:
-        raise UserError(f"sampling must be {_either(SAMPLINGS)}, not {shown(repr(sampling))}")
-    hypercube = sampling == "latin-hypercube"
-    samples = _whole(data, "samples", 0)
-    if hypercube and not 1 <= samples <= MOST_LANDINGS:
-        raise UserError(f"samples must be from 1 to {MOST_LANDINGS} for a Latin hypercube")
-    if not hypercube and "samples" in data:
+    file = schema.parse(data, File)
+    hypercube, policy, timestep = (
+        file.sampling == "latin-hypercube",
+        file.start.policy,
+        file.simulation.timestep,
+    )
+    if hypercube and file.samples is None:
+        raise UserError("samples is missing: how many landings the Latin hypercube has")
+    if not hypercube and file.samples is not None:
         raise UserError("samples belongs to a Latin hypercube; a factorial has as many as its levels make")
-    start, simulation = data.get("start", {}), data.get("simulation", {})
-    _only(start, {"policy"}, "[start]")
-    _only(simulation, {"duration", "timestep"}, "[simulation]")
-    duration, timestep = _number(simulation, "duration", 2.0), _number(simulation, "timestep", 0.004)
-    if not _DURATION[0] <= duration <= _DURATION[1]:
-        raise UserError(f"duration must be from {_DURATION[0]:g} to {_DURATION[1]:g} s, not {duration:g}")
     period = vehicle.command_control_period
-    if not _SHORTEST_STEP <= timestep <= period or abs(period / timestep - round(period / timestep)) > 1e-9:
-        raise UserError(
-            f"timestep must divide the control period of {period:g} s and be at least {_SHORTEST_STEP:g} s; "
-            f"{timestep:g} does not"
-        )
-    policy = start.get("policy")
-    if not isinstance(policy, str | None):
-        raise UserError("policy in [start] must be a policy file or the name of a shipped policy")
-    entries = data.get("parameters")
-    if not isinstance(entries, dict) or not entries:
+    if timestep > period or abs(period / timestep - round(period / timestep)) > 1e-9:
+        raise UserError(f"timestep must divide the control period of {period:g} s; {timestep:g} does not")
+    if not file.parameters:
         raise UserError("there is no table [parameters]")
-    parameters = tuple(_parameter(vehicle, name, entry, hypercube, policy) for name, entry in entries.items())
-    if ("restitution" in entries) != ("contact_time" in entries):
+    parameters = tuple(
+        _parameter(vehicle, name, entry, hypercube, policy) for name, entry in file.parameters.items()
+    )
+    if ("restitution" in file.parameters) != ("contact_time" in file.parameters):
         raise UserError("restitution and contact_time belong together; give both or none")
     study = Study(
-        title=shown(_text(data, "title", _TITLE), _TITLE),
-        question=_text(data, "question", _QUESTION),
-        sampling=sampling,
-        samples=samples,
-        seed=_whole(data, "seed", 0),
+        title=shown(file.title.strip(), 200),
+        question=file.question.strip(),
+        sampling=file.sampling,
+        samples=file.samples or 0,
+        seed=file.seed,
         maps=(),
         policy=policy,
-        duration=duration,
+        duration=file.simulation.duration,
         timestep=timestep,
         parameters=parameters,
         vehicle=vehicle,
@@ -184,99 +213,90 @@ def _parse(data: dict, vehicle: Vehicle) -> Study:
     count = math.prod(len(p.values) for p in parameters if isinstance(p, Levels))
     if not hypercube and count > MOST_LANDINGS:
         raise UserError(f"the factorial has {count} landings, more than {MOST_LANDINGS}")
-    return dataclasses.replace(study, maps=_maps(data.get("maps", []), study.varied))
+    return dataclasses.replace(study, maps=_maps(file.maps, study.varied))
 
 
-def _parameter(vehicle: Vehicle, name: str, entry, hypercube: bool, policy: str | None) -> Levels | Range:
+def _parameter(
+    vehicle: Vehicle, name: str, entry: Entry, hypercube: bool, policy: str | None
+) -> Levels | Range:
     known = known_parameters(vehicle)
     if name not in known:
         raise UserError(f"unknown parameter {shown(repr(name), 40)}; known are {', '.join(known)}")
     parameter = known[name]
     if policy and parameter.at_touchdown:
         raise UserError(f"{name} cannot be set in a study that starts where a policy hands over")
-    if not isinstance(entry, dict):
-        raise UserError(
-            f"parameter {name} must be a table such as {{ value = 1, unit = {parameter.unit!r} }}"
-        )
     units = UNITS[parameter.kind]
-    unit = entry.get("unit")
-    if not isinstance(unit, str) or unit not in units:
-        raise UserError(f"parameter {name} needs a unit, {_either(tuple(units))}, not {shown(repr(unit))}")
-    factor = units[unit]
-    forms = {"value", "values", "from", "mean"} & set(entry)
-    if len(forms - {"mean"}) != 1 and forms != {"mean"}:
+    if entry.unit not in units:
+        either = " or ".join(map(repr, units))
+        raise UserError(f"parameter {name} needs a unit, {either}, not {shown(repr(entry.unit))}")
+    factor = units[entry.unit]
+    given = {key for key, value in structs.asdict(entry).items() if value is not None} - {"unit"}
+    if not (
+        given in ({"value"}, {"values"}) or (given & {"start", "mean"} and not given & {"value", "values"})
+    ):
         raise UserError(f"parameter {name} needs one of value, values, from and to, or mean and deviation")
-    if "value" in entry or "values" in entry:
-        _only(entry, {"value", "values", "unit"}, f"parameter {name}")
-        given = entry["values"] if "values" in entry else [entry["value"]]
-        if not isinstance(given, list) or not given:
-            raise UserError(f"parameter {name}: values must be a list with at least one number")
-        values = tuple(_check(parameter, value, unit, factor) for value in given)
-        if len(set(values)) < len(values):
-            raise UserError(f"parameter {name}: a value stands twice in its list")
-        return Levels(name, values, unit)
-    _only(entry, {"from", "to", "count", "distribution", "mean", "deviation", "unit"}, f"parameter {name}")
-    return _range(parameter, entry, unit, factor, hypercube)
+    if given & {"start", "mean"}:
+        return _range(parameter, entry, factor, hypercube)
+    numbers = entry.values if entry.value is None else (entry.value,)
+    values = tuple(_check(parameter, number, entry.unit, factor) for number in numbers or ())
+    if len(set(values)) < len(values):
+        raise UserError(f"parameter {name}: a value stands twice in its list")
+    return Levels(name, values, entry.unit)
 
 
-def _range(parameter: Parameter, entry: dict, unit: str, factor: float, hypercube: bool) -> Levels | Range:
-    name = parameter.name
-    distribution = entry.get("distribution", "uniform")
-    if distribution not in DISTRIBUTIONS:
-        raise UserError(f"parameter {name}: distribution must be {_either(DISTRIBUTIONS)}")
+def _range(parameter: Parameter, entry: Entry, factor: float, hypercube: bool) -> Levels | Range:
+    name, distribution, where = (
+        parameter.name,
+        entry.distribution or "uniform",
+        f"parameter {parameter.name}:",
+    )
     normal = distribution == "normal"
-    if normal != ("mean" in entry) or normal != ("deviation" in entry):
-        raise UserError(f"parameter {name}: mean and deviation belong to the normal distribution, both")
-    if not normal and not {"from", "to"} <= set(entry):
-        raise UserError(f"parameter {name}: a range needs from and to")
-    low = _check(parameter, entry["from"], unit, factor) if "from" in entry else parameter.low
-    high = _check(parameter, entry["to"], unit, factor) if "to" in entry else parameter.high
+    if normal != (entry.mean is not None) or normal != (entry.deviation is not None):
+        raise UserError(f"{where} mean and deviation belong to the normal distribution, both")
+    if not normal and (entry.start is None or entry.stop is None):
+        raise UserError(f"{where} a range needs from and to")
+    low, high = (
+        end if number is None else _check(parameter, number, entry.unit, factor)
+        for number, end in ((entry.start, parameter.low), (entry.stop, parameter.high))
+    )
     if low >= high:
-        raise UserError(f"parameter {name}: the range from {low / factor:g} to {high / factor:g} is empty")
+        raise UserError(f"{where} the range from {low / factor:g} to {high / factor:g} is empty")
     if distribution == "log-uniform" and low < high / 10**_DECADES:
-        raise UserError(
-            f"parameter {name}: a log-uniform range must start above 0, {_DECADES} decades at most"
-        )
+        raise UserError(f"{where} a log-uniform range must start above 0, {_DECADES} decades at most")
     mean = deviation = 0.0
-    if normal:
-        where = f"parameter {name}: "
-        mean, deviation = (factor * _number(entry, key, math.nan, where) for key in ("mean", "deviation"))
+    if entry.mean is not None and entry.deviation is not None:
+        mean, deviation = factor * entry.mean, factor * entry.deviation
         if not _NARROWEST <= deviation / (high - low) <= _WIDEST or not low <= mean <= high:
             raise UserError(
-                f"parameter {name}: the mean must be in the range, and the deviation {_NARROWEST:g} to "
-                f"{_WIDEST:g} times as wide"
+                f"{where} the mean must be in the range, and the deviation {_NARROWEST:g} to {_WIDEST:g} "
+                "times as wide"
             )
     if hypercube:
-        if "count" in entry:
-            raise UserError(f"parameter {name}: count belongs to a factorial")
-        return Range(name, low, high, distribution, mean, deviation, unit)
-    count = entry.get("count")
+        if entry.count is not None:
+            raise UserError(f"{where} count belongs to a factorial")
+        return Range(name, low, high, distribution, mean, deviation, entry.unit)
     if normal:
-        raise UserError(f"parameter {name}: a normal distribution belongs to a Latin hypercube")
-    if type(count) is not int or not 2 <= count <= MOST_LANDINGS:
-        raise UserError(f"parameter {name}: the range of a factorial needs a count, 2 to {MOST_LANDINGS}")
+        raise UserError(f"{where} a normal distribution belongs to a Latin hypercube")
+    if entry.count is None:
+        raise UserError(f"{where} the range of a factorial needs a count")
     space = np.geomspace if distribution == "log-uniform" else np.linspace
-    return Levels(name, tuple(float(x) for x in space(low, high, count)), unit)
+    return Levels(name, tuple(float(x) for x in space(low, high, entry.count)), entry.unit)
 
 
-def _check(parameter: Parameter, value, unit: str, factor: float) -> float:
-    if not _is_number(value):
-        raise UserError(f"parameter {parameter.name}: {shown(repr(value))} is not a number")
-    value = float(min(max(value, -_HUGE), _HUGE))
+def _check(parameter: Parameter, value: float, unit: str, factor: float) -> float:
+    """Return a value of the file in SI units; raises UserError beyond the parameter's bounds."""
     low, high = parameter.low, parameter.high
     if not low - 1e-12 <= factor * value <= high + 1e-12:
         raise UserError(
             f"parameter {parameter.name} must be from {low / factor:g} to {high / factor:g} {unit}, "
             f"not {value:g}".replace(" 1, not", ", not")
         )
-    return min(max(factor * float(value), low), high)
+    return min(max(factor * value, low), high)
 
 
-def _maps(given, varied: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
-    if not isinstance(given, list):
-        raise UserError("maps must be a list of pairs of parameters")
+def _maps(given: tuple[tuple[str, str], ...], varied: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     for pair in given:
-        if not isinstance(pair, list) or len(pair) != 2 or pair[0] == pair[1]:
+        if pair[0] == pair[1]:
             raise UserError("each of the maps must be a pair of two parameters")
         for name in pair:
             if name not in varied:
@@ -284,43 +304,4 @@ def _maps(given, varied: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
                 raise UserError(f"the map of {x} and {y} needs {name} to vary")
         if given.count(pair) > 1:
             raise UserError(f"the map of {pair[0]} and {pair[1]} stands twice among the maps")
-    return tuple((pair[0], pair[1]) for pair in given)
-
-
-def _only(table, known: set[str], where: str) -> None:
-    if not isinstance(table, dict):
-        raise UserError(f"{where} must be a table")
-    unknown = sorted(set(table) - known)
-    if unknown:
-        raise UserError(
-            f"unknown entry {shown(repr(unknown[0]), 40)} in {where}; known are {', '.join(sorted(known))}"
-        )
-
-
-def _is_number(value) -> bool:
-    return type(value) in (int, float) and abs(value) < math.inf  # whole numbers of any length too
-
-
-def _number(table: dict, key: str, default: float, where: str = "") -> float:
-    value = table.get(key, default)
-    if not _is_number(value):
-        raise UserError(f"{where}{key} must be a number, not {shown(repr(value))}")
-    return float(min(max(value, -_HUGE), _HUGE))
-
-
-def _whole(table: dict, key: str, default: int) -> int:
-    value = table.get(key, default)
-    if type(value) is not int or not 0 <= value < 2**63:
-        raise UserError(f"{key} must be a whole number from 0, below 2^63, not {shown(repr(value))}")
-    return value
-
-
-def _text(table: dict, key: str, longest: int) -> str:
-    value = table.get(key, "")
-    if not isinstance(value, str) or len(value) > longest:
-        raise UserError(f"{key} must be text of at most {longest} characters")
-    return value.strip()
-
-
-def _either(names) -> str:
-    return " or ".join(repr(name) for name in names)
+    return given

@@ -10,41 +10,55 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta, field, structs
 
 from inclined_landing.eval.logs import limits, units
 from inclined_landing.eval.logs.record import Record
-from inclined_landing.models import storage
+from inclined_landing.models import schema, storage
 from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.schema import Table
 
-_SOURCE_KEYS = {"column", "unit", "sign", "add", "late", "mean", "sum"}
 DEEPEST = 20  # mapping files that inherit one another
-_FILE_KEYS = {"description", "detect", "inherit", "euler", "notes", "refuse", "columns"}
 
 
-@dataclasses.dataclass(frozen=True)
-class Source:
+class Source(Table, frozen=True):
     """Where one canonical column comes from: value = sign * factor(unit) * column + add, at t - late."""
 
-    columns: tuple[str, ...]
-    derived: str | None = None  # "mean" or "sum" of several columns, else None
+    column: str | None = None  # or, of several:
+    mean: tuple[str, ...] | None = None
+    sum: tuple[str, ...] | None = None
     unit: str | None = None
     sign: float = 1.0
-    add: float = 0.0
-    late: float = 0.0  # s by which the file dates the value too late
+    add: Annotated[float, Meta(ge=-limits.LARGEST_VALUE, le=limits.LARGEST_VALUE)] = 0.0
+    late: Annotated[float, Meta(ge=-limits.LATEST, le=limits.LATEST)] = 0.0  # s too late in the file
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Return the names of the columns that the value is made of."""
+        return self.mean or self.sum or (self.column or "",)
 
 
-@dataclasses.dataclass(frozen=True)
-class ColumnMap:
+class ColumnMap(Table, frozen=True):
     """A mapping file, read."""
 
-    description: str
-    columns: Mapping[str, tuple[Source, ...]]  # canonical name -> sources, the first present is taken
+    description: str = ""
     detect: tuple[str, ...] = ()
-    euler: str = "ZXY"
+    inherit: str = ""  # a mapping whose columns are taken too
+    euler: Literal["ZXY", "ZYX"] = "ZXY"
     notes: tuple[str, ...] = ()
     refuse: str | None = None
+    columns: dict[str, str | Source | tuple[str | Source, ...]] = field(
+        default_factory=dict
+    )  # by canonical name
+
+    def sources(self, canonical: str) -> tuple[Source, ...]:
+        """Return the sources of a canonical column, of which the first that is present is taken."""
+        entry = self.columns.get(canonical, ())
+        entries = entry if isinstance(entry, tuple) else (entry,)
+        return tuple(Source(column=one) if isinstance(one, str) else one for one in entries)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,14 +72,14 @@ class Channel:
 
 @cache
 def shipped() -> Mapping[str, ColumnMap]:
-    """The mappings that come with this package, by name."""
+    """Return the mappings that come with this package, by name."""
     folder = resources.files("inclined_landing.eval.logs") / "mappings"
     files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
     return {f.name[:-5]: _parse(f.name, tomllib.loads(f.read_text("utf-8")), ()) for f in files}
 
 
 def load(name: str | Path) -> ColumnMap:
-    """A shipped mapping by its name, or a mapping file (TOML) by its path.
+    """Return a shipped mapping by its name, or a mapping file (TOML) by its path.
 
     Raises UserError when there is no such mapping or it cannot be understood.
     """
@@ -75,7 +89,7 @@ def load(name: str | Path) -> ColumnMap:
 
 
 def _load(path: Path, heirs: tuple[Path, ...]) -> ColumnMap:
-    """The mapping file, or the shipped mapping of that name, which `heirs` inherit."""
+    """Return the mapping file, or the shipped mapping of that name, which `heirs` inherit."""
     if str(path) in shipped():
         return shipped()[str(path)]
     if not os.path.lexists(path):
@@ -91,7 +105,7 @@ def _load(path: Path, heirs: tuple[Path, ...]) -> ColumnMap:
 
 
 def detect(names: Sequence[str], where: str) -> ColumnMap:
-    """The shipped mapping that asks for most of the column names at hand.
+    """Return the shipped mapping that asks for most of the column names at hand.
 
     Raises UserError, listing the columns, when none fits.
     """
@@ -109,7 +123,7 @@ def _any(names: Sequence[str], pattern: str) -> bool:
 
 
 def find(names: Sequence[str], pattern: str, where: str) -> str | None:
-    """The one name that is `pattern` or, if it has a `*`, matches it; None without.
+    """Return the one name that is `pattern` or, if it has a `*`, matches it; None without.
 
     Raises UserError when several match: two vehicles in one bag, say.
     """
@@ -123,16 +137,16 @@ def find(names: Sequence[str], pattern: str, where: str) -> str | None:
 
 
 def patterns(column_map: ColumnMap | None) -> list[str]:
-    """Every column name a mapping asks for; those of all shipped mappings for None."""
+    """Return every column name that a mapping asks for; those of all shipped mappings for None."""
     asked = shipped().values() if column_map is None else [column_map]
-    sources = [s for m in asked for entries in m.columns.values() for s in entries]
+    sources = [source for m in asked for canonical in m.columns for source in m.sources(canonical)]
     return [column for source in sources for column in source.columns]
 
 
 def apply(
     column_map: ColumnMap, record: Record, given: Mapping[str, str]
 ) -> tuple[dict[str, Channel], list[str]]:
-    """Channels of one record in canonical names and units, and notes in words.
+    """Return the channels of one record in canonical names and units, and notes in words.
 
     given: unit per canonical column, as the user says; it goes before the file's units row and the
         mapping's unit.
@@ -147,7 +161,7 @@ def apply(
     if not record.times:
         clock = _channel("t", column_map, record, names, given, np.array(0.0), notes)
         if clock is None:
-            wanted = ", ".join(s.columns[0] for s in column_map.columns.get("t", ()))
+            wanted = ", ".join(source.columns[0] for source in column_map.sources("t"))
             raise UserError(f"{where}: no time column ({wanted or 't'})")
         _check_clock(where, clock.value, f"column {clock.column}")
         if clock.value[0] == clock.value[-1]:
@@ -157,25 +171,34 @@ def apply(
     for canonical in column_map.columns:
         if canonical == "t":
             continue
-        time = None if clock is None else clock.value
+        time = np.array(0.0) if clock is None else clock.value
         channel = _channel(canonical, column_map, record, names, given, time, notes)
         if channel is not None:
             channels[canonical] = channel
     return channels, notes
 
 
-def _channel(canonical, column_map, record, names, given, clock, notes) -> Channel | None:
-    for source in column_map.columns.get(canonical, ()):
-        found = [find(names, column, record.path) for column in source.columns]
-        if None in found:
+def _channel(
+    canonical: str,
+    column_map: ColumnMap,
+    record: Record,
+    names: list[str],
+    given: Mapping[str, str],
+    clock: np.ndarray,
+    notes: list[str],
+) -> Channel | None:
+    for source in column_map.sources(canonical):
+        found = [name for column in source.columns if (name := find(names, column, record.path)) is not None]
+        if len(found) < len(source.columns):
             continue
         unit = given.get(canonical) or record.units.get(found[0]) or source.unit
         scale = 1.0 if unit is None else units.factor(canonical, unit, record.path)
         value = record.columns[found[0]]
-        if source.derived:
+        if source.column is None:
             value = np.sum([record.columns[name] for name in found], axis=0)
-            value = value / len(found) if source.derived == "mean" else value
-            notes.append(f"{canonical} is derived: the {source.derived} of {', '.join(found)}")
+            value = value / len(found) if source.mean else value
+            kind = "mean" if source.mean else "sum"
+            notes.append(f"{canonical} is derived: the {kind} of {', '.join(found)}")
         if np.isnan(value).all():
             continue  # a column of empty cells was not logged
         time = record.times[found[0]] if record.times else clock
@@ -219,81 +242,26 @@ def _check_clock(where: str, t: np.ndarray, column: str) -> None:
 
 
 def _parse(where: str, data: dict, heirs: tuple[Path, ...]) -> ColumnMap:
-    _only(where, data, _FILE_KEYS)
-    for key in ("description", "inherit", "refuse"):
-        if not isinstance(data.get(key, ""), str):
-            raise UserError(f"{where}: {key} must be text, not {shown(data[key])}")
-    given = data.get("columns", {})
-    if not isinstance(given, dict):
-        raise UserError(f"{where}: columns must be a table, not {shown(given)}")
-    columns = {}
-    if data.get("inherit"):
-        columns |= _load(Path(data["inherit"]), heirs).columns
-    for canonical, entry in given.items():
+    given = schema.parse(data, ColumnMap, f"{where}: ")
+    columns = (_load(Path(given.inherit), heirs).columns if given.inherit else {}) | given.columns
+    for canonical in given.columns:
         if canonical not in units.COLUMNS:
             raise UserError(f"{where}: [columns] {shown(canonical)} is not one of {', '.join(units.COLUMNS)}")
-        entries = entry if isinstance(entry, list) else [entry]
-        if not entries:
+        if not given.sources(canonical):
             raise UserError(f"{where}: [columns] {canonical} names no column")
-        columns[canonical] = tuple(_source(where, canonical, item) for item in entries)
-    euler = data.get("euler", "ZXY")
-    if euler not in ("ZXY", "ZYX"):
-        raise UserError(f"{where}: euler = {shown(euler)!r}; expected ZXY or ZYX")
-    if not columns and "refuse" not in data:
+        for source in given.sources(canonical):
+            _check_source(source, canonical, f"{where}: [columns] {canonical}")
+    if not columns and given.refuse is None:
         raise UserError(f"{where}: no [columns]")
-    return ColumnMap(
-        description=data.get("description", ""),
-        columns=columns,
-        detect=_texts(where, "detect", data.get("detect", [])),
-        euler=euler,
-        notes=_texts(where, "notes", data.get("notes", [])),
-        refuse=data.get("refuse"),
-    )
+    return structs.replace(given, columns=columns)
 
 
-def _source(where: str, canonical: str, entry) -> Source:
-    entry = {"column": entry} if isinstance(entry, str) else entry
-    where = f"{where}: [columns] {canonical}"
-    if not isinstance(entry, dict):
-        raise UserError(f"{where} must be a column name or a table with one, not {shown(entry)}")
-    _only(where, entry, _SOURCE_KEYS)
-    kinds = [key for key in ("column", "mean", "sum") if key in entry]
-    if len(kinds) != 1:
+def _check_source(source: Source, canonical: str, where: str) -> None:
+    if [source.column, source.mean, source.sum].count(None) != 2:
         raise UserError(f"{where} needs exactly one of column, mean, sum")
-    kind = kinds[0]
-    columns = _texts(where, kind, [entry[kind]] if kind == "column" else entry[kind])
-    if not all(columns) or not columns:
-        raise UserError(f"{where}: {kind} must name columns")
-    if "unit" in entry:
-        (unit,) = _texts(where, "unit", [entry["unit"]])
-        units.factor(canonical, unit, where)
-    sign = entry.get("sign", 1)
-    if type(sign) not in (int, float) or sign not in (1, -1):
-        raise UserError(f"{where}: sign must be 1 or -1, not {shown(sign)}")
-    return Source(
-        columns,
-        derived=None if kind == "column" else kind,
-        unit=entry.get("unit"),
-        sign=float(sign),
-        add=_number(where, "add", entry, 0.0, limits.LARGEST_VALUE),
-        late=_number(where, "late", entry, 0.0, limits.LATEST),
-    )
-
-
-def _texts(where: str, key: str, given) -> tuple[str, ...]:
-    if not isinstance(given, list) or not all(isinstance(text, str) for text in given):
-        raise UserError(f"{where}: {key} must be text (where several are meant, a list), not {shown(given)}")
-    return tuple(given)
-
-
-def _number(where: str, key: str, entry: Mapping, default: float, most: float) -> float:
-    value = entry.get(key, default)
-    if type(value) not in (int, float) or not abs(value) <= most:
-        raise UserError(f"{where}: {key} must be a number from {-most:g} to {most:g}, not {shown(value)}")
-    return float(value)
-
-
-def _only(where: str, given: Mapping, known: set[str]) -> None:
-    unknown = [key for key in given if key not in known]
-    if unknown:
-        raise UserError(f"{where}: {shown(unknown[0])} is not one of {', '.join(sorted(known))}")
+    if not all(source.columns):
+        raise UserError(f"{where}: column, mean and sum must name columns")
+    if source.unit is not None:
+        units.factor(canonical, source.unit, where)
+    if source.sign not in (1, -1):
+        raise UserError(f"{where}: sign must be 1 or -1, not {source.sign:g}")

@@ -39,7 +39,7 @@ def plant_of(scenario: Scenario, drawn: Drawn, vehicle: Vehicle) -> MujocoPlant:
     plant = MujocoPlant(len(ids), vehicle, timestep=STEP, torque_needs_motors=True, moving=True)
     plant.set_platform(ids, drawn.inclination, azimuth=drawn.azimuth)
     plant.set_motion(ids, drawn.motion)
-    plant.set_contact(ids, friction=scenario.friction)
+    plant.set_contact(ids, friction=scenario.deck.friction)
     return plant
 
 

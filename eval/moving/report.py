@@ -56,7 +56,7 @@ def evaluate(
                 "name": scenario.name,
                 "title": scenario.title,
                 "fingerprint": scenario.fingerprint,
-                "speed": scenario.speed,
+                "speed": scenario.motion.speed,
                 "waves": bool(scenario.waves.amplitude.any()),
                 "slope": scenario.inclination,
                 "whole": flights is None or flights >= scenario.flights,

@@ -16,21 +16,20 @@ import math
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import UNSET, Meta, UnsetType, structs
 
 from inclined_landing.eval.base.claims import number as rounded
 from inclined_landing.eval.base.statistics import bootstrap, proportion
-from inclined_landing.eval.sweeps.recipe import Number, Recipe, only
-from inclined_landing.models import storage
+from inclined_landing.eval.sweeps.recipe import Number, Recipe
+from inclined_landing.models import schema, storage
 from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.schema import Real, Table
 
-KINDS = ("number", "share", "flights")  # what a value is: see above
-_RESULT = ("command", "machine", "versions", "load", "measured", "runs")
-_RUN = ("variant", "seed", "cpu_seconds", "wall_seconds", "ended")
-_MOST = 100_000  # entries of a list
-_LONGEST = 2000  # characters
+Text = Annotated[str, Meta(max_length=2000)]
+Kind = Literal["number", "share", "flights"]  # what a value is: see above
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +38,7 @@ class Measured:
 
     variant: str
     number: Number
-    kind: str  # one of KINDS
+    kind: Kind
     values: tuple[float | None, ...]  # by seed; None: never
     mean: float | None  # of share and flights: the share of all; None where a value is missing
     interval: tuple[float, float] | None  # 95 %, of the mean
@@ -120,15 +119,37 @@ class Measured:
         return [worst if value is None else value for value in self.values]
 
 
-@dataclasses.dataclass(frozen=True)
-class Ran:
+class Ran(Table, frozen=True, kw_only=True):
     """What one run took."""
 
-    variant: str
+    variant: Text = ""
     seed: int
-    cpu_seconds: float  # of its processes, training and evaluation
-    wall_seconds: float
-    ended: str  # how
+    cpu_seconds: Annotated[float, Meta(ge=0, le=1e300)]  # of its processes, training and evaluation
+    wall_seconds: Annotated[float, Meta(ge=0, le=1e300)]
+    ended: Text = ""  # how
+
+
+class Entry(Table, frozen=True, kw_only=True):
+    """One number of one variant as the file has it: NaN (of JSON: null) where a seed never got there."""
+
+    variant: Text = ""
+    number: str
+    kind: Kind
+    values: tuple[float | None, ...]
+    median: float | UnsetType = UNSET
+    mean: float | None = None
+    interval: tuple[Real, Real] | None = None
+
+
+class File(Table, frozen=True, kw_only=True):
+    """Table [result] of a recipe, or a sweep's result.json."""
+
+    command: Text
+    machine: Text = ""
+    versions: dict[str, str]
+    load: tuple[Real, Real]
+    measured: list[Entry]
+    runs: tuple[Ran, ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,7 +181,7 @@ class Result:
     def record(self) -> dict[str, Any]:
         """Plain data; `read` gives it back."""
         runs = [
-            {key: value for key, value in dataclasses.asdict(ran).items() if value != ""} for ran in self.runs
+            {key: value for key, value in structs.asdict(ran).items() if value != ""} for ran in self.runs
         ]
         return {
             "command": self.command,
@@ -179,7 +200,7 @@ def bar_words(number: Number) -> str:
     return f"{number.over} {'at most' if number.better == 'lower' else 'at least'} {rounded(number.bar)}"
 
 
-def take(number: Number, folder: Path) -> tuple[str, Any]:
+def take(number: Number, folder: Path) -> tuple[Kind, Any]:
     """Kind and raw value of a number of one run; raises UserError where its file does not have it."""
     path = folder / number.file
     value = storage.read_json(path, f"number {number.name}: file")
@@ -201,9 +222,9 @@ def take(number: Number, folder: Path) -> tuple[str, Any]:
     raise UserError(f"number {number.name}: {path} has {shown(repr(value), 60)} there, which is no number")
 
 
-def sum_up(variant: str, number: Number, taken: list[tuple[str, Any]]) -> Measured:
+def sum_up(variant: str, number: Number, taken: list[tuple[Kind, Any]]) -> Measured:
     """A number over the seeds, from what `take` gave for each; raises UserError where kinds differ."""
-    kinds = {kind for kind, value in taken if value is not None} or {"number"}
+    kinds: set[Kind] = {kind for kind, value in taken if value is not None} or {"number"}
     if len(kinds) > 1:
         raise UserError(f"number {number.name} is {' in one run and '.join(sorted(kinds))} in another")
     (kind,), factor = kinds, number.factor
@@ -242,30 +263,22 @@ def read(recipe: Recipe, data: Any) -> Result:
 
 
 def _read(recipe: Recipe, data: dict) -> Result:
-    only(data, _RESULT, "it")
-    texts = {key: _text(data, key) for key in ("command", "machine")}
-    if not _is_sweep(texts["command"]):
+    file = schema.parse(data, File)
+    if not _is_sweep(file.command):
         raise UserError("command must be that of the sweep, landing-train sweep RECIPE")
-    versions = data.get("versions")
-    if not isinstance(versions, dict) or not all(isinstance(text, str) for text in versions.values()):
-        raise UserError("versions must be a table of texts")
-    load = _list(data, "load")
-    if len(load) != 2 or not all(map(_is_number, load)):
-        raise UserError("load must be two numbers")
-    measured = [_measured(recipe, entry) for entry in _list(data, "measured")]
+    measured = tuple(_measured(recipe, entry) for entry in file.measured)
     wanted = [(variant, number) for variant in recipe.variants for number in recipe.numbers]
-    found = [(m.variant, m.number.name) for m in measured]
-    if sorted(found) != sorted(wanted):
+    if sorted((m.variant, m.number.name) for m in measured) != sorted(wanted):
         raise UserError("measured has not every number of every variant once; run the sweep again")
-    ran = [_ran(entry) for entry in _list(data, "runs")]
-    if sorted((r.variant, r.seed) for r in ran) != sorted(recipe.runs()):
+    if sorted((r.variant, r.seed) for r in file.runs) != sorted(recipe.runs()):
         raise UserError("runs are not those of the recipe; run the sweep again")
     return Result(
-        **texts,
-        versions={shown(name, 60): shown(text, 200) for name, text in versions.items()},
-        load=(float(load[0]), float(load[1])),
-        measured=tuple(measured),
-        runs=tuple(ran),
+        command=shown(file.command, 2000),
+        machine=shown(file.machine, 2000),
+        versions={shown(name, 60): shown(text, 200) for name, text in file.versions.items()},
+        load=file.load,
+        measured=measured,
+        runs=tuple(structs.replace(ran, ended=shown(ran.ended, 2000)) for ran in file.runs),
     )
 
 
@@ -278,75 +291,32 @@ def _is_sweep(command: str) -> bool:
     return words[:2] == ["landing-train", "sweep"] and len(words) > 2 and shlex.join(words) == command
 
 
-def _text(data: dict, key: str) -> str:
-    value = data.get(key, "")
-    if not isinstance(value, str) or len(value) > _LONGEST:
-        raise UserError(f"{key} must be text of at most {_LONGEST} characters")
-    return shown(value, _LONGEST)
-
-
-def _list(data: dict, key: str) -> list:
-    value = data.get(key)
-    if not isinstance(value, list) or len(value) > _MOST:
-        raise UserError(f"{key} must be a list")
-    return value
-
-
-def _is_number(value) -> bool:
-    return type(value) in (int, float) and abs(value) <= 1e300
-
-
-def _measured(recipe: Recipe, entry) -> Measured:
-    if not isinstance(entry, dict):
-        raise UserError("measured must be a list of tables")
-    only(entry, ("variant", "number", "kind", "values", "median", "mean", "interval"), "measured")
-    if not isinstance(entry.get("number"), str) or entry["number"] not in recipe.numbers:
+def _measured(recipe: Recipe, entry: Entry) -> Measured:
+    if entry.number not in recipe.numbers:
         raise UserError("measured: number is none of the recipe")
-    values = _list(entry, "values")
-    if len(values) != len(recipe.seeds):
-        raise UserError(f"measured: {len(values)} values for {len(recipe.seeds)} seeds")
-    found = tuple(_value(value) for value in values)
-    mean = _value(entry.get("mean"))
-    interval = entry.get("interval")
-    if interval is not None and not (
-        isinstance(interval, list) and len(interval) == 2 and all(map(_is_number, interval))
-    ):
-        raise UserError("measured: interval must be two numbers")
-    if entry.get("kind") not in KINDS:
-        raise UserError(f"measured: kind must be {', '.join(KINDS[:-1])} or {KINDS[-1]}")
-    variant = _text(entry, "variant")
+    if len(entry.values) != len(recipe.seeds):
+        raise UserError(f"measured: {len(entry.values)} values for {len(recipe.seeds)} seeds")
     result = Measured(
-        variant=variant,
-        number=recipe.numbers[entry["number"]].of(variant),
-        kind=entry["kind"],
-        values=found,
-        mean=mean,
-        interval=None if interval is None else (float(interval[0]), float(interval[1])),
+        variant=entry.variant,
+        number=recipe.numbers[entry.number].of(entry.variant),
+        kind=entry.kind,
+        values=tuple(map(_value, entry.values)),
+        mean=_value(entry.mean),
+        interval=entry.interval,
     )
-    stated = _value(entry.get("median"))
-    if "median" in entry and (
-        stated is None or result.median is None or not math.isclose(stated, result.median)
-    ):
-        raise UserError(f"measured: median is {shown(repr(entry['median']), 40)}, not that of the values")
+    median, found = entry.median, result.median
+    if median is not UNSET and (found is None or not math.isclose(median, found)):
+        raise UserError(f"measured: median is {median:g}, not that of the values")
     return result
 
 
-def _value(value) -> float | None:
-    if value is None or (isinstance(value, float) and math.isnan(value)):
+def _value(value: float | None) -> float | None:
+    """Return a number of the file, None for NaN; raises UserError for one that is infinite."""
+    if value is None or math.isnan(value):
         return None
-    if not _is_number(value):
-        raise UserError(f"measured: {shown(repr(value), 40)} is no number")
-    return float(value)
-
-
-def _ran(entry) -> Ran:
-    if not isinstance(entry, dict):
-        raise UserError("runs must be a list of tables")
-    only(entry, _RUN, "runs")
-    seed, times = entry.get("seed"), [entry.get(key) for key in ("cpu_seconds", "wall_seconds")]
-    if type(seed) is not int or not all(_is_number(value) and value >= 0 for value in times):
-        raise UserError("runs: seed, cpu_seconds and wall_seconds must be numbers")
-    return Ran(_text(entry, "variant"), seed, float(times[0]), float(times[1]), _text(entry, "ended"))
+    if math.isinf(value):
+        raise UserError(f"measured: {value} is no number")
+    return value
 
 
 def _finite(value) -> float | None:

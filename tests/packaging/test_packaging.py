@@ -89,10 +89,10 @@ def test_gymnasiums_checker_is_content(name):
             assert vector.step(vector.action_space.sample())[1].shape == (2,)
 
 
-def test_the_base_flies_with_four_packages():
+def test_the_base_flies_with_five_packages():
     needed = {re.match("[a-z]+", r).group() for r in importlib.metadata.requires("inclined-landing")
               if "extra ==" not in r}  # fmt: skip
-    assert needed == {"mujoco", "numpy", "numba", "gymnasium"}
+    assert needed == {"mujoco", "numpy", "numba", "gymnasium", "msgspec"}
     code = (
         "import gymnasium, inclined_landing.models.effects, inclined_landing.models.scene\n"
         "env = gymnasium.make('InclinedLanding-v0', disable_env_checker=True)\n"

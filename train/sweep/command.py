@@ -201,11 +201,11 @@ def _result(recipe: Recipe, again: str, todo: dict, found: dict) -> measured.Res
         measured=tuple(numbers),
         runs=tuple(
             measured.Ran(
-                variant,
-                seed,
-                sum(step.cpu_seconds for step in found[variant, seed]),
-                sum(step.wall_seconds for step in found[variant, seed]),
-                _ended(todo[variant, seed], found[variant, seed]),
+                variant=variant,
+                seed=seed,
+                cpu_seconds=sum(step.cpu_seconds for step in found[variant, seed]),
+                wall_seconds=sum(step.wall_seconds for step in found[variant, seed]),
+                ended=_ended(todo[variant, seed], found[variant, seed]),
             )
             for variant, seed in recipe.runs()
         ),

@@ -46,14 +46,14 @@ class PublicSet:
 
 @cache
 def public_sets() -> Mapping[str, PublicSet]:
-    """The known sets by name."""
+    """Return the known sets by name."""
     folder = resources.files("inclined_landing.eval.logs") / "flights"
     files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
     return {f.name[:-5]: PublicSet(**tomllib.loads(f.read_text("utf-8"))) for f in files}
 
 
 def convert(name: str, path: Path) -> tuple[str, pandas.DataFrame, list[str]]:
-    """One file of the set `name`: the flight's name, its table in documented columns, notes in words.
+    """Convert one file of the set `name`: the flight's name, its table in documented columns, notes.
 
     Raises UserError when the file is none of that set.
     """
@@ -65,7 +65,7 @@ def convert(name: str, path: Path) -> tuple[str, pandas.DataFrame, list[str]]:
         raise UserError(f"{path}: a folder, not a file")
     record = sd_card.read(path) if sd_card.is_sd_card_log(path) else csv_file.read(path)
     notes = list(record.notes)
-    table = pandas.DataFrame({c: _column(name, c, of, path, record) for c, of in known.columns.items()})
+    table = pandas.DataFrame({c: _column(name, of, path, record) for c, of in known.columns.items()})
     if known.segments:
         if path.name not in known.segments:
             chosen = ", ".join(known.segments)
@@ -95,8 +95,8 @@ def convert(name: str, path: Path) -> tuple[str, pandas.DataFrame, list[str]]:
     return match.expand(known.name), table.round(decimals), notes
 
 
-def _column(name: str, column: str, of: Mapping, path: Path, record: Record):
-    """One column of the record in SI units; text as it stands."""
+def _column(name: str, of: Mapping, path: Path, record: Record) -> np.ndarray | pandas.Series | float:
+    """Return one column of the record in SI units; text as it stands."""
     if "from" not in of:  # the time of logs that date every value
         if not record.times:
             raise UserError(f"{path}: no file of {name}, which are micro-SD logs")

@@ -293,12 +293,12 @@ def test_a_mapping_names_scales_turns_shifts_and_derives(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("x = 1", "x is not one of"),
+        ("x = 1", "unknown entry 'x' in the file"),
         ("[columns]\nheight = 'z'", r"\[columns\] height is not one of t, x"),
         ("[columns]\nz = { unit = 'm' }", r"\[columns\] z needs exactly one of column, mean, sum"),
         ("[columns]\nz = { column = 'z', unit = 's' }", "unit 's' of column z is not known"),
         ("[columns]\nz = { column = 'z', sign = 2 }", "sign must be 1 or -1"),
-        ("euler = 'XYZ'\n[columns]\nz = 'z'", "euler = 'XYZ'; expected ZXY or ZYX"),
+        ("euler = 'XYZ'\n[columns]\nz = 'z'", "euler must be 'ZXY' or 'ZYX', not 'XYZ'"),
         ("[columns", "is not TOML"),
         ("", r"no \[columns\]"),
     ],

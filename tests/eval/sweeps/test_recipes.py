@@ -118,13 +118,13 @@ def test_whatever_stands_in_a_recipe_is_read_or_refused_in_one_sentence(data, tm
     ("change", "sentence"),
     [
         ({"unknown": 1}, "unknown entry 'unknown'"),
-        ({"title": ""}, "title is missing"),
+        ({"title": ""}, "title must be text of 1 to 120 characters, not ''"),
         ({"train": "landing"}, "train must be a list"),
         ({"train": ["landing", "--seed", "3"]}, "--seed is not the recipe's to say"),
         ({"variants": {"a": ["--no_report"]}}, "--no_report is not the recipe's to say"),
-        ({"seeds": []}, "seeds must be a list"),
+        ({"seeds": []}, "seeds must be a list of 1 to 100 entries"),
         ({"seeds": [1, 1]}, "a seed is listed twice"),
-        ({"seeds": [True]}, "True is not a whole number"),
+        ({"seeds": [True]}, "seeds[0] must be a whole number from 0 to 4294967295, not True"),
         ({"evaluate": [["success", "{file}"]]}, "{file} is not known there"),
         ({"evaluate": [["success", "{run.__class__}/x"]]}, "{run.__class__} is not known there"),
         ({"evaluate": [["success", "{run!r}", "{}"]]}, "{run!r} is not known there"),
@@ -135,17 +135,20 @@ def test_whatever_stands_in_a_recipe_is_read_or_refused_in_one_sentence(data, tm
         ),
         ({"together": [["{run}"]]}, "'{run}' is no command that a recipe may run: those are success"),
         ({"figure": "{run}/{seed}.png"}, "{seed} is not known there"),
-        ({"seeds": [*range(101)]}, "seeds must be a list of 1 to 100"),
-        ({"variants": {f"v{k}": [] for k in range(101)}}, "at most 100"),
+        ({"seeds": [*range(101)]}, "seeds must be a list of 1 to 100 entries, each"),
+        ({"variants": {f"v{k}": [] for k in range(101)}}, "variants must be a table of at most 100 entries"),
         ({"variants": {f"v{k}": [] for k in range(99)}, "seeds": [*range(99)]}, "are 9801 runs"),
-        ({"numbers": {f"n{k}": GOOD["numbers"]["share"] for k in range(51)}}, "at most 50"),
-        ({"title": "x" * 121}, "title must be text of at most 120 characters"),
+        (
+            {"numbers": {f"n{k}": GOOD["numbers"]["share"] for k in range(51)}},
+            "numbers must be a table of 1 to 50 entries",
+        ),
+        ({"title": "x" * 121}, "title must be text of 1 to 120 characters"),
         ({"together": [["curves", "{seed}"]]}, "{seed} is not known there"),
         ({"variants": {"a/b": []}}, "must be made of at most 40 letters"),
         ({"answer": "{a.nothing}"}, "{a.nothing} is no number of it; write {a.share}"),
         ({"answer": "{a.share:.2f}"}, "braces hold the name of a number"),
         ({"answer": "{"}, "answer: "),
-        ({"numbers": {}}, "at least one number"),
+        ({"numbers": {}}, "numbers must be a table of 1 to 50 entries, not {}"),
         ({"figure": "curves.png"}, "figure must be a .png file in {run}/ or {sweep}/"),
         ({"video": "{run}/../v.gif"}, "video must be a .gif file"),
     ],
@@ -162,12 +165,12 @@ def test_what_is_wrong_is_named(change, sentence, tmp_path):
         ({"file": "/etc/x.json"}, "in the run folder"),
         ({"file": "../x.json"}, "in the run folder"),
         ({"file": "{run}/x.json"}, "{run} is not known there"),
-        ({"path": ""}, "path must be keys"),
-        ({"better": "more"}, "better must be higher or lower"),
-        ({"over": "best"}, "over must be median or mean or worst"),
+        ({"path": ""}, "path must be 1 to 20 keys"),
+        ({"better": "more"}, "better must be 'higher' or 'lower', not 'more'"),
+        ({"over": "best"}, "over must be 'mean' or 'median' or 'worst', not 'best'"),
         ({"bar": math.nan}, "bar must be a number"),
         ({"bar_for": ["nobody"]}, "bar_for must be a list of variants"),
-        ({"factor": 0}, "factor must be above 0"),
+        ({"factor": 0}, "factor must be a number above 0, not 0"),
         ({"places": 2}, "unknown entry 'places'"),
     ],
 )
@@ -176,7 +179,7 @@ def test_what_is_wrong_with_a_number_is_named(change, sentence, tmp_path):
     data["numbers"]["share"] |= change
     with pytest.raises(UserError) as refused:
         read_recipe(write(tmp_path, data))
-    assert sentence in str(refused.value) and "number share" in str(refused.value)
+    assert sentence in str(refused.value) and "[numbers.share]" in str(refused.value)
 
 
 def test_names_in_commands_are_filled_in():
@@ -277,7 +280,8 @@ def result_of(recipe: Recipe) -> Result:
     found = [
         sum_up(variant, n, taken[n.name]) for variant in recipe.variants for n in recipe.numbers.values()
     ]
-    ran = tuple(Ran(variant, seed, 20.5, 31.0, "ended") for variant, seed in recipe.runs())
+    took = {"cpu_seconds": 20.5, "wall_seconds": 31.0, "ended": "ended"}
+    ran = tuple(Ran(variant=variant, seed=seed, **took) for variant, seed in recipe.runs())
     return Result("landing-train sweep two", "a machine", {"mujoco": "4.0.0"}, (0.5, 2.0), tuple(found), ran)
 
 
@@ -306,7 +310,9 @@ def test_a_median_that_is_not_that_of_the_values_is_refused(wrong, tmp_path):
     recipe = read_recipe(write(tmp_path, GOOD))
     record = result_of(recipe).record()
     next(entry for entry in record["measured"] if "median" in entry)["median"] = wrong
-    with pytest.raises(UserError, match=r"\[result\] measured: .*(is no number|not that of the values)"):
+    with pytest.raises(
+        UserError, match=r"\[result\] .*median (must be a number|is .*, not that of the values)"
+    ):
         measured.read(recipe, record)
 
 

@@ -1,0 +1,133 @@
+"""Data that people write (tables of TOML, values of JSON) as typed structs, with errors of one sentence.
+
+A file's layout is a `msgspec.Struct`: types, ranges (`Annotated[float, Meta(ge=0, le=1)]`), defaults. `parse`
+converts, without a word on rules between entries: they are their reader's.
+"""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+from collections.abc import Iterator, Mapping
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+
+import msgspec
+from msgspec import Meta, Struct, inspect, structs
+
+from inclined_landing.models.errors import UserError, choices, shown
+
+Real = Annotated[float, Meta(ge=-1e300, le=1e300)]  # any number that is finite
+T = TypeVar("T")
+
+
+class Table(Struct, frozen=True, forbid_unknown_fields=True):
+    """A table with the entries of its class and no others."""
+
+
+def parse(data: Any, kind: type[T], where: str = "") -> T:
+    """Return `data` as a `kind`: whole numbers become floats where asked for, no other type another one.
+
+    Raises UserError, `where` before its sentence, for entries that are missing, unknown, of another type or
+    out of range.
+    """
+    try:
+        return msgspec.convert(data, kind)
+    except msgspec.ValidationError as error:
+        raise UserError(where + _sentence(data, kind, [])) from error
+
+
+def _sentence(value: Any, kind: Any, way: list[str]) -> str:
+    """Return the sentence for the innermost entry that does not fit; way: the keys that lead to `value`."""
+    for key, entry, wanted in _entries(value, kind):
+        if not _fits(entry, wanted):
+            inner = [*way, key] if isinstance(key, str) else [*way[:-1], f"{''.join(way[-1:])}[{key}]"]
+            return _sentence(entry, wanted, inner)
+    names = [shown(key, 60) for key in way]
+    known = _fields(kind)
+    if not known or not isinstance(value, dict):
+        label = f"[{'.'.join(names[:-1])}] {names[-1]}" if names[1:] else "".join(names) or "the file"
+        return f"{label} must be {expected(kind)}, not {shown(repr(value), 40)}"
+    table = f"[{'.'.join(names)}]" if names else "the file"
+    if unknown := sorted(set(value) - set(known)):
+        near = difflib.get_close_matches(unknown[0], known, 1)
+        hint = f"did you mean {near[0]}?" if near else choices(known, unknown[0])
+        return f"unknown entry {shown(repr(unknown[0]), 40)} in {table}; {hint}"
+    missing = next(name for name, field in known.items() if field.required and name not in value)
+    return f"{table} lacks {missing}" if names else f"{missing} is missing"
+
+
+def _entries(value: Any, kind: Any) -> Iterator[tuple[str | int, Any, Any]]:
+    """Yield key, value and type of everything in a table or list."""
+    if isinstance(value, dict):
+        yield from ((name, value[name], field.type) for name, field in _fields(kind).items() if name in value)
+    for member in _members(kind):
+        origin, inner = get_origin(member), get_args(member)
+        if isinstance(value, dict) and origin in (dict, Mapping):
+            yield from ((key, entry, inner[1]) for key, entry in value.items())
+        if isinstance(value, list) and origin in (list, tuple):
+            kinds = inner if origin is tuple and inner[-1] is not ... else itertools.repeat(inner[0])
+            yield from ((k, entry, wanted) for k, (entry, wanted) in enumerate(zip(value, kinds)))
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    try:
+        msgspec.convert(value, kind)
+    except msgspec.ValidationError:
+        return False
+    return True
+
+
+def _fields(kind: Any) -> dict[str, structs.FieldInfo]:
+    """Return the entries of a table by their names in files; none for what is no table."""
+    tables = (one for one in _members(kind) if isinstance(one, type) and issubclass(one, Struct))
+    return {field.encode_name: field for table in tables for field in structs.fields(table)}
+
+
+def _members(kind: Any) -> tuple[Any, ...]:
+    """Return the types of a union, or the only one, without their limits."""
+    if get_origin(kind) is Annotated:
+        return _members(get_args(kind)[0])
+    if get_origin(kind) in (Union, UnionType):
+        return tuple(member for one in get_args(kind) for member in _members(one))
+    return (kind,)
+
+
+def expected(kind: Any) -> str:
+    """Return what a value of a type must be, to go on after "must be": "a number from 0 to 2 or 'any'"."""
+    return _words(inspect.type_info(kind))
+
+
+def _words(kind: inspect.Type) -> str:
+    if isinstance(kind, inspect.UnionType):  # TOML has no null
+        return " or ".join(_words(one) for one in kind.types if not isinstance(one, inspect.NoneType))
+    if isinstance(kind, inspect.IntType | inspect.FloatType):
+        noun = "a whole number" if isinstance(kind, inspect.IntType) else "a number"
+        limits = {"of at least": kind.ge, "above": kind.gt, "of at most": kind.le, "below": kind.lt}
+        said = {word: _digits(x) for word, x in limits.items() if x is not None and abs(x) < 1e300}
+        if said.keys() == {"of at least", "of at most"}:
+            return f"{noun} from {said['of at least']} to {said['of at most']}"
+        return " ".join([noun, " and ".join(f"{word} {digits}" for word, digits in said.items())]).strip()
+    if isinstance(kind, inspect.StrType):
+        return "text" + _count(kind, "characters")
+    if isinstance(kind, inspect.LiteralType):
+        return " or ".join(map(repr, kind.values))
+    if isinstance(kind, inspect.TupleType):
+        return f"a list of {len(kind.item_types)}, each {_words(kind.item_types[0])}"
+    if isinstance(kind, inspect.ListType | inspect.VarTupleType):
+        return f"a list{_count(kind, 'entries')}, each {_words(kind.item_type)}"
+    if isinstance(kind, inspect.DictType):
+        return "a table" + _count(kind, "entries")
+    return "true or false" if isinstance(kind, inspect.BoolType) else "a table"
+
+
+def _digits(limit: float) -> str:
+    return str(limit) if isinstance(limit, int) else f"{limit:g}"
+
+
+def _count(kind: Any, noun: str) -> str:
+    """Return " of 1 to 40 characters" where a length has limits."""
+    least, most = kind.min_length, kind.max_length
+    if most is None:
+        return f" of at least {least} {noun}" if least else ""
+    return f" of {least} to {most} {noun}" if least else f" of at most {most} {noun}"
