@@ -46,7 +46,9 @@ def command(
     check_format(format)
     check_new_run(out)
     flown = None if vehicle is None else load_vehicle(vehicle)
-    loaded = contract.load(policy, import_task(task).name if is_path(task) else task, flown)
+    loaded = contract.load(
+        policy, import_task(task).name if task is not None and is_path(task) else task, flown
+    )
     terms = write(loaded, format, out)
     say = printer().print
     say(f"{loaded.name} as {format} in {out}; contract.md says what goes in and out")

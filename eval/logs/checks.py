@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -80,12 +81,14 @@ def _names(names: list[str]) -> str:
 def _hover(logs: Sequence[FlightLog]) -> tuple[list[float], str]:
     """Hover command of each flight (NaN where none can be told), and its unit."""
     plain = [_hover_command(log) for log in logs]
-    if any(log.voltage is None for log in logs) or not np.isfinite(plain).all():
+    if not np.isfinite(plain).all():
         return plain, "PWM"
     # Thrust follows the voltage across the motors, unless the command was compensated for it: the
     # product is taken where it makes the flights more alike.
     supplied = []
     for log in logs:
+        if log.voltage is None:
+            return plain, "PWM"
         command = log.command.copy()
         command[:, 0] *= log.voltage / NOMINAL_VOLTAGE
         supplied.append(_hover_command(dataclasses.replace(log, command=command)))
@@ -112,8 +115,7 @@ def _hover_command(log: FlightLog) -> float:
 
 def _repaired(log: FlightLog, findings: Sequence[Finding]) -> FlightLog:
     """Without the rows and optional channels that findings say to leave out."""
-    for finding in findings:
-        if finding.without:
-            log = dataclasses.replace(log, **{finding.without: None})
+    left_out: dict[str, Any] = {finding.without: None for finding in findings if finding.without}
+    log = dataclasses.replace(log, **left_out)
     rows = sorted({row for finding in findings for row in finding.rows})
     return log.rows(np.delete(np.arange(len(log)), rows)) if rows else log

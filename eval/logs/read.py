@@ -72,7 +72,8 @@ def _read(paths: list[Path], chosen: str | Path | None, units: dict[str, str], n
     names = list(dict.fromkeys(column for record in records for column in record.columns))
     if column_map is None:
         column_map = mappings.detect(names, where)
-    channels, notes = {}, []
+    channels: dict[str, mappings.Channel] = {}
+    notes: list[str] = []
     for record in records:
         found, words = mappings.apply(column_map, record, units)
         notes += words

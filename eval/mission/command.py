@@ -129,11 +129,12 @@ def make_plan(
     if slope is not None:
         (own or load_vehicle()).check_inclination(slope)
     setpoint, landing, touchdown = policies
+    x, z = _point(given.hand_over, "hand-over", "X,Z")
     return Plan(
         load_policy(setpoint, "setpoint", vehicle=own),
         load_policy(landing, vehicle=own, inclination=slope),
         load_policy(touchdown, "touchdown", vehicle=own, inclination=slope),
-        _point(given.hand_over, "hand-over", "X,Z"),
+        (x, z),
         *(given.near, given.slow, given.dwell, not given.drift),
     )
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from inclined_landing.envs.flights import Track
+from inclined_landing.envs.flights import Flight, Track
 from inclined_landing.envs.mission import Mission
 from inclined_landing.envs.rendering import Ghost, make_renderer, pose_on, qpos_of_state
-from inclined_landing.eval.pictures.labels import CUT, draw_labels, ended, tempo
+from inclined_landing.eval.pictures.labels import CUT, Label, draw_labels, ended, tempo
 from inclined_landing.eval.pictures.legs import along, named
 from inclined_landing.eval.pictures.to_rest import Landing
 from inclined_landing.eval.pictures.way import progress, spread_copies
@@ -44,7 +44,7 @@ def caption_of(flight: Track, k: int) -> str:
     )
 
 
-def said(flight: Track, k: int) -> list[tuple[str, str]]:
+def said(flight: Flight | Mission, k: int) -> list[Label]:
     """The labels of sample k: which leg is flown, are the motors cut, how did the flight end."""
     last = k == len(flight.t) - 1
     if isinstance(flight, Mission):
@@ -56,7 +56,7 @@ def said(flight: Track, k: int) -> list[tuple[str, str]]:
 
 
 def render_flight(
-    flight: Track,
+    flight: Flight | Mission,
     *,
     camera: str = "arena",
     width: int = 640,
@@ -89,8 +89,8 @@ def render_flight(
                 ghosts=ghosts,
                 caption=caption_of(flight, k),
             )
-            named = [] if title is None else [(title, None)]
-            draw_labels(frame, named + tempo(slow) + said(flight, k))
+            title_label: list[Label] = [] if title is None else [(title, None)]
+            draw_labels(frame, title_label + tempo(slow) + said(flight, k))
             yield frame
 
 
@@ -154,9 +154,8 @@ def write_video(path, frames, fps: float = FPS) -> pathlib.Path:
 
 def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) -> None:
     """The same in several files, as long as each other: by file, every how many-th of the frames it has."""
-    codecs = [_CODECS.get(path.suffix.lower()) for path in every]
-    for path, codec in zip(every, codecs):
-        if codec is None:
+    for path in every:
+        if path.suffix.lower() not in _CODECS:
             raise UserError(f"a video is an .mp4 or .gif file, not {path.name!r}")
     frames = iter(frames)
     first = next(frames, None)
@@ -168,11 +167,12 @@ def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) ->
     mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
     with contextlib.ExitStack() as opened:
         writers = []
-        for (path, step), codec in zip(every.items(), codecs):
+        for path, step in every.items():
             path.parent.mkdir(parents=True, exist_ok=True)
             part = opened.enter_context(storage.atomic(path))
-            quality = {"qp": 20} if codec == "h264" else {}
-            writer = mediapy.VideoWriter(part, first.shape[:2], fps=fps / step, codec=codec, **quality)
+            codec = _CODECS[path.suffix.lower()]
+            quality = 20 if codec == "h264" else None
+            writer = mediapy.VideoWriter(part, first.shape[:2], fps=fps / step, codec=codec, qp=quality)
             writers.append((opened.enter_context(writer), step))
         for k, frame in enumerate(itertools.chain([first], frames)):
             for writer, step in writers:

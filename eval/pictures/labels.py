@@ -12,23 +12,23 @@ from inclined_landing.eval.base.style import GREEN, INK, ORANGE
 
 _FINE = 3  # labels are drawn this much larger and resampled
 _PAPER, _RULE = "#fafbff", "#c3cedb"
-# What is said of the vehicle, with the colour of the dot before it.
-CUT = ("motors cut", ORANGE)
+Label = tuple[str, str | None]  # a text, and the colour of the dot before it or None
+CUT: Label = ("motors cut", ORANGE)
 
 
-def ended(words: str, well: bool) -> tuple[str, str]:
+def ended(words: str, well: bool) -> Label:
     """The label of a flight's end, green when it ended as it should."""
     return words, GREEN if well else ORANGE
 
 
-def tempo(slow: float) -> list[tuple[str, None]]:
+def tempo(slow: float) -> list[Label]:
     """The label of a video that does not play at the flight's own speed."""
     if slow == 1.0:
         return []
     return [(f"{slow:.3g}x slower" if slow > 1.0 else f"{1.0 / slow:.3g}x faster", None)]
 
 
-def draw_labels(frame: np.ndarray, labels: Sequence[tuple[str, str | None]]) -> None:
+def draw_labels(frame: np.ndarray, labels: Sequence[Label]) -> None:
     """Put labels, text and colour of a dot or None, below each other over frame (h, w, 3) uint8."""
     height, width = frame.shape[:2]
     unit = min(width / 960, height / 540)

@@ -7,11 +7,12 @@ from matplotlib.colors import to_rgb
 
 from inclined_landing.envs.mission import LEGS, Mission
 from inclined_landing.eval.base.style import BLUE, GREEN, ORANGE, PURPLE
+from inclined_landing.eval.pictures.labels import Label
 
 COLOURS = (PURPLE, BLUE, ORANGE, GREEN)  # of LEGS
 
 
-def named(mission: Mission, k: int) -> tuple[str, str]:
+def named(mission: Mission, k: int) -> Label:
     """The leg of row k and its colour, in words for a label."""
     leg = mission.leg[k]
     policy = mission.plan.policies[max(leg - 1, 0)]

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from inclined_landing.envs.flights import Flight, refly
-from inclined_landing.eval.pictures.labels import CUT, ended
+from inclined_landing.eval.pictures.labels import CUT, Label, ended
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PWM
 from inclined_landing.models.errors import UserError
@@ -46,7 +46,7 @@ class Touchdown:
         away = (total * normal).sum(axis=1)
         return np.stack([away, np.linalg.norm(total - away[:, None] * normal, axis=1)], axis=1)
 
-    def said(self, k: int) -> list[tuple[str, str]]:
+    def said(self, k: int) -> list[Label]:
         """The label of step k: are the motors cut for good, is it at rest."""
         if k >= self.settled:
             return [ended("at rest", True)]
@@ -73,6 +73,7 @@ def watch(flight: Flight) -> Touchdown:
         raise UserError("contact forces need a flight that touches something; this task has no platform")
     vehicle = flight.task.vehicle
     steps = refly(flight, AFTER_CUT if flight.task.cut_at_success else 0.0)
+    assert steps.deck is not None
     states, commands = steps.state[1:], steps.commands[:-1]
     points, forces = steps.points[1:], steps.forces[1:]
     touching = [k for k, force in enumerate(forces) if len(force)]

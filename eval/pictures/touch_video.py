@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -23,7 +23,7 @@ _RED = tuple(int(255 * c) for c in FORCE)
 
 
 def render_touchdowns(
-    touchdowns: list[Touchdown],
+    touchdowns: Sequence[Touchdown],
     *,
     every: int = 1,
     slow: float = 1.0,

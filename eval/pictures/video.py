@@ -7,14 +7,15 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from inclined_landing.envs.flights import Track, record_flights
+from inclined_landing.envs.flights import Flight, record_flights
+from inclined_landing.envs.mission import Mission
 from inclined_landing.envs.rendering import check_look
 from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Look, Range, Seed, Starts
 from inclined_landing.eval.base.policies import AnyPolicy
@@ -126,7 +127,7 @@ def command(
 
 
 def film(
-    flights: Sequence[Track], sampled: float, slow: float, **look
+    flights: Sequence[Flight | Mission], sampled: float, slow: float, **look: Any
 ) -> tuple[Iterator[np.ndarray], int, float]:
     """Frames of flights after each other, how many they are, and how many are shown in a second.
 
@@ -145,7 +146,7 @@ def film(
 
 
 def film_beside(
-    takes: Sequence[Sequence[Track]], titles: Sequence[str], sampled: float, slow: float, **look
+    takes: Sequence[Sequence[Flight]], titles: Sequence[str], sampled: float, slow: float, **look: Any
 ) -> tuple[Iterator[np.ndarray], int, float]:
     """The same of flights beside each other, one of each title in a take; who has ended waits."""
     columns = math.ceil(math.sqrt(len(titles)))
@@ -175,7 +176,7 @@ def film_beside(
 
 
 def film_touchdowns(
-    touchdowns: Sequence[Touchdown], slow: float, **look
+    touchdowns: Sequence[Touchdown], slow: float, **look: Any
 ) -> tuple[Iterator[np.ndarray], int, float]:
     """The same of touchdowns, whose frames are engine steps."""
     every = math.ceil(1.0 / (STEP * FPS * slow) - 1e-9)  # engine steps from frame to frame

@@ -71,7 +71,7 @@ def _simulated(measured: Recording, flight: Measured, vehicle: Vehicle, anew: fl
     parts = _parts(np.full(flight.samples, True) if known else flight.usable, max(1, round(anew / flight.dt)))
     if not parts:
         raise UserError("no free flight in it")
-    windows = {}
+    windows: dict[int, np.ndarray] = {}
     for steps in sorted({steps for _, steps in parts}):
         firsts = [first for first, own in parts if own == steps]
         windows |= dict(zip(firsts, _flown(flight, firsts, steps, vehicle, plant)))

@@ -31,7 +31,7 @@ from inclined_landing.eval.pictures.figures import (
     save_figure,
     trajectory_figure,
 )
-from inclined_landing.eval.pictures.figures.curves import band
+from inclined_landing.eval.pictures.figures.curves import median_and_range
 from inclined_landing.eval.pictures.figures.scene import platform_outline
 from inclined_landing.eval.pictures.frames import render_flight
 from inclined_landing.models.errors import UserError
@@ -271,7 +271,7 @@ def test_seeds_have_median_and_range(tmp_path):
 
 
 def test_band_covers_common_steps_only():
-    x, middle_, low, high = band(
+    x, middle_, low, high = median_and_range(
         [(np.array([0.0, 2, 4]), np.array([0.0, 2, 4])), (np.array([1.0, 3]), np.ones(2))]
     )
     np.testing.assert_array_equal(x, [1, 2, 3])

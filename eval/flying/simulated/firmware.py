@@ -241,8 +241,8 @@ class Firmware:
         self.thrust = setpoint.thrust
         if setpoint.thrust == 0.0:
             return Setpoint(time=setpoint.time)
-        worst = (_bounded(angle, STEEPEST) for angle in (setpoint.roll, setpoint.pitch))
-        return Setpoint(setpoint.thrust, *worst, _bounded(setpoint.yaw_rate, 720.0), setpoint.time)
+        roll, pitch = (_bounded(angle, STEEPEST) for angle in (setpoint.roll, setpoint.pitch))
+        return Setpoint(setpoint.thrust, roll, pitch, _bounded(setpoint.yaw_rate, 720.0), setpoint.time)
 
     def _conditions(self, time: float, setpoint: Setpoint, up: float, norm: float) -> Conditions:
         age = time - setpoint.time

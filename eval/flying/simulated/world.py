@@ -7,6 +7,7 @@ The time is whatever the caller advances it to: in one go for flights in virtual
 from __future__ import annotations
 
 import dataclasses
+import functools
 import heapq
 import itertools
 import math
@@ -328,7 +329,7 @@ class World:
     def _meet(self, event: str) -> None:
         for fault in [f for f in self._waiting if f.event == event]:
             self._waiting.remove(fault)
-            self.at(self.body.time + fault.after, lambda f=fault: self.begin(f))
+            self.at(self.body.time + fault.after, functools.partial(self.begin, fault))
 
     def begin(self, fault: Fault) -> None:
         """Let a fault happen now, whatever it was to wait for."""

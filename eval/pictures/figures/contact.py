@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -14,7 +15,7 @@ from matplotlib.ticker import LogLocator
 from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, legend_below, styled
 
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE, INK)
-_DASHED = {"color": MUTED, "lw": 1.2, "ls": (0, (5, 2))}
+_DASHED: dict[str, Any] = {"color": MUTED, "lw": 1.2, "ls": (0, (5, 2))}
 DRAW: dict[str, Callable[[dict], Figure]] = {}  # by the key of the finding
 
 
@@ -167,13 +168,8 @@ def tumbling(data: dict, energy: Axes, share: Axes) -> None:
     marks = zip(data["settings"], data["share"], _COLOURS, ("o", "s", "^", "D", "v"))
     for k, (setting, values, colour, mark) in enumerate(marks):
         label = setting if setting == "default" else f"restitution {setting:g}"
-        look = {
-            "color": colour,
-            "marker": mark,
-            "ms": 9 - 2 * k,
-            "lw": 3.2 - 0.8 * k,
-        }  # some lie on each other
-        share.plot(data["speeds"], 100 * values, label=label, **look)
+        size, width = 9 - 2 * k, 3.2 - 0.8 * k  # some lines lie on each other
+        share.plot(data["speeds"], 100 * values, label=label, color=colour, marker=mark, ms=size, lw=width)
     share.set(xlabel="speed [m/s]", ylabel="drops that gain over 1 % [%]", ylim=(-1, None))
     legend_below(share, ncols=3)
 

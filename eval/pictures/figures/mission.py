@@ -43,14 +43,14 @@ def mission_figure(mission: Mission, others: Sequence[Mission] = ()) -> Figure:
         above = panel(figure, _LEFT, foot, width, top)
         beside = panel(figure, _LEFT, foot + top + gap, width, side)
         for axes, plane in ((beside, [X, Z]), (above, [X, Y])):
-            limits = [(low[axis], high[axis]) for axis in plane]
-            draw_air(axes, *limits)
+            across, up = ((low[axis], high[axis]) for axis in plane)
+            draw_air(axes, across, up)
             for other in others:
                 _draw_way(axes, other, plane, lw=0.6, alpha=0.3, zorder=2.6, gid="other way")
             _draw_way(axes, mission, plane, lw=2.2, zorder=3, path_effects=halo(4.0), gid="way")
         above.set_ylabel("y [m]")
-        draw_platform(beside, mission.task.inclination, vehicle)
-        half = vehicle.slab_half_length * np.cos(mission.task.inclination), 0.5 * vehicle.platform_depth
+        draw_platform(beside, mission.plan.task.inclination, vehicle)
+        half = vehicle.slab_half_length * np.cos(mission.plan.task.inclination), 0.5 * vehicle.platform_depth
         slab = Rectangle(
             (-half[0], -half[1]), 2 * half[0], 2 * half[1], facecolor=SLAB, edgecolor=BASE, lw=0.5
         )

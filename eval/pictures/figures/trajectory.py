@@ -73,9 +73,9 @@ def _draw_scene(axes, flight: Flight, chosen, maker: StampMaker, ratio: float) -
         window = _window(np.vstack([points, _SLOPE]), ratio, floor=_LOW)
     else:  # both views get the same scale
         window = _window(points, ratio, least=(np.ptp(widest, axis=0).max() + 2.0 * _MARGIN) / ratio)
-    draw_air(axes, *window, "xy"[maker.across])
+    draw_air(axes, *window, name="xy"[maker.across])
     _place_label(axes)
-    if landing:
+    if flight.inclination is not None:
         draw_platform(axes, flight.inclination, maker.vehicle)
     colours = time_colours(progress(state, _TURN))
     way = np.stack([state[:-1][:, plane], state[1:][:, plane]], axis=1)
@@ -100,7 +100,9 @@ def _draw_scene(axes, flight: Flight, chosen, maker: StampMaker, ratio: float) -
     axes.text(0.012, 0.975, note, transform=axes.transAxes, va="top", size=8.5, color=MUTED)
 
 
-def _window(points: np.ndarray, ratio: float, *, floor: float | None = None, least: float = 0.0):
+def _window(
+    points: np.ndarray, ratio: float, *, floor: float | None = None, least: float = 0.0
+) -> tuple[tuple[float, float], tuple[float, float]]:
     """Limits of x (or y) and z [m] that show points (k, 2) in a box of width = ratio * height.
 
     floor: the lower limit, unless points lie lower; without it, points are in the middle. least: the
