@@ -126,7 +126,7 @@ class BatchEnv:
     def observe(self, ids=slice(None)) -> np.ndarray:
         """Observations (k, o) of the vehicles `ids` as motion capture shows them now, with their history."""
         told = None if self._told is None else self._told[self.plant.choice[ids]]
-        return self.past.behind(self._present(ids), ids, told)
+        return self.past.stack(self._present(ids), ids, told)
 
     def _present(self, ids=slice(None)) -> np.ndarray:
         plant = self.plant
@@ -177,7 +177,7 @@ class BatchEnv:
         self.contact_steps[ids] = 0
         self.touched[ids] = False
         self.held[ids] = 0
-        self.past.begin(ids, self._present(ids))
+        self.past.reset(ids, self._present(ids))
         return self.observe(ids)
 
     def _place(self, ids: np.ndarray, start: Start) -> None:
@@ -230,7 +230,7 @@ class BatchEnv:
         self.commands = self.task.commands(self.actions, *(() if centres is None else (centres,)))
         self.commands = self.task.headed(self.commands, self.plant.measurement, self.plant.deck)
         if self.task.history:
-            self.past.note(self._present(), self.actions)
+            self.past.record(self._present(), self.actions)
 
     def outcome(self) -> Step:
         """The second half of `step`: what the plant's step under `commands` has led to."""

@@ -50,18 +50,18 @@ class History:
         self._told = vehicle_numbers.vehicle_numbers(task.vehicle) if task.observe_vehicle else None
         self.steps = np.zeros((n, task.history, self._seen + len(task.action_names)), np.float32)
 
-    def begin(self, ids, observation: np.ndarray) -> None:
+    def reset(self, ids, observation: np.ndarray) -> None:
         """New episodes of the vehicles `ids` with their first observation (k, o)."""
         self.steps[ids, :, : self._seen] = observation[:, None]
         self.steps[ids, :, self._seen :] = 0.0
 
-    def note(self, observation: np.ndarray, actions: np.ndarray) -> None:
+    def record(self, observation: np.ndarray, actions: np.ndarray) -> None:
         """A step of all vehicles: the observation (n, o) and the actions (n, a) in [-1, 1] given to it."""
         if self.steps.shape[1]:
             self.steps[:, 1:] = self.steps[:, :-1]
             self.steps[:, 0, : self._seen], self.steps[:, 0, self._seen :] = observation, actions
 
-    def behind(
+    def stack(
         self, observation: np.ndarray, ids=slice(None), vehicle: np.ndarray | None = None
     ) -> np.ndarray:
         """The present observation (k, o) of the vehicles `ids`, their past behind it: (k, o + K (o + a)).

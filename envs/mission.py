@@ -268,8 +268,8 @@ class _Flying:
     def _command(self) -> np.ndarray:
         """Commands (n, 4): the set-point policy's, and instead what the policies of later legs command."""
         plan, seen = self.plan, self._seen()
-        actions = plan.setpoint.predict(self.past.behind(seen))
-        self.past.note(seen, actions)
+        actions = plan.setpoint.predict(self.past.stack(seen))
+        self.past.record(seen, actions)
         commands = self.hover.commands(actions)
         limit = plan.vehicle.command_yaw_rate_limit
         commands[:, YAW_RATE_COMMAND] = np.clip(-YAW_GAIN * self.plant.measurement[:, YAW], -limit, limit)
@@ -343,7 +343,7 @@ class _Flying:
         self.leg[ids], self.began[ids, leg] = leg, self.tick
         if leg == APPROACH:
             self.target[ids] = self.plan.point
-        self.past.begin(ids, self._seen()[ids])
+        self.past.reset(ids, self._seen()[ids])
         if leg in self.pilots:
             self.pilots[leg][1].take_over(ids)
 

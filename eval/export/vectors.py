@@ -50,10 +50,10 @@ def sequence(policy: Policy, states: np.ndarray, observations: np.ndarray) -> Ve
     for k, observation in enumerate(observations.astype(np.float32)):
         row = observation[None]
         if k == 0:
-            past.begin(slice(None), row)
-        inputs.append(past.behind(row)[0])
+            past.reset(slice(None), row)
+        inputs.append(past.stack(row)[0])
         actions.append(policy.predict(inputs[-1]))
-        past.note(row, actions[-1][None])
+        past.record(row, actions[-1][None])
     answers = np.array(actions)
     commands = task.commands(answers.astype(float))
     return Vectors(states, observations.astype(np.float32), np.array(inputs), answers, commands)

@@ -42,19 +42,19 @@ def command(
     """
     from inclined_landing.eval.flying.pose_stream import resolved
     from inclined_landing.eval.flying.simulated.faults import Fault
-    from inclined_landing.eval.flying.simulated.gaps import vehicle_named
-    from inclined_landing.eval.flying.simulated.process import Process
+    from inclined_landing.eval.flying.simulated.server import SimulatorServer
+    from inclined_landing.eval.flying.simulated.vehicles import named_vehicle
     from inclined_landing.eval.flying.simulated.world import Setting, World
 
     address, faults = resolved(poses), [Fault.parse(text) for text in fault]
     angle = None if inclination is None else math.radians(inclination)
-    setting = Setting(vehicle_named(vehicle), parse_start(start), inclination=angle)
+    setting = Setting(named_vehicle(vehicle), parse_start(start), inclination=angle)
     if out is not None:
         if not out.name.endswith((".csv", ".csv.gz")):
             raise UserError(f"--out: a log is a .csv or .csv.gz file, not {shown(repr(out.name), 60)}")
         check_file(out)
     world = World(setting, seed, faults)
-    process = Process(world, port, address, lambda line: print(line, flush=True))
+    process = SimulatorServer(world, port, address, lambda line: print(line, flush=True))
     print(f"a simulated Crazyflie at udp://127.0.0.1:{process.port}, its poses to {poses}", flush=True)
     try:
         process.run(float("inf") if seconds is None else seconds)

@@ -27,11 +27,13 @@ COLUMNS = (
     *("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate", "vbat", "contact"),
 )
 _COMMANDS = ("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate")
-LATEST = 0.5  # s that something may be told after what is later: rows are written in order of their times
-BLIND = 0.1  # s, as in the reader: longer holes between neighbours are not bridged
+REORDER_WINDOW = (
+    0.5  # s that something may be told after what is later: rows are written in order of their times
+)
+LONGEST_GAP = 0.1  # s, as in the reader: longer holes between neighbours are not bridged
 
 
-class FlightLog:
+class FlightLogWriter:
     """A log at `path` that begins at `start` [s of the pilot's clock]; use as a context.
 
     Raises UserError where the file is there already or cannot be written.
@@ -55,7 +57,7 @@ class FlightLog:
         self._rows = csv.DictWriter(self._file, COLUMNS)
         self._rows.writeheader()
 
-    def __enter__(self) -> FlightLog:
+    def __enter__(self) -> FlightLogWriter:
         return self
 
     def __exit__(self, *_) -> None:
@@ -95,7 +97,7 @@ class FlightLog:
             return
         track.append((t, values))
         self._newest = max(self._newest, t)
-        self._write(self._newest - LATEST)
+        self._write(self._newest - REORDER_WINDOW)
 
     def _write(self, until: float) -> None:
         """Write the rows up to `until`, and forget what no later row needs."""
@@ -107,7 +109,7 @@ class FlightLog:
         commands = [(t, False) for t, _ in tracks["command"] if self._written < t <= until]
         last = max([*poses, *commands], default=None) if until == math.inf else None
         for t, seen in sorted(poses + commands):
-            if not seen and t - self._posed < BLIND and (t, seen) != last:
+            if not seen and t - self._posed < LONGEST_GAP and (t, seen) != last:
                 continue  # the next pose's row shows it
             self._rows.writerow({"t": f"{t:.6f}"} | self._cells(t, seen))
             self._written = t
@@ -134,7 +136,7 @@ class FlightLog:
     def _between(self, kind: str, t: float) -> tuple[float, ...] | None:
         """A track at t, between neighbours at most BLIND apart."""
         for (t0, a), (t1, b) in itertools.pairwise(self._tracks[kind]):
-            if t0 <= t <= t1 and t1 - t0 <= BLIND:
+            if t0 <= t <= t1 and t1 - t0 <= LONGEST_GAP:
                 share = (t - t0) / (t1 - t0)
                 return tuple(frames.wrapped(x + share * frames.wrapped(y - x)) for x, y in zip(a, b))
         return None

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from inclined_landing.eval.flying.interfaces import Clock, MotionCapture
     from inclined_landing.eval.flying.pilot import Pilot, Plan, Report
 
-LISTENED = 3  # times that the checks may take: a second without a glimpse of the markers can happen
-WORD = "arm"  # typed before the motors may turn
+CHECK_ATTEMPTS = 3  # times that the checks may take: a second without a glimpse of the markers can happen
+ARM_WORD = "arm"  # typed before the motors may turn
 VIRTUAL_PATIENCE = 20.0  # s of real time that a control step may take while the flight's time is simulated
 Faults = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="FAULT")]
 
@@ -89,7 +89,7 @@ def command(
     from inclined_landing.models import storage
 
     if simulated:
-        _refuse(
+        _reject_options(
             "of a real vehicle",
             uri=uri,
             mocap=mocap,
@@ -98,7 +98,7 @@ def command(
             heading=heading,
         )
     else:
-        _refuse(
+        _reject_options(
             "of the simulated Crazyflie and needs --simulated",
             vehicle=vehicle,
             fault=fault or None,
@@ -109,7 +109,7 @@ def command(
         check_uri(uri)
         if yes and not uri.startswith("udp://"):
             raise UserError("--yes is for simulated vehicles alone; before a real one flies, a word is typed")
-    landing, hover, starts = load(policy, setpoint, start, inclination, arena)
+    landing, hover, starts = load_policies(policy, setpoint, start, inclination, arena)
     if out is not None:
         check_new_run(out)
     if uri is None or mocap is None:
@@ -124,7 +124,7 @@ def command(
     for k in range(flights):
         plan = Plan(landing, hover, starts[k % len(starts)], stand or 0.0, math.radians(heading or 0.0))
         print(f"flight {k + 1} of {flights}, landing from x {plan.start[0]:g}, z {plan.start[1]:g} m")
-        with session.ready(k, plan, dry_run, yes) as pilot:
+        with session.prepared(k, plan, dry_run, yes) as pilot:
             folder = folder or new_run(out, "fly")
             log = None if dry_run else folder / f"flight_{k + 1:02d}.csv"
             report = pilot.fly(log)
@@ -139,7 +139,7 @@ def command(
                 "flights": results,
             },
         )
-        print(words(report))
+        print(describe(report))
         if report.cause is not None and report.cause.name == "interrupted":
             return 130
         if report.error:
@@ -151,7 +151,7 @@ def command(
     return 0 if dry_run or landed == flights else 3
 
 
-def load(
+def load_policies(
     policy: str,
     setpoint: str,
     start: tuple[str, ...],
@@ -191,7 +191,7 @@ def load(
 
 
 @dataclasses.dataclass
-class Session:
+class Connection:
     """What the flights of one command have in common: how one comes to a connected vehicle.
 
     guarded: around a flight with motors, what stops them should this process die.
@@ -199,10 +199,10 @@ class Session:
 
     simulated: bool
     connect: Callable[[int, float, bool], tuple[Any, Clock, MotionCapture]]
-    guarded: Callable[[], contextlib.AbstractContextManager[Any]] = contextlib.nullcontext
+    dead_man_switch: Callable[[], contextlib.AbstractContextManager[Any]] = contextlib.nullcontext
 
     @contextlib.contextmanager
-    def ready(self, k: int, plan: Plan, dry: bool, yes: bool) -> Iterator[Pilot]:
+    def prepared(self, k: int, plan: Plan, dry: bool, yes: bool) -> Iterator[Pilot]:
         """The pilot of flight k, whose checks have passed. Raises UserError where one fails."""
         from inclined_landing.eval.flying import safety
         from inclined_landing.eval.flying.pilot import Pilot
@@ -211,7 +211,7 @@ class Session:
         try:
             patience = VIRTUAL_PATIENCE if self.simulated else safety.HANG_LIMIT
             pilot = Pilot(radio, clock, mocap, plan, hang_limit=patience)
-            for _ in range(LISTENED):
+            for _ in range(CHECK_ATTEMPTS):
                 checks = pilot.check()
                 failed = [check for check in checks if not check.passed]
                 if not failed:
@@ -222,7 +222,7 @@ class Session:
                 raise UserError(
                     "not ready to fly: " + "; ".join(f"{check.name}: {check.found}" for check in failed)
                 )
-            with contextlib.nullcontext() if dry else self.guarded():
+            with contextlib.nullcontext() if dry else self.dead_man_switch():
                 if not (dry or yes or self.simulated):
                     confirm()
                 yield pilot
@@ -232,12 +232,11 @@ class Session:
 
 def confirm() -> None:
     """Have the word typed. Raises UserError for anything else."""
-    print(
-        f"The motors will start. Goggles on, nobody inside the nets? Type {WORD} to fly: ", end="", flush=True
-    )
+    question = f"The motors will start. Goggles on, nobody inside the nets? Type {ARM_WORD} to fly: "
+    print(question, end="", flush=True)
     typed = sys.stdin.readline().strip()
-    if typed != WORD:
-        raise UserError(f"not armed: {WORD} was not typed")
+    if typed != ARM_WORD:
+        raise UserError(f"not armed: {ARM_WORD} was not typed")
 
 
 def summary(report: Report, plan: Plan, log: Path | None) -> dict[str, Any]:
@@ -253,7 +252,7 @@ def summary(report: Report, plan: Plan, log: Path | None) -> dict[str, Any]:
     }
 
 
-def words(report: Report) -> str:
+def describe(report: Report) -> str:
     """How a flight ended, in one line."""
     if report.landed:
         assert report.goal is not None and report.landing_time is not None
@@ -274,24 +273,24 @@ def words(report: Report) -> str:
     return f"ended early: {report.cause.name} ({report.cause.when})"
 
 
-def _refuse(why: str, **options: object) -> None:
+def _reject_options(why: str, **options: object) -> None:
     """Raise UserError for an option that was given and means nothing here."""
     for name, value in options.items():
         if value is not None:
             raise UserError(f"--{name.replace('_', '-')} is {why}")
 
 
-def _simulated(vehicle: str, inclination: float | None, fault: tuple[str, ...], seed: int) -> Session:
+def _simulated(vehicle: str, inclination: float | None, fault: tuple[str, ...], seed: int) -> Connection:
     """Flights of the simulated Crazyflie, each with a seed and a battery of its own."""
     from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
     from inclined_landing.eval.flying.simulated.faults import Fault
-    from inclined_landing.eval.flying.simulated.gaps import vehicle_named
+    from inclined_landing.eval.flying.simulated.vehicles import named_vehicle
     from inclined_landing.eval.flying.simulated.world import Setting
     from inclined_landing.eval.flying.vehicle import Radio
 
     faults = [Fault.parse(text) for text in fault]
     setting = Setting(
-        vehicle_named(vehicle),
+        named_vehicle(vehicle),
         inclination=None if inclination is None else math.radians(inclination),
     )
 
@@ -302,10 +301,10 @@ def _simulated(vehicle: str, inclination: float | None, fault: tuple[str, ...], 
         radio.connect(flight.uri)
         return radio, flight.clock, flight.motion_capture
 
-    return Session(True, connect)
+    return Connection(True, connect)
 
 
-def _real(uri: str, mocap: str, latency: float) -> Session:
+def _real(uri: str, mocap: str, latency: float) -> Connection:
     """Flights of the vehicle at `uri`."""
     try:
         import cflib.crtp
@@ -332,4 +331,4 @@ def _real(uri: str, mocap: str, latency: float) -> Session:
         radio.connect(uri)
         return radio, clock, capture
 
-    return Session(False, connect, lambda: DeadManSwitch(uri))
+    return Connection(False, connect, lambda: DeadManSwitch(uri))

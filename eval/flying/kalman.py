@@ -23,7 +23,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 @dataclasses.dataclass(frozen=True)
-class Noise:
+class NoiseModel:
     """What the filter believes of the motion capture and of the vehicle.
 
     Motion capture of this kind is good to a millimetre or better once calibrated; 1 mm is on the safe side.
@@ -36,30 +36,32 @@ class Noise:
     gate: float = 30.7  # largest normalised innovation squared: one of a million, chi-square with 3 degrees
 
     @classmethod
-    def of(cls, vehicle: Vehicle, position: float = 1e-3) -> Noise:
+    def of(cls, vehicle: Vehicle, position: float = 1e-3) -> NoiseModel:
         """For a vehicle whose tilt commands end at its angle limit: evenly spread between those bounds."""
         most = vehicle.environment_gravity * math.tan(vehicle.command_angle_limit)
         return cls(position, most / math.sqrt(3.0), vehicle.attitude_time_constant)
 
 
-class Filter:
+class KalmanFilter:
     """The filter of one flight; begins with the first measurement."""
 
-    def __init__(self, noise: Noise):
+    def __init__(self, noise: NoiseModel):
         self.noise = noise
         self.time: float | None = None  # of the last measurement that was believed, s
         self.mean = np.zeros((3, 3))  # position, velocity, acceleration of x, y, z
         self.variance = np.zeros((3, 3))  # of position, velocity, acceleration, the same for all axes
-        self.impacts = 0  # measurements that only a touch explains
-        self.innovation = 0.0  # normalised, squared, of the last measurement; chi-square with 3 degrees
+        self.contact_updates = 0  # measurements that only a touch explains
+        self.normalised_innovation_squared = (
+            0.0  # normalised, squared, of the last measurement; chi-square with 3 degrees
+        )
 
-    def measure(self, time: float, position: np.ndarray, impact: bool = False) -> bool:
+    def update(self, time: float, position: np.ndarray, impact: bool = False) -> bool:
         """Take a position (3,) [m] measured at `time` [s]; False where it is not believed.
 
         impact: something to touch is near, and the velocity may have changed at once.
 
         Not believed are positions that are not finite, not newer than the last one, or farther off than
-        `Noise.gate` allows.
+        `NoiseModel.gate` allows.
         """
         position = np.asarray(position, float)
         if not (math.isfinite(time) and np.isfinite(position).all()):
@@ -73,34 +75,34 @@ class Filter:
         if time <= self.time:
             return False
         mean, variance = self._ahead(time - self.time)
-        surprise = position - mean[0]
+        innovation = position - mean[0]
         expected = variance[0, 0] + n.position**2
-        self.innovation = float(surprise @ surprise / expected)
-        if not self.innovation <= n.gate:
+        self.normalised_innovation_squared = float(innovation @ innovation / expected)
+        if not self.normalised_innovation_squared <= n.gate:
             reach = IMPACT * min(time - self.time, IMPACT_TIME) + 5.0 * n.position
-            if not (impact and math.sqrt(surprise @ surprise) <= reach):
+            if not (impact and math.sqrt(innovation @ innovation) <= reach):
                 return False
             hit = np.array([time - self.time, 1.0, 0.0]) * IMPACT
             variance = variance + np.outer(hit, hit)
-            self.impacts += 1
+            self.contact_updates += 1
             expected = variance[0, 0] + n.position**2
         gain = variance[:, 0] / expected
         keep = np.eye(3)
         keep[:, 0] -= gain
-        self.mean = mean + np.outer(gain, surprise)
+        self.mean = mean + np.outer(gain, innovation)
         # Joseph's form: stays symmetric and positive.
         self.variance = keep @ variance @ keep.T + n.position**2 * np.outer(gain, gain)
         self.time = time
         return True
 
-    def at(self, time: float) -> tuple[np.ndarray, np.ndarray]:
+    def predict(self, time: float) -> tuple[np.ndarray, np.ndarray]:
         """Position (3,) [m] and velocity (3,) [m/s] predicted for `time` [s]; NaN before any measurement."""
         if self.time is None:
             return np.full(3, np.nan), np.full(3, np.nan)
         mean = transition(max(0.0, time - self.time), self.noise.correlation) @ self.mean
         return mean[0], mean[1]
 
-    def deviation(self, time: float) -> tuple[float, float]:
+    def standard_deviations(self, time: float) -> tuple[float, float]:
         """Standard deviations, per axis, of that position [m] and velocity [m/s]."""
         if self.time is None:
             return math.inf, math.inf

@@ -26,15 +26,15 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, IDLE_ACTION, REST_SPEED
 from inclined_landing.eval.flying import frames, safety
-from inclined_landing.eval.flying.actors import Actor, BadAction, Hover
-from inclined_landing.eval.flying.checks import LISTENING, Check, Heard, all_checks
-from inclined_landing.eval.flying.coherence import Coherence
-from inclined_landing.eval.flying.estimate import Attitude, Belief, Estimator
-from inclined_landing.eval.flying.flight_log import FlightLog
+from inclined_landing.eval.flying.consistency import ConsistencyMonitor
+from inclined_landing.eval.flying.estimate import Attitude, Estimator, StateEstimate
+from inclined_landing.eval.flying.flight_log import FlightLogWriter
 from inclined_landing.eval.flying.interfaces import Clock, MotionCapture, Pose
-from inclined_landing.eval.flying.kalman import Noise
-from inclined_landing.eval.flying.safety import Cause, Now, Phase, Reaction
-from inclined_landing.eval.flying.surroundings import IMPACT_REACH, Surroundings, Target
+from inclined_landing.eval.flying.kalman import NoiseModel
+from inclined_landing.eval.flying.policies import InvalidAction, PolicyRunner, SetpointFollower
+from inclined_landing.eval.flying.preflight import RECORDING_TIME, Check, PreflightData, preflight_checks
+from inclined_landing.eval.flying.safety import Cause, FlightStatus, Phase, Reaction
+from inclined_landing.eval.flying.surroundings import IMPACT_DISTANCE, MovingTarget, Surroundings
 from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.models.attitude import (
     PITCH_COMMAND,
@@ -52,11 +52,11 @@ TICKS = 4  # looks at the motion capture per control period: 200 Hz sees every p
 APPROACH_SPEED, RETREAT_SPEED = 0.6, 0.4  # m/s, of the point that the set-point policy follows
 LIFT_OFF = 0.05  # m above where it stood
 STUCK_TIME = 0.5  # s without sinking at the end of a retreat: it stands
-WATCHED = (
+AFTER_FLIGHT_TIME = (
     2.5  # s after the motors are off: the vehicle must be told to stop until its supervisor calls it landed
 )
 DRY_RUN = 30.0  # s
-SHOWN_EVERY = 0.5  # s, of a dry run
+DRY_RUN_PERIOD = 0.5  # s, of a dry run
 # Of Ctrl-C, `kill`, a closed terminal, Ctrl-\ and Ctrl-Z.
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
 
@@ -115,45 +115,47 @@ class Pilot:
         self.vehicle = self.task.vehicle
         self.phase = Phase.APPROACH
         self.report = Report("")
-        self.around = Surroundings(self.vehicle, self.task.inclination)
+        self.surroundings = Surroundings(self.vehicle, self.task.inclination)
         self.home: np.ndarray | None = None
-        self._say, self._hang_limit = say, hang_limit
-        self._log: FlightLog | None = None
-        self._estimator = Estimator(Noise.of(self.vehicle), plan.heading)
-        self._guard = safety.Guard(self.vehicle)
-        self._coherence = Coherence(self.vehicle.environment_gravity)
-        self._hover, self._lander = Hover(plan.setpoint), Actor(plan.landing)
+        self._print, self._hang_limit = say, hang_limit
+        self._log: FlightLogWriter | None = None
+        self._estimator = Estimator(NoiseModel.of(self.vehicle), plan.heading)
+        self._monitor = safety.SafetyMonitor(self.vehicle)
+        self._consistency = ConsistencyMonitor(self.vehicle.environment_gravity)
+        self._follower, self._landing_policy = SetpointFollower(plan.setpoint), PolicyRunner(plan.landing)
         self._period = self.vehicle.command_control_period
         self._voltage, self._locked = math.nan, False
         self._pose_time = -math.inf
         self._poses: list[Pose] = []
         self._attitudes = 0
-        self._target: Target | None = None
+        self._target: MovingTarget | None = None
         self._began = self._phase_began = 0.0
         self._airborne = False
-        self._good = self._idle = 0  # control steps in a row
-        self._places: list[np.ndarray] = []  # of the last HOLD_STEPS control steps
-        self._lying = self._stuck = 0.0
-        self._warned: Cause | None = None
-        self._shown = -math.inf
+        self._steps_at_start = self._idle_steps = 0  # control steps in a row
+        self._recent_positions: list[np.ndarray] = []  # of the last HOLD_STEPS control steps
+        self._resting_time = self._stuck_time = 0.0
+        self._announced: Cause | None = None
+        self._last_print = -math.inf
 
     # --- before ----------------------------------------------------------------------------------
 
     def check(self) -> list[Check]:
         """Listen for a second, and say what is found; the place of the vehicle is its home from then on."""
-        end = self.clock.now() + LISTENING
-        self._listen()
+        end = self.clock.now() + RECORDING_TIME
+        self._receive()
         self._poses, self._attitudes = [], 0
         while self.clock.now() < end:
             self.clock.wait_until(self.clock.now() + self._period / TICKS)
-            self._listen()
-        belief = self._estimator.at(self.clock.now())
-        heard = Heard(self._poses, self._attitudes, self._voltage, self._locked, belief)
-        found = all_checks(heard, self.around, self.plan.stand)
+            self._receive()
+        belief = self._estimator.predict(self.clock.now())
+        heard = PreflightData(self._poses, self._attitudes, self._voltage, self._locked, belief)
+        found = preflight_checks(heard, self.surroundings, self.plan.stand)
         if all(check.passed for check in found):
             self.home = np.mean([pose.position for pose in self._poses], axis=0)
             start = np.array([self.plan.start[0], 0.0, self.plan.start[1]])
-            self._target = Target(self.home, self.around.way_to(self.home, start), APPROACH_SPEED)
+            self._target = MovingTarget(
+                self.home, self.surroundings.path_to(self.home, start), APPROACH_SPEED
+            )
         return found
 
     # --- the flight ------------------------------------------------------------------------------
@@ -169,22 +171,22 @@ class Pilot:
         if self._target is None:
             raise ValueError("the checks must have passed before a flight")
         try:  # which also compiles what is not compiled yet
-            self._lander.act(self._estimator.at(self.clock.now()).state)
-            self._hover.roll_to(self._estimator.at(self.clock.now()).state, 0.0)
-        except BadAction:
+            self._landing_policy.act(self._estimator.predict(self.clock.now()).state)
+            self._follower.roll_command_to_hold(self._estimator.predict(self.clock.now()).state, 0.0)
+        except InvalidAction:
             self._end(safety.BAD_ACTION)
             return self.report
-        self._lander.begin()
-        self._hover.actor.begin()
+        self._landing_policy.reset()
+        self._follower.actor.reset()
         with contextlib.ExitStack() as stack:
             try:
                 if log is not None:
-                    self._log = stack.enter_context(FlightLog(log, self.clock.now()))
-                    self._note_before()
+                    self._log = stack.enter_context(FlightLogWriter(log, self.clock.now()))
+                    self._log_initial_values()
                 with _interruptible(), Watchdog(self._hang_limit, self.radio.emergency_stop) as watchdog:
                     self._began = self._phase_began = self.clock.now()
                     self.radio.arm()
-                    self._note_off()
+                    self._log_motors_off()
                     self._loop(watchdog)
             except KeyboardInterrupt:
                 self._end(safety.INTERRUPTED)
@@ -195,7 +197,7 @@ class Pilot:
                 with _uninterruptible():
                     self._motors_off()
             with contextlib.suppress(Exception):
-                self._watch()
+                self._track_after_flight()
         return self.report
 
     def _loop(self, watchdog) -> None:
@@ -203,9 +205,9 @@ class Pilot:
         while self.phase is not Phase.OVER:
             for tick in range(1, TICKS + 1):
                 self.clock.wait_until(begin + (k + tick / TICKS) * self._period)
-                self._listen()
-                watchdog.alive()
-            if watchdog.bitten:
+                self._receive()
+                watchdog.feed()
+            if watchdog.triggered:
                 self._end(safety.HANG)
                 return
             k += 1
@@ -218,15 +220,15 @@ class Pilot:
 
     def _step(self, time: float) -> None:
         """One control step."""
-        belief = self._estimator.at(time)
-        cause = self._guard.cause(self._now(belief))
+        belief = self._estimator.predict(time)
+        cause = self._monitor.cause(self._flight_status(belief))
         if cause is not None:
             self._react(cause, belief)
         if self.phase is Phase.OVER:
             return
         try:
             command = self._command(belief)
-        except BadAction as bad:
+        except InvalidAction as bad:
             landing = bad.policy is self.plan.landing
             self._react(safety.BAD_ACTION if landing else safety.BAD_SETPOINT, belief)
             if self.phase is Phase.OVER:
@@ -241,21 +243,21 @@ class Pilot:
         if self._log is not None:
             self._log.command(time, command)
         if self.radio.dry:
-            self._show(time, belief, command)
+            self._print_dry_run(time, belief, command)
 
-    def _now(self, belief: Belief) -> Now:
+    def _flight_status(self, belief: StateEstimate) -> FlightStatus:
         time, state = belief.time, belief.state
         if self.home is not None and state[2] > self.home[2] + LIFT_OFF:
             self._airborne = True
-        self._places = [*self._places[1 - HOLD_STEPS :], state[X : Z + 1].copy()]
+        self._recent_positions = [*self._recent_positions[1 - HOLD_STEPS :], state[X : Z + 1].copy()]
         still = (
-            len(self._places) == HOLD_STEPS
-            and float(np.ptp(self._places, axis=0).max()) < REST_SPEED * HOLD_STEPS * self._period
+            len(self._recent_positions) == HOLD_STEPS
+            and float(np.ptp(self._recent_positions, axis=0).max()) < REST_SPEED * HOLD_STEPS * self._period
         )
-        self._compare(time, state)
-        lies = still and self._airborne and self.around.touches(state)
-        self._lying = self._lying + self._period if lies else 0.0
-        return Now(
+        self._check_consistency(time, state)
+        lies = still and self._airborne and self.surroundings.in_contact(state)
+        self._resting_time = self._resting_time + self._period if lies else 0.0
+        return FlightStatus(
             phase=self.phase,
             since=time - self._phase_began,
             belief=belief,
@@ -264,91 +266,98 @@ class Pilot:
             locked=self._locked,
             voltage=self._voltage,
             heading_error=float(state[YAW]),
-            parted=self._coherence.parted,
-            lying=self._lying,
+            velocity_mismatch=self._consistency.velocity_mismatch,
+            resting_time=self._resting_time,
             landing_limit=self.task.max_steps * self._period,
         )
 
-    def _compare(self, time: float, state: np.ndarray) -> None:
+    def _check_consistency(self, time: float, state: np.ndarray) -> None:
         """Motion with forces, while nothing but the air touches the vehicle."""
         attitude = self._estimator.attitude
-        rotation = None if attitude is None else self._estimator.in_arena(attitude)
-        if not self._airborne or rotation is None or self.around.touches(state):
-            self._coherence.begin()
+        rotation = None if attitude is None else self._estimator.to_arena(attitude)
+        if not self._airborne or rotation is None or self.surroundings.in_contact(state):
+            self._consistency.reset()
         elif attitude is not None:
-            self._coherence.note(time, state[VX : VZ + 1], rotation[:, 2], attitude.lift)
+            self._consistency.update(time, state[VX : VZ + 1], rotation[:, 2], attitude.specific_force)
 
-    def _command(self, belief: Belief) -> np.ndarray | None:
+    def _command(self, belief: StateEstimate) -> np.ndarray | None:
         """The command (4,) of the present phase, which may end here; None when the flight is over."""
         state = belief.state
         if self.phase is Phase.APPROACH:
             command = self._approach(state)
-            if self._good * self._period < HAND_OVER_TIME:
+            if self._steps_at_start * self._period < HAND_OVER_TIME:
                 return command
             self._enter(Phase.LANDING)
             self.report.start = state.copy()
-            self._say(f"hand-over at x {state[X]:.2f}, z {state[Z]:.2f} m")
+            self._print(f"hand-over at x {state[X]:.2f}, z {state[Z]:.2f} m")
         if self.phase is Phase.LANDING:
             return self._land(belief)
         return self._retreat(state)
 
     def _approach(self, state: np.ndarray) -> np.ndarray:
         assert self._target is not None
-        target = self._target.move(self._period, state[X : Z + 1])
+        target = self._target.advance(self._period, state[X : Z + 1])
         away = float(np.linalg.norm(target - state[X : Z + 1]))
         slow = float(np.linalg.norm(state[VX : VZ + 1])) < HAND_OVER_SPEED
-        self._good = self._good + 1 if self._target.arrived and slow and away < TOLERANCE else 0
-        return self._hover.fly(state, target, self._period)
+        self._steps_at_start = (
+            self._steps_at_start + 1 if self._target.arrived and slow and away < TOLERANCE else 0
+        )
+        return self._follower.command_towards(state, target, self._period)
 
-    def _land(self, belief: Belief) -> np.ndarray | None:
+    def _land(self, belief: StateEstimate) -> np.ndarray | None:
         state = belief.state
         goal_size = self.task.goal_size
         if goal_size is not None and self.task.in_goal(state[None], self.task.inclination, goal_size)[0]:
-            self._succeed("goal box", belief)
+            self._reach_goal("goal box", belief)
             return None
-        action, command = self._lander.act(state)
-        command[ROLL_COMMAND] = self._hover.roll_to(state, 0.0)
-        self._idle = self._idle + 1 if command[PWM] == 0.0 and action[0] <= IDLE_ACTION else 0
-        if goal_size is None and self._idle >= HOLD_STEPS and self._lying > 0.0:
-            self._succeed("at rest", belief)
+        action, command = self._landing_policy.act(state)
+        command[ROLL_COMMAND] = self._follower.roll_command_to_hold(state, 0.0)
+        self._idle_steps = self._idle_steps + 1 if command[PWM] == 0.0 and action[0] <= IDLE_ACTION else 0
+        if goal_size is None and self._idle_steps >= HOLD_STEPS and self._resting_time > 0.0:
+            self._reach_goal("at rest", belief)
             return None
         return command
 
     def _retreat(self, state: np.ndarray) -> np.ndarray | None:
         assert self._target is not None
-        command = self._hover.fly(state, self._target.move(self._period, state[X : Z + 1]), self._period)
+        command = self._follower.command_towards(
+            state, self._target.advance(self._period, state[X : Z + 1]), self._period
+        )
         below = state[Z] - self._target.position[2] > 0.1
-        self._stuck = self._stuck + self._period if below and abs(state[VZ]) < REST_SPEED else 0.0
-        down = state[Z] < self.around.standing + 2 * LIFT_OFF and self._target.position[2] < state[Z]
-        if down or self._stuck > STUCK_TIME:
+        self._stuck_time = self._stuck_time + self._period if below and abs(state[VZ]) < REST_SPEED else 0.0
+        down = (
+            state[Z] < self.surroundings.standing_height + 2 * LIFT_OFF
+            and self._target.position[2] < state[Z]
+        )
+        if down or self._stuck_time > STUCK_TIME:
             self._end(self.report.retreat)
             return None
         return command
 
     # --- what happens to the flight ----------------------------------------------------------------
 
-    def _react(self, cause: Cause, belief: Belief) -> None:
+    def _react(self, cause: Cause, belief: StateEstimate) -> None:
         if self.radio.dry:
-            if cause is not self._warned:
-                self._say(f"would react: {cause.name} ({cause.when}): {cause.reaction.value}")
-            self._warned = cause
+            if cause is not self._announced:
+                self._print(f"would react: {cause.name} ({cause.when}): {cause.reaction.value}")
+            self._announced = cause
             return
         if cause.reaction is Reaction.OFF or not self._airborne:
             self._end(cause)
             return
-        self._say(f"{cause.name}: {cause.when}; {cause.reaction.value}")
+        self._print(f"{cause.name}: {cause.when}; {cause.reaction.value}")
         self.report.retreat = cause
         here = belief.state[X : Z + 1].copy()
-        self._target = Target(here, self.around.way_down(here), RETREAT_SPEED)
+        self._target = MovingTarget(here, self.surroundings.path_down(here), RETREAT_SPEED)
         self._enter(Phase.RETREAT)
 
     def _enter(self, phase: Phase) -> None:
         self.phase, self._phase_began = phase, self.clock.now()
-        self._stuck = 0.0
-        self._lander.begin()
-        self._hover.actor.begin()
+        self._stuck_time = 0.0
+        self._landing_policy.reset()
+        self._follower.actor.reset()
 
-    def _succeed(self, outcome: str, belief: Belief) -> None:
+    def _reach_goal(self, outcome: str, belief: StateEstimate) -> None:
         self.report.goal = belief.state.copy()
         self.report.landing_time = belief.time - self._phase_began
         self._end(None, outcome)
@@ -372,72 +381,72 @@ class Pilot:
             self.radio.emergency_stop()
         with contextlib.suppress(Exception):
             self.report.seconds = self.clock.now() - self._began
-            self._note_off()
+            self._log_motors_off()
 
-    def _note_before(self) -> None:
+    def _log_initial_values(self) -> None:
         """What was heard last before the log begins."""
         assert self._log is not None
         self._log.voltage(self.clock.now(), self._voltage)
         if (attitude := self._estimator.attitude) is not None:
-            self._note_attitude(attitude)
+            self._log_attitude(attitude)
 
-    def _note_attitude(self, attitude: Attitude) -> None:
-        seen = self._estimator.in_arena(attitude)
+    def _log_attitude(self, attitude: Attitude) -> None:
+        seen = self._estimator.to_arena(attitude)
         if self._log is not None and seen is not None:
             self._log.attitude(attitude.time, *frames.house_angles(seen))
 
-    def _note_off(self) -> None:
+    def _log_motors_off(self) -> None:
         if self._log is not None:
             self._log.command(self.clock.now(), np.zeros(4))
 
-    def _watch(self) -> None:
+    def _track_after_flight(self) -> None:
         """Go on telling it to stop, and log where it comes to lie."""
-        end = self.clock.now() + WATCHED
+        end = self.clock.now() + AFTER_FLIGHT_TIME
         while (now := self.clock.now()) < end:
             with contextlib.suppress(Exception):
                 self.radio.stop()
             for _ in range(TICKS):
                 self.clock.wait_until(self.clock.now() + self._period / TICKS)
-                self._listen()
-            self._now(self._estimator.at(now + self._period))
-        belief = self._estimator.at(self.clock.now())
+                self._receive()
+            self._flight_status(self._estimator.predict(now + self._period))
+        belief = self._estimator.predict(self.clock.now())
         if belief.pose_age < safety.POSE_LIMIT:
             self.report.final = belief.state[X : Z + 1].copy()
-            platform = self.around.distances(belief.state[None])[0, 0]
-            self.report.rests = bool(self._lying > 0.0 and platform < 2 * LIFT_OFF)
+            platform = self.surroundings.distances(belief.state[None])[0, 0]
+            self.report.rests = bool(self._resting_time > 0.0 and platform < 2 * LIFT_OFF)
 
     # --- what is heard -----------------------------------------------------------------------------
 
-    def _listen(self) -> None:
+    def _receive(self) -> None:
         pose = self.mocap.latest()
         if pose is not None and pose.time > self._pose_time:
             self._pose_time = pose.time
-            near = self.around.near(self._estimator.at(pose.time).state, IMPACT_REACH)
-            impacts = self._estimator.filter.impacts
-            self._estimator.see(pose, impact=near)
+            near = self.surroundings.is_near(self._estimator.predict(pose.time).state, IMPACT_DISTANCE)
+            contact_updates = self._estimator.filter.contact_updates
+            self._estimator.add_pose(pose, impact=near)
             if self.phase is Phase.LANDING:
-                self.report.touched |= self._estimator.filter.impacts > impacts
+                self.report.touched |= self._estimator.filter.contact_updates > contact_updates
             if len(self._poses) < 10_000:
                 self._poses.append(pose)
             if self._log is not None:
-                state = self._estimator.at(pose.time).state
-                self._log.pose(pose.time, pose.position, self.around.touches(state))
-        for news in self.radio.news():
-            if isinstance(news, Attitude):
+                state = self._estimator.predict(pose.time).state
+                self._log.pose(pose.time, pose.position, self.surroundings.in_contact(state))
+        for received in self.radio.received():
+            if isinstance(received, Attitude):
                 self._attitudes += 1
-                self._estimator.feel(news)
-                self._note_attitude(news)
+                self._estimator.add_attitude(received)
+                self._log_attitude(received)
             else:
-                self._voltage, self._locked = news.voltage, news.locked
+                self._voltage, self._locked = received.voltage, received.locked
                 if self._log is not None:
-                    self._log.voltage(news.time, news.voltage)
+                    self._log.voltage(received.time, received.voltage)
 
-    def _show(self, time: float, belief: Belief, command: np.ndarray) -> None:
-        if time - self._shown < SHOWN_EVERY:
+    def _print_dry_run(self, time: float, belief: StateEstimate, command: np.ndarray) -> None:
+        if time - self._last_print < DRY_RUN_PERIOD:
             return
-        self._shown = time
+        self._last_print = time
         x, y, z = belief.state[X : Z + 1]
-        self._say(
+        self._print(
             f"{time - self._began:5.1f} s  {self.phase.value:8}  x {x:6.2f}  y {y:6.2f}  z {z:5.2f} m  would "
             f"command PWM {command[PWM]:5.0f}, roll {math.degrees(command[ROLL_COMMAND]):5.1f}, "
             f"pitch {math.degrees(command[PITCH_COMMAND]):5.1f} deg, "

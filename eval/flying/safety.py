@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from inclined_landing.envs.tasks.landing import BOUND_MARGIN
-from inclined_landing.eval.flying.estimate import Belief
+from inclined_landing.eval.flying.estimate import StateEstimate
 from inclined_landing.models.attitude import VX, VZ, X, Z
 from inclined_landing.models.parameters import Vehicle
 
@@ -48,7 +48,7 @@ class Cause:
 POSE_LIMIT = 0.2  # s without a believed position: the filter is then 6 cm unsure, a goal box has 10
 ATTITUDE_LIMIT = 0.25  # s without an attitude: a quarter of a second of lost packets is no link
 TILT_LIMIT = math.radians(60.0)  # the firmware calls a vehicle tumbled there; commands end at 30 deg
-PARTED_LIMIT = 2.0  # m/s between what forces add up to and the measured velocity, see `coherence`
+MISMATCH_LIMIT = 2.0  # m/s between what forces add up to and the measured velocity, see `coherence`
 DISAGREEMENT_LIMIT = math.radians(20.0)  # between the attitudes of log and motion capture
 HEADING_LIMIT = math.radians(30.0)  # off the heading held, while it is not being turned to it
 SPEED_LIMIT = 4.0  # m/s: shipped landings stay below 2.8
@@ -123,9 +123,9 @@ DISAGREEMENT = Cause(
     Reaction.OFF,
     "a wrong sign, or markers taken for others: every command would be wrong",
 )
-PARTED = Cause(
+WRONG_POSITION = Cause(
     "wrong position",
-    f"the measured motion is {PARTED_LIMIT:g} m/s off what accelerometer and tilt lead to",
+    f"the measured motion is {MISMATCH_LIMIT:g} m/s off what accelerometer and tilt lead to",
     Reaction.OFF,
     "a marker left behind: positions are fresh, and not the vehicle's",
 )
@@ -150,7 +150,7 @@ BATTERY = Cause(
     Reaction.LAND,
     "the firmware's critical level: seconds of thrust are left",
 )
-LYING = Cause(
+TOUCHED = Cause(
     "touched",
     "touches the platform or the floor in the landing and stays there for 0.5 s",
     Reaction.OFF,
@@ -177,19 +177,19 @@ OVERTIME_RETREAT = Cause(
 
 
 @dataclasses.dataclass(frozen=True)
-class Now:
+class FlightStatus:
     """What the causes are asked about."""
 
     phase: Phase
     since: float  # s since the phase began
-    belief: Belief
+    belief: StateEstimate
     airborne: bool  # has it left the place it stood on
     linked: bool
     locked: bool  # by the vehicle's own supervisor
     voltage: float  # V; NaN where not known
     heading_error: float  # rad
-    parted: float  # m/s, see `Coherence`
-    lying: float  # s that it has touched something without moving
+    velocity_mismatch: float  # m/s, see `ConsistencyMonitor`
+    resting_time: float  # s that it has touched something without moving
     landing_limit: float  # s that the landing may take
 
 
@@ -208,7 +208,7 @@ def stopping_distance(velocity: np.ndarray, vehicle: Vehicle) -> np.ndarray:
     return speed * REACTION_TIME + speed**2 / (2.0 * brake)
 
 
-class Guard:
+class SafetyMonitor:
     """Asks for causes in every control step, and remembers how long some of them have lasted."""
 
     def __init__(self, vehicle: Vehicle):
@@ -218,7 +218,7 @@ class Guard:
         self._low = np.array([v.arena_x[0], v.arena_y[0], v.arena_z[0]])
         self._high = np.array([v.arena_x[1], v.arena_y[1], v.arena_z[1]])
 
-    def cause(self, now: Now) -> Cause | None:
+    def cause(self, now: FlightStatus) -> Cause | None:
         """The first cause that holds; in a retreat only those that switch the motors off."""
         for cause, holds in self._tests():
             if not self._lasts(cause, holds(now), now.belief.time):
@@ -234,7 +234,7 @@ class Guard:
             return False
         return time - self._began.setdefault(cause.name, time) >= PERSISTENT.get(cause.name, 0.0)
 
-    def _tests(self) -> tuple[tuple[Cause, Callable[[Now], bool]], ...]:
+    def _tests(self) -> tuple[tuple[Cause, Callable[[FlightStatus], bool]], ...]:
         return (
             (LINK, lambda now: not now.linked),
             (STALE_ATTITUDE, lambda now: now.belief.attitude_age > ATTITUDE_LIMIT),
@@ -242,10 +242,10 @@ class Guard:
             (BAD_STATE, lambda now: not np.isfinite(now.belief.state).all()),
             (LOCKED, lambda now: now.locked),
             (TUMBLED, lambda now: now.belief.tilt > TILT_LIMIT),
-            (DISAGREEMENT, lambda now: now.belief.disagreement > DISAGREEMENT_LIMIT),
-            (PARTED, lambda now: now.parted > PARTED_LIMIT),
+            (DISAGREEMENT, lambda now: now.belief.attitude_mismatch > DISAGREEMENT_LIMIT),
+            (WRONG_POSITION, lambda now: now.velocity_mismatch > MISMATCH_LIMIT),
             (OUTSIDE, lambda now: self._outside(now)),
-            (LYING, lambda now: now.phase is Phase.LANDING and now.lying >= 0.5),
+            (TOUCHED, lambda now: now.phase is Phase.LANDING and now.resting_time >= 0.5),
             (OVERTIME_RETREAT, lambda now: now.phase is Phase.RETREAT and now.since > RETREAT_LIMIT),
             (FENCE, self._near_fence),
             (SPEED, lambda now: now.belief.speed > SPEED_LIMIT),
@@ -255,12 +255,12 @@ class Guard:
             (OVERTIME_LANDING, lambda now: now.phase is Phase.LANDING and now.since > now.landing_limit),
         )
 
-    def _outside(self, now: Now) -> bool:
+    def _outside(self, now: FlightStatus) -> bool:
         position = now.belief.state[X : Z + 1]
         below = np.array([0.0, 0.0, np.inf])  # a vehicle cannot be below the floor, its markers may
         return bool((position < self._low - below).any() or (position > self._high).any())
 
-    def _near_fence(self, now: Now) -> bool:
+    def _near_fence(self, now: FlightStatus) -> bool:
         position, velocity = now.belief.state[X : Z + 1], now.belief.state[VX : VZ + 1]
         room = stopping_distance(velocity, self.vehicle) + BOUND_MARGIN
         high = (velocity > 0.0) & (position + room > self._high)
@@ -269,10 +269,10 @@ class Guard:
         return bool(high.any() or low.any())
 
 
-# In the order of the documentation; those of `Guard`, and those that the pilot meets elsewhere.
+# In the order of the documentation; those of `SafetyMonitor`, and those that the pilot meets elsewhere.
 CAUSES = (
     *(INTERRUPTED, ERROR, HANG, LINK, STALE_ATTITUDE, STALE_POSE, BAD_STATE, BAD_SETPOINT, BAD_ACTION),
-    *(LOCKED, TUMBLED, DISAGREEMENT, PARTED, OUTSIDE, FENCE, SPEED, HEADING, BATTERY, LYING),
+    *(LOCKED, TUMBLED, DISAGREEMENT, WRONG_POSITION, OUTSIDE, FENCE, SPEED, HEADING, BATTERY, TOUCHED),
     *(OVERTIME_APPROACH, OVERTIME_LANDING, OVERTIME_RETREAT),
 )
 

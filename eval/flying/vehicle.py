@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.eval.flying import frames
-from inclined_landing.eval.flying.estimate import Attitude, LogClock
+from inclined_landing.eval.flying.estimate import Attitude, ClockOffset
 from inclined_landing.eval.flying.interfaces import Clock
 from inclined_landing.eval.flying.link import remedy
 from inclined_landing.models.errors import UserError, shown
@@ -34,7 +34,7 @@ class Status:
 class Radio:
     """One connected vehicle.
 
-    crazyflie: cflib's, or what answers like it. What arrives comes on cflib's thread and waits in `news`.
+    crazyflie: cflib's, or what answers like it. What arrives comes on cflib's thread and waits in `received`.
     dry: nothing that moves a motor is sent.
     """
 
@@ -43,8 +43,8 @@ class Radio:
         self.angle_limit = angle_limit  # rad
         self.lost: str | None = None  # why, once the link is
         self._connected = False
-        self._news: collections.deque[Attitude | Status] = collections.deque(maxlen=10_000)
-        self._dates = LogClock()
+        self._received: collections.deque[Attitude | Status] = collections.deque(maxlen=10_000)
+        self._dates = ClockOffset()
         self._logs: list[Any] = []
         for caller, react in (
             (crazyflie.connected, self._is_connected),
@@ -65,19 +65,19 @@ class Radio:
                 reason = reason.removeprefix("Couldn't load link driver: ")
                 raise UserError(f"no connection to {shown(uri)}: {shown(reason, 200)}{remedy(uri)}")
             self.clock.wait_until(self.clock.now() + 0.02)
-        felt = ("stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw", "acc.z")
-        self._log("attitude", ATTITUDE_PERIOD, felt, self._attitude)
+        specific_force = ("stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw", "acc.z")
+        self._log("attitude", ATTITUDE_PERIOD, specific_force, self._attitude)
         try:
             self._log("status", STATUS_PERIOD, ("pm.vbat", "supervisor.info"), self._status)
         except KeyError:  # older firmware
             self._log("status", STATUS_PERIOD, ("pm.vbat",), self._status)
 
-    def news(self) -> list[Attitude | Status]:
+    def received(self) -> list[Attitude | Status]:
         """What has arrived since the last call, in order."""
         fresh = []
         with contextlib.suppress(IndexError):
             while True:
-                fresh.append(self._news.popleft())
+                fresh.append(self._received.popleft())
         return fresh
 
     def arm(self) -> None:
@@ -140,11 +140,11 @@ class Radio:
     def _attitude(self, stamp: int, data: dict[str, float], _) -> None:
         angles = (data[f"stateEstimate.{name}"] for name in ("roll", "pitch", "yaw"))
         time = self._dates.date(stamp, self.clock.now())
-        self._news.append(Attitude(time, frames.logged_rotation(*angles), float(data["acc.z"])))
+        self._received.append(Attitude(time, frames.logged_rotation(*angles), float(data["acc.z"])))
 
     def _status(self, stamp: int, data: dict[str, float], _) -> None:
         locked = bool(int(data.get("supervisor.info", 0)) & _LOCKED)
-        self._news.append(Status(self.clock.now(), float(data["pm.vbat"]), locked))
+        self._received.append(Status(self.clock.now(), float(data["pm.vbat"]), locked))
 
     def _is_connected(self, uri: str) -> None:
         self._connected = True

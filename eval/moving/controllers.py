@@ -76,9 +76,9 @@ class _PolicyPilot:
     def __call__(self, t: float, moment: Moment) -> np.ndarray:
         observation = self._task.observe(moment)
         if t == 0.0:
-            self._past.begin(slice(None), observation)
-        actions = self._policy.predict(self._past.behind(observation)).astype(float)
-        self._past.note(observation, actions)
+            self._past.reset(slice(None), observation)
+        actions = self._policy.predict(self._past.stack(observation)).astype(float)
+        self._past.record(observation, actions)
         commands = self._task.headed(self._task.commands(actions), moment.state, moment.deck)
         if self._task.cut_at_success:
             self._cut |= self._task.in_goal_over(moment.state, moment.deck, GOAL_SIZE)

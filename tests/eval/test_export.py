@@ -719,6 +719,6 @@ def test_what_a_policy_is_told_of_its_vehicle_is_part_of_its_export(tmp_path):
     spec.loader.exec_module(module)
     reader = module.LandingPolicy(tmp_path / "out/policy.npz")
     rows = rng.normal(scale=0.5, size=(20, 5)).astype(np.float32)
-    inputs = History(task, 20).behind(rows)
+    inputs = History(task, 20).stack(rows)
     for row, given in zip(rows, inputs):
         np.testing.assert_allclose(reader.act(row), told.predict(given), rtol=0.0, atol=TOLERANCE)

@@ -66,7 +66,7 @@ class Body:
         self._shown = self._seen(self.plant.measurement)
         self._shown_before = self._shown
         self._felt = np.array([0.0, 0.0, 1.0])
-        self.drained = 0.0  # V by which the battery is emptier than the vehicle file says
+        self.voltage_drop = 0.0  # V by which the battery is emptier than the vehicle file says
 
     @staticmethod
     def _seen(state: np.ndarray) -> np.ndarray:
@@ -83,7 +83,7 @@ class Body:
         return self._command[0]
 
     @property
-    def felt(self) -> np.ndarray:
+    def specific_force(self) -> np.ndarray:
         """(3,) specific force that an accelerometer shows along the body's axes [g], mean over the last step.
 
         Of all forces but gravity: 1 up at rest, 0 in free fall.
@@ -106,7 +106,7 @@ class Body:
         change[2] += self.vehicle.environment_gravity
         self._felt = rotation(*self._now[ROLL : YAW + 1]).T @ change / self.vehicle.environment_gravity
 
-    def weaken(self, share: float) -> None:
+    def scale_thrust(self, share: float) -> None:
         """Thrust from now on as a share of the vehicle file's."""
         self.plant.perturb(thrust_scale=share)
 
@@ -131,7 +131,7 @@ class Body:
     @property
     def voltage(self) -> float:
         """Of the battery under its present load [V]."""
-        return equations.battery_voltage(self._now[LAG], self.time, self._constants) - self.drained
+        return equations.battery_voltage(self._now[LAG], self.time, self._constants) - self.voltage_drop
 
 
 def firmware_attitude(roll: float, pitch: float, yaw: float) -> tuple[float, float, float]:

@@ -65,8 +65,8 @@ class _WorldLink(CRTPDriver):
 
     def close(self) -> None:
         """Nothing arrives any more."""
-        self._world.to_host = lambda packet: None
-        self._world.broken = lambda reason: None
+        self._world.on_packet = lambda packet: None
+        self._world.on_link_lost = lambda reason: None
         self._owner.incoming.stop()
 
     def get_name(self) -> str:
@@ -100,11 +100,11 @@ class SimulatedCrazyflie(Crazyflie):
         self.connection_requested.call(link_uri)
         self.state, self.link_uri = State.INITIALIZED, link_uri
         link = self.link = _WorldLink(self._world, self)
-        self._world.to_host = link.put
-        self._world.broken = self._link_error_cb
+        self._world.on_packet = link.put
+        self._world.on_link_lost = self._link_error_cb
         self.packet_received.add_callback(self._check_for_initial_packet_cb)
         self._start_connection_setup()
-        if not self._world.hears:
+        if not self._world.link_up:
             self._link_error_cb("Too many packets lost")
         self._wait(lambda: self.param.is_updated)
 

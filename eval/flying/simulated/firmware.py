@@ -152,12 +152,12 @@ class Firmware:
         self.setpoint = Setpoint()
         self.thrust = 0.0  # that the motors have
         self.armed = self.crashed = self.emergency = self.tumbled = False
-        self._said = said
+        self._print = said
         self._commanded = False  # has the commander had a set-point: its priority is no longer "disable"
         self._locked = True
-        self._checked = -math.inf
+        self._last_supervision = -math.inf
         self._tilted_since: float | None = None
-        self._noticed: float | None = None  # last notice of the emergency watchdog
+        self._last_notice: float | None = None  # last notice of the emergency watchdog
         self._last_thrust = self._ready = self._landed = -math.inf
 
     # --- what a client sends ---------------------------------------------------------------------
@@ -204,7 +204,7 @@ class Firmware:
 
     def notice(self, time: float) -> None:
         """Of the emergency watchdog: from the first one on they must go on."""
-        self._noticed = time
+        self._last_notice = time
 
     # --- what runs on board ----------------------------------------------------------------------
 
@@ -231,8 +231,8 @@ class Firmware:
         setpoint = self.setpoint if self.can_fly else Setpoint()
         if setpoint.thrust > 0.0:
             self._last_thrust = time
-        if time - self._checked >= PERIOD - 1e-9:
-            self._checked = time
+        if time - self._last_supervision >= PERIOD - 1e-9:
+            self._last_supervision = time
             self._supervise(self._conditions(time, setpoint, up, norm), time)
         if self.state is State.LEVEL_OUT:
             setpoint = Setpoint(setpoint.thrust, time=setpoint.time)
@@ -246,7 +246,7 @@ class Firmware:
 
     def _conditions(self, time: float, setpoint: Setpoint, up: float, norm: float) -> Conditions:
         age = time - setpoint.time
-        silent = self._noticed is not None and time >= self._noticed + EMERGENCY_WATCHDOG
+        silent = self._last_notice is not None and time >= self._last_notice + EMERGENCY_WATCHDOG
         self.tumbled = self._is_tumbled(time, up, norm)
         return Conditions(
             armed=self.armed,
@@ -282,11 +282,11 @@ class Firmware:
             self._landed = time
         elif new is State.CRASHED:
             self.crashed = True
-            self._said("SUP: Crashed, recovery required")
+            self._print("SUP: Crashed, recovery required")
         elif new is State.FREE_FALL:
-            self._said("SUP: free falling!")
+            self._print("SUP: free falling!")
         elif new is State.LOCKED:
-            self._said("SUP: Locked, reboot required")
+            self._print("SUP: Locked, reboot required")
         if new not in _ARMED:
             self.armed = False
         if new is State.CHECKS_PASSED:

@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclasses.dataclass(frozen=True)
-class Link:
+class LinkQuality:
     """How good the radio is, each direction alike.
 
     The Crazyradio sends a packet again until it is acknowledged, so what goes wrong on the air is mostly a
@@ -23,10 +23,10 @@ class Link:
     lost: float = 0.005  # share of the packets lost for good, in full queues
 
 
-class Way:
+class LinkDirection:
     """One direction. down: nothing gets through; storm: share of the packets that is lost on top."""
 
-    def __init__(self, link: Link, random: np.random.Generator):
+    def __init__(self, link: LinkQuality, random: np.random.Generator):
         self.link = link
         self.down = False
         self.storm = 0.0

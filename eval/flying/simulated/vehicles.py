@@ -17,7 +17,7 @@ HIDDEN = {
 }
 
 
-def vehicle_named(name: str) -> Vehicle:
+def named_vehicle(name: str) -> Vehicle:
     """ "nominal", "hidden" (HIDDEN on the nominal one), or the path of a vehicle file.
 
     Raises UserError for a file that cannot be read.

@@ -7,15 +7,15 @@ import math
 
 import numpy as np
 
-from inclined_landing.eval.flying.estimate import Belief
+from inclined_landing.eval.flying.estimate import StateEstimate
 from inclined_landing.eval.flying.interfaces import Pose
 from inclined_landing.eval.flying.surroundings import CLEAR, Surroundings
 
-LISTENING = 1.0  # s that is listened to the vehicle and the motion capture
+RECORDING_TIME = 1.0  # s that is listened to the vehicle and the motion capture
 LEAST_VOLTAGE = 3.7  # V at rest: about half full; hovering takes half a volt off
 POSE_RATE, ATTITUDE_RATE = 50.0, 40.0  # least per second
 LONGEST_GAP = 0.1  # s
-STILLNESS = 0.005  # m, largest standard deviation of a position at rest
+LARGEST_SPREAD = 0.005  # m, largest standard deviation of a position at rest
 LEVEL = math.radians(10.0)  # of the place that it stands on, and between the two attitudes
 HEIGHT = 0.03  # m by which the standing height may differ
 ROOM = 0.2  # m to the arena's walls
@@ -31,19 +31,19 @@ class Check:
 
 
 @dataclasses.dataclass(frozen=True)
-class Heard:
+class PreflightData:
     """What arrived in LISTENING seconds, at rest."""
 
     poses: list[Pose]
     attitudes: int
     voltage: float  # V, NaN where none came
     locked: bool
-    belief: Belief
+    belief: StateEstimate
 
 
-def all_checks(heard: Heard, around: Surroundings, stand: float) -> list[Check]:
+def preflight_checks(heard: PreflightData, surroundings: Surroundings, stand: float) -> list[Check]:
     """Every check; stand [m]: height of what the vehicle stands on."""
-    v, belief = around.vehicle, heard.belief
+    v, belief = surroundings.vehicle, heard.belief
     positions = np.array([pose.position for pose in heard.poses]).reshape(-1, 3)
     times = np.array([pose.time for pose in heard.poses])
     gap = float(np.diff(times).max()) if len(times) > 1 else math.inf
@@ -52,9 +52,9 @@ def all_checks(heard: Heard, around: Surroundings, stand: float) -> list[Check]:
     state = belief.state
     x, y, z = state[:3]
     inside = v.arena_x[0] + ROOM < x < v.arena_x[1] - ROOM and v.arena_y[0] + ROOM < y < v.arena_y[1] - ROOM
-    expected = stand + around.standing
+    expected = stand + surroundings.standing_height
     known = bool(np.isfinite(state).all())
-    clearance = float(around.distances(state[None])[0, 0]) if known else math.nan
+    clearance = float(surroundings.distances(state[None])[0, 0]) if known else math.nan
     tilt = belief.tilt if known else math.nan
     return [
         Check(
@@ -69,26 +69,26 @@ def all_checks(heard: Heard, around: Surroundings, stand: float) -> list[Check]:
         ),
         Check(
             "motion capture",
-            len(times) >= POSE_RATE * LISTENING and gap <= LONGEST_GAP and moved,
-            f"{len(times) / LISTENING:.0f} poses per second, longest gap {1e3 * gap:.0f} ms"
+            len(times) >= POSE_RATE * RECORDING_TIME and gap <= LONGEST_GAP and moved,
+            f"{len(times) / RECORDING_TIME:.0f} poses per second, longest gap {1e3 * gap:.0f} ms"
             + ("" if moved or len(times) < 2 else ", all the same: frozen")
             + f"; at least {POSE_RATE:g}, at most {1e3 * LONGEST_GAP:g} ms",
         ),
         Check(
             "at rest",
-            spread <= STILLNESS,
-            f"position spreads by {1e3 * spread:.1f} mm; at most {1e3 * STILLNESS:g} mm",
+            spread <= LARGEST_SPREAD,
+            f"position spreads by {1e3 * spread:.1f} mm; at most {1e3 * LARGEST_SPREAD:g} mm",
         ),
         Check(
             "attitude log",
-            heard.attitudes >= ATTITUDE_RATE * LISTENING,
-            f"{heard.attitudes / LISTENING:.0f} per second; at least {ATTITUDE_RATE:g}",
+            heard.attitudes >= ATTITUDE_RATE * RECORDING_TIME,
+            f"{heard.attitudes / RECORDING_TIME:.0f} per second; at least {ATTITUDE_RATE:g}",
         ),
         Check(
             "level",
-            tilt <= LEVEL and belief.disagreement <= LEVEL,
-            f"tilted by {math.degrees(tilt):.1f} deg, {math.degrees(belief.disagreement):.1f} deg from what "
-            f"motion capture shows; at most {math.degrees(LEVEL):.0f} deg",
+            tilt <= LEVEL and belief.attitude_mismatch <= LEVEL,
+            f"tilted by {math.degrees(tilt):.1f} deg, {math.degrees(belief.attitude_mismatch):.1f} deg from "
+            f"what motion capture shows; at most {math.degrees(LEVEL):.0f} deg",
         ),
         Check(
             "inside the arena", bool(inside), f"x {x:.2f}, y {y:.2f} m; {ROOM:g} m from the walls at least"
@@ -97,7 +97,7 @@ def all_checks(heard: Heard, around: Surroundings, stand: float) -> list[Check]:
             "height",
             abs(z - expected) <= HEIGHT,
             f"stands at z {z:.3f} m, expected {expected:.3f}: stand {stand:g} m, centre of mass "
-            f"{around.standing:.3f} m above its feet",
+            f"{surroundings.standing_height:.3f} m above its feet",
         ),
         Check("clear of the platform", clearance > CLEAR, f"{clearance:.2f} m; more than {CLEAR:g} m"),
     ]

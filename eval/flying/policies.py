@@ -11,7 +11,7 @@ from inclined_landing.envs.tasks import Moment, Setpoint
 from inclined_landing.models.attitude import ROLL_COMMAND, X, Y, Z
 
 
-class BadAction(Exception):
+class InvalidAction(Exception):
     """A policy gave NaN or infinity."""
 
     def __init__(self, policy: Policy):
@@ -19,7 +19,7 @@ class BadAction(Exception):
         self.policy = policy
 
 
-class Actor:
+class PolicyRunner:
     """One policy, with the past that it may be given."""
 
     def __init__(self, policy: Policy):
@@ -27,7 +27,7 @@ class Actor:
         self._past = History(self.task, 1)
         self._begun = False
 
-    def begin(self) -> None:
+    def reset(self) -> None:
         """A new flight: what was before counts no more."""
         self._begun = False
 
@@ -38,30 +38,30 @@ class Actor:
         """
         observation = self.task.observe(Moment(state[None]))
         if not self._begun:
-            self._past.begin([0], observation)
+            self._past.reset([0], observation)
             self._begun = True
-        action = np.asarray(self.policy.predict(self._past.behind(observation)))
+        action = np.asarray(self.policy.predict(self._past.stack(observation)))
         if not np.isfinite(action).all():
-            raise BadAction(self.policy)
+            raise InvalidAction(self.policy)
         action = np.clip(action, -1.0, 1.0)
-        self._past.note(observation, action)
+        self._past.record(observation, action)
         return action[0], self.task.commands(action)[0]
 
 
-class Hover:
+class SetpointFollower:
     """The set-point policy, flying to any point: it is told where it is from its own goal."""
 
     def __init__(self, policy: Policy):
-        self.actor = Actor(policy)
+        self.actor = PolicyRunner(policy)
         self.trim = Trim(1)
         self._task: Setpoint = policy.task  # type: ignore[assignment]
 
-    def fly(self, state: np.ndarray, target: np.ndarray, dt: float) -> np.ndarray:
+    def command_towards(self, state: np.ndarray, target: np.ndarray, dt: float) -> np.ndarray:
         """Command (4,) for a state (13,) towards a target (3,) [m], dt [s] after the last one."""
         self.trim.learn((target - state[X : Z + 1])[None], dt)
         return self.actor.act(self._task.shifted(state[None], target + self.trim.offset)[0])[1]
 
-    def roll_to(self, state: np.ndarray, y: float) -> float:
+    def roll_command_to_hold(self, state: np.ndarray, y: float) -> float:
         """Roll command [rad] that holds a planar flight at y [m]: the policy's, all else at its goal."""
         shown = self._task.across(state[None], y + self.trim.offset[0, Y])[0]
         return float(self.actor.act(shown)[1][ROLL_COMMAND])

@@ -11,7 +11,7 @@ from inclined_landing.eval.flying.interfaces import Pose
 
 
 @dataclasses.dataclass(frozen=True)
-class Cameras:
+class CameraQuality:
     """How good the motion capture is. Estimates of what halls with eight and more cameras reach."""
 
     rate: float = 120.0  # Hz
@@ -23,7 +23,7 @@ class Cameras:
     dropout_length: float = 0.03  # s, mean of an exponential
 
 
-class MarkerView:
+class SimulatedMotionCapture:
     """What the cameras make of where the vehicle is; `MotionCapture` for a pilot.
 
     blind: no pose; frozen: the last one again and again, with new times; stuck: the place where it was, with
@@ -31,7 +31,7 @@ class MarkerView:
     for the vehicle's; turned: the attitude shown the wrong way round.
     """
 
-    def __init__(self, cameras: Cameras, random: np.random.Generator):
+    def __init__(self, cameras: CameraQuality, random: np.random.Generator):
         self.cameras = cameras
         self.blind = self.frozen = self.stuck = self.turned = False
         self.shift = np.zeros(3)
