@@ -32,25 +32,25 @@ _EACH, _SPACE_EACH = 50, 15  # starts of a cell
 
 
 def grid() -> np.ndarray:
-    """The frozen starts (k, 2): x, z [m]."""
+    """Return the frozen starts (k, 2): x, z [m]."""
     text = resources.files("inclined_landing.envs").joinpath(_FILE).read_text("utf-8")
     return np.loadtxt(io.StringIO(text), delimiter=",", comments="#", ndmin=2)
 
 
 def make_grid(task: InclinedLanding) -> np.ndarray:
-    """The starts (k, 2) of the grid that lie clear of the task's platform, x by x."""
+    """Return the starts (k, 2) of the grid that are clear of the task's platform, x by x."""
     x, z = np.meshgrid(_X, _Z, indexing="ij")
     return clear(task, np.column_stack([x.ravel(), z.ravel()]))
 
 
 def clear(task: InclinedLanding, starts: np.ndarray) -> np.ndarray:
-    """Those of `starts` (k, 2) whose shapes keep 5 cm to the platform."""
+    """Return those of `starts` (k, 2) with at least 5 cm clearance to the platform."""
     states = at_rest(task, starts)
     return starts[task.start_clearance(task.start(states)) >= START_CLEARANCE]
 
 
 def grid_text(starts: np.ndarray) -> str:
-    """The frozen file's text for `starts` (k, 2)."""
+    """Return the frozen file's text for `starts` (k, 2)."""
     lines = [
         "# Frozen evaluation starts of the landing task, vehicle level, at rest, thrust at hover.",
         f"# x from {_X[0]:g} to {_X[-1]:g} m, z from {_Z[0]:g} to {_Z[-1]:g} m, without the starts "
@@ -64,12 +64,12 @@ def grid_text(starts: np.ndarray) -> str:
 
 
 def paper() -> np.ndarray:
-    """The paper's three starts (3, 2): x, z [m]."""
+    """Return the paper's three starts (3, 2): x, z [m]."""
     return np.array(PAPER_STARTS)
 
 
 def scattered(seed: int) -> np.ndarray:
-    """The paper's starts with offsets uniform within 0.1 m in x and z, ten each (30, 2)."""
+    """Return the paper's starts with offsets uniform within 0.1 m in x and z, ten each (30, 2)."""
     rng = np.random.default_rng(seed)
     starts = np.repeat(paper(), _SCATTERED, axis=0)
     return starts + rng.uniform(-_OFFSET, _OFFSET, starts.shape)
@@ -77,7 +77,7 @@ def scattered(seed: int) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Slopes:
-    """Starts over many slopes, as many in each cell of the angles, cell by cell, azimuths innermost."""
+    """Stratified starts over many slopes, equally many in each cell of the angles, azimuths innermost."""
 
     start: Start
     cell: np.ndarray  # (2, k) which of the inclination, and which of the azimuth
@@ -86,7 +86,7 @@ class Slopes:
 
 
 def over_slopes(task: InclinedLanding, steepest: float | None = None, every: int = 1) -> Slopes:
-    """The frozen starts of a task with slopes up to `steepest` [rad], by default the task's own.
+    """Return the frozen starts of a task over slopes up to `steepest` [rad], by default the task's own.
 
     In the plane 20 cells of the inclination with 50 starts each; in space 6 of the inclination and 12 of the
     azimuth with 15 each. Angles are uniform within their cells, starts within the upper half of the arena.
@@ -113,7 +113,7 @@ def over_slopes(task: InclinedLanding, steepest: float | None = None, every: int
 
 
 def at_rest(task: InclinedLanding, starts: np.ndarray) -> np.ndarray:
-    """States (k, 13) of a vehicle hovering at `starts` (k, 2): x, z [m]."""
+    """Return states (k, 13) of a vehicle hovering at `starts` (k, 2): x, z [m]."""
     positions = np.zeros((len(starts), 3))
     positions[:, [0, 2]] = starts
     return hover_states(positions, task.vehicle)

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from inclined_landing.envs.policy import SHIPPED, action_map, history_of, told_vehicle, trained_for
+from inclined_landing.envs.policy import SHIPPED, action_map, history_length, observes_vehicle, trained_task
 from inclined_landing.envs.randomise import locate
 from inclined_landing.envs.tasks import TASKS, import_task, is_path, task_class
 from inclined_landing.envs.tasks.base import LONGEST_HISTORY, Training
@@ -309,14 +309,14 @@ class TrainConfig:
         if self.start_from is None and self.fastest is not None and training.start_from is not None:
             filled["start_from"] = descent.NAME
         start = None if filled["start_from"] == descent.NAME else filled["start_from"]
-        same = start is not None and trained_for(start) == kind.name
+        same = start is not None and trained_task(start) == kind.name
         filled |= self._ending(training, CARRIED_ON if same else training.min_steps)
         out = Path(self.out or f"runs/{kind.name}-{self.seed}")
         vehicle = None if self.vehicle is None else Path(self.vehicle)
         randomise = None if self.randomise is None else Path(self.randomise)
         if self.history is None:
-            filled["history"] = history_of(start) if same else 0
-        filled["observe_vehicle"] = self.observe_vehicle or (same and told_vehicle(start))
+            filled["history"] = history_length(start) if same else 0
+        filled["observe_vehicle"] = self.observe_vehicle or (same and observes_vehicle(start))
         filled |= self._action_map(start)
         config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)
         if is_path(self.task):  # which says defaults of its own

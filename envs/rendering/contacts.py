@@ -11,5 +11,5 @@ from inclined_landing.models.plants.recorder import contact_forces
 def contact_arrows(
     model: mujoco.MjModel, data: mujoco.MjData, metres_per_newton: float = 0.3
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(point (3,), arrow (3,)) [m] for every contact that carries force, as for `render(forces=...)`."""
+    """Return (point (3,), arrow (3,)) [m] of every contact that carries force, for `render(forces=...)`."""
     return [(point, metres_per_newton * force) for point, force in zip(*contact_forces(model, data))]

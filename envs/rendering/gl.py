@@ -16,10 +16,10 @@ import mujoco
 import numpy as np
 
 from inclined_landing.envs.rendering import overlay, scenery
-from inclined_landing.envs.rendering.camera import View, view_of
+from inclined_landing.envs.rendering.camera import View, camera_view
 from inclined_landing.envs.rendering.ghost import Ghost
-from inclined_landing.envs.rendering.pose import Pose, pose_of
-from inclined_landing.envs.rendering.stage import Stage
+from inclined_landing.envs.rendering.pose import Pose, as_pose
+from inclined_landing.envs.rendering.renderer import SceneRenderer
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
@@ -30,7 +30,7 @@ _MAX_GEOMS = 20000
 
 @dataclasses.dataclass(frozen=True)
 class Probe:
-    """What this machine offers: kind "egl", "osmesa" or "" (nothing), on hardware or not."""
+    """OpenGL on this machine: kind "egl", "osmesa" or "" (none), on hardware or not."""
 
     kind: str
     hardware: bool
@@ -47,7 +47,7 @@ def _library(*names: str) -> ctypes.CDLL | None:
 
 
 def _egl_devices(egl: ctypes.CDLL) -> list[bool]:
-    """One entry per EGL device that initialises: True for hardware."""
+    """Return one entry per EGL device that initialises: True for hardware."""
     egl.eglGetProcAddress.restype = ctypes.c_void_p
     egl.eglInitialize.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
     kinds = {
@@ -78,7 +78,7 @@ def _egl_devices(egl: ctypes.CDLL) -> list[bool]:
 
 @functools.cache
 def probe() -> Probe:
-    """Look for OpenGL without touching MuJoCo's: EGL first, then OSMesa."""
+    """Return which OpenGL there is, without touching MuJoCo's: EGL first, then OSMesa."""
     missing = []
     egl, gl = _library("libEGL.so.1"), _library("libOpenGL.so.0", "libGL.so.1")
     if egl is None:
@@ -96,7 +96,7 @@ def probe() -> Probe:
 
 
 def _context(width: int, height: int):
-    """A current OpenGL context of MuJoCo; raises UserError with the remedy."""
+    """Return a current OpenGL context of MuJoCo; raise UserError with the remedy."""
     found = probe()
     if not found.kind:
         raise UserError(f"no OpenGL rendering here, {found.missing} is missing: {_REMEDY}.")
@@ -112,8 +112,8 @@ def _context(width: int, height: int):
     return context
 
 
-class GLRenderer(Stage):
-    """Pictures of the landing scene drawn by MuJoCo's OpenGL renderer; see `make_renderer`."""
+class GLRenderer(SceneRenderer):
+    """Renderer of the landing scene by MuJoCo's OpenGL; see `make_renderer`."""
 
     backend = "gl"
 
@@ -170,11 +170,11 @@ class GLRenderer(Stage):
         caption: str = "",
         show_vehicle: bool = True,
     ) -> np.ndarray:
-        """One frame (height, width, 3) uint8; arguments as for `RayRenderer.render`."""
+        """Return one frame (height, width, 3) uint8; arguments as for `RayRenderer.render`."""
         if self._gl is None:
             raise UserError("this renderer was closed")
-        pose = pose_of(scene, self.vehicle, inclination)
-        self.stage(pose)
+        pose = as_pose(scene, self.vehicle, inclination)
+        self.set_platform(pose)
         self._place(self.data, pose.qpos)
         self._gl.make_current()
         camera = mujoco.MjvCamera()
@@ -191,7 +191,7 @@ class GLRenderer(Stage):
             self._add_trail(np.asarray(trail, float), trail_colour)
         for point, vector in forces:
             arrow = mujoco.mjtGeom.mjGEOM_ARROW
-            point = scenery.drawn_points(self.model, pose.qpos, point, self.scale)
+            point = scenery.scaled_points(self.model, pose.qpos, point, self.scale)
             tip, width = point + vector, 0.003 * self.scale
             self._connect(arrow, width, point, tip, (*overlay.FORCE, 1))
         rect = mujoco.MjrRect(0, 0, self.width, self.height)
@@ -204,11 +204,11 @@ class GLRenderer(Stage):
         return frame
 
     def view(self, scene, inclination: float | None = None) -> View:
-        """The view that `render` uses for this scene: projects points to pixels."""
-        pose = pose_of(scene, self.vehicle, inclination)
-        self.stage(pose)
+        """Return the view that `render` uses for this scene: projects points to pixels."""
+        pose = as_pose(scene, self.vehicle, inclination)
+        self.set_platform(pose)
         self._place(self.data, pose.qpos)
-        return view_of(self.model, self.data, cast(str, self.camera), self.width, self.height)
+        return camera_view(self.model, self.data, cast(str, self.camera), self.width, self.height)
 
     def _place(self, data: mujoco.MjData, qpos: np.ndarray) -> None:
         data.qpos[:7] = qpos
@@ -244,7 +244,7 @@ class GLRenderer(Stage):
 
     def _add_trail(self, trail: np.ndarray, colour) -> None:
         if trail.shape[1] == 13:
-            trail = scenery.drawn_centres(self.model, trail, self.scale)
+            trail = scenery.scaled_centres(self.model, trail, self.scale)
         colours = np.broadcast_to(overlay.TRAIL if colour is None else colour, (len(trail), 3))
         capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
         for k in range(len(trail) - 1):

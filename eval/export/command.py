@@ -54,27 +54,27 @@ def command(
     say(f"{loaded.name} as {format} in {out}; contract.md says what goes in and out")
     if format == "c" and 4 * terms["cost"]["constants"] > c_source.SMALL:
         say(f"its constants take {4 * terms['cost']['constants']} bytes of flash, beside the firmware")
-    reason = c_source.without_app(terms) if format == "c" else None
+    reason = c_source.reason_without_app(terms) if format == "c" else None
     if reason is not None:
         say(f"without an app for the Crazyflie: {reason}")
 
 
 def write(policy: Policy, format: str, out: str | Path) -> dict:
-    """Write the export of a policy into the new folder `out`, whole or not at all; returns its contract.
+    """Write the export of a policy into the new folder `out`, whole or not at all; return its contract.
 
     format: one of FORMATS. Raises UserError for another one, for what the format does not hold, and when the
     folder exists and is not empty or cannot be written.
     """
     check_format(format)
-    policy = policy.for_its_vehicle()
-    network = Network.of(policy)
-    terms = contract.of(policy, network)
-    tested = vectors.of(policy)
+    policy = policy.with_fixed_vehicle()
+    network = Network.from_policy(policy)
+    terms = contract.describe(policy, network)
+    tested = vectors.record(policy)
     with staged_run(out) as folder:
         FORMATS[format](folder, policy, network, terms, tested)
         storage.write_json(folder / "vectors.json", tested.table())
         storage.write_json(folder / "contract.json", terms)
-        storage.write_text(folder / "contract.md", contract.words(terms))
+        storage.write_text(folder / "contract.md", contract.to_markdown(terms))
     return terms
 
 

@@ -26,17 +26,17 @@ class ConsistencyMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is known: at the start, and while something else than the rotors holds the vehicle."""
+        """Set the mismatch to zero: at the start, and while anything but the rotors supports the vehicle."""
         self._parted = np.zeros(3)
         self._before: tuple[float, np.ndarray] | None = None
 
     @property
     def velocity_mismatch(self) -> float:
-        """m/s."""
+        """Norm of the velocity mismatch [m/s]."""
         return float(np.linalg.norm(self._parted))
 
     def update(self, time: float, velocity: np.ndarray, up: np.ndarray, lift: float) -> None:
-        """What is believed at `time` [s]; what is NaN is passed over.
+        """Add the estimate at `time` [s] to the comparison; NaN is skipped.
 
         velocity (3,) [m/s]; up (3,): the body's z axis in the arena; lift: acceleration along it as an
         accelerometer shows it [g].

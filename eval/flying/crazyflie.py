@@ -69,7 +69,7 @@ def command(
 
 
 def parse_start(text: str) -> tuple[float, float]:
-    """X,Y in metres. Raises UserError."""
+    """Return x, y [m] from the text X,Y. Raises UserError."""
     try:
         x, y = (float(number) for number in text.split(","))
     except ValueError:

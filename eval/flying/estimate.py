@@ -18,7 +18,7 @@ HEADING_TIME = 0.5  # s in which the heading follows motion capture: gyroscopes 
 
 @dataclasses.dataclass(frozen=True)
 class Attitude:
-    """One attitude of the vehicle's log."""
+    """One attitude from the vehicle's log."""
 
     time: float  # s of the pilot's clock at which the vehicle took it
     rotation: np.ndarray  # (3, 3) body to the vehicle's own world, whose heading is the gyroscopes'
@@ -28,7 +28,7 @@ class Attitude:
 
 
 class ClockOffset:
-    """Dates what the vehicle logs by the pilot's clock.
+    """Offset between the clocks of vehicle and pilot, from the fastest packet so far.
 
     A packet arrives late, never early: the least difference between arrival and the vehicle's own time stamp
     is the offset of its clock, but for the shortest way that a packet took, and the jitter of the radio is
@@ -39,7 +39,9 @@ class ClockOffset:
         self._offset = math.inf
 
     def date(self, stamp: int, arrival: float) -> float:
-        """Time [s] of a packet with the vehicle's time stamp [ms] that arrived at `arrival` [s]."""
+        """Return the pilot's time [s] of a packet stamped `stamp` [ms] by the vehicle that came at `arrival`
+        [s].
+        """
         offset = arrival - 1e-3 * stamp
         if abs(offset - self._offset) > RESTART:
             self._offset = math.inf
@@ -49,7 +51,7 @@ class ClockOffset:
 
 @dataclasses.dataclass(frozen=True)
 class StateEstimate:
-    """The vehicle at one moment, and how good the knowledge is."""
+    """The estimated state of the vehicle at one moment, and the age of its measurements."""
 
     time: float  # s
     state: np.ndarray  # (13,) as tasks observe it; NaN where nothing is known, rates and lag 0
@@ -64,12 +66,12 @@ class StateEstimate:
 
     @property
     def speed(self) -> float:
-        """m/s."""
+        """Norm of the velocity [m/s]."""
         return float(np.linalg.norm(self.state[VX : VZ + 1]))
 
 
 class Estimator:
-    """Folds poses and attitudes into a `StateEstimate`.
+    """State estimator that fuses motion capture poses and the vehicle's attitude log.
 
     heading [rad]: where the nose points when the first attitude comes; used while no pose has an attitude.
     """
@@ -84,7 +86,7 @@ class Estimator:
         self._mocap_attitude: tuple[float, np.ndarray] | None = None  # time, rotation (3, 3)
 
     def add_pose(self, pose: Pose, impact: bool = False) -> bool:
-        """Take a pose; True where its position is new and believed. impact: something to touch is near.
+        """Fuse a pose; return whether its position is new and accepted. impact: contact is possible.
 
         A position that equals the one before to the last bit is no measurement: cameras are never that still.
         """
@@ -98,7 +100,7 @@ class Estimator:
         return self.filter.update(pose.time, pose.position, impact)
 
     def add_attitude(self, attitude: Attitude) -> None:
-        """Take an attitude of the vehicle's log; older ones than the last, and broken ones, are left out."""
+        """Store an attitude of the vehicle's log, unless it is older than the last one or not finite."""
         if not np.isfinite(attitude.rotation).all() or (
             self.attitude and attitude.time <= self.attitude.time
         ):
@@ -108,7 +110,7 @@ class Estimator:
             self._offset = self._heading - frames.heading_of(attitude.rotation)
 
     def predict(self, time: float) -> StateEstimate:
-        """What is believed of `time` [s]."""
+        """Return the state estimate for `time` [s]."""
         state = np.zeros(STATE_SIZE)
         state[X : Z + 1], state[VX : VZ + 1] = self.filter.predict(time)
         attitude_mismatch = 0.0
@@ -133,12 +135,13 @@ class Estimator:
         )
 
     def to_arena(self, attitude: Attitude) -> np.ndarray | None:
-        """Rotation (3, 3), body to arena, of an attitude of the log; None while its heading is unknown."""
+        """Return the rotation (3, 3), body to arena, of a logged attitude; None without a heading."""
         if self._offset is None:
             return None
         return frames.about_z(self._offset) @ attitude.rotation
 
     def _align(self, pose: Pose, dt: float) -> None:
+        """Update the heading offset of the vehicle's log against motion capture, a first-order low-pass."""
         rotation = frames.quaternion_rotation(pose.attitude)
         self._mocap_attitude = pose.time, rotation
         if self.attitude is None:

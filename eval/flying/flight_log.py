@@ -34,7 +34,7 @@ LONGEST_GAP = 0.1  # s, as in the reader: longer holes between neighbours are no
 
 
 class FlightLogWriter:
-    """A log at `path` that begins at `start` [s of the pilot's clock]; use as a context.
+    """Writer of the log at `path` that begins at `start` [s of the pilot's clock]; a context.
 
     Raises UserError where the file is there already or cannot be written.
     """
@@ -64,24 +64,24 @@ class FlightLogWriter:
         self.finish()
 
     def pose(self, time: float, position: np.ndarray, contact: bool) -> None:
-        """A position (3,) [m] of motion capture, and whether the vehicle stands on something."""
+        """Add a position (3,) [m] of motion capture, and whether the vehicle is in contact."""
         if np.isfinite(position).all():
             self._note("pose", time, (*map(float, position), float(contact)))
 
     def attitude(self, time: float, roll: float, pitch: float, yaw: float) -> None:
-        """The vehicle's attitude [rad], the house's angles."""
+        """Add the vehicle's attitude [rad], R = Rz(yaw) Rx(roll) Ry(pitch)."""
         self._note("attitude", time, (roll, pitch, yaw))
 
     def voltage(self, time: float, voltage: float) -> None:
-        """The battery's [V]."""
+        """Add the battery voltage [V]."""
         self._note("voltage", time, (voltage,))
 
     def command(self, time: float, command: np.ndarray) -> None:
-        """What was sent: PWM, roll, pitch [rad], yaw rate [rad/s]."""
+        """Add a command as sent: PWM, roll, pitch [rad], yaw rate [rad/s]."""
         self._note("command", time, tuple(map(float, command)))
 
     def finish(self) -> None:
-        """Write what waits, and give the file its name; again, nothing."""
+        """Write the remaining rows and give the file its final name; does nothing the second time."""
         if self._file.closed:
             return
         with contextlib.closing(self._file):
@@ -100,7 +100,7 @@ class FlightLogWriter:
         self._write(self._newest - REORDER_WINDOW)
 
     def _write(self, until: float) -> None:
-        """Write the rows up to `until`, and forget what no later row needs."""
+        """Write the rows up to `until`, and discard what no later row needs."""
         tracks = self._tracks
         if self._written == -math.inf and tracks["command"]:
             # The log begins with the first command.
@@ -119,7 +119,7 @@ class FlightLogWriter:
                 track.popleft()
 
     def _cells(self, t: float, seen: bool) -> dict[str, str]:
-        """The cells of the row at t: what was measured then, or held."""
+        """Return the cells of the row at t: measured at that time, or held."""
         cells: dict[str, float] = {}
         if seen:
             position = next(values for time, values in self._tracks["pose"] if time == t)
@@ -134,7 +134,7 @@ class FlightLogWriter:
         return {name: f"{value:.10g}" for name, value in cells.items()}
 
     def _between(self, kind: str, t: float) -> tuple[float, ...] | None:
-        """A track at t, between neighbours at most BLIND apart."""
+        """Return a track interpolated at t, between neighbours at most LONGEST_GAP apart."""
         for (t0, a), (t1, b) in itertools.pairwise(self._tracks[kind]):
             if t0 <= t <= t1 and t1 - t0 <= LONGEST_GAP:
                 share = (t - t0) / (t1 - t0)

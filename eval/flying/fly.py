@@ -158,11 +158,17 @@ def load_policies(
     inclination: float | None,
     arena: Path | None,
 ) -> tuple[Policy, Policy, list[tuple[float, float]]]:
-    """The two policies and the starts (x, z) [m]; inclination [deg] of the platform that stands there.
+    """Return the two policies and the starts (x, z) [m]; inclination [deg] of the platform in the arena.
 
     Raises UserError for a policy that is for another task or another slope.
     """
-    from inclined_landing.envs.policy import action_map, history_of, load_policy, told_vehicle, trained_for
+    from inclined_landing.envs.policy import (
+        action_map,
+        history_length,
+        load_policy,
+        observes_vehicle,
+        trained_task,
+    )
     from inclined_landing.envs.tasks import make_task
     from inclined_landing.envs.tasks.landing import PAPER_STARTS
     from inclined_landing.models.parameters import load_vehicle
@@ -170,7 +176,7 @@ def load_policies(
     room = load_vehicle(arena) if arena is not None else load_vehicle()
 
     def built(name: str, wanted: tuple[str, ...], **options: Any) -> Policy:
-        task = trained_for(name)
+        task = trained_task(name)
         if task not in wanted:
             raise UserError(
                 f"policy {shown(name)} is for the task {shown(task, 40)}; wanted is {' or '.join(wanted)}"
@@ -178,8 +184,8 @@ def load_policies(
         if getattr(load_policy(name).task, "sees_slope", False):
             raise UserError(f"policy {shown(name)} observes the slope; the pilot flies policies of one slope")
         centre, span = action_map(name)
-        options |= {"pwm_centre": centre, "pwm_span": span, "history": history_of(name)}
-        options["observe_vehicle"] = told_vehicle(name)
+        options |= {"pwm_centre": centre, "pwm_span": span, "history": history_length(name)}
+        options["observe_vehicle"] = observes_vehicle(name)
         return load_policy(name, make_task(task, room, **options))
 
     angle = room.platform_inclination if inclination is None else math.radians(inclination)
@@ -192,7 +198,7 @@ def load_policies(
 
 @dataclasses.dataclass
 class Connection:
-    """What the flights of one command have in common: how one comes to a connected vehicle.
+    """How the flights of one command connect to the vehicle.
 
     guarded: around a flight with motors, what stops them should this process die.
     """
@@ -203,7 +209,9 @@ class Connection:
 
     @contextlib.contextmanager
     def prepared(self, k: int, plan: Plan, dry: bool, yes: bool) -> Iterator[Pilot]:
-        """The pilot of flight k, whose checks have passed. Raises UserError where one fails."""
+        """Yield the pilot of flight k once its preflight checks have passed. Raises UserError where one
+        fails.
+        """
         from inclined_landing.eval.flying import safety
         from inclined_landing.eval.flying.pilot import Pilot
 
@@ -231,7 +239,7 @@ class Connection:
 
 
 def confirm() -> None:
-    """Have the word typed. Raises UserError for anything else."""
+    """Ask for the arming word. Raises UserError for anything else."""
     question = f"The motors will start. Goggles on, nobody inside the nets? Type {ARM_WORD} to fly: "
     print(question, end="", flush=True)
     typed = sys.stdin.readline().strip()
@@ -240,7 +248,7 @@ def confirm() -> None:
 
 
 def summary(report: Report, plan: Plan, log: Path | None) -> dict[str, Any]:
-    """A report as it goes into fly.json."""
+    """Return a report as it is written to fly.json."""
     fields = dataclasses.asdict(report)
     for name in ("cause", "retreat"):
         fields[name] = fields[name] and fields[name]["name"]
@@ -253,7 +261,7 @@ def summary(report: Report, plan: Plan, log: Path | None) -> dict[str, Any]:
 
 
 def describe(report: Report) -> str:
-    """How a flight ended, in one line."""
+    """Return the outcome of a flight in one line."""
     if report.landed:
         assert report.goal is not None and report.landing_time is not None
         vx, vz = report.goal[3], report.goal[5]
@@ -274,14 +282,14 @@ def describe(report: Report) -> str:
 
 
 def _reject_options(why: str, **options: object) -> None:
-    """Raise UserError for an option that was given and means nothing here."""
+    """Raise UserError for an option that does not apply here."""
     for name, value in options.items():
         if value is not None:
             raise UserError(f"--{name.replace('_', '-')} is {why}")
 
 
 def _simulated(vehicle: str, inclination: float | None, fault: tuple[str, ...], seed: int) -> Connection:
-    """Flights of the simulated Crazyflie, each with a seed and a battery of its own."""
+    """Return a connection to simulated Crazyflies, a new one with its own seed for every flight."""
     from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
     from inclined_landing.eval.flying.simulated.faults import Fault
     from inclined_landing.eval.flying.simulated.vehicles import named_vehicle
@@ -305,7 +313,7 @@ def _simulated(vehicle: str, inclination: float | None, fault: tuple[str, ...], 
 
 
 def _real(uri: str, mocap: str, latency: float) -> Connection:
-    """Flights of the vehicle at `uri`."""
+    """Return a connection to the vehicle at `uri`."""
     try:
         import cflib.crtp
         from cflib.crazyflie import Crazyflie

@@ -13,10 +13,10 @@ import numpy as np
 
 
 class Clock(Protocol):
-    """Time [s] that only rises, from an origin of its own."""
+    """A monotonic time [s] with an origin of its own."""
 
     def now(self) -> float:
-        """The present time [s]."""
+        """Return the present time [s]."""
         ...
 
     def wait_until(self, time: float) -> None:
@@ -30,7 +30,7 @@ class Clock(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Pose:
-    """Where motion capture saw the vehicle, in the frame of the arena: x, y, z up."""
+    """A pose of the vehicle measured by motion capture, in the frame of the arena: x, y, z up."""
 
     time: float  # s of the clock at which it was taken: arrival less the system's known latency
     position: np.ndarray  # (3,) m
@@ -38,8 +38,8 @@ class Pose:
 
 
 class MotionCapture(Protocol):
-    """A source of poses; one that sees nothing goes on showing its last one, whose time tells."""
+    """A source of poses; when it sees nothing, it goes on returning its last pose with its old time."""
 
     def latest(self) -> Pose | None:
-        """The newest pose; None before the first one."""
+        """Return the newest pose; None before the first one."""
         ...

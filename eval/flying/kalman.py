@@ -24,7 +24,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 @dataclasses.dataclass(frozen=True)
 class NoiseModel:
-    """What the filter believes of the motion capture and of the vehicle.
+    """Measurement noise of the motion capture and process noise of the vehicle's acceleration.
 
     Motion capture of this kind is good to a millimetre or better once calibrated; 1 mm is on the safe side.
     """
@@ -37,13 +37,13 @@ class NoiseModel:
 
     @classmethod
     def of(cls, vehicle: Vehicle, position: float = 1e-3) -> NoiseModel:
-        """For a vehicle whose tilt commands end at its angle limit: evenly spread between those bounds."""
+        """Return the noise model of a vehicle: accelerations uniform up to what its tilt limit allows."""
         most = vehicle.environment_gravity * math.tan(vehicle.command_angle_limit)
         return cls(position, most / math.sqrt(3.0), vehicle.attitude_time_constant)
 
 
 class KalmanFilter:
-    """The filter of one flight; begins with the first measurement."""
+    """Kalman filter of one flight; initialised by the first measurement."""
 
     def __init__(self, noise: NoiseModel):
         self.noise = noise
@@ -56,7 +56,7 @@ class KalmanFilter:
         )
 
     def update(self, time: float, position: np.ndarray, impact: bool = False) -> bool:
-        """Take a position (3,) [m] measured at `time` [s]; False where it is not believed.
+        """Update the state with a position (3,) [m] measured at `time` [s]; return False if it is rejected.
 
         impact: something to touch is near, and the velocity may have changed at once.
 
@@ -96,28 +96,30 @@ class KalmanFilter:
         return True
 
     def predict(self, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Position (3,) [m] and velocity (3,) [m/s] predicted for `time` [s]; NaN before any measurement."""
+        """Return position (3,) [m] and velocity (3,) [m/s] predicted for `time` [s]; NaN before any
+        measurement.
+        """
         if self.time is None:
             return np.full(3, np.nan), np.full(3, np.nan)
         mean = transition(max(0.0, time - self.time), self.noise.correlation) @ self.mean
         return mean[0], mean[1]
 
     def standard_deviations(self, time: float) -> tuple[float, float]:
-        """Standard deviations, per axis, of that position [m] and velocity [m/s]."""
+        """Return the standard deviations, per axis, of predicted position [m] and velocity [m/s]."""
         if self.time is None:
             return math.inf, math.inf
         _, variance = self._ahead(max(0.0, time - self.time))
         return math.sqrt(variance[0, 0]), math.sqrt(variance[1, 1])
 
     def _ahead(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and variance (3, 3) after another dt [s]."""
+        """Return mean and covariance (3, 3) propagated by dt [s]."""
         f = transition(dt, self.noise.correlation)
         grown = process_noise(dt, self.noise.acceleration, self.noise.correlation)
         return f @ self.mean, f @ self.variance @ f.T + grown
 
 
 def transition(dt: float, correlation: float) -> np.ndarray:
-    """Matrix (3, 3) that takes position, velocity, acceleration dt [s] further."""
+    """Return the transition matrix (3, 3) of position, velocity, acceleration over dt [s]."""
     s = dt / correlation
     left, gone = math.exp(-s), -math.expm1(-s)
     return np.array(
@@ -126,7 +128,7 @@ def transition(dt: float, correlation: float) -> np.ndarray:
 
 
 def process_noise(dt: float, acceleration: float, correlation: float) -> np.ndarray:
-    """Variance (3, 3) that the unknown acceleration adds in dt [s].
+    """Return the process noise covariance (3, 3) of the random acceleration over dt [s].
 
     The integral of the response to white jerk, by Gauss-Legendre quadrature: positive semidefinite for any
     dt, and exact to rounding for those between two measurements.

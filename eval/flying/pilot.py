@@ -63,7 +63,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What is to be flown."""
+    """Policies, start and standing height of one flight."""
 
     landing: Policy  # for the task landing or touchdown
     setpoint: Policy
@@ -74,7 +74,7 @@ class Plan:
 
 @dataclasses.dataclass
 class Report:
-    """How a flight went."""
+    """The outcome of a flight."""
 
     outcome: str  # "goal box", "at rest", "dry run", or the name of the cause
     cause: Cause | None = None  # that ended it early
@@ -90,12 +90,12 @@ class Report:
 
     @property
     def landed(self) -> bool:
-        """Did the landing reach what its task asks for?"""
+        """Whether the landing reached the goal of its task."""
         return self.outcome in ("goal box", "at rest")
 
 
 class Pilot:
-    """Flies one connected vehicle; a new pilot for every flight.
+    """The pilot of one connected vehicle; a new one for every flight.
 
     say: told what happens, line by line. hang_limit [s]: see `Watchdog`.
     """
@@ -140,16 +140,16 @@ class Pilot:
     # --- before ----------------------------------------------------------------------------------
 
     def check(self) -> list[Check]:
-        """Listen for a second, and say what is found; the place of the vehicle is its home from then on."""
+        """Return the preflight checks, from a second of measurements, and set the vehicle's home."""
         end = self.clock.now() + RECORDING_TIME
         self._receive()
         self._poses, self._attitudes = [], 0
         while self.clock.now() < end:
             self.clock.wait_until(self.clock.now() + self._period / TICKS)
             self._receive()
-        belief = self._estimator.predict(self.clock.now())
-        heard = PreflightData(self._poses, self._attitudes, self._voltage, self._locked, belief)
-        found = preflight_checks(heard, self.surroundings, self.plan.stand)
+        estimate = self._estimator.predict(self.clock.now())
+        data = PreflightData(self._poses, self._attitudes, self._voltage, self._locked, estimate)
+        found = preflight_checks(data, self.surroundings, self.plan.stand)
         if all(check.passed for check in found):
             self.home = np.mean([pose.position for pose in self._poses], axis=0)
             start = np.array([self.plan.start[0], 0.0, self.plan.start[1]])
@@ -161,7 +161,7 @@ class Pilot:
     # --- the flight ------------------------------------------------------------------------------
 
     def fly(self, log: Path | None = None) -> Report:
-        """Fly, and return how it went; whatever happens, the motors are off then.
+        """Fly, and return the report; whatever happens, the motors are off afterwards.
 
         log: the CSV that is written, None for none. `check` must have passed. Errors and interruptions end up
         in the report, not in the caller.
@@ -201,6 +201,7 @@ class Pilot:
         return self.report
 
     def _loop(self, watchdog) -> None:
+        """Run control steps at their period until the flight is over."""
         begin, k = self.clock.now(), 0
         while self.phase is not Phase.OVER:
             for tick in range(1, TICKS + 1):
@@ -219,34 +220,35 @@ class Pilot:
                 self._end(None, "dry run")
 
     def _step(self, time: float) -> None:
-        """One control step."""
-        belief = self._estimator.predict(time)
-        cause = self._monitor.cause(self._flight_status(belief))
+        """Run one control step: safety checks, then a command."""
+        estimate = self._estimator.predict(time)
+        cause = self._monitor.cause(self._flight_status(estimate))
         if cause is not None:
-            self._react(cause, belief)
+            self._react(cause, estimate)
         if self.phase is Phase.OVER:
             return
         try:
-            command = self._command(belief)
+            command = self._command(estimate)
         except InvalidAction as bad:
             landing = bad.policy is self.plan.landing
-            self._react(safety.BAD_ACTION if landing else safety.BAD_SETPOINT, belief)
+            self._react(safety.BAD_ACTION if landing else safety.BAD_SETPOINT, estimate)
             if self.phase is Phase.OVER:
                 return
-            command = self._command(belief)
+            command = self._command(estimate)
         if command is None:
             return
-        heading = belief.state[YAW]
+        heading = estimate.state[YAW]
         limit = self.vehicle.command_yaw_rate_limit
         command[YAW_RATE_COMMAND] = min(limit, max(-limit, -YAW_GAIN * heading))
         self.radio.send(command, heading)
         if self._log is not None:
             self._log.command(time, command)
         if self.radio.dry:
-            self._print_dry_run(time, belief, command)
+            self._print_dry_run(time, estimate, command)
 
-    def _flight_status(self, belief: StateEstimate) -> FlightStatus:
-        time, state = belief.time, belief.state
+    def _flight_status(self, estimate: StateEstimate) -> FlightStatus:
+        """Return what the safety monitor checks in this control step."""
+        time, state = estimate.time, estimate.state
         if self.home is not None and state[2] > self.home[2] + LIFT_OFF:
             self._airborne = True
         self._recent_positions = [*self._recent_positions[1 - HOLD_STEPS :], state[X : Z + 1].copy()]
@@ -260,7 +262,7 @@ class Pilot:
         return FlightStatus(
             phase=self.phase,
             since=time - self._phase_began,
-            belief=belief,
+            estimate=estimate,
             airborne=self._airborne,
             linked=self.radio.lost is None,
             locked=self._locked,
@@ -272,7 +274,7 @@ class Pilot:
         )
 
     def _check_consistency(self, time: float, state: np.ndarray) -> None:
-        """Motion with forces, while nothing but the air touches the vehicle."""
+        """Compare motion with forces while nothing but air is in contact with the vehicle."""
         attitude = self._estimator.attitude
         rotation = None if attitude is None else self._estimator.to_arena(attitude)
         if not self._airborne or rotation is None or self.surroundings.in_contact(state):
@@ -280,9 +282,9 @@ class Pilot:
         elif attitude is not None:
             self._consistency.update(time, state[VX : VZ + 1], rotation[:, 2], attitude.specific_force)
 
-    def _command(self, belief: StateEstimate) -> np.ndarray | None:
-        """The command (4,) of the present phase, which may end here; None when the flight is over."""
-        state = belief.state
+    def _command(self, estimate: StateEstimate) -> np.ndarray | None:
+        """Return the command (4,) of the present phase, which may end here; None when the flight is over."""
+        state = estimate.state
         if self.phase is Phase.APPROACH:
             command = self._approach(state)
             if self._steps_at_start * self._period < HAND_OVER_TIME:
@@ -291,10 +293,11 @@ class Pilot:
             self.report.start = state.copy()
             self._print(f"hand-over at x {state[X]:.2f}, z {state[Z]:.2f} m")
         if self.phase is Phase.LANDING:
-            return self._land(belief)
+            return self._land(estimate)
         return self._retreat(state)
 
     def _approach(self, state: np.ndarray) -> np.ndarray:
+        """Return the command (4,) towards the start; count control steps near it and slow."""
         assert self._target is not None
         target = self._target.advance(self._period, state[X : Z + 1])
         away = float(np.linalg.norm(target - state[X : Z + 1]))
@@ -304,21 +307,23 @@ class Pilot:
         )
         return self._follower.command_towards(state, target, self._period)
 
-    def _land(self, belief: StateEstimate) -> np.ndarray | None:
-        state = belief.state
+    def _land(self, estimate: StateEstimate) -> np.ndarray | None:
+        """Return the command (4,) of the landing policy, roll holding y at 0; None once it has landed."""
+        state = estimate.state
         goal_size = self.task.goal_size
         if goal_size is not None and self.task.in_goal(state[None], self.task.inclination, goal_size)[0]:
-            self._reach_goal("goal box", belief)
+            self._reach_goal("goal box", estimate)
             return None
         action, command = self._landing_policy.act(state)
         command[ROLL_COMMAND] = self._follower.roll_command_to_hold(state, 0.0)
         self._idle_steps = self._idle_steps + 1 if command[PWM] == 0.0 and action[0] <= IDLE_ACTION else 0
         if goal_size is None and self._idle_steps >= HOLD_STEPS and self._resting_time > 0.0:
-            self._reach_goal("at rest", belief)
+            self._reach_goal("at rest", estimate)
             return None
         return command
 
     def _retreat(self, state: np.ndarray) -> np.ndarray | None:
+        """Return the command (4,) that sets the vehicle down beside the platform; None once it is down."""
         assert self._target is not None
         command = self._follower.command_towards(
             state, self._target.advance(self._period, state[X : Z + 1]), self._period
@@ -336,7 +341,8 @@ class Pilot:
 
     # --- what happens to the flight ----------------------------------------------------------------
 
-    def _react(self, cause: Cause, belief: StateEstimate) -> None:
+    def _react(self, cause: Cause, estimate: StateEstimate) -> None:
+        """React to a cause: motors off, or retreat."""
         if self.radio.dry:
             if cause is not self._announced:
                 self._print(f"would react: {cause.name} ({cause.when}): {cause.reaction.value}")
@@ -347,7 +353,7 @@ class Pilot:
             return
         self._print(f"{cause.name}: {cause.when}; {cause.reaction.value}")
         self.report.retreat = cause
-        here = belief.state[X : Z + 1].copy()
+        here = estimate.state[X : Z + 1].copy()
         self._target = MovingTarget(here, self.surroundings.path_down(here), RETREAT_SPEED)
         self._enter(Phase.RETREAT)
 
@@ -357,9 +363,9 @@ class Pilot:
         self._landing_policy.reset()
         self._follower.actor.reset()
 
-    def _reach_goal(self, outcome: str, belief: StateEstimate) -> None:
-        self.report.goal = belief.state.copy()
-        self.report.landing_time = belief.time - self._phase_began
+    def _reach_goal(self, outcome: str, estimate: StateEstimate) -> None:
+        self.report.goal = estimate.state.copy()
+        self.report.landing_time = estimate.time - self._phase_began
         self._end(None, outcome)
 
     def _end(self, cause: Cause | None, outcome: str = "") -> None:
@@ -369,7 +375,7 @@ class Pilot:
             self.report.outcome = outcome or (cause.name if cause else "")
 
     def _motors_off(self) -> None:
-        """Nothing here may keep the motors on: what fails is passed over."""
+        """Stop the motors; failures in here are ignored, so that nothing keeps the motors on."""
         cause = self.report.cause
         peaceful = self.phase is Phase.OVER and (cause is None or cause.reaction is Reaction.LAND)
         if peaceful:
@@ -384,7 +390,7 @@ class Pilot:
             self._log_motors_off()
 
     def _log_initial_values(self) -> None:
-        """What was heard last before the log begins."""
+        """Log the last voltage and attitude received before the log begins."""
         assert self._log is not None
         self._log.voltage(self.clock.now(), self._voltage)
         if (attitude := self._estimator.attitude) is not None:
@@ -400,7 +406,7 @@ class Pilot:
             self._log.command(self.clock.now(), np.zeros(4))
 
     def _track_after_flight(self) -> None:
-        """Go on telling it to stop, and log where it comes to lie."""
+        """Keep sending stop commands, and log where the vehicle comes to rest."""
         end = self.clock.now() + AFTER_FLIGHT_TIME
         while (now := self.clock.now()) < end:
             with contextlib.suppress(Exception):
@@ -409,15 +415,16 @@ class Pilot:
                 self.clock.wait_until(self.clock.now() + self._period / TICKS)
                 self._receive()
             self._flight_status(self._estimator.predict(now + self._period))
-        belief = self._estimator.predict(self.clock.now())
-        if belief.pose_age < safety.POSE_LIMIT:
-            self.report.final = belief.state[X : Z + 1].copy()
-            platform = self.surroundings.distances(belief.state[None])[0, 0]
+        estimate = self._estimator.predict(self.clock.now())
+        if estimate.pose_age < safety.POSE_LIMIT:
+            self.report.final = estimate.state[X : Z + 1].copy()
+            platform = self.surroundings.distances(estimate.state[None])[0, 0]
             self.report.rests = bool(self._resting_time > 0.0 and platform < 2 * LIFT_OFF)
 
     # --- what is heard -----------------------------------------------------------------------------
 
     def _receive(self) -> None:
+        """Read motion capture and radio, and pass the news to estimator and log."""
         pose = self.mocap.latest()
         if pose is not None and pose.time > self._pose_time:
             self._pose_time = pose.time
@@ -441,11 +448,11 @@ class Pilot:
                 if self._log is not None:
                     self._log.voltage(received.time, received.voltage)
 
-    def _print_dry_run(self, time: float, belief: StateEstimate, command: np.ndarray) -> None:
+    def _print_dry_run(self, time: float, estimate: StateEstimate, command: np.ndarray) -> None:
         if time - self._last_print < DRY_RUN_PERIOD:
             return
         self._last_print = time
-        x, y, z = belief.state[X : Z + 1]
+        x, y, z = estimate.state[X : Z + 1]
         self._print(
             f"{time - self._began:5.1f} s  {self.phase.value:8}  x {x:6.2f}  y {y:6.2f}  z {z:5.2f} m  would "
             f"command PWM {command[PWM]:5.0f}, roll {math.degrees(command[ROLL_COMMAND]):5.1f}, "
@@ -456,7 +463,7 @@ class Pilot:
 
 @contextlib.contextmanager
 def _interruptible() -> Iterator[None]:
-    """The other signals that a terminal sends interrupt as Ctrl-C does (where this is the main thread).
+    """Make the other signals that a terminal sends raise KeyboardInterrupt as Ctrl-C does (main thread only).
 
     Ctrl-Z would stop the pilot in mid-air.
     """
@@ -470,7 +477,7 @@ def _interruptible() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _uninterruptible() -> Iterator[None]:
-    """A second Ctrl-C does not interrupt the stopping."""
+    """Ignore a second Ctrl-C while the vehicle is being stopped."""
     with _handlers(dict.fromkeys(_SIGNALS, signal.SIG_IGN)):
         yield
 

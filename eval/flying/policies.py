@@ -12,7 +12,7 @@ from inclined_landing.models.attitude import ROLL_COMMAND, X, Y, Z
 
 
 class InvalidAction(Exception):
-    """A policy gave NaN or infinity."""
+    """Raised for an action that is NaN or infinite."""
 
     def __init__(self, policy: Policy):
         super().__init__(f"the policy {policy.name} gives NaN or infinity")
@@ -20,7 +20,7 @@ class InvalidAction(Exception):
 
 
 class PolicyRunner:
-    """One policy, with the past that it may be given."""
+    """One policy with its observation history."""
 
     def __init__(self, policy: Policy):
         self.policy, self.task = policy, policy.task
@@ -28,11 +28,11 @@ class PolicyRunner:
         self._begun = False
 
     def reset(self) -> None:
-        """A new flight: what was before counts no more."""
+        """Clear the history: a new flight begins."""
         self._begun = False
 
     def act(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Action (a,) in [-1, 1] and command (4,) PWM, rad, rad, rad/s for a state (13,).
+        """Return the action (a,) in [-1, 1] and the command (4,) PWM, rad, rad, rad/s for a state (13,).
 
         Raises BadAction when the action is NaN or infinite.
         """
@@ -49,7 +49,7 @@ class PolicyRunner:
 
 
 class SetpointFollower:
-    """The set-point policy, flying to any point: it is told where it is from its own goal."""
+    """The set-point policy flying to any target: it observes its state relative to the task's goal."""
 
     def __init__(self, policy: Policy):
         self.actor = PolicyRunner(policy)
@@ -57,11 +57,11 @@ class SetpointFollower:
         self._task: Setpoint = policy.task  # type: ignore[assignment]
 
     def command_towards(self, state: np.ndarray, target: np.ndarray, dt: float) -> np.ndarray:
-        """Command (4,) for a state (13,) towards a target (3,) [m], dt [s] after the last one."""
-        self.trim.learn((target - state[X : Z + 1])[None], dt)
+        """Return the command (4,) at a state (13,) towards a target (3,) [m], dt [s] after the last one."""
+        self.trim.integrate((target - state[X : Z + 1])[None], dt)
         return self.actor.act(self._task.shifted(state[None], target + self.trim.offset)[0])[1]
 
     def roll_command_to_hold(self, state: np.ndarray, y: float) -> float:
-        """Roll command [rad] that holds a planar flight at y [m]: the policy's, all else at its goal."""
+        """Return the policy's roll command [rad] that holds y [m] in a planar flight."""
         shown = self._task.across(state[None], y + self.trim.offset[0, Y])[0]
         return float(self.actor.act(shown)[1][ROLL_COMMAND])

@@ -23,7 +23,7 @@ ROOM = 0.2  # m to the arena's walls
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """One check and what it found."""
+    """The result of one preflight check."""
 
     name: str
     passed: bool
@@ -32,40 +32,40 @@ class Check:
 
 @dataclasses.dataclass(frozen=True)
 class PreflightData:
-    """What arrived in LISTENING seconds, at rest."""
+    """Measurements of RECORDING_TIME seconds at rest."""
 
     poses: list[Pose]
     attitudes: int
     voltage: float  # V, NaN where none came
     locked: bool
-    belief: StateEstimate
+    estimate: StateEstimate
 
 
-def preflight_checks(heard: PreflightData, surroundings: Surroundings, stand: float) -> list[Check]:
-    """Every check; stand [m]: height of what the vehicle stands on."""
-    v, belief = surroundings.vehicle, heard.belief
-    positions = np.array([pose.position for pose in heard.poses]).reshape(-1, 3)
-    times = np.array([pose.time for pose in heard.poses])
+def preflight_checks(data: PreflightData, surroundings: Surroundings, stand: float) -> list[Check]:
+    """Return all preflight checks; stand [m]: height of what the vehicle stands on."""
+    v, estimate = surroundings.vehicle, data.estimate
+    positions = np.array([pose.position for pose in data.poses]).reshape(-1, 3)
+    times = np.array([pose.time for pose in data.poses])
     gap = float(np.diff(times).max()) if len(times) > 1 else math.inf
     spread = float(positions.std(axis=0).max()) if len(positions) > 1 else math.inf
     moved = len(np.unique(positions, axis=0)) > 1
-    state = belief.state
+    state = estimate.state
     x, y, z = state[:3]
     inside = v.arena_x[0] + ROOM < x < v.arena_x[1] - ROOM and v.arena_y[0] + ROOM < y < v.arena_y[1] - ROOM
     expected = stand + surroundings.standing_height
     known = bool(np.isfinite(state).all())
     clearance = float(surroundings.distances(state[None])[0, 0]) if known else math.nan
-    tilt = belief.tilt if known else math.nan
+    tilt = estimate.tilt if known else math.nan
     return [
         Check(
             "battery",
-            heard.voltage >= LEAST_VOLTAGE,
-            f"{heard.voltage:.2f} V; at least {LEAST_VOLTAGE:g} V at rest",
+            data.voltage >= LEAST_VOLTAGE,
+            f"{data.voltage:.2f} V; at least {LEAST_VOLTAGE:g} V at rest",
         ),
         Check(
             "supervisor",
-            not heard.locked,
-            "locked, crashed or tumbled: switch it off and on" if heard.locked else "not locked",
+            not data.locked,
+            "locked, crashed or tumbled: switch it off and on" if data.locked else "not locked",
         ),
         Check(
             "motion capture",
@@ -81,14 +81,14 @@ def preflight_checks(heard: PreflightData, surroundings: Surroundings, stand: fl
         ),
         Check(
             "attitude log",
-            heard.attitudes >= ATTITUDE_RATE * RECORDING_TIME,
-            f"{heard.attitudes / RECORDING_TIME:.0f} per second; at least {ATTITUDE_RATE:g}",
+            data.attitudes >= ATTITUDE_RATE * RECORDING_TIME,
+            f"{data.attitudes / RECORDING_TIME:.0f} per second; at least {ATTITUDE_RATE:g}",
         ),
         Check(
             "level",
-            tilt <= LEVEL and belief.attitude_mismatch <= LEVEL,
-            f"tilted by {math.degrees(tilt):.1f} deg, {math.degrees(belief.attitude_mismatch):.1f} deg from "
-            f"what motion capture shows; at most {math.degrees(LEVEL):.0f} deg",
+            tilt <= LEVEL and estimate.attitude_mismatch <= LEVEL,
+            f"tilted by {math.degrees(tilt):.1f} deg, {math.degrees(estimate.attitude_mismatch):.1f} deg "
+            f"from what motion capture shows; at most {math.degrees(LEVEL):.0f} deg",
         ),
         Check(
             "inside the arena", bool(inside), f"x {x:.2f}, y {y:.2f} m; {ROOM:g} m from the walls at least"

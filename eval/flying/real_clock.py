@@ -6,14 +6,14 @@ import time
 
 
 class RealClock:
-    """Seconds of the machine's monotonic clock."""
+    """The machine's monotonic clock [s]."""
 
     def now(self) -> float:
-        """The present time [s]."""
+        """Return the present time [s]."""
         return time.monotonic()
 
     def wait_until(self, moment: float) -> None:
-        """Sleep until then [s]."""
+        """Sleep until `moment` [s]."""
         left = moment - time.monotonic()
         if left > 0.0:
             time.sleep(left)

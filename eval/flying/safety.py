@@ -20,7 +20,7 @@ from inclined_landing.models.parameters import Vehicle
 
 
 class Phase(enum.Enum):
-    """What the pilot is doing."""
+    """The phase of a flight."""
 
     APPROACH = "approach"  # take-off and flight to the start, by the set-point policy
     LANDING = "landing"  # by the landing policy
@@ -29,7 +29,7 @@ class Phase(enum.Enum):
 
 
 class Reaction(enum.Enum):
-    """What a cause leads to."""
+    """The pilot's reaction to a cause."""
 
     OFF = "motors off"
     LAND = "lands beside the platform"
@@ -37,7 +37,7 @@ class Reaction(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class Cause:
-    """Something that ends a flight early."""
+    """A condition that ends a flight early."""
 
     name: str
     when: str
@@ -178,11 +178,11 @@ OVERTIME_RETREAT = Cause(
 
 @dataclasses.dataclass(frozen=True)
 class FlightStatus:
-    """What the causes are asked about."""
+    """The quantities that the safety monitor checks."""
 
     phase: Phase
     since: float  # s since the phase began
-    belief: StateEstimate
+    estimate: StateEstimate
     airborne: bool  # has it left the place it stood on
     linked: bool
     locked: bool  # by the vehicle's own supervisor
@@ -194,7 +194,7 @@ class FlightStatus:
 
 
 def stopping_distance(velocity: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """Distance (3,) [m] that a vehicle with `velocity` (3,) [m/s] goes on along each axis until it stops.
+    """Return the stopping distance (3,) [m] along each axis from a velocity (3,) [m/s].
 
     v t + v^2 / (2 a). t: until braking is there; a control period, the age of the newest position (1/120 s),
     the radio (10 ms) and the lag of the attitude loop (0.18 s) or of the thrust (1/15.5 s). a: BRAKING times
@@ -209,7 +209,7 @@ def stopping_distance(velocity: np.ndarray, vehicle: Vehicle) -> np.ndarray:
 
 
 class SafetyMonitor:
-    """Asks for causes in every control step, and remembers how long some of them have lasted."""
+    """Checks all causes in every control step, and tracks how long some of them have lasted."""
 
     def __init__(self, vehicle: Vehicle):
         self.vehicle = vehicle
@@ -219,9 +219,9 @@ class SafetyMonitor:
         self._high = np.array([v.arena_x[1], v.arena_y[1], v.arena_z[1]])
 
     def cause(self, now: FlightStatus) -> Cause | None:
-        """The first cause that holds; in a retreat only those that switch the motors off."""
+        """Return the first cause that holds; in a retreat only those that switch the motors off."""
         for cause, holds in self._tests():
-            if not self._lasts(cause, holds(now), now.belief.time):
+            if not self._lasts(cause, holds(now), now.estimate.time):
                 continue
             if cause.reaction is Reaction.LAND and now.phase is Phase.RETREAT:
                 continue
@@ -237,18 +237,18 @@ class SafetyMonitor:
     def _tests(self) -> tuple[tuple[Cause, Callable[[FlightStatus], bool]], ...]:
         return (
             (LINK, lambda now: not now.linked),
-            (STALE_ATTITUDE, lambda now: now.belief.attitude_age > ATTITUDE_LIMIT),
-            (STALE_POSE, lambda now: now.belief.pose_age > POSE_LIMIT),
-            (BAD_STATE, lambda now: not np.isfinite(now.belief.state).all()),
+            (STALE_ATTITUDE, lambda now: now.estimate.attitude_age > ATTITUDE_LIMIT),
+            (STALE_POSE, lambda now: now.estimate.pose_age > POSE_LIMIT),
+            (BAD_STATE, lambda now: not np.isfinite(now.estimate.state).all()),
             (LOCKED, lambda now: now.locked),
-            (TUMBLED, lambda now: now.belief.tilt > TILT_LIMIT),
-            (DISAGREEMENT, lambda now: now.belief.attitude_mismatch > DISAGREEMENT_LIMIT),
+            (TUMBLED, lambda now: now.estimate.tilt > TILT_LIMIT),
+            (DISAGREEMENT, lambda now: now.estimate.attitude_mismatch > DISAGREEMENT_LIMIT),
             (WRONG_POSITION, lambda now: now.velocity_mismatch > MISMATCH_LIMIT),
             (OUTSIDE, lambda now: self._outside(now)),
             (TOUCHED, lambda now: now.phase is Phase.LANDING and now.resting_time >= 0.5),
             (OVERTIME_RETREAT, lambda now: now.phase is Phase.RETREAT and now.since > RETREAT_LIMIT),
             (FENCE, self._near_fence),
-            (SPEED, lambda now: now.belief.speed > SPEED_LIMIT),
+            (SPEED, lambda now: now.estimate.speed > SPEED_LIMIT),
             (HEADING, lambda now: now.phase is Phase.LANDING and abs(now.heading_error) > HEADING_LIMIT),
             (BATTERY, lambda now: now.voltage < LOWEST_VOLTAGE),
             (OVERTIME_APPROACH, lambda now: now.phase is Phase.APPROACH and now.since > APPROACH_LIMIT),
@@ -256,12 +256,12 @@ class SafetyMonitor:
         )
 
     def _outside(self, now: FlightStatus) -> bool:
-        position = now.belief.state[X : Z + 1]
+        position = now.estimate.state[X : Z + 1]
         below = np.array([0.0, 0.0, np.inf])  # a vehicle cannot be below the floor, its markers may
         return bool((position < self._low - below).any() or (position > self._high).any())
 
     def _near_fence(self, now: FlightStatus) -> bool:
-        position, velocity = now.belief.state[X : Z + 1], now.belief.state[VX : VZ + 1]
+        position, velocity = now.estimate.state[X : Z + 1], now.estimate.state[VX : VZ + 1]
         room = stopping_distance(velocity, self.vehicle) + BOUND_MARGIN
         high = (velocity > 0.0) & (position + room > self._high)
         low = (velocity < 0.0) & (position - room < self._low)
@@ -278,7 +278,7 @@ CAUSES = (
 
 
 def table() -> str:
-    """All causes as the Markdown table of the documentation."""
+    """Return all causes as the Markdown table of the documentation."""
     rows = (f"| {cause.name} | {cause.when} | {cause.reaction.value} | {cause.why} |" for cause in CAUSES)
     return "\n".join(["| cause | when | reaction | why |", "|---|---|---|---|", *rows])
 

@@ -21,7 +21,7 @@ _STEP = 0.05  # m between the points at which a way is checked
 
 
 class Surroundings:
-    """Platform and floor around a vehicle; inclination of the platform [rad]."""
+    """Platform and floor as obstacles; inclination of the platform [rad]."""
 
     def __init__(self, vehicle: Vehicle, inclination: float):
         self.vehicle = vehicle
@@ -33,7 +33,7 @@ class Surroundings:
         )  # m, centre above the floor
 
     def distances(self, states: np.ndarray) -> np.ndarray:
-        """Distance (n, 2) [m] of vehicles in states (n, 13) to the platform and to the floor."""
+        """Return the distances (n, 2) [m] of vehicles in states (n, 13) to platform and floor."""
         n = len(states)
         platform = np.repeat(self._platform, n, axis=0)
         to = geometry.clearances(states, np.full(n, self.inclination), platform, self._shapes).min(axis=2)
@@ -41,15 +41,15 @@ class Surroundings:
         return np.stack([to[:, :2].min(axis=1), floor], axis=1)
 
     def in_contact(self, state: np.ndarray) -> bool:
-        """Does a vehicle in a state (13,) touch platform or floor, as far as its position tells?"""
+        """Return whether a vehicle in a state (13,) is in contact with platform or floor, by its position."""
         return self.is_near(state, CONTACT_DISTANCE)
 
     def is_near(self, state: np.ndarray, reach: float) -> bool:
-        """Is a vehicle in a state (13,) closer than `reach` [m] to platform or floor?"""
+        """Return whether a vehicle in a state (13,) is closer than `reach` [m] to platform or floor."""
         return bool(np.isfinite(state).all() and (self.distances(state[None]) < reach).any())
 
     def path_to(self, home: np.ndarray, start: np.ndarray) -> list[np.ndarray]:
-        """Points (3,) [m]: up from `home`, across at one height, to `start`.
+        """Return waypoints (3,) [m]: up from `home`, across at one height, to `start`.
 
         The height is the lowest from the start's on at which the way is clear. Raises UserError where none
         is.
@@ -63,7 +63,7 @@ class Surroundings:
         )
 
     def path_down(self, here: np.ndarray) -> list[np.ndarray]:
-        """Points (3,) [m] from `here` to a free place and below its floor, the downhill side first."""
+        """Return waypoints (3,) [m] from `here` to a free place and below its floor, downhill side first."""
         downhill = -1.0 if self.inclination < 0.0 else 1.0
         beside = self.vehicle.slab_half_length + 2 * CLEAR
         places = [here[0]] if abs(here[0]) > beside - CLEAR else [downhill * beside, -downhill * beside]
@@ -81,7 +81,7 @@ class Surroundings:
         return self.vehicle.arena_z[1] - CEILING + 1e-9
 
     def _clear(self, points: list[np.ndarray], leaving: float = 0.0) -> bool:
-        """Is a way clear, but for its first `leaving` metres?"""
+        """Return whether a path is clear of obstacles, except for its first `leaving` metres."""
         states, gone = [], 0.0
         for a, b in itertools.pairwise(points):
             length = float(np.linalg.norm(b - a))
@@ -95,7 +95,7 @@ class Surroundings:
 
 
 class MovingTarget:
-    """A point that moves along a way at `speed` [m/s], and waits for a vehicle `lead` [m] behind."""
+    """A target that moves along a path at `speed` [m/s], and waits for a vehicle `lead` [m] behind."""
 
     def __init__(self, begin: np.ndarray, way: list[np.ndarray], speed: float, lead: float = 0.4):
         self.position = np.array(begin, float)
@@ -104,11 +104,11 @@ class MovingTarget:
 
     @property
     def arrived(self) -> bool:
-        """Is it at the end of its way?"""
+        """Whether it is at the end of its path."""
         return not self._way
 
     def advance(self, dt: float, vehicle: np.ndarray) -> np.ndarray:
-        """Its position (3,) after another dt [s], the vehicle being at (3,)."""
+        """Return the target's position (3,) after another dt [s], the vehicle being at (3,)."""
         left = self._speed * dt
         while self._way and left > 0.0 and np.linalg.norm(self.position - vehicle) < self._lead:
             to = self._way[0] - self.position

@@ -24,7 +24,7 @@ _LOCKED = 1 << 5 | 1 << 6 | 1 << 7  # tumbled, locked, crashed in supervisor.inf
 
 @dataclasses.dataclass(frozen=True)
 class Status:
-    """What the vehicle says of itself."""
+    """Battery voltage and supervisor state of the vehicle."""
 
     time: float  # s, of arrival
     voltage: float  # V
@@ -32,7 +32,7 @@ class Status:
 
 
 class Radio:
-    """One connected vehicle.
+    """The radio link to one connected vehicle.
 
     crazyflie: cflib's, or what answers like it. What arrives comes on cflib's thread and waits in `received`.
     dry: nothing that moves a motor is sent.
@@ -55,7 +55,7 @@ class Radio:
             caller.add_callback(react)
 
     def connect(self, uri: str) -> None:
-        """Open the link and start the logs. Raises UserError in a sentence where that fails."""
+        """Open the link and start the logs. Raises UserError where that fails."""
         end = self.clock.now() + CONNECTING
         self.crazyflie.open_link(uri)
         while not self._connected:
@@ -73,7 +73,7 @@ class Radio:
             self._log("status", STATUS_PERIOD, ("pm.vbat",), self._status)
 
     def received(self) -> list[Attitude | Status]:
-        """What has arrived since the last call, in order."""
+        """Return what has arrived since the last call, in order."""
         fresh = []
         with contextlib.suppress(IndexError):
             while True:
@@ -81,13 +81,15 @@ class Radio:
         return fresh
 
     def arm(self) -> None:
-        """Ask for arming (the Crazyflie 2.1 does so itself), and unlock the thrust by a set-point of none."""
+        """Request arming (the Crazyflie 2.1 arms itself), and unlock the thrust by a set-point of zero
+        thrust.
+        """
         if not self.dry:
             self.crazyflie.supervisor.send_arming_request(True)
             self.crazyflie.commander.send_setpoint(0.0, 0.0, 0.0, 0)
 
     def send(self, command: np.ndarray, heading: float) -> None:
-        """A set-point: PWM, roll, pitch [rad], yaw rate [rad/s], in the arena's frame; heading [rad].
+        """Send a set-point: PWM, roll, pitch [rad], yaw rate [rad/s] in the arena's frame; heading [rad].
 
         From the first one on the firmware's emergency watchdog runs: without notice the motors stop after 1 s
         (not 2 s after the last set-point), and the vehicle flies again only when switched off and on.
@@ -99,12 +101,12 @@ class Radio:
         self.crazyflie.supervisor.send_emergency_stop_watchdog()
 
     def stop(self) -> None:
-        """Motors off; they can be started again."""
+        """Switch the motors off; they can be started again."""
         if not self.dry:
             self.crazyflie.commander.send_stop_setpoint()
 
     def emergency_stop(self) -> None:
-        """Motors off, whatever goes wrong meanwhile: the vehicle stays locked until it is switched on again.
+        """Switch the motors off whatever fails: the vehicle stays locked until it is power-cycled.
 
         Each command is tried for itself.
         """
@@ -119,7 +121,7 @@ class Radio:
                     command()
 
     def close(self) -> None:
-        """End logs and link; errors of a link that is gone are none."""
+        """Stop the logs and close the link, ignoring errors."""
         for log in self._logs:
             with contextlib.suppress(Exception):
                 log.stop()

@@ -30,7 +30,7 @@ class Watchdog:
         self._over.set()
 
     def feed(self) -> None:
-        """The control loop is."""
+        """Reset the timer."""
         self._last = time.monotonic()
 
     def _watch(self) -> None:

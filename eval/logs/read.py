@@ -29,7 +29,7 @@ def read_log(
     name: str | None = None,
     check: bool = True,
 ) -> FlightLog:
-    """One flight from its file (or from several files of the same flight with the same clock).
+    """Return one flight from its file, or from several files of the same flight with the same clock.
 
     path: CSV (.csv, .csv.gz), micro-SD binary or ROS bag. Several files: a sequence, or one string
         with the names joined by `+`, as for the client's one file per log block.

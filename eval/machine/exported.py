@@ -29,8 +29,8 @@ def latency(policy: Policy, repeats: int, seed: int) -> dict:
         NumPy and ONNX Runtime (one thread) call by call. `largest_difference` is that of an action from the
         policy's, over a thousand inputs. `cost` is counted and estimated, see `export.cost`.
     """
-    network = Network.of(policy)
-    terms = contract.of(policy, network)
+    network = Network.from_policy(policy)
+    terms = contract.describe(policy, network)
     rng = np.random.default_rng(seed)
     inputs = policy.centre + policy.scale * rng.normal(size=(_COMPARED, network.inputs))
     inputs, wanted = inputs.astype(np.float32), policy.predict(inputs.astype(np.float32))

@@ -15,7 +15,7 @@ from rich.progress import Progress
 from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME
 from inclined_landing.envs.mission import HAND_OVER, Mission, Plan, fly_missions
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.envs.rendering import check_look
+from inclined_landing.envs.rendering import check_picture_options
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import (
@@ -101,7 +101,7 @@ def command(
         raise UserError("--missions is how many random starts are drawn: leave it out with --start")
     if look.width % 2 or look.height % 2:
         raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
-    check_look(**dataclasses.asdict(look))
+    check_picture_options(**dataclasses.asdict(look))
     plan = make_plan((setpoint, landing, touchdown), given, inclination, vehicle)
     if start:
         starts = np.array([_point(text, "start", "X,Y,Z") for text in start])
@@ -123,7 +123,7 @@ def command(
 def make_plan(
     policies: tuple[str, str, str], given: HandOver, inclination: float | None, vehicle: Path | None
 ) -> Plan:
-    """The plan that the options name. Raises UserError where they name none."""
+    """Return the plan of the options. Raises UserError for invalid ones."""
     own = load_vehicle(vehicle) if vehicle is not None else None
     slope = None if inclination is None else math.radians(inclination)
     if slope is not None:
@@ -140,14 +140,14 @@ def make_plan(
 
 
 def fly(plan: Plan, starts: np.ndarray) -> list[Mission]:
-    """The missions from starts (n, 3) [m], with a progress bar on stderr."""
+    """Return the missions from starts (n, 3) [m], with a progress bar on stderr."""
     with Progress(console=Console(stderr=True), transient=True) as progress:
         bar = progress.add_task("missions", total=len(starts))
         return fly_missions(plan, starts, lambda count: progress.update(bar, completed=count))
 
 
 def _point(text: str, option: str, form: str) -> tuple[float, ...]:
-    """The numbers of an option written as `form`."""
+    """Return the numbers of an option written as `form`."""
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -158,7 +158,7 @@ def _point(text: str, option: str, form: str) -> tuple[float, ...]:
 
 
 def draw(missions: list[Mission], folder: Path, look: Look | None) -> None:
-    """The figure of missions in the folder; with a look also video and picture of the first one."""
+    """Write the figure of missions into the folder; with a look also video and picture of the first one."""
     figure = mission_figure(missions[0], missions[1:])
     for suffix in (".png", ".pdf"):
         save_figure(figure, folder / f"mission{suffix}")

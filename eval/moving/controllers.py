@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from inclined_landing.envs.batch import numbers
+from inclined_landing.envs.batch import as_floats
 from inclined_landing.envs.history import History
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import Moment, is_path
@@ -105,7 +105,7 @@ class _Told:
         except (Exception, SystemExit) as error:  # whatever the code does
             raise UserError(f"{where} raised {type(error).__name__}: {shown(error, 120)}") from error
         try:
-            commands = numbers(answer, where)
+            commands = as_floats(answer, where)
         except UserError:
             raise UserError(f"{where} must answer with real numbers, not {shown(repr(answer), 60)}") from None
         wanted = (len(moment.state), COMMAND_SIZE)

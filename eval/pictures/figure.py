@@ -8,7 +8,7 @@ from inclined_landing.envs.flights import Flight
 from inclined_landing.eval.base.options import Flat, Flown, Folder, Starts
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.pictures.figures import save_figure, trajectory_figure
-from inclined_landing.eval.pictures.flown import fly, points, report
+from inclined_landing.eval.pictures.flights import fly_from, print_outcome, start_points
 from inclined_landing.models import storage
 
 
@@ -27,15 +27,15 @@ def command(policy: AnyPolicy, /, out: Folder, start: Starts = (), flown: Flat[F
     cases = task.figure_starts
     if start:
         names = ["trajectory"] if len(start) == 1 else [f"trajectory_{k + 1}" for k in range(len(start))]
-        cases = dict(zip(names, points(start, task)))
-    flights = fly(loaded, list(cases.values()), flown.plant, task.judged_steps)
+        cases = dict(zip(names, start_points(start, task)))
+    flights = fly_from(loaded, list(cases.values()), flown.plant, task.judged_steps)
     for name, flight in zip(cases, flights):
         for path in draw(flight, out, name):
             print(path)
-        report(flight, name)
+        print_outcome(flight, name)
 
 
 def draw(flight: Flight, out: Path, name: str) -> list[Path]:
-    """The figure of one flight in the folder `out`; returns its files."""
+    """Write the figure of one flight into the folder `out`; return its files."""
     drawn = trajectory_figure(flight)
     return [save_figure(drawn, out / f"{name}{suffix}") for suffix in (".png", ".pdf")]

@@ -9,16 +9,16 @@ from inclined_landing.envs.mission import LEGS, Mission
 from inclined_landing.eval.base.style import BLUE, GREEN, ORANGE, PURPLE
 from inclined_landing.eval.pictures.labels import Label
 
-COLOURS = (PURPLE, BLUE, ORANGE, GREEN)  # of LEGS
+LEG_COLOURS = (PURPLE, BLUE, ORANGE, GREEN)  # of LEGS
 
 
-def named(mission: Mission, k: int) -> Label:
-    """The leg of row k and its colour, in words for a label."""
+def leg_label(mission: Mission, k: int) -> Label:
+    """Return the label of the leg of row k, with its colour."""
     leg = mission.leg[k]
     policy = mission.plan.policies[max(leg - 1, 0)]
-    return f"{LEGS[leg]}: policy {policy.name}", COLOURS[leg]
+    return f"{LEGS[leg]}: policy {policy.name}", LEG_COLOURS[leg]
 
 
-def along(mission: Mission) -> np.ndarray:
-    """Colours (T, 3) of its rows."""
-    return np.array([to_rgb(colour) for colour in COLOURS])[mission.leg]
+def leg_colours(mission: Mission) -> np.ndarray:
+    """Return the leg colours (T, 3) of a mission's rows."""
+    return np.array([to_rgb(colour) for colour in LEG_COLOURS])[mission.leg]

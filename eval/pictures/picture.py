@@ -7,11 +7,18 @@ from typing import Annotated
 
 import tyro
 
-from inclined_landing.envs.rendering import check_look
+from inclined_landing.envs.rendering import check_picture_options
 from inclined_landing.eval.base.options import File, Flat, Flown, Look
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.base.style import make_folder
-from inclined_landing.eval.pictures.flown import Until, check_until, finish, fly, points, report
+from inclined_landing.eval.pictures.flights import (
+    Until,
+    check_ending,
+    continue_flights,
+    fly_from,
+    print_outcome,
+    start_points,
+)
 from inclined_landing.eval.pictures.frames import strobe, write_picture
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
@@ -37,14 +44,14 @@ def command(
     """
     if out.suffix.lower() != ".png":
         raise UserError(f"a picture is a .png file, not {out.name!r}")
-    check_until(until)
+    check_ending(until)
     storage.check_file(out)
-    check_look(**dataclasses.asdict(look))
+    check_picture_options(**dataclasses.asdict(look))
     loaded = flown.load(policy)
-    flown_from = points([] if start is None else [start], loaded.task)
-    flight = finish(fly(loaded, flown_from, flown.plant), until)[0]
+    flown_from = start_points([] if start is None else [start], loaded.task)
+    flight = continue_flights(fly_from(loaded, flown_from, flown.plant), until)[0]
     drawn = strobe(flight, **dataclasses.asdict(look))
     make_folder(out.parent)
     write_picture(out, drawn)
-    report(flight, out.name)
+    print_outcome(flight, out.name)
     print(out)

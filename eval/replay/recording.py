@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from inclined_landing.envs.flights import Flight, refly
-from inclined_landing.eval.pictures.to_rest import Landing, to_rest
+from inclined_landing.envs.flights import Flight, resimulate
+from inclined_landing.eval.pictures.to_rest import LandedFlight, to_rest
 from inclined_landing.models.attitude import ROLL, VX, YAW
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
@@ -47,11 +47,11 @@ class Recording:
 
     @property
     def duration(self) -> float:
-        """Of the flight [s]."""
+        """Length of the flight [s]."""
         return float(self.t[-1])
 
-    def thinned(self, most: int) -> Recording:
-        """At most about `most` rows of it, evenly chosen; parts keep their ends."""
+    def downsampled(self, most: int) -> Recording:
+        """Return a copy with at most about `most` rows, evenly chosen; segments keep their ends."""
         stride = -(-len(self.t) // most)
         if stride == 1:
             return self
@@ -65,20 +65,20 @@ class Recording:
         return dataclasses.replace(self, **changed, anew=np.searchsorted(rows, self.anew))
 
 
-def of_flight(flight: Flight, name: str, plant: str) -> Recording:
-    """A policy's flight, a landing until it is at rest.
+def from_flight(flight: Flight, name: str, plant: str) -> Recording:
+    """Return the recording of a policy's flight, a landing until it is at rest.
 
-    Of the MuJoCo plant at every engine step with its contacts, see `refly`; of others at the control rate,
-    without contacts. Raises UserError for a flight over a moving platform.
+    For the MuJoCo plant at every engine step with its contacts, see `resimulate`; for others at the control
+    rate, without contacts. Raises UserError for a flight over a moving platform.
     """
     if flight.motion is not None:
         raise UserError("the replay page shows platforms that stand still; landing-eval video draws this one")
     task, outcome = flight.task, flight.task.flight_words(flight)
     events = [(flight.duration, "goal box")] if flight.success and task.goal_size is not None else []
     flight = to_rest(flight)
-    steps = refly(flight) if plant == "mujoco" else None
+    steps = resimulate(flight) if plant == "mujoco" else None
     whole = flight if steps is None else steps
-    if isinstance(flight, Landing):
+    if isinstance(flight, LandedFlight):
         outcome += f"; motors cut there, {flight.ending} after {flight.t[flight.settled]:.2f} s"
     if steps is not None:
         touched = [k for k, force in enumerate(steps.forces) if len(force)]

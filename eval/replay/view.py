@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from inclined_landing.envs.flights import Flight, refly
+from inclined_landing.envs.flights import Flight, resimulate
 from inclined_landing.envs.rendering.window import Window, check_display
 from inclined_landing.eval.base.options import Flag, Flat, Flown, Range, Starts
 from inclined_landing.eval.base.policies import AnyPolicy
-from inclined_landing.eval.pictures.flown import fly, points, report
+from inclined_landing.eval.pictures.flights import fly_from, print_outcome, start_points
 from inclined_landing.eval.pictures.to_rest import to_rest
 
 _FPS = 50.0  # moments shown in a second
@@ -35,26 +35,26 @@ def command(
         again: begin again after the last flight, until the window is closed.
     """
     loaded = flown.load(policy)
-    where = points(start, loaded.task)
+    where = start_points(start, loaded.task)
     check_display()
-    flights = fly(loaded, where, flown.plant)
+    flights = fly_from(loaded, where, flown.plant)
     with Window(loaded.task.vehicle) as window:
         first = True
         while window.open and (first or again):
             for k, flight in enumerate(flights):
                 play(window, flight, flown.plant, slow)
                 if first:
-                    report(flight, f"flight {k + 1}")
+                    print_outcome(flight, f"flight {k + 1}")
             first = False
 
 
 def play(window: Window, flight: Flight, plant: str, slow: float) -> None:
-    """Show one flight in real time, `slow` times slower; ends early when the window is closed.
+    """Show one flight in real time, `slow` times slower; stop when the window is closed.
 
     A landing is followed until the vehicle is at rest.
     """
     flight = to_rest(flight)
-    whole = refly(flight) if plant == "mujoco" else flight
+    whole = resimulate(flight) if plant == "mujoco" else flight
     decks = [None] * len(whole.t) if whole.deck is None else whole.deck
     stride = max(1, round(1.0 / (_FPS * slow * (whole.t[1] - whole.t[0]))))
     rows = [*range(0, len(whole.t), stride), len(whole.t) - 1]

@@ -66,7 +66,7 @@ def test_errors_are_as_large_as_the_filter_says():
             tracked.update(t, truth[0] + random.normal(0, NOISE.position, 3))
         error = truth - tracked.mean
         squared.append(np.einsum("ik,ij,jk->k", error, np.linalg.inv(tracked.variance), error))
-        inside.append(tracked.innovation)
+        inside.append(tracked.normalised_innovation_squared)
     # 60 sums of three squares: chi-square with 180 degrees, 0.1 % and 99.9 %.
     assert chi2.ppf(1e-3, 180) < np.sum(squared) < chi2.ppf(1 - 1e-3, 180)
     assert chi2.ppf(1e-3, 60) < np.sum(inside) < chi2.ppf(1 - 1e-3, 60)
@@ -117,12 +117,12 @@ def test_heading_comes_from_motion_capture():
         turned = frames.about_z(drift) @ rotation(*angles)
         estimator.add_attitude(Attitude(t, turned))
         estimator.add_pose(Pose(t, np.full(3, 1e-4 * (k % 2)), np.array(quaternion(*angles))))
-    belief = estimator.predict(t)
+    estimate = estimator.predict(t)
     # The drift of 0.02 rad/s is followed HEADING_TIME = 0.5 s late: 0.01 rad.
     assert frames.angle_between(rotation(*angles), estimator.to_arena(estimator.attitude)) < 0.015
-    assert belief.attitude_mismatch < 0.015
+    assert estimate.attitude_mismatch < 0.015
     level = rotation(0.0, 0.0, angles[2]).T @ rotation(*angles)
-    assert belief.tilt == pytest.approx(np.arccos(level[2, 2]), abs=1e-6)
+    assert estimate.tilt == pytest.approx(np.arccos(level[2, 2]), abs=1e-6)
 
 
 def test_frozen_cameras_are_no_measurement():

@@ -133,15 +133,15 @@ def test_whatever_raises_the_motors_stop(where, policies, tmp_path):
     def before(pilot):
         step = pilot._command
 
-        def command(belief):
-            if belief.state[2] > 1.0:
+        def command(estimate):
+            if estimate.state[2] > 1.0:
                 if where == "log":
                     pilot._log.command = fail
                 elif where == "setpoint":
                     object.__setattr__(pilot.plan.setpoint, "predict", lambda o: np.full((len(o), 3), np.nan))
                 else:
                     fail() if where == "interrupt" else pilot._say("anything")
-            return step(belief)
+            return step(estimate)
 
         pilot._command = command
 

@@ -28,15 +28,15 @@ VEHICLE = load_vehicle()
 
 def now(phase=Phase.LANDING, time=10.0, state=None, **changes) -> FlightStatus:
     """A flight in which nothing is wrong, but for the changes."""
-    belief = {"pose_age": 0.01, "attitude_age": 0.01, "disagreement": 0.02}
-    belief |= {key: changes.pop(key) for key in list(changes) if key in belief}
+    estimate = {"pose_age": 0.01, "attitude_age": 0.01, "attitude_mismatch": 0.02}
+    estimate |= {key: changes.pop(key) for key in list(changes) if key in estimate}
     values = np.zeros(13)
     values[[X, Z]] = 1.0, 1.6
     for column, value in (state or {}).items():
         values[column] = value
     fine = {"since": 1.0, "airborne": True, "linked": True, "locked": False, "voltage": 3.6}
-    fine |= {"heading_error": 0.0, "parted": 0.1, "lying": 0.0, "landing_limit": 6.0}
-    return FlightStatus(phase=phase, belief=StateEstimate(time, values, **belief), **(fine | changes))
+    fine |= {"heading_error": 0.0, "velocity_mismatch": 0.1, "resting_time": 0.0, "landing_limit": 6.0}
+    return FlightStatus(phase=phase, estimate=StateEstimate(time, values, **estimate), **(fine | changes))
 
 
 CASES = {
@@ -46,14 +46,14 @@ CASES = {
     "bad state": {"state": {VX: math.nan}},
     "supervisor": {"locked": True},
     "tilt": {"state": {PITCH: 1.1}},
-    "disagreement": {"disagreement": 0.4},
-    "wrong position": {"parted": 2.1},
+    "disagreement": {"attitude_mismatch": 0.4},
+    "wrong position": {"velocity_mismatch": 2.1},
     "outside": {"state": {Y: -1.41}},
     "fence": {"state": {Z: 2.1, VZ: 1.2}},
     "speed": {"state": {VX: -4.1}},
     "heading": {"heading_error": -0.6},
     "battery": {"voltage": 2.95},
-    "touched": {"lying": 0.5},
+    "touched": {"resting_time": 0.5},
     "approach takes too long": {"phase": Phase.APPROACH, "since": 25.1},
     "landing takes too long": {"since": 6.02},
     "retreat takes too long": {"phase": Phase.RETREAT, "since": 20.1},
@@ -62,9 +62,9 @@ CASES = {
 
 def asked(case: dict, seconds: float = 0.6):
     """The first cause within some seconds of it."""
-    guard = SafetyMonitor(VEHICLE)
+    monitor = SafetyMonitor(VEHICLE)
     for k in range(int(seconds / 0.02)):
-        cause = guard.cause(now(time=10.0 + 0.02 * k, **case))
+        cause = monitor.cause(now(time=10.0 + 0.02 * k, **case))
         if cause is not None:
             return cause, 0.02 * k
     return None, seconds
@@ -110,7 +110,7 @@ def test_the_set_point_policy_stops_within_the_stated_distance(axis, speed):
     plant.reset([0], state)
     here, farthest, late = state[0, :3].copy(), 0.0, [np.array([VEHICLE.hover_pwm, 0, 0, 0])] * 2
     for _ in range(100):
-        late.append(hover.fly(plant.state[0], here, 0.02))
+        late.append(hover.command_towards(plant.state[0], here, 0.02))
         plant.step(late.pop(0)[None])  # 40 ms late: position, radio, one control step
         farthest = max(farthest, math.copysign(1.0, speed) * (plant.state[0, axis] - here[axis]))
     velocity = np.zeros(3)
@@ -149,8 +149,8 @@ def test_a_target_waits_for_its_vehicle():
     assert 0.4 <= target.position[2] <= 0.43 and not target.arrived
 
 
-def test_a_now_is_what_the_guard_is_asked():
-    """Each field of `FlightStatus` moves at least one cause: nothing is told in vain."""
+def test_every_field_of_the_flight_status_is_used():
+    """Each field of `FlightStatus` moves at least one cause: no field is unused."""
     fields = {field.name for field in dataclasses.fields(FlightStatus)}
-    told = {key for case in CASES.values() for key in case} | {"belief", "airborne", "landing_limit", "phase"}
-    assert fields <= told
+    used = {key for case in CASES.values() for key in case} | {"estimate", "airborne"}
+    assert fields <= used | {"landing_limit", "phase"}

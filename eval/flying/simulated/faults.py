@@ -20,7 +20,7 @@ EVENTS = ("start", "air", "low", "near")
 
 
 def _set(name: str, **changes) -> Callable[[World], None]:
-    """A fault that sets attributes of a part of the world for good."""
+    """Return a fault that permanently sets attributes of a part of the world."""
 
     def begin(world: World) -> None:
         for key, value in changes.items():
@@ -95,7 +95,7 @@ class Fault:
 
     @staticmethod
     def parse(text: str) -> Fault:
-        """From NAME, NAME@SECONDS or NAME@EVENT+SECONDS. Raises UserError."""
+        """Return the fault NAME, NAME@SECONDS or NAME@EVENT+SECONDS. Raises UserError."""
         name, at, when = text.partition("@")
         if name not in FAULTS:
             raise UserError(f"unknown fault {shown(name, 40)}; known are {', '.join(FAULTS)}")
@@ -116,7 +116,7 @@ class Fault:
         return Fault(name, event, after)
 
     def begin(self, world: World) -> None:
-        """Let it happen, now."""
+        """Begin the fault now."""
         FAULTS[self.name][1](world)
 
     def __str__(self) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclasses.dataclass(frozen=True)
 class LinkQuality:
-    """How good the radio is, each direction alike.
+    """Latency and losses of the radio, the same in both directions.
 
     The Crazyradio sends a packet again until it is acknowledged, so what goes wrong on the air is mostly a
     delay. The figures are estimates: bitcraze's own measurements give round trips of 4 to 10 ms at 2 Mbit/s.
@@ -24,7 +24,7 @@ class LinkQuality:
 
 
 class LinkDirection:
-    """One direction. down: nothing gets through; storm: share of the packets that is lost on top."""
+    """One direction of the link. down: nothing gets through; storm: share of packets lost on top."""
 
     def __init__(self, link: LinkQuality, random: np.random.Generator):
         self.link = link
@@ -34,7 +34,7 @@ class LinkDirection:
         self._last = 0.0
 
     def arrival(self, time: float) -> float | None:
-        """When a packet sent at `time` [s] arrives; None when it does not."""
+        """Return the arrival time of a packet sent at `time` [s]; None when it is lost."""
         link, random = self.link, self._random
         lost = random.random() < link.lost + self.storm
         failed = random.geometric(1.0 - link.failing) - 1

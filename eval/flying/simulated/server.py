@@ -52,7 +52,7 @@ class SimulatorServer:
         self._mode, self._thrust, self._places = world.firmware.state, 0.0, "on the floor"
 
     def run(self, seconds: float = float("inf")) -> None:
-        """Until that many seconds of real time have passed."""
+        """Run for that many seconds of real time."""
         world, begin = self.world, time.monotonic() - self.world.time
         end = time.monotonic() + seconds
         while (now := time.monotonic()) < end:
@@ -65,7 +65,7 @@ class SimulatorServer:
             self._watch()
 
     def close(self) -> None:
-        """Give the sockets back."""
+        """Close the sockets."""
         self._radio.close()
         self._poses.close()
 

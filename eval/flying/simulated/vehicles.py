@@ -18,7 +18,7 @@ HIDDEN = {
 
 
 def named_vehicle(name: str) -> Vehicle:
-    """ "nominal", "hidden" (HIDDEN on the nominal one), or the path of a vehicle file.
+    """Return the vehicle "nominal", "hidden" (HIDDEN applied to the nominal one), or that of a vehicle file.
 
     Raises UserError for a file that cannot be read.
     """

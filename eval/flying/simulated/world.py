@@ -42,7 +42,7 @@ _ANSWERED_AT_ONCE = {
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """What flies, from where, and how well it is seen and heard."""
+    """Vehicle, start, and quality of link and motion capture of a simulated flight."""
 
     vehicle: Vehicle = dataclasses.field(default_factory=load_vehicle)
     start: tuple[float, float] = (1.0, 0.0)  # x, y on the floor, m
@@ -57,7 +57,7 @@ class Setting:
 
 @dataclasses.dataclass(frozen=True)
 class Trace:
-    """What truly happened, at every engine step; T steps."""
+    """Ground truth at every engine step; T steps."""
 
     time: np.ndarray  # (T,) s
     state: np.ndarray  # (T, 13), columns of `models.attitude`
@@ -67,7 +67,7 @@ class Trace:
     mode: np.ndarray  # (T,) firmware.State
 
     def write(self, path: Path) -> None:
-        """As the documented CSV, at 125 Hz, whole or not at all."""
+        """Write the documented CSV at 125 Hz, whole or not at all."""
         some = slice(None, None, 2)
         write_log(
             path,
@@ -85,7 +85,7 @@ class Trace:
 
 
 class OnboardSensors:
-    """What the vehicle measures of itself. sign: -1 for roll and pitch the wrong way round.
+    """The vehicle's own measurements. sign: -1 for inverted roll and pitch.
 
     The yaw of the onboard estimate is 0 where the vehicle was switched on: it knows no north.
     """
@@ -102,7 +102,7 @@ class OnboardSensors:
         self.voltage = body.voltage
 
     def look(self, time: float) -> None:
-        """Read the battery; once per period of the supervisor."""
+        """Measure the battery voltage; once per period of the supervisor."""
         self.voltage = self._body.voltage + self._random.normal(0.0, self.voltage_noise)
         if self.voltage >= _LOW_BATTERY:
             self._low_since = None
@@ -114,7 +114,7 @@ class OnboardSensors:
             self._body.scale_thrust(max(0.0, 1.0 - sensitivity * self._body.voltage_drop))
 
     def values(self, time: float) -> dict[str, float]:
-        """The log variables of crtp.LOGGED."""
+        """Return the log variables of crtp.LOGGED."""
         body, firmware = self._body, self._firmware()
         roll, pitch, yaw = body.estimate_at(time)
         roll, pitch, yaw = firmware_attitude(self.sign * roll, self.sign * pitch, yaw - self._heading)
@@ -198,13 +198,13 @@ class World:
 
     @property
     def trace(self) -> Trace:
-        """What happened so far."""
+        """The ground truth so far."""
         return Trace(*map(np.array, zip(*self._rows)))
 
     # --- what the pilot's side does --------------------------------------------------------------
 
     def send(self, packet: Packet) -> None:
-        """A packet of the pilot, now."""
+        """Send a packet of the pilot, now."""
         if crtp.port_of(packet[0]) in _ANSWERED_AT_ONCE:
             if self.link_up:
                 for answer in self.services.answer(self.time, packet):
@@ -216,16 +216,16 @@ class World:
 
     @property
     def link_up(self) -> bool:
-        """Do packets get through both ways?"""
+        """Whether packets get through both ways."""
         return not (self.up.down or self.down.down)
 
     def advance(self, until: float) -> None:
-        """Let the time pass [s]; what is due meanwhile happens in its order."""
+        """Advance to `until` [s], with everything that is due meanwhile in its order."""
         for _ in self.events(until):
             pass
 
     def events(self, until: float) -> Iterator[float]:
-        """As `advance`, but stops after everything that happens, with its time [s]."""
+        """Advance as `advance` does, but yield the time [s] after each event."""
         while True:
             queued = self._queue[0][0] if self._queue else math.inf
             due = min(queued, self._frame, self.services.next_log)
@@ -247,15 +247,15 @@ class World:
     # --- what happens ----------------------------------------------------------------------------
 
     def schedule(self, time: float, action: Callable[[], None]) -> None:
-        """Do something at a time [s]."""
+        """Schedule an action at a time [s]."""
         heapq.heappush(self._queue, (time, next(self._count), action))
 
     def report_link_lost(self) -> None:
-        """What cflib's radio driver does when no packet is acknowledged any more."""
+        """Report the link as lost, as cflib's radio driver does without acknowledgements."""
         self.on_link_lost("Too many packets lost")
 
     def reboot(self) -> None:
-        """The vehicle restarts in flight."""
+        """Restart the vehicle in flight."""
         self._switch_on()
         self.up.down = self.down.down = True
         self.schedule(self.time + self.up.link.attempts * self.up.link.again, self.report_link_lost)
@@ -309,7 +309,7 @@ class World:
         self._watch()
 
     def _watch(self) -> None:
-        """Which events that faults wait for have come."""
+        """Trigger the faults whose events have occurred."""
         state, v = self.body.state, self.setting.vehicle
         if (
             not self._flown
@@ -334,12 +334,12 @@ class World:
             self.schedule(self.body.time + fault.after, functools.partial(self.begin, fault))
 
     def begin(self, fault: Fault) -> None:
-        """Let a fault happen now, whatever it was to wait for."""
+        """Begin a fault now, whatever event it was to wait for."""
         self.on_message(f"fault: {fault.name}")
         self.begun_faults.append((self.time, fault.name))
         fault.begin(self)
 
     @property
     def speed(self) -> float:
-        """Of the vehicle [m/s]."""
+        """Speed of the vehicle [m/s]."""
         return float(np.linalg.norm(self.body.state[VX : VX + 3]))

@@ -64,7 +64,7 @@ def command(
 
 
 def _packed(text: bytes) -> bytes:
-    """Compressed, the same bytes for the same text."""
+    """Return gzipped bytes, always the same for the same text."""
     packed = io.BytesIO()
     with gzip.GzipFile(fileobj=packed, mode="wb", mtime=0) as file:
         file.write(text)

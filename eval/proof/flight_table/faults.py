@@ -92,7 +92,7 @@ def fly_case(case: Case, plan: Plan, setting: Setting, seed: int) -> Flown:
     def prepare(flight: SimulatedFlight, pilot: Pilot) -> None:
         clocks.append(flight.clock)
         if case.name == "interrupt":
-            flight.world.at(flight.world.time + 2.0 + after, interrupt)
+            flight.world.schedule(flight.world.time + 2.0 + after, interrupt)
 
     def interrupt() -> None:
         """As a signal would, out of whatever the pilot waits in."""

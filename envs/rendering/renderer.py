@@ -6,13 +6,13 @@ import mujoco
 
 from inclined_landing.envs.rendering import scenery
 from inclined_landing.envs.rendering.camera import View
-from inclined_landing.envs.rendering.pose import Pose, pose_of
+from inclined_landing.envs.rendering.pose import Pose, as_pose
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 
-class Stage:
-    """Holds the picture's size, the camera and the model of the latest platform."""
+class SceneRenderer:
+    """Base of the renderers: picture size, camera and the model of the latest platform."""
 
     def __init__(
         self,
@@ -26,15 +26,15 @@ class Stage:
             raise UserError(f"a picture has 16 to 4096 pixels a side, not {width} x {height}")
         self.vehicle = vehicle or load_vehicle()
         self.width, self.height, self.camera = int(width), int(height), camera
-        self.scale = scenery.default_scale(camera) if scale is None else float(scale)
+        self.scale = scenery.default_vehicle_scale(camera) if scale is None else float(scale)
         self._platform = "none yet"
-        self.stage(pose_of(None, self.vehicle))
+        self.set_platform(as_pose(None, self.vehicle))
 
-    def stage(self, pose: Pose) -> None:
-        """Put the platform where `pose` has it: a drawn model is rebuilt for each that stands on a base."""
+    def set_platform(self, pose: Pose) -> None:
+        """Set the platform's pose: a model whose platform has a base is rebuilt for each pose."""
         if pose.platform_key != self._platform:
             self._rebuild(pose)
-        if not pose.based:
+        if not pose.has_base:
             self._move_platform(pose)
 
     def _rebuild(self, pose: Pose) -> None:
@@ -43,7 +43,7 @@ class Stage:
         model = scenery.rendering_model(
             self.vehicle,
             platform=platform,
-            based=pose.based,
+            has_base=pose.has_base,
             scale=self.scale,
             aspect=self.width / self.height,
             far=self.camera == "arena",
@@ -62,7 +62,7 @@ class Stage:
         raise NotImplementedError
 
     def close(self) -> None:
-        """Free what the renderer holds; by default nothing."""
+        """Free the renderer's resources; by default nothing."""
 
     def __enter__(self):
         return self

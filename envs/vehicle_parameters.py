@@ -28,8 +28,8 @@ CENTRE = np.array([2.0, 0.07, 0.2, 1.0, 0.4, 0.1])
 SCALE = np.array([0.5, 0.03, 0.1, 0.2, 0.3, 0.1])
 
 
-def vehicle_numbers(vehicle: Vehicle) -> np.ndarray:
-    """The numbers (6,) of NAMES, float32."""
+def vehicle_parameters(vehicle: Vehicle) -> np.ndarray:
+    """Return the parameters (6,) of NAMES, float32."""
     v = vehicle
     weight = v.body_mass * v.environment_gravity
     drag = -v.drag_coefficients[0] * rotor_speed_sum(weight, pack(v)[0])

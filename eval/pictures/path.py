@@ -7,8 +7,8 @@ import numpy as np
 from inclined_landing.models.attitude import PITCH, ROLL
 
 
-def progress(state: np.ndarray, turn: float = 0.0) -> np.ndarray:
-    """Share (T,) of the way that states (T, 13) have covered; by index if at rest.
+def path_share(state: np.ndarray, turn: float = 0.0) -> np.ndarray:
+    """Return the share (T,) of the path length covered at states (T, 13); by index if at rest.
 
     turn: how much way [m] a turn of one radian counts.
     """
@@ -18,12 +18,12 @@ def progress(state: np.ndarray, turn: float = 0.0) -> np.ndarray:
     return way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(state))
 
 
-def spread_copies(state: np.ndarray, copies: int, spacing: float, turn: float = 0.0) -> np.ndarray:
-    """At most `copies` samples of states (T, 13), first and last included, evenly spread on the way.
+def select_copies(state: np.ndarray, copies: int, spacing: float, turn: float = 0.0) -> np.ndarray:
+    """Return at most `copies` samples of states (T, 13), first and last included, evenly spaced on the path.
 
-    spacing: they are at least about this [m] apart. turn: as for `progress`.
+    spacing: they are at least about this [m] apart. turn: as for `path_share`.
     """
     length = np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1).sum()
     count = int(np.clip(length / spacing, 1, max(copies - 1, 1)))
-    samples = np.searchsorted(progress(state, turn), np.linspace(0.0, 1.0, count + 1) - 1e-9)
+    samples = np.searchsorted(path_share(state, turn), np.linspace(0.0, 1.0, count + 1) - 1e-9)
     return np.unique(np.minimum(samples, len(state) - 1))
