@@ -26,6 +26,7 @@ class Trim:
 
     def integrate(self, error: np.ndarray, dt: float, mask: np.ndarray | None = None) -> None:
         """Integrate position errors `error` (n, 3) [m] over dt [s]; mask: (n,) bool, vehicles that learn."""
+        # offset <- clip(offset + K error dt, -limit, limit) near the target: integral action with anti-windup
         near = np.linalg.norm(error, axis=1) < TRIM_REACH
         near = near if mask is None else near & mask
         self.offset[near] = np.clip(self.offset[near] + TRIM_GAIN * dt * error[near], -TRIM_LIMIT, TRIM_LIMIT)

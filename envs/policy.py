@@ -115,6 +115,7 @@ class Policy:
         task = self.task
         if not (task.observe_vehicle or task.own_hover):
             return self
+        # With first-layer weights [W_o; W_v]: b <- b + clip((v - centre_v) / scale_v, -limit, limit) W_v
         options = {k: v for k, v in task.options.items() if k != "observe_vehicle"}
         plain = make_task(task.name, task.vehicle, **options | {"pwm_centre": task.pwm_centre})
         given = len(input_names(plain))

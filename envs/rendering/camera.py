@@ -56,6 +56,7 @@ class View:
 
         They are scaled so that the hit distance is the axial distance from `eye`.
         """
+        # d = forward + (column - w/2) s right + (h/2 - row) s up, s: a pixel at distance 1
         pixel = self.pixel / FAR if self.orthographic else self.pixel
         right = (column - 0.5 * self.width) * pixel
         up = (0.5 * self.height - row) * pixel
@@ -63,6 +64,7 @@ class View:
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return columns and rows (n, 2) and axial distances from `eye` (n,) of points (n, 3)."""
+        # Pinhole camera: column = w/2 + x / (s z), row = h/2 - y / (s z); orthographic: without z.
         local = np.asarray(points, float) - self.origin
         right, up, depth = (dot(local, axis) for axis in self.axes)
         size = self.pixel if self.orthographic else self.pixel * np.maximum(depth, 1e-6)
@@ -115,6 +117,8 @@ def nearest_position(
     position = np.zeros(3)
     depth = []
     for k, half in enumerate((half_width, half_height)):
+        # |x_k - p_k| <= half (z - p_z) for all points: right <= p_k - half p_z and left <= -p_k - half p_z.
+        # Their sum bounds the depth p_z, their difference gives the centre p_k.
         right = (local[:, k] - half * local[:, 2]).max()
         left = (-local[:, k] - half * local[:, 2]).max()
         position[k] = 0.5 * (right - left)

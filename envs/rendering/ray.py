@@ -182,6 +182,8 @@ class _Scene:
 
     def shade(self, geom, points, normal, unit, footprint):
         """Return colours (n, 3) of hits seen along `unit` (n, 3): in shadow, and what sunlight adds."""
+        # Hemisphere ambient light, Lambert's cosine law for the sun, Blinn-Phong highlight, Fresnel-like rim:
+        #   L = albedo (ambient(n) + sun max(n.s, 0)) + 0.35 k_s max(n.h, 0)^p + 0.1 k_s (1 - |n.v|)^3
         slope = dot(normal, unit)
         normal = np.where(slope[:, None] > 0, -normal, normal)
         sun = -self.sun[2]
@@ -604,6 +606,7 @@ class RayRenderer(SceneRenderer):
         for k, (phase, sense) in zip(scene.discs, scene.phase):
             frame = scene.data.geom_xmat[k].reshape(3, 3)
             centre, radius = scene.data.geom_xpos[k], scene.model.geom_size[k][0]
+            # Ray e + t d meets the disc's plane (x - c).n = 0 at t = (c - e).n / (d.n).
             slope = dot(rays, frame[:, 2])
             t = ((centre - view.eye) @ frame[:, 2]) / np.where(np.abs(slope) < 1e-9, 1e-9, slope)
             with np.errstate(over="ignore", invalid="ignore"):

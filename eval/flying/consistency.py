@@ -44,6 +44,7 @@ class ConsistencyMonitor:
         if not (np.isfinite(velocity).all() and np.isfinite(up).all() and math.isfinite(lift)):
             return
         if self._before is not None and time > self._before[0]:
+            # d <- d exp(-dt / T) + g (f b_z - e_z) dt - (v - v_before), f [g] the specific force along b_z
             dt = time - self._before[0]
             gained = self._gravity * (lift * up - np.array([0.0, 0.0, 1.0])) * dt
             self._parted = (

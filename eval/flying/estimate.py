@@ -42,6 +42,7 @@ class ClockOffset:
         """Return the pilot's time [s] of a packet stamped `stamp` [ms] by the vehicle that came at `arrival`
         [s].
         """
+        # offset = min over packets of (arrival - stamp): the one with the shortest delay
         offset = arrival - 1e-3 * stamp
         if abs(offset - self._offset) > RESTART:
             self._offset = math.inf
@@ -151,6 +152,7 @@ class Estimator:
         if self._offset is None or not self.heading_measured:
             self._offset = offset
         else:
+            # First-order low-pass: o <- o + (1 - exp(-dt / T)) (o_measured - o)
             share = -math.expm1(-max(0.0, dt) / HEADING_TIME)
             self._offset += share * frames.wrapped(offset - self._offset)
         self.heading_measured = True

@@ -137,6 +137,6 @@ class FlightLogWriter:
         """Return a track interpolated at t, between neighbours at most LONGEST_GAP apart."""
         for (t0, a), (t1, b) in itertools.pairwise(self._tracks[kind]):
             if t0 <= t <= t1 and t1 - t0 <= LONGEST_GAP:
-                share = (t - t0) / (t1 - t0)
+                share = (t - t0) / (t1 - t0)  # a + share (b - a), the short way round
                 return tuple(frames.wrapped(x + share * frames.wrapped(y - x)) for x, y in zip(a, b))
         return None

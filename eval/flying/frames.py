@@ -29,6 +29,7 @@ def thrust_direction(roll: float, pitch: float) -> np.ndarray:
 
 def tilt(direction: np.ndarray) -> tuple[float, float]:
     """Return the project's roll and pitch [rad] at heading 0 for a thrust along the unit vector (3,)."""
+    # Inverse of b = (sin p, -sin r cos p, cos r cos p): r = atan2(-y, z), p = asin x.
     x, y, z = direction
     return math.atan2(-y, z), math.asin(min(1.0, max(-1.0, x)))
 
@@ -41,6 +42,7 @@ def about_z(angle: float) -> np.ndarray:
 
 def angle_between(a: np.ndarray, b: np.ndarray) -> float:
     """Return the angle [rad] of the relative rotation of two attitudes (3, 3)."""
+    # cos(angle) = (tr(A'B) - 1) / 2
     return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(a.T @ b)) - 1.0))))
 
 
@@ -48,6 +50,7 @@ def logged_rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
     """Return the rotation (3, 3), body to the vehicle's world, of `stateEstimate.roll`, `.pitch`, `.yaw`
     [deg].
     """
+    # R = Rz(yaw) Ry(-pitch) Rx(roll)
     cr, sr = math.cos(math.radians(roll)), math.sin(math.radians(roll))
     cp, sp = math.cos(math.radians(-pitch)), math.sin(math.radians(-pitch))
     cy, sy = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
@@ -74,6 +77,7 @@ def quaternion_rotation(quaternion: np.ndarray) -> np.ndarray:
 
 def house_angles(rotation: np.ndarray) -> tuple[float, float, float]:
     """Return roll, pitch, yaw [rad] of R = Rz(yaw) Rx(roll) Ry(pitch) for a rotation (3, 3)."""
+    # R[2] = (-cos r sin p, sin r, cos r cos p), R[:2, 1] = cos r (-sin y, cos y)
     roll = math.asin(min(1.0, max(-1.0, rotation[2, 1])))
     return roll, math.atan2(-rotation[2, 0], rotation[2, 2]), math.atan2(-rotation[0, 1], rotation[1, 1])
 
@@ -99,6 +103,8 @@ def radio_setpoint(
     """
     if not (np.isfinite(command).all() and math.isfinite(heading)):
         raise ValueError("a command is NaN or infinite")
+    # b = Rz(-heading) b_arena = (sin p cos r, -sin r, cos p cos r) for the Crazyflie's angles in its heading:
+    # r = asin(-y), p = atan2(x, z).
     x, y, z = about_z(-heading) @ thrust_direction(command[ROLL_COMMAND], command[PITCH_COMMAND])
     roll, pitch = math.asin(min(1.0, max(-1.0, -y))), math.atan2(x, z)
     roll, pitch = (math.degrees(min(angle_limit, max(-angle_limit, angle))) for angle in (roll, pitch))

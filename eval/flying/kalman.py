@@ -74,6 +74,7 @@ class KalmanFilter:
             return True
         if time <= self.time:
             return False
+        # Innovation y = z - H x, S = H P H' + R, NIS = y'y / S, K = P H' / S, H = (1, 0, 0) for each axis.
         mean, variance = self._ahead(time - self.time)
         innovation = position - mean[0]
         expected = variance[0, 0] + n.position**2
@@ -82,6 +83,7 @@ class KalmanFilter:
             reach = IMPACT * min(time - self.time, IMPACT_TIME) + 5.0 * n.position
             if not (impact and math.sqrt(innovation @ innovation) <= reach):
                 return False
+            # Contact adds an unknown change w of velocity within dt: P + w^2 (dt, 1, 0)' (dt, 1, 0).
             hit = np.array([time - self.time, 1.0, 0.0]) * IMPACT
             variance = variance + np.outer(hit, hit)
             self.contact_updates += 1
@@ -90,7 +92,7 @@ class KalmanFilter:
         keep = np.eye(3)
         keep[:, 0] -= gain
         self.mean = mean + np.outer(gain, innovation)
-        # Joseph's form: stays symmetric and positive.
+        # Joseph's form, which stays symmetric and positive: P = (I - K H) P (I - K H)' + K R K'.
         self.variance = keep @ variance @ keep.T + n.position**2 * np.outer(gain, gain)
         self.time = time
         return True
@@ -120,6 +122,8 @@ class KalmanFilter:
 
 def transition(dt: float, correlation: float) -> np.ndarray:
     """Return the transition matrix (3, 3) of position, velocity, acceleration over dt [s]."""
+    # exp(A dt) of dx/dt = v, dv/dt = a, da/dt = -a / T, with s = dt / T (Singer 1970):
+    #   [1  dt  T^2 (s - 1 + exp(-s))],  [0  1  T (1 - exp(-s))],  [0  0  exp(-s)]
     s = dt / correlation
     left, gone = math.exp(-s), -math.expm1(-s)
     return np.array(
@@ -133,6 +137,7 @@ def process_noise(dt: float, acceleration: float, correlation: float) -> np.ndar
     The integral of the response to white jerk, by Gauss-Legendre quadrature: positive semidefinite for any
     dt, and exact to rounding for those between two measurements.
     """
+    # Q = 2 sigma^2 / T  int_0^dt  r(s) r(s)' ds,  r the last column of the transition matrix.
     ages = 0.5 * dt * (_NODES + 1.0)
     s = ages / correlation
     gone = -np.expm1(-s)

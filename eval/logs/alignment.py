@@ -59,6 +59,9 @@ def align_pose(log: FlightLog) -> PoseAlignment:
     measured = rotations(motion.attitude)[:, :, 2]
     b = np.concatenate([acceleration[:, 0], acceleration[:, 1]])
 
+    # With f = (a_z + g) / b_z the specific force and b(t) the body's z axis in the world:
+    #   a_x(t) = k (f b_x + h d2b_x/dt2)(t + delay) + c v_x + a_0,   the same for y,
+    # where h is the height of the tracked point above the centre of mass and -c the drag rate.
     def system(delay: float) -> np.ndarray:
         """Return the regressors (2 m, 6): tilt and height; drag and attitude offset in x and in y."""
         axis = np.stack([np.interp(motion.t + delay, motion.t, x) for x in measured.T], axis=1)
@@ -85,7 +88,9 @@ def align_pose(log: FlightLog) -> PoseAlignment:
         x = np.linalg.solve(total[:, :-1, :-1], total[:, :-1, -1:])[..., 0]
         residual = total[:, -1, -1] - (x * total[:, :-1, -1]).sum(axis=1)
         k = int(np.clip(np.argmin(residual), 1, len(shifts) - 2))
-        before, at, after = residual[k - 1 : k + 2]  # the parabola through the best shift and its neighbours
+        # Minimum of the parabola through the best shift and its neighbours:
+        # x = (r[-1] - r[1]) / (2 (r[-1] - 2 r[0] + r[1])) in steps.
+        before, at, after = residual[k - 1 : k + 2]
         part = float(np.clip(0.5 * (before - after) / (before - 2.0 * at + after), -1.0, 1.0))
         height = x[:, 1] / x[:, 0]
         return np.array([shifts[k] + 0.5 / RATE * part, np.interp(k + part, range(len(shifts)), height)])
@@ -151,6 +156,7 @@ class _Response:
 
     def solve(self, kernel: np.ndarray, delay: float, rows: np.ndarray) -> float:
         """Return the remaining delay [s], a Gauss-Newton step on the rate of the predicted motion."""
+        # y(t) = g p(t + d) ~ g p(t) + g d dp/dt with p = h * u: d is the ratio of the two coefficients.
         predicted = self.delayed(delay) @ kernel
         rate = np.gradient(predicted.reshape(self.motion.shape), 1.0 / RATE, axis=1).ravel()
         first = np.repeat(np.eye(len(self.motion)), self.motion.shape[1], axis=0)
@@ -161,6 +167,7 @@ class _Response:
 
 def _fit_impulse_response(flights: Sequence[_Response], delay: np.ndarray) -> np.ndarray:
     """Return the impulse response (lags,) common to all flights, by ridge regression on its curvature."""
+    # Ridge regression: (U'U + t (1e-2 D'D + 1e-6 I)) h = U'y with D the second difference, t = tr(U'U) / n.
     n = round(RESPONSE * RATE)
     bend = np.diff(np.eye(n), n=2, axis=0)
     gram, right = np.zeros((n, n)), np.zeros(n)
@@ -211,5 +218,6 @@ def _jackknife(solve, blocks: np.ndarray, rows: np.ndarray, name: str) -> list[E
         raise UserError(f"{name}: {n * BLOCK:.0f} s of flight; {FEWEST_BLOCKS * BLOCK:.0f} s are needed")
     estimate = solve(rows)
     without = np.array([solve(rows & (blocks != k)) for k in chosen])
+    # Delete-one-block jackknife: var = (n - 1) / n sum_k (x_(k) - mean)^2, Student's t with n - 1 degrees.
     error = np.sqrt((n - 1) / n * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
     return [Estimate(float(v), float(h)) for v, h in zip(estimate, stats.t.ppf(0.975, n - 1) * error)]

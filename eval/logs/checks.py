@@ -109,6 +109,7 @@ def _hover_command(log: FlightLog) -> float:
     air = height > log.position[:, 2].min() + CLEARANCE
     if air.sum() < motion.RATE:
         return np.nan
+    # pwm = slope (f - g) + level: the constant term is the command at f = g.
     _, level = np.polyfit(force[air] - motion.GRAVITY, pwm[air], 1)
     return float(level)
 

@@ -113,6 +113,7 @@ class FlightLog:
         t[-1] = min(t[-1], self.t[-1])
         held = np.clip(np.searchsorted(self.t, t + 1e-9, side="right") - 1, 0, len(self) - 1)
 
+        # x(t) = x_k + (t - t_k) / (t_k+1 - t_k) (x_k+1 - x_k)
         def linear(value: np.ndarray | None) -> np.ndarray | None:
             if value is None:
                 return None

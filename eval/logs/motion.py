@@ -68,6 +68,8 @@ def _motion(log: FlightLog) -> Motion:
             return np.full(value.shape, np.nan)
         return savgol_filter(value, rows, 2, deriv=order, delta=1 / RATE, axis=0)
 
+    # The thrust points along (a_x, a_y, a_z + g): its tilt in the frame of the heading is
+    # (a_x + i a_y) / (a_z + g) exp(-i yaw), for small angles pitch - i roll.
     acceleration, speed = smooth(log.position, 2), smooth(log.position, 1)
     roll, pitch, yaw = (smooth(column) for column in log.attitude.T)
     upward = np.maximum(acceleration[:, 2] + GRAVITY, 2.0)
@@ -240,6 +242,7 @@ def _compare_signals(
     for name, part, other in (("x", b.real, b.imag), ("y", b.imag, b.real)):
         if np.mean(other**2) < 0.02 * np.mean(part**2):
             axis = name
+    # Complex correlation <a, b> / (|a| |b|), with the mirror image conj(a) instead of a, and ratio |b| / |a|.
     ratio = np.sqrt(np.sum(np.abs(b) ** 2) / np.sum(np.abs(a) ** 2))
     return _Agreement(complex(np.vdot(a, b) / size), complex(np.dot(a, b) / size), float(ratio), axis)
 

@@ -124,6 +124,8 @@ def _check_position(log: FlightLog) -> Iterator[Finding]:
 
 def _discontinuities(log: FlightLog) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows of isolated outliers in position, and the rows from which on it is offset."""
+    # A row is an outlier where |x - median_5(x)| exceeds JUMP + a dt^2 and 8 times its median; a jump where
+    # the step differs from the median velocity times dt by as much.
     smooth = JUMP + LARGEST_ACCELERATION / log.rate**2
     away = np.linalg.norm(log.position - median_filter(log.position, size=(5, 1), mode="nearest"), axis=1)
     spikes = np.flatnonzero(away > max(smooth, 8 * np.median(away)))

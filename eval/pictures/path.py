@@ -12,6 +12,7 @@ def path_share(state: np.ndarray, turn: float = 0.0) -> np.ndarray:
 
     turn: how much way [m] a turn of one radian counts.
     """
+    # s_k = sum_j |dp_j| + turn (|droll_j| + |dpitch_j|), over its last value
     step = np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1)
     turned = np.abs(np.diff(state[:, [ROLL, PITCH]], axis=0)).sum(axis=1)
     way = np.concatenate([[0.0], np.cumsum(step + turn * turned)])

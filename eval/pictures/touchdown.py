@@ -42,6 +42,7 @@ class Touchdown:
     @property
     def net_forces(self) -> np.ndarray:
         """Net normal force and size of the net tangential force (T, 2) on the vehicle [N]."""
+        # F_n = F . n, F_t = |F - F_n n|
         total, normal = np.array([force.sum(axis=0) for force in self.forces]), surface.normals(self.deck)
         away = (total * normal).sum(axis=1)
         return np.stack([away, np.linalg.norm(total - away[:, None] * normal, axis=1)], axis=1)

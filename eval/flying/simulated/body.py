@@ -102,6 +102,7 @@ class Body:
         self.time += self.step_length
         self._before, self._now = self._now, self._seen(self.plant.state)
         self._shown_before, self._shown = self._shown, self._seen(self.plant.measurement)
+        # f = R' (dv/dt + g e_z) / g, in the body frame
         change = (self._now[VX : VX + 3] - self._before[VX : VX + 3]) / self.step_length
         change[2] += self.vehicle.environment_gravity
         self._felt = rotation(*self._now[ROLL : YAW + 1]).T @ change / self.vehicle.environment_gravity
