@@ -58,7 +58,7 @@ def read(path: Path) -> Record:
 
 
 def read_columns(path: Path, names: Sequence[str]) -> pandas.DataFrame:
-    """Return the columns `names` of a table without mapping; raise UserError for a missing or infinite one."""
+    """Return the columns `names` of a table without mapping; raise UserError for one missing or infinite."""
     if check_file(path):
         raise UserError(f"{path}: a folder, not a file")
     columns = read(path).columns
