@@ -12,9 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from inclined_landing.envs.rendering.camera import View, look_at
-from inclined_landing.envs.rendering.contacts import contact_arrows
-from inclined_landing.envs.rendering.ghost import Ghost
-from inclined_landing.envs.rendering.pose import Pose, pose_from_state, qpos_of_state
+from inclined_landing.envs.rendering.pose import Ghost, Pose, pose_from_state, qpos_of_state
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle
 
@@ -28,7 +26,6 @@ __all__ = [
     "Pose",
     "View",
     "check_picture_options",
-    "contact_arrows",
     "look_at",
     "make_renderer",
     "pose_from_state",

@@ -15,11 +15,10 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 
-from inclined_landing.envs.rendering import overlay, scenery
+from inclined_landing.envs.rendering import overlay
 from inclined_landing.envs.rendering.camera import View, camera_view
-from inclined_landing.envs.rendering.ghost import Ghost
-from inclined_landing.envs.rendering.pose import Pose, as_pose
-from inclined_landing.envs.rendering.renderer import SceneRenderer
+from inclined_landing.envs.rendering.pose import Ghost, Pose
+from inclined_landing.envs.rendering.renderer import Drawing, SceneRenderer
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
@@ -156,25 +155,9 @@ class GLRenderer(SceneRenderer):
             self._mjr.free()
         if self._gl is not None:
             self._gl.free()
-        self._gl = self._mjr = None
+        self._gl, self._mjr, self.closed = None, None, True
 
-    def render(
-        self,
-        scene,
-        *,
-        inclination: float | None = None,
-        trail=None,
-        trail_colour=None,
-        ghosts=(),
-        forces=(),
-        caption: str = "",
-        show_vehicle: bool = True,
-    ) -> np.ndarray:
-        """Return one frame (height, width, 3) uint8; arguments as for `RayRenderer.render`."""
-        if self._gl is None:
-            raise UserError("this renderer was closed")
-        pose = as_pose(scene, self.vehicle, inclination)
-        self.set_platform(pose)
+    def _draw(self, pose: Pose, drawing: Drawing) -> np.ndarray:
         self._place(self.data, pose.qpos)
         self._gl.make_current()
         camera = mujoco.MjvCamera()
@@ -182,31 +165,23 @@ class GLRenderer(SceneRenderer):
         camera.fixedcamid = self.model.camera(self.camera).id
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(self.model, self.data, self._option, None, camera, everything, self._scene)
-        if not show_vehicle:
+        if not drawing.show_vehicle:
             self._recolour(0, lambda rgba: 0.0 * rgba, others=False)
-        for ghost in ghosts:
-            ghost = ghost if isinstance(ghost, Ghost) else Ghost(np.asarray(ghost, float))
+        for ghost in drawing.ghosts:
             self._add_ghost(ghost)
-        if trail is not None and len(trail) > 1:
-            self._add_trail(np.asarray(trail, float), trail_colour)
-        for point, vector in forces:
+        if drawing.trail is not None:
+            self._add_trail(drawing.trail, drawing.trail_colour)
+        for point, vector in drawing.forces:
             arrow = mujoco.mjtGeom.mjGEOM_ARROW
-            point = scenery.scaled_points(self.model, pose.qpos, point, self.scale)
             tip, width = point + vector, 0.003 * self.scale
             self._connect(arrow, width, point, tip, (*overlay.FORCE, 1))
         rect = mujoco.MjrRect(0, 0, self.width, self.height)
         frame = np.empty((self.height, self.width, 3), np.uint8)
         mujoco.mjr_render(rect, self._scene, self._mjr)
         mujoco.mjr_readPixels(frame, None, rect, self._mjr)
-        frame = np.ascontiguousarray(frame[::-1])
-        if caption:
-            overlay.draw_caption(frame, caption, scenery.scale_note(self.scale))
-        return frame
+        return np.ascontiguousarray(frame[::-1])
 
-    def view(self, scene, inclination: float | None = None) -> View:
-        """Return the view that `render` uses for this scene: projects points to pixels."""
-        pose = as_pose(scene, self.vehicle, inclination)
-        self.set_platform(pose)
+    def _view(self, pose: Pose) -> View:
         self._place(self.data, pose.qpos)
         return camera_view(self.model, self.data, cast(str, self.camera), self.width, self.height)
 
@@ -243,8 +218,6 @@ class GLRenderer(SceneRenderer):
         self._recolour(first, change, others=True)
 
     def _add_trail(self, trail: np.ndarray, colour) -> None:
-        if trail.shape[1] == 13:
-            trail = scenery.scaled_centres(self.model, trail, self.scale)
         colours = np.broadcast_to(overlay.TRAIL if colour is None else colour, (len(trail), 3))
         capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
         for k in range(len(trail) - 1):

@@ -1,4 +1,4 @@
-"""What a renderer needs to know of a moment: where the vehicle and the platform are."""
+"""Poses of vehicle and platform as renderers take them, and translucent copies of the vehicle."""
 
 from __future__ import annotations
 
@@ -34,6 +34,20 @@ class Pose:
         if not self.has_base:
             return "moving"
         return (*np.round(self.platform_pos, 9), *np.round(self.platform_quat, 9))
+
+
+@dataclasses.dataclass(frozen=True)
+class Ghost:
+    """A copy of the vehicle at qpos (7,): `colour` mixed in by `tint`, opacity `alpha`.
+
+    `shadow`: the copy casts one (backend "ray").
+    """
+
+    qpos: np.ndarray
+    colour: tuple[float, float, float] = (0.12, 0.62, 0.30)
+    alpha: float = 0.45
+    tint: float = 0.8
+    shadow: bool = False
 
 
 def qpos_of_state(state) -> np.ndarray:

@@ -15,10 +15,8 @@ import numpy as np
 
 from inclined_landing.envs.rendering import overlay, scenery
 from inclined_landing.envs.rendering.camera import FAR, View, camera_view, dot
-from inclined_landing.envs.rendering.ghost import Ghost
-from inclined_landing.envs.rendering.pose import Pose, as_pose
-from inclined_landing.envs.rendering.renderer import SceneRenderer
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.envs.rendering.pose import Ghost, Pose
+from inclined_landing.envs.rendering.renderer import Drawing, SceneRenderer
 
 # Light in display units: what a white surface receives from above, below, the sun and +x.
 _SKY, _GROUND, _SUN, _SIDE = 0.62, 0.46, 0.42, 0.05
@@ -253,20 +251,10 @@ class RayRenderer(SceneRenderer):
 
     backend = "ray"
 
-    def __init__(
-        self,
-        vehicle: Vehicle | None = None,
-        width: int = 640,
-        height: int = 480,
-        camera: str | View = "arena",
-        scale: float | None = None,
-    ):
-        self._cached_background: tuple = (None, None)
-        super().__init__(vehicle, width, height, camera, scale)
-
     def _prepare(self, model: mujoco.MjModel) -> None:
         self._scene = _Scene(model)
-        self._cached_background = (None, None)
+        self.model = model
+        self._cached_background: tuple = (None, None)
 
     def _move_platform(self, pose: Pose) -> None:
         self._scene.move_platform(pose.platform_pos, pose.platform_quat)
@@ -275,60 +263,23 @@ class RayRenderer(SceneRenderer):
         """Discard the cached background."""
         self._cached_background = (None, None)
 
-    def render(
-        self,
-        scene,
-        *,
-        inclination: float | None = None,
-        trail=None,
-        trail_colour=None,
-        ghosts=(),
-        forces=(),
-        caption: str = "",
-        show_vehicle: bool = True,
-    ) -> np.ndarray:
-        """Return one frame (height, width, 3) uint8.
-
-        scene: MjData of the landing scene, a qpos (7,), a state (13,) or a `Pose`; inclination
-        [rad] of the platform where `scene` does not say. trail: states (k, 13), followed by the
-        centre of the vehicle as drawn, or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts:
-        `Ghost`s or qpos (7,). forces: pairs (point (3,) [m], arrow (3,) [m]); points are those of
-        the real vehicle and go where the drawn one has them, arrows are as long as they say and
-        hidden by nothing.
-        """
-        pose = as_pose(scene, self.vehicle, inclination)
-        self.set_platform(pose)
-        self._scene.place(pose.qpos)
-        view = self._view()
-        if trail is not None and np.shape(trail)[1:] == (13,):
-            trail = scenery.scaled_centres(self._scene.model, trail, self.scale)
-        forces = [
-            (scenery.scaled_points(self._scene.model, pose.qpos, point, self.scale), arrow)
-            for point, arrow in forces
-        ]
+    def _draw(self, pose: Pose, drawing: Drawing) -> np.ndarray:
+        view = self._view(pose)
         back = self._background(view)
-        ghosts = [g if isinstance(g, Ghost) else Ghost(np.asarray(g, float)) for g in ghosts]
-        copies = [(g.qpos, g) for g in ghosts] + ([(pose.qpos, None)] if show_vehicle else [])
-        drawn = self._draw_foreground(view, back, copies, trail, trail_colour, forces)
+        copies: list[tuple[np.ndarray, Ghost | None]] = [(ghost.qpos, ghost) for ghost in drawing.ghosts]
+        copies += [(pose.qpos, None)] if drawing.show_vehicle else []
+        drawn = self._draw_foreground(view, back, copies, drawing)
         frame = back.frame.copy()
         if drawn is not None:
             h, w = drawn.depth.shape
             part = frame[drawn.row : drawn.row + h, drawn.column : drawn.column + w]
             part[:] = _as_uint8(drawn.colour)
-        if caption:
-            overlay.draw_caption(frame, caption, scenery.scale_note(self.scale))
         return frame
-
-    def view(self, scene, inclination: float | None = None) -> View:
-        """Return the view that `render` uses for this scene: projects points to pixels."""
-        pose = as_pose(scene, self.vehicle, inclination)
-        self.set_platform(pose)
-        self._scene.place(pose.qpos)
-        return self._view()
 
     # --- scene and background -------------------------------------------------------------------
 
-    def _view(self) -> View:
+    def _view(self, pose: Pose) -> View:
+        self._scene.place(pose.qpos)
         if isinstance(self.camera, View):
             return self.camera
         return self._scene.view(self.camera, self.width, self.height)
@@ -402,9 +353,11 @@ class RayRenderer(SceneRenderer):
 
     # --- the moving part ------------------------------------------------------------------------
 
-    def _draw_foreground(self, view, back, copies, trail, trail_colour, forces):
+    def _draw_foreground(
+        self, view: View, back: _Background, copies: list[tuple[np.ndarray, Ghost | None]], drawing: Drawing
+    ) -> overlay.Canvas | None:
         """Return the canvas with everything in front of the background, or None."""
-        scene = self._scene
+        scene, trail, trail_colour = self._scene, drawing.trail, drawing.trail_colour
         boxes, shadows, casters = [], [], []
         for qpos, ghost in copies:
             scene.place(qpos)
@@ -418,8 +371,8 @@ class RayRenderer(SceneRenderer):
                 if shadow is not None:
                     shadows.append((shadow, 1.0 if ghost is None else min(1.0, 1.3 * ghost.alpha)))
                     boxes.append(shadow[0])
-        lines = [] if trail is None or len(trail) < 2 else [(np.asarray(trail, float), 3)]
-        lines += [(np.stack([p, np.add(p, f)]), 24) for p, f in forces]
+        lines = [] if trail is None else [(trail, 3)]
+        lines += [(np.stack([p, np.add(p, f)]), 24) for p, f in drawing.forces]
         for points, margin in lines:
             box = _clip_box(_bounding_box(view, points, margin), self.width, self.height)
             if box is not None:
@@ -440,12 +393,12 @@ class RayRenderer(SceneRenderer):
             canvas.blend(index, back.dark[part].reshape(-1, 3)[index], 1.0 - light.ravel()[index])
         for _, qpos, ghost, box in sorted(casters, key=lambda item: -item[0]):
             self._draw_vehicle(canvas, view, qpos, box, ghost)
-        if trail is not None and len(trail) >= 2:
+        if trail is not None:
             colour = overlay.TRAIL if trail_colour is None else trail_colour
             width = max(1.6, self.height / 260)
             fade = 0.95 if trail_colour is not None else np.linspace(0.45, 0.95, len(trail))
             overlay.draw_polyline(canvas, view, trail, width=width, colour=colour, alpha=fade)
-        for point, vector in forces:
+        for point, vector in drawing.forces:
             overlay.draw_arrow(canvas, view, point, vector, colour=overlay.FORCE)
         return canvas
 

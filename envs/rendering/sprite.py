@@ -8,8 +8,7 @@ import numpy as np
 
 from inclined_landing.envs.rendering import scenery
 from inclined_landing.envs.rendering.camera import look_at
-from inclined_landing.envs.rendering.ghost import Ghost
-from inclined_landing.envs.rendering.pose import Pose, qpos_of_state
+from inclined_landing.envs.rendering.pose import Ghost, Pose, qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
 from inclined_landing.models.attitude import STATE_SIZE
 from inclined_landing.models.errors import UserError

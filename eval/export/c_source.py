@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from inclined_landing.envs.tasks import Task
 from inclined_landing.eval.export.network import Network
 from inclined_landing.eval.export.templates import render
 from inclined_landing.eval.export.vectors import TOLERANCE, Vectors
@@ -22,7 +23,7 @@ _ESTIMATED = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw")  # what t
 _APP_STACK = 350  # words that the firmware's own examples give an app, beside the policy's arrays
 
 
-def write(folder: Path, contract: dict, network: Network, vectors: Vectors) -> None:
+def write(folder: Path, task: Task, network: Network, contract: dict, vectors: Vectors) -> None:
     """Write the C source into `folder`, and the app where the firmware can observe what the policy does.
 
     Raises UserError when the constants would not fit beside the firmware.

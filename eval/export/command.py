@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import importlib
 from pathlib import Path
 from typing import Annotated
 
@@ -14,13 +14,18 @@ from inclined_landing.eval.base.options import Folder, TaskName, VehicleFile
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.base.runs import check_new_run, staged_run
 from inclined_landing.eval.base.tables import printer
-from inclined_landing.eval.export import c_source, contract, numpy_file, vectors
+from inclined_landing.eval.export import c_source, contract, vectors
 from inclined_landing.eval.export.network import Network
-from inclined_landing.eval.export.vectors import Vectors
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 
+# Modules with a function `write(folder, task, network, contract, vectors)`, imported when they are needed.
+FORMATS = {
+    "onnx": "inclined_landing.eval.export.onnx_file",
+    "c": "inclined_landing.eval.export.c_source",
+    "numpy": "inclined_landing.eval.export.numpy_file",
+}
 FormatName = Annotated[str, tyro.conf.arg(metavar="{onnx,c,numpy}")]
 
 
@@ -71,7 +76,7 @@ def write(policy: Policy, format: str, out: str | Path) -> dict:
     terms = contract.describe(policy, network)
     tested = vectors.record(policy)
     with staged_run(out) as folder:
-        FORMATS[format](folder, policy, network, terms, tested)
+        importlib.import_module(FORMATS[format]).write(folder, policy.task, network, terms, tested)
         storage.write_json(folder / "vectors.json", tested.table())
         storage.write_json(folder / "contract.json", terms)
         storage.write_text(folder / "contract.md", contract.to_markdown(terms))
@@ -82,27 +87,4 @@ def check_format(format: str) -> None:
     """Raise UserError for an unknown format, and ImportError for one whose package is not installed."""
     if format not in FORMATS:
         raise UserError(f"unknown format {shown(repr(format), 40)}; known are {', '.join(FORMATS)}")
-    if format == "onnx":
-        from inclined_landing.eval.export import onnx_file  # noqa: F401
-
-
-def _onnx(folder: Path, policy: Policy, network: Network, terms: dict, tested: Vectors) -> None:
-    from inclined_landing.eval.export import onnx_file
-
-    notes = {"contract": storage.to_json(terms), "policy_sha256": terms["policy"]["sha256"]}
-    onnx_file.write(folder, network, notes)
-
-
-def _c(folder: Path, policy: Policy, network: Network, terms: dict, tested: Vectors) -> None:
-    c_source.write(folder, terms, network, tested)
-
-
-def _numpy(folder: Path, policy: Policy, network: Network, terms: dict, tested: Vectors) -> None:
-    numpy_file.write(folder, network, policy.task, tested)
-
-
-FORMATS: dict[str, Callable[[Path, Policy, Network, dict, Vectors], None]] = {
-    "onnx": _onnx,
-    "c": _c,
-    "numpy": _numpy,
-}
+    importlib.import_module(FORMATS[format])

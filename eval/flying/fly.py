@@ -320,9 +320,9 @@ def _real(uri: str, mocap: str, latency: float) -> Connection:
     except ModuleNotFoundError as error:
         raise UserError(not_installed(error)) from error
     from inclined_landing.eval.flying.dead_man import DeadManSwitch
+    from inclined_landing.eval.flying.interfaces import RealClock
     from inclined_landing.eval.flying.link import find_radio
     from inclined_landing.eval.flying.motion_capture import open_capture
-    from inclined_landing.eval.flying.real_clock import RealClock
     from inclined_landing.eval.flying.vehicle import Radio
 
     find_radio(uri)

@@ -7,6 +7,7 @@ vehicle, and its motion capture shows that one.
 from __future__ import annotations
 
 import dataclasses
+import time
 from typing import Protocol
 
 import numpy as np
@@ -19,13 +20,25 @@ class Clock(Protocol):
         """Return the present time [s]."""
         ...
 
-    def wait_until(self, time: float) -> None:
-        """Return at `time` [s], at once where it has passed.
+    def wait_until(self, moment: float) -> None:
+        """Return at `moment` [s], at once where it has passed.
 
         The simulated clock calls cflib's callbacks meanwhile, in the caller's thread; with the real one
         they come from cflib's own thread.
         """
         ...
+
+
+class RealClock:
+    """The machine's monotonic clock [s]."""
+
+    def now(self) -> float:
+        """Return the present time [s]."""
+        return time.monotonic()
+
+    def wait_until(self, moment: float) -> None:
+        """Sleep until `moment` [s]."""
+        time.sleep(max(0.0, moment - time.monotonic()))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,8 +14,15 @@ from PIL import Image
 from inclined_landing.envs.flights import Flight, Track
 from inclined_landing.envs.mission import Mission
 from inclined_landing.envs.rendering import Ghost, make_renderer, pose_from_state, qpos_of_state
-from inclined_landing.eval.pictures.labels import MOTORS_CUT, Label, draw_labels, outcome_label, speed_label
-from inclined_landing.eval.pictures.legs import leg_colours, leg_label
+from inclined_landing.eval.pictures.labels import (
+    MOTORS_CUT,
+    Label,
+    draw_labels,
+    leg_colours,
+    leg_label,
+    outcome_label,
+    speed_label,
+)
 from inclined_landing.eval.pictures.path import path_share, select_copies
 from inclined_landing.eval.pictures.to_rest import LandedFlight
 from inclined_landing.models import storage

@@ -1,4 +1,4 @@
-"""Labels over a frame, in its upper right corner: how much slower it plays, what state the vehicle is in."""
+"""Labels over a frame, in its upper right corner: playback speed, leg of a mission, state of the vehicle."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.colors import to_rgb
 from PIL import Image, ImageDraw, ImageFont
 
-from inclined_landing.eval.base.style import GREEN, INK, ORANGE
+from inclined_landing.envs.mission import LEGS, Mission
+from inclined_landing.eval.base.style import BLUE, GREEN, INK, ORANGE, PURPLE
 
 _FINE = 3  # labels are drawn this much larger and resampled
 _PAPER, _RULE = "#fafbff", "#c3cedb"
 Label = tuple[str, str | None]  # a text, and the colour of the dot before it or None
 MOTORS_CUT: Label = ("motors cut", ORANGE)
+LEG_COLOURS = (PURPLE, BLUE, ORANGE, GREEN)  # of LEGS, in all pictures of missions
 
 
 def outcome_label(words: str, well: bool) -> Label:
@@ -26,6 +29,18 @@ def speed_label(slow: float) -> list[Label]:
     if slow == 1.0:
         return []
     return [(f"{slow:.3g}x slower" if slow > 1.0 else f"{1.0 / slow:.3g}x faster", None)]
+
+
+def leg_label(mission: Mission, k: int) -> Label:
+    """Return the label of the leg of row k, with its colour."""
+    leg = mission.leg[k]
+    policy = mission.plan.policies[max(leg - 1, 0)]
+    return f"{LEGS[leg]}: policy {policy.name}", LEG_COLOURS[leg]
+
+
+def leg_colours(mission: Mission) -> np.ndarray:
+    """Return the leg colours (T, 3) of a mission's rows."""
+    return np.array([to_rgb(colour) for colour in LEG_COLOURS])[mission.leg]
 
 
 def draw_labels(frame: np.ndarray, labels: Sequence[Label]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs import starts
-from inclined_landing.envs.rendering import Ghost, Pose, contact_arrows, look_at, make_renderer
+from inclined_landing.envs.rendering import Ghost, Pose, look_at, make_renderer
 from inclined_landing.envs.rendering import gl as gl_backend
 from inclined_landing.envs.rendering.camera import nearest_position
 from inclined_landing.envs.rendering.overlay import caption_height, draw_caption
@@ -19,6 +19,7 @@ from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import shapes_of
 from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants.recorder import contact_forces
 from inclined_landing.models.scene import build_spec
 
 W, H = 320, 240
@@ -258,14 +259,14 @@ def test_contact_arrows_carry_the_weight():
     data.qpos[:7] = [2.0, 0, foot.size[0] - foot.pos[2], 1, 0, 0, 0]
     for _ in range(500):
         mujoco.mj_step(model, data)
-    arrows = contact_arrows(model, data, metres_per_newton=1.0)
-    assert len(arrows) == 4
-    # at rest after 2 s: forces sum to the weight, 1 % covers what is left of the settling
-    total = np.sum([force for _, force in arrows], axis=0)
+    points, forces = contact_forces(model, data)
+    assert len(forces) == 4
+    # at rest after 2 s: forces sum to the weight, 1 % covers the rest of the settling
+    total = np.sum(forces, axis=0)
     np.testing.assert_allclose(total, [0, 0, weight], atol=0.01 * weight)
     with make_renderer(W, H, "closeup", "ray") as renderer:
         plain = renderer.render(data)
-        drawn = renderer.render(data, forces=contact_arrows(model, data))
+        drawn = renderer.render(data, forces=list(zip(points, 0.3 * forces)))
         assert changed(plain, drawn).sum() > 30
 
 

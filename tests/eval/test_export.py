@@ -53,7 +53,7 @@ def exported(tmp_path_factory):
         for format, make in FORMATS.items():
             folder = root / f"{name}-{format}"
             folder.mkdir()
-            make(folder, policy, network, terms, tested)
+            importlib.import_module(make).write(folder, policy.task, network, terms, tested)
             (folder / "vectors.json").write_text(storage.to_json(tested.table()))
             (folder / "contract.json").write_text(storage.to_json(terms))
             folders[name, format] = folder
@@ -451,7 +451,7 @@ def any_network_is_exported(policy, tmp_path):
     folder = tmp_path / "export"
     folder.mkdir()
     for make in FORMATS.values():
-        make(folder, policy, network, terms, tested)
+        importlib.import_module(make).write(folder, policy.task, network, terms, tested)
     (folder / "contract.json").write_text(storage.to_json(terms))
     inputs = rng.normal(scale=3.0, size=(50, len(policy.centre))).astype(np.float32)
     library = compiled.Library(folder, tmp_path, "-O1")
@@ -488,7 +488,7 @@ def test_tanh_of_the_c_code_is_tanh(tmp_path):
     policy = Policy(AnyTask(1, 1, 0), {}, Path(__file__), *ends, weights, biases, "ReLU", True)
     network = Network.from_policy(policy)
     tested = vectors.sequence(policy, np.zeros((3, 13)), np.array([[-1.0], [0.0], [2.0]]))
-    c_source.write(tmp_path, contract.describe(policy, network), network, tested)
+    c_source.write(tmp_path, policy.task, network, contract.describe(policy, network), tested)
     x = np.concatenate([np.linspace(-12, 12, 200_001), [3e38, -3e38, 1e-30]]).astype(np.float32)[:, None]
     got = compiled.Library(tmp_path, tmp_path).infer(x, 1)
     assert np.abs(got - np.tanh(x.astype(float))).max() < 2e-7
@@ -647,7 +647,7 @@ def test_what_a_format_cannot_hold_is_refused(tmp_path):
     network = Network.from_policy(wide)
     tested = vectors.sequence(wide, np.zeros((1, 13)), np.zeros((1, 5)))
     with pytest.raises(UserError, match="bytes of constants"):
-        c_source.write(tmp_path, contract.describe(wide, network), network, tested)
+        c_source.write(tmp_path, wide.task, network, contract.describe(wide, network), tested)
     assert not [*tmp_path.iterdir()]
     with pytest.raises(UserError, match="float32 does not hold"):
         Network.from_policy(dataclasses.replace(wide, scale=np.full(5, 1e-300)))

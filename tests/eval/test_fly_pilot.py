@@ -17,9 +17,9 @@ from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval import cli
 from inclined_landing.eval.flying import motion_capture
 from inclined_landing.eval.flying.flight_log import FlightLogWriter
+from inclined_landing.eval.flying.interfaces import RealClock
 from inclined_landing.eval.flying.motion_capture import Tracked, open_capture
 from inclined_landing.eval.flying.pilot import Pilot, Plan
-from inclined_landing.eval.flying.real_clock import RealClock
 from inclined_landing.eval.flying.safety import Phase
 from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
 from inclined_landing.eval.flying.simulated.world import Setting

@@ -145,10 +145,10 @@ class SimulatedClock:
         """Return the present time [s]."""
         return self._world.time
 
-    def wait_until(self, time: float) -> None:
-        """Advance the world to `time` [s]."""
+    def wait_until(self, moment: float) -> None:
+        """Advance the world to `moment` [s]."""
         self._crazyflie.deliver()
-        for _ in self._world.events(time):
+        for _ in self._world.events(moment):
             self._crazyflie.deliver()
 
 

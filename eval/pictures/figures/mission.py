@@ -14,7 +14,7 @@ from inclined_landing.envs.mission import LEGS, Mission
 from inclined_landing.envs.rendering.sprite import SpriteRenderer
 from inclined_landing.eval.base.style import BASE, INK, MUTED, SLAB, halo, legend_below, panel, styled
 from inclined_landing.eval.pictures.figures.scene import draw_background, draw_platform, draw_vehicle
-from inclined_landing.eval.pictures.legs import LEG_COLOURS, leg_colours
+from inclined_landing.eval.pictures.labels import LEG_COLOURS, leg_colours
 from inclined_landing.eval.pictures.path import select_copies
 from inclined_landing.models.attitude import X, Y, Z
 
