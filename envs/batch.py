@@ -84,10 +84,7 @@ class BatchEnv:
         self.actions = np.zeros((n, len(task.action_names)))
         self.past = History(task, n)
         self._start = Start(
-            np.zeros((n, plant.state.shape[1])),
-            np.zeros(n),
-            np.zeros(n, bool),
-            np.full(n, np.nan),
+            np.zeros((n, plant.state.shape[1])), np.zeros(n), np.zeros(n, bool), np.full(n, np.nan)
         )
         self._action_size = len(task.action_names)
         vehicles = (task.vehicle, *plant.pool)  # what is hidden in a plant's own vehicle nobody is told
@@ -251,11 +248,4 @@ class BatchEnv:
         self.total += reward
         terminated = verdict.terminated
         truncated = ((self.length >= self.task.max_steps) | verdict.cut) & ~terminated
-        return Step(
-            self.observe(),
-            reward,
-            terminated,
-            truncated,
-            verdict.success,
-            verdict.terms,
-        )
+        return Step(self.observe(), reward, terminated, truncated, verdict.success, verdict.terms)

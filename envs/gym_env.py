@@ -260,11 +260,7 @@ class TaskVectorEnv(VectorEnv):
                 "with reset(options={'reset_mask': mask})"
             )
         step = env.step(actions, ~waiting)
-        info = {
-            "reward_terms": step.terms,
-            "is_success": step.success,
-            "touched": env.touched.copy(),
-        }
+        info = {"reward_terms": step.terms, "is_success": step.success, "touched": env.touched.copy()}
         observation = step.observation
         if waiting.any():
             for rows in (step.reward, step.terminated, step.truncated, step.success, *step.terms.values()):

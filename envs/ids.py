@@ -11,11 +11,7 @@ import sys
 from types import ModuleType
 
 # A task's name, which is that of its module in `tasks/`, and its class.
-TASK_CLASSES = {
-    "landing": "InclinedLanding",
-    "setpoint": "Setpoint",
-    "touchdown": "InclinedTouchdown",
-}
+TASK_CLASSES = {"landing": "InclinedLanding", "setpoint": "Setpoint", "touchdown": "InclinedTouchdown"}
 IDS = tuple(f"{name}-v0" for name in TASK_CLASSES.values())
 
 _ENVIRONMENTS = "inclined_landing.envs.gym_env"

@@ -92,11 +92,7 @@ class BatchVecEnv(VecEnv):
                         "TimeLimit.truncated": bool(step.truncated[i]),
                         "is_success": bool(step.success[i]),
                         "touched": bool(env.touched[i]),
-                        "episode": {
-                            "r": float(env.total[i]),
-                            "l": int(env.length[i]),
-                            "t": seconds,
-                        },
+                        "episode": {"r": float(env.total[i]), "l": int(env.length[i]), "t": seconds},
                     }
                 )
             observation[ids] = env.reset(ids)

@@ -30,12 +30,7 @@ FormatName = Annotated[str, tyro.conf.arg(metavar="{onnx,c,numpy}")]
 
 
 def command(
-    policy: AnyPolicy,
-    /,
-    format: FormatName,
-    out: Folder,
-    task: TaskName = None,
-    vehicle: VehicleFile = None,
+    policy: AnyPolicy, /, format: FormatName, out: Folder, task: TaskName = None, vehicle: VehicleFile = None
 ) -> None:
     """A policy as ONNX, as C for a microcontroller or for NumPy, with contract and test vectors.
 

@@ -152,11 +152,7 @@ def command(
 
 
 def load_policies(
-    policy: str,
-    setpoint: str,
-    start: tuple[str, ...],
-    inclination: float | None,
-    arena: Path | None,
+    policy: str, setpoint: str, start: tuple[str, ...], inclination: float | None, arena: Path | None
 ) -> tuple[Policy, Policy, list[tuple[float, float]]]:
     """Return the two policies and the starts (x, z) [m]; inclination [deg] of the platform in the arena.
 
@@ -252,12 +248,7 @@ def summary(report: Report, plan: Plan, log: Path | None) -> dict[str, Any]:
     fields = dataclasses.asdict(report)
     for name in ("cause", "retreat"):
         fields[name] = fields[name] and fields[name]["name"]
-    return {
-        **fields,
-        "landed": report.landed,
-        "start_wanted": list(plan.start),
-        "log": log and log.name,
-    }
+    return {**fields, "landed": report.landed, "start_wanted": list(plan.start), "log": log and log.name}
 
 
 def describe(report: Report) -> str:
@@ -298,8 +289,7 @@ def _simulated(vehicle: str, inclination: float | None, fault: tuple[str, ...], 
 
     faults = [Fault.parse(text) for text in fault]
     setting = Setting(
-        named_vehicle(vehicle),
-        inclination=None if inclination is None else math.radians(inclination),
+        named_vehicle(vehicle), inclination=None if inclination is None else math.radians(inclination)
     )
 
     def connect(k: int, angle_limit: float, dry: bool) -> tuple[Radio, Any, Any]:

@@ -61,117 +61,104 @@ REACTION_TIME = (0.25, 0.25, 0.12)  # s along x, y, z: see `stopping_distance`
 BRAKING = 0.5  # share of the acceleration commands allow that the set-point policy brakes with
 FLOOR = 0.3  # m: descents below, in the air, are nobody's intention before the retreat
 
+_OFF, _LAND = Reaction.OFF, Reaction.LAND
 INTERRUPTED = Cause(
     "interrupted",
     "Ctrl-C, Ctrl-Z, `kill`, or the terminal is closed",
-    Reaction.OFF,
+    _OFF,
     "whoever interrupts wants it to stop now",
 )
 ERROR = Cause(
-    "error",
-    "any exception, also while printing or writing the log",
-    Reaction.OFF,
-    "nobody knows what still works",
+    "error", "any exception, also while printing or writing the log", _OFF, "nobody knows what still works"
 )
 HANG = Cause(
     "hang",
     f"the control loop gives no sign for {HANG_LIMIT:g} s",
-    Reaction.OFF,
+    _OFF,
     "a thread of its own notices; the last command would be held",
 )
-BAD_STATE = Cause(
-    "bad state", "position, velocity or attitude is NaN or infinite", Reaction.OFF, "nothing to fly by"
-)
+BAD_STATE = Cause("bad state", "position, velocity or attitude is NaN or infinite", _OFF, "nothing to fly by")
 BAD_SETPOINT = Cause(
-    "bad set-point action", "the set-point policy gives NaN or infinity", Reaction.OFF, "nothing to fly by"
+    "bad set-point action", "the set-point policy gives NaN or infinity", _OFF, "nothing to fly by"
 )
 BAD_ACTION = Cause(
-    "bad action",
-    "the landing policy gives NaN or infinity",
-    Reaction.LAND,
-    "the set-point policy still flies",
+    "bad action", "the landing policy gives NaN or infinity", _LAND, "the set-point policy still flies"
 )
-LINK = Cause("link lost", "cflib reports the connection lost", Reaction.OFF, "sent as often as it may help")
+LINK = Cause("link lost", "cflib reports the connection lost", _OFF, "sent as often as it may help")
 STALE_ATTITUDE = Cause(
     "no attitude",
     f"no attitude from the vehicle for {ATTITUDE_LIMIT:g} s",
-    Reaction.OFF,
+    _OFF,
     "the link is gone in one direction",
 )
 STALE_POSE = Cause(
     "no position",
     f"no believed position for {POSE_LIMIT:g} s: lost, frozen, or jumped",
-    Reaction.OFF,
+    _OFF,
     "predicted positions are 6 cm unsure by then",
 )
 TUMBLED = Cause(
     "tilt",
     f"tilted by more than {math.degrees(TILT_LIMIT):.0f} deg",
-    Reaction.OFF,
+    _OFF,
     "out of control; the firmware says the same at 60 deg",
 )
 LOCKED = Cause(
-    "supervisor",
-    "the vehicle says that it is tumbled, locked or crashed",
-    Reaction.OFF,
-    "it has stopped already",
+    "supervisor", "the vehicle says that it is tumbled, locked or crashed", _OFF, "it has stopped already"
 )
 DISAGREEMENT = Cause(
     "disagreement",
     f"log and motion capture show attitudes {math.degrees(DISAGREEMENT_LIMIT):.0f} deg apart for "
     f"{PERSISTENT['disagreement']:g} s",
-    Reaction.OFF,
+    _OFF,
     "a wrong sign, or markers taken for others: every command would be wrong",
 )
 WRONG_POSITION = Cause(
     "wrong position",
     f"the measured motion is {MISMATCH_LIMIT:g} m/s off what accelerometer and tilt lead to",
-    Reaction.OFF,
+    _OFF,
     "a marker left behind: positions are fresh, and not the vehicle's",
 )
-OUTSIDE = Cause("outside", "outside the arena", Reaction.OFF, "falls within the nets")
+OUTSIDE = Cause("outside", "outside the arena", _OFF, "falls within the nets")
 FENCE = Cause(
     "fence",
     "closer to a wall or the ceiling than the distance it needs to stop, plus "
     f"{100 * BOUND_MARGIN:g} cm; the same for the floor, from {FLOOR:g} m up",
-    Reaction.LAND,
+    _LAND,
     "there is still room to brake",
 )
-SPEED = Cause("speed", f"faster than {SPEED_LIMIT:g} m/s", Reaction.LAND, "no landing needs it")
+SPEED = Cause("speed", f"faster than {SPEED_LIMIT:g} m/s", _LAND, "no landing needs it")
 HEADING = Cause(
     "heading",
     f"{math.degrees(HEADING_LIMIT):.0f} deg off the heading held, in the landing",
-    Reaction.LAND,
+    _LAND,
     "yaw is not under control",
 )
 BATTERY = Cause(
     "battery",
     f"below {LOWEST_VOLTAGE:g} V for {PERSISTENT['battery']:g} s",
-    Reaction.LAND,
+    _LAND,
     "the firmware's critical level: seconds of thrust are left",
 )
 TOUCHED = Cause(
     "touched",
     "touches the platform or the floor in the landing and stays there for 0.5 s",
-    Reaction.OFF,
+    _OFF,
     "it lies somewhere: no more thrust",
 )
 OVERTIME_APPROACH = Cause(
     "approach takes too long",
     f"the start is not reached after {APPROACH_LIMIT:g} s",
-    Reaction.LAND,
+    _LAND,
     "something differs from what the policy knows",
 )
 OVERTIME_LANDING = Cause(
-    "landing takes too long",
-    "longer than an episode of the task (6 s)",
-    Reaction.LAND,
-    "as an episode ends",
+    "landing takes too long", "longer than an episode of the task (6 s)", _LAND, "as an episode ends"
 )
 OVERTIME_RETREAT = Cause(
     "retreat takes too long",
     f"not down {RETREAT_LIMIT:g} s after it began",
-    Reaction.OFF,
+    _OFF,
     "the way down is blocked or lost",
 )
 

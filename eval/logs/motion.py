@@ -259,8 +259,7 @@ def _check_convention(pair: _Agreement, what: str, against: str) -> Iterator[Fin
         yield refuse(what, f"{what} mirror {against}: {_describe_mirror(what, turn)}, or x and y are")
     elif abs(turn) > WRONG_TURN:
         yield refuse(
-            what,
-            f"{what} are turned by {np.degrees(turn):.0f} deg against {against}: {_describe_turn(turn)}",
+            what, f"{what} are turned by {np.degrees(turn):.0f} deg against {against}: {_describe_turn(turn)}"
         )
     elif not 1 / 20 < pair.ratio < 20:
         unit = "degrees" if pair.ratio < 1 else f"{against} in degrees"

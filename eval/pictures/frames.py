@@ -133,12 +133,7 @@ def strobe(
         for k in chosen
     ]
     with _opened(renderer, flight, width, height, camera, backend) as drawing:
-        return drawing.render(
-            pose_at(flight, -1),
-            trail=flight.state,
-            trail_colour=colours,
-            ghosts=ghosts,
-        )
+        return drawing.render(pose_at(flight, -1), trail=flight.state, trail_colour=colours, ghosts=ghosts)
 
 
 def write_picture(path: pathlib.Path, picture: np.ndarray) -> pathlib.Path:

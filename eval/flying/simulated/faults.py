@@ -66,10 +66,7 @@ FAULTS: dict[str, tuple[str, Callable[[World], None]]] = {
     "packet-storm": (f"{BURST_LOSS:.0%} of the packets are lost for {BURST_LENGTH:g} s, both ways", _storm),
     "mocap-lost": ("the cameras see nothing any more", _set("view", blind=True)),
     "mocap-frozen": ("the same pose again and again, with new times", _set("view", frozen=True)),
-    "mocap-stuck": (
-        "a marker left behind: the pose stays where it was",
-        _set("view", stuck=True),
-    ),
+    "mocap-stuck": ("a marker left behind: the pose stays where it was", _set("view", stuck=True)),
     "marker-swap": (f"the pose jumps by {SWAP:g} m in a random direction", _swap),
     "attitude-turned": ("the pose shows the vehicle turned by half a turn", _set("view", turned=True)),
     "attitude-wrong": ("the onboard roll and pitch have the wrong sign", _set("sensors", sign=-1.0)),
