@@ -88,7 +88,7 @@ class BatchEnv:
         )
         self._action_size = len(task.action_names)
         vehicles = (task.vehicle, *plant.pool)  # what is hidden in a plant's own vehicle nobody is told
-        self._vehicle_parameters = (
+        self._privileged = (
             np.array([vehicle_parameters(v) for v in vehicles]) if task.observe_vehicle else None
         )
         self._hover_pwm = None
@@ -124,9 +124,7 @@ class BatchEnv:
 
     def observe(self, ids=slice(None)) -> np.ndarray:
         """Return observations (k, o) of the vehicles `ids` as measured now, with their history."""
-        parameters = (
-            None if self._vehicle_parameters is None else self._vehicle_parameters[self.plant.choice[ids]]
-        )
+        parameters = None if self._privileged is None else self._privileged[self.plant.choice[ids]]
         return self.past.stack(self._present(ids), ids, parameters)
 
     def _present(self, ids=slice(None)) -> np.ndarray:

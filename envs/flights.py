@@ -118,21 +118,20 @@ def record_flights(
         rows = slice(end + 1)
         a, u = actions[rows, i].copy(), commands[rows, i].copy()
         a[end], u[end] = a[end - 1], u[end - 1]
-        flights.append(
-            Flight(
-                task=policy.task,
-                t=plant.control_period * np.arange(end + 1),
-                state=state[rows, i].copy(),
-                actions=a,
-                commands=u,
-                reward=reward[rows, i].copy(),
-                inclination=float(deck[0, i, PITCH]) if plant.present[i] else None,
-                deck=deck[rows, i].copy() if plant.present[i] else None,
-                motion=plant.motion[[i]] if plant.motion is not None and plant.present[i] else None,
-                success=bool(success[i]),
-                touched=bool(touched[i]),
-            )
+        flight = Flight(
+            task=policy.task,
+            t=plant.control_period * np.arange(end + 1),
+            state=state[rows, i].copy(),
+            actions=a,
+            commands=u,
+            reward=reward[rows, i].copy(),
+            inclination=float(deck[0, i, PITCH]) if plant.present[i] else None,
+            deck=deck[rows, i].copy() if plant.present[i] else None,
+            motion=plant.motion[[i]] if plant.motion is not None and plant.present[i] else None,
+            success=bool(success[i]),
+            touched=bool(touched[i]),
         )
+        flights.append(flight)
     return flights
 
 

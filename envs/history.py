@@ -47,7 +47,7 @@ class History:
 
     def __init__(self, task: Task, n: int):
         self._seen = len(task.observation_names)
-        self._vehicle_parameters = (
+        self._privileged = (
             vehicle_parameters.vehicle_parameters(task.vehicle) if task.observe_vehicle else None
         )
         self.steps = np.zeros((n, task.history, self._seen + len(task.action_names)), np.float32)
@@ -77,10 +77,7 @@ class History:
         if self.steps.shape[1]:
             past = self.steps[ids]
             parts.append(past.reshape(len(past), -1))
-        if self._vehicle_parameters is not None:
-            parts.append(
-                np.broadcast_to(self._vehicle_parameters, (len(observation), len(self._vehicle_parameters)))
-                if vehicle is None
-                else vehicle
-            )
+        if self._privileged is not None:
+            own = np.broadcast_to(self._privileged, (len(observation), len(self._privileged)))
+            parts.append(own if vehicle is None else vehicle)
         return np.concatenate(parts, axis=1) if len(parts) > 1 else observation

@@ -234,10 +234,8 @@ class _MissionBatch:
         self.plan, self.plant = plan, MujocoPlant(n, plan.vehicle)
         self.hover: Setpoint = plan.setpoint.task  # type: ignore[assignment]
         self.past, self.trim = History(self.hover, n), Trim(n)
-        later_policies = {LANDING: plan.landing, TOUCHDOWN: plan.touchdown}
-        self.later_policies = {
-            leg: (policy, BatchEnv(policy.task, self.plant)) for leg, policy in later_policies.items()
-        }
+        runners = {LANDING: plan.landing, TOUCHDOWN: plan.touchdown}
+        self.runners = {leg: (policy, BatchEnv(policy.task, self.plant)) for leg, policy in runners.items()}
         self.plant.set_platform(everyone, plan.task.inclination)
         self.plant.reset(everyone, states)
         self.leg, self.end = np.full(n, CLIMB), np.full(n, FLYING)
@@ -277,7 +275,7 @@ class _MissionBatch:
         commands[:, YAW_RATE_COMMAND] = np.clip(-YAW_GAIN * self.plant.measurement[:, YAW], -limit, limit)
         if not plan.hold:
             commands[self.leg > APPROACH, ROLL_COMMAND] = 0.0
-        for leg, (policy, env) in self.later_policies.items():
+        for leg, (policy, env) in self.runners.items():
             ids = self._ids_in_leg(leg)
             if len(ids):
                 actions = np.zeros((env.n, len(env.task.action_names)))
@@ -302,7 +300,7 @@ class _MissionBatch:
         flying = np.flatnonzero(self.end == FLYING)
         self.touched[flying, self.leg[flying]] |= contacts.touch[flying].any(axis=2)
         outcomes = {
-            leg: env.outcome() for leg, (_, env) in self.later_policies.items() if len(self._ids_in_leg(leg))
+            leg: env.outcome() for leg, (_, env) in self.runners.items() if len(self._ids_in_leg(leg))
         }
         settling = (self.leg <= APPROACH) & (np.linalg.norm(state[:, VX : VZ + 1], axis=1) < HAND_OVER_SPEED)
         self.trim.integrate(self.target - state[:, X : Z + 1], period, settling)
@@ -350,8 +348,8 @@ class _MissionBatch:
         if leg == APPROACH:
             self.target[ids] = self.plan.point
         self.past.reset(ids, self._setpoint_observation()[ids])
-        if leg in self.later_policies:
-            self.later_policies[leg][1].begin_in_place(ids)
+        if leg in self.runners:
+            self.runners[leg][1].begin_in_place(ids)
 
     def missions(self) -> list[Mission]:
         """Return the missions as flown."""

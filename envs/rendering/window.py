@@ -116,9 +116,8 @@ class Window:
         time.sleep(max(0.0, self._due - now))
         pose = pose_from_state(state, deck)
         there = np.zeros(WZ + 1) if deck is None else deck
-        has_base = (
-            deck is not None and not there[[X, Y, VX, VX + 1, VZ, ROLL]].any()
-        )  # what moves has no base
+        # A moving platform has no base.
+        has_base = deck is not None and not there[[X, Y, VX, VX + 1, VZ, ROLL]].any()
         places = geometry.platform_poses([there[PITCH]], [has_base], self._vehicle, azimuth=[there[YAW]])
         places[0][0, 0], places[1][0, 0] = pose.platform_pos, pose.platform_quat
         with self._viewer.lock():

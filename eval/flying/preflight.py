@@ -56,48 +56,41 @@ def preflight_checks(data: PreflightData, surroundings: Surroundings, stand: flo
     known = bool(np.isfinite(state).all())
     clearance = float(surroundings.distances(state[None])[0, 0]) if known else math.nan
     tilt = estimate.tilt if known else math.nan
-    return [
-        Check(
-            "battery",
+    degrees, mismatch = math.degrees(tilt), math.degrees(estimate.attitude_mismatch)
+    frozen = "" if moved or len(times) < 2 else ", all the same: frozen"
+    checks = {
+        "battery": (
             data.voltage >= LEAST_VOLTAGE,
             f"{data.voltage:.2f} V; at least {LEAST_VOLTAGE:g} V at rest",
         ),
-        Check(
-            "supervisor",
+        "supervisor": (
             not data.locked,
             "locked, crashed or tumbled: switch it off and on" if data.locked else "not locked",
         ),
-        Check(
-            "motion capture",
+        "motion capture": (
             len(times) >= POSE_RATE * RECORDING_TIME and gap <= LONGEST_GAP and moved,
-            f"{len(times) / RECORDING_TIME:.0f} poses per second, longest gap {1e3 * gap:.0f} ms"
-            + ("" if moved or len(times) < 2 else ", all the same: frozen")
-            + f"; at least {POSE_RATE:g}, at most {1e3 * LONGEST_GAP:g} ms",
+            f"{len(times) / RECORDING_TIME:.0f} poses per second, longest gap {1e3 * gap:.0f} ms{frozen}"
+            f"; at least {POSE_RATE:g}, at most {1e3 * LONGEST_GAP:g} ms",
         ),
-        Check(
-            "at rest",
+        "at rest": (
             spread <= LARGEST_SPREAD,
             f"position spreads by {1e3 * spread:.1f} mm; at most {1e3 * LARGEST_SPREAD:g} mm",
         ),
-        Check(
-            "attitude log",
+        "attitude log": (
             data.attitudes >= ATTITUDE_RATE * RECORDING_TIME,
             f"{data.attitudes / RECORDING_TIME:.0f} per second; at least {ATTITUDE_RATE:g}",
         ),
-        Check(
-            "level",
+        "level": (
             tilt <= LEVEL and estimate.attitude_mismatch <= LEVEL,
-            f"tilted by {math.degrees(tilt):.1f} deg, {math.degrees(estimate.attitude_mismatch):.1f} deg "
-            f"from what motion capture shows; at most {math.degrees(LEVEL):.0f} deg",
+            f"tilted by {degrees:.1f} deg, {mismatch:.1f} deg from what motion capture shows; at most "
+            f"{math.degrees(LEVEL):.0f} deg",
         ),
-        Check(
-            "inside the arena", bool(inside), f"x {x:.2f}, y {y:.2f} m; {ROOM:g} m from the walls at least"
-        ),
-        Check(
-            "height",
+        "inside the arena": (inside, f"x {x:.2f}, y {y:.2f} m; {ROOM:g} m from the walls at least"),
+        "height": (
             abs(z - expected) <= HEIGHT,
             f"stands at z {z:.3f} m, expected {expected:.3f}: stand {stand:g} m, centre of mass "
             f"{surroundings.standing_height:.3f} m above its feet",
         ),
-        Check("clear of the platform", clearance > CLEAR, f"{clearance:.2f} m; more than {CLEAR:g} m"),
-    ]
+        "clear of the platform": (clearance > CLEAR, f"{clearance:.2f} m; more than {CLEAR:g} m"),
+    }
+    return [Check(name, bool(passed), found) for name, (passed, found) in checks.items()]

@@ -59,10 +59,8 @@ def assemble(
     if complete.sum() < 2:
         raise UserError(f"{path}: pose and commands are never logged at the same time")
     notes += _describe_rows(channels, t, complete)
-    velocity = _interpolate_if_complete(channels, _VELOCITY, t[complete], "velocity", notes)
-    voltage = _interpolate_if_complete(
-        channels, ("vbat",), t[complete], "battery voltage", notes, longest=1.5
-    )
+    velocity = _interpolate_fully(channels, _VELOCITY, t[complete], "velocity", notes)
+    voltage = _interpolate_fully(channels, ("vbat",), t[complete], "battery voltage", notes, longest=1.5)
     if "cmd_yaw" in channels and "cmd_yaw_rate" not in channels:
         notes.append("yaw is commanded as an angle; no yaw rate command was logged and none is made up")
 
@@ -128,7 +126,7 @@ def _describe_rows(channels: Mapping[str, Channel], t: np.ndarray, complete: np.
         yield "channels have clocks of their own: measurements interpolated, commands held, onto that of x"
 
 
-def _interpolate_if_complete(
+def _interpolate_fully(
     channels: Mapping[str, Channel],
     keys: tuple[str, ...],
     t: np.ndarray,

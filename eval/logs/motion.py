@@ -116,10 +116,8 @@ def _check_swapped_height(parts: list[Motion]) -> Iterator[Finding]:
     pwm = [p.pwm for p in parts]
     if _best_lag(pwm, [p.vertical_acceleration for p in parts])[1] > 0.3:
         return
-    for axis, values in (
-        ("x", [p.horizontal_acceleration.real for p in parts]),
-        ("y", [p.horizontal_acceleration.imag for p in parts]),
-    ):
+    for axis, part in (("x", np.real), ("y", np.imag)):
+        values = [part(p.horizontal_acceleration) for p in parts]
         if np.concatenate(values).std() > 0.3 and _best_lag(pwm, values)[1] > 0.7:
             yield refuse(
                 "z", f"{axis} moves up and down with the thrust command, z does not: they are swapped"

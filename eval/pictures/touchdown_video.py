@@ -40,9 +40,8 @@ def render_touchdowns(
     """
     strongest = max(touchdown.largest_force for touchdown in touchdowns)
     for touchdown in touchdowns:
-        look, scale = (
-            (_touchdown_view(touchdown, width, height), 1.0) if camera == "touch" else (camera, None)
-        )
+        close = camera == "touch"
+        look, scale = _touchdown_view(touchdown, width, height) if close else camera, 1.0 if close else None
         with make_renderer(width, height, look, backend, vehicle=touchdown.vehicle, scale=scale) as renderer:
             metres_per_newton = _LONGEST * renderer.scale / strongest
             gauge = Gauge(touchdown, renderer, metres_per_newton)

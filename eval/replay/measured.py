@@ -68,9 +68,8 @@ def _simulated(measured: Recording, flight: Measured, vehicle: Vehicle, anew: fl
     the ground that it stands on.
     """
     known = measured.inclination is not None
-    segments = _segments(
-        np.full(flight.samples, True) if known else flight.usable, max(1, round(anew / flight.dt))
-    )
+    usable = np.full(flight.samples, True) if known else flight.usable
+    segments = _segments(usable, max(1, round(anew / flight.dt)))
     if not segments:
         raise UserError("no free flight in it")
     windows: dict[int, np.ndarray] = {}

@@ -62,15 +62,11 @@ class Body:
         state[0, :2], state[0, 2], state[0, YAW] = start, self.plant.foot_height - _SETTLING, heading
         self.plant.reset([0], state)
         self._command = np.zeros((1, 4))
-        self._before = self._now = self._seen(self.plant.state)
-        self._shown = self._seen(self.plant.measurement)
+        self._before = self._now = self.plant.state[0].copy()
+        self._shown = self.plant.measurement[0].copy()
         self._shown_before = self._shown
         self._felt = np.array([0.0, 0.0, 1.0])
         self.voltage_drop = 0.0  # V by which the battery is emptier than the vehicle file says
-
-    @staticmethod
-    def _seen(state: np.ndarray) -> np.ndarray:
-        return state[0].copy()
 
     @property
     def state(self) -> np.ndarray:
@@ -100,8 +96,8 @@ class Body:
         self._command[0] = plant_command(setpoint)
         self.plant.step(self._command)
         self.time += self.step_length
-        self._before, self._now = self._now, self._seen(self.plant.state)
-        self._shown_before, self._shown = self._shown, self._seen(self.plant.measurement)
+        self._before, self._now = self._now, self.plant.state[0].copy()
+        self._shown_before, self._shown = self._shown, self.plant.measurement[0].copy()
         # f = R' (dv/dt + g e_z) / g, in the body frame
         change = (self._now[VX : VX + 3] - self._before[VX : VX + 3]) / self.step_length
         change[2] += self.vehicle.environment_gravity

@@ -46,9 +46,7 @@ class Setting:
 
     vehicle: Vehicle = dataclasses.field(default_factory=load_vehicle)
     start: tuple[float, float] = (1.0, 0.0)  # x, y on the floor, m
-    heading: float | None = (
-        None  # rad; None: drawn, with a standard deviation of 2 deg, as a hand puts it down
-    )
+    heading: float | None = None  # rad; None: drawn with a standard deviation of 2 deg
     inclination: float | None = None  # of the platform, rad; None: the vehicle file's
     charge: float = 0.0  # V by which the battery is emptier than the vehicle file says
     link: LinkQuality = dataclasses.field(default_factory=LinkQuality)
@@ -117,31 +115,25 @@ class OnboardSensors:
         """Return the log variables of crtp.LOGGED."""
         body, firmware = self._body, self._firmware()
         roll, pitch, yaw = body.estimate_at(time)
-        roll, pitch, yaw = firmware_attitude(self.sign * roll, self.sign * pitch, yaw - self._heading)
-        noise = self._random.normal(0.0, self.angle_noise, 3)
-        angles = dict(
-            zip(("roll", "pitch", "yaw"), (float(a + e) for a, e in zip((roll, pitch, yaw), noise)))
-        )
+        angles = firmware_attitude(self.sign * roll, self.sign * pitch, yaw - self._heading)
+        angles = np.add(angles, self._random.normal(0.0, self.angle_noise, 3)).tolist()
+        groups = {
+            "stateEstimate": zip(("roll", "pitch", "yaw"), angles),
+            "stabilizer": zip(("roll", "pitch", "yaw"), angles),
+            "gyro": zip("xyz", np.degrees(body.state_at(time)[WX : WX + 3]).tolist()),
+            "acc": zip("xyz", body.specific_force.tolist()),
+        }
         low = self._low_since is not None and time - self._low_since > _LOW_AFTER
-        mode = firmware.state
         return {
-            **{
-                f"{group}.{axis}": angle
-                for group in ("stateEstimate", "stabilizer")
-                for axis, angle in angles.items()
-            },
+            **{f"{group}.{name}": value for group, values in groups.items() for name, value in values},
             "stabilizer.thrust": firmware.thrust,
             "controller.cmd_thrust": firmware.thrust,
-            **dict(
-                zip(("gyro.x", "gyro.y", "gyro.z"), np.degrees(body.state_at(time)[WX : WX + 3]).tolist())
-            ),
-            **dict(zip(("acc.x", "acc.y", "acc.z"), body.specific_force.tolist())),
             "pm.vbat": self.voltage,
             "pm.vbatMV": 1000.0 * self.voltage,
             "pm.state": 3.0 if low else 0.0,
             "supervisor.info": firmware.info,
             "sys.canfly": firmware.can_fly,
-            "sys.isFlying": mode in (State.FLYING, State.LEVEL_OUT),
+            "sys.isFlying": firmware.state in (State.FLYING, State.LEVEL_OUT),
             "sys.isTumbled": firmware.tumbled,
         }
 
@@ -296,26 +288,15 @@ class World:
         )
         body.step(setpoint)
         self.thrust = setpoint.thrust
-        self._rows.append(
-            (
-                body.time,
-                body.state,
-                body.touching,
-                body.command.copy(),
-                self._voltage,
-                int(self.firmware.state),
-            )
-        )
+        mode = int(self.firmware.state)
+        self._rows.append((body.time, body.state, body.touching, body.command.copy(), self._voltage, mode))
         self._watch()
 
     def _watch(self) -> None:
         """Trigger the faults whose events have occurred."""
         state, v = self.body.state, self.setting.vehicle
-        if (
-            not self._flown
-            and not self.body.touching[FLOOR]
-            and state[Z] > self.body.plant.foot_height + 0.01
-        ):
+        lifted = not self.body.touching[FLOOR] and state[Z] > self.body.plant.foot_height + 0.01
+        if lifted and not self._flown:
             self._flown = True
             self._trigger("air")
         if not self._flown or not self._waiting:
