@@ -117,10 +117,10 @@ class BatchEnv:
             array[:] = records[name]
 
     def _records(self) -> dict[str, np.ndarray]:
-        own = ("length", "total", "contact_steps", "touched", "held")
+        names = ("length", "total", "contact_steps", "touched", "held")
         start = {name: getattr(self._start, name) for name in _START}
         past = {"past": self.past.steps} if self.task.history else {}
-        return {name: getattr(self, name) for name in own} | start | past
+        return {name: getattr(self, name) for name in names} | start | past
 
     def observe(self, ids=slice(None)) -> np.ndarray:
         """Return observations (k, o) of the vehicles `ids` as measured now, with their history."""
@@ -207,14 +207,14 @@ class BatchEnv:
         drawn[self.rng.random(len(ids)) < self.nominal] = 0
         self.plant.assign(ids, drawn)
 
-    def step(self, actions: np.ndarray, wanted: np.ndarray | None = None) -> Step:
+    def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> Step:
         """Apply actions (n, a), clipped to [-1, 1], for one control period.
 
         wanted: (n,) bool, vehicles that somebody looks at; the plant may let the others stand still.
         Raises UserError when an action has the wrong shape or is not finite.
         """
         self.act(actions)
-        self.plant.step(self.commands, wanted)
+        self.plant.step(self.commands, active)
         return self.outcome()
 
     def act(self, actions: np.ndarray) -> None:

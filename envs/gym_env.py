@@ -203,8 +203,8 @@ class TaskVectorEnv(VectorEnv):
             self._autoreset = AutoresetMode(autoreset_mode)
         except ValueError:
             known = ", ".join(repr(mode.value) for mode in AutoresetMode)
-            said = shown(repr(autoreset_mode), 40)
-            raise UserError(f"autoreset_mode must be one of {known}, not {said}") from None
+            mode_text = shown(repr(autoreset_mode), 40)
+            raise UserError(f"autoreset_mode must be one of {known}, not {mode_text}") from None
         self.metadata = self.metadata | {"autoreset_mode": self._autoreset}
         if render_mode is not None:
             raise UserError(

@@ -63,19 +63,19 @@ class Plan:
     hold: bool = True  # does the set-point policy's roll hold y where none is commanded
 
     def __post_init__(self):
-        wanted = ("setpoint", Setpoint), ("landing", InclinedLanding), ("touchdown", InclinedTouchdown)
-        for policy, (leg, kind) in zip(self.policies, wanted):
-            own = policy.task
-            boxless = kind is InclinedLanding and own.goal_size is None
-            if not isinstance(own, kind) or boxless:
-                raise UserError(f"the {leg} policy {policy.name} is for the task {own.name}")
-            if _without_limit(own.vehicle) != _without_limit(self.task.vehicle):
+        required = ("setpoint", Setpoint), ("landing", InclinedLanding), ("touchdown", InclinedTouchdown)
+        for policy, (leg, kind) in zip(self.policies, required):
+            task = policy.task
+            boxless = kind is InclinedLanding and task.goal_size is None
+            if not isinstance(task, kind) or boxless:
+                raise UserError(f"the {leg} policy {policy.name} is for the task {task.name}")
+            if _without_limit(task.vehicle) != _without_limit(self.task.vehicle):
                 raise UserError(f"the {leg} policy {policy.name} is for another vehicle than the last one")
         first, last = _slope_normal(self.landing.task), _slope_normal(self.task)
         if not np.allclose(first, last, atol=1e-6):
             slopes = (math.degrees(math.acos(facing[2])) for facing in (first, last))
-            said = "landing policy for one of {:.1f} deg, touchdown policy for {:.1f} deg".format(*slopes)
-            raise UserError(f"the policies are for different slopes: {said}")
+            text = "landing policy for one of {:.1f} deg, touchdown policy for {:.1f} deg".format(*slopes)
+            raise UserError(f"the policies are for different slopes: {text}")
         if abs(last[1]) > 1e-6:
             raise UserError("missions are flown to slopes along x: leave the azimuth of the tasks out")
         v, (x, z) = self.vehicle, self.hand_over
@@ -132,10 +132,10 @@ class Plan:
     def check_starts(self, starts: np.ndarray) -> None:
         """Raise UserError, naming the first, unless all starts (k, 3) [m] are `admissible`."""
         for start in starts[~self.admissible(starts)][:1]:
-            said = ",".join(f"{value:g}" for value in start)
+            text = ",".join(f"{value:g}" for value in start)
             box = ", ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in zip("xyz", START_BOX))
             raise UserError(
-                f"start {said} lies within {CLEAR:g} m of the platform, under it, or outside the set-point "
+                f"start {text} lies within {CLEAR:g} m of the platform, under it, or outside the set-point "
                 f"task's starts ({box} m)"
             )
 
@@ -281,8 +281,8 @@ class _MissionBatch:
                 actions = np.zeros((env.n, len(env.task.action_names)))
                 actions[ids] = policy.predict(env.observe(ids))
                 env.act(actions)
-                own = np.ix_(ids, [channel.column for channel in env.task.channels])
-                commands[own] = env.commands[own]
+                columns = np.ix_(ids, [channel.column for channel in env.task.channels])
+                commands[columns] = env.commands[columns]
         return commands
 
     def _setpoint_observation(self) -> np.ndarray:

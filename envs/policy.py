@@ -119,8 +119,8 @@ class Policy:
         options = {k: v for k, v in task.options.items() if k != "observe_vehicle"}
         plain = make_task(task.name, task.vehicle, **options | {"pwm_centre": task.pwm_centre})
         given = len(input_names(plain))
-        told = vehicle_parameters(task.vehicle) if task.observe_vehicle else np.zeros(0)
-        scaled = np.clip((told - self.centre[given:]) / self.scale[given:], -self.limit, self.limit)
+        observed = vehicle_parameters(task.vehicle) if task.observe_vehicle else np.zeros(0)
+        scaled = np.clip((observed - self.centre[given:]) / self.scale[given:], -self.limit, self.limit)
         first, *others = self.weights
         return dataclasses.replace(
             self,
@@ -304,11 +304,11 @@ def _check_training_options(task: Task, metadata: dict, inclination, path) -> No
             f"policy {path} is given {past} past steps, and the {task.name} task here has {task.history}; "
             f"give it history={past}"
         )
-    told = bool(options.get("observe_vehicle", False))
-    if told != task.observe_vehicle:
+    observed = bool(options.get("observe_vehicle", False))
+    if observed != task.observe_vehicle:
         raise UserError(
-            f"policy {path} is {'told' if told else 'not told'} the numbers of its vehicle; "
-            f"give the {task.name} task here observe_vehicle={told}"
+            f"policy {path} {'observes' if observed else 'does not observe'} its vehicle's parameters; "
+            f"give the {task.name} task here observe_vehicle={observed}"
         )
     trained = _action_map(options)
     if (trained[0] == OWN) != task.own_hover:

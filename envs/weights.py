@@ -256,13 +256,13 @@ def _read_storage(archive: zipfile.ZipFile, folder: str, storage: _Storage, what
 def _array(tensor: _Tensor, numbers: np.ndarray, label: str) -> np.ndarray:
     """Return a tensor's numbers in its shape, float64, contiguous."""
     size, stride, offset = tensor.size, tensor.stride, tensor.offset
-    whole = (
+    valid = (
         isinstance(size, tuple)
         and isinstance(stride, tuple)
         and len(size) == len(stride) <= _DIMENSIONS
         and all(type(k) is int and k >= 0 for k in (*size, *stride, offset))
     )
-    if not whole:
+    if not valid:
         raise UserError(f"{label} has a shape that is none")
     if 0 in size:
         raise UserError(f"{label} is empty")

@@ -128,13 +128,13 @@ class _Scene:
     def cast(self, eye: np.ndarray, rays: np.ndarray, *groups: int, normals: bool = True):
         """Return first hits: geom (n,), -1 for none; distance (n,); normals (n, 3) or None."""
         n = len(rays)
-        wanted = np.zeros(6, np.uint8)
-        wanted[list(groups)] = 1
+        enabled = np.zeros(6, np.uint8)
+        enabled[list(groups)] = 1
         geom, distance = np.full(n, -1, np.int32), np.full(n, -1.0)
         normal = np.zeros((n, 3)) if normals else None
         if n:
             mujoco.mj_multiRay(
-                self.model, self.data, eye, np.ascontiguousarray(rays).ravel(), wanted, 1, -1,
+                self.model, self.data, eye, np.ascontiguousarray(rays).ravel(), enabled, 1, -1,
                 geom, distance, None if normal is None else normal.ravel(), n, mujoco.mjMAXVAL,
             )  # fmt: skip
         return geom, distance, normal
@@ -576,9 +576,9 @@ class RayRenderer(SceneRenderer):
             behind = np.mod(sense * (phase - np.arctan2(y, x)), np.pi)
             blur = 0.5 * np.exp(-behind / 0.30) * np.clip(r / radius * 3.0, 0, 1)
             rim = 0.12 * (r / radius) ** 8
-            own = scene.rgba[k]
-            weight = np.clip(own[3] + blur + rim, 0, 0.85) * cover
-            tone = own[:3] + (blur / (blur + own[3]))[:, None] * (0.2 - own[:3])
+            rgba = scene.rgba[k]
+            weight = np.clip(rgba[3] + blur + rim, 0, 0.85) * cover
+            tone = rgba[:3] + (blur / (blur + rgba[3]))[:, None] * (0.2 - rgba[:3])
             if ghost is not None:
                 tone = tone + ghost.tint * (np.asarray(ghost.colour) - tone)
             front = t < depth[near]

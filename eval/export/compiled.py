@@ -21,9 +21,9 @@ _COMPILERS = ("cc", "gcc", "clang")
 
 def compiler() -> list[str] | None:
     """Return the C compiler named by CC or found under its usual names; None where there is none."""
-    given = shlex.split(os.environ.get("CC", ""))
-    if given:
-        return given if shutil.which(given[0]) else None
+    named = shlex.split(os.environ.get("CC", ""))
+    if named:
+        return named if shutil.which(named[0]) else None
     found = next(filter(None, map(shutil.which, _COMPILERS)), None)
     return None if found is None else [found]
 

@@ -128,8 +128,8 @@ def describe(policy: Policy, network: Network) -> dict:
 
 def to_markdown(contract: dict) -> str:
     """Return the contract as Markdown for people."""
-    given = contract["input"]
-    names = list(zip(given["names"], given["centre"], given["scale"]))
+    entry = contract["input"]
+    names = list(zip(entry["names"], entry["centre"], entry["scale"]))
     return render("contract.md.j2", names=names, **contract)
 
 
@@ -223,13 +223,13 @@ def _vehicle(policy: Policy) -> dict:
 
 def _trained_vehicle(policy: Policy) -> Vehicle:
     """Return the shipped vehicle with the differences in the stamp; raise UserError for invalid ones."""
-    given, shipped = policy.metadata["vehicle"], load_vehicle()
+    entry, shipped = policy.metadata["vehicle"], load_vehicle()
     what = f"policy {policy.path}: the vehicle in its stamp"
-    if not isinstance(given, Mapping):
+    if not isinstance(entry, Mapping):
         raise UserError(f"{what} is not a table")
-    if unknown := [name for name in given if name not in vars(shipped)]:
+    if unknown := [name for name in entry if name not in vars(shipped)]:
         raise UserError(f"{what} has the unknown entry {shown(unknown[0], 60)}")
-    fields = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+    fields = {name: tuple(value) if isinstance(value, list) else value for name, value in entry.items()}
     vehicle = shipped.changed(**fields)
     try:
         check_vehicle(vehicle)

@@ -59,9 +59,9 @@ def write(folder: Path, task: Task, network: Network, contract: dict, vectors: V
     constants.append(axes)
     nodes.append(helper.make_node("ReduceSum", [zeros, "axes"], ["doubt"], name="doubt", keepdims=1))
     node("Add", x, "doubt", name="action")
-    given = helper.make_tensor_value_info("input", TensorProto.FLOAT, ["n", network.inputs])
-    answer = helper.make_tensor_value_info("action", TensorProto.FLOAT, ["n", network.sizes[-1]])
-    graph = helper.make_graph(nodes, "landing_policy", [given], [answer], constants)
+    input_info = helper.make_tensor_value_info("input", TensorProto.FLOAT, ["n", network.inputs])
+    output_info = helper.make_tensor_value_info("action", TensorProto.FLOAT, ["n", network.sizes[-1]])
+    graph = helper.make_graph(nodes, "landing_policy", [input_info], [output_info], constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=_IR_VERSION)
     model.producer_name = "inclined-landing"
     helper.set_model_props(

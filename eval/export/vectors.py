@@ -61,8 +61,8 @@ def sequence(policy: Policy, states: np.ndarray, observations: np.ndarray) -> Ve
 
 def record(policy: Policy, seed: int = 0) -> Vectors:
     """Return the test vectors of a policy. Raises UserError when its task cannot be flown."""
-    flown, wide = _sample_flights(policy, seed), _sample_wide(policy, np.random.default_rng(seed))
-    states, observations = (np.concatenate(pair) for pair in zip(flown, wide))
+    flights, wide = _sample_flights(policy, seed), _sample_wide(policy, np.random.default_rng(seed))
+    states, observations = (np.concatenate(pair) for pair in zip(flights, wide))
     return sequence(policy, states, observations)
 
 
@@ -70,14 +70,14 @@ def _sample_flights(policy: Policy, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return states and observations of flights from random starts, evenly spaced in time."""
     task = policy.task
     env = BatchEnv(task, make_plant("hybrid", _FLIGHTS, task.vehicle, **task.plant_options), seed)
-    given = env.reset()
+    observation = env.reset()
     states, observations, length = [], [], np.full(_FLIGHTS, task.max_steps - 1)
     try:
         for k in range(task.max_steps):
             states.append(env.plant.state.copy())
-            observations.append(given[:, : len(task.observation_names)].copy())
-            step = env.step(policy.predict(given), length > k)
-            given = step.observation
+            observations.append(observation[:, : len(task.observation_names)].copy())
+            step = env.step(policy.predict(observation), length > k)
+            observation = step.observation
             length[step.terminated & (length > k)] = k
             if (length <= k).all():
                 break

@@ -171,11 +171,11 @@ def load_policies(
 
     room = load_vehicle(arena) if arena is not None else load_vehicle()
 
-    def built(name: str, wanted: tuple[str, ...], **options: Any) -> Policy:
+    def built(name: str, tasks: tuple[str, ...], **options: Any) -> Policy:
         task = trained_task(name)
-        if task not in wanted:
+        if task not in tasks:
             raise UserError(
-                f"policy {shown(name)} is for the task {shown(task, 40)}; wanted is {' or '.join(wanted)}"
+                f"policy {shown(name)} is for the task {shown(task, 40)}; wanted is {' or '.join(tasks)}"
             )
         if getattr(load_policy(name).task, "sees_slope", False):
             raise UserError(f"policy {shown(name)} observes the slope; the pilot flies policies of one slope")
@@ -293,8 +293,8 @@ def _simulated(vehicle: str, inclination: float | None, fault: tuple[str, ...], 
     )
 
     def connect(k: int, angle_limit: float, dry: bool) -> tuple[Radio, Any, Any]:
-        own = int(np.random.SeedSequence((seed, k)).generate_state(1)[0])
-        flight = fly_simulated(setting, seed=own, faults=faults)
+        flight_seed = int(np.random.SeedSequence((seed, k)).generate_state(1)[0])
+        flight = fly_simulated(setting, seed=flight_seed, faults=faults)
         radio = Radio(flight.crazyflie, flight.clock, angle_limit, dry=dry)
         radio.connect(flight.uri)
         return radio, flight.clock, flight.motion_capture

@@ -38,8 +38,8 @@ class NoiseModel:
     @classmethod
     def of(cls, vehicle: Vehicle, position: float = 1e-3) -> NoiseModel:
         """Return the noise model of a vehicle: accelerations uniform up to what its tilt limit allows."""
-        most = vehicle.environment_gravity * math.tan(vehicle.command_angle_limit)
-        return cls(position, most / math.sqrt(3.0), vehicle.attitude_time_constant)
+        largest = vehicle.environment_gravity * math.tan(vehicle.command_angle_limit)
+        return cls(position, largest / math.sqrt(3.0), vehicle.attitude_time_constant)
 
 
 class KalmanFilter:
@@ -89,11 +89,11 @@ class KalmanFilter:
             self.contact_updates += 1
             expected = variance[0, 0] + n.position**2
         gain = variance[:, 0] / expected
-        keep = np.eye(3)
-        keep[:, 0] -= gain
+        reduction = np.eye(3)
+        reduction[:, 0] -= gain
         self.mean = mean + np.outer(gain, innovation)
         # Joseph's form, which stays symmetric and positive: P = (I - K H) P (I - K H)' + K R K'.
-        self.variance = keep @ variance @ keep.T + n.position**2 * np.outer(gain, gain)
+        self.variance = reduction @ variance @ reduction.T + n.position**2 * np.outer(gain, gain)
         self.time = time
         return True
 
@@ -125,9 +125,9 @@ def transition(dt: float, correlation: float) -> np.ndarray:
     # exp(A dt) of dx/dt = v, dv/dt = a, da/dt = -a / T, with s = dt / T (Singer 1970):
     #   [1  dt  T^2 (s - 1 + exp(-s))],  [0  1  T (1 - exp(-s))],  [0  0  exp(-s)]
     s = dt / correlation
-    left, gone = math.exp(-s), -math.expm1(-s)
+    decay, rise = math.exp(-s), -math.expm1(-s)
     return np.array(
-        [[1.0, dt, correlation**2 * (s - gone)], [0.0, 1.0, correlation * gone], [0.0, 0.0, left]]
+        [[1.0, dt, correlation**2 * (s - rise)], [0.0, 1.0, correlation * rise], [0.0, 0.0, decay]]
     )
 
 
@@ -140,7 +140,7 @@ def process_noise(dt: float, acceleration: float, correlation: float) -> np.ndar
     # Q = 2 sigma^2 / T  int_0^dt  r(s) r(s)' ds,  r the last column of the transition matrix.
     ages = 0.5 * dt * (_NODES + 1.0)
     s = ages / correlation
-    gone = -np.expm1(-s)
-    response = np.stack([correlation**2 * (s - gone), correlation * gone, np.exp(-s)])
+    rise = -np.expm1(-s)
+    response = np.stack([correlation**2 * (s - rise), correlation * rise, np.exp(-s)])
     density = 2.0 * acceleration**2 / correlation
     return 0.5 * dt * density * (response * _WEIGHTS) @ response.T

@@ -110,5 +110,5 @@ def _probe(name: str, kind: str, host: str) -> None:
     except subprocess.TimeoutExpired:
         raise UserError(f"no motion capture at {shown(name, 80)}: no answer in {CONNECTING:g} s") from None
     if probe.returncode != 0:
-        said = (probe.stderr.strip() or f"it ended with {probe.returncode}").splitlines()[-1]
-        raise UserError(f"no motion capture at {shown(name, 80)}: {shown(said, 200)}")
+        message = (probe.stderr.strip() or f"it ended with {probe.returncode}").splitlines()[-1]
+        raise UserError(f"no motion capture at {shown(name, 80)}: {shown(message, 200)}")

@@ -300,10 +300,10 @@ class Pilot:
         """Return the command (4,) towards the start; count control steps near it and slow."""
         assert self._target is not None
         target = self._target.advance(self._period, state[X : Z + 1])
-        away = float(np.linalg.norm(target - state[X : Z + 1]))
+        distance = float(np.linalg.norm(target - state[X : Z + 1]))
         slow = float(np.linalg.norm(state[VX : VZ + 1])) < HAND_OVER_SPEED
         self._steps_at_start = (
-            self._steps_at_start + 1 if self._target.arrived and slow and away < TOLERANCE else 0
+            self._steps_at_start + 1 if self._target.arrived and slow and distance < TOLERANCE else 0
         )
         return self._follower.command_towards(state, target, self._period)
 
@@ -483,11 +483,11 @@ def _uninterruptible() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _handlers(wanted: dict) -> Iterator[None]:
+def _handlers(handlers: dict) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.signal(number, handler) for number, handler in wanted.items()}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
         yield
     finally:

@@ -82,15 +82,15 @@ class Surroundings:
 
     def _clear(self, points: list[np.ndarray], leaving: float = 0.0) -> bool:
         """Return whether a path is clear of obstacles, except for its first `leaving` metres."""
-        states, gone = [], 0.0
+        states, travelled = [], 0.0
         for a, b in itertools.pairwise(points):
             length = float(np.linalg.norm(b - a))
             for k in range(int(length / _STEP) + 1):
-                if gone + k * _STEP >= leaving:
+                if travelled + k * _STEP >= leaving:
                     state = np.zeros(STATE_SIZE)
                     state[:3] = a + (b - a) * min(1.0, k * _STEP / max(length, 1e-9))
                     states.append(state)
-            gone += length
+            travelled += length
         return not states or bool((self.distances(np.array(states))[:, 0] > CLEAR).all())
 
 
@@ -109,14 +109,14 @@ class MovingTarget:
 
     def advance(self, dt: float, vehicle: np.ndarray) -> np.ndarray:
         """Return the target's position (3,) after another dt [s], the vehicle being at (3,)."""
-        left = self._speed * dt
-        while self._way and left > 0.0 and np.linalg.norm(self.position - vehicle) < self._lead:
+        remaining = self._speed * dt
+        while self._way and remaining > 0.0 and np.linalg.norm(self.position - vehicle) < self._lead:
             to = self._way[0] - self.position
             distance = float(np.linalg.norm(to))
-            if distance > left:
-                self.position = self.position + to * (left / distance)
+            if distance > remaining:
+                self.position = self.position + to * (remaining / distance)
                 return self.position
-            self.position, left = self._way.pop(0), left - distance
+            self.position, remaining = self._way.pop(0), remaining - distance
         return self.position
 
 

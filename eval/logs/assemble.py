@@ -116,11 +116,11 @@ def _hold_commands(
 def _describe_rows(channels: Mapping[str, Channel], t: np.ndarray, complete: np.ndarray) -> Iterator[str]:
     """Yield which rows were dropped, and whether anything was resampled to the clock of x."""
     inside = np.flatnonzero(complete)
-    whole = inside[-1] - inside[0] + 1
-    if whole > len(inside):
-        yield f"{whole - len(inside)} rows inside the flight lack part of the pose and were dropped"
-    if len(t) > whole:
-        yield f"{len(t) - whole} rows at the ends lack pose or commands"
+    span = inside[-1] - inside[0] + 1
+    if span > len(inside):
+        yield f"{span - len(inside)} rows inside the flight lack part of the pose and were dropped"
+    if len(t) > span:
+        yield f"{len(t) - span} rows at the ends lack pose or commands"
     clocks = [channels[key] for key in (*_POSITION, *COMMANDS) if key in channels]
     if any(len(c.t) != len(t) or not np.array_equal(c.t, t) for c in clocks):
         yield "channels have clocks of their own: measurements interpolated, commands held, onto that of x"

@@ -101,8 +101,8 @@ def _open_bag(path: Path) -> Iterator[AnyReader]:
 
 
 def _reason(error: Exception) -> str:
-    said = " ".join(str(error).split()).partition(": ")[0]  # what follows may be words of Python
-    return shown(said or type(error).__name__, 120)
+    message = " ".join(str(error).split()).partition(": ")[0]  # what follows may be words of Python
+    return shown(message or type(error).__name__, 120)
 
 
 def _header_time(message) -> float | None:

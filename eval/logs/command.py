@@ -22,8 +22,8 @@ def command(source: Flat[LogSource], json: Flag = False) -> None:
     Args:
         json: print JSON, and nothing else, on standard output.
     """
-    given = parse_units(source.unit)
-    reports = [_check_file(file, source.mapping, given) for file in source.files]
+    units = parse_units(source.unit)
+    reports = [_check_file(file, source.mapping, units) for file in source.files]
     fleet = check_fleet([log for log, _ in reports if log is not None])
     flights = [_flight_json(file, *report) for file, report in zip(source.files, reports)]
     if json:

@@ -104,8 +104,8 @@ def _check_units(units: Mapping[str, str], where: str) -> None:
 
 def _paths(path: str | Path | Sequence[str | Path]) -> list[Path]:
     if isinstance(path, (str, Path)):
-        whole = "+" not in str(path) or os.path.exists(path)
-        path = [path] if whole else str(path).split("+")
+        single = "+" not in str(path) or os.path.exists(path)
+        path = [path] if single else str(path).split("+")
     if not path or not all(str(part).strip() for part in path):
         raise UserError("no flight log given, or an empty name among several")
     return [Path(part) for part in path]

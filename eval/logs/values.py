@@ -89,13 +89,14 @@ def _check_position(log: FlightLog) -> Iterator[Finding]:
         yield refuse("x, y, z", f"columns x, y, z jump in {count} of {len(log)} rows: tracking was lost")
         return
     near = _rows_near_jumps(jumps, log)
-    kept = np.delete(np.arange(len(log)), np.union1d(spikes, near))
-    away = np.abs(log.position - np.median(log.position, axis=0)).max(axis=1)
-    far = kept[away[kept] > LARGEST_DISTANCE]
+    rows = np.delete(np.arange(len(log)), np.union1d(spikes, near))
+    deviation = np.abs(log.position - np.median(log.position, axis=0)).max(axis=1)
+    far = rows[deviation[rows] > LARGEST_DISTANCE]
     if len(far):
         where = f"in {len(far)} rows, first in row {far[0] + 1} (t = {log.t[far[0]]:.2f} s)"
         yield refuse(
-            "x, y, z", f"columns x, y, z lie {away[far[0]]:.3g} m from the flight {where}: tracking was lost"
+            "x, y, z",
+            f"columns x, y, z lie {deviation[far[0]]:.3g} m from the flight {where}: tracking was lost",
         )
         return
     if len(spikes):
@@ -127,16 +128,18 @@ def _discontinuities(log: FlightLog) -> tuple[np.ndarray, np.ndarray]:
     # A row is an outlier where |x - median_5(x)| exceeds JUMP + a dt^2 and 8 times its median; a jump where
     # the step differs from the median velocity times dt by as much.
     smooth = JUMP + LARGEST_ACCELERATION / log.rate**2
-    away = np.linalg.norm(log.position - median_filter(log.position, size=(5, 1), mode="nearest"), axis=1)
-    spikes = np.flatnonzero(away > max(smooth, 8 * np.median(away)))
-    kept = np.delete(np.arange(len(log)), spikes)
-    step = np.diff(log.t[kept])[:, None]
-    moved = np.diff(log.position[kept], axis=0)
+    deviation = np.linalg.norm(
+        log.position - median_filter(log.position, size=(5, 1), mode="nearest"), axis=1
+    )
+    spikes = np.flatnonzero(deviation > max(smooth, 8 * np.median(deviation)))
+    rows = np.delete(np.arange(len(log)), spikes)
+    step = np.diff(log.t[rows])[:, None]
+    moved = np.diff(log.position[rows], axis=0)
     usual = median_filter(moved / np.maximum(step, 1 / log.rate), size=(5, 1), mode="nearest") * step
-    off = np.linalg.norm(moved - usual, axis=1)
+    deviation = np.linalg.norm(moved - usual, axis=1)
     unbroken = step[:, 0] < GAP_STEPS / log.rate
-    jumps = np.flatnonzero(unbroken & (off > max(smooth, 8 * np.median(off))))
-    return spikes, kept[jumps + 1]
+    jumps = np.flatnonzero(unbroken & (deviation > max(smooth, 8 * np.median(deviation))))
+    return spikes, rows[jumps + 1]
 
 
 def _rows_near_jumps(jumps: np.ndarray, log: FlightLog) -> np.ndarray:

@@ -124,16 +124,16 @@ def make_plan(
     policies: tuple[str, str, str], given: HandOver, inclination: float | None, vehicle: Path | None
 ) -> Plan:
     """Return the plan of the options. Raises UserError for invalid ones."""
-    own = load_vehicle(vehicle) if vehicle is not None else None
+    loaded = load_vehicle(vehicle) if vehicle is not None else None
     slope = None if inclination is None else math.radians(inclination)
     if slope is not None:
-        (own or load_vehicle()).check_inclination(slope)
+        (loaded or load_vehicle()).check_inclination(slope)
     setpoint, landing, touchdown = policies
     x, z = _point(given.hand_over, "hand-over", "X,Z")
     return Plan(
-        load_policy(setpoint, "setpoint", vehicle=own),
-        load_policy(landing, vehicle=own, inclination=slope),
-        load_policy(touchdown, "touchdown", vehicle=own, inclination=slope),
+        load_policy(setpoint, "setpoint", vehicle=loaded),
+        load_policy(landing, vehicle=loaded, inclination=slope),
+        load_policy(touchdown, "touchdown", vehicle=loaded, inclination=slope),
         (x, z),
         *(given.near, given.slow, given.dwell, not given.drift),
     )

@@ -15,8 +15,8 @@ def path_share(state: np.ndarray, turn: float = 0.0) -> np.ndarray:
     # s_k = sum_j |dp_j| + turn (|droll_j| + |dpitch_j|), over its last value
     step = np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1)
     turned = np.abs(np.diff(state[:, [ROLL, PITCH]], axis=0)).sum(axis=1)
-    way = np.concatenate([[0.0], np.cumsum(step + turn * turned)])
-    return way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(state))
+    length = np.concatenate([[0.0], np.cumsum(step + turn * turned)])
+    return length / length[-1] if length[-1] > 0.0 else np.linspace(0.0, 1.0, len(state))
 
 
 def select_copies(state: np.ndarray, copies: int, spacing: float, turn: float = 0.0) -> np.ndarray:

@@ -38,12 +38,12 @@ def render_touchdowns(
     camera: one of the scene's, or "touch": fixed, close to the touchdown (rays only). With each frame: is it
     the last of its touchdown. All share one scale of forces.
     """
-    strongest = max(touchdown.largest_force for touchdown in touchdowns)
+    largest_force = max(touchdown.largest_force for touchdown in touchdowns)
     for touchdown in touchdowns:
         close = camera == "touch"
         look, scale = _touchdown_view(touchdown, width, height) if close else camera, 1.0 if close else None
         with make_renderer(width, height, look, backend, vehicle=touchdown.vehicle, scale=scale) as renderer:
-            metres_per_newton = _LONGEST * renderer.scale / strongest
+            metres_per_newton = _LONGEST * renderer.scale / largest_force
             gauge = Gauge(touchdown, renderer, metres_per_newton)
             frames = range(0, len(touchdown.t), every)
             for k in frames:

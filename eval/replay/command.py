@@ -86,7 +86,7 @@ def command(
         if source in ready:
             recordings += _record(*ready[source], plant)
             continue
-        found, log_notes = from_log(logs[source], vehicle, platform=platform, anew=anew, plant=plant)
+        found, log_notes = from_log(logs[source], vehicle, platform=platform, horizon=anew, plant=plant)
         recordings += found
         notes += log_notes
     text = write(

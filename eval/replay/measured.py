@@ -18,11 +18,11 @@ SHORTEST = 5  # steps of a part that is left at the end of a stretch of free fli
 
 
 def from_log(
-    log: FlightLog, vehicle: Vehicle, *, platform: bool, anew: float, plant: str
+    log: FlightLog, vehicle: Vehicle, *, platform: bool, horizon: float, plant: str
 ) -> tuple[list[Recording], list[str]]:
     """Return the measured flight with, where the log suffices, its simulation; and notes on what is missing.
 
-    platform: the vehicle file's slab stood there. anew: s after which the simulation begins again at the
+    platform: the vehicle file's slab stood there. horizon: s after which the simulation begins again at the
     measured state, see `gap.search.rollout`.
     """
     notes = [f"{log.name}: {note}" for note in log.notes]
@@ -42,7 +42,7 @@ def from_log(
     )
     try:
         flight = prepare(log, vehicle, platform=platform)
-        simulated = _simulated(measured, flight, vehicle, anew, plant)
+        simulated = _simulated(measured, flight, vehicle, horizon, plant)
     except (UserError, FloatingPointError) as error:
         reason = str(error).removeprefix(f"{log.name}: ")
         return [measured], [*notes, f"no simulation of {log.name}: {reason}"]
@@ -61,15 +61,17 @@ def _first_contact(log: FlightLog) -> list[tuple[float, str]]:
     return [(float(log.t[begins[0]] - log.t[0]), "first touch")] if len(begins) else []
 
 
-def _simulated(measured: Recording, flight: Measured, vehicle: Vehicle, anew: float, plant: str) -> Recording:
-    """Return the simulated flight in segments of `anew` seconds, each from its measured initial state.
+def _simulated(
+    measured: Recording, flight: Measured, vehicle: Vehicle, horizon: float, plant: str
+) -> Recording:
+    """Return the simulated flight in segments of `horizon` seconds, each from its measured initial state.
 
     Where nothing is known to stand in the arena only free flight is simulated: the vehicle would fall through
     the ground that it stands on.
     """
     known = measured.inclination is not None
     usable = np.full(flight.samples, True) if known else flight.usable
-    segments = _segments(usable, max(1, round(anew / flight.dt)))
+    segments = _segments(usable, max(1, round(horizon / flight.dt)))
     if not segments:
         raise UserError("no free flight in it")
     windows: dict[int, np.ndarray] = {}
@@ -80,12 +82,13 @@ def _simulated(measured: Recording, flight: Measured, vehicle: Vehicle, anew: fl
     index = np.concatenate([np.arange(first, first + n + 1) for first, n in segments])
     pose = np.concatenate(poses)
     velocity = np.concatenate([np.gradient(part[:, :3], flight.dt, axis=0) for part in poses])
-    apart = np.linalg.norm(pose[:, :3] - flight.position[index], axis=1)
+    error = np.linalg.norm(pose[:, :3] - flight.position[index], axis=1)
     ends = np.cumsum([n + 1 for _, n in segments]) - 1
     longest = max(n for _, n in segments)
-    reached = [apart[end] for end, (_, n) in zip(ends, segments) if n == longest]
-    typical = math.sqrt(float(np.mean(np.square(reached))))
-    often = "once" if len(segments) == 1 else f"anew every {anew:g} s" + ("" if known else " of free flight")
+    final = [error[end] for end, (_, n) in zip(ends, segments) if n == longest]
+    typical = math.sqrt(float(np.mean(np.square(final))))
+    of = "" if known else " of free flight"
+    often = "once" if len(segments) == 1 else f"anew every {horizon:g} s{of}"
     return dataclasses.replace(
         measured,
         name=f"{measured.name}, simulated",
@@ -98,7 +101,7 @@ def _simulated(measured: Recording, flight: Measured, vehicle: Vehicle, anew: fl
         velocity=velocity,
         commands=flight.command[index],
         events=[],
-        anew=ends[:-1] + 1,
+        restarts=ends[:-1] + 1,
     )
 
 

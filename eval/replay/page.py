@@ -76,7 +76,7 @@ def _encoded(recording: Recording) -> dict[str, Any]:
         "outcome": shown(r.outcome, 300),
         "rows": len(r.t),
         "events": [[round(t, 4), text] for t, text in r.events],
-        "anew": r.anew.tolist(),
+        "anew": r.restarts.tolist(),
         "copies": select_copies(state, _COPIES, _SPACING)[:-1].tolist(),
         "goal": None,
         "contacts": None,

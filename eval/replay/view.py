@@ -54,19 +54,19 @@ def play(window: Window, flight: Flight, plant: str, slow: float) -> None:
     A landing is followed until the vehicle is at rest.
     """
     flight = to_rest(flight)
-    whole = resimulate(flight) if plant == "mujoco" else flight
-    decks = [None] * len(whole.t) if whole.deck is None else whole.deck
-    stride = max(1, round(1.0 / (_FPS * slow * (whole.t[1] - whole.t[0]))))
-    rows = [*range(0, len(whole.t), stride), len(whole.t) - 1]
+    steps = resimulate(flight) if plant == "mujoco" else flight
+    decks = [None] * len(steps.t) if steps.deck is None else steps.deck
+    stride = max(1, round(1.0 / (_FPS * slow * (steps.t[1] - steps.t[0]))))
+    rows = [*range(0, len(steps.t), stride), len(steps.t) - 1]
     waited = 0.0
     for k in rows:
         if not window.open:
             return
-        text = f"t {whole.t[k]:.2f} s   PWM {whole.commands[k, 0]:.0f}"
-        pause = slow * (whole.t[k] - waited)
-        window.show(whole.state[k], whole.commands[k], decks[k], text=text, seconds=pause)
-        waited = whole.t[k]
+        text = f"t {steps.t[k]:.2f} s   PWM {steps.commands[k, 0]:.0f}"
+        pause = slow * (steps.t[k] - waited)
+        window.show(steps.state[k], steps.commands[k], decks[k], text=text, seconds=pause)
+        waited = steps.t[k]
     for _ in range(round(_LINGERS * _FPS)):
         if not window.open:
             return
-        window.show(whole.state[-1], whole.commands[-1], decks[-1], text=text, seconds=1.0 / _FPS)
+        window.show(steps.state[-1], steps.commands[-1], decks[-1], text=text, seconds=1.0 / _FPS)

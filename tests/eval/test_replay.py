@@ -90,11 +90,11 @@ def test_other_plants_are_shown_as_they_flew():
 
 def test_thinning_keeps_ends_and_parts(landing):
     whole = from_flight(landing, "x", "mujoco")
-    parts = dataclasses.replace(whole, anew=np.array([101, 303]))
+    parts = dataclasses.replace(whole, restarts=np.array([101, 303]))
     thin = parts.downsampled(50)
     assert 50 <= len(thin.t) <= 60 and thin.t[0] == whole.t[0] and thin.t[-1] == whole.t[-1]
-    np.testing.assert_array_equal(thin.t[thin.anew], whole.t[[101, 303]])
-    np.testing.assert_array_equal(thin.t[thin.anew - 1], whole.t[[100, 302]])
+    np.testing.assert_array_equal(thin.t[thin.restarts], whole.t[[101, 303]])
+    np.testing.assert_array_equal(thin.t[thin.restarts - 1], whole.t[[100, 302]])
     assert len(thin.forces) == len(thin.points) == len(thin.t)
     assert whole.downsampled(10**6) is whole
 
@@ -109,11 +109,12 @@ def test_the_model_follows_its_own_flight_and_not_that_of_another():
     log = log_of(flight)
     apart = {}
     for name, vehicle in (("own", V), ("weak", LIBRARY["thrust_scale"].apply(V, {"scale": 0.9}))):
-        (measured, simulated), _ = from_log(log, vehicle, platform=False, anew=0.5, plant="mujoco")
+        (measured, simulated), _ = from_log(log, vehicle, platform=False, horizon=0.5, plant="mujoco")
         reached = np.stack([np.interp(simulated.t, measured.t, c) for c in measured.position.T], axis=1)
-        ends = simulated.anew - 1
+        ends = simulated.restarts - 1
         apart[name] = np.linalg.norm(simulated.position - reached, axis=1)[ends]
-        np.testing.assert_allclose(simulated.position[simulated.anew], reached[simulated.anew], atol=0.02)
+        begins = simulated.restarts
+        np.testing.assert_allclose(simulated.position[begins], reached[begins], atol=0.02)
     assert simulated.t[-1] == measured.t[-1] and np.all(np.diff(simulated.t) >= 0)
     assert np.median(apart["own"]) < 0.01
     assert 0.08 < np.median(apart["weak"]) < 0.16
@@ -131,14 +132,14 @@ def test_what_stands_on_the_ground_is_not_simulated():
         attitude=np.concatenate([0.0 * level, flight.attitude]),
         command=np.concatenate([np.zeros((len(stand), 4)), flight.command]),
     )
-    (_, simulated), _ = from_log(log, V, platform=False, anew=1.0, plant="mujoco")
+    (_, simulated), _ = from_log(log, V, platform=False, horizon=1.0, plant="mujoco")
     assert simulated.t[0] >= 2.0 and simulated.t[-1] > 7.5
     assert np.abs(simulated.position).max() < 1.5
 
 
 def test_a_log_too_short_to_simulate_is_shown_and_said(landing):
     log = log_of(landing)
-    found, notes = from_log(log.rows(slice(0, 40)), V, platform=True, anew=1.0, plant="mujoco")
+    found, notes = from_log(log.rows(slice(0, 40)), V, platform=True, horizon=1.0, plant="mujoco")
     assert [recording.kind for recording in found] == ["measured"]
     assert any("no simulation of flight" in note for note in notes)
     assert found[0].inclination == V.platform_inclination

@@ -46,7 +46,7 @@ def file(tmp_path_factory):
     flight = record_flights(policy, "mujoco", policy.task.states_at([(1.5, 1.8)]))[0]
     t, state = flight.t, flight.state
     log = FlightLog(HOSTILE, t, state[:, :3], state[:, ROLL : ROLL + 3], flight.commands)
-    measured, notes = from_log(log, policy.task.vehicle, platform=True, anew=0.5, plant="mujoco")
+    measured, notes = from_log(log, policy.task.vehicle, platform=True, horizon=0.5, plant="mujoco")
     path = tmp_path_factory.mktemp("replay") / "page.html"
     recordings = [from_flight(flight, "landing", "mujoco"), *measured]
     text = write(recordings, title=HOSTILE, notes=notes, run="a test", versions=runs.packages())

@@ -280,8 +280,8 @@ class Services:
 def _contents(data: bytes, items: list[tuple[str, int]], more: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield the size and hash of a table of contents, or one of its items."""
     if data[0] == 3:
-        said = zlib.crc32(repr(items).encode())
-        yield 0, struct.pack("<BHI", 3, len(items), said) + more
+        checksum = zlib.crc32(repr(items).encode())
+        yield 0, struct.pack("<BHI", 3, len(items), checksum) + more
     elif data[0] == 2:
         number = struct.unpack("<H", data[1:3])[0]
         if number >= len(items):

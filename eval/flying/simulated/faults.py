@@ -106,9 +106,9 @@ class Fault:
         except ValueError:
             after = math.nan
         if event not in EVENTS or not 0.0 <= after < 1e4:
-            said = shown(text, 60)
             raise UserError(
-                f"fault {said}: expected NAME@SECONDS or NAME@EVENT+SECONDS, events {', '.join(EVENTS)}"
+                f"fault {shown(text, 60)}: expected NAME@SECONDS or NAME@EVENT+SECONDS, events "
+                f"{', '.join(EVENTS)}"
             )
         return Fault(name, event, after)
 

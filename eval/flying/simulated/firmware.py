@@ -168,8 +168,8 @@ class Firmware:
             self._locked = True
         if thrust == 0:
             self._locked = False
-        given = 0.0 if self._locked or thrust < LEAST_THRUST else float(min(thrust, MOST_THRUST))
-        self._set(Setpoint(given, roll, pitch, -yaw_rate, time))
+        limited = 0.0 if self._locked or thrust < LEAST_THRUST else float(min(thrust, MOST_THRUST))
+        self._set(Setpoint(limited, roll, pitch, -yaw_rate, time))
 
     def receive_manual(self, time: float, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
         """Receive a generic "manual" set-point with angles: no thrust lock, and yaw is not inverted."""

@@ -85,16 +85,16 @@ def slip(data: dict, gain: Axes, onset: Axes) -> None:
 @_panels(3)
 def restitution(data: dict, times: Axes, speeds: Axes, pushed: Axes) -> None:
     """Draw measured over set restitution, by contact time (bars: scatter) and drop speed; contact times."""
-    wanted = np.array(data["set"])
+    nominal = np.array(data["set"])
     rows = zip(data["contact_time"], data["measured at 1 m/s"], data["scatter"], data["pushed"], _COLOURS)
     for t, values, scatter, contact, colour in rows:
-        times.errorbar(wanted, values, scatter, color=colour, marker="o", lw=1.2, label=f"{1e3 * t:g} ms")
+        times.errorbar(nominal, values, scatter, color=colour, marker="o", lw=1.2, label=f"{1e3 * t:g} ms")
         pushed.axhline(1e3 * t, **_DASHED | {"color": colour})
-        pushed.plot(wanted, 1e3 * contact, "o", color=colour)
+        pushed.plot(nominal, 1e3 * contact, "o", color=colour)
     times.set_title("drops at 1 m/s, by contact time", loc="left")
     for speed, colour in zip(data["speeds"], _COLOURS):
         values = data[f"measured at {speed:g} m/s"][-1]
-        speeds.plot(wanted, values, "o-", color=colour, lw=1.2, label=f"{speed:g} m/s")
+        speeds.plot(nominal, values, "o-", color=colour, lw=1.2, label=f"{speed:g} m/s")
     speeds.set_title("contact time 20 ms, by drop speed", loc="left")
     for axes in (times, speeds):
         axes.plot([0, 0.6], [0, 0.6], **_DASHED, zorder=1, label="as set")

@@ -62,9 +62,9 @@ def mission_figure(mission: Mission, others: Sequence[Mission] = ()) -> Figure:
 
 def _draw_path(axes, mission: Mission, plane, **look) -> None:
     place = mission.state[:, plane]
-    way = np.stack([place[:-1], place[1:]], axis=1)
+    segments = np.stack([place[:-1], place[1:]], axis=1)
     axes.add_collection(
-        LineCollection(way, colors=leg_colours(mission)[:-1], capstyle="round", **look), autolim=False
+        LineCollection(segments, colors=leg_colours(mission)[:-1], capstyle="round", **look), autolim=False
     )
 
 
@@ -87,10 +87,10 @@ def _draw_vehicle_and_box(beside, above, mission: Mission) -> None:
 def _draw_annotations(beside, above, mission: Mission, others: Sequence[Mission]) -> None:
     lines, names = [], []
     for colour, name in zip(LEG_COLOURS, LEGS):
-        own = mission.find_leg(name)
-        if own is not None or any(other.find_leg(name) for other in others):
+        flown_leg = mission.find_leg(name)
+        if flown_leg is not None or any(other.find_leg(name) for other in others):
             lines.append(Line2D([], [], color=colour, lw=2.2))
-            names.append(name if own is None else f"{name} {own.duration:.2f} s")
+            names.append(name if flown_leg is None else f"{name} {flown_leg.duration:.2f} s")
     lines.append(Line2D([], [], color=INK, marker="o", mfc="none", ls="", mew=0.9))
     names.append("hand-over box")
     legend_below(above, handles=lines, labels=names, ncols=len(names), columnspacing=1.1, handlelength=1.3)

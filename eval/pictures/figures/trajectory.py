@@ -83,9 +83,10 @@ def _draw_scene(axes, flight: Flight, chosen, sprites: SpriteRenderer, ratio: fl
     if flight.inclination is not None:
         draw_platform(axes, flight.inclination, sprites.vehicle)
     colours = time_colours(path_share(state, _TURN))
-    way = np.stack([state[:-1][:, plane], state[1:][:, plane]], axis=1)
+    segments = np.stack([state[:-1][:, plane], state[1:][:, plane]], axis=1)
     axes.add_collection(
-        LineCollection(way, colors=colours[:-1], lw=1.6, capstyle="round", zorder=3, gid="way"), autolim=False
+        LineCollection(segments, colors=colours[:-1], lw=1.6, capstyle="round", zorder=3, gid="way"),
+        autolim=False,
     )
     if target is not None:
         draw_vehicle(axes, sprites, target, colour=GOAL_COLOUR, alpha=0.75, zorder=2.5, gid="target")
@@ -136,17 +137,17 @@ def _draw_commands(pwm, pitch, flight: Flight, chosen, vehicle: Vehicle) -> None
     pwm.axhline(1e-3 * vehicle.hover_pwm, color=MUTED, lw=1.0, ls=":", label="hover")
     pwm.set(ylabel="PWM [10³]", ylim=(5, 65), yticks=[10, 30, 50])
     pwm.tick_params(labelbottom=False)
-    shown = [("pitch", PITCH, PITCH_COMMAND, ORANGE)]
+    drawn = [("pitch", PITCH, PITCH_COMMAND, ORANGE)]
     if flight.inclination is None:
-        shown.append(("roll", ROLL, ROLL_COMMAND, PURPLE))
-    for name, angle, command, colour in shown:
-        degrees, wanted = np.degrees(flight.state[:, angle]), np.degrees(flight.commands[:, command])
+        drawn.append(("roll", ROLL, ROLL_COMMAND, PURPLE))
+    for name, angle, command, colour in drawn:
+        degrees, commanded = np.degrees(flight.state[:, angle]), np.degrees(flight.commands[:, command])
         pitch.plot(t, degrees, color=colour, label=name)
-        pitch.plot(t, wanted, color=colour, lw=1.2, ls=(0, (4, 1.5)), label=f"{name} command", **held)
+        pitch.plot(t, commanded, color=colour, lw=1.2, ls=(0, (4, 1.5)), label=f"{name} command", **held)
     if flight.inclination is not None:
         pitch.axhline(np.degrees(flight.inclination), color=MUTED, lw=1.2, ls=":", label="inclination")
-    pitch.set_ylabel("pitch [deg]" if len(shown) == 1 else "attitude [deg]")
-    turned = np.degrees(flight.state[:, [angle for _, angle, *_ in shown]])
+    pitch.set_ylabel("pitch [deg]" if len(drawn) == 1 else "attitude [deg]")
+    turned = np.degrees(flight.state[:, [angle for _, angle, *_ in drawn]])
     reach = max(36.0, 1.08 * np.abs(turned).max())
     pitch.set(xlabel="time [s]", ylim=(-reach - 16, reach), yticks=[-30, 0, 30])
     pitch.set_xlim(-0.012 * end, 1.012 * end)

@@ -135,11 +135,11 @@ def test_a_policy_flies_each_vehicle_by_its_own_hover_where_it_was_trained_so(tm
 def test_a_policy_is_not_flown_without_what_it_is_told(tmp_path):
     path = stamped(tmp_path, pwm_centre="hover", observe_vehicle=True)
     assert observes_vehicle(path) and not observes_vehicle("landing")
-    with pytest.raises(UserError, match=r"is told the numbers of its vehicle; .* observe_vehicle=True"):
+    with pytest.raises(UserError, match=r"observes its vehicle.s parameters; .* observe_vehicle=True"):
         load_policy(path, make_task("landing"))
     with pytest.raises(UserError, match=r"takes 5 observations and gives 2 actions, but .* 11 and 2"):
         load_policy(path)
-    with pytest.raises(UserError, match=r"is not told the numbers .* observe_vehicle=False"):
+    with pytest.raises(UserError, match=r"does not observe .* observe_vehicle=False"):
         load_policy("landing", make_task("landing", observe_vehicle=True))
 
 
