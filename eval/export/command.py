@@ -40,8 +40,8 @@ def command(
         out: new folder for the export.
         task: the task the policy must be for; needed for a plain Stable-Baselines3 file, and for a task of
             your own, written module:Class or file.py:Class, which is then imported.
-        vehicle: vehicle file (TOML), or a shipped vehicle by name, that is flown, where it is not that of the
-            training; what a policy is told of its vehicle becomes part of the network.
+        vehicle: vehicle to be flown, where it is not that of the training: a vehicle file (TOML), or the name
+            of a shipped one; vehicle parameters that a policy observes become constants of the network.
     """
     check_format(format)
     check_new_run(out)

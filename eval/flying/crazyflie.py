@@ -31,14 +31,14 @@ def command(
 
     Args:
         port: UDP port that it answers on; 0 takes a free one. cflib's scan looks at 19850 to 19859.
-        poses: where the poses of its motion capture are sent to.
-        vehicle: nominal, hidden (gaps that no policy was told), or a vehicle file.
+        poses: address that the poses of its motion capture are sent to.
+        vehicle: nominal, hidden (with gaps unknown to every policy), or a vehicle file.
         start: where it stands on the floor, m.
         inclination: of the platform in degrees, where it differs from the vehicle file's.
         fault: what goes wrong, and when; repeat the option for more.
         seconds: end after this time.
         seed: of noise, delays and dropouts.
-        out: write what truly happened there, as the documented CSV (.csv, .csv.gz).
+        out: file for the ground truth, as the documented CSV (.csv, .csv.gz).
     """
     from inclined_landing.eval.flying.pose_stream import resolved
     from inclined_landing.eval.flying.simulated.faults import Fault

@@ -65,22 +65,22 @@ def command(
     Args:
         policy: for the task landing (motors are cut in the goal box) or touchdown (comes to rest by itself).
         simulated: fly a simulated Crazyflie, in virtual time.
-        uri: of the vehicle, as cflib has it, like radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.
+        uri: URI of the vehicle in cflib's form, like radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.
         mocap: motion capture: type (vicon, optitrack, qualisys, nokov, vrpn ...), host, rigid body; or
             poses:HOST:PORT, datagrams that are sent there.
-        mocap_latency: of that system, from exposure to arrival, in seconds; none if not given.
+        mocap_latency: latency of that system from exposure to arrival, in seconds; 0 by default.
         setpoint: policy that takes off and flies to the start.
         start: where the landing begins, in metres; repeat it for more, flown in turn. Default: the paper's.
-        flights: how many.
-        inclination: of the platform that stands there, in degrees, where it is not the vehicle file's.
+        flights: number of flights.
+        inclination: of the platform in the arena, in degrees, where it differs from the vehicle file's.
         arena: vehicle file (TOML) with arena and platform, where they are not the shipped ones.
-        stand: height of what the vehicle stands on, in metres; none if not given.
-        heading: where its nose points, in degrees from x, where motion capture shows no attitude.
+        stand: height of what the vehicle stands on, in metres; 0 by default.
+        heading: direction of its nose, in degrees from x, where motion capture shows no attitude.
         dry_run: everything but motors; carry the vehicle by hand and read what would be commanded.
         yes: no confirmation; for simulated vehicles alone.
-        vehicle: the simulated one: nominal, hidden (gaps that no policy was told), or a vehicle file.
-        fault: that meets the simulated one, NAME@EVENT+SECONDS, as in eval/flying/README.md.
-        seed: of the simulated one.
+        vehicle: simulated vehicle: nominal, hidden (with gaps unknown to every policy), or a vehicle file.
+        fault: fault of the simulated vehicle, NAME@EVENT+SECONDS, as in eval/flying/README.md.
+        seed: seed of the simulated vehicle.
         out: new folder for the logs and fly.json; default runs/fly-DATE-TIME.
     """
     from inclined_landing.eval.base.runs import check_new_run, new_run

@@ -47,9 +47,9 @@ class HandOver:
 
     Args:
         hand_over: the point that the set-point policy flies to, in metres; y is 0.
-        near: how near it the vehicle must be, in metres,
-        slow: how slow, in m/s,
-        dwell: and how long both, in seconds, before the landing policy takes over.
+        near: distance to that point below which the landing policy may take over, in metres.
+        slow: speed below which it may take over, in m/s.
+        dwell: time for which both must hold, in seconds.
         drift: let y drift where a policy commands no roll; otherwise the set-point policy's roll holds it.
     """
 
@@ -86,7 +86,7 @@ def command(
         landing: the same, for the landing task.
         touchdown: the same, for the touchdown task.
         start: where a mission begins, in metres; repeat the option for more. Default: random starts.
-        missions: how many random starts, 100 by default.
+        missions: number of random starts, 100 by default.
         seed: of the random starts.
         inclination: of the platform in degrees, where it differs from the training's.
         vehicle: vehicle file (TOML), where it differs from the shipped one.

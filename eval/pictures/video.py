@@ -62,16 +62,16 @@ def command(
         out: .mp4 or .gif file.
         start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
             more flights.
-        drawn: so many flights from random starts instead, over random slopes where the policy knows many.
-        seed: of them.
+        drawn: number of flights from random starts instead, over random slopes if the policy observes them.
+        seed: of the random starts.
         gif: write a .gif beside the .mp4.
         slow: 2 plays at half speed; the picture says so.
-        forces: film the touchdowns only, at the engine's steps, with the contact forces as arrows. A landing
-            policy's motors are cut in the goal box. Goes with --slow 16 and --camera touch, a fixed look at
-            the touchdown from nearby.
+        forces: film only the touchdowns, at the engine's steps, with the contact forces as arrows. A landing
+            policy's motors are cut in the goal box. Best with --slow 16 and --camera touch, a fixed view of
+            the touchdown from close by.
         until: where the video of a landing ends: rest goes on after the goal box with the motors cut, by
             MuJoCo, until the vehicle is at rest; goal ends with the policy's flight.
-        beside: vehicle files, or shipped vehicles by name, that fly the same, each in a part of the picture.
+        beside: vehicle files, or names of shipped vehicles, flown by the same policy side by side.
     """
     if out.suffix.lower() not in (".mp4", ".gif"):
         raise UserError(f"a video is an .mp4 or .gif file, not {out.name!r}")

@@ -57,13 +57,13 @@ def command(
         out: .html file.
         start: where policies fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for more
             flights.
-        drawn: so many flights of each policy from random starts instead, over random slopes where it knows
-            many.
-        seed: of them.
-        anew: seconds after which the simulation of a log begins anew at the measured state.
-        mapping: shipped mapping or mapping file (TOML), where a log's column names do not tell.
-        unit: of a column that states none, roll=deg for example; repeat the option for more.
-        platform: the slab of the vehicle file stood in the arena (known from logs with contacts).
+        drawn: number of flights of each policy from random starts instead, over random slopes where it
+            observes them.
+        seed: of the random starts.
+        anew: seconds after which the simulation of a log restarts at the measured state.
+        mapping: shipped mapping or mapping file (TOML), where a log's column names are not known.
+        unit: unit of a column that states none, roll=deg for example; repeat the option for more.
+        platform: the vehicle file's slab stood in the arena (implied by logs with contacts).
     """
     if not sources:
         raise UserError("name at least one policy or log")
