@@ -49,20 +49,6 @@ def clear(task: InclinedLanding, starts: np.ndarray) -> np.ndarray:
     return starts[task.start_clearance(task.start(states)) >= START_CLEARANCE]
 
 
-def grid_text(starts: np.ndarray) -> str:
-    """Return the frozen file's text for `starts` (k, 2)."""
-    lines = [
-        "# Frozen evaluation starts of the landing task, vehicle level, at rest, thrust at hover.",
-        f"# x from {_X[0]:g} to {_X[-1]:g} m, z from {_Z[0]:g} to {_Z[-1]:g} m, without the starts "
-        f"closer than {100 * START_CLEARANCE:g} cm",
-        "# to the platform at its default inclination. Made by landing_starts.make_grid; never",
-        "# trained on, never edited.",
-        "# x [m], z [m]",
-    ]
-    lines += [f"{x:.2f},{z:.2f}" for x, z in starts]
-    return "\n".join(lines) + "\n"
-
-
 def paper() -> np.ndarray:
     """Return the paper's three starts (3, 2): x, z [m]."""
     return np.array(PAPER_STARTS)
