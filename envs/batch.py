@@ -12,7 +12,7 @@ import numpy as np
 from inclined_landing.envs.history import History
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import FARTHEST, Judgement, Moment, Start
-from inclined_landing.envs.vehicle_numbers import vehicle_numbers
+from inclined_landing.envs.vehicle_parameters import vehicle_parameters
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.equations import settled_hover
 from inclined_landing.models.errors import UserError, shown
@@ -21,8 +21,8 @@ _TRIES = 1000
 _START = ("state", "inclination", "present", "goal_size")  # what is recorded of a start
 
 
-def numbers(value, what: str) -> np.ndarray:
-    """`value` as an array of floats; raises UserError, naming it as `what`, when it is none.
+def as_floats(value, what: str) -> np.ndarray:
+    """Return `value` as an array of floats; raise UserError, naming it as `what`, when it is not numeric.
 
     Complex numbers, texts and dates are none, though NumPy would make floats of them.
     """
@@ -36,19 +36,19 @@ def numbers(value, what: str) -> np.ndarray:
 
 
 def check_seed(seed) -> None:
-    """Raise UserError unless `seed` is a whole number from 0 on, or None."""
+    """Raise UserError unless `seed` is a non-negative integer or None."""
     if seed is not None and not (is_whole(seed) and seed >= 0):
         raise UserError(f"a seed must be a whole number from 0 on, not {shown(repr(seed), 40)}")
 
 
 def is_whole(value) -> bool:
-    """Is `value` a whole number (True and False are none)."""
+    """Return whether `value` is an integer (True and False are not)."""
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
 @dataclasses.dataclass
 class Step:
-    """The outcome of one control step of every vehicle; arrays are fresh."""
+    """The result of one control step of every vehicle; arrays are fresh."""
 
     observation: np.ndarray  # (n, o) float32, the task's history included
     reward: np.ndarray  # (n,)
@@ -84,17 +84,16 @@ class BatchEnv:
         self.actions = np.zeros((n, len(task.action_names)))
         self.past = History(task, n)
         self._start = Start(
-            np.zeros((n, plant.state.shape[1])),
-            np.zeros(n),
-            np.zeros(n, bool),
-            np.full(n, np.nan),
+            np.zeros((n, plant.state.shape[1])), np.zeros(n), np.zeros(n, bool), np.full(n, np.nan)
         )
         self._action_size = len(task.action_names)
         vehicles = (task.vehicle, *plant.pool)  # what is hidden in a plant's own vehicle nobody is told
-        self._told = np.array([vehicle_numbers(v) for v in vehicles]) if task.observe_vehicle else None
-        self._centres = None
+        self._privileged = (
+            np.array([vehicle_parameters(v) for v in vehicles]) if task.observe_vehicle else None
+        )
+        self._hover_pwm = None
         if task.per_vehicle_hover and plant.pool:
-            self._centres = np.array([task.pwm_centre, *map(settled_hover, plant.pool)])
+            self._hover_pwm = np.array([task.pwm_centre, *map(settled_hover, plant.pool)])
         task.prepare(plant)
 
     def seed(self, seed: int | None) -> None:
@@ -103,30 +102,30 @@ class BatchEnv:
         self.draw_from(np.random.default_rng(seed))
 
     def draw_from(self, rng: np.random.Generator) -> None:
-        """Take random starts, and the air's unrest where the plant has it, from `rng`."""
+        """Use `rng` for random starts, and for the disturbance where the plant has it."""
         self.rng = rng
         if self.plant.unrest:
             self.plant.unrest.seed(rng)
 
     def episode_state(self) -> dict[str, np.ndarray]:
-        """Copies of the per-vehicle records, for `restore_episodes`."""
+        """Return copies of the per-vehicle records, for `restore_episodes`."""
         return {name: array.copy() for name, array in self._records().items()}
 
     def restore_episodes(self, records: dict[str, np.ndarray]) -> None:
-        """Continue the episodes that `episode_state` recorded; the plant is restored apart."""
+        """Continue the episodes recorded by `episode_state`; the plant is restored separately."""
         for name, array in self._records().items():
             array[:] = records[name]
 
     def _records(self) -> dict[str, np.ndarray]:
-        own = ("length", "total", "contact_steps", "touched", "held")
+        names = ("length", "total", "contact_steps", "touched", "held")
         start = {name: getattr(self._start, name) for name in _START}
         past = {"past": self.past.steps} if self.task.history else {}
-        return {name: getattr(self, name) for name in own} | start | past
+        return {name: getattr(self, name) for name in names} | start | past
 
     def observe(self, ids=slice(None)) -> np.ndarray:
-        """Observations (k, o) of the vehicles `ids` as motion capture shows them now, with their history."""
-        told = None if self._told is None else self._told[self.plant.choice[ids]]
-        return self.past.behind(self._present(ids), ids, told)
+        """Return observations (k, o) of the vehicles `ids` as measured now, with their history."""
+        parameters = None if self._privileged is None else self._privileged[self.plant.choice[ids]]
+        return self.past.stack(self._present(ids), ids, parameters)
 
     def _present(self, ids=slice(None)) -> np.ndarray:
         plant = self.plant
@@ -140,7 +139,7 @@ class BatchEnv:
         """
         ids = np.arange(self.n) if ids is None else np.asarray(ids)
         if state is not None:
-            state = numbers(state, "the start state")
+            state = as_floats(state, "the start state")
             if state.shape != (len(ids), self.plant.state.shape[1]):
                 raise UserError(
                     f"reset of {len(ids)} vehicles needs states of shape "
@@ -160,8 +159,8 @@ class BatchEnv:
         self.plant.reset(ids, start.state)
         return self._begin(ids, start)
 
-    def take_over(self, ids) -> np.ndarray:
-        """Begin episodes of the vehicles `ids` where the plant has them now, over the task's own platforms.
+    def begin_in_place(self, ids) -> np.ndarray:
+        """Begin episodes of the vehicles `ids` at their present states, over the task's own platforms.
 
         Returns their observations.
         """
@@ -177,11 +176,11 @@ class BatchEnv:
         self.contact_steps[ids] = 0
         self.touched[ids] = False
         self.held[ids] = 0
-        self.past.begin(ids, self._present(ids))
+        self.past.reset(ids, self._present(ids))
         return self.observe(ids)
 
     def _place(self, ids: np.ndarray, start: Start) -> None:
-        """Set the platforms of the vehicles `ids` up for their starts."""
+        """Set the platforms of the vehicles `ids` for their starts."""
         inclination = start.inclination + self.plant.tilt[ids]
         azimuth = 0.0 if start.azimuth is None else start.azimuth
         self.plant.set_platform(ids, inclination, start.present, azimuth)
@@ -189,7 +188,7 @@ class BatchEnv:
             self.plant.set_motion(ids, start.motion)
 
     def _draw_starts(self, ids: np.ndarray) -> Start:
-        """Random starts of the vehicles `ids`; where they have sizes of their own, none in its platform."""
+        """Return random starts of the vehicles `ids`, clear of the platform for vehicles of any size."""
         start = self.task.sample(self.rng, len(ids))
         todo = np.arange(len(ids) if len(self.plant.fleet.reach) > 1 else 0)
         for _ in range(_TRIES):
@@ -208,32 +207,32 @@ class BatchEnv:
         drawn[self.rng.random(len(ids)) < self.nominal] = 0
         self.plant.assign(ids, drawn)
 
-    def step(self, actions: np.ndarray, wanted: np.ndarray | None = None) -> Step:
+    def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> Step:
         """Apply actions (n, a), clipped to [-1, 1], for one control period.
 
         wanted: (n,) bool, vehicles that somebody looks at; the plant may let the others stand still.
         Raises UserError when an action has the wrong shape or is not finite.
         """
         self.act(actions)
-        self.plant.step(self.commands, wanted)
+        self.plant.step(self.commands, active)
         return self.outcome()
 
     def act(self, actions: np.ndarray) -> None:
-        """The first half of `step`: `commands` are those of the actions (n, a), for the plant."""
-        actions = numbers(actions, "the action")
+        """Set `commands` from the actions (n, a), the first half of `step`."""
+        actions = as_floats(actions, "the action")
         if actions.shape != (self.n, self._action_size):
             raise UserError(f"actions must have shape ({self.n}, {self._action_size}), not {actions.shape}")
         if not np.isfinite(actions).all():
             raise UserError("an action is NaN or infinite")
         self.actions = np.clip(actions, -1.0, 1.0)
-        centres = None if self._centres is None else self._centres[self.plant.choice]
+        centres = None if self._hover_pwm is None else self._hover_pwm[self.plant.choice]
         self.commands = self.task.commands(self.actions, *(() if centres is None else (centres,)))
         self.commands = self.task.body_commands(self.commands, self.plant.measurement, self.plant.deck)
         if self.task.history:
-            self.past.note(self._present(), self.actions)
+            self.past.record(self._present(), self.actions)
 
     def outcome(self) -> Step:
-        """The second half of `step`: what the plant's step under `commands` has led to."""
+        """Return rewards and ends of the plant's step under `commands`, the second half of `step`."""
         contacts = self.plant.contacts
         self.length += 1
         self.contact_steps += contacts.platform_near
@@ -247,11 +246,4 @@ class BatchEnv:
         self.total += reward
         terminated = verdict.terminated
         truncated = ((self.length >= self.task.max_steps) | verdict.cut) & ~terminated
-        return Step(
-            self.observe(),
-            reward,
-            terminated,
-            truncated,
-            verdict.success,
-            verdict.terms,
-        )
+        return Step(self.observe(), reward, terminated, truncated, verdict.success, verdict.terms)

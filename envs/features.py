@@ -14,7 +14,7 @@ with optional():
 
 
 class ScaledObservation(BaseFeaturesExtractor):
-    """(observation - centre) / scale, clipped to +-10."""
+    """Features (observation - centre) / scale, clipped to +-10."""
 
     LIMIT = 10.0
 

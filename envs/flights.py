@@ -24,7 +24,7 @@ _NONE = np.zeros((0, 3))
 
 @dataclasses.dataclass(kw_only=True)
 class Track:
-    """The way of one vehicle at the control rate, T = steps + 1 rows: what pictures are drawn of.
+    """The recorded path of one vehicle at the control rate, T = steps + 1 rows.
 
     Row k of `commands` is what was applied from t[k] to t[k + 1]; the last row, after which nothing was
     flown, repeats the one before.
@@ -48,7 +48,7 @@ class Track:
 
     @property
     def goals(self) -> list[np.ndarray]:
-        """The states (13,) that it is to reach."""
+        """Goal states (13,) of the flight."""
         goal = self.task.goal_on(None if self.deck is None else self.deck[-1])
         return [] if goal is None else [goal]
 
@@ -85,7 +85,7 @@ class Actor(Protocol):
 def record_flights(
     policy: Actor, plant, states: np.ndarray | Start, *, steps: int | None = None
 ) -> list[Flight]:
-    """Fly the deterministic policy from each of `states` (n, 13), or of n starts, all at once.
+    """Fly the deterministic policy from each of `states` (n, 13) or n starts at once, and return the flights.
 
     States have the platforms that `Task.start` gives them; starts have their own, and their contact.
     plant: of n vehicles, or a name ("mujoco", "hybrid", "analytic") for a plain one of the task's vehicle.
@@ -128,32 +128,31 @@ def record_flights(
         rows = slice(end + 1)
         a, u = actions[rows, i].copy(), commands[rows, i].copy()
         a[end], u[end] = a[end - 1], u[end - 1]
-        flights.append(
-            Flight(
-                task=policy.task,
-                t=plant.control_period * np.arange(end + 1),
-                state=state[rows, i].copy(),
-                actions=a,
-                commands=u,
-                reward=reward[rows, i].copy(),
-                inclination=float(deck[0, i, PITCH]) if plant.present[i] else None,
-                deck=deck[rows, i].copy() if plant.present[i] else None,
-                motion=plant.motion[[i]] if plant.motion is not None and plant.present[i] else None,
-                success=bool(success[i]),
-                touched=bool(touched[i]),
-            )
+        flight = Flight(
+            task=policy.task,
+            t=plant.control_period * np.arange(end + 1),
+            state=state[rows, i].copy(),
+            actions=a,
+            commands=u,
+            reward=reward[rows, i].copy(),
+            inclination=float(deck[0, i, PITCH]) if plant.present[i] else None,
+            deck=deck[rows, i].copy() if plant.present[i] else None,
+            motion=plant.motion[[i]] if plant.motion is not None and plant.present[i] else None,
+            success=bool(success[i]),
+            touched=bool(touched[i]),
         )
+        flights.append(flight)
     return flights
 
 
 def record_flight(policy: Policy, plant, start_state: np.ndarray, **options) -> Flight:
-    """`record_flights` of one start (13,)."""
+    """Return the flight of `record_flights` from one start (13,)."""
     return record_flights(policy, plant, start_state, **options)[0]
 
 
 @dataclasses.dataclass
 class Steps:
-    """A flight at the engine's steps, T of them with the start.
+    """A flight at the engine's steps, T of them including the start.
 
     Row k of `commands` is what was applied from t[k] on; points and forces are of the state in row k.
     """
@@ -166,8 +165,8 @@ class Steps:
     deck: np.ndarray | None  # (T, 12), as `Track.deck`
 
 
-def put_platform(plant: Plant, flight: Track, time: float = 0.0) -> None:
-    """Put the platform of a flight under the one vehicle of a plant, as it is `time` [s] after its start."""
+def place_platform(plant: Plant, flight: Track, time: float = 0.0) -> None:
+    """Set the platform of a flight for the one vehicle of a plant, as it is `time` [s] after the start."""
     if flight.deck is None:
         return plant.set_platform([0], 0.0, False)
     pitch, yaw = flight.deck[0, [PITCH, YAW]]
@@ -178,8 +177,9 @@ def put_platform(plant: Plant, flight: Track, time: float = 0.0) -> None:
     plant.set_motion([0], flight.motion, time)
 
 
-def refly(flight: Flight, cut: float = 0.0) -> Steps:
-    """Fly the commands of a flight again in the MuJoCo plant, one engine step at a time, with all contacts.
+def resimulate(flight: Flight, cut: float = 0.0) -> Steps:
+    """Return a flight simulated again in the MuJoCo plant from its commands, at engine steps with all
+    contacts.
 
     For flights of that plant in still air: the states of a flight come out the same, bit for bit, over a
     moving platform to the micrometre that it is off within a control period. cut: seconds that it goes on
@@ -191,13 +191,13 @@ def refly(flight: Flight, cut: float = 0.0) -> Steps:
     plant = MujocoPlant(
         1, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True, threads=1, moving=moving
     )
-    put_platform(plant, flight)
+    place_platform(plant, flight)
     plant.reset([0], flight.state[:1])
     shapes, slope = geometry.shapes_of(plant.model), (plant.inclination, plant.present)
     platform = geometry.platform_poses(*slope, vehicle, azimuth=plant.azimuth)[0]
 
     def seen():
-        """State, deck, points and forces of now; far from everything there are none."""
+        """Return the present state, platform state, contact points and forces; none far from all surfaces."""
         to = geometry.clearances(plant.state, plant.inclination, platform, shapes, azimuth=plant.azimuth)
         free = to.min() > _FREE and not moving
         met = (_NONE, _NONE) if free else present_forces(plant, 0)

@@ -42,7 +42,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from inclined_landing.envs.batch import check_seed, numbers
+from inclined_landing.envs.batch import as_floats, check_seed
 from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import TASKS, Task, manual
@@ -54,7 +54,7 @@ _METADATA: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps
 
 
 def _reset_option(options, name: str, known: tuple[str, ...]):
-    """The entry `name` of what `reset` was given, or None; raises UserError for entries that are none."""
+    """Return the entry `name` of the options of `reset`, or None; raise UserError for unknown ones."""
     options = {} if options is None else options
     if not isinstance(options, dict):
         raise UserError(f"the options of reset must be a dictionary, not {shown(repr(options), 40)}")
@@ -65,7 +65,7 @@ def _reset_option(options, name: str, known: tuple[str, ...]):
 
 
 class TaskEnv(gym.Env):
-    """One vehicle on one task."""
+    """Gymnasium environment of one vehicle on one task."""
 
     metadata = _METADATA
     task_name: str
@@ -89,9 +89,9 @@ class TaskEnv(gym.Env):
                 f"render_mode must be 'human', 'rgb_array' or None, not {shown(repr(render_mode), 40)}"
             )
         if render_mode == "rgb_array":
-            from inclined_landing.envs.rendering import check_look
+            from inclined_landing.envs.rendering import check_picture_options
 
-            check_look(width, height, camera, render_backend)
+            check_picture_options(width, height, camera, render_backend)
         if render_mode == "human":
             from inclined_landing.envs.rendering.window import check_display
 
@@ -109,20 +109,20 @@ class TaskEnv(gym.Env):
         self._window: Any = None
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """(observation, info) of a new episode, at random or from `options["state"]`."""
+        """Return (observation, info) of a new episode, at random or from `options["state"]`."""
         state = _reset_option(options, "state", ("state",))
         check_seed(seed)
         super().reset(seed=seed)
         self.batch.draw_from(self.np_random)
         if state is not None:
-            state = np.atleast_2d(numbers(state, "the start state"))
+            state = np.atleast_2d(as_floats(state, "the start state"))
         observation = self.batch.reset(state=state)[0]
         self._show(0.0)
         return observation, {}
 
     def step(self, action):
-        """(observation, reward, terminated, truncated, info); see the class docstring."""
-        step = self.batch.step(numbers(action, "the action")[None])
+        """Return (observation, reward, terminated, truncated, info); see the class docstring."""
+        step = self.batch.step(as_floats(action, "the action")[None])
         info = {
             "reward_terms": {name: float(term[0]) for name, term in step.terms.items()},
             "is_success": bool(step.success[0]),
@@ -137,30 +137,33 @@ class TaskEnv(gym.Env):
             info,
         )
 
-    def ease(self, conditions) -> None:
+    def set_conditions(self, conditions) -> None:
         """Begin the next episodes under the conditions of a curriculum (`train/curriculum.py`)."""
         self.batch.task.conditions = conditions
 
     def render(self) -> np.ndarray | None:
-        """The present moment as (height, width, 3) uint8; None without a render mode, and in the window of
-        "human", which follows every step by itself."""
+        """Return the present scene as (height, width, 3) uint8; None without a render mode and in "human"
+        mode, whose window follows every step by itself.
+        """
         if self.render_mode != "rgb_array":
             return None
-        from inclined_landing.envs.rendering import make_renderer, pose_on
+        from inclined_landing.envs.rendering import make_renderer, pose_from_state
 
         if self._renderer is None:
             self._renderer = make_renderer(vehicle=self.task.vehicle, backend=self._backend, **self._picture)
         plant = self.batch.plant
-        return self._renderer.render(pose_on(plant.state[0], self._deck, based=plant.motion is None))
+        return self._renderer.render(
+            pose_from_state(plant.state[0], self._deck, has_base=plant.motion is None)
+        )
 
     @property
     def _deck(self) -> np.ndarray | None:
-        """The platform's state (12,), see `Plant.deck`; None without one."""
+        """State (12,) of the platform, see `Plant.deck`; None without one."""
         plant = self.batch.plant
         return plant.deck[0].copy() if plant.present[0] else None
 
     def _show(self, seconds: float) -> None:
-        """Show the present moment in the window, `seconds` after the one before, where there is one."""
+        """Show the present state in the window, if there is one, `seconds` after the previous one."""
         if self.render_mode != "human":
             return
         if self._window is None:
@@ -179,7 +182,7 @@ class TaskEnv(gym.Env):
 
 
 class TaskVectorEnv(VectorEnv):
-    """n vehicles on one task, stepped by one call; by default autoreset in the same step."""
+    """Gymnasium vector environment of n vehicles on one task; by default autoreset in the same step."""
 
     metadata = _METADATA | {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
     task_name: str
@@ -199,8 +202,8 @@ class TaskVectorEnv(VectorEnv):
             self._autoreset = AutoresetMode(autoreset_mode)
         except ValueError:
             known = ", ".join(repr(mode.value) for mode in AutoresetMode)
-            said = shown(repr(autoreset_mode), 40)
-            raise UserError(f"autoreset_mode must be one of {known}, not {said}") from None
+            mode_text = shown(repr(autoreset_mode), 40)
+            raise UserError(f"autoreset_mode must be one of {known}, not {mode_text}") from None
         self.metadata = self.metadata | {"autoreset_mode": self._autoreset}
         if render_mode is not None:
             raise UserError(
@@ -225,7 +228,7 @@ class TaskVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """(observations, info); `options["reset_mask"]` (n,) resets some vehicles only."""
+        """Return (observations, info); `options["reset_mask"]` (n,) resets some vehicles only."""
         state, mask = (_reset_option(options, name, _RESET) for name in _RESET)
         check_seed(seed)
         ids = np.arange(self.num_envs)
@@ -242,7 +245,7 @@ class TaskVectorEnv(VectorEnv):
         return self.batch.observe(), {}
 
     def step(self, actions):
-        """Batched step; finished episodes restart at once, in the next step, or not by themselves.
+        """Step all vehicles; finished episodes restart at once, in the next step, or not by themselves.
 
         At once: `info["final_obs"]` (object array, mask `_final_obs`) and `info["final_info"]` describe the
         episodes that ended. In the next step: it only resets them, with reward 0. Raises UserError for a step
@@ -256,11 +259,7 @@ class TaskVectorEnv(VectorEnv):
                 "with reset(options={'reset_mask': mask})"
             )
         step = env.step(actions, ~waiting)
-        info = {
-            "reward_terms": step.terms,
-            "is_success": step.success,
-            "touched": env.touched.copy(),
-        }
+        info = {"reward_terms": step.terms, "is_success": step.success, "touched": env.touched.copy()}
         observation = step.observation
         if waiting.any():
             for rows in (step.reward, step.terminated, step.truncated, step.success, *step.terms.values()):
@@ -290,17 +289,17 @@ class TaskVectorEnv(VectorEnv):
             observation[ids] = env.reset(ids)
         return observation, step.reward, step.terminated, step.truncated, info
 
-    def ease(self, conditions) -> None:
+    def set_conditions(self, conditions) -> None:
         """Begin the next episodes under the conditions of a curriculum (`train/curriculum.py`)."""
         self.batch.task.conditions = conditions
 
 
-def _faces(task: type[Task]) -> dict[str, type]:
-    """Both environments of a task, by name; their manual is that of the task's module."""
+def _environment_classes(task: type[Task]) -> dict[str, type]:
+    """Return both environments of a task, by name; their manual is that of the task's module."""
     content = {"__doc__": manual(task) + _HISTORY, "__module__": __name__, "task_name": task.name}
     kinds = {f"{task.__name__}Env": TaskEnv, f"{task.__name__}VectorEnv": TaskVectorEnv}
     return {name: type(name, (kind,), content) for name, kind in kinds.items()}
 
 
 for _task in TASKS.values():
-    globals().update(_faces(_task))
+    globals().update(_environment_classes(_task))

@@ -9,13 +9,13 @@ HAND_OVER_SPEED, HAND_OVER_TIME = 0.15, 0.4  # m/s, s
 YAW_GAIN = 2.0  # 1/s, heading error to yaw rate command
 CLEAR = 0.25  # m that a planned way keeps to the platform: twice the vehicle's half width, and some
 # Of the trim:
-GAIN = 0.5  # 1/s: how fast it is learnt
-LIMIT = 0.3  # m
-REACH = 0.3  # m from the target within which it is
+TRIM_GAIN = 0.5  # 1/s: how fast it is learnt
+TRIM_LIMIT = 0.3  # m
+TRIM_REACH = 0.3  # m from the target within which it is
 
 
 class Trim:
-    """By how much targets are moved for n vehicles, `offset` (n, 3) [m].
+    """Integral offset of the targets of n vehicles, `offset` (n, 3) [m].
 
     A set-point policy flies with the thrust that it was trained for; a vehicle with less of it sinks below
     its target. By how much is learnt near the target, as an integral controller does.
@@ -24,8 +24,9 @@ class Trim:
     def __init__(self, n: int):
         self.offset = np.zeros((n, 3))
 
-    def learn(self, away: np.ndarray, dt: float, who: np.ndarray | None = None) -> None:
-        """The targets were `away` (n, 3) [m] for another dt [s]; who: (n,) bool, those that learn."""
-        near = np.linalg.norm(away, axis=1) < REACH
-        near = near if who is None else near & who
-        self.offset[near] = np.clip(self.offset[near] + GAIN * dt * away[near], -LIMIT, LIMIT)
+    def integrate(self, error: np.ndarray, dt: float, mask: np.ndarray | None = None) -> None:
+        """Integrate position errors `error` (n, 3) [m] over dt [s]; mask: (n,) bool, vehicles that learn."""
+        # offset <- clip(offset + K error dt, -limit, limit) near the target: integral action with anti-windup
+        near = np.linalg.norm(error, axis=1) < TRIM_REACH
+        near = near if mask is None else near & mask
+        self.offset[near] = np.clip(self.offset[near] + TRIM_GAIN * dt * error[near], -TRIM_LIMIT, TRIM_LIMIT)

@@ -11,19 +11,15 @@ import sys
 from types import ModuleType
 
 # A task's name, which is that of its module in `tasks/`, and its class.
-TASK_CLASSES = {
-    "landing": "InclinedLanding",
-    "setpoint": "Setpoint",
-    "touchdown": "InclinedTouchdown",
-}
+TASK_CLASSES = {"landing": "InclinedLanding", "setpoint": "Setpoint", "touchdown": "InclinedTouchdown"}
 IDS = tuple(f"{name}-v0" for name in TASK_CLASSES.values())
 
-_FACES = "inclined_landing.envs.gym_env"
+_ENVIRONMENTS = "inclined_landing.envs.gym_env"
 _REGISTRATION = "gymnasium.envs.registration"
 
 
 def announce() -> None:
-    """Register the ids with Gymnasium, now or when it is imported; nothing happens the second time."""
+    """Register the ids with Gymnasium, now or when it is imported; do nothing the second time."""
     if _REGISTRATION in sys.modules:
         _register(sys.modules[_REGISTRATION])
     elif not any(isinstance(finder, _Waiting) for finder in sys.meta_path):
@@ -35,13 +31,13 @@ def _register(registration: ModuleType) -> None:
         if f"{name}-v0" not in registration.registry:
             registration.register(
                 f"{name}-v0",
-                entry_point=f"{_FACES}:{name}Env",
-                vector_entry_point=f"{_FACES}:{name}VectorEnv",
+                entry_point=f"{_ENVIRONMENTS}:{name}Env",
+                vector_entry_point=f"{_ENVIRONMENTS}:{name}VectorEnv",
             )
 
 
 class _Waiting:
-    """Finds Gymnasium's registration as ever, and registers the ids when that has been executed."""
+    """Import hook that registers the ids once Gymnasium's registration has been executed."""
 
     def find_spec(self, name, path=None, target=None):
         if name != _REGISTRATION or self not in sys.meta_path:

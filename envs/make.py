@@ -34,7 +34,7 @@ def make_batch(
     seed: int | None = None,
     **options,
 ) -> BatchEnv:
-    """n vehicles on a task, as `BatchEnv`; `BatchVecEnv` shows it to Stable-Baselines3.
+    """Return n vehicles on a task as a `BatchEnv`, which `BatchVecEnv` wraps for Stable-Baselines3.
 
     task: by name, also of one imported with `import_task`; options: of its class, such as `inclination` or
     `pwm_centre`. plant, plant_options: the physics, {"integrator": "implicitfast"} for example. vehicle: one,
@@ -65,7 +65,7 @@ def make_batch(
 
 
 def _check_options(given: dict, kind: Any, what: str) -> None:
-    """Raise UserError for an option that the constructor of `kind` lacks, or that is of another type."""
+    """Raise UserError for an option that the constructor of `kind` lacks, or of the wrong type."""
     parameters = inspect.signature(kind).parameters.values()
     known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
     types = typing.get_type_hints(kind.__init__)

@@ -48,7 +48,7 @@ _STEP = 0.05  # m between the points at which a way is checked
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """Who flies, and when the landing policy takes over.
+    """Policies of a mission, and the conditions of the hand-over to the landing policy.
 
     Raises UserError for policies that do not go together and for a point too close to the platform.
     """
@@ -63,19 +63,19 @@ class Plan:
     hold: bool = True  # does the set-point policy's roll hold y where none is commanded
 
     def __post_init__(self):
-        wanted = ("setpoint", Setpoint), ("landing", InclinedLanding), ("touchdown", InclinedTouchdown)
-        for policy, (leg, kind) in zip(self.policies, wanted):
-            own = policy.task
-            boxless = kind is InclinedLanding and own.goal_size is None
-            if not isinstance(own, kind) or boxless:
-                raise UserError(f"the {leg} policy {policy.name} is for the task {own.name}")
-            if _without_limit(own.vehicle) != _without_limit(self.task.vehicle):
+        required = ("setpoint", Setpoint), ("landing", InclinedLanding), ("touchdown", InclinedTouchdown)
+        for policy, (leg, kind) in zip(self.policies, required):
+            task = policy.task
+            boxless = kind is InclinedLanding and task.goal_size is None
+            if not isinstance(task, kind) or boxless:
+                raise UserError(f"the {leg} policy {policy.name} is for the task {task.name}")
+            if _without_limit(task.vehicle) != _without_limit(self.task.vehicle):
                 raise UserError(f"the {leg} policy {policy.name} is for another vehicle than the last one")
-        first, last = _facing(self.landing.task), _facing(self.task)
+        first, last = _slope_normal(self.landing.task), _slope_normal(self.task)
         if not np.allclose(first, last, atol=1e-6):
             slopes = (math.degrees(math.acos(facing[2])) for facing in (first, last))
-            said = "landing policy for one of {:.1f} deg, touchdown policy for {:.1f} deg".format(*slopes)
-            raise UserError(f"the policies are for different slopes: {said}")
+            text = "landing policy for one of {:.1f} deg, touchdown policy for {:.1f} deg".format(*slopes)
+            raise UserError(f"the policies are for different slopes: {text}")
         if abs(last[1]) > 1e-6:
             raise UserError("missions are flown to slopes along x: leave the azimuth of the tasks out")
         v, (x, z) = self.vehicle, self.hand_over
@@ -89,32 +89,32 @@ class Plan:
 
     @property
     def policies(self) -> tuple[Policy, Policy, Policy]:
-        """For set-point flight, landing and touchdown."""
+        """Policies for set-point flight, landing and touchdown."""
         return self.setpoint, self.landing, self.touchdown
 
     @property
     def task(self) -> InclinedTouchdown:
-        """That of the last leg."""
+        """Task of the last leg."""
         return self.touchdown.task  # type: ignore[return-value]
 
     @property
     def vehicle(self) -> Vehicle:
-        """The tasks' own, with the widest angle that one of them commands."""
+        """Vehicle of the tasks, with the largest attitude command limit of them."""
         limit = max(policy.task.vehicle.command_angle_limit for policy in self.policies)
         return self.task.vehicle.changed(command_angle_limit=limit)
 
     @property
     def point(self) -> np.ndarray:
-        """The hand-over point (3,) [m]."""
+        """Hand-over point (3,) [m]."""
         return np.array([self.hand_over[0], 0.0, self.hand_over[1]])
 
     def in_box(self, state: np.ndarray) -> np.ndarray:
-        """(n,) bool: near the hand-over point and slow."""
+        """Return a mask (n,) of states near the hand-over point and slow."""
         away = np.linalg.norm(state[:, X : Z + 1] - self.point, axis=1)
         return (away < self.near) & (np.linalg.norm(state[:, VX : VZ + 1], axis=1) < self.slow)
 
-    def free(self, starts: np.ndarray) -> np.ndarray:
-        """(k,) bool: may a mission begin at starts (k, 3) [m]?
+    def admissible(self, starts: np.ndarray) -> np.ndarray:
+        """Return a mask (k,) of the starts (k, 3) [m] from which a mission may begin.
 
         They lie in the set-point task's START_BOX, and a climb from there to the hand-over point's height
         keeps CLEAR to the platform.
@@ -130,17 +130,17 @@ class Plan:
         return free
 
     def check_starts(self, starts: np.ndarray) -> None:
-        """Raise UserError, naming the first, unless all starts (k, 3) [m] are `free`."""
-        for start in starts[~self.free(starts)][:1]:
-            said = ",".join(f"{value:g}" for value in start)
+        """Raise UserError, naming the first, unless all starts (k, 3) [m] are `admissible`."""
+        for start in starts[~self.admissible(starts)][:1]:
+            text = ",".join(f"{value:g}" for value in start)
             box = ", ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in zip("xyz", START_BOX))
             raise UserError(
-                f"start {said} lies within {CLEAR:g} m of the platform, under it, or outside the set-point "
+                f"start {text} lies within {CLEAR:g} m of the platform, under it, or outside the set-point "
                 f"task's starts ({box} m)"
             )
 
     def sample(self, rng: np.random.Generator, n: int) -> np.ndarray:
-        """n starts (n, 3) [m], uniform over the set-point task's, where they are `free`.
+        """Return n starts (n, 3) [m], uniform over the `admissible` ones of the set-point task.
 
         Fewer starts are the first ones of many.
         """
@@ -148,7 +148,7 @@ class Plan:
         found = np.empty((0, 3))
         while len(found) < n:
             drawn = rng.uniform(low, high, (n, 3))
-            found = np.concatenate([found, drawn[self.free(drawn)]])
+            found = np.concatenate([found, drawn[self.admissible(drawn)]])
         return found[:n]
 
 
@@ -166,7 +166,7 @@ class Leg:
 
 @dataclasses.dataclass(kw_only=True)
 class Mission(Track):
-    """One mission as it was flown."""
+    """One mission as flown."""
 
     plan: Plan
     leg: np.ndarray  # (T,) index into LEGS: who commands from t[k] on
@@ -175,28 +175,28 @@ class Mission(Track):
 
     @property
     def success(self) -> bool:
-        """At rest on the feet with motors at idle."""
+        """Whether it ended at rest on the feet with motors at idle."""
         return self.end == ENDS[AT_REST]
 
     @property
     def goals(self) -> list[np.ndarray]:
-        """The hand-over point and rest on the slope."""
+        """Hand-over point and rest on the slope, as states (13,)."""
         return [*hover_states(self.plan.point[None], self.plan.vehicle), *super().goals]
 
     @property
-    def words(self) -> str:
-        """How it ended, in one line."""
+    def summary(self) -> str:
+        """Outcome in one line."""
         if self.success:
             return f"at rest on the slope after {self.t[-1]:.2f} s"
         return f"{self.end} in the {self.legs[-1].name} after {self.t[-1]:.2f} s"
 
-    def flown(self, name: str) -> Leg | None:
-        """The leg of this name, None where it was not flown."""
+    def find_leg(self, name: str) -> Leg | None:
+        """Return the leg of this name, None where it was not flown."""
         return next((leg for leg in self.legs if leg.name == name), None)
 
 
-def _facing(task) -> np.ndarray:
-    """Unit normal (3,) of a task's slope: the same for one of -20 deg and one of 20 deg turned by half."""
+def _slope_normal(task) -> np.ndarray:
+    """Return the unit normal (3,) of a task's slope: equal for -20 deg and 20 deg turned by half a turn."""
     flat = math.sin(task.inclination)
     return np.array(
         [flat * math.cos(task.azimuth), flat * math.sin(task.azimuth), math.cos(task.inclination)]
@@ -204,29 +204,29 @@ def _facing(task) -> np.ndarray:
 
 
 def _without_limit(vehicle: Vehicle) -> Vehicle:
-    """The vehicle but for the limit of its attitude commands, which is the task's."""
+    """Return the vehicle without its attitude command limit, which differs by task."""
     return dataclasses.replace(vehicle, command_angle_limit=0.0)
 
 
 def fly_missions(
-    plan: Plan, starts: np.ndarray, ended: Callable[[int], None] = lambda count: None
+    plan: Plan, starts: np.ndarray, on_progress: Callable[[int], None] = lambda count: None
 ) -> list[Mission]:
-    """Fly a mission from each of starts (n, 3) [m], hovering there: all at once in MuJoCo (RK4, 4 ms).
+    """Fly a mission from hover at each of starts (n, 3) [m], all at once in MuJoCo (RK4, 4 ms); return them.
 
     A mission does not depend on how many others are flown. ended: told after every control step how many
     missions are over. Raises UserError for a start where none can begin.
     """
     starts = np.atleast_2d(np.asarray(starts, float))
     plan.check_starts(starts)
-    flying = _Flying(plan, hover_states(starts, plan.vehicle))
+    flying = _MissionBatch(plan, hover_states(starts, plan.vehicle))
     while (flying.end == FLYING).any():
         flying.step()
-        ended(int((flying.end != FLYING).sum()))
+        on_progress(int((flying.end != FLYING).sum()))
     return flying.missions()
 
 
-class _Flying:
-    """Missions on their way: n vehicles of one plant, each in its own leg."""
+class _MissionBatch:
+    """Missions in flight: n vehicles of one plant, each in its own leg."""
 
     def __init__(self, plan: Plan, states: np.ndarray):
         n = len(states)
@@ -234,8 +234,8 @@ class _Flying:
         self.plan, self.plant = plan, MujocoPlant(n, plan.vehicle)
         self.hover: Setpoint = plan.setpoint.task  # type: ignore[assignment]
         self.past, self.trim = History(self.hover, n), Trim(n)
-        pilots = {LANDING: plan.landing, TOUCHDOWN: plan.touchdown}
-        self.pilots = {leg: (policy, BatchEnv(policy.task, self.plant)) for leg, policy in pilots.items()}
+        runners = {LANDING: plan.landing, TOUCHDOWN: plan.touchdown}
+        self.runners = {leg: (policy, BatchEnv(policy.task, self.plant)) for leg, policy in runners.items()}
         self.plant.set_platform(everyone, plan.task.inclination)
         self.plant.reset(everyone, states)
         self.leg, self.end = np.full(n, CLIMB), np.full(n, FLYING)
@@ -249,63 +249,67 @@ class _Flying:
         self.commands: list[np.ndarray] = []
         self.legs: list[np.ndarray] = []
         self._enter(CLIMB, everyone >= 0)
-        self._enter(APPROACH, self._high())
+        self._enter(APPROACH, self._above_climb())
         self._enter(LANDING, plan.in_box(self.plant.state))
 
     @property
-    def tick(self) -> int:
+    def steps_flown(self) -> int:
         """Control steps so far."""
         return len(self.commands)
 
     def step(self) -> None:
-        """One control step of all that still fly."""
+        """Run one control step of all vehicles in flight."""
         self.legs.append(self.leg.copy())
         self.commands.append(self._command())
         self.plant.step(self.commands[-1], self.end == FLYING)
         self.states.append(self.plant.state.copy())
-        self._judge()
+        self._advance_legs()
 
     def _command(self) -> np.ndarray:
-        """Commands (n, 4): the set-point policy's, and instead what the policies of later legs command."""
-        plan, seen = self.plan, self._seen()
-        actions = plan.setpoint.predict(self.past.behind(seen))
-        self.past.note(seen, actions)
+        """Return commands (n, 4): the set-point policy's, replaced by those of the later legs' policies."""
+        plan, seen = self.plan, self._setpoint_observation()
+        actions = plan.setpoint.predict(self.past.stack(seen))
+        self.past.record(seen, actions)
         commands = self.hover.commands(actions)
         limit = plan.vehicle.command_yaw_rate_limit
         commands[:, YAW_RATE_COMMAND] = np.clip(-YAW_GAIN * self.plant.measurement[:, YAW], -limit, limit)
         if not plan.hold:
             commands[self.leg > APPROACH, ROLL_COMMAND] = 0.0
-        for leg, (policy, env) in self.pilots.items():
-            ids = self._in(leg)
+        for leg, (policy, env) in self.runners.items():
+            ids = self._ids_in_leg(leg)
             if len(ids):
                 actions = np.zeros((env.n, len(env.task.action_names)))
                 actions[ids] = policy.predict(env.observe(ids))
                 env.act(actions)
-                own = np.ix_(ids, [channel.column for channel in env.task.channels])
-                commands[own] = env.commands[own]
+                columns = np.ix_(ids, [channel.column for channel in env.task.channels])
+                commands[columns] = env.commands[columns]
         return commands
 
-    def _seen(self) -> np.ndarray:
-        """(n, o) what the set-point policy is shown: the way to the target, or what it is to hold across."""
+    def _setpoint_observation(self) -> np.ndarray:
+        """Return the set-point policy's observation (n, o): relative to the target, or to y = 0 in later
+        legs.
+        """
         state, trim = self.plant.measurement, self.trim.offset
         target, across = self.hover.shifted(state, self.target + trim), self.hover.across(state, trim[:, Y])
         return self.hover.observe(Moment(np.where(self.leg[:, None] <= APPROACH, target, across)))
 
-    def _judge(self) -> None:
-        """What the step has led to: who goes on to the next leg, and who has come to an end."""
+    def _advance_legs(self) -> None:
+        """Evaluate the step: vehicles enter the next leg or end their mission."""
         plan, state, contacts = self.plan, self.plant.state, self.plant.contacts
         period = self.plant.control_period
         flying = np.flatnonzero(self.end == FLYING)
         self.touched[flying, self.leg[flying]] |= contacts.touch[flying].any(axis=2)
-        outcomes = {leg: env.outcome() for leg, (_, env) in self.pilots.items() if len(self._in(leg))}
+        outcomes = {
+            leg: env.outcome() for leg, (_, env) in self.runners.items() if len(self._ids_in_leg(leg))
+        }
         settling = (self.leg <= APPROACH) & (np.linalg.norm(state[:, VX : VZ + 1], axis=1) < HAND_OVER_SPEED)
-        self.trim.learn(self.target - state[:, X : Z + 1], period, settling)
+        self.trim.integrate(self.target - state[:, X : Z + 1], period, settling)
         self.near = np.where(plan.in_box(state), self.near + 1, 0)
         arrived = (self.leg == APPROACH) & (self.near * period >= max(plan.dwell, period) - 1e-9)
         self._stop(OUTSIDE, self._outside())
         self._stop(FLOOR, contacts.touch[:, SURFACES.index("floor")].any(axis=1))
         late = (self.leg <= APPROACH) & ~arrived
-        self._stop(LATE, late & (self.tick * period >= APPROACH_LIMIT - 1e-9))
+        self._stop(LATE, late & (self.steps_flown * period >= APPROACH_LIMIT - 1e-9))
         for leg, outcome in outcomes.items():
             over = (outcome.terminated | outcome.truncated) & ~outcome.success
             self._stop(LATE, over & (self.leg == leg))
@@ -314,46 +318,46 @@ class _Flying:
         if LANDING in outcomes:
             self._enter(TOUCHDOWN, outcomes[LANDING].success & (self.leg == LANDING))
         self._enter(LANDING, arrived)
-        self._enter(APPROACH, (self.leg == CLIMB) & self._high())
+        self._enter(APPROACH, (self.leg == CLIMB) & self._above_climb())
 
-    def _in(self, leg: int) -> np.ndarray:
-        """The vehicles that fly this leg."""
+    def _ids_in_leg(self, leg: int) -> np.ndarray:
+        """Return the indices of the vehicles that fly this leg."""
         return np.flatnonzero((self.leg == leg) & (self.end == FLYING))
 
-    def _high(self) -> np.ndarray:
-        """(n,) bool: high enough to fly straight to the hand-over point."""
+    def _above_climb(self) -> np.ndarray:
+        """Return a mask (n,) of vehicles high enough to fly straight to the hand-over point."""
         return self.plant.state[:, Z] >= self.plan.hand_over[1] - CLIMB_BELOW
 
     def _outside(self) -> np.ndarray:
-        """(n,) bool: too far outside the arena."""
+        """Return a mask (n,) of vehicles too far outside the arena."""
         v, place = self.plan.vehicle, self.plant.state[:, X : Z + 1]
         low, high = np.array([v.arena_x, v.arena_y, v.arena_z]).T
         return ((place < low - LEAVE_LIMIT) | (place > high + LEAVE_LIMIT)).any(axis=1)
 
-    def _stop(self, end: int, who: np.ndarray) -> None:
-        """The missions of `who` (n,) bool end, but for those that have."""
-        now = who & (self.end == FLYING)
-        self.end[now], self.last[now] = end, self.tick
+    def _stop(self, end: int, mask: np.ndarray) -> None:
+        """End the missions of `mask` (n,) bool that have not ended yet."""
+        now = mask & (self.end == FLYING)
+        self.end[now], self.last[now] = end, self.steps_flown
 
-    def _enter(self, leg: int, who: np.ndarray) -> None:
-        """The missions of `who` (n,) bool go on in this leg, but for those that have ended."""
-        ids = np.flatnonzero(who & (self.end == FLYING))
+    def _enter(self, leg: int, mask: np.ndarray) -> None:
+        """Enter this leg with the vehicles of `mask` (n,) bool that have not ended."""
+        ids = np.flatnonzero(mask & (self.end == FLYING))
         if not len(ids):
             return
-        self.leg[ids], self.began[ids, leg] = leg, self.tick
+        self.leg[ids], self.began[ids, leg] = leg, self.steps_flown
         if leg == APPROACH:
             self.target[ids] = self.plan.point
-        self.past.begin(ids, self._seen()[ids])
-        if leg in self.pilots:
-            self.pilots[leg][1].take_over(ids)
+        self.past.reset(ids, self._setpoint_observation()[ids])
+        if leg in self.runners:
+            self.runners[leg][1].begin_in_place(ids)
 
     def missions(self) -> list[Mission]:
-        """What was flown."""
+        """Return the missions as flown."""
         every = np.array(self.states), np.array(self.commands), np.array(self.legs)
         return [self._mission(k, *(rows[:, k] for rows in every)) for k in range(len(self.end))]
 
     def _mission(self, k: int, state: np.ndarray, commands: np.ndarray, leg: np.ndarray) -> Mission:
-        """That of vehicle k, of rows (T, 13), (T - 1, 4) and (T - 1,) from the start to the end of all."""
+        """Return the mission of vehicle k from rows (T, 13), (T - 1, 4) and (T - 1,) of all."""
         last = self.last[k]
         rows = np.minimum(np.arange(last + 1), last - 1)
         return Mission(
@@ -369,7 +373,7 @@ class _Flying:
         )
 
     def _legs(self, k: int, state: np.ndarray) -> tuple[Leg, ...]:
-        """The legs that vehicle k flew for a step or more."""
+        """Return the legs that vehicle k flew for at least one step."""
         period = self.plant.control_period
         entered = np.flatnonzero(self.began[k] >= 0)
         ends = [*self.began[k, entered[1:]], self.last[k]]

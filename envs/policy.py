@@ -26,7 +26,7 @@ from inclined_landing.envs.history import input_names
 from inclined_landing.envs.tasks import TASKS, Task, known, make_task, task_class
 from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre, resolve_pwm_span
 from inclined_landing.envs.tasks.options import fields_of
-from inclined_landing.envs.vehicle_numbers import vehicle_numbers
+from inclined_landing.envs.vehicle_parameters import vehicle_parameters
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -106,7 +106,7 @@ class Policy:
         return self.path.stem
 
     def predict(self, observation: np.ndarray) -> np.ndarray:
-        """Actions (n, a) float32 in [-1, 1] for observations (n, o), or (a,) for (o,), history included."""
+        """Return actions (n, a) float32 in [-1, 1] for inputs (n, i), or (a,) for (i,), history included."""
         observation = np.asarray(observation)
         rows = np.ascontiguousarray(np.atleast_2d(observation), np.float64)
         if rows.ndim != 2 or rows.shape[1] != len(self.centre):
@@ -123,19 +123,21 @@ class Policy:
         scaling = self.centre, self.scale, self.limit
         return _Network(*scaling, self.weights, self.biases, activation, self.squashed, self.bound)
 
-    def for_its_vehicle(self) -> Policy:
-        """The same policy for its task's vehicle alone: what it is told of it is part of the network.
+    def with_fixed_vehicle(self) -> Policy:
+        """Return the policy for its task's vehicle alone: vehicle parameters become biases of the first
+        layer.
 
         Itself where it is told nothing and its PWM at action 0 is a number.
         """
         task = self.task
         if not (task.observe_vehicle or task.per_vehicle_hover):
             return self
+        # With first-layer weights [W_o; W_v]: b <- b + clip((v - centre_v) / scale_v, -limit, limit) W_v
         options = {k: v for k, v in task.options.items() if k != "observe_vehicle"}
         plain = make_task(task.name, task.vehicle, **options | {"pwm_centre": task.pwm_centre})
         given = len(input_names(plain))
-        told = vehicle_numbers(task.vehicle) if task.observe_vehicle else np.zeros(0)
-        scaled = np.clip((told - self.centre[given:]) / self.scale[given:], -self.limit, self.limit)
+        observed = vehicle_parameters(task.vehicle) if task.observe_vehicle else np.zeros(0)
+        scaled = np.clip((observed - self.centre[given:]) / self.scale[given:], -self.limit, self.limit)
         first, *others = self.weights
         return dataclasses.replace(
             self,
@@ -178,7 +180,7 @@ def _forward(rows, network):
 
 
 def stamp(path: str | Path, metadata: dict) -> None:
-    """Put `metadata` into the SB3 zip at `path`, replacing an earlier stamp; whole or not at all.
+    """Write `metadata` into the SB3 zip at `path`, replacing an earlier stamp; whole or not at all.
 
     metadata must name the task in "task" and its options in "task_options".
     """
@@ -199,7 +201,7 @@ def stamp(path: str | Path, metadata: dict) -> None:
 
 
 def locate(name: str | Path) -> Path:
-    """Path of a policy: a shipped one by name (see SHIPPED), otherwise a file."""
+    """Return the path of a policy: a shipped one by name (see SHIPPED), otherwise a file."""
     if str(name) in SHIPPED:
         path = _FOLDER / f"{name}.zip"
         if not path.is_file():
@@ -253,7 +255,7 @@ def load_policy(
         slope = {"inclination": inclination, "azimuth": azimuth}
         task = _build_task(trained or wanted, metadata, vehicle, slope, path)
     elif metadata:
-        _check_meets(task, metadata, inclination, path)
+        _check_training_options(task, metadata, inclination, path)
     policy = Policy(task=task, metadata=metadata, path=path, **network)
     expected = len(input_names(task)), len(task.action_names)
     found = len(policy.centre), len(policy.biases[-1])
@@ -265,13 +267,15 @@ def load_policy(
     return policy
 
 
-def trained_for(path: str | Path) -> str | None:
-    """The task that the stamp of a policy file, or of a shipped policy, names; None for a plain SB3 file."""
+def trained_task(path: str | Path) -> str | None:
+    """Return the task that the stamp of a policy file, or of a shipped policy, names; None for a plain SB3
+    file.
+    """
     return _stamp_of(path).get("task")
 
 
-def history_of(path: str | Path) -> int:
-    """How many past steps a policy file, or a shipped policy, is given; 0 for a plain SB3 file."""
+def history_length(path: str | Path) -> int:
+    """Return how many past steps a policy file, or a shipped policy, observes; 0 for a plain SB3 file."""
     return _stamp_of(path).get("task_options", {}).get("history", 0)
 
 
@@ -281,25 +285,27 @@ def _stamp_of(path: str | Path) -> dict:
         return _read_stamp(archive, path)
 
 
-def told_vehicle(path: str | Path) -> bool:
-    """Is a policy, of a file or shipped, told the numbers of its vehicle; False for a plain SB3 file."""
+def observes_vehicle(path: str | Path) -> bool:
+    """Return whether a policy, of a file or shipped, observes its vehicle's parameters; False for a plain SB3
+    file.
+    """
     return bool(_stamp_of(path).get("task_options", {}).get("observe_vehicle", False))
 
 
 def action_map(path: str | Path) -> tuple[float | str, float]:
-    """PWM at action 0 (or "own") and span of a policy file, or of a shipped policy, as in training."""
+    """Return PWM at action 0 (or "own") and span of a policy file, or of a shipped policy, as in training."""
     return _action_map(_stamp_of(path).get("task_options", {}))
 
 
 def tensors(path: str | Path) -> dict[str, np.ndarray]:
-    """All of a policy file's network by SB3's names, the critic and the exploration noise included."""
+    """Return all tensors of a policy file by SB3's names, the critic and the exploration noise included."""
     path = locate(path)
     with _open(path) as archive:
         return _read_tensors(archive, path)
 
 
 def _action_map(options: dict) -> tuple[float | str, float]:
-    """Of the stamp's options. Words are those of training with the shipped vehicle; others stamp numbers.
+    """Return PWM at action 0 and span from the stamp's options. Names refer to the shipped vehicle.
 
     But "own" is a word for every vehicle.
     """
@@ -309,8 +315,8 @@ def _action_map(options: dict) -> tuple[float | str, float]:
     return centre, resolve_pwm_span(options.get("pwm_span"), shipped)
 
 
-def _check_meets(task: Task, metadata: dict, inclination, path) -> None:
-    """Raise UserError where a task is not the stamped one in what a policy cannot see, or in its history."""
+def _check_training_options(task: Task, metadata: dict, inclination, path) -> None:
+    """Raise UserError where a task differs from training in what the policy cannot observe, or in history."""
     options = metadata.get("task_options", {})
     past = options.get("history", 0)
     if past != task.history:
@@ -318,11 +324,11 @@ def _check_meets(task: Task, metadata: dict, inclination, path) -> None:
             f"policy {path} is given {past} past steps, and the {task.name} task here has {task.history}; "
             f"give it history={past}"
         )
-    told = bool(options.get("observe_vehicle", False))
-    if told != task.observe_vehicle:
+    observed = bool(options.get("observe_vehicle", False))
+    if observed != task.observe_vehicle:
         raise UserError(
-            f"policy {path} is {'told' if told else 'not told'} the numbers of its vehicle; "
-            f"give the {task.name} task here observe_vehicle={told}"
+            f"policy {path} {'observes' if observed else 'does not observe'} its vehicle's parameters; "
+            f"give the {task.name} task here observe_vehicle={observed}"
         )
     trained, per_vehicle = _action_map(options), task.per_vehicle_hover
     if (trained[0] == OWN) != per_vehicle:
@@ -405,7 +411,7 @@ def _read_table(archive: zipfile.ZipFile, name: str, path: Path) -> dict:
 
 
 def _read_stamp(archive: zipfile.ZipFile, path: Path) -> dict:
-    """The stamp; empty for a plain SB3 file. The values are those that the task and reports can take."""
+    """Return the stamp; empty for a plain SB3 file. Its values are validated."""
     if STAMP not in archive.namelist():
         return {}
     metadata = _read_table(archive, STAMP, path)
@@ -427,7 +433,7 @@ def _read_stamp(archive: zipfile.ZipFile, path: Path) -> dict:
 
 
 def _unknown_task(metadata: dict, path: Path) -> UserError:
-    """The sentence for a task that is not known, and was perhaps imported; a file never has it imported."""
+    """Return the error for an unknown task, perhaps a user's; a file never causes an import."""
     name, source = metadata.get("task"), metadata.get("task_from")
     if source is not None:
         return UserError(
@@ -449,7 +455,7 @@ def _shallow(value, levels: int) -> bool:
 
 
 def _read_tensors(archive: zipfile.ZipFile, path: Path) -> dict[str, np.ndarray]:
-    """The network's tensors by name."""
+    """Return the network's tensors by name."""
     content = weights.read_member(archive, _WEIGHTS, f"policy {path}")
     tensors = weights.read_tensors(content, f"policy {path}: {_WEIGHTS} in it")
     if not all(np.isfinite(array).all() for array in tensors.values()):
@@ -468,7 +474,7 @@ _HARD_LIMIT = 2.0  # of SAC's mean with state-dependent exploration, before tanh
 
 
 def _actor(tensors: dict[str, np.ndarray], data: dict, path: Path) -> dict:
-    """The fields of `Policy` that make up the network."""
+    """Return the fields of `Policy` that make up the network."""
     refused = UserError(
         f"policy {path} is not a PPO, SAC or TD3 policy with a plain network and continuous actions"
     )
@@ -502,7 +508,7 @@ def _actor(tensors: dict[str, np.ndarray], data: dict, path: Path) -> dict:
 
 
 def _activation(data: dict, path: Path, usual: str) -> str:
-    """The activation that SB3's header names, one of those that `Policy` evaluates."""
+    """Return the activation named in SB3's header, one of those that `Policy` evaluates."""
     options = data.get("policy_kwargs") or {}
     activation = options.get("activation_fn", usual) if isinstance(options, dict) else None
     if not isinstance(activation, str):

@@ -20,7 +20,7 @@ with optional():
 
 
 def save_policy(model, path: str | Path) -> None:
-    """Save a Stable-Baselines3 model that learned on a `BatchVecEnv`, with the stamp for `load_policy`."""
+    """Save a Stable-Baselines3 model trained on a `BatchVecEnv`, with the stamp for `load_policy`."""
     task = model.get_env().env.task
     model.save(path, exclude=["lr_schedule"])  # perhaps of a callback, and not needed
     action_map = {"pwm_centre": OWN if task.per_vehicle_hover else task.pwm_centre, "pwm_span": task.pwm_span}
@@ -37,7 +37,7 @@ def save_policy(model, path: str | Path) -> None:
 
 
 class BatchVecEnv(VecEnv):
-    """Automatic resets, terminal observations, `TimeLimit.truncated` and episode statistics.
+    """Stable-Baselines3 vector environment with automatic resets and episode statistics.
 
     `infos[i]` is an empty dictionary except at the end of an episode, where it holds
     `terminal_observation`, `TimeLimit.truncated`, `is_success`, `touched` (was the platform touched)
@@ -57,7 +57,7 @@ class BatchVecEnv(VecEnv):
         super().__init__(env.n, observation_space(env.task), action_space(env.task))
 
     def seed(self, seed: int | None = None):
-        """Seed of the next reset."""
+        """Set the seed of the next reset."""
         check_seed(seed)
         return super().seed(seed)
 
@@ -73,7 +73,7 @@ class BatchVecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self):
-        """(observations, rewards, dones, infos) of the actions given to `step_async`."""
+        """Return (observations, rewards, dones, infos) of the actions given to `step_async`."""
         env = self.env
         step = env.step(self._actions)
         infos: list[dict] = [{} for _ in range(self.num_envs)]
@@ -92,23 +92,19 @@ class BatchVecEnv(VecEnv):
                         "TimeLimit.truncated": bool(step.truncated[i]),
                         "is_success": bool(step.success[i]),
                         "touched": bool(env.touched[i]),
-                        "episode": {
-                            "r": float(env.total[i]),
-                            "l": int(env.length[i]),
-                            "t": seconds,
-                        },
+                        "episode": {"r": float(env.total[i]), "l": int(env.length[i]), "t": seconds},
                     }
                 )
             observation[ids] = env.reset(ids)
         rewards = (self.reward_scale * step.reward).astype(np.float32)
         return observation, rewards, done, infos
 
-    def ease(self, conditions) -> None:
+    def set_conditions(self, conditions) -> None:
         """Begin the next episodes under the conditions of a curriculum (`train/curriculum.py`)."""
         self.env.task.conditions = conditions
 
     def close(self) -> None:
-        """Nothing to close: the plant's threads end with the object."""
+        """Do nothing: the plant's threads end with the object."""
 
     def get_attr(self, attr_name, indices=None):
         return [getattr(self, attr_name)] * len(self._indices(indices))

@@ -7,10 +7,10 @@ from inclined_landing.envs.history import input_names
 
 
 def observation_space(task) -> Box:
-    """Unbounded Box, float32, of `input_names`: positions may leave the arena, where the reward says so."""
+    """Return the unbounded Box, float32, of `input_names`: positions may leave the arena at a penalty."""
     return Box(-np.inf, np.inf, (len(input_names(task)),), np.float32)
 
 
 def action_space(task) -> Box:
-    """Box (a,) from -1 to 1, float32."""
+    """Return the Box (a,) from -1 to 1, float32."""
     return Box(-1.0, 1.0, (len(task.action_names),), np.float32)

@@ -45,23 +45,9 @@ def make_grid(task: Task) -> np.ndarray:
 
 
 def clear(task: Task, starts: np.ndarray) -> np.ndarray:
-    """Return those of `starts` (k, 2) whose shapes keep 5 cm to the platform."""
+    """Return those of `starts` (k, 2) with at least 5 cm clearance to the platform."""
     states = at_rest(task, starts)
     return starts[task.start_clearance(task.start(states)) >= START_CLEARANCE]
-
-
-def grid_text(starts: np.ndarray) -> str:
-    """Return the frozen file's text for `starts` (k, 2)."""
-    lines = [
-        "# Frozen evaluation starts of the landing task, vehicle level, at rest, thrust at hover.",
-        f"# x from {_X[0]:g} to {_X[-1]:g} m, z from {_Z[0]:g} to {_Z[-1]:g} m, without the starts "
-        f"closer than {100 * START_CLEARANCE:g} cm",
-        "# to the platform at its default inclination. Made by landing_starts.make_grid; never",
-        "# trained on, never edited.",
-        "# x [m], z [m]",
-    ]
-    lines += [f"{x:.2f},{z:.2f}" for x, z in starts]
-    return "\n".join(lines) + "\n"
 
 
 def paper() -> np.ndarray:
@@ -78,7 +64,7 @@ def scattered(seed: int) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Slopes:
-    """Starts over many slopes, as many in each cell of the angles, cell by cell, azimuths innermost."""
+    """Stratified starts over many slopes, equally many in each cell of the angles, azimuths innermost."""
 
     start: Start
     cell: np.ndarray  # (2, k) which of the inclination, and which of the azimuth
@@ -87,7 +73,7 @@ class Slopes:
 
 
 def over_slopes(task: Task, steepest: float | None = None, every: int = 1) -> Slopes:
-    """The frozen starts of a task with slopes up to `steepest` [rad], by default the task's own.
+    """Return the frozen starts of a task over slopes up to `steepest` [rad], by default the task's own.
 
     In the plane 20 cells of the inclination with 50 starts each; in space 6 of the inclination and 12 of the
     azimuth with 15 each. Angles are uniform within their cells, starts within the upper half of the arena.

@@ -23,7 +23,10 @@ STEEPEST = WAVES * TILT * math.sqrt(2.0)  # rad: by which a swell of 1 may incli
 
 
 def draw(rng: np.random.Generator, k: int, fastest: float, swell: float) -> Motion:
-    """Return motions of k decks: travel at 0 to fastest [m/s], and waves of `swell` times the sizes above."""
+    """Return motions of k platforms: travel at 0 to fastest [m/s], and waves of `swell` times the sizes
+    above.
+    """
+    # Each wave is A sin(w t + phi): A = min(v_max / w, A_max), so that speed and amplitude stay bounded.
     shape = (k, len(MODES), WAVES)
     speed, heading = fastest * rng.random(k), rng.uniform(-math.pi, math.pi, k)
     frequency = 2.0 * math.pi / np.exp(rng.uniform(*np.log(PERIODS), shape))

@@ -33,7 +33,9 @@ _DAMAGED = (
 
 
 def open_zip(content: bytes, what: str) -> zipfile.ZipFile:
-    """The zip in `content`; UserError, beginning with `what`, for anything but plain members, once each."""
+    """Return the zip in `content`; raise UserError, beginning with `what`, for anything but plain unique
+    members.
+    """
     if content.count(b"PK\x01\x02") > _MEMBERS:
         raise UserError(f"{what} has more than {_MEMBERS} members")
     try:
@@ -51,7 +53,7 @@ def open_zip(content: bytes, what: str) -> zipfile.ZipFile:
 
 
 def read_member(archive: zipfile.ZipFile, name: str, what: str, largest: int = LARGEST) -> bytes:
-    """One member; UserError, beginning with `what`, if it is damaged, encrypted or larger than `largest`."""
+    """Return one member; raise UserError, beginning with `what`, if damaged, encrypted or above `largest`."""
     member = archive.getinfo(name)
     label = f"{what}: {shown(name, 60)} in it"
     if member.flag_bits & 1:
@@ -71,7 +73,7 @@ def read_member(archive: zipfile.ZipFile, name: str, what: str, largest: int = L
 
 
 def read_tensors(content: bytes, what: str) -> dict[str, np.ndarray]:
-    """The tensors by name, in float64, of what torch saved of a table of dense float tensors.
+    """Return the tensors by name, in float64, of a table of dense float tensors that torch saved.
 
     what: the file, as sentences begin. Raises UserError for anything else.
     """
@@ -97,7 +99,7 @@ def read_tensors(content: bytes, what: str) -> dict[str, np.ndarray]:
 
 
 class _Storage(NamedTuple):
-    """Where the numbers of a tensor lie."""
+    """The storage of a tensor's numbers."""
 
     kind: str  # key of _FLOATS
     key: str  # name of the member
@@ -105,7 +107,7 @@ class _Storage(NamedTuple):
 
 
 class _Tensor(NamedTuple):
-    """A tensor as the pickle says it, unchecked."""
+    """A tensor as the pickle describes it, unchecked."""
 
     storage: _Storage
     offset: Any
@@ -114,7 +116,7 @@ class _Tensor(NamedTuple):
 
 
 class _Pickle:
-    """The instructions of a pickle, carried out on plain values, tensors and storages only."""
+    """Interpreter of a pickle's instructions for plain values, tensors and storages only."""
 
     def __init__(self, content: bytes, what: str):
         self._what = what
@@ -202,13 +204,13 @@ class _Pickle:
             table[key] = value
 
     def build(self, _) -> None:
-        """Attributes of the table, torch's versions of its modules, are left out."""
+        """Ignore attributes of the table, which are torch's versions of its modules."""
         if not isinstance(self._stack.pop(), dict):
             raise TypeError("not attributes")
 
 
 class _Name(str):
-    """A class or function that the pickle names, known to be one of a few; never imported."""
+    """An allowed class or function named by the pickle; never imported."""
 
 
 _ACTIONS: dict[str, Callable[[_Pickle, Any], None]] = {
@@ -238,7 +240,7 @@ _ACTIONS: dict[str, Callable[[_Pickle, Any], None]] = {
 
 
 def _read_storage(archive: zipfile.ZipFile, folder: str, storage: _Storage, what: str) -> np.ndarray:
-    """The numbers (count,) of a storage."""
+    """Return the numbers (count,) of a storage."""
     name, kind = f"{folder}data/{storage.key}", np.dtype(_FLOATS[storage.kind])
     label = f"{what}: {shown(name, 60)} in it"
     if name not in archive.namelist():
@@ -252,15 +254,15 @@ def _read_storage(archive: zipfile.ZipFile, folder: str, storage: _Storage, what
 
 
 def _array(tensor: _Tensor, numbers: np.ndarray, label: str) -> np.ndarray:
-    """A tensor's numbers in its shape, float64, contiguous."""
+    """Return a tensor's numbers in its shape, float64, contiguous."""
     size, stride, offset = tensor.size, tensor.stride, tensor.offset
-    whole = (
+    valid = (
         isinstance(size, tuple)
         and isinstance(stride, tuple)
         and len(size) == len(stride) <= _DIMENSIONS
         and all(type(k) is int and k >= 0 for k in (*size, *stride, offset))
     )
-    if not whole:
+    if not valid:
         raise UserError(f"{label} has a shape that is none")
     if 0 in size:
         raise UserError(f"{label} is empty")

@@ -85,7 +85,7 @@ class CurriculumCallback(BaseCallback):
     def _apply(self) -> None:
         conditions = self.curriculum.conditions()
         if conditions is not None:
-            self.training_env.env_method("ease", conditions)
+            self.training_env.env_method("set_conditions", conditions)
         gamma = self.curriculum.gamma(self.num_timesteps)
         self.model.gamma = gamma
         if isinstance(self.model, OnPolicyAlgorithm):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from inclined_landing.envs.policy import action_map, history_of, told_vehicle, trained_for
+from inclined_landing.envs.policy import action_map, history_length, observes_vehicle, trained_task
 from inclined_landing.envs.randomise import locate
 from inclined_landing.envs.tasks import TASKS, Task, import_task, is_path, task_class
 from inclined_landing.envs.tasks.options import Record, TaskOptions, Training, fields_of, option
@@ -237,14 +237,14 @@ class TrainConfig:
         if self.start_from is None and self.fastest is not None and training.start_from is not None:
             filled["start_from"] = descent.NAME
         start = None if filled["start_from"] == descent.NAME else filled["start_from"]
-        same = start if start is not None and trained_for(start) == kind.name else None
+        same = start if start is not None and trained_task(start) == kind.name else None
         filled |= self._ending(training, training.min_steps if same is None else CARRIED_ON)
         out = Path(self.out or f"runs/{kind.name}-{self.seed}")
         vehicle = None if self.vehicle is None else Path(self.vehicle)
         randomise = None if self.randomise is None else Path(self.randomise)
         if self.history is None:
-            filled["history"] = 0 if same is None else history_of(same)
-        filled["observe_vehicle"] = self.observe_vehicle or (same is not None and told_vehicle(same))
+            filled["history"] = 0 if same is None else history_length(same)
+        filled["observe_vehicle"] = self.observe_vehicle or (same is not None and observes_vehicle(same))
         filled |= self._action_map(start)
         config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)
         if config.algorithm != "ppo":

@@ -58,5 +58,5 @@ def _rehearse(config: TrainConfig) -> None:
     task.start_words(task.states_at(task.film_starts[:1])[0])
     curriculum = make_curriculum(config.curriculum, config.task, config.gamma, config.without or "")
     training = ppo.training_environment(dataclasses.replace(config, environments=_FLIGHTS, threads=1))
-    training.ease(curriculum.conditions())
+    training.set_conditions(curriculum.conditions())
     training.reset()

@@ -17,7 +17,7 @@ from inclined_landing.eval.moving import report as moving
 from inclined_landing.eval.moving.scenario import read_scenario, shipped
 from inclined_landing.eval.pictures import figure, video
 from inclined_landing.eval.pictures.figures import curriculum_figure, learning_curves, save_figure
-from inclined_landing.eval.pictures.flown import fly
+from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import strobe, write_picture, write_video
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.policies import success, success_table, touchdown
@@ -64,10 +64,10 @@ def _draw(folder: Path, config: dict, policy: Policy) -> list[Path]:
     ).stages()
     if stages and isinstance(task, InclinedLanding):
         files.append(save_figure(curriculum_figure(stages, task=task), folder / "curriculum.png"))
-    flights = fly(policy, list(task.figure_starts.values()), "mujoco", task.judged_steps)
+    flights = fly_from(policy, list(task.figure_starts.values()), "mujoco", task.judged_steps)
     for name, flight in zip(task.figure_starts, flights):
         files += figure.draw(flight, folder, name)
-    filmed = to_rest(fly(policy, task.film_starts[:1], "mujoco")[0])
+    filmed = to_rest(fly_from(policy, task.film_starts[:1], "mujoco")[0])
     with make_renderer(**_LOOK, vehicle=task.vehicle) as renderer:
         frames, _, rate = video.film([filmed], _FILM_FPS, 1.0, renderer=renderer)
         files.append(write_video(folder / f"{task.name}.mp4", frames, fps=rate))

@@ -20,7 +20,7 @@ from stable_baselines3 import PPO
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.history import input_centre, input_scale
-from inclined_landing.envs.policy import Policy, load_policy, tensors, trained_for
+from inclined_landing.envs.policy import Policy, load_policy, tensors, trained_task
 from inclined_landing.envs.tasks import Moment, Task
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.touchdown import (
@@ -58,7 +58,7 @@ def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
                 f"--from {name} is for touchdown in three dimensions, not for this {task.name} task"
             )
         return Descent(task)
-    wanted = task.name if trained_for(name) == task.name else task.training.start_from or task.name
+    wanted = task.name if trained_task(name) == task.name else task.training.start_from or task.name
     policy = load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))
     if policy.task.history and wanted != task.name:
         raise UserError(f"policy {policy.path} needs a history of observations; {task.name} begins without")

@@ -12,9 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from inclined_landing.envs.rendering.camera import View, look_at
-from inclined_landing.envs.rendering.contacts import contact_arrows
-from inclined_landing.envs.rendering.ghost import Ghost
-from inclined_landing.envs.rendering.pose import Pose, pose_on, qpos_of_state
+from inclined_landing.envs.rendering.pose import Ghost, Pose, pose_from_state, qpos_of_state
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle
 
@@ -27,16 +25,15 @@ __all__ = [
     "Ghost",
     "Pose",
     "View",
-    "check_look",
-    "contact_arrows",
+    "check_picture_options",
     "look_at",
     "make_renderer",
-    "pose_on",
+    "pose_from_state",
     "qpos_of_state",
 ]
 
 
-def check_look(width: int, height: int, camera: str | View, backend: str) -> None:
+def check_picture_options(width: int, height: int, camera: str | View, backend: str) -> None:
     """Raise UserError for a picture that no renderer draws."""
     for size in (width, height):
         if not isinstance(size, (int, np.integer)) or not 16 <= size <= 4096:
@@ -60,14 +57,14 @@ def make_renderer(
     vehicle: Vehicle | None = None,
     scale: float | None = None,
 ):
-    """A renderer with `render(scene, ...) -> (height, width, 3) uint8` and `close()`.
+    """Return a renderer with `render(scene, ...) -> (height, width, 3) uint8` and `close()`.
 
     camera: one of CAMERAS, the first of which has the whole arena in its picture, or, for rays, a
     `View`. scale: size of the drawn vehicle, by default 3 (it is a few pixels wide otherwise; the
     caption says so) and 1 for cameras close to it.
     Raises UserError for an unknown backend or camera, and for "gl" where OpenGL is missing.
     """
-    check_look(width, height, camera, backend)
+    check_picture_options(width, height, camera, backend)
     if backend == "auto":
         from inclined_landing.envs.rendering.gl import probe
 

@@ -11,7 +11,7 @@ _FOCUS = np.array([0.0, 0.0, 1.2])  # parallel rays are exact on the plane throu
 
 
 def dot(vectors: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Scalar products (n,) of vectors (n, 3) with one vector (3,) or row by row with (n, 3).
+    """Return scalar products (n,) of vectors (n, 3) with one vector (3,) or row by row with (n, 3).
 
     Without the threads of a linear-algebra library: the same bits on every machine.
     """
@@ -35,7 +35,7 @@ class View:
 
     @property
     def eye(self) -> np.ndarray:
-        """The point (3,) that all rays start from."""
+        """Point (3,) that all rays start from."""
         if not self.orthographic:
             return self.origin
         depth = (_FOCUS - self.origin) @ self.axes[2]
@@ -52,17 +52,19 @@ class View:
         return self.extent / self.height
 
     def rays(self, column: np.ndarray, row: np.ndarray) -> np.ndarray:
-        """Directions (n, 3) through image points (pixel (0, 0) has its centre at 0.5, 0.5).
+        """Return ray directions (n, 3) through image points (pixel (0, 0) has its centre at 0.5, 0.5).
 
         They are scaled so that the hit distance is the axial distance from `eye`.
         """
+        # d = forward + (column - w/2) s right + (h/2 - row) s up, s: a pixel at distance 1
         pixel = self.pixel / FAR if self.orthographic else self.pixel
         right = (column - 0.5 * self.width) * pixel
         up = (0.5 * self.height - row) * pixel
         return self.axes[2] + right[:, None] * self.axes[0] + up[:, None] * self.axes[1]
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Columns and rows (n, 2) and axial distances from `eye` (n,) of points (n, 3)."""
+        """Return columns and rows (n, 2) and axial distances from `eye` (n,) of points (n, 3)."""
+        # Pinhole camera: column = w/2 + x / (s z), row = h/2 - y / (s z); orthographic: without z.
         local = np.asarray(points, float) - self.origin
         right, up, depth = (dot(local, axis) for axis in self.axes)
         size = self.pixel if self.orthographic else self.pixel * np.maximum(depth, 1e-6)
@@ -71,12 +73,12 @@ class View:
         return np.stack([column, row], axis=1), depth + self.offset
 
     def pixel_size(self, depth):
-        """Size of a pixel [m] at the axial distance `depth` from `eye`."""
+        """Return the size of a pixel [m] at the axial distance `depth` from `eye`."""
         return self.pixel * (np.ones_like(depth) if self.orthographic else depth)
 
 
-def view_of(model, data, camera: int | str, width: int, height: int) -> View:
-    """The view of a camera of the model, after `mj_camlight`."""
+def camera_view(model, data, camera: int | str, width: int, height: int) -> View:
+    """Return the view of a camera of the model, after `mj_camlight`."""
     k = model.camera(camera).id if isinstance(camera, str) else camera
     right, up, back = data.cam_xmat[k].reshape(3, 3).T
     orthographic = bool(model.cam_projection[k])
@@ -89,7 +91,7 @@ def view_of(model, data, camera: int | str, width: int, height: int) -> View:
 def look_at(
     position, target, width: int, height: int, *, fovy: float = 45.0, extent: float | None = None
 ) -> View:
-    """A free view from `position` (3,) towards `target` (3,), z up.
+    """Return a free view from `position` (3,) towards `target` (3,), z up.
 
     fovy in degrees; with `extent` [m] the view is orthographic and shows that height.
     """
@@ -102,8 +104,10 @@ def look_at(
     return View(position, axes, size, extent is not None, width, height)
 
 
-def framing(points: np.ndarray, axes: np.ndarray, half_width: float, half_height: float) -> np.ndarray:
-    """The nearest position (3,) from which a perspective camera of given orientation sees all points (n, 3).
+def nearest_position(
+    points: np.ndarray, axes: np.ndarray, half_width: float, half_height: float
+) -> np.ndarray:
+    """Return the nearest position (3,) from which a perspective camera of given axes sees all points (n, 3).
 
     axes (3, 3): rows right, up, forward. half_width, half_height: of what it may fill, in units of the
     distance. Every point bounds the position by planes, two across and two up; what one of the directions
@@ -113,6 +117,8 @@ def framing(points: np.ndarray, axes: np.ndarray, half_width: float, half_height
     position = np.zeros(3)
     depth = []
     for k, half in enumerate((half_width, half_height)):
+        # |x_k - p_k| <= half (z - p_z) for all points: right <= p_k - half p_z and left <= -p_k - half p_z.
+        # Their sum bounds the depth p_z, their difference gives the centre p_k.
         right = (local[:, k] - half * local[:, 2]).max()
         left = (-local[:, k] - half * local[:, 2]).max()
         position[k] = 0.5 * (right - left)

@@ -15,11 +15,10 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 
-from inclined_landing.envs.rendering import overlay, scenery
-from inclined_landing.envs.rendering.camera import View, view_of
-from inclined_landing.envs.rendering.ghost import Ghost
-from inclined_landing.envs.rendering.pose import Pose, pose_of
-from inclined_landing.envs.rendering.stage import Stage
+from inclined_landing.envs.rendering import overlay
+from inclined_landing.envs.rendering.camera import View, camera_view
+from inclined_landing.envs.rendering.pose import Ghost, Pose
+from inclined_landing.envs.rendering.renderer import Drawing, SceneRenderer
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
@@ -30,7 +29,7 @@ _MAX_GEOMS = 20000
 
 @dataclasses.dataclass(frozen=True)
 class Probe:
-    """What this machine offers: kind "egl", "osmesa" or "" (nothing), on hardware or not."""
+    """OpenGL on this machine: kind "egl", "osmesa" or "" (none), on hardware or not."""
 
     kind: str
     hardware: bool
@@ -47,7 +46,7 @@ def _library(*names: str) -> ctypes.CDLL | None:
 
 
 def _egl_devices(egl: ctypes.CDLL) -> list[bool]:
-    """One entry per EGL device that initialises: True for hardware."""
+    """Return one entry per EGL device that initialises: True for hardware."""
     egl.eglGetProcAddress.restype = ctypes.c_void_p
     egl.eglInitialize.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
     kinds = {
@@ -78,7 +77,7 @@ def _egl_devices(egl: ctypes.CDLL) -> list[bool]:
 
 @functools.cache
 def probe() -> Probe:
-    """Look for OpenGL without touching MuJoCo's: EGL first, then OSMesa."""
+    """Return which OpenGL there is, without touching MuJoCo's: EGL first, then OSMesa."""
     missing = []
     egl, gl = _library("libEGL.so.1"), _library("libOpenGL.so.0", "libGL.so.1")
     if egl is None:
@@ -96,7 +95,7 @@ def probe() -> Probe:
 
 
 def _context(width: int, height: int):
-    """A current OpenGL context of MuJoCo; raises UserError with the remedy."""
+    """Return a current OpenGL context of MuJoCo; raise UserError with the remedy."""
     found = probe()
     if not found.kind:
         raise UserError(f"no OpenGL rendering here, {found.missing} is missing: {_REMEDY}.")
@@ -112,8 +111,8 @@ def _context(width: int, height: int):
     return context
 
 
-class GLRenderer(Stage):
-    """Pictures of the landing scene drawn by MuJoCo's OpenGL renderer; see `make_renderer`."""
+class GLRenderer(SceneRenderer):
+    """Renderer of the landing scene by MuJoCo's OpenGL; see `make_renderer`."""
 
     backend = "gl"
 
@@ -156,25 +155,9 @@ class GLRenderer(Stage):
             self._mjr.free()
         if self._gl is not None:
             self._gl.free()
-        self._gl = self._mjr = None
+        self._gl, self._mjr, self.closed = None, None, True
 
-    def render(
-        self,
-        scene,
-        *,
-        inclination: float | None = None,
-        trail=None,
-        trail_colour=None,
-        ghosts=(),
-        forces=(),
-        caption: str = "",
-        show_vehicle: bool = True,
-    ) -> np.ndarray:
-        """One frame (height, width, 3) uint8; arguments as for `RayRenderer.render`."""
-        if self._gl is None:
-            raise UserError("this renderer was closed")
-        pose = pose_of(scene, self.vehicle, inclination)
-        self.stage(pose)
+    def _draw(self, pose: Pose, drawing: Drawing) -> np.ndarray:
         self._place(self.data, pose.qpos)
         self._gl.make_current()
         camera = mujoco.MjvCamera()
@@ -182,33 +165,25 @@ class GLRenderer(Stage):
         camera.fixedcamid = self.model.camera(self.camera).id
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(self.model, self.data, self._option, None, camera, everything, self._scene)
-        if not show_vehicle:
+        if not drawing.show_vehicle:
             self._recolour(0, lambda rgba: 0.0 * rgba, others=False)
-        for ghost in ghosts:
-            ghost = ghost if isinstance(ghost, Ghost) else Ghost(np.asarray(ghost, float))
+        for ghost in drawing.ghosts:
             self._add_ghost(ghost)
-        if trail is not None and len(trail) > 1:
-            self._add_trail(np.asarray(trail, float), trail_colour)
-        for point, vector in forces:
+        if drawing.trail is not None:
+            self._add_trail(drawing.trail, drawing.trail_colour)
+        for point, vector in drawing.forces:
             arrow = mujoco.mjtGeom.mjGEOM_ARROW
-            point = scenery.drawn_points(self.model, pose.qpos, point, self.scale)
             tip, width = point + vector, 0.003 * self.scale
             self._connect(arrow, width, point, tip, (*overlay.FORCE, 1))
         rect = mujoco.MjrRect(0, 0, self.width, self.height)
         frame = np.empty((self.height, self.width, 3), np.uint8)
         mujoco.mjr_render(rect, self._scene, self._mjr)
         mujoco.mjr_readPixels(frame, None, rect, self._mjr)
-        frame = np.ascontiguousarray(frame[::-1])
-        if caption:
-            overlay.draw_caption(frame, caption, scenery.scale_note(self.scale))
-        return frame
+        return np.ascontiguousarray(frame[::-1])
 
-    def view(self, scene, inclination: float | None = None) -> View:
-        """The view that `render` uses for this scene: projects points to pixels."""
-        pose = pose_of(scene, self.vehicle, inclination)
-        self.stage(pose)
+    def _view(self, pose: Pose) -> View:
         self._place(self.data, pose.qpos)
-        return view_of(self.model, self.data, cast(str, self.camera), self.width, self.height)
+        return camera_view(self.model, self.data, cast(str, self.camera), self.width, self.height)
 
     def _place(self, data: mujoco.MjData, qpos: np.ndarray) -> None:
         data.qpos[:7] = qpos
@@ -243,8 +218,6 @@ class GLRenderer(Stage):
         self._recolour(first, change, others=True)
 
     def _add_trail(self, trail: np.ndarray, colour) -> None:
-        if trail.shape[1] == 13:
-            trail = scenery.drawn_centres(self.model, trail, self.scale)
         colours = np.broadcast_to(overlay.TRAIL if colour is None else colour, (len(trail), 3))
         capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
         for k in range(len(trail) - 1):

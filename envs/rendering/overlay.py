@@ -28,14 +28,14 @@ class Canvas:
     row: int
 
     def blend(self, index: np.ndarray, rgb: np.ndarray, alpha: np.ndarray) -> None:
-        """Put colours (n, 3), weighted by alpha (n,), over the pixels of flat `index` (n,)."""
+        """Blend colours (n, 3), weighted by alpha (n,), over the pixels of flat `index` (n,)."""
         flat = self.colour.reshape(-1, 3)
         old = flat[index]
         flat[index] = old + alpha[:, None] * (rgb - old)
 
 
 def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.0) -> None:
-    """A smooth line through points (k, 3) [m], hidden where the canvas is nearer.
+    """Draw a smooth line through points (k, 3) [m], hidden where the canvas is nearer.
 
     width: pixels, a number or (k,); colour: (3,) or (k, 3) in 0..1; alpha: a number or (k,).
     """
@@ -88,12 +88,14 @@ def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.
 
 
 def arrow_width(height: int) -> float:
-    """Width of an arrow's shaft in a picture of `height` rows [pixels]."""
+    """Return the width of an arrow's shaft in a picture of `height` rows [pixels]."""
     return float(np.clip(height / 110, 2.0, 8.0))
 
 
 def arrow_outline(start, end, width: float) -> np.ndarray:
-    """Corners (7, 2) of a flat arrow from point to point (2,), its shaft `width` wide, slimmer if short."""
+    """Return the corners (7, 2) of a flat arrow from point to point (2,), its shaft `width` wide, slimmer if
+    short.
+    """
     start, end = np.asarray(start, float), np.asarray(end, float)
     length = float(np.hypot(*(end - start)))
     ahead = (end - start) / max(length, 1e-9)
@@ -105,7 +107,7 @@ def arrow_outline(start, end, width: float) -> np.ndarray:
 
 
 def draw_arrow(canvas: Canvas, view: View, start, vector, *, colour) -> None:
-    """A flat arrow from `start` (3,) along `vector` (3,) [m]; nothing hides it, a light rim sets it off."""
+    """Draw a flat arrow from `start` (3,) along `vector` (3,) [m] over everything, with a light rim."""
     with optional():
         from PIL import Image, ImageDraw
 
@@ -148,7 +150,7 @@ def _font(size: int):
 
 @functools.lru_cache(maxsize=64)
 def _text_mask(text: str, size: int, width: int, height: int, right: bool) -> np.ndarray:
-    """Coverage (height, width) in 0..1 of one line of text."""
+    """Return the coverage (height, width) in 0..1 of one line of text."""
     with optional():
         from PIL import Image, ImageDraw
 
@@ -161,7 +163,7 @@ def _text_mask(text: str, size: int, width: int, height: int, right: bool) -> np
 
 
 def caption_height(height: int) -> int:
-    """Rows that the caption bar takes in a picture of `height` rows."""
+    """Return the rows of the caption bar in a picture of `height` rows."""
     return max(18, round(0.048 * height))
 
 

@@ -1,4 +1,4 @@
-"""What a renderer needs to know of a moment: where the vehicle and the platform are."""
+"""Poses of vehicle and platform as renderers take them, and translucent copies of the vehicle."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PARKED = -10.0  # m; a platform below this height is absent
 
 @dataclasses.dataclass(frozen=True)
 class Pose:
-    """The vehicle's qpos (7,): position [m], quaternion; the slab's position and quaternion.
+    """Pose of the vehicle as qpos (7,), position [m] and quaternion, and position and quaternion of the slab.
 
     based: the slab stands on its base. Without one it can move, at no cost to a renderer.
     """
@@ -24,38 +24,52 @@ class Pose:
     qpos: np.ndarray
     platform_pos: np.ndarray
     platform_quat: np.ndarray
-    based: bool = True
+    has_base: bool = True
 
     @property
     def platform_key(self):
-        """Equal where the same model is drawn, None for an absent platform."""
+        """Key that is equal where the same model is drawn, None for an absent platform."""
         if self.platform_pos[2] < _PARKED:
             return None
-        if not self.based:
+        if not self.has_base:
             return "moving"
         return (*np.round(self.platform_pos, 9), *np.round(self.platform_quat, 9))
 
 
+@dataclasses.dataclass(frozen=True)
+class Ghost:
+    """A copy of the vehicle at qpos (7,): `colour` mixed in by `tint`, opacity `alpha`.
+
+    `shadow`: the copy casts one (backend "ray").
+    """
+
+    qpos: np.ndarray
+    colour: tuple[float, float, float] = (0.12, 0.62, 0.30)
+    alpha: float = 0.45
+    tint: float = 0.8
+    shadow: bool = False
+
+
 def qpos_of_state(state) -> np.ndarray:
-    """qpos (..., 7) of states (..., 13): Euler angles R = Rz(yaw) Rx(roll) Ry(pitch)."""
+    """Return qpos (..., 7) of states (..., 13) with Euler angles R = Rz(yaw) Rx(roll) Ry(pitch)."""
     state = np.asarray(state, float)
     quaternions = [quaternion(*angles) for angles in state[..., 6:9].reshape(-1, 3)]
     turned = np.reshape(quaternions, (*state.shape[:-1], 4))
     return np.concatenate([state[..., :3], turned], axis=-1)
 
 
-def pose_on(state, deck, based: bool = True) -> Pose:
-    """The pose of a state (13,) and its platform's state (12,), see `Plant.deck`; None: without one."""
+def pose_from_state(state, deck, has_base: bool = True) -> Pose:
+    """Return the pose of a state (13,) and its platform's state (12,), see `Plant.deck`, or None."""
     if deck is None:
         return Pose(qpos_of_state(state), np.array([0.0, 0.0, 10.0 * _PARKED]), np.array([1.0, 0, 0, 0]))
     deck = np.asarray(deck, float)
     return Pose(
-        qpos_of_state(state), deck[: Z + 1].copy(), np.array(quaternion(*deck[ROLL : YAW + 1])), based
+        qpos_of_state(state), deck[: Z + 1].copy(), np.array(quaternion(*deck[ROLL : YAW + 1])), has_base
     )
 
 
-def pose_of(scene, vehicle: Vehicle, inclination: float | None = None, azimuth: float = 0.0) -> Pose:
-    """The pose in an MjData, a qpos (7,), a state (13,) or a Pose; None: far from the scene.
+def as_pose(scene, vehicle: Vehicle, inclination: float | None = None, azimuth: float = 0.0) -> Pose:
+    """Return the pose in an MjData, a qpos (7,), a state (13,) or a Pose; for None far from the scene.
 
     inclination and azimuth [rad] pose the platform where `scene` does not say; default: as the vehicle file.
     Raises UserError for anything else.
@@ -69,7 +83,7 @@ def pose_of(scene, vehicle: Vehicle, inclination: float | None = None, azimuth: 
         if inclination is None and k >= 0:
             return Pose(qpos, scene.mocap_pos[k].copy(), scene.mocap_quat[k].copy())
         if inclination is None:  # a moving one
-            return Pose(qpos, scene.xpos[body.id].copy(), scene.xquat[body.id].copy(), based=False)
+            return Pose(qpos, scene.xpos[body.id].copy(), scene.xquat[body.id].copy(), has_base=False)
     else:
         qpos = np.array([0, 0, -100, 1, 0, 0, 0] if scene is None else scene, float)
         if qpos.shape == (13,):

@@ -14,11 +14,9 @@ import mujoco
 import numpy as np
 
 from inclined_landing.envs.rendering import overlay, scenery
-from inclined_landing.envs.rendering.camera import FAR, View, dot, view_of
-from inclined_landing.envs.rendering.ghost import Ghost
-from inclined_landing.envs.rendering.pose import Pose, pose_of
-from inclined_landing.envs.rendering.stage import Stage
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.envs.rendering.camera import FAR, View, camera_view, dot
+from inclined_landing.envs.rendering.pose import Ghost, Pose
+from inclined_landing.envs.rendering.renderer import Drawing, SceneRenderer
 
 # Light in display units: what a white surface receives from above, below, the sun and +x.
 _SKY, _GROUND, _SUN, _SIDE = 0.62, 0.46, 0.42, 0.05
@@ -30,13 +28,15 @@ _FLOOR = np.array([[0.865, 0.875, 0.9], [0.79, 0.815, 0.85]])  # squares of 1 m
 _HAZE = np.array([0.865, 0.895, 0.935])  # of the floor far away
 _WALL, _WALL_LINE = np.array([0.935, 0.958, 1.0]), np.array([0.76, 0.81, 0.90])
 _SCENE, _FRAME, _VEHICLE, _UNSEEN = 0, 1, 2, 5  # geom groups of the private copy of the model
-_KEPT_GHOSTS = 32
+_CACHED_GHOSTS = 32
 _EDGE = np.array([(i, j) for j in (0.25, 0.75) for i in (0.25, 0.75)])  # sub-pixel positions
 _FINE = np.array([(i / 8, j / 8) for j in (1, 3, 5, 7) for i in (1, 3, 5, 7)])
 
 
 @dataclasses.dataclass
 class _Background:
+    """The scene without the vehicle, in sunlight and in shadow."""
+
     lit: np.ndarray  # (h, w, 3) float32
     dark: np.ndarray  # (h, w, 3) float32, the same in the vehicle's shadow
     depth: np.ndarray  # (h, w) float32, axial distance from the eye [m]
@@ -46,7 +46,7 @@ class _Background:
 
 
 class _Scene:
-    """A compiled model prepared for casting, with its own data."""
+    """A compiled model prepared for ray casting, with its own data."""
 
     def __init__(self, model: mujoco.MjModel):
         self.model, self.data = model, mujoco.MjData(model)
@@ -83,14 +83,14 @@ class _Scene:
         self.shadow_box = self._shadow_box()
 
     def _blade_angle(self, disc: int) -> tuple[float, float]:
-        """Angle of a blade on its disc [rad] and the sense of rotation, 1 or -1."""
+        """Return the angle of a blade on its disc [rad] and the sense of rotation, 1 or -1."""
         name = self.model.geom(disc).name.removeprefix("disc_")
         offset = self.model.geom(f"blade_{name}_0").pos - self.model.geom_pos[disc]
         x, y = self.model.geom_pos[disc][:2]
         return float(np.arctan2(offset[1], offset[0])), float(np.sign(x * y))
 
     def _base_rectangle(self) -> np.ndarray | None:
-        """The base's footprint [[x0, y0], [x1, y1]] on the floor, for its contact shadow."""
+        """Return the base's footprint [[x0, y0], [x1, y1]] on the floor, for its contact shadow."""
         mesh = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, "prism")
         if mesh < 0:
             return None
@@ -102,7 +102,7 @@ class _Scene:
         return np.stack([centre[:2] - half[:2], centre[:2] + half[:2]])
 
     def _shadow_box(self) -> np.ndarray:
-        """Rectangle [low (2,), high (2,)] across the light that holds all static shadows."""
+        """Return the rectangle [low (2,), high (2,)] across the light that holds all static shadows."""
         if not len(self.casters):
             return np.zeros((2, 2))
         centre = self.data.geom_xpos[self.casters] @ self.sun[:2].T
@@ -110,7 +110,7 @@ class _Scene:
         return np.stack([(centre - bound).min(axis=0), (centre + bound).max(axis=0)])
 
     def move_platform(self, position: np.ndarray, quaternion: np.ndarray) -> None:
-        """Put the slab of a model without base where it is now."""
+        """Move the slab of a model without base."""
         k = int(self.model.body("platform").mocapid[0])
         self.data.mocap_pos[k], self.data.mocap_quat[k] = position, quaternion
         mujoco.mj_kinematics(self.model, self.data)
@@ -123,30 +123,30 @@ class _Scene:
     def view(self, camera, width: int, height: int) -> View:
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
-        return view_of(self.model, self.data, camera, width, height)
+        return camera_view(self.model, self.data, camera, width, height)
 
     def cast(self, eye: np.ndarray, rays: np.ndarray, *groups: int, normals: bool = True):
-        """First hits: geom (n,), -1 where none; distance (n,); normals (n, 3) or None."""
+        """Return first hits: geom (n,), -1 for none; distance (n,); normals (n, 3) or None."""
         n = len(rays)
-        wanted = np.zeros(6, np.uint8)
-        wanted[list(groups)] = 1
+        enabled = np.zeros(6, np.uint8)
+        enabled[list(groups)] = 1
         geom, distance = np.full(n, -1, np.int32), np.full(n, -1.0)
         normal = np.zeros((n, 3)) if normals else None
         if n:
             mujoco.mj_multiRay(
-                self.model, self.data, eye, np.ascontiguousarray(rays).ravel(), wanted, 1, -1,
+                self.model, self.data, eye, np.ascontiguousarray(rays).ravel(), enabled, 1, -1,
                 geom, distance, None if normal is None else normal.ravel(), n, mujoco.mjMAXVAL,
             )  # fmt: skip
         return geom, distance, normal
 
     def may_be_shadowed(self, points: np.ndarray) -> np.ndarray:
-        """False (n,) where points (n, 3) lie outside every shadow of the platform."""
+        """Return a mask (n,) of points (n, 3), False outside every shadow of the platform."""
         low, high = self.shadow_box
         u, v = dot(points, self.sun[0]), dot(points, self.sun[1])
         return (u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1])
 
     def sunlit(self, points: np.ndarray, *groups: int, offset=(0.0, 0.0)) -> np.ndarray:
-        """True (n,) where no geom of the groups stands between the sun and points (n, 3)."""
+        """Return a mask (n,) of points (n, 3) with no geom of the groups between them and the sun."""
         eye = self.sun_eye + FAR * (offset[0] * self.sun[0] + offset[1] * self.sun[1])
         ray = points - eye
         axial = dot(ray, self.sun[2])
@@ -154,7 +154,7 @@ class _Scene:
         return (distance < 0) | (distance > axial - _SHADOW_BIAS)
 
     def albedo(self, geom: np.ndarray, points: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-        """Colours (n, 3) of surfaces; `footprint` (n,) is a pixel's size on them [m]."""
+        """Return surface colours (n, 3); `footprint` (n,) is a pixel's size on them [m]."""
         colour = self.rgba[geom, :3].copy()
         on = geom == self.floor
         if on.any():
@@ -169,7 +169,7 @@ class _Scene:
         return colour
 
     def _corner_shade(self, points: np.ndarray) -> np.ndarray:
-        """How much less sky the floor (n, 3) sees beside the wall and the base."""
+        """Return the ambient occlusion (n,) of the floor (n, 3) beside the wall and the base."""
         beside = np.minimum(points[:, 1] - self.model.geom_pos[self.wall][1], 0.0)
         shade = 0.12 * np.exp(beside / 0.4)
         if self.base is not None:
@@ -179,7 +179,9 @@ class _Scene:
         return np.minimum(shade, 0.6)
 
     def shade(self, geom, points, normal, unit, footprint):
-        """Colours (n, 3) of hits seen along `unit` (n, 3): in the shade, and what the sun adds."""
+        """Return colours (n, 3) of hits seen along `unit` (n, 3): in shadow, and what sunlight adds."""
+        # Hemisphere ambient light, Lambert's cosine law for the sun, Blinn-Phong highlight, Fresnel-like rim:
+        #   L = albedo (ambient(n) + sun max(n.s, 0)) + 0.35 k_s max(n.h, 0)^p + 0.1 k_s (1 - |n.v|)^3
         slope = dot(normal, unit)
         normal = np.where(slope[:, None] > 0, -normal, normal)
         sun = -self.sun[2]
@@ -198,12 +200,12 @@ class _Scene:
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors (n, 3) of length one."""
+    """Return vectors (n, 3) normalised to length one."""
     return vectors / np.sqrt(dot(vectors, vectors))[:, None]
 
 
 def _checker(xy: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """Squares of 1 m, smoothed over the footprint."""
+    """Return the colours of a checkerboard of 1 m, antialiased over the footprint."""
     distance = np.abs(np.mod(xy, 2.0) - 1.0) - 0.5  # signed distance to the nearest edge
     smooth = np.clip(2.0 * distance / np.maximum(footprint, 1e-4)[:, None], -1.0, 1.0)
     contrast = np.clip(1.5 - footprint, 0.0, 1.0)
@@ -212,7 +214,7 @@ def _checker(xy: np.ndarray, footprint: np.ndarray) -> np.ndarray:
 
 
 def _grid(xz: np.ndarray, footprint: np.ndarray, line: float = 0.008) -> np.ndarray:
-    """Lines every metre, smoothed over the footprint."""
+    """Return the colours of grid lines every metre, antialiased over the footprint."""
     distance = np.abs(np.mod(xz + 0.5, 1.0) - 0.5)
     wide = np.maximum(footprint, 1e-4)[:, None]
     cover = np.clip((0.5 * (line + wide) - distance) / wide, 0.0, 1.0)
@@ -221,7 +223,7 @@ def _grid(xz: np.ndarray, footprint: np.ndarray, line: float = 0.008) -> np.ndar
 
 
 def _edges(label: np.ndarray, reach: int = 1) -> np.ndarray:
-    """Pixels (h, w) whose neighbourhood holds more than one label."""
+    """Return a mask (h, w) of pixels whose neighbourhood holds more than one label."""
     mask = np.zeros(label.shape, bool)
     across, down = label[:, 1:] != label[:, :-1], label[1:] != label[:-1]
     mask[:, 1:] |= across
@@ -234,7 +236,7 @@ def _edges(label: np.ndarray, reach: int = 1) -> np.ndarray:
 
 
 def _grown(mask: np.ndarray) -> np.ndarray:
-    """The mask (h, w) and its eight neighbours."""
+    """Return the mask (h, w) dilated to its eight neighbours."""
     wide = mask.copy()
     wide[:, 1:] |= mask[:, :-1]
     wide[:, :-1] |= mask[:, 1:]
@@ -244,104 +246,57 @@ def _grown(mask: np.ndarray) -> np.ndarray:
     return tall
 
 
-class RayRenderer(Stage):
-    """Pictures of the landing scene cast ray by ray; see `make_renderer`."""
+class RayRenderer(SceneRenderer):
+    """Renderer of the landing scene by ray casting; see `make_renderer`."""
 
     backend = "ray"
 
-    def __init__(
-        self,
-        vehicle: Vehicle | None = None,
-        width: int = 640,
-        height: int = 480,
-        camera: str | View = "arena",
-        scale: float | None = None,
-    ):
-        self._background_of: tuple = (None, None)
-        super().__init__(vehicle, width, height, camera, scale)
-
     def _prepare(self, model: mujoco.MjModel) -> None:
         self._scene = _Scene(model)
-        self._background_of = (None, None)
+        self.model = model
+        self._cached_background: tuple = (None, None)
 
     def _move_platform(self, pose: Pose) -> None:
         self._scene.move_platform(pose.platform_pos, pose.platform_quat)
 
     def close(self) -> None:
-        """Forget the kept background."""
-        self._background_of = (None, None)
+        """Discard the cached background."""
+        self._cached_background = (None, None)
 
-    def render(
-        self,
-        scene,
-        *,
-        inclination: float | None = None,
-        trail=None,
-        trail_colour=None,
-        ghosts=(),
-        forces=(),
-        caption: str = "",
-        show_vehicle: bool = True,
-    ) -> np.ndarray:
-        """One frame (height, width, 3) uint8.
-
-        scene: MjData of the landing scene, a qpos (7,), a state (13,) or a `Pose`; inclination
-        [rad] of the platform where `scene` does not say. trail: states (k, 13), followed by the
-        centre of the vehicle as drawn, or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts:
-        `Ghost`s or qpos (7,). forces: pairs (point (3,) [m], arrow (3,) [m]); points are those of
-        the real vehicle and go where the drawn one has them, arrows are as long as they say and
-        hidden by nothing.
-        """
-        pose = pose_of(scene, self.vehicle, inclination)
-        self.stage(pose)
-        self._scene.place(pose.qpos)
-        view = self._view()
-        if trail is not None and np.shape(trail)[1:] == (13,):
-            trail = scenery.drawn_centres(self._scene.model, trail, self.scale)
-        forces = [
-            (scenery.drawn_points(self._scene.model, pose.qpos, point, self.scale), arrow)
-            for point, arrow in forces
-        ]
+    def _draw(self, pose: Pose, drawing: Drawing) -> np.ndarray:
+        view = self._view(pose)
         back = self._background(view)
-        ghosts = [g if isinstance(g, Ghost) else Ghost(np.asarray(g, float)) for g in ghosts]
-        copies = [(g.qpos, g) for g in ghosts] + ([(pose.qpos, None)] if show_vehicle else [])
-        drawn = self._with_dirty_part(view, back, copies, trail, trail_colour, forces)
+        copies: list[tuple[np.ndarray, Ghost | None]] = [(ghost.qpos, ghost) for ghost in drawing.ghosts]
+        copies += [(pose.qpos, None)] if drawing.show_vehicle else []
+        drawn = self._draw_foreground(view, back, copies, drawing)
         frame = back.frame.copy()
         if drawn is not None:
             h, w = drawn.depth.shape
             part = frame[drawn.row : drawn.row + h, drawn.column : drawn.column + w]
-            part[:] = _shown(drawn.colour)
-        if caption:
-            overlay.draw_caption(frame, caption, scenery.scale_note(self.scale))
+            part[:] = _as_uint8(drawn.colour)
         return frame
-
-    def view(self, scene, inclination: float | None = None) -> View:
-        """The view that `render` uses for this scene: projects points to pixels."""
-        pose = pose_of(scene, self.vehicle, inclination)
-        self.stage(pose)
-        self._scene.place(pose.qpos)
-        return self._view()
 
     # --- scene and background -------------------------------------------------------------------
 
-    def _view(self) -> View:
+    def _view(self, pose: Pose) -> View:
+        self._scene.place(pose.qpos)
         if isinstance(self.camera, View):
             return self.camera
         return self._scene.view(self.camera, self.width, self.height)
 
     def _background(self, view: View) -> _Background:
-        """The picture without the vehicle: kept while neither camera nor platform moves."""
+        """Return the picture without the vehicle, cached while neither camera nor platform moves."""
         key = (
             view.origin.tobytes(),
             view.axes.tobytes(),
             self._scene.data.mocap_pos.tobytes(),
             self._scene.data.mocap_quat.tobytes(),
         )
-        if key != self._background_of[0]:
+        if key != self._cached_background[0]:
             model = self._scene.model
             fixed = isinstance(self.camera, View) or model.camera(self.camera).bodyid[0] == 0
-            self._background_of = (key, self._draw_background(view, fine=fixed))
-        return self._background_of[1]
+            self._cached_background = (key, self._draw_background(view, fine=fixed))
+        return self._cached_background[1]
 
     def _draw_background(self, view: View, fine: bool) -> _Background:
         scene, h, w = self._scene, self.height, self.width
@@ -364,10 +319,10 @@ class RayRenderer(Stage):
         lit[index], dark[index] = sums[0] / len(offsets), sums[1] / len(offsets)
         light = np.stack([dot(points, axis) for axis in scene.sun], axis=1).astype(np.float32)
         lit, dark = lit.reshape(h, w, 3), dark.reshape(h, w, 3)
-        return _Background(lit, dark, depth.reshape(h, w), light.reshape(h, w, 3), _shown(lit))
+        return _Background(lit, dark, depth.reshape(h, w), light.reshape(h, w, 3), _as_uint8(lit))
 
     def _scene_samples(self, view: View, column, row, sun):
-        """Colour with and without sun (n, 3), depth (n,), point (n, 3) and label (n,) of pixels."""
+        """Return colours with and without sun (n, 3), depth (n,), points (n, 3) and labels (n,) of pixels."""
         scene = self._scene
         rays = view.rays(column, row)
         geom, distance, normal = scene.cast(view.eye, rays, _SCENE, _FRAME)
@@ -398,9 +353,11 @@ class RayRenderer(Stage):
 
     # --- the moving part ------------------------------------------------------------------------
 
-    def _with_dirty_part(self, view, back, copies, trail, trail_colour, forces):
-        """The canvas with everything that is not background, or None."""
-        scene = self._scene
+    def _draw_foreground(
+        self, view: View, back: _Background, copies: list[tuple[np.ndarray, Ghost | None]], drawing: Drawing
+    ) -> overlay.Canvas | None:
+        """Return the canvas with everything in front of the background, or None."""
+        scene, trail, trail_colour = self._scene, drawing.trail, drawing.trail_colour
         boxes, shadows, casters = [], [], []
         for qpos, ghost in copies:
             scene.place(qpos)
@@ -414,10 +371,10 @@ class RayRenderer(Stage):
                 if shadow is not None:
                     shadows.append((shadow, 1.0 if ghost is None else min(1.0, 1.3 * ghost.alpha)))
                     boxes.append(shadow[0])
-        lines = [] if trail is None or len(trail) < 2 else [(np.asarray(trail, float), 3)]
-        lines += [(np.stack([p, np.add(p, f)]), 24) for p, f in forces]
+        lines = [] if trail is None else [(trail, 3)]
+        lines += [(np.stack([p, np.add(p, f)]), 24) for p, f in drawing.forces]
         for points, margin in lines:
-            box = _clip(_box_of(view, points, margin), self.width, self.height)
+            box = _clip_box(_bounding_box(view, points, margin), self.width, self.height)
             if box is not None:
                 boxes.append(box)
         if not boxes:
@@ -436,17 +393,17 @@ class RayRenderer(Stage):
             canvas.blend(index, back.dark[part].reshape(-1, 3)[index], 1.0 - light.ravel()[index])
         for _, qpos, ghost, box in sorted(casters, key=lambda item: -item[0]):
             self._draw_vehicle(canvas, view, qpos, box, ghost)
-        if trail is not None and len(trail) >= 2:
+        if trail is not None:
             colour = overlay.TRAIL if trail_colour is None else trail_colour
             width = max(1.6, self.height / 260)
             fade = 0.95 if trail_colour is not None else np.linspace(0.45, 0.95, len(trail))
             overlay.draw_polyline(canvas, view, trail, width=width, colour=colour, alpha=fade)
-        for point, vector in forces:
+        for point, vector in drawing.forces:
             overlay.draw_arrow(canvas, view, point, vector, colour=overlay.FORCE)
         return canvas
 
     def _bounds(self, view: View):
-        """Pixel box (c0, r0, c1, r1) around the placed vehicle, or None outside the picture."""
+        """Return the pixel box (c0, r0, c1, r1) around the placed vehicle, or None outside the picture."""
         data, model = self._scene.data, self._scene.model
         geoms = np.concatenate([self._scene.parts, self._scene.discs])
         pixel, depth = view.project(data.geom_xpos[geoms])
@@ -457,10 +414,10 @@ class RayRenderer(Stage):
             *np.floor((pixel - radius[:, None]).min(axis=0)).astype(int),
             *np.ceil((pixel + radius[:, None]).max(axis=0)).astype(int),
         )
-        return _clip(box, self.width, self.height)
+        return _clip_box(box, self.width, self.height)
 
     def _shadow(self, view: View, back: _Background):
-        """Pixel box and coverage (h, w) of the placed vehicle's shadow on the background, or None.
+        """Return pixel box and coverage (h, w) of the placed vehicle's shadow on the background, or None.
 
         The silhouette is drawn in the light's frame and looked up from the pixels' surface points.
         """
@@ -476,7 +433,7 @@ class RayRenderer(Stage):
             point = corner @ scene.sun
             fall = max((point[2] + 0.3) / -scene.sun[2, 2], 0.0)
             reach += [point, point + fall * scene.sun[2]]
-        box = _clip(_box_of(view, np.array(reach), 2), self.width, self.height)
+        box = _clip_box(_bounding_box(view, np.array(reach), 2), self.width, self.height)
         if box is None:
             return None
         c0, r0, c1, r1 = box
@@ -501,7 +458,7 @@ class RayRenderer(Stage):
         return (int(c0), int(r0), int(c1), int(r1)), cover
 
     def _silhouette(self, low, size, texel) -> np.ndarray:
-        """Sunlight that the placed vehicle keeps: (size[1], size[0]) in the light's frame."""
+        """Return the share of sunlight that the vehicle blocks, (size[1], size[0]) across the light."""
         scene = self._scene
         a, b = np.meshgrid(np.arange(size[0]) * texel + low[0], np.arange(size[1]) * texel + low[1])
         a, b = a.ravel(), b.ravel()
@@ -525,14 +482,14 @@ class RayRenderer(Stage):
         return np.maximum(opaque, light).reshape(size[1], size[0])
 
     def _draw_vehicle(self, canvas: overlay.Canvas, view: View, qpos, box, ghost) -> None:
-        """Put the vehicle, or a ghost of it, over the canvas where it is nearer."""
+        """Draw the vehicle, or a ghost of it, onto the canvas where it is nearer."""
         if ghost is None:
             pixels, colour, cover, near = self._vehicle_layer(view, qpos, box, None)
         else:  # ghosts often stay where they are
-            kept = self._background_of[1].ghosts
+            kept = self._cached_background[1].ghosts
             key = (qpos.tobytes(), tuple(ghost.colour), ghost.tint)
             if key not in kept:
-                if len(kept) >= _KEPT_GHOSTS:
+                if len(kept) >= _CACHED_GHOSTS:
                     kept.clear()
                 kept[key] = self._vehicle_layer(view, qpos, box, ghost)
             pixels, colour, cover, near = kept[key]
@@ -548,7 +505,7 @@ class RayRenderer(Stage):
             depths[index[solid]] = near[solid]
 
     def _vehicle_layer(self, view: View, qpos, box, ghost: Ghost | None):
-        """Covered pixels (rows, columns), their colour weighted by coverage, coverage, depth."""
+        """Return covered pixels (rows, columns), their colour weighted by coverage, coverage, depth."""
         self._scene.place(qpos)
         scene = self._scene
         c0, r0, c1, r1 = box
@@ -583,7 +540,7 @@ class RayRenderer(Stage):
         return pixels, colour[kept], cover[kept], near[kept]
 
     def _vehicle_samples(self, view: View, rays, geom, distance, normal, ghost: Ghost | None):
-        """Colour weighted by coverage (n, 3), coverage (n,) and depth (n,) along rays."""
+        """Return colour weighted by coverage (n, 3), coverage (n,) and depth (n,) along rays."""
         scene = self._scene
         n = len(rays)
         rgb, alpha, depth = np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf)
@@ -602,6 +559,7 @@ class RayRenderer(Stage):
         for k, (phase, sense) in zip(scene.discs, scene.phase):
             frame = scene.data.geom_xmat[k].reshape(3, 3)
             centre, radius = scene.data.geom_xpos[k], scene.model.geom_size[k][0]
+            # Ray e + t d meets the disc's plane (x - c).n = 0 at t = (c - e).n / (d.n).
             slope = dot(rays, frame[:, 2])
             t = ((centre - view.eye) @ frame[:, 2]) / np.where(np.abs(slope) < 1e-9, 1e-9, slope)
             with np.errstate(over="ignore", invalid="ignore"):
@@ -618,9 +576,9 @@ class RayRenderer(Stage):
             behind = np.mod(sense * (phase - np.arctan2(y, x)), np.pi)
             blur = 0.5 * np.exp(-behind / 0.30) * np.clip(r / radius * 3.0, 0, 1)
             rim = 0.12 * (r / radius) ** 8
-            own = scene.rgba[k]
-            weight = np.clip(own[3] + blur + rim, 0, 0.85) * cover
-            tone = own[:3] + (blur / (blur + own[3]))[:, None] * (0.2 - own[:3])
+            rgba = scene.rgba[k]
+            weight = np.clip(rgba[3] + blur + rim, 0, 0.85) * cover
+            tone = rgba[:3] + (blur / (blur + rgba[3]))[:, None] * (0.2 - rgba[:3])
             if ghost is not None:
                 tone = tone + ghost.tint * (np.asarray(ghost.colour) - tone)
             front = t < depth[near]
@@ -631,12 +589,12 @@ class RayRenderer(Stage):
         return rgb, alpha, depth
 
 
-def _shown(colour: np.ndarray) -> np.ndarray:
-    """Colours in 0..1 as uint8."""
+def _as_uint8(colour: np.ndarray) -> np.ndarray:
+    """Return colours in 0..1 as uint8."""
     return (np.clip(colour, 0.0, 1.0) * np.float32(255.0) + np.float32(0.5)).astype(np.uint8)
 
 
-def _box_of(view: View, points: np.ndarray, margin: int):
+def _bounding_box(view: View, points: np.ndarray, margin: int):
     pixel, depth = view.project(points)
     if depth.min() < 0.05:
         return (0, 0, view.width, view.height)
@@ -644,14 +602,14 @@ def _box_of(view: View, points: np.ndarray, margin: int):
     return (*np.floor(low).astype(int), *np.ceil(high).astype(int))
 
 
-def _clip(box, width: int, height: int):
+def _clip_box(box, width: int, height: int):
     c0, r0, c1, r1 = box
     c0, r0, c1, r1 = max(int(c0), 0), max(int(r0), 0), min(int(c1), width), min(int(r1), height)
     return (c0, r0, c1, r1) if c1 > c0 and r1 > r0 else None
 
 
 def _box_blur(image: np.ndarray, radius: int) -> np.ndarray:
-    """Mean over a square of 2 radius + 1, twice: a soft edge."""
+    """Return the image blurred twice by a square of 2 radius + 1 pixels."""
     for _ in range(2):
         for axis in (0, 1):
             pad = [(0, 0), (0, 0)]

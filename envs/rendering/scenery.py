@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from inclined_landing.envs.rendering.camera import framing, look_at
+from inclined_landing.envs.rendering.camera import look_at, nearest_position
 from inclined_landing.envs.rendering.pose import qpos_of_state
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.scene import build_spec
@@ -25,13 +25,13 @@ _FAR_FRAME_RADIUS = 0.011  # m; thinner bars would be less than a pixel wide fro
 _UPPER_FRONT = (1, 4)  # the bar along x at the lowest y and the highest z
 
 
-def default_scale(camera) -> float:
-    """1 for cameras that sit close to the vehicle, `SCALE` for all others."""
+def default_vehicle_scale(camera) -> float:
+    """Return 1 for cameras close to the vehicle, `SCALE` for all others."""
     return 1.0 if camera in _CLOSE_CAMERAS else SCALE
 
 
 def scale_note(scale: float) -> str:
-    """What the caption says about the vehicle's drawn size."""
+    """Return the caption's note on the vehicle's drawn size."""
     return "" if scale == 1.0 else f"vehicle drawn {scale:g}x"
 
 
@@ -39,12 +39,12 @@ def rendering_model(
     vehicle: Vehicle | None = None,
     *,
     platform=None,
-    based: bool = True,
+    has_base: bool = True,
     scale: float = SCALE,
     aspect: float = 4 / 3,
     far: bool = False,
 ) -> mujoco.MjModel:
-    """The model that the renderers draw: visuals only, a closed base, the arena's edges, the camera `arena`.
+    """Return the drawn model: visual geoms only, a closed base, the arena's edges, the camera `arena`.
 
     aspect: width over height of the picture. far: draw the edges for a camera that sees all of them.
     platform: (position (3,), quaternion (4,)) of the slab, (None, None) for an arena without one;
@@ -65,7 +65,7 @@ def rendering_model(
         spec.delete(body)
     else:
         body.pos, body.quat = position, quaternion
-        if based:
+        if has_base:
             add_prism(spec, position, quaternion)
     for geom in spec.geoms:  # the engine's ray culling knows colliding geoms only
         geom.contype = geom.conaffinity = 1
@@ -96,14 +96,14 @@ def scale_vehicle(spec: mujoco.MjSpec, factor: float) -> None:
         geom.size = factor * np.asarray(geom.size)
 
 
-def drawn_centres(model: mujoco.MjModel, states, factor: float) -> np.ndarray:
-    """Where `scale_vehicle` puts the centre of mass of states (k, 13): points (k, 3) [m]."""
+def scaled_centres(model: mujoco.MjModel, states, factor: float) -> np.ndarray:
+    """Return where `scale_vehicle` puts the centre of mass of states (k, 13): points (k, 3) [m]."""
     qpos = qpos_of_state(states)
-    return np.array([drawn_points(model, row, row[:3], factor) for row in qpos])
+    return np.array([scaled_points(model, row, row[:3], factor) for row in qpos])
 
 
-def drawn_points(model: mujoco.MjModel, qpos, points, factor: float) -> np.ndarray:
-    """Where `scale_vehicle` puts points (..., 3) [m] of the vehicle at qpos (7,)."""
+def scaled_points(model: mujoco.MjModel, qpos, points, factor: float) -> np.ndarray:
+    """Return where `scale_vehicle` puts points (..., 3) [m] of the vehicle at qpos (7,)."""
     feet = [k for k in range(model.ngeom) if model.geom(k).name.startswith("foot_")]
     low = (model.geom_pos[feet, 2] - model.geom_size[feet, 0]).min()
     frame = np.zeros(9)
@@ -113,7 +113,7 @@ def drawn_points(model: mujoco.MjModel, qpos, points, factor: float) -> np.ndarr
 
 
 def add_prism(spec: mujoco.MjSpec, position, quaternion) -> None:
-    """The base as a closed prism between the slab and the floor.
+    """Add the base as a closed prism between slab and floor.
 
     Its eight corners are the slab's lower corners and their projections on the floor, for any pose
     of the slab.
@@ -141,25 +141,25 @@ def add_prism(spec: mujoco.MjSpec, position, quaternion) -> None:
 
 
 def arena_corners(vehicle: Vehicle) -> np.ndarray:
-    """Corners (8, 3) of the arena [m]; bits 4, 2, 1 of the row: upper bound in x, y, z."""
+    """Return the corners (8, 3) of the arena [m]; bits 4, 2, 1 of the row: upper bound in x, y, z."""
     x, y, z = vehicle.arena_x, vehicle.arena_y, vehicle.arena_z
     return np.array([(a, b, c) for a in x for b in y for c in z])
 
 
 def add_arena_camera(spec: mujoco.MjSpec, vehicle: Vehicle, aspect: float) -> None:
-    """The camera `arena`, which has all of the arena in its picture, whatever the picture's shape."""
+    """Add the camera `arena`, which sees the whole arena at any aspect ratio."""
     axes = look_at((0, 0, 0), _ALONG, 1, 1).axes
     half = np.tan(0.5 * np.radians(_FOVY))
     filled = aspect * half * _FILLED[0], half * _FILLED[1]
     right, up, forward = axes
-    position = framing(arena_corners(vehicle), axes, *filled)
+    position = nearest_position(arena_corners(vehicle), axes, *filled)
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.column_stack([right, up, -forward]).ravel())
     spec.worldbody.add_camera(name="arena", pos=position, quat=quat, fovy=_FOVY)
 
 
 def add_frame(spec: mujoco.MjSpec, vehicle: Vehicle, radius: float = _FRAME_RADIUS) -> None:
-    """The edges of the arena as thin bars, but for the upper front one: cameras look past it."""
+    """Add the edges of the arena as thin bars, except the upper front one, which would hide the scene."""
     corners = arena_corners(vehicle)
     for i in range(8):
         for bit in (1, 2, 4):

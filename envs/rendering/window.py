@@ -16,7 +16,7 @@ import numpy as np
 
 from inclined_landing.envs.rendering import scenery
 from inclined_landing.envs.rendering.camera import look_at
-from inclined_landing.envs.rendering.pose import pose_on
+from inclined_landing.envs.rendering.pose import pose_from_state
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, WX, WZ, YAW, X, Y
 from inclined_landing.models.errors import UserError
@@ -92,7 +92,7 @@ class Window:
 
     @property
     def open(self) -> bool:
-        """Has nobody closed it yet."""
+        """Whether the window is open."""
         return self._viewer is not None and self._viewer.is_running()
 
     def show(
@@ -114,10 +114,11 @@ class Window:
         now = time.monotonic()
         self._due = max(self._due + seconds, now - 0.1)  # what came late is not made up for
         time.sleep(max(0.0, self._due - now))
-        pose = pose_on(state, deck)
+        pose = pose_from_state(state, deck)
         there = np.zeros(WZ + 1) if deck is None else deck
-        based = deck is not None and not there[[X, Y, VX, VX + 1, VZ, ROLL]].any()  # what moves has no base
-        places = geometry.platform_poses([there[PITCH]], [based], self._vehicle, azimuth=[there[YAW]])
+        # A moving platform has no base.
+        has_base = deck is not None and not there[[X, Y, VX, VX + 1, VZ, ROLL]].any()
+        places = geometry.platform_poses([there[PITCH]], [has_base], self._vehicle, azimuth=[there[YAW]])
         places[0][0, 0], places[1][0, 0] = pose.platform_pos, pose.platform_quat
         with self._viewer.lock():
             data = self.data
@@ -132,7 +133,7 @@ class Window:
         self._viewer.sync()
 
     def close(self) -> None:
-        """Close the window and wait until its thread has let go of it."""
+        """Close the window and wait until its thread has released it."""
         viewer, self._viewer = self._viewer, None
         if viewer is None:
             return

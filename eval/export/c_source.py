@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from inclined_landing.envs.tasks import Task
 from inclined_landing.eval.export.network import Network
 from inclined_landing.eval.export.templates import render
 from inclined_landing.eval.export.vectors import TOLERANCE, Vectors
@@ -22,8 +23,8 @@ _ESTIMATED = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw")  # what t
 _APP_STACK = 350  # words that the firmware's own examples give an app, beside the policy's arrays
 
 
-def write(folder: Path, contract: dict, network: Network, vectors: Vectors) -> None:
-    """Write the source into `folder`, and the app where the firmware knows what the policy observes.
+def write(folder: Path, task: Task, network: Network, contract: dict, vectors: Vectors) -> None:
+    """Write the C source into `folder`, and the app where the firmware can observe what the policy does.
 
     Raises UserError when the constants would not fit beside the firmware.
     """
@@ -32,13 +33,13 @@ def write(folder: Path, contract: dict, network: Network, vectors: Vectors) -> N
             f"policy {contract['policy']['name']} has {4 * network.numbers} bytes of constants; the C export "
             f"takes at most {LARGEST}, half of the flash of a Crazyflie"
         )
-    content = _content(contract, network, vectors)
+    content = _template_values(contract, network, vectors)
     source = folder / "src"
     source.mkdir()
     for name in ("landing_policy.h", "landing_policy.c"):
         storage.write_text(source / name, render(f"c/{name}.j2", **content))
     storage.write_text(folder / "check.c", render("c/check.c.j2", **content))
-    reason = without_app(contract)
+    reason = reason_without_app(contract)
     if reason is None:
         storage.write_text(source / "app_main.c", render("c/crazyflie/app_main.c.j2", **content))
         storage.write_text(source / "Kbuild", render("c/crazyflie/src_Kbuild.j2"))
@@ -48,8 +49,8 @@ def write(folder: Path, contract: dict, network: Network, vectors: Vectors) -> N
     storage.write_text(folder / "README.md", render("c/README.md.j2", without_app=reason, **content))
 
 
-def without_app(contract: dict) -> str | None:
-    """Why the firmware cannot fly the policy as an app, in a few words; None where it can."""
+def reason_without_app(contract: dict) -> str | None:
+    """Return why the firmware cannot fly the policy as an app, in a few words; None where it can."""
     unknown = [entry["name"] for entry in contract["observation"] if entry["name"] not in _ESTIMATED]
     if unknown:
         return f"the firmware's estimator does not know {', '.join(unknown)}"
@@ -59,14 +60,15 @@ def without_app(contract: dict) -> str | None:
     return None
 
 
-def _content(contract: dict, network: Network, vectors: Vectors) -> dict:
+def _template_values(contract: dict, network: Network, vectors: Vectors) -> dict:
     history, o = contract["input"]["history"]["steps"], len(contract["observation"])
     widest = max(network.inputs, *network.sizes)
     stack = 4 * (2 * widest + (network.inputs + network.sizes[-1]) * (history > 0))
     stack += 4 * (1 + (network.inputs - o) * (history > 0) + network.sizes[-1])  # of the self test
     return {
-        "about": f"Policy {_plain(contract['policy']['name'])} of the task {contract['task']['name']}, "
-        f"exported by inclined-landing {contract['versions']['inclined-landing']}.",
+        "about": f"Policy {_comment_text(contract['policy']['name'])} of the task "
+        f"{contract['task']['name']}, exported by inclined-landing "
+        f"{contract['versions']['inclined-landing']}.",
         "name": contract["policy"]["name"],
         "task": contract["task"],
         "licence": contract["licence"]["spdx"],
@@ -75,7 +77,7 @@ def _content(contract: dict, network: Network, vectors: Vectors) -> dict:
         "stack_words": _APP_STACK + stack // 4,
         "constants": 4 * network.numbers,
         "observations": o,
-        "observation_names": [_plain(entry["name"]) for entry in contract["observation"]],
+        "observation_names": [_comment_text(entry["name"]) for entry in contract["observation"]],
         "actions": network.sizes[-1],
         "action_names": [entry["name"] for entry in contract["action"]],
         "history": history,
@@ -88,20 +90,20 @@ def _content(contract: dict, network: Network, vectors: Vectors) -> dict:
         "commands": list(zip(COMMAND_NAMES, COMMAND_UNITS)),
         "given": [entry["column"] for entry in contract["action"]],
         "widest": widest,
-        "centre": _rows(network.centre),
-        "scale": _rows(network.scale),
-        "limit": _limit(network.limit),
+        "centre": _format_numbers(network.centre),
+        "scale": _format_numbers(network.scale),
+        "limit": _c_limit(network.limit),
         "layers": _layers(network),
         "last": "yx"[len(network.sizes) % 2 == 0],
         "hidden": len(network.sizes) > 1,
         "activation": network.activation,
         "tanh": network.squashed or (network.activation == "Tanh" and len(network.sizes) > 1),
         "squashed": network.squashed,
-        "bound": _limit(network.bound),
+        "bound": _c_limit(network.bound),
         "channels": [_channel(entry) for entry in contract["action"]],
         "vectors": len(vectors.observations),
-        "vector_observations": _table(vectors.observations),
-        "vector_actions": _table(vectors.actions),
+        "vector_observations": _format_rows(vectors.observations),
+        "vector_actions": _format_rows(vectors.actions),
         "arena": [(axis, number(low), number(high)) for axis, (low, high) in contract["arena"].items()],
         "goal": _goal(contract["task"]),
         "observed": [entry["name"] for entry in contract["observation"]],
@@ -110,12 +112,12 @@ def _content(contract: dict, network: Network, vectors: Vectors) -> dict:
 
 
 def _layers(network: Network) -> list[dict]:
-    """What the templates say of each layer; x and y take turns as its input and output."""
+    """Return the template values of each layer; x and y alternate as its input and output."""
     layers = []
     for k, (weight, bias) in enumerate(zip(network.weights, network.biases)):
         inputs, outputs = weight.shape
         ends = {"source": "xy"[k % 2], "target": "yx"[k % 2], "inputs": inputs, "outputs": outputs}
-        layers.append({**ends, "weight": _rows(weight.ravel()), "bias": _rows(bias)})
+        layers.append({**ends, "weight": _format_numbers(weight.ravel()), "bias": _format_numbers(bias)})
     return layers
 
 
@@ -126,35 +128,35 @@ def _channel(entry: dict) -> dict:
 
 
 def _goal(task: dict) -> list[tuple[str, str, str]] | None:
-    """Fields, centres and half widths of the goal box in which motors are to be cut; None without one."""
+    """Return fields, centres and half widths of the goal box in which motors are cut; None without one."""
     goal, half = task["goal"], task["goal_half_widths"]
     if goal is None or half is None or not task["motors_cut_at_goal"]:
         return None
     return [(name, number(goal[name]), number(half[name])) for name in goal]
 
 
-def _plain(name: str) -> str:
-    """A name as a comment can hold it."""
+def _comment_text(name: str) -> str:
+    """Return a name escaped for a C comment."""
     return shown(name).replace("*/", "* /").replace("/*", "/ *").replace("?", "")
 
 
 def number(value: float) -> str:
-    """A float as C writes it, in the fewest digits that give it back."""
+    """Return a float as a C literal, in the fewest digits that reproduce it."""
     text = str(np.float32(value))
     return f"{text}f"
 
 
-def _limit(value: float) -> str | None:
+def _c_limit(value: float) -> str | None:
     return None if math.isinf(value) else number(value)
 
 
-def _rows(values: Iterable[float]) -> str:
-    """Numbers in lines of some."""
+def _format_numbers(values: Iterable[float]) -> str:
+    """Return numbers as C literals, a few to a line."""
     texts = [number(value) for value in values]
     lines = (", ".join(texts[k : k + _PER_LINE]) for k in range(0, len(texts), _PER_LINE))
     return "    " + ",\n    ".join(lines)
 
 
-def _table(rows: np.ndarray) -> str:
-    """Rows (m, k) in braces, one in a line."""
+def _format_rows(rows: np.ndarray) -> str:
+    """Return rows (m, k) as C initialisers, one to a line."""
     return ",\n".join("        {" + ", ".join(map(number, row)) + "}" for row in rows)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import importlib
 from pathlib import Path
 from typing import Annotated
 
@@ -14,23 +14,23 @@ from inclined_landing.eval.base.options import Folder, TaskName, VehicleFile
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.base.runs import check_new_run, staged_run
 from inclined_landing.eval.base.tables import printer
-from inclined_landing.eval.export import c_source, contract, numpy_file, vectors
+from inclined_landing.eval.export import c_source, contract, vectors
 from inclined_landing.eval.export.network import Network
-from inclined_landing.eval.export.vectors import Vectors
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 
+# Modules with a function `write(folder, task, network, contract, vectors)`, imported when they are needed.
+FORMATS = {
+    "onnx": "inclined_landing.eval.export.onnx_file",
+    "c": "inclined_landing.eval.export.c_source",
+    "numpy": "inclined_landing.eval.export.numpy_file",
+}
 FormatName = Annotated[str, tyro.conf.arg(metavar="{onnx,c,numpy}")]
 
 
 def command(
-    policy: AnyPolicy,
-    /,
-    format: FormatName,
-    out: Folder,
-    task: TaskName = None,
-    vehicle: VehicleFile = None,
+    policy: AnyPolicy, /, format: FormatName, out: Folder, task: TaskName = None, vehicle: VehicleFile = None
 ) -> None:
     """A policy as ONNX, as C for a microcontroller or for NumPy, with contract and test vectors.
 
@@ -40,39 +40,41 @@ def command(
         out: new folder for the export.
         task: the task the policy must be for; needed for a plain Stable-Baselines3 file, and for a task of
             your own, written module:Class or file.py:Class, which is then imported.
-        vehicle: vehicle file (TOML), or a shipped vehicle by name, that is flown, where it is not that of the
-            training; what a policy is told of its vehicle becomes part of the network.
+        vehicle: vehicle to be flown, where it is not that of the training: a vehicle file (TOML), or the name
+            of a shipped one; vehicle parameters that a policy observes become constants of the network.
     """
     check_format(format)
     check_new_run(out)
     flown = None if vehicle is None else load_vehicle(vehicle)
-    loaded = contract.load(policy, import_task(task).name if is_path(task) else task, flown)
+    loaded = contract.load(
+        policy, import_task(task).name if task is not None and is_path(task) else task, flown
+    )
     terms = write(loaded, format, out)
     say = printer().print
     say(f"{loaded.name} as {format} in {out}; contract.md says what goes in and out")
     if format == "c" and 4 * terms["cost"]["constants"] > c_source.SMALL:
         say(f"its constants take {4 * terms['cost']['constants']} bytes of flash, beside the firmware")
-    reason = c_source.without_app(terms) if format == "c" else None
+    reason = c_source.reason_without_app(terms) if format == "c" else None
     if reason is not None:
         say(f"without an app for the Crazyflie: {reason}")
 
 
 def write(policy: Policy, format: str, out: str | Path) -> dict:
-    """Write the export of a policy into the new folder `out`, whole or not at all; returns its contract.
+    """Write the export of a policy into the new folder `out`, whole or not at all; return its contract.
 
     format: one of FORMATS. Raises UserError for another one, for what the format does not hold, and when the
     folder exists and is not empty or cannot be written.
     """
     check_format(format)
-    policy = policy.for_its_vehicle()
-    network = Network.of(policy)
-    terms = contract.of(policy, network)
-    tested = vectors.of(policy)
+    policy = policy.with_fixed_vehicle()
+    network = Network.from_policy(policy)
+    terms = contract.describe(policy, network)
+    tested = vectors.record(policy)
     with staged_run(out) as folder:
-        FORMATS[format](folder, policy, network, terms, tested)
+        importlib.import_module(FORMATS[format]).write(folder, policy.task, network, terms, tested)
         storage.write_json(folder / "vectors.json", tested.table())
         storage.write_json(folder / "contract.json", terms)
-        storage.write_text(folder / "contract.md", contract.words(terms))
+        storage.write_text(folder / "contract.md", contract.to_markdown(terms))
     return terms
 
 
@@ -80,27 +82,4 @@ def check_format(format: str) -> None:
     """Raise UserError for an unknown format, and ImportError for one whose package is not installed."""
     if format not in FORMATS:
         raise UserError(f"unknown format {shown(repr(format), 40)}; known are {', '.join(FORMATS)}")
-    if format == "onnx":
-        from inclined_landing.eval.export import onnx_file  # noqa: F401
-
-
-def _onnx(folder: Path, policy: Policy, network: Network, terms: dict, tested: Vectors) -> None:
-    from inclined_landing.eval.export import onnx_file
-
-    notes = {"contract": storage.to_json(terms), "policy_sha256": terms["policy"]["sha256"]}
-    onnx_file.write(folder, network, notes)
-
-
-def _c(folder: Path, policy: Policy, network: Network, terms: dict, tested: Vectors) -> None:
-    c_source.write(folder, terms, network, tested)
-
-
-def _numpy(folder: Path, policy: Policy, network: Network, terms: dict, tested: Vectors) -> None:
-    numpy_file.write(folder, network, policy.task, tested)
-
-
-FORMATS: dict[str, Callable[[Path, Policy, Network, dict, Vectors], None]] = {
-    "onnx": _onnx,
-    "c": _c,
-    "numpy": _numpy,
-}
+    importlib.import_module(FORMATS[format])

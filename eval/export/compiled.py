@@ -20,16 +20,16 @@ _COMPILERS = ("cc", "gcc", "clang")
 
 
 def compiler() -> list[str] | None:
-    """The C compiler of this machine, as CC names it or by its usual names; None where there is none."""
-    given = shlex.split(os.environ.get("CC", ""))
-    if given:
-        return given if shutil.which(given[0]) else None
+    """Return the C compiler named by CC or found under its usual names; None where there is none."""
+    named = shlex.split(os.environ.get("CC", ""))
+    if named:
+        return named if shutil.which(named[0]) else None
     found = next(filter(None, map(shutil.which, _COMPILERS)), None)
     return None if found is None else [found]
 
 
 def build(sources: Sequence[Path], out: Path, *flags: str) -> Path:
-    """Compile sources into `out` under C99 without a warning; UserError with the compiler's first error."""
+    """Compile sources into `out` as C99 without warnings; raise UserError with the compiler's first error."""
     found = compiler()
     if found is None:
         raise UserError("no C compiler was found; install one (on Debian and Ubuntu: apt install gcc)")
@@ -42,7 +42,7 @@ def build(sources: Sequence[Path], out: Path, *flags: str) -> Path:
 
 
 class Library:
-    """The policy of a C export; `folder` is one, `scratch` an empty folder to compile in."""
+    """The compiled policy of a C export; `folder` is one, `scratch` an empty folder to compile in."""
 
     def __init__(self, folder: Path, scratch: Path, *flags: str):
         rows = scratch / "rows.c"
@@ -53,7 +53,9 @@ class Library:
         self._library = ctypes.CDLL(str(path))
 
     def infer(self, inputs: np.ndarray, actions: int) -> np.ndarray:
-        """Actions (n, a) for whole inputs (n, i), history included; ValueError for the C code's refusal."""
+        """Return actions (n, a) for inputs (n, i), history included; raise ValueError where the C code
+        refuses.
+        """
         inputs = np.ascontiguousarray(inputs, np.float32)
         result = np.zeros((len(inputs), actions), np.float32)
         code = self._library.landing_policy_infer_rows(_pointer(inputs), _pointer(result), len(inputs))
@@ -62,7 +64,7 @@ class Library:
         return result
 
     def call(self, name: str, *arrays: np.ndarray) -> int:
-        """What a function of the header returns for arrays that it reads or writes."""
+        """Return the result of a function of the header for arrays that it reads or writes."""
         return getattr(self._library, name)(*map(_pointer, arrays))
 
 

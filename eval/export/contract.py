@@ -58,7 +58,7 @@ _TRAINING = ("seed", "steps", "plant", "curriculum", "command", "ranges", "versi
 
 
 def load(name: str, task: str | None = None, vehicle: Vehicle | None = None) -> Policy:
-    """The policy for the task and the vehicle of its training, or for another one.
+    """Return the policy for the task and the vehicle of its training, or for another vehicle.
 
     Raises UserError when there is none.
     """
@@ -68,8 +68,8 @@ def load(name: str, task: str | None = None, vehicle: Vehicle | None = None) -> 
     return load_policy(name, task, vehicle=_trained_vehicle(policy))
 
 
-def of(policy: Policy, network: Network) -> dict:
-    """The contract of a policy. Raises UserError where its task maps actions in a way of its own."""
+def describe(policy: Policy, network: Network) -> dict:
+    """Return the contract of a policy. Raises UserError where its task has its own mapping of actions."""
     task, space = policy.task, action_space(policy.task)
     _check_channels(policy)
     return {
@@ -104,7 +104,7 @@ def of(policy: Policy, network: Network) -> dict:
             for k, channel in enumerate(task.channels)
         ],
         "commands": [
-            {"name": name, "unit": unit, "given": name in _given(task)}
+            {"name": name, "unit": unit, "given": name in _commanded_names(task)}
             for name, unit in zip(COMMAND_NAMES, COMMAND_UNITS)
         ],
         "arena": {axis: list(getattr(task.vehicle, f"arena_{axis}")) for axis in "xyz"},
@@ -117,7 +117,7 @@ def of(policy: Policy, network: Network) -> dict:
                 "onnx": "every action of that row is NaN",
             },
         },
-        "cost": cost.of(network),
+        "cost": cost.estimate(network),
         "versions": runs.packages(),
         "licence": {
             "spdx": importlib.metadata.metadata("inclined-landing")["License-Expression"],
@@ -126,10 +126,10 @@ def of(policy: Policy, network: Network) -> dict:
     }
 
 
-def words(contract: dict) -> str:
-    """The contract for people, as Markdown."""
-    given = contract["input"]
-    names = list(zip(given["names"], given["centre"], given["scale"]))
+def to_markdown(contract: dict) -> str:
+    """Return the contract as Markdown for people."""
+    entry = contract["input"]
+    names = list(zip(entry["names"], entry["centre"], entry["scale"]))
     return render("contract.md.j2", names=names, **contract)
 
 
@@ -190,12 +190,12 @@ def _input(policy: Policy) -> dict:
     }
 
 
-def _given(task: Task) -> set[str]:
+def _commanded_names(task: Task) -> set[str]:
     return {COMMAND_NAMES[channel.column] for channel in task.channels}
 
 
 def _check_channels(policy: Policy) -> None:
-    """Raise UserError unless the task commands what its channels say."""
+    """Raise UserError unless the task's commands follow its channels."""
     task = policy.task
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (64, len(task.action_names)))
     if not np.allclose(Task.commands(task, actions), task.commands(actions), rtol=0.0, atol=1e-9):
@@ -217,14 +217,14 @@ def _vehicle(policy: Policy) -> dict:
 
 
 def _trained_vehicle(policy: Policy) -> Vehicle:
-    """The shipped vehicle with the differences that the stamp names; UserError where they are none."""
-    given, shipped = policy.metadata["vehicle"], load_vehicle()
+    """Return the shipped vehicle with the differences in the stamp; raise UserError for invalid ones."""
+    entry, shipped = policy.metadata["vehicle"], load_vehicle()
     what = f"policy {policy.path}: the vehicle in its stamp"
-    if not isinstance(given, Mapping):
+    if not isinstance(entry, Mapping):
         raise UserError(f"{what} is not a table")
-    if unknown := [name for name in given if name not in vars(shipped)]:
+    if unknown := [name for name in entry if name not in vars(shipped)]:
         raise UserError(f"{what} has the unknown entry {shown(unknown[0], 60)}")
-    fields = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+    fields = {name: tuple(value) if isinstance(value, list) else value for name, value in entry.items()}
     vehicle = shipped.changed(**fields)
     try:
         check_vehicle(vehicle)

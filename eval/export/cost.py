@@ -25,9 +25,9 @@ _INPUT = (20.0, 30.0)  # division by the scale, clip, check: 14 and some
 _TANH_OPERATIONS = 19  # additions, multiplications and divisions of one tanh
 
 
-def of(network: Network) -> dict:
-    """Counts and estimates of one action, for the contract."""
-    low, high = (1e6 * cycles / CLOCK for cycles in cycles_of(network))
+def estimate(network: Network) -> dict:
+    """Return operation counts and time estimates of one action, for the contract."""
+    low, high = (1e6 * cycles / CLOCK for cycles in cycle_bounds(network))
     return {
         "constants": network.numbers,
         "multiply_adds": network.multiply_adds,
@@ -38,15 +38,17 @@ def of(network: Network) -> dict:
 
 
 def operations(network: Network) -> int:
-    """Floating-point operations of one action: two for each product, those of scaling and activation."""
+    """Return the floating-point operations of one action: two per product, and those of scaling and
+    activation.
+    """
     each = _TANH_OPERATIONS if network.activation == "Tanh" else 1
     hidden = sum(network.sizes[:-1])
     last = _TANH_OPERATIONS * network.sizes[-1] * network.squashed
     return 2 * network.multiply_adds + 2 * network.inputs + each * hidden + last
 
 
-def cycles_of(network: Network) -> tuple[float, float]:
-    """Cycles of a Cortex-M4F for one action, at least and at most; see the module's docstring."""
+def cycle_bounds(network: Network) -> tuple[float, float]:
+    """Return lower and upper bounds of the Cortex-M4F cycles for one action; see the module's docstring."""
     hidden, last = sum(network.sizes[:-1]), network.sizes[-1] * network.squashed
     activation = _TANH if network.activation == "Tanh" else _RELU
     low, high = (

@@ -39,11 +39,11 @@ class LandingPolicy:
             raise ValueError(f"{path} misses its own test vectors by {error:.2g}")
 
     def reset(self):
-        """Forget the flight so far; before the first step of each flight."""
+        """Clear the history; call it before the first step of each flight."""
         self._past = None
 
     def act(self, observation):
-        """Action (a,) float32 in [-1, 1] for the present observation (o,), and remember both.
+        """Return the action (a,) float32 in [-1, 1] for an observation (o,), and append both to the history.
 
         Raises ValueError for a wrong shape, NaN or infinity; then nothing is remembered.
         """
@@ -60,7 +60,7 @@ class LandingPolicy:
         return action
 
     def infer(self, inputs):
-        """Actions (..., a) float32 for whole inputs (..., i), history included; remembers nothing."""
+        """Return actions (..., a) float32 for inputs (..., i), history included, without remembering them."""
         inputs, n = np.asarray(inputs, np.float32), self._numbers
         if inputs.shape[-1:] != (self.inputs,):
             raise ValueError(f"an input has {self.inputs} numbers, not shape {inputs.shape}")
@@ -78,7 +78,7 @@ class LandingPolicy:
         return np.clip(x, np.float32(-1), np.float32(1))
 
     def commands(self, action):
-        """PWM, roll, pitch [rad] and yaw rate [rad/s] (4,) of an action (a,); 0 where none is given."""
+        """Return PWM, roll, pitch [rad] and yaw rate [rad/s] (4,) of an action (a,), 0 by default."""
         action, result = np.asarray(action, float), np.zeros(4)
         if action.shape != (self.actions,) or not np.isfinite(action).all():
             raise ValueError(f"an action is {self.actions} finite numbers")
@@ -89,7 +89,7 @@ class LandingPolicy:
         return result
 
     def self_test(self):
-        """The largest difference of an action from the file's test vectors; forgets the flight so far."""
+        """Return the largest deviation of an action from the file's test vectors; clears the history."""
         self.reset()
         vectors = zip(self._numbers["vector_observations"], self._numbers["vector_actions"])
         error = max(float(np.abs(self.act(given) - wanted).max()) for given, wanted in vectors)

@@ -30,8 +30,8 @@ class Network:
     bound: float  # inf: not clipped
 
     @classmethod
-    def of(cls, policy: Policy) -> Network:
-        """The network of a policy. Raises UserError where float32 does not hold its numbers."""
+    def from_policy(cls, policy: Policy) -> Network:
+        """Return the network of a policy. Raises UserError where float32 cannot hold its numbers."""
         scale = policy.scale.astype(np.float32)
         if not (scale >= _SMALLEST).all() or not np.isfinite(scale).all():
             raise UserError(
@@ -50,25 +50,25 @@ class Network:
 
     @property
     def inputs(self) -> int:
-        """Numbers that go in."""
+        """Number of inputs."""
         return len(self.centre)
 
     @property
     def sizes(self) -> list[int]:
-        """Numbers that come out of each layer."""
+        """Number of outputs of each layer."""
         return [len(b) for b in self.biases]
 
     @property
     def numbers(self) -> int:
-        """Constants of the network: four bytes each."""
+        """Number of constants, four bytes each."""
         return 2 * self.inputs + sum(w.size + b.size for w, b in zip(self.weights, self.biases))
 
     @property
     def multiply_adds(self) -> int:
-        """Products that are summed for one action."""
+        """Number of multiply-adds for one action."""
         return sum(w.size for w in self.weights)
 
     @property
     def activations(self) -> int:
-        """Evaluations of the activation for one action, the last tanh included."""
+        """Number of activation functions evaluated for one action, a final tanh included."""
         return sum(self.sizes[:-1]) + self.squashed * self.sizes[-1]

@@ -16,7 +16,7 @@ from inclined_landing.models import storage
 READER = "landing_policy.py"
 
 
-def write(folder: Path, network: Network, task: Task, vectors: Vectors) -> None:
+def write(folder: Path, task: Task, network: Network, contract: dict, vectors: Vectors) -> None:
     """Write policy.npz and landing_policy.py into `folder`."""
     rows = [(c.column, c.centre, c.span, c.low, c.high, -math.inf if c.idle is None else c.idle)
             for c in task.channels]  # fmt: skip

@@ -10,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from inclined_landing.envs.tasks import Task
 from inclined_landing.eval.export.network import Network
+from inclined_landing.eval.export.vectors import Vectors
 from inclined_landing.models import storage
 from inclined_landing.models.errors import optional
 
@@ -22,8 +24,8 @@ OPSET = 17
 _IR_VERSION = 8  # of the same age
 
 
-def write(folder: Path, network: Network, notes: dict[str, str]) -> None:
-    """Write policy.onnx into `folder`; notes: texts that the file carries as metadata."""
+def write(folder: Path, task: Task, network: Network, contract: dict, vectors: Vectors) -> None:
+    """Write policy.onnx into `folder`, with its contract as metadata."""
     nodes: list = []
     constants: list = []
 
@@ -57,11 +59,13 @@ def write(folder: Path, network: Network, notes: dict[str, str]) -> None:
     constants.append(axes)
     nodes.append(helper.make_node("ReduceSum", [zeros, "axes"], ["doubt"], name="doubt", keepdims=1))
     node("Add", x, "doubt", name="action")
-    given = helper.make_tensor_value_info("input", TensorProto.FLOAT, ["n", network.inputs])
-    answer = helper.make_tensor_value_info("action", TensorProto.FLOAT, ["n", network.sizes[-1]])
-    graph = helper.make_graph(nodes, "landing_policy", [given], [answer], constants)
+    input_info = helper.make_tensor_value_info("input", TensorProto.FLOAT, ["n", network.inputs])
+    output_info = helper.make_tensor_value_info("action", TensorProto.FLOAT, ["n", network.sizes[-1]])
+    graph = helper.make_graph(nodes, "landing_policy", [input_info], [output_info], constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=_IR_VERSION)
     model.producer_name = "inclined-landing"
-    helper.set_model_props(model, notes)
+    helper.set_model_props(
+        model, {"contract": storage.to_json(contract), "policy_sha256": contract["policy"]["sha256"]}
+    )
     onnx.checker.check_model(model, full_check=True)
     storage.write_bytes(folder / "policy.onnx", model.SerializeToString(deterministic=True))

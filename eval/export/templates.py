@@ -15,7 +15,9 @@ _SPECIAL = re.compile(r"[\\`*<>|~$&#]|(?<![^\W_])_|_(?![^\W_])|\](?=[(\[:])")
 
 
 def render(template: str, **content) -> str:
-    """A template of this room filled in, as plain text; in Markdown every value as `markdown` has it."""
+    """Return a template of this package filled in, as plain text; in Markdown values are escaped by
+    `markdown`.
+    """
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(text),
         trim_blocks=True,
@@ -28,10 +30,10 @@ def render(template: str, **content) -> str:
 
 
 def markdown(value: object) -> str:
-    """A value as Markdown shows it letter by letter: one line, and no formatting, link or HTML of its own."""
+    """Return a value escaped for Markdown: one line, and no formatting, link or HTML of its own."""
     return _SPECIAL.sub(r"\\\g<0>", shown(value, LONGEST))
 
 
 def text(name: str) -> str:
-    """A file of this room."""
+    """Return a text file of this package."""
     return resources.files("inclined_landing.eval.export").joinpath(*name.split("/")).read_text("utf-8")

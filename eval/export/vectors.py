@@ -26,7 +26,7 @@ _SPREAD = 4.0  # of these, in scales of the observation
 
 @dataclasses.dataclass(frozen=True)
 class Vectors:
-    """m successive steps."""
+    """Test vectors of m successive steps."""
 
     states: np.ndarray  # (m, 13)
     observations: np.ndarray  # (m, o) float32
@@ -35,7 +35,7 @@ class Vectors:
     commands: np.ndarray  # (m, 4)
 
     def table(self) -> dict:
-        """As vectors.json has them."""
+        """Return the test vectors as vectors.json has them."""
         return {
             "tolerance": TOLERANCE,
             "about": "successive steps of one flight, as far as a history is concerned",
@@ -44,40 +44,40 @@ class Vectors:
 
 
 def sequence(policy: Policy, states: np.ndarray, observations: np.ndarray) -> Vectors:
-    """The policy's answers to observations (m, o) one after the other, of states (m, 13)."""
+    """Return the policy's answers to observations (m, o) in sequence, of states (m, 13)."""
     task, past = policy.task, History(policy.task, 1)
     inputs, actions = [], []
     for k, observation in enumerate(observations.astype(np.float32)):
         row = observation[None]
         if k == 0:
-            past.begin(slice(None), row)
-        inputs.append(past.behind(row)[0])
+            past.reset(slice(None), row)
+        inputs.append(past.stack(row)[0])
         actions.append(policy.predict(inputs[-1]))
-        past.note(row, actions[-1][None])
+        past.record(row, actions[-1][None])
     answers = np.array(actions)
     commands = task.commands(answers.astype(float))
     return Vectors(states, observations.astype(np.float32), np.array(inputs), answers, commands)
 
 
-def of(policy: Policy, seed: int = 0) -> Vectors:
-    """The test vectors of a policy. Raises UserError when its task cannot be flown."""
-    flown, wide = _flown(policy, seed), _wide(policy, np.random.default_rng(seed))
-    states, observations = (np.concatenate(pair) for pair in zip(flown, wide))
+def record(policy: Policy, seed: int = 0) -> Vectors:
+    """Return the test vectors of a policy. Raises UserError when its task cannot be flown."""
+    flights, wide = _sample_flights(policy, seed), _sample_wide(policy, np.random.default_rng(seed))
+    states, observations = (np.concatenate(pair) for pair in zip(flights, wide))
     return sequence(policy, states, observations)
 
 
-def _flown(policy: Policy, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """States and observations of flights from random starts, evenly spaced in time."""
+def _sample_flights(policy: Policy, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return states and observations of flights from random starts, evenly spaced in time."""
     task = policy.task
     env = BatchEnv(task, make_plant("hybrid", _FLIGHTS, task.vehicle, **task.plant_options), seed)
-    given = env.reset()
+    observation = env.reset()
     states, observations, length = [], [], np.full(_FLIGHTS, task.max_steps - 1)
     try:
         for k in range(task.max_steps):
             states.append(env.plant.state.copy())
-            observations.append(given[:, : len(task.observation_names)].copy())
-            step = env.step(policy.predict(given), length > k)
-            given = step.observation
+            observations.append(observation[:, : len(task.observation_names)].copy())
+            step = env.step(policy.predict(observation), length > k)
+            observation = step.observation
             length[step.terminated & (length > k)] = k
             if (length <= k).all():
                 break
@@ -90,8 +90,10 @@ def _flown(policy: Policy, seed: int) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def _wide(policy: Policy, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """States and observations around the network's centre, wider than flights go."""
+def _sample_wide(policy: Policy, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return normally distributed observations around the network's centre, wider than in flight, with
+    states.
+    """
     task = policy.task
     noise = rng.normal(size=(_WIDE, len(task.observation_names)))
     observations = task.observation_centre + _SPREAD * task.observation_scale * noise

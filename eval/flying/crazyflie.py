@@ -32,30 +32,30 @@ def command(
 
     Args:
         port: UDP port that it answers on; 0 takes a free one. cflib's scan looks at 19850 to 19859.
-        poses: where the poses of its motion capture are sent to.
-        vehicle: nominal, hidden (gaps that no policy was told), or a vehicle file.
+        poses: address that the poses of its motion capture are sent to.
+        vehicle: nominal, hidden (with gaps unknown to every policy), or a vehicle file.
         start: where it stands on the floor, m.
         inclination: of the platform in degrees, where it differs from the vehicle file's.
         fault: what goes wrong, and when; repeat the option for more.
         seconds: end after this time.
         seed: of noise, delays and dropouts.
-        out: write what truly happened there, as the documented CSV (.csv, .csv.gz).
+        out: file for the ground truth, as the documented CSV (.csv, .csv.gz).
     """
     from inclined_landing.eval.flying.pose_stream import resolved
     from inclined_landing.eval.flying.simulated.faults import Fault
-    from inclined_landing.eval.flying.simulated.gaps import vehicle_named
-    from inclined_landing.eval.flying.simulated.process import Process
+    from inclined_landing.eval.flying.simulated.server import SimulatorServer
+    from inclined_landing.eval.flying.simulated.vehicles import named_vehicle
     from inclined_landing.eval.flying.simulated.world import Setting, World
 
     address, faults = resolved(poses), [Fault.parse(text) for text in fault]
     angle = None if inclination is None else math.radians(inclination)
-    setting = Setting(vehicle_named(vehicle), parse_start(start), inclination=angle)
+    setting = Setting(named_vehicle(vehicle), parse_start(start), inclination=angle)
     if out is not None:
         if not out.name.endswith((".csv", ".csv.gz")):
             raise UserError(f"--out: a log is a .csv or .csv.gz file, not {shown(repr(out.name), 60)}")
         check_file(out)
     world = World(setting, seed, faults)
-    process = Process(world, port, address, lambda line: print(line, flush=True))
+    process = SimulatorServer(world, port, address, lambda line: print(line, flush=True))
     print(f"a simulated Crazyflie at udp://127.0.0.1:{process.port}, its poses to {poses}", flush=True)
     try:
         process.run(float("inf") if seconds is None else seconds)
@@ -70,7 +70,7 @@ def command(
 
 
 def parse_start(text: str) -> tuple[float, float]:
-    """X,Y in metres. Raises UserError."""
+    """Return x, y [m] from the text X,Y. Raises UserError."""
     try:
         x, y = (float(number) for number in text.split(","))
     except ValueError:

@@ -27,7 +27,7 @@ _READY, _OVER = b"ready\n", b"over\n"
 
 
 class DeadManSwitch:
-    """As a context: when this process ends inside of it, the motors of the vehicle at `uri` are stopped.
+    """Context in which the motors of the vehicle at `uri` are stopped when this process dies.
 
     Raises UserError on entering where the other process does not start.
     """
@@ -44,8 +44,8 @@ class DeadManSwitch:
         )
         output = self._process.stdout
         assert output is not None
-        heard = select.select([output], [], [], STARTING)[0]
-        if not heard or output.readline() != _READY:
+        data = select.select([output], [], [], STARTING)[0]
+        if not data or output.readline() != _READY:
             self._process.kill()
             self._process.communicate()
             raise UserError(
@@ -59,7 +59,7 @@ class DeadManSwitch:
 
 
 def stop(uri: str) -> None:
-    """Send the vehicle at `uri` what stops its motors, for a while. Raises what cflib does without a link."""
+    """Send stop commands to the vehicle at `uri` for a while. Raises what cflib does without a link."""
     import cflib.crtp
     from cflib.crtp.crtpstack import CRTPPacket
 
@@ -82,7 +82,7 @@ def stop(uri: str) -> None:
 
 
 def main(uri: str) -> None:
-    """Wait for the end of standard input; stop the motors where it ends without the word that all is over."""
+    """Wait for the end of standard input; stop the motors where it ends without the agreed last word."""
     import cflib.crtp
 
     cflib.crtp.init_drivers()

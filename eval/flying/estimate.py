@@ -9,7 +9,7 @@ import numpy as np
 
 from inclined_landing.eval.flying import frames
 from inclined_landing.eval.flying.interfaces import Pose
-from inclined_landing.eval.flying.kalman import Filter, Noise
+from inclined_landing.eval.flying.kalman import KalmanFilter, NoiseModel
 from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Z
 
 RESTART = 5.0  # s: clocks this far apart mean that the vehicle's began anew, as its 24 bits do after 4.7 h
@@ -18,15 +18,17 @@ HEADING_TIME = 0.5  # s in which the heading follows motion capture: gyroscopes 
 
 @dataclasses.dataclass(frozen=True)
 class Attitude:
-    """One attitude of the vehicle's log."""
+    """One attitude from the vehicle's log."""
 
     time: float  # s of the pilot's clock at which the vehicle took it
     rotation: np.ndarray  # (3, 3) body to the vehicle's own world, whose heading is the gyroscopes'
-    lift: float = math.nan  # g, along the body's z as the accelerometer shows it; NaN where not logged
+    specific_force: float = (
+        math.nan
+    )  # g, along the body's z as the accelerometer shows it; NaN where not logged
 
 
-class LogClock:
-    """Dates what the vehicle logs by the pilot's clock.
+class ClockOffset:
+    """Offset between the clocks of vehicle and pilot, from the fastest packet so far.
 
     A packet arrives late, never early: the least difference between arrival and the vehicle's own time stamp
     is the offset of its clock, but for the shortest way that a packet took, and the jitter of the radio is
@@ -37,7 +39,10 @@ class LogClock:
         self._offset = math.inf
 
     def date(self, stamp: int, arrival: float) -> float:
-        """Time [s] of a packet with the vehicle's time stamp [ms] that arrived at `arrival` [s]."""
+        """Return the pilot's time [s] of a packet stamped `stamp` [ms] by the vehicle that came at `arrival`
+        [s].
+        """
+        # offset = min over packets of (arrival - stamp): the one with the shortest delay
         offset = arrival - 1e-3 * stamp
         if abs(offset - self._offset) > RESTART:
             self._offset = math.inf
@@ -46,14 +51,14 @@ class LogClock:
 
 
 @dataclasses.dataclass(frozen=True)
-class Belief:
-    """The vehicle at one moment, and how good the knowledge is."""
+class StateEstimate:
+    """The estimated state of the vehicle at one moment, and the age of its measurements."""
 
     time: float  # s
     state: np.ndarray  # (13,) as tasks observe it; NaN where nothing is known, rates and lag 0
     pose_age: float  # s since the last believed position
     attitude_age: float  # s since the last attitude
-    disagreement: float  # rad between the attitudes of log and motion capture; 0 where one is not known
+    attitude_mismatch: float  # rad between the attitudes of log and motion capture; 0 where one is not known
 
     @property
     def tilt(self) -> float:
@@ -62,87 +67,92 @@ class Belief:
 
     @property
     def speed(self) -> float:
-        """m/s."""
+        """Norm of the velocity [m/s]."""
         return float(np.linalg.norm(self.state[VX : VZ + 1]))
 
 
 class Estimator:
-    """Folds poses and attitudes into a `Belief`.
+    """State estimator that fuses motion capture poses and the vehicle's attitude log.
 
     heading [rad]: where the nose points when the first attitude comes; used while no pose has an attitude.
     """
 
-    def __init__(self, noise: Noise, heading: float = 0.0):
-        self.filter = Filter(noise)
-        self.shown: Pose | None = None  # the last pose, believed or not
+    def __init__(self, noise: NoiseModel, heading: float = 0.0):
+        self.filter = KalmanFilter(noise)
+        self.last_pose: Pose | None = None  # the last pose, believed or not
         self.attitude: Attitude | None = None
-        self.sees_heading = False  # does motion capture show it
+        self.heading_measured = False  # does motion capture show it
         self._heading = heading
         self._offset: float | None = None  # of the arena's heading over the vehicle's own, rad
-        self._seen: tuple[float, np.ndarray] | None = None  # time, rotation (3, 3)
+        self._mocap_attitude: tuple[float, np.ndarray] | None = None  # time, rotation (3, 3)
 
-    def see(self, pose: Pose, impact: bool = False) -> bool:
-        """Take a pose; True where its position is new and believed. impact: something to touch is near.
+    def add_pose(self, pose: Pose, impact: bool = False) -> bool:
+        """Fuse a pose; return whether its position is new and accepted. impact: contact is possible.
 
         A position that equals the one before to the last bit is no measurement: cameras are never that still.
         """
-        before, self.shown = self.shown, pose
+        before, self.last_pose = self.last_pose, pose
         if before is not None and (
             pose.time == before.time or np.array_equal(pose.position, before.position)
         ):
             return False
         if pose.attitude is not None and np.isfinite(pose.attitude).all() and np.any(pose.attitude):
             self._align(pose, 0.0 if before is None else pose.time - before.time)
-        return self.filter.measure(pose.time, pose.position, impact)
+        return self.filter.update(pose.time, pose.position, impact)
 
-    def feel(self, attitude: Attitude) -> None:
-        """Take an attitude of the vehicle's log; older ones than the last, and broken ones, are left out."""
+    def add_attitude(self, attitude: Attitude) -> None:
+        """Store an attitude of the vehicle's log, unless it is older than the last one or not finite."""
         if not np.isfinite(attitude.rotation).all() or (
             self.attitude and attitude.time <= self.attitude.time
         ):
             return
         self.attitude = attitude
-        if self._offset is None and not self.sees_heading:
+        if self._offset is None and not self.heading_measured:
             self._offset = self._heading - frames.heading_of(attitude.rotation)
 
-    def at(self, time: float) -> Belief:
-        """What is believed of `time` [s]."""
+    def predict(self, time: float) -> StateEstimate:
+        """Return the state estimate for `time` [s]."""
         state = np.zeros(STATE_SIZE)
-        state[X : Z + 1], state[VX : VZ + 1] = self.filter.at(time)
-        disagreement = 0.0
+        state[X : Z + 1], state[VX : VZ + 1] = self.filter.predict(time)
+        attitude_mismatch = 0.0
         if self.attitude is None or self._offset is None:
             state[[ROLL, PITCH, YAW]] = np.nan
         else:
             rotation = frames.about_z(self._offset) @ self.attitude.rotation
             state[[ROLL, PITCH]] = frames.tilt(rotation[:, 2])
             state[YAW] = frames.heading_of(rotation)
-            if self._seen is not None and abs(self._seen[0] - self.attitude.time) < HEADING_TIME:
-                disagreement = frames.angle_between(rotation, self._seen[1])
+            if (
+                self._mocap_attitude is not None
+                and abs(self._mocap_attitude[0] - self.attitude.time) < HEADING_TIME
+            ):
+                attitude_mismatch = frames.angle_between(rotation, self._mocap_attitude[1])
         last = self.filter.time
-        return Belief(
+        return StateEstimate(
             time,
             state,
             math.inf if last is None else time - last,
             math.inf if self.attitude is None else time - self.attitude.time,
-            disagreement,
+            attitude_mismatch,
         )
 
-    def in_arena(self, attitude: Attitude) -> np.ndarray | None:
-        """Rotation (3, 3), body to arena, of an attitude of the log; None while its heading is unknown."""
+    def to_arena(self, attitude: Attitude) -> np.ndarray | None:
+        """Return the rotation (3, 3), body to arena, of a logged attitude; None without a heading."""
         if self._offset is None:
             return None
         return frames.about_z(self._offset) @ attitude.rotation
 
     def _align(self, pose: Pose, dt: float) -> None:
+        """Update the heading offset of the vehicle's log against motion capture, a first-order low-pass."""
         rotation = frames.quaternion_rotation(pose.attitude)
-        self._seen = pose.time, rotation
+        self._mocap_attitude = pose.time, rotation
         if self.attitude is None:
-            self.sees_heading = True
+            self.heading_measured = True
             return
         offset = frames.heading_of(rotation) - frames.heading_of(self.attitude.rotation)
-        if self._offset is None or not self.sees_heading:
+        if self._offset is None or not self.heading_measured:
             self._offset = offset
         else:
+            # First-order low-pass: o <- o + (1 - exp(-dt / T)) (o_measured - o)
             share = -math.expm1(-max(0.0, dt) / HEADING_TIME)
             self._offset += share * frames.wrapped(offset - self._offset)
-        self.sees_heading = True
+        self.heading_measured = True

@@ -27,12 +27,14 @@ COLUMNS = (
     *("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate", "vbat", "contact"),
 )
 _COMMANDS = ("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate")
-LATEST = 0.5  # s that something may be told after what is later: rows are written in order of their times
-BLIND = 0.1  # s, as in the reader: longer holes between neighbours are not bridged
+REORDER_WINDOW = (
+    0.5  # s that something may be told after what is later: rows are written in order of their times
+)
+LONGEST_GAP = 0.1  # s, as in the reader: longer holes between neighbours are not bridged
 
 
-class FlightLog:
-    """A log at `path` that begins at `start` [s of the pilot's clock]; use as a context.
+class FlightLogWriter:
+    """Writer of the log at `path` that begins at `start` [s of the pilot's clock]; a context.
 
     Raises UserError where the file is there already or cannot be written.
     """
@@ -55,31 +57,31 @@ class FlightLog:
         self._rows = csv.DictWriter(self._file, COLUMNS)
         self._rows.writeheader()
 
-    def __enter__(self) -> FlightLog:
+    def __enter__(self) -> FlightLogWriter:
         return self
 
     def __exit__(self, *_) -> None:
         self.finish()
 
     def pose(self, time: float, position: np.ndarray, contact: bool) -> None:
-        """A position (3,) [m] of motion capture, and whether the vehicle stands on something."""
+        """Add a position (3,) [m] of motion capture, and whether the vehicle is in contact."""
         if np.isfinite(position).all():
             self._note("pose", time, (*map(float, position), float(contact)))
 
     def attitude(self, time: float, roll: float, pitch: float, yaw: float) -> None:
-        """The vehicle's attitude [rad], the house's angles."""
+        """Add the vehicle's attitude [rad], R = Rz(yaw) Rx(roll) Ry(pitch)."""
         self._note("attitude", time, (roll, pitch, yaw))
 
     def voltage(self, time: float, voltage: float) -> None:
-        """The battery's [V]."""
+        """Add the battery voltage [V]."""
         self._note("voltage", time, (voltage,))
 
     def command(self, time: float, command: np.ndarray) -> None:
-        """What was sent: PWM, roll, pitch [rad], yaw rate [rad/s]."""
+        """Add a command as sent: PWM, roll, pitch [rad], yaw rate [rad/s]."""
         self._note("command", time, tuple(map(float, command)))
 
     def finish(self) -> None:
-        """Write what waits, and give the file its name; again, nothing."""
+        """Write the remaining rows and give the file its final name; does nothing the second time."""
         if self._file.closed:
             return
         with contextlib.closing(self._file):
@@ -95,10 +97,10 @@ class FlightLog:
             return
         track.append((t, values))
         self._newest = max(self._newest, t)
-        self._write(self._newest - LATEST)
+        self._write(self._newest - REORDER_WINDOW)
 
     def _write(self, until: float) -> None:
-        """Write the rows up to `until`, and forget what no later row needs."""
+        """Write the rows up to `until`, and discard what no later row needs."""
         tracks = self._tracks
         if self._written == -math.inf and tracks["command"]:
             # The log begins with the first command.
@@ -107,7 +109,7 @@ class FlightLog:
         commands = [(t, False) for t, _ in tracks["command"] if self._written < t <= until]
         last = max([*poses, *commands], default=None) if until == math.inf else None
         for t, seen in sorted(poses + commands):
-            if not seen and t - self._posed < BLIND and (t, seen) != last:
+            if not seen and t - self._posed < LONGEST_GAP and (t, seen) != last:
                 continue  # the next pose's row shows it
             self._rows.writerow({"t": f"{t:.6f}"} | self._cells(t, seen))
             self._written = t
@@ -117,7 +119,7 @@ class FlightLog:
                 track.popleft()
 
     def _cells(self, t: float, seen: bool) -> dict[str, str]:
-        """The cells of the row at t: what was measured then, or held."""
+        """Return the cells of the row at t: measured at that time, or held."""
         cells: dict[str, float] = {}
         if seen:
             position = next(values for time, values in self._tracks["pose"] if time == t)
@@ -132,9 +134,9 @@ class FlightLog:
         return {name: f"{value:.10g}" for name, value in cells.items()}
 
     def _between(self, kind: str, t: float) -> tuple[float, ...] | None:
-        """A track at t, between neighbours at most BLIND apart."""
+        """Return a track interpolated at t, between neighbours at most LONGEST_GAP apart."""
         for (t0, a), (t1, b) in itertools.pairwise(self._tracks[kind]):
-            if t0 <= t <= t1 and t1 - t0 <= BLIND:
-                share = (t - t0) / (t1 - t0)
+            if t0 <= t <= t1 and t1 - t0 <= LONGEST_GAP:
+                share = (t - t0) / (t1 - t0)  # a + share (b - a), the short way round
                 return tuple(frames.wrapped(x + share * frames.wrapped(y - x)) for x, y in zip(a, b))
         return None

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from inclined_landing.eval.flying.interfaces import Clock, MotionCapture
     from inclined_landing.eval.flying.pilot import Pilot, Plan, Report
 
-LISTENED = 3  # times that the checks may take: a second without a glimpse of the markers can happen
-WORD = "arm"  # typed before the motors may turn
+CHECK_ATTEMPTS = 3  # times that the checks may take: a second without a glimpse of the markers can happen
+ARM_WORD = "arm"  # typed before the motors may turn
 VIRTUAL_PATIENCE = 20.0  # s of real time that a control step may take while the flight's time is simulated
 Faults = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="FAULT")]
 
@@ -65,22 +65,22 @@ def command(
     Args:
         policy: for the task landing (motors are cut in the goal box) or touchdown (comes to rest by itself).
         simulated: fly a simulated Crazyflie, in virtual time.
-        uri: of the vehicle, as cflib has it, like radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.
+        uri: URI of the vehicle in cflib's form, like radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.
         mocap: motion capture: type (vicon, optitrack, qualisys, nokov, vrpn ...), host, rigid body; or
             poses:HOST:PORT, datagrams that are sent there.
-        mocap_latency: of that system, from exposure to arrival, in seconds; none if not given.
+        mocap_latency: latency of that system from exposure to arrival, in seconds; 0 by default.
         setpoint: policy that takes off and flies to the start.
         start: where the landing begins, in metres; repeat it for more, flown in turn. Default: the paper's.
-        flights: how many.
-        inclination: of the platform that stands there, in degrees, where it is not the vehicle file's.
+        flights: number of flights.
+        inclination: of the platform in the arena, in degrees, where it differs from the vehicle file's.
         arena: vehicle file (TOML) with arena and platform, where they are not the shipped ones.
-        stand: height of what the vehicle stands on, in metres; none if not given.
-        heading: where its nose points, in degrees from x, where motion capture shows no attitude.
+        stand: height of what the vehicle stands on, in metres; 0 by default.
+        heading: direction of its nose, in degrees from x, where motion capture shows no attitude.
         dry_run: everything but motors; carry the vehicle by hand and read what would be commanded.
         yes: no confirmation; for simulated vehicles alone.
-        vehicle: the simulated one: nominal, hidden (gaps that no policy was told), or a vehicle file.
-        fault: that meets the simulated one, NAME@EVENT+SECONDS, as in eval/flying/README.md.
-        seed: of the simulated one.
+        vehicle: simulated vehicle: nominal, hidden (with gaps unknown to every policy), or a vehicle file.
+        fault: fault of the simulated vehicle, NAME@EVENT+SECONDS, as in eval/flying/README.md.
+        seed: seed of the simulated vehicle.
         out: new folder for the logs and fly.json; default runs/fly-DATE-TIME.
     """
     from inclined_landing.eval.base.runs import check_new_run, new_run
@@ -89,7 +89,7 @@ def command(
     from inclined_landing.models import storage
 
     if simulated:
-        _refuse(
+        _reject_options(
             "of a real vehicle",
             uri=uri,
             mocap=mocap,
@@ -98,7 +98,7 @@ def command(
             heading=heading,
         )
     else:
-        _refuse(
+        _reject_options(
             "of the simulated Crazyflie and needs --simulated",
             vehicle=vehicle,
             fault=fault or None,
@@ -109,7 +109,7 @@ def command(
         check_uri(uri)
         if yes and not uri.startswith("udp://"):
             raise UserError("--yes is for simulated vehicles alone; before a real one flies, a word is typed")
-    landing, hover, starts = load(policy, setpoint, start, inclination, arena)
+    landing, hover, starts = load_policies(policy, setpoint, start, inclination, arena)
     if out is not None:
         check_new_run(out)
     if uri is None or mocap is None:
@@ -124,7 +124,7 @@ def command(
     for k in range(flights):
         plan = Plan(landing, hover, starts[k % len(starts)], stand or 0.0, math.radians(heading or 0.0))
         print(f"flight {k + 1} of {flights}, landing from x {plan.start[0]:g}, z {plan.start[1]:g} m")
-        with session.ready(k, plan, dry_run, yes) as pilot:
+        with session.prepared(k, plan, dry_run, yes) as pilot:
             folder = folder or new_run(out, "fly")
             log = None if dry_run else folder / f"flight_{k + 1:02d}.csv"
             report = pilot.fly(log)
@@ -139,7 +139,7 @@ def command(
                 "flights": results,
             },
         )
-        print(words(report))
+        print(describe(report))
         if report.cause is not None and report.cause.name == "interrupted":
             return 130
         if report.error:
@@ -151,35 +151,37 @@ def command(
     return 0 if dry_run or landed == flights else 3
 
 
-def load(
-    policy: str,
-    setpoint: str,
-    start: tuple[str, ...],
-    inclination: float | None,
-    arena: Path | None,
+def load_policies(
+    policy: str, setpoint: str, start: tuple[str, ...], inclination: float | None, arena: Path | None
 ) -> tuple[Policy, Policy, list[tuple[float, float]]]:
-    """The two policies and the starts (x, z) [m]; inclination [deg] of the platform that stands there.
+    """Return the two policies and the starts (x, z) [m]; inclination [deg] of the platform in the arena.
 
     Raises UserError for a policy that is for another task or another slope.
     """
-    from inclined_landing.envs.policy import action_map, history_of, load_policy, told_vehicle, trained_for
+    from inclined_landing.envs.policy import (
+        action_map,
+        history_length,
+        load_policy,
+        observes_vehicle,
+        trained_task,
+    )
     from inclined_landing.envs.tasks import make_task
     from inclined_landing.envs.tasks.landing import PAPER_STARTS
     from inclined_landing.models.parameters import load_vehicle
 
     room = load_vehicle(arena) if arena is not None else load_vehicle()
 
-    def built(name: str, wanted: tuple[str, ...], **options: Any) -> Policy:
-        task = trained_for(name)
-        if task not in wanted:
+    def built(name: str, tasks: tuple[str, ...], **options: Any) -> Policy:
+        task = trained_task(name)
+        if task not in tasks:
             raise UserError(
-                f"policy {shown(name)} is for the task {shown(task, 40)}; wanted is {' or '.join(wanted)}"
+                f"policy {shown(name)} is for the task {shown(task, 40)}; wanted is {' or '.join(tasks)}"
             )
         if load_policy(name).task.observes_slope:
             raise UserError(f"policy {shown(name)} observes the slope; the pilot flies policies of one slope")
         centre, span = action_map(name)
-        options |= {"pwm_centre": centre, "pwm_span": span, "history": history_of(name)}
-        options["observe_vehicle"] = told_vehicle(name)
+        options |= {"pwm_centre": centre, "pwm_span": span, "history": history_length(name)}
+        options["observe_vehicle"] = observes_vehicle(name)
         return load_policy(name, make_task(task, room, **options))
 
     angle = room.platform_inclination if inclination is None else math.radians(inclination)
@@ -190,19 +192,21 @@ def load(
 
 
 @dataclasses.dataclass
-class Session:
-    """What the flights of one command have in common: how one comes to a connected vehicle.
+class Connection:
+    """How the flights of one command connect to the vehicle.
 
     guarded: around a flight with motors, what stops them should this process die.
     """
 
     simulated: bool
     connect: Callable[[int, float, bool], tuple[Any, Clock, MotionCapture]]
-    guarded: Callable[[], contextlib.AbstractContextManager[Any]] = contextlib.nullcontext
+    dead_man_switch: Callable[[], contextlib.AbstractContextManager[Any]] = contextlib.nullcontext
 
     @contextlib.contextmanager
-    def ready(self, k: int, plan: Plan, dry: bool, yes: bool) -> Iterator[Pilot]:
-        """The pilot of flight k, whose checks have passed. Raises UserError where one fails."""
+    def prepared(self, k: int, plan: Plan, dry: bool, yes: bool) -> Iterator[Pilot]:
+        """Yield the pilot of flight k once its preflight checks have passed. Raises UserError where one
+        fails.
+        """
         from inclined_landing.eval.flying import safety
         from inclined_landing.eval.flying.pilot import Pilot
 
@@ -210,7 +214,7 @@ class Session:
         try:
             patience = VIRTUAL_PATIENCE if self.simulated else safety.HANG_LIMIT
             pilot = Pilot(radio, clock, mocap, plan, hang_limit=patience)
-            for _ in range(LISTENED):
+            for _ in range(CHECK_ATTEMPTS):
                 checks = pilot.check()
                 failed = [check for check in checks if not check.passed]
                 if not failed:
@@ -221,7 +225,7 @@ class Session:
                 raise UserError(
                     "not ready to fly: " + "; ".join(f"{check.name}: {check.found}" for check in failed)
                 )
-            with contextlib.nullcontext() if dry else self.guarded():
+            with contextlib.nullcontext() if dry else self.dead_man_switch():
                 if not (dry or yes or self.simulated):
                     confirm()
                 yield pilot
@@ -230,30 +234,24 @@ class Session:
 
 
 def confirm() -> None:
-    """Have the word typed. Raises UserError for anything else."""
-    print(
-        f"The motors will start. Goggles on, nobody inside the nets? Type {WORD} to fly: ", end="", flush=True
-    )
+    """Ask for the arming word. Raises UserError for anything else."""
+    question = f"The motors will start. Goggles on, nobody inside the nets? Type {ARM_WORD} to fly: "
+    print(question, end="", flush=True)
     typed = sys.stdin.readline().strip()
-    if typed != WORD:
-        raise UserError(f"not armed: {WORD} was not typed")
+    if typed != ARM_WORD:
+        raise UserError(f"not armed: {ARM_WORD} was not typed")
 
 
 def summary(report: Report, plan: Plan, log: Path | None) -> dict[str, Any]:
-    """A report as it goes into fly.json."""
+    """Return a report as it is written to fly.json."""
     fields = dataclasses.asdict(report)
     for name in ("cause", "retreat"):
         fields[name] = fields[name] and fields[name]["name"]
-    return {
-        **fields,
-        "landed": report.landed,
-        "start_wanted": list(plan.start),
-        "log": log and log.name,
-    }
+    return {**fields, "landed": report.landed, "start_wanted": list(plan.start), "log": log and log.name}
 
 
-def words(report: Report) -> str:
-    """How a flight ended, in one line."""
+def describe(report: Report) -> str:
+    """Return the outcome of a flight in one line."""
     if report.landed:
         assert report.goal is not None and report.landing_time is not None
         vx, vz = report.goal[3], report.goal[5]
@@ -273,48 +271,47 @@ def words(report: Report) -> str:
     return f"ended early: {report.cause.name} ({report.cause.when})"
 
 
-def _refuse(why: str, **options: object) -> None:
-    """Raise UserError for an option that was given and means nothing here."""
+def _reject_options(why: str, **options: object) -> None:
+    """Raise UserError for an option that does not apply here."""
     for name, value in options.items():
         if value is not None:
             raise UserError(f"--{name.replace('_', '-')} is {why}")
 
 
-def _simulated(vehicle: str, inclination: float | None, fault: tuple[str, ...], seed: int) -> Session:
-    """Flights of the simulated Crazyflie, each with a seed and a battery of its own."""
+def _simulated(vehicle: str, inclination: float | None, fault: tuple[str, ...], seed: int) -> Connection:
+    """Return a connection to simulated Crazyflies, a new one with its own seed for every flight."""
     from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
     from inclined_landing.eval.flying.simulated.faults import Fault
-    from inclined_landing.eval.flying.simulated.gaps import vehicle_named
+    from inclined_landing.eval.flying.simulated.vehicles import named_vehicle
     from inclined_landing.eval.flying.simulated.world import Setting
     from inclined_landing.eval.flying.vehicle import Radio
 
     faults = [Fault.parse(text) for text in fault]
     setting = Setting(
-        vehicle_named(vehicle),
-        inclination=None if inclination is None else math.radians(inclination),
+        named_vehicle(vehicle), inclination=None if inclination is None else math.radians(inclination)
     )
 
     def connect(k: int, angle_limit: float, dry: bool) -> tuple[Radio, Any, Any]:
-        own = int(np.random.SeedSequence((seed, k)).generate_state(1)[0])
-        flight = fly_simulated(setting, seed=own, faults=faults)
+        flight_seed = int(np.random.SeedSequence((seed, k)).generate_state(1)[0])
+        flight = fly_simulated(setting, seed=flight_seed, faults=faults)
         radio = Radio(flight.crazyflie, flight.clock, angle_limit, dry=dry)
         radio.connect(flight.uri)
         return radio, flight.clock, flight.motion_capture
 
-    return Session(True, connect)
+    return Connection(True, connect)
 
 
-def _real(uri: str, mocap: str, latency: float) -> Session:
-    """Flights of the vehicle at `uri`."""
+def _real(uri: str, mocap: str, latency: float) -> Connection:
+    """Return a connection to the vehicle at `uri`."""
     try:
         import cflib.crtp
         from cflib.crazyflie import Crazyflie
     except ModuleNotFoundError as error:
         raise UserError(not_installed(error)) from error
     from inclined_landing.eval.flying.dead_man import DeadManSwitch
+    from inclined_landing.eval.flying.interfaces import RealClock
     from inclined_landing.eval.flying.link import find_radio
     from inclined_landing.eval.flying.motion_capture import open_capture
-    from inclined_landing.eval.flying.real_clock import RealClock
     from inclined_landing.eval.flying.vehicle import Radio
 
     find_radio(uri)
@@ -331,4 +328,4 @@ def _real(uri: str, mocap: str, latency: float) -> Session:
         radio.connect(uri)
         return radio, clock, capture
 
-    return Session(False, connect, lambda: DeadManSwitch(uri))
+    return Connection(False, connect, lambda: DeadManSwitch(uri))

@@ -23,29 +23,34 @@ LARGEST_THRUST = 60000  # of the firmware's commander; more counts as this
 
 
 def thrust_direction(roll: float, pitch: float) -> np.ndarray:
-    """Unit vector (3,) that the thrust points along at the house's roll and pitch [rad] and heading 0."""
+    """Return the unit vector (3,) of the thrust at the project's roll and pitch [rad] and heading 0."""
     return np.array([math.sin(pitch), -math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch)])
 
 
 def tilt(direction: np.ndarray) -> tuple[float, float]:
-    """The house's roll and pitch [rad] at heading 0 of a thrust along the unit vector (3,)."""
+    """Return the project's roll and pitch [rad] at heading 0 for a thrust along the unit vector (3,)."""
+    # Inverse of b = (sin p, -sin r cos p, cos r cos p): r = atan2(-y, z), p = asin x.
     x, y, z = direction
     return math.atan2(-y, z), math.asin(min(1.0, max(-1.0, x)))
 
 
 def about_z(angle: float) -> np.ndarray:
-    """Rotation (3, 3) about z by an angle [rad]."""
+    """Return the rotation (3, 3) about z by an angle [rad]."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def angle_between(a: np.ndarray, b: np.ndarray) -> float:
-    """Angle [rad] of the rotation that leads from one attitude (3, 3) to another."""
+    """Return the angle [rad] of the relative rotation of two attitudes (3, 3)."""
+    # cos(angle) = (tr(A'B) - 1) / 2
     return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(a.T @ b)) - 1.0))))
 
 
 def logged_rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
-    """Rotation (3, 3), body to the vehicle's own world, of `stateEstimate.roll`, `.pitch`, `.yaw` [deg]."""
+    """Return the rotation (3, 3), body to the vehicle's world, of `stateEstimate.roll`, `.pitch`, `.yaw`
+    [deg].
+    """
+    # R = Rz(yaw) Ry(-pitch) Rx(roll)
     cr, sr = math.cos(math.radians(roll)), math.sin(math.radians(roll))
     cp, sp = math.cos(math.radians(-pitch)), math.sin(math.radians(-pitch))
     cy, sy = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
@@ -59,7 +64,7 @@ def logged_rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
 
 
 def quaternion_rotation(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) of a quaternion (4,) w, x, y, z of any length but 0."""
+    """Return the rotation matrix (3, 3) of a quaternion (4,) w, x, y, z of any length but 0."""
     w, x, y, z = np.asarray(quaternion, float) / np.linalg.norm(quaternion)
     return np.array(
         [
@@ -71,25 +76,26 @@ def quaternion_rotation(quaternion: np.ndarray) -> np.ndarray:
 
 
 def house_angles(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Roll, pitch, yaw [rad], R = Rz(yaw) Rx(roll) Ry(pitch), of a rotation (3, 3)."""
+    """Return roll, pitch, yaw [rad] of R = Rz(yaw) Rx(roll) Ry(pitch) for a rotation (3, 3)."""
+    # R[2] = (-cos r sin p, sin r, cos r cos p), R[:2, 1] = cos r (-sin y, cos y)
     roll = math.asin(min(1.0, max(-1.0, rotation[2, 1])))
     return roll, math.atan2(-rotation[2, 0], rotation[2, 2]), math.atan2(-rotation[0, 1], rotation[1, 1])
 
 
 def heading_of(rotation: np.ndarray) -> float:
-    """Where the body's x axis points, seen from above [rad]: the yaw of the Crazyflie's angles."""
+    """Return the heading [rad] of the body's x axis seen from above: the yaw of the Crazyflie's angles."""
     return math.atan2(rotation[1, 0], rotation[0, 0])
 
 
 def wrapped(angle: float) -> float:
-    """The same angle [rad] in [-pi, pi)."""
+    """Return the angle [rad] wrapped to [-pi, pi)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 def radio_setpoint(
     command: np.ndarray, heading: float, angle_limit: float
 ) -> tuple[float, float, float, int]:
-    """Arguments of cflib's `send_setpoint`: roll, pitch [deg], yaw rate [deg/s], thrust.
+    """Return the arguments of cflib's `send_setpoint`: roll, pitch [deg], yaw rate [deg/s], thrust.
 
     command (4,): PWM, roll, pitch [rad], yaw rate [rad/s] as a task commands them, in the frame of the arena.
     heading [rad]: of the vehicle in that frame. Roll and pitch are cut to angle_limit [rad], the thrust to
@@ -97,6 +103,8 @@ def radio_setpoint(
     """
     if not (np.isfinite(command).all() and math.isfinite(heading)):
         raise ValueError("a command is NaN or infinite")
+    # b = Rz(-heading) b_arena = (sin p cos r, -sin r, cos p cos r) for the Crazyflie's angles in its heading:
+    # r = asin(-y), p = atan2(x, z).
     x, y, z = about_z(-heading) @ thrust_direction(command[ROLL_COMMAND], command[PITCH_COMMAND])
     roll, pitch = math.asin(min(1.0, max(-1.0, -y))), math.atan2(x, z)
     roll, pitch = (math.degrees(min(angle_limit, max(-angle_limit, angle))) for angle in (roll, pitch))

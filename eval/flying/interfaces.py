@@ -7,20 +7,21 @@ vehicle, and its motion capture shows that one.
 from __future__ import annotations
 
 import dataclasses
+import time
 from typing import Protocol
 
 import numpy as np
 
 
 class Clock(Protocol):
-    """Time [s] that only rises, from an origin of its own."""
+    """A monotonic time [s] with an origin of its own."""
 
     def now(self) -> float:
-        """The present time [s]."""
+        """Return the present time [s]."""
         ...
 
-    def wait_until(self, time: float) -> None:
-        """Return at `time` [s], at once where it has passed.
+    def wait_until(self, moment: float) -> None:
+        """Return at `moment` [s], at once where it has passed.
 
         The simulated clock calls cflib's callbacks meanwhile, in the caller's thread; with the real one
         they come from cflib's own thread.
@@ -28,9 +29,21 @@ class Clock(Protocol):
         ...
 
 
+class RealClock:
+    """The machine's monotonic clock [s]."""
+
+    def now(self) -> float:
+        """Return the present time [s]."""
+        return time.monotonic()
+
+    def wait_until(self, moment: float) -> None:
+        """Sleep until `moment` [s]."""
+        time.sleep(max(0.0, moment - time.monotonic()))
+
+
 @dataclasses.dataclass(frozen=True)
 class Pose:
-    """Where motion capture saw the vehicle, in the frame of the arena: x, y, z up."""
+    """A pose of the vehicle measured by motion capture, in the frame of the arena: x, y, z up."""
 
     time: float  # s of the clock at which it was taken: arrival less the system's known latency
     position: np.ndarray  # (3,) m
@@ -38,8 +51,8 @@ class Pose:
 
 
 class MotionCapture(Protocol):
-    """A source of poses; one that sees nothing goes on showing its last one, whose time tells."""
+    """A source of poses; when it sees nothing, it goes on returning its last pose with its old time."""
 
     def latest(self) -> Pose | None:
-        """The newest pose; None before the first one."""
+        """Return the newest pose; None before the first one."""
         ...

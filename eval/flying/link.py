@@ -28,7 +28,7 @@ _REMEDIES = {
 
 
 def check_uri(uri: str) -> None:
-    """Raise UserError for a URI that cflib does not understand, or would take for another one.
+    """Raise UserError for a URI that cflib does not understand or would misread.
 
     cflib flies an unknown rate at 2M, and puts zeros before a short address.
     """
@@ -46,7 +46,7 @@ def check_uri(uri: str) -> None:
 
 
 def find_radio(uri: str) -> None:
-    """Raise UserError where the Crazyradio that `uri` names is not plugged in or may not be opened."""
+    """Raise UserError where the Crazyradio that `uri` names is not plugged in or cannot be opened."""
     match = _RADIO.fullmatch(uri)
     if match is None:
         return
@@ -72,6 +72,6 @@ def find_radio(uri: str) -> None:
 
 
 def remedy(uri: str) -> str:
-    """What to try where a vehicle does not answer, as the end of a sentence; empty for a scheme of tests."""
+    """Return advice for a vehicle that does not answer, as the end of a sentence; empty for test schemes."""
     hint = _REMEDIES.get(uri.partition("://")[0])
     return f"; {hint}" if hint else ""

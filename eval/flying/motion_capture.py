@@ -44,11 +44,11 @@ class Tracked:
         atexit.register(self.close)  # a thread in the library's code would abort the interpreter's end
 
     def latest(self) -> Pose | None:
-        """The newest pose; None before the first one."""
+        """Return the newest pose; None before the first one."""
         return self._pose
 
     def await_first(self) -> None:
-        """Return when the body has been seen. Raises UserError, naming what is seen, when it is not."""
+        """Wait until the body has been seen. Raises UserError, naming the visible bodies, when it is not."""
         if not self._first.wait(_FIRST):
             others = ", ".join(shown(name, 30) for name in self._seen[:8]) or "nothing"
             raise UserError(
@@ -56,7 +56,7 @@ class Tracked:
             )
 
     def close(self) -> None:
-        """No more frames."""
+        """Stop receiving frames."""
         self._ended.set()
         self._thread.join(1.0)
 
@@ -77,7 +77,7 @@ class Tracked:
 
 
 def open_capture(name: str, clock: Clock, latency: float = 0.0) -> MotionCapture:
-    """A body by TYPE:HOST:BODY, such as vicon:192.168.1.10:cf1, or the poses sent to poses:HOST:PORT.
+    """Return the body TYPE:HOST:BODY, such as vicon:192.168.1.10:cf1, or the poses sent to poses:HOST:PORT.
 
     Raises UserError where it is not seen.
     """
@@ -102,7 +102,7 @@ def open_capture(name: str, clock: Clock, latency: float = 0.0) -> MotionCapture
 
 
 def _probe(name: str, kind: str, host: str) -> None:
-    """Connect in another process first: the library waits for a silent host for good, deaf to Ctrl-C."""
+    """Raise UserError for a host without answer, by connecting in another process that can be killed."""
     try:
         probe = subprocess.run(
             [sys.executable, "-c", _PROBE, kind, host], capture_output=True, text=True, timeout=CONNECTING
@@ -110,5 +110,5 @@ def _probe(name: str, kind: str, host: str) -> None:
     except subprocess.TimeoutExpired:
         raise UserError(f"no motion capture at {shown(name, 80)}: no answer in {CONNECTING:g} s") from None
     if probe.returncode != 0:
-        said = (probe.stderr.strip() or f"it ended with {probe.returncode}").splitlines()[-1]
-        raise UserError(f"no motion capture at {shown(name, 80)}: {shown(said, 200)}")
+        message = (probe.stderr.strip() or f"it ended with {probe.returncode}").splitlines()[-1]
+        raise UserError(f"no motion capture at {shown(name, 80)}: {shown(message, 200)}")

@@ -26,15 +26,15 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, IDLE_ACTION, REST_SPEED
 from inclined_landing.eval.flying import frames, safety
-from inclined_landing.eval.flying.actors import Actor, BadAction, Hover
-from inclined_landing.eval.flying.checks import LISTENING, Check, Heard, all_checks
-from inclined_landing.eval.flying.coherence import Coherence
-from inclined_landing.eval.flying.estimate import Attitude, Belief, Estimator
-from inclined_landing.eval.flying.flight_log import FlightLog
+from inclined_landing.eval.flying.consistency import ConsistencyMonitor
+from inclined_landing.eval.flying.estimate import Attitude, Estimator, StateEstimate
+from inclined_landing.eval.flying.flight_log import FlightLogWriter
 from inclined_landing.eval.flying.interfaces import Clock, MotionCapture, Pose
-from inclined_landing.eval.flying.kalman import Noise
-from inclined_landing.eval.flying.safety import Cause, Now, Phase, Reaction
-from inclined_landing.eval.flying.surroundings import IMPACT_REACH, Surroundings, Target
+from inclined_landing.eval.flying.kalman import NoiseModel
+from inclined_landing.eval.flying.policies import InvalidAction, PolicyRunner, SetpointFollower
+from inclined_landing.eval.flying.preflight import RECORDING_TIME, Check, PreflightData, preflight_checks
+from inclined_landing.eval.flying.safety import Cause, FlightStatus, Phase, Reaction
+from inclined_landing.eval.flying.surroundings import IMPACT_DISTANCE, MovingTarget, Surroundings
 from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.models.attitude import (
     PITCH_COMMAND,
@@ -52,18 +52,18 @@ TICKS = 4  # looks at the motion capture per control period: 200 Hz sees every p
 APPROACH_SPEED, RETREAT_SPEED = 0.6, 0.4  # m/s, of the point that the set-point policy follows
 LIFT_OFF = 0.05  # m above where it stood
 STUCK_TIME = 0.5  # s without sinking at the end of a retreat: it stands
-WATCHED = (
+AFTER_FLIGHT_TIME = (
     2.5  # s after the motors are off: the vehicle must be told to stop until its supervisor calls it landed
 )
 DRY_RUN = 30.0  # s
-SHOWN_EVERY = 0.5  # s, of a dry run
+DRY_RUN_PERIOD = 0.5  # s, of a dry run
 # Of Ctrl-C, `kill`, a closed terminal, Ctrl-\ and Ctrl-Z.
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
 
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What is to be flown."""
+    """Policies, start and standing height of one flight."""
 
     landing: Policy  # for the task landing or touchdown
     setpoint: Policy
@@ -74,7 +74,7 @@ class Plan:
 
 @dataclasses.dataclass
 class Report:
-    """How a flight went."""
+    """The outcome of a flight."""
 
     outcome: str  # "goal box", "at rest", "dry run", or the name of the cause
     cause: Cause | None = None  # that ended it early
@@ -90,12 +90,12 @@ class Report:
 
     @property
     def landed(self) -> bool:
-        """Did the landing reach what its task asks for?"""
+        """Whether the landing reached the goal of its task."""
         return self.outcome in ("goal box", "at rest")
 
 
 class Pilot:
-    """Flies one connected vehicle; a new pilot for every flight.
+    """The pilot of one connected vehicle; a new one for every flight.
 
     say: told what happens, line by line. hang_limit [s]: see `Watchdog`.
     """
@@ -115,51 +115,53 @@ class Pilot:
         self.vehicle = self.task.vehicle
         self.phase = Phase.APPROACH
         self.report = Report("")
-        self.around = Surroundings(self.vehicle, self.task.inclination)
+        self.surroundings = Surroundings(self.vehicle, self.task.inclination)
         self.home: np.ndarray | None = None
-        self._say, self._hang_limit = say, hang_limit
-        self._log: FlightLog | None = None
-        self._estimator = Estimator(Noise.of(self.vehicle), plan.heading)
-        self._guard = safety.Guard(self.vehicle)
-        self._coherence = Coherence(self.vehicle.environment_gravity)
-        self._hover, self._lander = Hover(plan.setpoint), Actor(plan.landing)
+        self._print, self._hang_limit = say, hang_limit
+        self._log: FlightLogWriter | None = None
+        self._estimator = Estimator(NoiseModel.of(self.vehicle), plan.heading)
+        self._monitor = safety.SafetyMonitor(self.vehicle)
+        self._consistency = ConsistencyMonitor(self.vehicle.environment_gravity)
+        self._follower, self._landing_policy = SetpointFollower(plan.setpoint), PolicyRunner(plan.landing)
         self._period = self.vehicle.command_control_period
         self._voltage, self._locked = math.nan, False
         self._pose_time = -math.inf
         self._poses: list[Pose] = []
         self._attitudes = 0
-        self._target: Target | None = None
+        self._target: MovingTarget | None = None
         self._began = self._phase_began = 0.0
         self._airborne = False
-        self._good = self._idle = 0  # control steps in a row
-        self._places: list[np.ndarray] = []  # of the last HOLD_STEPS control steps
-        self._lying = self._stuck = 0.0
-        self._warned: Cause | None = None
-        self._shown = -math.inf
+        self._steps_at_start = self._idle_steps = 0  # control steps in a row
+        self._recent_positions: list[np.ndarray] = []  # of the last HOLD_STEPS control steps
+        self._resting_time = self._stuck_time = 0.0
+        self._announced: Cause | None = None
+        self._last_print = -math.inf
 
     # --- before ----------------------------------------------------------------------------------
 
     def check(self) -> list[Check]:
-        """Listen for a second, and say what is found; the place of the vehicle is its home from then on."""
-        end = self.clock.now() + LISTENING
-        self._listen()
+        """Return the preflight checks, from a second of measurements, and set the vehicle's home."""
+        end = self.clock.now() + RECORDING_TIME
+        self._receive()
         self._poses, self._attitudes = [], 0
         while self.clock.now() < end:
             self.clock.wait_until(self.clock.now() + self._period / TICKS)
-            self._listen()
-        belief = self._estimator.at(self.clock.now())
-        heard = Heard(self._poses, self._attitudes, self._voltage, self._locked, belief)
-        found = all_checks(heard, self.around, self.plan.stand)
+            self._receive()
+        estimate = self._estimator.predict(self.clock.now())
+        data = PreflightData(self._poses, self._attitudes, self._voltage, self._locked, estimate)
+        found = preflight_checks(data, self.surroundings, self.plan.stand)
         if all(check.passed for check in found):
             self.home = np.mean([pose.position for pose in self._poses], axis=0)
             start = np.array([self.plan.start[0], 0.0, self.plan.start[1]])
-            self._target = Target(self.home, self.around.way_to(self.home, start), APPROACH_SPEED)
+            self._target = MovingTarget(
+                self.home, self.surroundings.path_to(self.home, start), APPROACH_SPEED
+            )
         return found
 
     # --- the flight ------------------------------------------------------------------------------
 
     def fly(self, log: Path | None = None) -> Report:
-        """Fly, and return how it went; whatever happens, the motors are off then.
+        """Fly, and return the report; whatever happens, the motors are off afterwards.
 
         log: the CSV that is written, None for none. `check` must have passed. Errors and interruptions end up
         in the report, not in the caller.
@@ -169,22 +171,22 @@ class Pilot:
         if self._target is None:
             raise ValueError("the checks must have passed before a flight")
         try:  # which also compiles what is not compiled yet
-            self._lander.act(self._estimator.at(self.clock.now()).state)
-            self._hover.roll_to(self._estimator.at(self.clock.now()).state, 0.0)
-        except BadAction:
+            self._landing_policy.act(self._estimator.predict(self.clock.now()).state)
+            self._follower.roll_command_to_hold(self._estimator.predict(self.clock.now()).state, 0.0)
+        except InvalidAction:
             self._end(safety.BAD_ACTION)
             return self.report
-        self._lander.begin()
-        self._hover.actor.begin()
+        self._landing_policy.reset()
+        self._follower.actor.reset()
         with contextlib.ExitStack() as stack:
             try:
                 if log is not None:
-                    self._log = stack.enter_context(FlightLog(log, self.clock.now()))
-                    self._note_before()
+                    self._log = stack.enter_context(FlightLogWriter(log, self.clock.now()))
+                    self._log_initial_values()
                 with _interruptible(), Watchdog(self._hang_limit, self.radio.emergency_stop) as watchdog:
                     self._began = self._phase_began = self.clock.now()
                     self.radio.arm()
-                    self._note_off()
+                    self._log_motors_off()
                     self._loop(watchdog)
             except KeyboardInterrupt:
                 self._end(safety.INTERRUPTED)
@@ -195,17 +197,18 @@ class Pilot:
                 with _uninterruptible():
                     self._motors_off()
             with contextlib.suppress(Exception):
-                self._watch()
+                self._track_after_flight()
         return self.report
 
     def _loop(self, watchdog) -> None:
+        """Run control steps at their period until the flight is over."""
         begin, k = self.clock.now(), 0
         while self.phase is not Phase.OVER:
             for tick in range(1, TICKS + 1):
                 self.clock.wait_until(begin + (k + tick / TICKS) * self._period)
-                self._listen()
-                watchdog.alive()
-            if watchdog.bitten:
+                self._receive()
+                watchdog.feed()
+            if watchdog.triggered:
                 self._end(safety.HANG)
                 return
             k += 1
@@ -217,140 +220,152 @@ class Pilot:
                 self._end(None, "dry run")
 
     def _step(self, time: float) -> None:
-        """One control step."""
-        belief = self._estimator.at(time)
-        cause = self._guard.cause(self._now(belief))
+        """Run one control step: safety checks, then a command."""
+        estimate = self._estimator.predict(time)
+        cause = self._monitor.cause(self._flight_status(estimate))
         if cause is not None:
-            self._react(cause, belief)
+            self._react(cause, estimate)
         if self.phase is Phase.OVER:
             return
         try:
-            command = self._command(belief)
-        except BadAction as bad:
+            command = self._command(estimate)
+        except InvalidAction as bad:
             landing = bad.policy is self.plan.landing
-            self._react(safety.BAD_ACTION if landing else safety.BAD_SETPOINT, belief)
+            self._react(safety.BAD_ACTION if landing else safety.BAD_SETPOINT, estimate)
             if self.phase is Phase.OVER:
                 return
-            command = self._command(belief)
+            command = self._command(estimate)
         if command is None:
             return
-        heading = belief.state[YAW]
+        heading = estimate.state[YAW]
         limit = self.vehicle.command_yaw_rate_limit
         command[YAW_RATE_COMMAND] = min(limit, max(-limit, -YAW_GAIN * heading))
         self.radio.send(command, heading)
         if self._log is not None:
             self._log.command(time, command)
         if self.radio.dry:
-            self._show(time, belief, command)
+            self._print_dry_run(time, estimate, command)
 
-    def _now(self, belief: Belief) -> Now:
-        time, state = belief.time, belief.state
+    def _flight_status(self, estimate: StateEstimate) -> FlightStatus:
+        """Return what the safety monitor checks in this control step."""
+        time, state = estimate.time, estimate.state
         if self.home is not None and state[2] > self.home[2] + LIFT_OFF:
             self._airborne = True
-        self._places = [*self._places[1 - HOLD_STEPS :], state[X : Z + 1].copy()]
+        self._recent_positions = [*self._recent_positions[1 - HOLD_STEPS :], state[X : Z + 1].copy()]
         still = (
-            len(self._places) == HOLD_STEPS
-            and float(np.ptp(self._places, axis=0).max()) < REST_SPEED * HOLD_STEPS * self._period
+            len(self._recent_positions) == HOLD_STEPS
+            and float(np.ptp(self._recent_positions, axis=0).max()) < REST_SPEED * HOLD_STEPS * self._period
         )
-        self._compare(time, state)
-        lies = still and self._airborne and self.around.touches(state)
-        self._lying = self._lying + self._period if lies else 0.0
-        return Now(
+        self._check_consistency(time, state)
+        lies = still and self._airborne and self.surroundings.in_contact(state)
+        self._resting_time = self._resting_time + self._period if lies else 0.0
+        return FlightStatus(
             phase=self.phase,
             since=time - self._phase_began,
-            belief=belief,
+            estimate=estimate,
             airborne=self._airborne,
             linked=self.radio.lost is None,
             locked=self._locked,
             voltage=self._voltage,
             heading_error=float(state[YAW]),
-            parted=self._coherence.parted,
-            lying=self._lying,
+            velocity_mismatch=self._consistency.velocity_mismatch,
+            resting_time=self._resting_time,
             landing_limit=self.task.max_steps * self._period,
         )
 
-    def _compare(self, time: float, state: np.ndarray) -> None:
-        """Motion with forces, while nothing but the air touches the vehicle."""
+    def _check_consistency(self, time: float, state: np.ndarray) -> None:
+        """Compare motion with forces while nothing but air is in contact with the vehicle."""
         attitude = self._estimator.attitude
-        rotation = None if attitude is None else self._estimator.in_arena(attitude)
-        if not self._airborne or rotation is None or self.around.touches(state):
-            self._coherence.begin()
+        rotation = None if attitude is None else self._estimator.to_arena(attitude)
+        if not self._airborne or rotation is None or self.surroundings.in_contact(state):
+            self._consistency.reset()
         elif attitude is not None:
-            self._coherence.note(time, state[VX : VZ + 1], rotation[:, 2], attitude.lift)
+            self._consistency.update(time, state[VX : VZ + 1], rotation[:, 2], attitude.specific_force)
 
-    def _command(self, belief: Belief) -> np.ndarray | None:
-        """The command (4,) of the present phase, which may end here; None when the flight is over."""
-        state = belief.state
+    def _command(self, estimate: StateEstimate) -> np.ndarray | None:
+        """Return the command (4,) of the present phase, which may end here; None when the flight is over."""
+        state = estimate.state
         if self.phase is Phase.APPROACH:
             command = self._approach(state)
-            if self._good * self._period < HAND_OVER_TIME:
+            if self._steps_at_start * self._period < HAND_OVER_TIME:
                 return command
             self._enter(Phase.LANDING)
             self.report.start = state.copy()
-            self._say(f"hand-over at x {state[X]:.2f}, z {state[Z]:.2f} m")
+            self._print(f"hand-over at x {state[X]:.2f}, z {state[Z]:.2f} m")
         if self.phase is Phase.LANDING:
-            return self._land(belief)
+            return self._land(estimate)
         return self._retreat(state)
 
     def _approach(self, state: np.ndarray) -> np.ndarray:
+        """Return the command (4,) towards the start; count control steps near it and slow."""
         assert self._target is not None
-        target = self._target.move(self._period, state[X : Z + 1])
-        away = float(np.linalg.norm(target - state[X : Z + 1]))
+        target = self._target.advance(self._period, state[X : Z + 1])
+        distance = float(np.linalg.norm(target - state[X : Z + 1]))
         slow = float(np.linalg.norm(state[VX : VZ + 1])) < HAND_OVER_SPEED
-        self._good = self._good + 1 if self._target.arrived and slow and away < TOLERANCE else 0
-        return self._hover.fly(state, target, self._period)
+        self._steps_at_start = (
+            self._steps_at_start + 1 if self._target.arrived and slow and distance < TOLERANCE else 0
+        )
+        return self._follower.command_towards(state, target, self._period)
 
-    def _land(self, belief: Belief) -> np.ndarray | None:
-        state = belief.state
+    def _land(self, estimate: StateEstimate) -> np.ndarray | None:
+        """Return the command (4,) of the landing policy, roll holding y at 0; None once it has landed."""
+        state = estimate.state
         goal_size = self.task.goal_size
         if goal_size is not None and self.task.in_goal(state[None], goal_size)[0]:
-            self._succeed("goal box", belief)
+            self._reach_goal("goal box", estimate)
             return None
-        action, command = self._lander.act(state)
-        command[ROLL_COMMAND] = self._hover.roll_to(state, 0.0)
-        self._idle = self._idle + 1 if command[PWM] == 0.0 and action[0] <= IDLE_ACTION else 0
-        if goal_size is None and self._idle >= HOLD_STEPS and self._lying > 0.0:
-            self._succeed("at rest", belief)
+        action, command = self._landing_policy.act(state)
+        command[ROLL_COMMAND] = self._follower.roll_command_to_hold(state, 0.0)
+        self._idle_steps = self._idle_steps + 1 if command[PWM] == 0.0 and action[0] <= IDLE_ACTION else 0
+        if goal_size is None and self._idle_steps >= HOLD_STEPS and self._resting_time > 0.0:
+            self._reach_goal("at rest", estimate)
             return None
         return command
 
     def _retreat(self, state: np.ndarray) -> np.ndarray | None:
+        """Return the command (4,) that sets the vehicle down beside the platform; None once it is down."""
         assert self._target is not None
-        command = self._hover.fly(state, self._target.move(self._period, state[X : Z + 1]), self._period)
+        command = self._follower.command_towards(
+            state, self._target.advance(self._period, state[X : Z + 1]), self._period
+        )
         below = state[Z] - self._target.position[2] > 0.1
-        self._stuck = self._stuck + self._period if below and abs(state[VZ]) < REST_SPEED else 0.0
-        down = state[Z] < self.around.standing + 2 * LIFT_OFF and self._target.position[2] < state[Z]
-        if down or self._stuck > STUCK_TIME:
+        self._stuck_time = self._stuck_time + self._period if below and abs(state[VZ]) < REST_SPEED else 0.0
+        down = (
+            state[Z] < self.surroundings.standing_height + 2 * LIFT_OFF
+            and self._target.position[2] < state[Z]
+        )
+        if down or self._stuck_time > STUCK_TIME:
             self._end(self.report.retreat)
             return None
         return command
 
     # --- what happens to the flight ----------------------------------------------------------------
 
-    def _react(self, cause: Cause, belief: Belief) -> None:
+    def _react(self, cause: Cause, estimate: StateEstimate) -> None:
+        """React to a cause: motors off, or retreat."""
         if self.radio.dry:
-            if cause is not self._warned:
-                self._say(f"would react: {cause.name} ({cause.when}): {cause.reaction.value}")
-            self._warned = cause
+            if cause is not self._announced:
+                self._print(f"would react: {cause.name} ({cause.when}): {cause.reaction.value}")
+            self._announced = cause
             return
         if cause.reaction is Reaction.OFF or not self._airborne:
             self._end(cause)
             return
-        self._say(f"{cause.name}: {cause.when}; {cause.reaction.value}")
+        self._print(f"{cause.name}: {cause.when}; {cause.reaction.value}")
         self.report.retreat = cause
-        here = belief.state[X : Z + 1].copy()
-        self._target = Target(here, self.around.way_down(here), RETREAT_SPEED)
+        here = estimate.state[X : Z + 1].copy()
+        self._target = MovingTarget(here, self.surroundings.path_down(here), RETREAT_SPEED)
         self._enter(Phase.RETREAT)
 
     def _enter(self, phase: Phase) -> None:
         self.phase, self._phase_began = phase, self.clock.now()
-        self._stuck = 0.0
-        self._lander.begin()
-        self._hover.actor.begin()
+        self._stuck_time = 0.0
+        self._landing_policy.reset()
+        self._follower.actor.reset()
 
-    def _succeed(self, outcome: str, belief: Belief) -> None:
-        self.report.goal = belief.state.copy()
-        self.report.landing_time = belief.time - self._phase_began
+    def _reach_goal(self, outcome: str, estimate: StateEstimate) -> None:
+        self.report.goal = estimate.state.copy()
+        self.report.landing_time = estimate.time - self._phase_began
         self._end(None, outcome)
 
     def _end(self, cause: Cause | None, outcome: str = "") -> None:
@@ -360,7 +375,7 @@ class Pilot:
             self.report.outcome = outcome or (cause.name if cause else "")
 
     def _motors_off(self) -> None:
-        """Nothing here may keep the motors on: what fails is passed over."""
+        """Stop the motors; failures in here are ignored, so that nothing keeps the motors on."""
         cause = self.report.cause
         peaceful = self.phase is Phase.OVER and (cause is None or cause.reaction is Reaction.LAND)
         if peaceful:
@@ -372,72 +387,73 @@ class Pilot:
             self.radio.emergency_stop()
         with contextlib.suppress(Exception):
             self.report.seconds = self.clock.now() - self._began
-            self._note_off()
+            self._log_motors_off()
 
-    def _note_before(self) -> None:
-        """What was heard last before the log begins."""
+    def _log_initial_values(self) -> None:
+        """Log the last voltage and attitude received before the log begins."""
         assert self._log is not None
         self._log.voltage(self.clock.now(), self._voltage)
         if (attitude := self._estimator.attitude) is not None:
-            self._note_attitude(attitude)
+            self._log_attitude(attitude)
 
-    def _note_attitude(self, attitude: Attitude) -> None:
-        seen = self._estimator.in_arena(attitude)
+    def _log_attitude(self, attitude: Attitude) -> None:
+        seen = self._estimator.to_arena(attitude)
         if self._log is not None and seen is not None:
             self._log.attitude(attitude.time, *frames.house_angles(seen))
 
-    def _note_off(self) -> None:
+    def _log_motors_off(self) -> None:
         if self._log is not None:
             self._log.command(self.clock.now(), np.zeros(4))
 
-    def _watch(self) -> None:
-        """Go on telling it to stop, and log where it comes to lie."""
-        end = self.clock.now() + WATCHED
+    def _track_after_flight(self) -> None:
+        """Keep sending stop commands, and log where the vehicle comes to rest."""
+        end = self.clock.now() + AFTER_FLIGHT_TIME
         while (now := self.clock.now()) < end:
             with contextlib.suppress(Exception):
                 self.radio.stop()
             for _ in range(TICKS):
                 self.clock.wait_until(self.clock.now() + self._period / TICKS)
-                self._listen()
-            self._now(self._estimator.at(now + self._period))
-        belief = self._estimator.at(self.clock.now())
-        if belief.pose_age < safety.POSE_LIMIT:
-            self.report.final = belief.state[X : Z + 1].copy()
-            platform = self.around.distances(belief.state[None])[0, 0]
-            self.report.rests = bool(self._lying > 0.0 and platform < 2 * LIFT_OFF)
+                self._receive()
+            self._flight_status(self._estimator.predict(now + self._period))
+        estimate = self._estimator.predict(self.clock.now())
+        if estimate.pose_age < safety.POSE_LIMIT:
+            self.report.final = estimate.state[X : Z + 1].copy()
+            platform = self.surroundings.distances(estimate.state[None])[0, 0]
+            self.report.rests = bool(self._resting_time > 0.0 and platform < 2 * LIFT_OFF)
 
     # --- what is heard -----------------------------------------------------------------------------
 
-    def _listen(self) -> None:
+    def _receive(self) -> None:
+        """Read motion capture and radio, and pass the news to estimator and log."""
         pose = self.mocap.latest()
         if pose is not None and pose.time > self._pose_time:
             self._pose_time = pose.time
-            near = self.around.near(self._estimator.at(pose.time).state, IMPACT_REACH)
-            impacts = self._estimator.filter.impacts
-            self._estimator.see(pose, impact=near)
+            near = self.surroundings.is_near(self._estimator.predict(pose.time).state, IMPACT_DISTANCE)
+            contact_updates = self._estimator.filter.contact_updates
+            self._estimator.add_pose(pose, impact=near)
             if self.phase is Phase.LANDING:
-                self.report.touched |= self._estimator.filter.impacts > impacts
+                self.report.touched |= self._estimator.filter.contact_updates > contact_updates
             if len(self._poses) < 10_000:
                 self._poses.append(pose)
             if self._log is not None:
-                state = self._estimator.at(pose.time).state
-                self._log.pose(pose.time, pose.position, self.around.touches(state))
-        for news in self.radio.news():
-            if isinstance(news, Attitude):
+                state = self._estimator.predict(pose.time).state
+                self._log.pose(pose.time, pose.position, self.surroundings.in_contact(state))
+        for received in self.radio.received():
+            if isinstance(received, Attitude):
                 self._attitudes += 1
-                self._estimator.feel(news)
-                self._note_attitude(news)
+                self._estimator.add_attitude(received)
+                self._log_attitude(received)
             else:
-                self._voltage, self._locked = news.voltage, news.locked
+                self._voltage, self._locked = received.voltage, received.locked
                 if self._log is not None:
-                    self._log.voltage(news.time, news.voltage)
+                    self._log.voltage(received.time, received.voltage)
 
-    def _show(self, time: float, belief: Belief, command: np.ndarray) -> None:
-        if time - self._shown < SHOWN_EVERY:
+    def _print_dry_run(self, time: float, estimate: StateEstimate, command: np.ndarray) -> None:
+        if time - self._last_print < DRY_RUN_PERIOD:
             return
-        self._shown = time
-        x, y, z = belief.state[X : Z + 1]
-        self._say(
+        self._last_print = time
+        x, y, z = estimate.state[X : Z + 1]
+        self._print(
             f"{time - self._began:5.1f} s  {self.phase.value:8}  x {x:6.2f}  y {y:6.2f}  z {z:5.2f} m  would "
             f"command PWM {command[PWM]:5.0f}, roll {math.degrees(command[ROLL_COMMAND]):5.1f}, "
             f"pitch {math.degrees(command[PITCH_COMMAND]):5.1f} deg, "
@@ -447,7 +463,7 @@ class Pilot:
 
 @contextlib.contextmanager
 def _interruptible() -> Iterator[None]:
-    """The other signals that a terminal sends interrupt as Ctrl-C does (where this is the main thread).
+    """Make the other signals that a terminal sends raise KeyboardInterrupt as Ctrl-C does (main thread only).
 
     Ctrl-Z would stop the pilot in mid-air.
     """
@@ -461,17 +477,17 @@ def _interruptible() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _uninterruptible() -> Iterator[None]:
-    """A second Ctrl-C does not interrupt the stopping."""
+    """Ignore a second Ctrl-C while the vehicle is being stopped."""
     with _handlers(dict.fromkeys(_SIGNALS, signal.SIG_IGN)):
         yield
 
 
 @contextlib.contextmanager
-def _handlers(wanted: dict) -> Iterator[None]:
+def _handlers(handlers: dict) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.signal(number, handler) for number, handler in wanted.items()}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
         yield
     finally:

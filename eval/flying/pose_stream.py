@@ -25,14 +25,14 @@ OLDEST = 1.0  # s that a pose may be old when it is sent
 
 
 def encode(pose: Pose, now: float) -> bytes:
-    """The datagram of a pose that is sent at `now` [s]."""
+    """Return the datagram of a pose that is sent at `now` [s]."""
     attitude = None if pose.attitude is None else [round(float(x), 6) for x in pose.attitude]
     position = [round(float(x), 6) for x in pose.position]
     return json.dumps({"position": position, "attitude": attitude, "age": round(now - pose.time, 6)}).encode()
 
 
 def decode(datagram: bytes, now: float) -> Pose | None:
-    """The pose of a datagram that arrives at `now` [s]; None for one that holds none."""
+    """Return the pose of a datagram that arrives at `now` [s]; None for an invalid one."""
     try:
         entry = json.loads(datagram.decode())
         position = np.array(entry["position"], float)
@@ -51,7 +51,7 @@ def decode(datagram: bytes, now: float) -> Pose | None:
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Host and port of HOST:PORT, or of a port alone on this machine. Raises UserError."""
+    """Return host and port of HOST:PORT, or of a port alone on this machine. Raises UserError."""
     host, _, port = text.rpartition(":")
     if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
         raise UserError(f"expected HOST:PORT with a port from 1 to 65535, not {shown(text, 60)}")
@@ -59,7 +59,7 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 def resolved(text: str) -> tuple[str, int]:
-    """`parse_address`, and the host's number. Raises UserError for a host that nobody knows."""
+    """Return the IP address and port of HOST:PORT. Raises UserError for an unknown host."""
     host, port = parse_address(text)
     try:
         return socket.gethostbyname(host), port
@@ -86,7 +86,7 @@ class PoseStream:
         self._thread.start()
 
     def latest(self) -> Pose | None:
-        """The newest pose; None before the first one."""
+        """Return the newest pose; None before the first one."""
         return self._pose
 
     def close(self) -> None:

@@ -14,13 +14,13 @@ from collections.abc import Callable
 import numpy as np
 
 from inclined_landing.envs.tasks.landing import BOUND_MARGIN
-from inclined_landing.eval.flying.estimate import Belief
+from inclined_landing.eval.flying.estimate import StateEstimate
 from inclined_landing.models.attitude import VX, VZ, X, Z
 from inclined_landing.models.parameters import Vehicle
 
 
 class Phase(enum.Enum):
-    """What the pilot is doing."""
+    """The phase of a flight."""
 
     APPROACH = "approach"  # take-off and flight to the start, by the set-point policy
     LANDING = "landing"  # by the landing policy
@@ -29,7 +29,7 @@ class Phase(enum.Enum):
 
 
 class Reaction(enum.Enum):
-    """What a cause leads to."""
+    """The pilot's reaction to a cause."""
 
     OFF = "motors off"
     LAND = "lands beside the platform"
@@ -37,7 +37,7 @@ class Reaction(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class Cause:
-    """Something that ends a flight early."""
+    """A condition that ends a flight early."""
 
     name: str
     when: str
@@ -48,7 +48,7 @@ class Cause:
 POSE_LIMIT = 0.2  # s without a believed position: the filter is then 6 cm unsure, a goal box has 10
 ATTITUDE_LIMIT = 0.25  # s without an attitude: a quarter of a second of lost packets is no link
 TILT_LIMIT = math.radians(60.0)  # the firmware calls a vehicle tumbled there; commands end at 30 deg
-PARTED_LIMIT = 2.0  # m/s between what forces add up to and the measured velocity, see `coherence`
+MISMATCH_LIMIT = 2.0  # m/s between what forces add up to and the measured velocity, see `coherence`
 DISAGREEMENT_LIMIT = math.radians(20.0)  # between the attitudes of log and motion capture
 HEADING_LIMIT = math.radians(30.0)  # off the heading held, while it is not being turned to it
 SPEED_LIMIT = 4.0  # m/s: shipped landings stay below 2.8
@@ -61,140 +61,127 @@ REACTION_TIME = (0.25, 0.25, 0.12)  # s along x, y, z: see `stopping_distance`
 BRAKING = 0.5  # share of the acceleration commands allow that the set-point policy brakes with
 FLOOR = 0.3  # m: descents below, in the air, are nobody's intention before the retreat
 
+_OFF, _LAND = Reaction.OFF, Reaction.LAND
 INTERRUPTED = Cause(
     "interrupted",
     "Ctrl-C, Ctrl-Z, `kill`, or the terminal is closed",
-    Reaction.OFF,
+    _OFF,
     "whoever interrupts wants it to stop now",
 )
 ERROR = Cause(
-    "error",
-    "any exception, also while printing or writing the log",
-    Reaction.OFF,
-    "nobody knows what still works",
+    "error", "any exception, also while printing or writing the log", _OFF, "nobody knows what still works"
 )
 HANG = Cause(
     "hang",
     f"the control loop gives no sign for {HANG_LIMIT:g} s",
-    Reaction.OFF,
+    _OFF,
     "a thread of its own notices; the last command would be held",
 )
-BAD_STATE = Cause(
-    "bad state", "position, velocity or attitude is NaN or infinite", Reaction.OFF, "nothing to fly by"
-)
+BAD_STATE = Cause("bad state", "position, velocity or attitude is NaN or infinite", _OFF, "nothing to fly by")
 BAD_SETPOINT = Cause(
-    "bad set-point action", "the set-point policy gives NaN or infinity", Reaction.OFF, "nothing to fly by"
+    "bad set-point action", "the set-point policy gives NaN or infinity", _OFF, "nothing to fly by"
 )
 BAD_ACTION = Cause(
-    "bad action",
-    "the landing policy gives NaN or infinity",
-    Reaction.LAND,
-    "the set-point policy still flies",
+    "bad action", "the landing policy gives NaN or infinity", _LAND, "the set-point policy still flies"
 )
-LINK = Cause("link lost", "cflib reports the connection lost", Reaction.OFF, "sent as often as it may help")
+LINK = Cause("link lost", "cflib reports the connection lost", _OFF, "sent as often as it may help")
 STALE_ATTITUDE = Cause(
     "no attitude",
     f"no attitude from the vehicle for {ATTITUDE_LIMIT:g} s",
-    Reaction.OFF,
+    _OFF,
     "the link is gone in one direction",
 )
 STALE_POSE = Cause(
     "no position",
     f"no believed position for {POSE_LIMIT:g} s: lost, frozen, or jumped",
-    Reaction.OFF,
+    _OFF,
     "predicted positions are 6 cm unsure by then",
 )
 TUMBLED = Cause(
     "tilt",
     f"tilted by more than {math.degrees(TILT_LIMIT):.0f} deg",
-    Reaction.OFF,
+    _OFF,
     "out of control; the firmware says the same at 60 deg",
 )
 LOCKED = Cause(
-    "supervisor",
-    "the vehicle says that it is tumbled, locked or crashed",
-    Reaction.OFF,
-    "it has stopped already",
+    "supervisor", "the vehicle says that it is tumbled, locked or crashed", _OFF, "it has stopped already"
 )
 DISAGREEMENT = Cause(
     "disagreement",
     f"log and motion capture show attitudes {math.degrees(DISAGREEMENT_LIMIT):.0f} deg apart for "
     f"{PERSISTENT['disagreement']:g} s",
-    Reaction.OFF,
+    _OFF,
     "a wrong sign, or markers taken for others: every command would be wrong",
 )
-PARTED = Cause(
+WRONG_POSITION = Cause(
     "wrong position",
-    f"the measured motion is {PARTED_LIMIT:g} m/s off what accelerometer and tilt lead to",
-    Reaction.OFF,
+    f"the measured motion is {MISMATCH_LIMIT:g} m/s off what accelerometer and tilt lead to",
+    _OFF,
     "a marker left behind: positions are fresh, and not the vehicle's",
 )
-OUTSIDE = Cause("outside", "outside the arena", Reaction.OFF, "falls within the nets")
+OUTSIDE = Cause("outside", "outside the arena", _OFF, "falls within the nets")
 FENCE = Cause(
     "fence",
     "closer to a wall or the ceiling than the distance it needs to stop, plus "
     f"{100 * BOUND_MARGIN:g} cm; the same for the floor, from {FLOOR:g} m up",
-    Reaction.LAND,
+    _LAND,
     "there is still room to brake",
 )
-SPEED = Cause("speed", f"faster than {SPEED_LIMIT:g} m/s", Reaction.LAND, "no landing needs it")
+SPEED = Cause("speed", f"faster than {SPEED_LIMIT:g} m/s", _LAND, "no landing needs it")
 HEADING = Cause(
     "heading",
     f"{math.degrees(HEADING_LIMIT):.0f} deg off the heading held, in the landing",
-    Reaction.LAND,
+    _LAND,
     "yaw is not under control",
 )
 BATTERY = Cause(
     "battery",
     f"below {LOWEST_VOLTAGE:g} V for {PERSISTENT['battery']:g} s",
-    Reaction.LAND,
+    _LAND,
     "the firmware's critical level: seconds of thrust are left",
 )
-LYING = Cause(
+TOUCHED = Cause(
     "touched",
     "touches the platform or the floor in the landing and stays there for 0.5 s",
-    Reaction.OFF,
+    _OFF,
     "it lies somewhere: no more thrust",
 )
 OVERTIME_APPROACH = Cause(
     "approach takes too long",
     f"the start is not reached after {APPROACH_LIMIT:g} s",
-    Reaction.LAND,
+    _LAND,
     "something differs from what the policy knows",
 )
 OVERTIME_LANDING = Cause(
-    "landing takes too long",
-    "longer than an episode of the task (6 s)",
-    Reaction.LAND,
-    "as an episode ends",
+    "landing takes too long", "longer than an episode of the task (6 s)", _LAND, "as an episode ends"
 )
 OVERTIME_RETREAT = Cause(
     "retreat takes too long",
     f"not down {RETREAT_LIMIT:g} s after it began",
-    Reaction.OFF,
+    _OFF,
     "the way down is blocked or lost",
 )
 
 
 @dataclasses.dataclass(frozen=True)
-class Now:
-    """What the causes are asked about."""
+class FlightStatus:
+    """The quantities that the safety monitor checks."""
 
     phase: Phase
     since: float  # s since the phase began
-    belief: Belief
+    estimate: StateEstimate
     airborne: bool  # has it left the place it stood on
     linked: bool
     locked: bool  # by the vehicle's own supervisor
     voltage: float  # V; NaN where not known
     heading_error: float  # rad
-    parted: float  # m/s, see `Coherence`
-    lying: float  # s that it has touched something without moving
+    velocity_mismatch: float  # m/s, see `ConsistencyMonitor`
+    resting_time: float  # s that it has touched something without moving
     landing_limit: float  # s that the landing may take
 
 
 def stopping_distance(velocity: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """Distance (3,) [m] that a vehicle with `velocity` (3,) [m/s] goes on along each axis until it stops.
+    """Return the stopping distance (3,) [m] along each axis from a velocity (3,) [m/s].
 
     v t + v^2 / (2 a). t: until braking is there; a control period, the age of the newest position (1/120 s),
     the radio (10 ms) and the lag of the attitude loop (0.18 s) or of the thrust (1/15.5 s). a: BRAKING times
@@ -208,8 +195,8 @@ def stopping_distance(velocity: np.ndarray, vehicle: Vehicle) -> np.ndarray:
     return speed * REACTION_TIME + speed**2 / (2.0 * brake)
 
 
-class Guard:
-    """Asks for causes in every control step, and remembers how long some of them have lasted."""
+class SafetyMonitor:
+    """Checks all causes in every control step, and tracks how long some of them have lasted."""
 
     def __init__(self, vehicle: Vehicle):
         self.vehicle = vehicle
@@ -218,10 +205,10 @@ class Guard:
         self._low = np.array([v.arena_x[0], v.arena_y[0], v.arena_z[0]])
         self._high = np.array([v.arena_x[1], v.arena_y[1], v.arena_z[1]])
 
-    def cause(self, now: Now) -> Cause | None:
-        """The first cause that holds; in a retreat only those that switch the motors off."""
+    def cause(self, now: FlightStatus) -> Cause | None:
+        """Return the first cause that holds; in a retreat only those that switch the motors off."""
         for cause, holds in self._tests():
-            if not self._lasts(cause, holds(now), now.belief.time):
+            if not self._lasts(cause, holds(now), now.estimate.time):
                 continue
             if cause.reaction is Reaction.LAND and now.phase is Phase.RETREAT:
                 continue
@@ -234,34 +221,34 @@ class Guard:
             return False
         return time - self._began.setdefault(cause.name, time) >= PERSISTENT.get(cause.name, 0.0)
 
-    def _tests(self) -> tuple[tuple[Cause, Callable[[Now], bool]], ...]:
+    def _tests(self) -> tuple[tuple[Cause, Callable[[FlightStatus], bool]], ...]:
         return (
             (LINK, lambda now: not now.linked),
-            (STALE_ATTITUDE, lambda now: now.belief.attitude_age > ATTITUDE_LIMIT),
-            (STALE_POSE, lambda now: now.belief.pose_age > POSE_LIMIT),
-            (BAD_STATE, lambda now: not np.isfinite(now.belief.state).all()),
+            (STALE_ATTITUDE, lambda now: now.estimate.attitude_age > ATTITUDE_LIMIT),
+            (STALE_POSE, lambda now: now.estimate.pose_age > POSE_LIMIT),
+            (BAD_STATE, lambda now: not np.isfinite(now.estimate.state).all()),
             (LOCKED, lambda now: now.locked),
-            (TUMBLED, lambda now: now.belief.tilt > TILT_LIMIT),
-            (DISAGREEMENT, lambda now: now.belief.disagreement > DISAGREEMENT_LIMIT),
-            (PARTED, lambda now: now.parted > PARTED_LIMIT),
+            (TUMBLED, lambda now: now.estimate.tilt > TILT_LIMIT),
+            (DISAGREEMENT, lambda now: now.estimate.attitude_mismatch > DISAGREEMENT_LIMIT),
+            (WRONG_POSITION, lambda now: now.velocity_mismatch > MISMATCH_LIMIT),
             (OUTSIDE, lambda now: self._outside(now)),
-            (LYING, lambda now: now.phase is Phase.LANDING and now.lying >= 0.5),
+            (TOUCHED, lambda now: now.phase is Phase.LANDING and now.resting_time >= 0.5),
             (OVERTIME_RETREAT, lambda now: now.phase is Phase.RETREAT and now.since > RETREAT_LIMIT),
             (FENCE, self._near_fence),
-            (SPEED, lambda now: now.belief.speed > SPEED_LIMIT),
+            (SPEED, lambda now: now.estimate.speed > SPEED_LIMIT),
             (HEADING, lambda now: now.phase is Phase.LANDING and abs(now.heading_error) > HEADING_LIMIT),
             (BATTERY, lambda now: now.voltage < LOWEST_VOLTAGE),
             (OVERTIME_APPROACH, lambda now: now.phase is Phase.APPROACH and now.since > APPROACH_LIMIT),
             (OVERTIME_LANDING, lambda now: now.phase is Phase.LANDING and now.since > now.landing_limit),
         )
 
-    def _outside(self, now: Now) -> bool:
-        position = now.belief.state[X : Z + 1]
+    def _outside(self, now: FlightStatus) -> bool:
+        position = now.estimate.state[X : Z + 1]
         below = np.array([0.0, 0.0, np.inf])  # a vehicle cannot be below the floor, its markers may
         return bool((position < self._low - below).any() or (position > self._high).any())
 
-    def _near_fence(self, now: Now) -> bool:
-        position, velocity = now.belief.state[X : Z + 1], now.belief.state[VX : VZ + 1]
+    def _near_fence(self, now: FlightStatus) -> bool:
+        position, velocity = now.estimate.state[X : Z + 1], now.estimate.state[VX : VZ + 1]
         room = stopping_distance(velocity, self.vehicle) + BOUND_MARGIN
         high = (velocity > 0.0) & (position + room > self._high)
         low = (velocity < 0.0) & (position - room < self._low)
@@ -269,16 +256,16 @@ class Guard:
         return bool(high.any() or low.any())
 
 
-# In the order of the documentation; those of `Guard`, and those that the pilot meets elsewhere.
+# In the order of the documentation; those of `SafetyMonitor`, and those that the pilot meets elsewhere.
 CAUSES = (
     *(INTERRUPTED, ERROR, HANG, LINK, STALE_ATTITUDE, STALE_POSE, BAD_STATE, BAD_SETPOINT, BAD_ACTION),
-    *(LOCKED, TUMBLED, DISAGREEMENT, PARTED, OUTSIDE, FENCE, SPEED, HEADING, BATTERY, LYING),
+    *(LOCKED, TUMBLED, DISAGREEMENT, WRONG_POSITION, OUTSIDE, FENCE, SPEED, HEADING, BATTERY, TOUCHED),
     *(OVERTIME_APPROACH, OVERTIME_LANDING, OVERTIME_RETREAT),
 )
 
 
 def table() -> str:
-    """All causes as the Markdown table of the documentation."""
+    """Return all causes as the Markdown table of the documentation."""
     rows = (f"| {cause.name} | {cause.when} | {cause.reaction.value} | {cause.why} |" for cause in CAUSES)
     return "\n".join(["| cause | when | reaction | why |", "|---|---|---|---|", *rows])
 

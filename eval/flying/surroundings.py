@@ -13,41 +13,43 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.scene import compile_scene
 
-LEAVING = 0.3  # m of a way that may begin closer to it
-IMPACT_REACH = 0.1  # m within which a touch may have happened unseen
-TOUCHING = 0.01  # m: closer counts as touching; the platform's height is known to 5 mm
+FREE_START = 0.3  # m of a way that may begin closer to it
+IMPACT_DISTANCE = 0.1  # m within which a touch may have happened unseen
+CONTACT_DISTANCE = 0.01  # m: closer counts as touching; the platform's height is known to 5 mm
 CEILING = 0.3  # m that a way keeps to the ceiling
 _STEP = 0.05  # m between the points at which a way is checked
 
 
 class Surroundings:
-    """Platform and floor around a vehicle; inclination of the platform [rad]."""
+    """Platform and floor as obstacles; inclination of the platform [rad]."""
 
     def __init__(self, vehicle: Vehicle, inclination: float):
         self.vehicle = vehicle
         self.inclination = inclination
         self._shapes = geometry.shapes_of(compile_scene(vehicle))
         self._platform, _ = geometry.platform_poses([inclination], [True], vehicle)
-        self.standing = float(geometry.reach_below(self._shapes, part="feet"))  # m, centre above the floor
+        self.standing_height = float(
+            geometry.reach_below(self._shapes, part="feet")
+        )  # m, centre above the floor
 
     def distances(self, states: np.ndarray) -> np.ndarray:
-        """Distance (n, 2) [m] of vehicles in states (n, 13) to the platform and to the floor."""
+        """Return the distances (n, 2) [m] of vehicles in states (n, 13) to platform and floor."""
         n = len(states)
         platform = np.repeat(self._platform, n, axis=0)
         to = geometry.clearances(states, np.full(n, self.inclination), platform, self._shapes).min(axis=2)
         floor = np.where(np.isfinite(to[:, 2]), to[:, 2], states[:, 2] - self._shapes.reach)
         return np.stack([to[:, :2].min(axis=1), floor], axis=1)
 
-    def touches(self, state: np.ndarray) -> bool:
-        """Does a vehicle in a state (13,) touch platform or floor, as far as its position tells?"""
-        return self.near(state, TOUCHING)
+    def in_contact(self, state: np.ndarray) -> bool:
+        """Return whether a vehicle in a state (13,) is in contact with platform or floor, by its position."""
+        return self.is_near(state, CONTACT_DISTANCE)
 
-    def near(self, state: np.ndarray, reach: float) -> bool:
-        """Is a vehicle in a state (13,) closer than `reach` [m] to platform or floor?"""
+    def is_near(self, state: np.ndarray, reach: float) -> bool:
+        """Return whether a vehicle in a state (13,) is closer than `reach` [m] to platform or floor."""
         return bool(np.isfinite(state).all() and (self.distances(state[None]) < reach).any())
 
-    def way_to(self, home: np.ndarray, start: np.ndarray) -> list[np.ndarray]:
-        """Points (3,) [m]: up from `home`, across at one height, to `start`.
+    def path_to(self, home: np.ndarray, start: np.ndarray) -> list[np.ndarray]:
+        """Return waypoints (3,) [m]: up from `home`, across at one height, to `start`.
 
         The height is the lowest from the start's on at which the way is clear. Raises UserError where none
         is.
@@ -60,8 +62,8 @@ class Surroundings:
             f"there is no clear way over or beside the platform from {_point(home)} to {_point(start)} m"
         )
 
-    def way_down(self, here: np.ndarray) -> list[np.ndarray]:
-        """Points (3,) [m] from `here` to a free place and below its floor, the downhill side first."""
+    def path_down(self, here: np.ndarray) -> list[np.ndarray]:
+        """Return waypoints (3,) [m] from `here` to a free place and below its floor, downhill side first."""
         downhill = -1.0 if self.inclination < 0.0 else 1.0
         beside = self.vehicle.slab_half_length + 2 * CLEAR
         places = [here[0]] if abs(here[0]) > beside - CLEAR else [downhill * beside, -downhill * beside]
@@ -69,31 +71,31 @@ class Surroundings:
             places, np.arange(here[2], max(here[2], self._highest) + 0.01, 0.1)
         ):
             points = [np.array([here[0], here[1], height]), np.array([x, here[1], height])]
-            points.append(np.array([x, here[1], self.standing]))
-            if self._clear([here, *points], leaving=LEAVING):
+            points.append(np.array([x, here[1], self.standing_height]))
+            if self._clear([here, *points], leaving=FREE_START):
                 break
-        return [*points[:-1], np.array([points[-1][0], here[1], -self.standing - 0.2])]
+        return [*points[:-1], np.array([points[-1][0], here[1], -self.standing_height - 0.2])]
 
     @property
     def _highest(self) -> float:
         return self.vehicle.arena_z[1] - CEILING + 1e-9
 
     def _clear(self, points: list[np.ndarray], leaving: float = 0.0) -> bool:
-        """Is a way clear, but for its first `leaving` metres?"""
-        states, gone = [], 0.0
+        """Return whether a path is clear of obstacles, except for its first `leaving` metres."""
+        states, travelled = [], 0.0
         for a, b in itertools.pairwise(points):
             length = float(np.linalg.norm(b - a))
             for k in range(int(length / _STEP) + 1):
-                if gone + k * _STEP >= leaving:
+                if travelled + k * _STEP >= leaving:
                     state = np.zeros(STATE_SIZE)
                     state[:3] = a + (b - a) * min(1.0, k * _STEP / max(length, 1e-9))
                     states.append(state)
-            gone += length
+            travelled += length
         return not states or bool((self.distances(np.array(states))[:, 0] > CLEAR).all())
 
 
-class Target:
-    """A point that moves along a way at `speed` [m/s], and waits for a vehicle `lead` [m] behind."""
+class MovingTarget:
+    """A target that moves along a path at `speed` [m/s], and waits for a vehicle `lead` [m] behind."""
 
     def __init__(self, begin: np.ndarray, way: list[np.ndarray], speed: float, lead: float = 0.4):
         self.position = np.array(begin, float)
@@ -102,19 +104,19 @@ class Target:
 
     @property
     def arrived(self) -> bool:
-        """Is it at the end of its way?"""
+        """Whether it is at the end of its path."""
         return not self._way
 
-    def move(self, dt: float, vehicle: np.ndarray) -> np.ndarray:
-        """Its position (3,) after another dt [s], the vehicle being at (3,)."""
-        left = self._speed * dt
-        while self._way and left > 0.0 and np.linalg.norm(self.position - vehicle) < self._lead:
+    def advance(self, dt: float, vehicle: np.ndarray) -> np.ndarray:
+        """Return the target's position (3,) after another dt [s], the vehicle being at (3,)."""
+        remaining = self._speed * dt
+        while self._way and remaining > 0.0 and np.linalg.norm(self.position - vehicle) < self._lead:
             to = self._way[0] - self.position
             distance = float(np.linalg.norm(to))
-            if distance > left:
-                self.position = self.position + to * (left / distance)
+            if distance > remaining:
+                self.position = self.position + to * (remaining / distance)
                 return self.position
-            self.position, left = self._way.pop(0), left - distance
+            self.position, remaining = self._way.pop(0), remaining - distance
         return self.position
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.eval.flying import frames
-from inclined_landing.eval.flying.estimate import Attitude, LogClock
+from inclined_landing.eval.flying.estimate import Attitude, ClockOffset
 from inclined_landing.eval.flying.interfaces import Clock
 from inclined_landing.eval.flying.link import remedy
 from inclined_landing.models.errors import UserError, shown
@@ -24,7 +24,7 @@ _LOCKED = 1 << 5 | 1 << 6 | 1 << 7  # tumbled, locked, crashed in supervisor.inf
 
 @dataclasses.dataclass(frozen=True)
 class Status:
-    """What the vehicle says of itself."""
+    """Battery voltage and supervisor state of the vehicle."""
 
     time: float  # s, of arrival
     voltage: float  # V
@@ -32,9 +32,9 @@ class Status:
 
 
 class Radio:
-    """One connected vehicle.
+    """The radio link to one connected vehicle.
 
-    crazyflie: cflib's, or what answers like it. What arrives comes on cflib's thread and waits in `news`.
+    crazyflie: cflib's, or what answers like it. What arrives comes on cflib's thread and waits in `received`.
     dry: nothing that moves a motor is sent.
     """
 
@@ -43,8 +43,8 @@ class Radio:
         self.angle_limit = angle_limit  # rad
         self.lost: str | None = None  # why, once the link is
         self._connected = False
-        self._news: collections.deque[Attitude | Status] = collections.deque(maxlen=10_000)
-        self._dates = LogClock()
+        self._received: collections.deque[Attitude | Status] = collections.deque(maxlen=10_000)
+        self._dates = ClockOffset()
         self._logs: list[Any] = []
         for caller, react in (
             (crazyflie.connected, self._is_connected),
@@ -55,7 +55,7 @@ class Radio:
             caller.add_callback(react)
 
     def connect(self, uri: str) -> None:
-        """Open the link and start the logs. Raises UserError in a sentence where that fails."""
+        """Open the link and start the logs. Raises UserError where that fails."""
         end = self.clock.now() + CONNECTING
         self.crazyflie.open_link(uri)
         while not self._connected:
@@ -65,29 +65,31 @@ class Radio:
                 reason = reason.removeprefix("Couldn't load link driver: ")
                 raise UserError(f"no connection to {shown(uri)}: {shown(reason, 200)}{remedy(uri)}")
             self.clock.wait_until(self.clock.now() + 0.02)
-        felt = ("stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw", "acc.z")
-        self._log("attitude", ATTITUDE_PERIOD, felt, self._attitude)
+        specific_force = ("stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw", "acc.z")
+        self._log("attitude", ATTITUDE_PERIOD, specific_force, self._attitude)
         try:
             self._log("status", STATUS_PERIOD, ("pm.vbat", "supervisor.info"), self._status)
         except KeyError:  # older firmware
             self._log("status", STATUS_PERIOD, ("pm.vbat",), self._status)
 
-    def news(self) -> list[Attitude | Status]:
-        """What has arrived since the last call, in order."""
+    def received(self) -> list[Attitude | Status]:
+        """Return what has arrived since the last call, in order."""
         fresh = []
         with contextlib.suppress(IndexError):
             while True:
-                fresh.append(self._news.popleft())
+                fresh.append(self._received.popleft())
         return fresh
 
     def arm(self) -> None:
-        """Ask for arming (the Crazyflie 2.1 does so itself), and unlock the thrust by a set-point of none."""
+        """Request arming (the Crazyflie 2.1 arms itself), and unlock the thrust by a set-point of zero
+        thrust.
+        """
         if not self.dry:
             self.crazyflie.supervisor.send_arming_request(True)
             self.crazyflie.commander.send_setpoint(0.0, 0.0, 0.0, 0)
 
     def send(self, command: np.ndarray, heading: float) -> None:
-        """A set-point: PWM, roll, pitch [rad], yaw rate [rad/s], in the arena's frame; heading [rad].
+        """Send a set-point: PWM, roll, pitch [rad], yaw rate [rad/s] in the arena's frame; heading [rad].
 
         From the first one on the firmware's emergency watchdog runs: without notice the motors stop after 1 s
         (not 2 s after the last set-point), and the vehicle flies again only when switched off and on.
@@ -99,12 +101,12 @@ class Radio:
         self.crazyflie.supervisor.send_emergency_stop_watchdog()
 
     def stop(self) -> None:
-        """Motors off; they can be started again."""
+        """Switch the motors off; they can be started again."""
         if not self.dry:
             self.crazyflie.commander.send_stop_setpoint()
 
     def emergency_stop(self) -> None:
-        """Motors off, whatever goes wrong meanwhile: the vehicle stays locked until it is switched on again.
+        """Switch the motors off whatever fails: the vehicle stays locked until it is power-cycled.
 
         Each command is tried for itself.
         """
@@ -119,7 +121,7 @@ class Radio:
                     command()
 
     def close(self) -> None:
-        """End logs and link; errors of a link that is gone are none."""
+        """Stop the logs and close the link, ignoring errors."""
         for log in self._logs:
             with contextlib.suppress(Exception):
                 log.stop()
@@ -140,11 +142,11 @@ class Radio:
     def _attitude(self, stamp: int, data: dict[str, float], _) -> None:
         angles = (data[f"stateEstimate.{name}"] for name in ("roll", "pitch", "yaw"))
         time = self._dates.date(stamp, self.clock.now())
-        self._news.append(Attitude(time, frames.logged_rotation(*angles), float(data["acc.z"])))
+        self._received.append(Attitude(time, frames.logged_rotation(*angles), float(data["acc.z"])))
 
     def _status(self, stamp: int, data: dict[str, float], _) -> None:
         locked = bool(int(data.get("supervisor.info", 0)) & _LOCKED)
-        self._news.append(Status(self.clock.now(), float(data["pm.vbat"]), locked))
+        self._received.append(Status(self.clock.now(), float(data["pm.vbat"]), locked))
 
     def _is_connected(self, uri: str) -> None:
         self._connected = True

@@ -8,14 +8,14 @@ from collections.abc import Callable
 
 
 class Watchdog:
-    """Calls `stop` once, from its own thread, when `alive` was not called for `limit` s of real time.
+    """Calls `stop` once, from its own thread, when `feed` was not called for `limit` s of real time.
 
-    Use as a context; `bitten` says whether it did. What hangs inside cflib's own lock cannot be passed by any
-    thread: then the vehicle stops by itself, 1 s after the last notice.
+    Use as a context; `triggered` says whether it did. No thread gets past a hang inside cflib's own lock:
+    then the vehicle stops by itself, 1 s after the last notice.
     """
 
     def __init__(self, limit: float, stop: Callable[[], None]):
-        self.bitten = False
+        self.triggered = False
         self._limit, self._stop = limit, stop
         self._last = time.monotonic()
         self._over = threading.Event()
@@ -29,13 +29,13 @@ class Watchdog:
     def __exit__(self, *_) -> None:
         self._over.set()
 
-    def alive(self) -> None:
-        """The control loop is."""
+    def feed(self) -> None:
+        """Reset the timer."""
         self._last = time.monotonic()
 
     def _watch(self) -> None:
         while not self._over.wait(self._limit / 5.0):
             if time.monotonic() - self._last > self._limit:
-                self.bitten = True
+                self.triggered = True
                 self._stop()
                 return

@@ -19,7 +19,7 @@ _VELOCITY = ("vx", "vy", "vz")
 _EULER = ("roll", "pitch", "yaw")
 # What no flight exceeds, in SI units. A column beyond that throughout has another unit, which the checks say;
 # a few values that are beyond alone were not measured.
-_POSSIBLE = {
+_PLAUSIBLE = {
     **dict.fromkeys(_POSITION, (-200.0, 200.0)),
     **dict.fromkeys(_VELOCITY, (-100.0, 100.0)),
     **dict.fromkeys(("roll", "pitch"), (-np.pi - 0.01, np.pi + 0.01)),
@@ -30,13 +30,13 @@ _POSSIBLE = {
     "cmd_yaw_rate": (-15.0, 15.0),
     "vbat": (-1.0, 100.0),
 }
-_FEW = 0.005  # of the rows
+_OUTLIER_SHARE = 0.005  # of the rows
 
 
 def assemble(
     name: str, path: str, channels: Mapping[str, Channel], euler: str, notes: list[str]
 ) -> FlightLog:
-    """One flight from its channels.
+    """Return one flight from its channels.
 
     Rows are those of x. Other measurements are interpolated between neighbours at most GAP_SECONDS
     (or GAP_STEPS of their own steps) apart; rows without such neighbours are dropped. Commands and
@@ -45,27 +45,27 @@ def assemble(
     Raises UserError when position, attitude or thrust command are not there at all.
     """
     notes = list(notes)
-    channels = {key: _cleaned(key, channel, notes) for key, channel in channels.items()}
+    channels = {key: _clean(key, channel, notes) for key, channel in channels.items()}
     quaternion = all(key in channels for key in QUATERNION)
-    _require(path, channels, quaternion)
+    _require_columns(path, channels, quaternion)
     for key in ("roll", "pitch", "yaw", "cmd_roll", "cmd_pitch"):
         if key in channels:
             _check_angle(path, key, channels[key])
 
     t = channels["x"].t
-    pose, near = _measured(channels, t, quaternion)
-    sent, begun = _sent(channels, t)
-    keep = near & begun
-    if keep.sum() < 2:
+    pose, near = _interpolate_pose(channels, t, quaternion)
+    commands, started = _hold_commands(channels, t)
+    complete = near & started
+    if complete.sum() < 2:
         raise UserError(f"{path}: pose and commands are never logged at the same time")
-    notes += _words_on_rows(channels, t, keep)
-    velocity = _throughout(channels, _VELOCITY, t[keep], "velocity", notes)
-    voltage = _throughout(channels, ("vbat",), t[keep], "battery voltage", notes, longest=1.5)
+    notes += _describe_rows(channels, t, complete)
+    velocity = _interpolate_fully(channels, _VELOCITY, t[complete], "velocity", notes)
+    voltage = _interpolate_fully(channels, ("vbat",), t[complete], "battery voltage", notes, longest=1.5)
     if "cmd_yaw" in channels and "cmd_yaw_rate" not in channels:
         notes.append("yaw is commanded as an angle; no yaw rate command was logged and none is made up")
 
-    pose = {key: value[keep] for key, value in pose.items()}
-    command = np.stack([sent.get(key, np.full(len(t), np.nan))[keep] for key in COMMANDS], axis=1)
+    pose = {key: value[complete] for key, value in pose.items()}
+    command = np.stack([commands.get(key, np.full(len(t), np.nan))[complete] for key in COMMANDS], axis=1)
     if quaternion:
         attitude = _from_quaternion(path, np.stack([pose[key] for key in QUATERNION], axis=1))
     else:
@@ -77,54 +77,56 @@ def assemble(
     attitude[:, 2] = np.unwrap(attitude[:, 2])
     return FlightLog(
         name=name,
-        t=t[keep] - t[keep][0],
+        t=t[complete] - t[complete][0],
         position=np.stack([pose[key] for key in _POSITION], axis=1),
         attitude=attitude,
         command=command,
         velocity=velocity,
         voltage=None if voltage is None else voltage[:, 0],
-        contact=sent["contact"][keep] > 0.5 if "contact" in sent else None,
+        contact=commands["contact"][complete] > 0.5 if "contact" in commands else None,
         notes=tuple(dict.fromkeys(notes)),
     )
 
 
-def _measured(
+def _interpolate_pose(
     channels: Mapping[str, Channel], t: np.ndarray, quaternion: bool
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Pose at t by column (m,), NaN where it was not logged, and the rows whose neighbours are near."""
-    pose, keep = {}, np.ones(len(t), bool)
+    """Return the pose at t by column (m,), NaN where not logged, and a mask of rows with near neighbours."""
+    pose, complete = {}, np.ones(len(t), bool)
     for key in (*_POSITION, *(QUATERNION if quaternion else _EULER)):
         pose[key] = np.full(len(t), np.nan)
         if key in channels:
-            pose[key], near = _interpolated(channels[key], t, angle=key in ("roll", "yaw"))
-            keep &= near
-    return pose, keep
+            pose[key], near = _interpolate(channels[key], t, angle=key in ("roll", "yaw"))
+            complete &= near
+    return pose, complete
 
 
-def _sent(channels: Mapping[str, Channel], t: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Commands and contact at t by column (m,), and the rows from which on all of them are there."""
-    sent, keep = {}, np.ones(len(t), bool)
+def _hold_commands(
+    channels: Mapping[str, Channel], t: np.ndarray
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return commands and contact at t by column (m,), and a mask of the rows from their first values on."""
+    commands, complete = {}, np.ones(len(t), bool)
     for key in (*COMMANDS, "contact"):
         if key in channels:
-            sent[key], begun = _held(channels[key], t)
-            keep &= begun
-    return sent, keep
+            commands[key], started = _hold(channels[key], t)
+            complete &= started
+    return commands, complete
 
 
-def _words_on_rows(channels: Mapping[str, Channel], t: np.ndarray, keep: np.ndarray) -> Iterator[str]:
-    """Which rows were dropped, and whether anything was moved to the clock of x."""
-    inside = np.flatnonzero(keep)
-    whole = inside[-1] - inside[0] + 1
-    if whole > len(inside):
-        yield f"{whole - len(inside)} rows inside the flight lack part of the pose and were dropped"
-    if len(t) > whole:
-        yield f"{len(t) - whole} rows at the ends lack pose or commands"
+def _describe_rows(channels: Mapping[str, Channel], t: np.ndarray, complete: np.ndarray) -> Iterator[str]:
+    """Yield which rows were dropped, and whether anything was resampled to the clock of x."""
+    inside = np.flatnonzero(complete)
+    span = inside[-1] - inside[0] + 1
+    if span > len(inside):
+        yield f"{span - len(inside)} rows inside the flight lack part of the pose and were dropped"
+    if len(t) > span:
+        yield f"{len(t) - span} rows at the ends lack pose or commands"
     clocks = [channels[key] for key in (*_POSITION, *COMMANDS) if key in channels]
     if any(len(c.t) != len(t) or not np.array_equal(c.t, t) for c in clocks):
         yield "channels have clocks of their own: measurements interpolated, commands held, onto that of x"
 
 
-def _throughout(
+def _interpolate_fully(
     channels: Mapping[str, Channel],
     keys: tuple[str, ...],
     t: np.ndarray,
@@ -132,17 +134,18 @@ def _throughout(
     notes: list[str],
     **options,
 ) -> np.ndarray | None:
-    """(m, k) at t where all of `keys` are logged throughout; what is not is noted."""
+    """Return (m, k) at t where all of `keys` are logged throughout; note what is not."""
     if not all(key in channels for key in keys):
         return None
-    parts = [_interpolated(channels[key], t, **options) for key in keys]
+    parts = [_interpolate(channels[key], t, **options) for key in keys]
     if all(near.all() for _, near in parts):
         return np.stack([value for value, _ in parts], axis=1)
     notes.append(f"{what} is not logged throughout and is not used")
     return None
 
 
-def _require(path: str, channels: Mapping[str, Channel], quaternion: bool) -> None:
+def _require_columns(path: str, channels: Mapping[str, Channel], quaternion: bool) -> None:
+    """Raise UserError where position, attitude or thrust command are missing."""
     missing = [key for key in _POSITION if key not in channels]
     if missing:
         raise UserError(
@@ -159,7 +162,7 @@ def _require(path: str, channels: Mapping[str, Channel], quaternion: bool) -> No
 
 
 def _check_angle(path: str, key: str, channel: Channel) -> None:
-    """Before any conversion, which would wrap degrees into something that looks like radians."""
+    """Raise UserError for angles in degrees, before a conversion wraps them into plausible radians."""
     largest = np.abs(channel.value).max(initial=0.0)
     if key == "yaw":
         begin = np.abs(channel.value[:1]).max(initial=0.0)
@@ -174,20 +177,20 @@ def _check_angle(path: str, key: str, channel: Channel) -> None:
         )
 
 
-def _cleaned(key: str, channel: Channel, notes: list[str]) -> Channel:
-    """Without rows that have no number or a lone impossible one, and with one value per instant."""
+def _clean(key: str, channel: Channel, notes: list[str]) -> Channel:
+    """Return a channel without rows that are not numbers or lone outliers, and with one value per instant."""
     finite = np.abs(channel.value) < LARGEST_VALUE
     lost = int((~finite).sum())
     if lost:
         share = f"{lost} of {len(finite)} rows"
         notes.append(f"column {channel.column} ({key}) is empty or not a number in {share}")
-    lone = _lone(channel.value, finite, _POSSIBLE.get(key, (-np.inf, np.inf)))
-    if len(lone):
-        where = f"row {lone[0] + 1} of the data (t = {channel.t[lone[0]]:.6g} s)"
-        often = where if len(lone) == 1 else f"{len(lone)} rows, first in {where}"
-        holds = f"column {channel.column} ({key}) holds {channel.value[lone[0]]:.4g}"
+    outliers = _find_outliers(channel.value, finite, _PLAUSIBLE.get(key, (-np.inf, np.inf)))
+    if len(outliers):
+        where = f"row {outliers[0] + 1} of the data (t = {channel.t[outliers[0]]:.6g} s)"
+        often = where if len(outliers) == 1 else f"{len(outliers)} rows, first in {where}"
+        holds = f"column {channel.column} ({key}) holds {channel.value[outliers[0]]:.4g}"
         notes.append(f"{holds}, which no flight has, in {often}: left out")
-        finite[lone] = False
+        finite[outliers] = False
     t, value = channel.t[finite], channel.value[finite]
     later = np.r_[True, np.diff(t) > 0]
     if not later.all():
@@ -195,21 +198,21 @@ def _cleaned(key: str, channel: Channel, notes: list[str]) -> Channel:
     return Channel(t[later], value[later], channel.column)
 
 
-def _lone(value: np.ndarray, finite: np.ndarray, possible: tuple[float, float]) -> np.ndarray:
-    """Rows of impossible values among possible ones; none where there are more than a few."""
+def _find_outliers(value: np.ndarray, finite: np.ndarray, possible: tuple[float, float]) -> np.ndarray:
+    """Return the rows of implausible values among plausible ones; none where there are more than a few."""
     low, high = possible
     rows = np.flatnonzero(finite)
     beyond = (value[rows] < low) | (value[rows] > high)
-    if not 0 < beyond.sum() <= max(1, _FEW * len(rows)):
+    if not 0 < beyond.sum() <= max(1, _OUTLIER_SHARE * len(rows)):
         return rows[:0]
     usual = median_filter(value[rows], size=5, mode="nearest")
     return rows[beyond & (low <= usual) & (usual <= high)]
 
 
-def _interpolated(
+def _interpolate(
     channel: Channel, t: np.ndarray, angle: bool = False, longest: float = GAP_SECONDS
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Value at t, and where the neighbours it comes from are near enough; (m,) each."""
+    """Return the values at t, and a mask of where their neighbours are near enough; (m,) each."""
     if len(channel.t) == len(t) and np.array_equal(channel.t, t):
         return channel.value, np.ones(len(t), bool)
     if len(channel.t) < 2:
@@ -223,8 +226,8 @@ def _interpolated(
     return np.interp(t, channel.t, value), near
 
 
-def _held(channel: Channel, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Last value sent at or before t, and where there is one; (m,) each."""
+def _hold(channel: Channel, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the last value sent at or before t, and a mask of where there is one; (m,) each."""
     if not len(channel.t):
         return np.full(len(t), np.nan), np.zeros(len(t), bool)
     last = np.searchsorted(channel.t, t + 1e-9, side="right") - 1
@@ -232,7 +235,7 @@ def _held(channel: Channel, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _from_quaternion(path: str, quaternion: np.ndarray) -> np.ndarray:
-    """(m, 4) w, x, y, z -> (m, 3) roll, pitch, yaw in ZXY."""
+    """Return roll, pitch, yaw (m, 3) in ZXY order from quaternions (m, 4) w, x, y, z."""
     norm = np.linalg.norm(quaternion, axis=1)
     if (np.abs(norm - 1) > 0.05).mean() > 0.01:
         worst = norm[np.argmax(np.abs(norm - 1))]
@@ -247,7 +250,7 @@ def _zxy(rotation: Rotation) -> np.ndarray:
 
 
 def _zyx_to_zxy(angles: np.ndarray, what: str, notes: list[str]) -> np.ndarray:
-    """(m, 3) roll, pitch, yaw from Rz Ry Rx to Rz Rx Ry; a column of NaN stays one."""
+    """Return roll, pitch, yaw (m, 3) of Rz Rx Ry from those of Rz Ry Rx; a column of NaN stays one."""
     if np.isnan(angles[:, :2]).any():
         if not np.isnan(angles[:, :2]).all():
             notes.append(

@@ -24,29 +24,29 @@ _PART = re.compile(r"(\w+)(?:\[(\d+)\])?")
 
 
 def read(path: Path, patterns: Sequence[str]) -> Record:
-    """The columns that fit `patterns` (`topic:field.path`, `*` in the topic).
+    """Return the columns of a bag that match `patterns` (`topic:field.path`, `*` in the topic).
 
     A message is dated by the stamp in its header; without one, by when the bag received it, which is
     noted. Raises UserError when the bag cannot be read, or a topic's messages lack the field.
     """
     columns, times, notes = {}, {}, []
-    with _opened(path) as reader:
-        wanted: dict[str, list[str]] = {}
+    with _open_bag(path) as reader:
+        fields_by_topic: dict[str, list[str]] = {}
         for pattern in dict.fromkeys(patterns):
             topic, _, field = pattern.partition(":")
             found = mapping.find(sorted(reader.topics), topic, str(path)) if field else None
             if found is not None:
-                wanted.setdefault(found, []).append(field)
-        for topic, fields in wanted.items():
+                fields_by_topic.setdefault(found, []).append(field)
+        for topic, fields in fields_by_topic.items():
             stamps, received, rows = [], [], []
             for message, timestamp in _messages(path, reader, topic):
                 try:
-                    rows.append([_value(message, field) for field in fields])
+                    rows.append([_field_value(message, field) for field in fields])
                 except (AttributeError, IndexError, TypeError, ValueError) as error:
                     raise UserError(
-                        f"{path}: topic {topic} has no number {', '.join(fields)} ({_words(error)})"
+                        f"{path}: topic {topic} has no number {', '.join(fields)} ({_reason(error)})"
                     ) from error
-                stamps.append(_stamp(message))
+                stamps.append(_header_time(message))
                 received.append(1e-9 * timestamp)
             if not rows:
                 continue
@@ -62,7 +62,7 @@ def read(path: Path, patterns: Sequence[str]) -> Record:
 
 
 def _messages(path: Path, reader: AnyReader, topic: str) -> Iterator[tuple[object, int]]:
-    """The messages of a topic and when the bag received them [ns]."""
+    """Yield the messages of a topic and when the bag received them [ns]."""
     connections = [c for c in reader.connections if c.topic == topic]
     stored = reader.messages(connections=connections)
     for count in itertools.count(1):
@@ -72,7 +72,7 @@ def _messages(path: Path, reader: AnyReader, topic: str) -> Iterator[tuple[objec
         except StopIteration:
             return
         except Exception as error:
-            raise UserError(f"{path}: topic {topic} cannot be decoded ({_words(error)})") from error
+            raise UserError(f"{path}: topic {topic} cannot be decoded ({_reason(error)})") from error
         if count > MOST_ROWS:
             raise UserError(
                 f"{path}: topic {topic} has more than {MOST_ROWS:.0e} messages; cut the flight out"
@@ -81,8 +81,8 @@ def _messages(path: Path, reader: AnyReader, topic: str) -> Iterator[tuple[objec
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[AnyReader]:
-    """The bag, opened. What rosbags raises on damaged bytes is of every kind, so all of it is caught."""
+def _open_bag(path: Path) -> Iterator[AnyReader]:
+    """Open the bag. rosbags raises exceptions of any kind on damaged bytes, so all are caught."""
     folder = path.parent if path.suffix in (".mcap", ".db3") else path
     files = [file for file in folder.iterdir() if file.is_file()] if folder.is_dir() else []
     if path.suffix != ".bag" and folder / "metadata.yaml" not in files:
@@ -93,26 +93,26 @@ def _opened(path: Path) -> Iterator[AnyReader]:
         reader = AnyReader([folder], default_typestore=get_typestore(Stores.LATEST))
         reader.open()
     except Exception as error:
-        raise UserError(f"{path}: not a readable bag ({_words(error)})") from error
+        raise UserError(f"{path}: not a readable bag ({_reason(error)})") from error
     try:
         yield reader
     finally:
         reader.close()
 
 
-def _words(error: Exception) -> str:
-    said = " ".join(str(error).split()).partition(": ")[0]  # what follows may be words of Python
-    return shown(said or type(error).__name__, 120)
+def _reason(error: Exception) -> str:
+    message = " ".join(str(error).split()).partition(": ")[0]  # what follows may be words of Python
+    return shown(message or type(error).__name__, 120)
 
 
-def _stamp(message) -> float | None:
+def _header_time(message) -> float | None:
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     if stamp is None or not (stamp.sec or stamp.nanosec):
         return None
     return stamp.sec + 1e-9 * stamp.nanosec
 
 
-def _value(message, field: str) -> float:
+def _field_value(message, field: str) -> float:
     for part in field.split("."):
         match = _PART.fullmatch(part)
         if match is None:

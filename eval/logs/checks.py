@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,42 +14,42 @@ from inclined_landing.eval.logs.log import FlightLog
 from inclined_landing.models.errors import UserError
 
 _ORDER = {"refuse": 0, "limit": 1, "info": 2}
-SEVERAL_VEHICLES = 0.10  # difference of hover thrust between two groups of flights
-SPREAD = 0.06
+HOVER_JUMP = 0.10  # difference of hover thrust between two groups of flights
+HOVER_SPREAD = 0.06
 CLEARANCE = 0.1  # m above the lowest point of a flight
 NOMINAL_VOLTAGE = 4.0
 
 
 def check_log(log: FlightLog) -> tuple[Finding, ...]:
-    """Everything there is to say about one flight, the worst first.
+    """Return all findings about one flight, the worst first.
 
     Columns are checked each for itself; only a flight that is not refused for that is checked for
     signs, axes, units and clocks, from how it moved.
     """
     findings = list(values.check(log))
     if not any(finding.decision == "refuse" for finding in findings):
-        findings += motion.check(_repaired(log, findings))
+        findings += motion.check(_without_bad_data(log, findings))
     return tuple(sorted(findings, key=lambda finding: _ORDER[finding.decision]))
 
 
 def enforce(log: FlightLog, where: str | None = None) -> FlightLog:
-    """The flight without what cannot be believed, its limits noted; raises UserError when refused."""
+    """Return the flight without its bad data, its limits noted; raise UserError when it is refused."""
     findings = check_log(log)
     refused = [finding for finding in findings if finding.decision == "refuse"]
     if refused:
         raise UserError(f"{where or log.name}: {refused[0].text}")
     limits = [finding.text for finding in findings if finding.decision == "limit"]
-    return _repaired(log, findings).noted(*limits)
+    return _without_bad_data(log, findings).noted(*limits)
 
 
 def check_fleet(logs: Sequence[FlightLog]) -> tuple[Finding, ...]:
-    """Are these flights of one vehicle? Judged by the thrust command it hovers with.
+    """Return findings on whether the flights are of one vehicle, judged by its hover command.
 
     Where every log has the battery voltage, by command times voltage if that makes them more alike.
     """
     if len(logs) < 2:
         return ()
-    hover, unit = _hover(logs)
+    hover, unit = _hover_commands(logs)
     known = [(level, log.name) for level, log in zip(hover, logs) if np.isfinite(level)]
     if len(known) < 2:
         return ()
@@ -57,35 +58,37 @@ def check_fleet(logs: Sequence[FlightLog]) -> tuple[Finding, ...]:
     steps = np.diff(level) / level[:-1]
     cut = int(np.argmax(steps)) + 1
     low, high = level[:cut], level[cut:]
-    within = max(np.ptp(low) / low[0], np.ptp(high) / high[0])
-    names = [_names([name for _, name in group]) for group in (known[:cut], known[cut:])]
+    group_spread = max(np.ptp(low) / low[0], np.ptp(high) / high[0])
+    names = [_list_names([name for _, name in group]) for group in (known[:cut], known[cut:])]
     words = (
         f"{names[0]} hover{'s' if len(low) == 1 else ''} at {np.mean(low):.0f} {unit}, "
         f"{names[1]} at {np.mean(high):.0f} {unit}"
     )
-    if steps[cut - 1] > SEVERAL_VEHICLES and steps[cut - 1] > 2 * within:
+    if steps[cut - 1] > HOVER_JUMP and steps[cut - 1] > 2 * group_spread:
         return (refuse("cmd_thrust_pwm", f"flights of different vehicles are mixed: {words}"),)
-    if level[-1] / level[0] - 1 > SPREAD:
+    if level[-1] / level[0] - 1 > HOVER_SPREAD:
         spread = 100 * (level[-1] / level[0] - 1)
         text = f"hover thrust differs by {spread:.0f} % between flights ({words}): one vehicle, one load?"
         return (limit("cmd_thrust_pwm", text),)
     return ()
 
 
-def _names(names: list[str]) -> str:
+def _list_names(names: list[str]) -> str:
     more = f" and {len(names) - 3} more" if len(names) > 4 else ""
     return ", ".join(names[:3] if more else names) + more
 
 
-def _hover(logs: Sequence[FlightLog]) -> tuple[list[float], str]:
-    """Hover command of each flight (NaN where none can be told), and its unit."""
+def _hover_commands(logs: Sequence[FlightLog]) -> tuple[list[float], str]:
+    """Return the hover command of each flight (NaN where it cannot be estimated), and its unit."""
     plain = [_hover_command(log) for log in logs]
-    if any(log.voltage is None for log in logs) or not np.isfinite(plain).all():
+    if not np.isfinite(plain).all():
         return plain, "PWM"
     # Thrust follows the voltage across the motors, unless the command was compensated for it: the
     # product is taken where it makes the flights more alike.
     supplied = []
     for log in logs:
+        if log.voltage is None:
+            return plain, "PWM"
         command = log.command.copy()
         command[:, 0] *= log.voltage / NOMINAL_VOLTAGE
         supplied.append(_hover_command(dataclasses.replace(log, command=command)))
@@ -95,7 +98,7 @@ def _hover(logs: Sequence[FlightLog]) -> tuple[list[float], str]:
 
 
 def _hover_command(log: FlightLog) -> float:
-    """Command at a specific force of one g: a straight line through the rows in the air."""
+    """Return the command at a specific force of one g, from a linear fit over the rows in the air."""
     parts = motion.motion(log)
     if not parts:
         return np.nan
@@ -106,14 +109,14 @@ def _hover_command(log: FlightLog) -> float:
     air = height > log.position[:, 2].min() + CLEARANCE
     if air.sum() < motion.RATE:
         return np.nan
+    # pwm = slope (f - g) + level: the constant term is the command at f = g.
     _, level = np.polyfit(force[air] - motion.GRAVITY, pwm[air], 1)
     return float(level)
 
 
-def _repaired(log: FlightLog, findings: Sequence[Finding]) -> FlightLog:
-    """Without the rows and optional channels that findings say to leave out."""
-    for finding in findings:
-        if finding.without:
-            log = dataclasses.replace(log, **{finding.without: None})
+def _without_bad_data(log: FlightLog, findings: Sequence[Finding]) -> FlightLog:
+    """Return the flight without the rows and optional channels that findings exclude."""
+    left_out: dict[str, Any] = {finding.without: None for finding in findings if finding.without}
+    log = dataclasses.replace(log, **left_out)
     rows = sorted({row for finding in findings for row in finding.rows})
     return log.rows(np.delete(np.arange(len(log)), rows)) if rows else log

@@ -51,17 +51,17 @@ def command(
         raise UserError("name at least one log")
     if out is not None:
         raise UserError("--out is where --public puts converted flights")
-    given = parse_units(source.unit)
-    reports = [_report(file, source.mapping, given) for file in source.files]
+    units = parse_units(source.unit)
+    reports = [_check_file(file, source.mapping, units) for file in source.files]
     fleet = check_fleet([log for log, _ in reports if log is not None])
-    flights = [_plain(file, *report) for file, report in zip(source.files, reports)]
+    flights = [_flight_json(file, *report) for file, report in zip(source.files, reports)]
     if json:
-        print(storage.to_json({"flights": flights, "together": [_finding(f) for f in fleet]}))
+        print(storage.to_json({"flights": flights, "together": [_finding_json(f) for f in fleet]}))
     else:
         for file, flight, (_, findings) in zip(source.files, flights, reports):
-            print(_words(file, flight, findings))
+            print(_describe(file, flight, findings))
         if fleet:
-            print("together\n" + "\n".join(_sentence(finding) for finding in fleet))
+            print("together\n" + "\n".join(_finding_line(finding) for finding in fleet))
     refused = [
         findings[0].text if log is None else f"{shown(file, 250)}: {findings[0].text}"
         for file, (log, findings) in zip(source.files, reports)
@@ -74,7 +74,7 @@ def command(
 
 
 def parse_units(units: Sequence[str]) -> dict[str, str]:
-    """Options like `roll=deg` as a dictionary. Raises UserError for anything else."""
+    """Return options like `roll=deg` as a dictionary. Raises UserError for anything else."""
     result = {}
     for option in units:
         column, sign, unit = option.partition("=")
@@ -84,7 +84,7 @@ def parse_units(units: Sequence[str]) -> dict[str, str]:
     return result
 
 
-def _report(
+def _check_file(
     file: str, mapping: str | None, units: Mapping[str, str]
 ) -> tuple[FlightLog | None, tuple[Finding, ...]]:
     try:
@@ -96,32 +96,32 @@ def _report(
     return log, tuple(sorted(findings, key=lambda finding: finding.decision != "refuse"))
 
 
-def _words(file: str, flight: Mapping, findings: Sequence[Finding]) -> str:
+def _describe(file: str, flight: Mapping, findings: Sequence[Finding]) -> str:
     lines = [shown(file, 250)]
     if "rows" in flight:
         rows = f"{flight['rows']} rows, {flight['seconds']:.1f} s, {flight['rate']:.0f} rows per second"
         lines += [f"  {rows}", f"  logged: {', '.join(flight['logged'])}"]
-    return "\n".join(lines + [_sentence(finding) for finding in findings])
+    return "\n".join(lines + [_finding_line(finding) for finding in findings])
 
 
-def _sentence(finding: Finding) -> str:
+def _finding_line(finding: Finding) -> str:
     label = {"refuse": "refused", "limit": "limit", "info": "note"}[finding.decision]
     return f"  {label}: {finding.text}"
 
 
-def _logged(log: FlightLog) -> list[str]:
+def _logged_columns(log: FlightLog) -> list[str]:
     names = [name for name in MEASURED + COMMANDS if name not in log.missing]
     names += ["vx", "vy", "vz"] if log.velocity is not None else []
     names += ["vbat"] if log.voltage is not None else []
     return names + (["contact"] if log.contact is not None else [])
 
 
-def _plain(file: str, log: FlightLog | None, findings: Sequence[Finding]) -> dict:
+def _flight_json(file: str, log: FlightLog | None, findings: Sequence[Finding]) -> dict:
     read = {}
     if log is not None:
-        read = {"rows": len(log), "seconds": log.duration, "rate": log.rate, "logged": _logged(log)}
-    return {"file": str(Path(file)), **read, "findings": [_finding(finding) for finding in findings]}
+        read = {"rows": len(log), "seconds": log.duration, "rate": log.rate, "logged": _logged_columns(log)}
+    return {"file": str(Path(file)), **read, "findings": [_finding_json(finding) for finding in findings]}
 
 
-def _finding(finding: Finding) -> dict:
+def _finding_json(finding: Finding) -> dict:
     return {"decision": finding.decision, "column": finding.channel, "text": finding.text}

@@ -58,7 +58,7 @@ def read(path: Path) -> Record:
 
 
 def read_columns(path: Path, names: Sequence[str]) -> pandas.DataFrame:
-    """The columns `names` of a table without mapping; UserError for one that is missing or not finite."""
+    """Return the columns `names` of a table without mapping; raise UserError for one missing or infinite."""
     if check_file(path):
         raise UserError(f"{path}: a folder, not a file")
     columns = read(path).columns
@@ -76,7 +76,7 @@ def read_columns(path: Path, names: Sequence[str]) -> pandas.DataFrame:
 
 
 def _header(path: Path, line: str, separator: str) -> list[str]:
-    """The names of the columns; those that have none are numbered."""
+    """Return the names of the columns; unnamed ones are numbered."""
     names = [name.strip().strip('"') for name in line.strip("\r\n").split(separator)]
     if not any(names):
         raise UserError(f"{path}: empty; expected a line of column names and rows of numbers")

@@ -7,7 +7,7 @@ import dataclasses
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
-    """What a check has to say.
+    """The result of one check.
 
     decision: "refuse" (the flight cannot be used), "limit" (it is used, and this is noted) or "info".
     channel: the column, or columns, it is about.
@@ -24,15 +24,15 @@ class Finding:
 
 
 def refuse(channel: str, text: str) -> Finding:
-    """The flight cannot be used."""
+    """Return a finding that the flight cannot be used."""
     return Finding("refuse", channel, text)
 
 
 def limit(channel: str, text: str, *, without: str | None = None, rows: tuple[int, ...] = ()) -> Finding:
-    """The flight is used with this limit."""
+    """Return a finding that the flight is used with this limitation."""
     return Finding("limit", channel, text, without, rows)
 
 
 def info(channel: str, text: str) -> Finding:
-    """Nothing follows from it."""
+    """Return a finding that has no consequence."""
     return Finding("info", channel, text)

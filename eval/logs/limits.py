@@ -26,7 +26,7 @@ LATEST = 60.0  # s that a mapping may shift a column
 
 
 def check_file(path: Path) -> bool:
-    """Whether `path` is a folder; UserError when it is missing, without end, too large or not readable."""
+    """Return whether `path` is a folder; raise UserError for a missing, oversized or unreadable file."""
     try:
         state = os.stat(path)
         if stat.S_ISDIR(state.st_mode):
@@ -47,7 +47,7 @@ def check_file(path: Path) -> bool:
 
 
 def read_table(path: Path) -> io.BytesIO:
-    """The bytes of a table, unpacked where the name ends in .gz.
+    """Return the bytes of a table, unpacked where the name ends in .gz.
 
     Raises UserError for what is no text, for lines or files beyond the limits, and for a damaged .gz.
     """

@@ -68,7 +68,7 @@ class FlightLog:
 
     @property
     def rate(self) -> float:
-        """Usual rows per second: one over the median step."""
+        """Typical rows per second: one over the median time step."""
         return float(1.0 / np.median(np.diff(self.t)))
 
     @property
@@ -80,22 +80,22 @@ class FlightLog:
 
     @property
     def gap_starts(self) -> np.ndarray:
-        """Rows (k,) after which the record has a hole."""
+        """Rows (k,) after which the record has a gap."""
         step = np.diff(self.t)
         return np.flatnonzero(step > max(GAP_STEPS * np.median(step), GAP_SECONDS))
 
     def rows(self, selection) -> FlightLog:
-        """The rows of a slice, an index array or a mask."""
+        """Return the rows of a slice, an index array or a mask."""
         fields = ("t", "position", "attitude", "command", "velocity", "voltage", "contact")
         changed = {f: getattr(self, f)[selection] for f in fields if getattr(self, f) is not None}
         return dataclasses.replace(self, **changed)
 
     def between(self, start: float, stop: float) -> FlightLog:
-        """The rows with start <= t <= stop (s)."""
+        """Return the rows with start <= t <= stop (s)."""
         return self.rows(slice(*np.searchsorted(self.t, [start, np.nextafter(stop, np.inf)])))
 
     def pieces(self, shortest: float = 0.0) -> tuple[FlightLog, ...]:
-        """The stretches between holes that last at least `shortest` seconds and two rows."""
+        """Return the stretches between gaps that last at least `shortest` seconds and two rows."""
         ends = [0, *(self.gap_starts + 1), len(self)]
         return tuple(
             self.rows(slice(a, b))
@@ -104,7 +104,7 @@ class FlightLog:
         )
 
     def resampled(self, rate: float) -> FlightLog:
-        """On an even grid of `rate` rows per second from the first row on.
+        """Return the flight on an even grid of `rate` rows per second from the first row on.
 
         Measurements are interpolated linearly, commands and contact held. Holes are bridged like any
         other step: take `pieces` first where that matters.
@@ -113,6 +113,7 @@ class FlightLog:
         t[-1] = min(t[-1], self.t[-1])
         held = np.clip(np.searchsorted(self.t, t + 1e-9, side="right") - 1, 0, len(self) - 1)
 
+        # x(t) = x_k + (t - t_k) / (t_k+1 - t_k) (x_k+1 - x_k)
         def linear(value: np.ndarray | None) -> np.ndarray | None:
             if value is None:
                 return None
@@ -132,6 +133,6 @@ class FlightLog:
         )
 
     def noted(self, *notes: str) -> FlightLog:
-        """The same flight with more notes; what is noted already is not repeated."""
+        """Return the same flight with more notes, without duplicates."""
         new = tuple(note for note in dict.fromkeys(notes) if note not in self.notes)
         return dataclasses.replace(self, notes=self.notes + new)

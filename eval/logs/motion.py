@@ -21,14 +21,14 @@ from inclined_landing.eval.logs.values import MOTORS_OFF, SHORTEST
 GRAVITY = 9.81
 RATE = 100.0  # Hz, of the grid compared on
 WINDOW = 0.25  # s, of the smoothing that differentiates
-EXCITED = 0.015  # rad rms of tilt, or twice what 1 mm of noise looks like through WINDOW
-AGREE = 0.6  # correlation from which two columns are said to show the same motion
+LEAST_EXCITATION = 0.015  # rad rms of tilt, or twice what 1 mm of noise looks like through WINDOW
+LEAST_CORRELATION = 0.6  # correlation from which two columns are said to show the same motion
 # Circling against drag turns the tilt against the acceleration too, by up to 13 deg in NanoBench flights.
-TURNED = np.radians(20.0)
-TURNED_TOO_FAR = np.radians(60.0)
+SUSPICIOUS_TURN = np.radians(20.0)
+WRONG_TURN = np.radians(60.0)
 LONGEST_LAG = 0.4  # s
-LATEST = 0.3  # s: the slowest attitude loop and radio known here stay below 0.2
-LEAD = 0.015  # s by which a response may seem to lead its cause before the clocks are doubted
+LONGEST_DELAY = 0.3  # s: the slowest attitude loop and radio known here stay below 0.2
+LONGEST_LEAD = 0.015  # s by which a response may seem to lead its cause before the clocks are doubted
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,20 +37,20 @@ class Motion:
 
     height: np.ndarray  # z (m)
     tilt: np.ndarray  # pitch - i roll, NaN where one is not logged
-    pointed: np.ndarray  # where the thrust pointed, in the frame of the heading
-    asked: np.ndarray  # commanded tilt
+    thrust_tilt: np.ndarray  # where the thrust pointed, in the frame of the heading
+    commanded_tilt: np.ndarray  # commanded tilt
     pwm: np.ndarray
     force: np.ndarray  # specific force (m/s2)
-    lift: np.ndarray  # its vertical part less g
-    pushed: np.ndarray  # horizontal acceleration (m/s2)
-    moved: np.ndarray  # derivatives of position, horizontal and vertical
-    climbed: np.ndarray
-    drift: np.ndarray | None  # logged velocity, the same
-    climb: np.ndarray | None
+    vertical_acceleration: np.ndarray  # its vertical part less g
+    horizontal_acceleration: np.ndarray  # horizontal acceleration (m/s2)
+    horizontal_velocity: np.ndarray  # derivatives of position, horizontal and vertical
+    vertical_velocity: np.ndarray
+    logged_horizontal_velocity: np.ndarray | None  # logged velocity, the same
+    logged_vertical_velocity: np.ndarray | None
 
 
 def motion(log: FlightLog) -> list[Motion]:
-    """The stretches with the motors on, without holes, that last at least SHORTEST."""
+    """Return the stretches with the motors on, without gaps, that last at least SHORTEST."""
     result = []
     for piece in log.pieces(SHORTEST):
         on = ~(piece.command[:, 0] <= MOTORS_OFF)
@@ -68,65 +68,68 @@ def _motion(log: FlightLog) -> Motion:
             return np.full(value.shape, np.nan)
         return savgol_filter(value, rows, 2, deriv=order, delta=1 / RATE, axis=0)
 
+    # The thrust points along (a_x, a_y, a_z + g): its tilt in the frame of the heading is
+    # (a_x + i a_y) / (a_z + g) exp(-i yaw), for small angles pitch - i roll.
     acceleration, speed = smooth(log.position, 2), smooth(log.position, 1)
     roll, pitch, yaw = (smooth(column) for column in log.attitude.T)
     upward = np.maximum(acceleration[:, 2] + GRAVITY, 2.0)
-    pointed = (acceleration[:, 0] + 1j * acceleration[:, 1]) / upward
+    thrust_tilt = (acceleration[:, 0] + 1j * acceleration[:, 1]) / upward
     velocity = None if log.velocity is None else smooth(log.velocity)
     return Motion(
         height=log.position[:, 2],
         tilt=pitch - 1j * roll,
-        pointed=pointed * np.exp(-1j * np.where(np.isnan(yaw), 0.0, yaw)),
-        asked=smooth(log.command[:, 2]) - 1j * smooth(log.command[:, 1]),
+        thrust_tilt=thrust_tilt * np.exp(-1j * np.where(np.isnan(yaw), 0.0, yaw)),
+        commanded_tilt=smooth(log.command[:, 2]) - 1j * smooth(log.command[:, 1]),
         pwm=smooth(log.command[:, 0]),
         force=np.linalg.norm(acceleration + [0.0, 0.0, GRAVITY], axis=1),
-        lift=acceleration[:, 2],
-        pushed=acceleration[:, 0] + 1j * acceleration[:, 1],
-        moved=speed[:, 0] + 1j * speed[:, 1],
-        climbed=speed[:, 2],
-        drift=None if velocity is None else velocity[:, 0] + 1j * velocity[:, 1],
-        climb=None if velocity is None else velocity[:, 2],
+        vertical_acceleration=acceleration[:, 2],
+        horizontal_acceleration=acceleration[:, 0] + 1j * acceleration[:, 1],
+        horizontal_velocity=speed[:, 0] + 1j * speed[:, 1],
+        vertical_velocity=speed[:, 2],
+        logged_horizontal_velocity=None if velocity is None else velocity[:, 0] + 1j * velocity[:, 1],
+        logged_vertical_velocity=None if velocity is None else velocity[:, 2],
     )
 
 
 def check(log: FlightLog) -> Iterator[Finding]:
-    """Findings about the columns of one flight against each other."""
+    """Yield findings about the columns of one flight against each other."""
     parts = motion(log)
     if not parts:
         yield limit(
             "cmd_thrust_pwm", "no second with the motors on: signs, units and clocks were not checked"
         )
         return
-    swapped = list(_swapped_with_height(parts))
+    swapped = list(_check_swapped_height(parts))
     if swapped:
         yield from swapped
         return
-    yield from _force(parts)
-    tilt = list(_tilt_against_acceleration(parts))
+    yield from _check_thrust(parts)
+    tilt = list(_check_attitude(parts))
     yield from tilt
     if not any(finding.decision == "refuse" for finding in tilt):
-        yield from _tilt_against_command(parts)
-    yield from _velocity(parts)
+        yield from _check_attitude_commands(parts)
+    yield from _check_velocity(parts)
 
 
-def _swapped_with_height(parts: list[Motion]) -> Iterator[Finding]:
-    """Whether x or y moves as the thrust command says and z does not."""
+def _check_swapped_height(parts: list[Motion]) -> Iterator[Finding]:
+    """Yield a finding where x or y follows the thrust command and z does not."""
     pwm = [p.pwm for p in parts]
-    if _lag(pwm, [p.lift for p in parts])[1] > 0.3:
+    if _best_lag(pwm, [p.vertical_acceleration for p in parts])[1] > 0.3:
         return
-    for axis, values in (("x", [p.pushed.real for p in parts]), ("y", [p.pushed.imag for p in parts])):
-        if np.concatenate(values).std() > 0.3 and _lag(pwm, values)[1] > 0.7:
+    for axis, part in (("x", np.real), ("y", np.imag)):
+        values = [part(p.horizontal_acceleration) for p in parts]
+        if np.concatenate(values).std() > 0.3 and _best_lag(pwm, values)[1] > 0.7:
             yield refuse(
                 "z", f"{axis} moves up and down with the thrust command, z does not: they are swapped"
             )
 
 
-def _force(parts: list[Motion]) -> Iterator[Finding]:
-    lag, correlation = _lag([p.pwm for p in parts], [p.force for p in parts])
+def _check_thrust(parts: list[Motion]) -> Iterator[Finding]:
+    lag, correlation = _best_lag([p.pwm for p in parts], [p.force for p in parts])
     spread = np.concatenate([p.force for p in parts]).std()
     if spread < 0.3:
         return
-    if correlation < 0.8 and _falls(parts):
+    if correlation < 0.8 and _height_is_inverted(parts):
         yield refuse(
             "z", "height falls when thrust is commanded: z must point up (and cmd_thrust_pwm mean thrust)"
         )
@@ -136,55 +139,57 @@ def _force(parts: list[Motion]) -> Iterator[Finding]:
             f"vertical motion hardly follows the thrust command (correlation {correlation:.2f})",
         )
     else:
-        yield from _clock("thrust", "cmd_thrust_pwm", lag, correlation)
+        yield from _check_delay("thrust", "cmd_thrust_pwm", lag, correlation)
 
 
-def _falls(parts: list[Motion]) -> bool:
-    """Whether the vertical acceleration is the opposite of what thrust does."""
-    pwm, lift = [p.pwm for p in parts], [p.lift for p in parts]
-    return _lag([-p for p in pwm], lift)[1] > 0.7 and _lag(pwm, lift)[1] < 0.3
+def _height_is_inverted(parts: list[Motion]) -> bool:
+    """Return whether the vertical acceleration is opposite to the thrust command."""
+    pwm, lift = [p.pwm for p in parts], [p.vertical_acceleration for p in parts]
+    return _best_lag([-p for p in pwm], lift)[1] > 0.7 and _best_lag(pwm, lift)[1] < 0.3
 
 
-def _tilt_against_acceleration(parts: list[Motion]) -> Iterator[Finding]:
-    pair = _compare([p.tilt for p in parts], [p.pointed for p in parts])
+def _check_attitude(parts: list[Motion]) -> Iterator[Finding]:
+    pair = _compare_signals([p.tilt for p in parts], [p.thrust_tilt for p in parts])
     if pair is None:
         yield limit(
             "roll, pitch", "too little tilt to tell whether roll and pitch have the right signs and unit"
         )
         return
-    yield from _convention(pair, "roll and pitch", "the horizontal acceleration")
+    yield from _check_convention(pair, "roll and pitch", "the horizontal acceleration")
 
 
-def _tilt_against_command(parts: list[Motion]) -> Iterator[Finding]:
-    asked, tilt = [p.asked for p in parts], [p.tilt for p in parts]
-    if all(np.isnan(p.asked.real).all() and np.isnan(p.asked.imag).all() for p in parts):
+def _check_attitude_commands(parts: list[Motion]) -> Iterator[Finding]:
+    commanded_tilt, tilt = [p.commanded_tilt for p in parts], [p.tilt for p in parts]
+    if all(np.isnan(p.commanded_tilt.real).all() and np.isnan(p.commanded_tilt.imag).all() for p in parts):
         return
-    lag = _lag(asked, tilt)[0]
+    lag = _best_lag(commanded_tilt, tilt)[0]
     shift = round(abs(lag) * RATE)
     if shift:
-        asked = [a[:-shift] if lag > 0 else a[shift:] for a in asked]
+        commanded_tilt = [a[:-shift] if lag > 0 else a[shift:] for a in commanded_tilt]
         tilt = [a[shift:] if lag > 0 else a[:-shift] for a in tilt]
-    pair = _compare(asked, tilt)
+    pair = _compare_signals(commanded_tilt, tilt)
     if pair is None:
         return
-    wrong = list(_convention(pair, "cmd_roll and cmd_pitch", "the attitude"))
+    wrong = list(_check_convention(pair, "cmd_roll and cmd_pitch", "the attitude"))
     yield from wrong
-    if not wrong and pair.agreement > AGREE:
-        yield from _clock("attitude", "cmd_roll, cmd_pitch", lag, pair.agreement)
+    if not wrong and pair.agreement > LEAST_CORRELATION:
+        yield from _check_delay("attitude", "cmd_roll, cmd_pitch", lag, pair.agreement)
 
 
-def _velocity(parts: list[Motion]) -> Iterator[Finding]:
-    if parts[0].drift is None:
+def _check_velocity(parts: list[Motion]) -> Iterator[Finding]:
+    if parts[0].logged_horizontal_velocity is None:
         return
-    pair = _compare([p.drift for p in parts], [p.moved for p in parts], excited=0.05)
-    climb = np.concatenate([p.climb for p in parts])
-    climbed = np.concatenate([p.climbed for p in parts])
+    pair = _compare_signals(
+        [p.logged_horizontal_velocity for p in parts], [p.horizontal_velocity for p in parts], excited=0.05
+    )
+    logged = np.concatenate([p.logged_vertical_velocity for p in parts])
+    derived = np.concatenate([p.vertical_velocity for p in parts])
     wrong = []
     if pair is not None:
-        wrong = list(_convention(pair, "vx and vy", "the derivative of x and y"))
-    if climbed.std() > 0.05:
-        vertical = _correlation(climb, climbed)
-        scale = (climb @ climbed) / max(climb @ climb, 1e-12)
+        wrong = list(_check_convention(pair, "vx and vy", "the derivative of x and y"))
+    if derived.std() > 0.05:
+        vertical = _correlation(logged, derived)
+        scale = (logged @ derived) / max(logged @ logged, 1e-12)
         if vertical < 0.5 or not 0.5 < scale < 2:
             wrong.append(
                 limit("vz", f"vz is not the derivative of z (correlation {vertical:.2f}, ratio {scale:.3g})")
@@ -193,14 +198,14 @@ def _velocity(parts: list[Motion]) -> Iterator[Finding]:
         text = "; ".join(finding.text for finding in wrong)
         yield limit("vx, vy, vz", f"{text}: velocity is left out", without="velocity")
         return
-    off = np.concatenate([np.abs(p.drift - p.moved) for p in parts])
-    total = np.sqrt(np.mean(off**2 + (climb - climbed) ** 2))
+    off = np.concatenate([np.abs(p.logged_horizontal_velocity - p.horizontal_velocity) for p in parts])
+    total = np.sqrt(np.mean(off**2 + (logged - derived) ** 2))
     yield info("vx, vy, vz", f"velocity differs from the derivative of position by {total:.2g} m/s rms")
 
 
 @dataclasses.dataclass(frozen=True)
-class _Pair:
-    """How a complex signal follows another: correlation with it and with its mirror image, and ratio."""
+class _Agreement:
+    """Correlation of a complex signal with another and with its mirror image, and ratio of their sizes."""
 
     straight: complex
     mirrored: complex
@@ -212,8 +217,10 @@ class _Pair:
         return max(abs(self.straight), abs(self.mirrored))
 
 
-def _compare(first: list[np.ndarray], second: list[np.ndarray], excited: float = EXCITED) -> _Pair | None:
-    """None where the second moves too little. Axes that either lacks (NaN) are left out."""
+def _compare_signals(
+    first: list[np.ndarray], second: list[np.ndarray], excited: float = LEAST_EXCITATION
+) -> _Agreement | None:
+    """Return the agreement of two signals without axes of NaN; None where the second hardly moves."""
     a = np.concatenate([x - x.mean() for x in first])
     b = np.concatenate([x - x.mean() for x in second])
     if np.isnan(a.real).any() or np.isnan(b.real).any():
@@ -233,37 +240,37 @@ def _compare(first: list[np.ndarray], second: list[np.ndarray], excited: float =
     for name, part, other in (("x", b.real, b.imag), ("y", b.imag, b.real)):
         if np.mean(other**2) < 0.02 * np.mean(part**2):
             axis = name
+    # Complex correlation <a, b> / (|a| |b|), with the mirror image conj(a) instead of a, and ratio |b| / |a|.
     ratio = np.sqrt(np.sum(np.abs(b) ** 2) / np.sum(np.abs(a) ** 2))
-    return _Pair(complex(np.vdot(a, b) / size), complex(np.dot(a, b) / size), float(ratio), axis)
+    return _Agreement(complex(np.vdot(a, b) / size), complex(np.dot(a, b) / size), float(ratio), axis)
 
 
-def _convention(pair: _Pair, what: str, against: str) -> Iterator[Finding]:
-    """What signs, axes and unit of `what` look like against `against`."""
-    if pair.agreement < AGREE:
+def _check_convention(pair: _Agreement, what: str, against: str) -> Iterator[Finding]:
+    """Yield findings on signs, axes and unit of the columns `what`, compared with `against`."""
+    if pair.agreement < LEAST_CORRELATION:
         yield limit(what, f"{what} agree poorly with {against} (correlation {pair.agreement:.2f})")
         return
     mirrored = abs(pair.mirrored) > abs(pair.straight) + 0.2
     turn = float(np.angle(pair.mirrored if mirrored else pair.straight))
     ratio = f"{against} is {pair.ratio:.2g} times what {what} say"
     if mirrored:
-        yield refuse(what, f"{what} mirror {against}: {_mirror_words(what, turn)}, or x and y are")
-    elif abs(turn) > TURNED_TOO_FAR:
+        yield refuse(what, f"{what} mirror {against}: {_describe_mirror(what, turn)}, or x and y are")
+    elif abs(turn) > WRONG_TURN:
         yield refuse(
-            what,
-            f"{what} are turned by {np.degrees(turn):.0f} deg against {against}: {_turn_words(turn)}",
+            what, f"{what} are turned by {np.degrees(turn):.0f} deg against {against}: {_describe_turn(turn)}"
         )
     elif not 1 / 20 < pair.ratio < 20:
         unit = "degrees" if pair.ratio < 1 else f"{against} in degrees"
         yield refuse(
             what, f"{ratio}: {unit} taken for radians?" if "roll" in what else f"{ratio}: wrong unit?"
         )
-    elif abs(turn) > TURNED and pair.axis is None:
+    elif abs(turn) > SUSPICIOUS_TURN and pair.axis is None:
         yield limit(what, f"{what} are turned by {np.degrees(turn):.0f} deg about z against {against}")
     elif not 0.5 < pair.ratio < 2:
         yield limit(what, ratio)
 
 
-def _mirror_words(what: str, turn: float) -> str:
+def _describe_mirror(what: str, turn: float) -> str:
     x, y = ("vx", "vy") if what.startswith("v") else ("pitch", "roll")
     prefix = "cmd_" if what.startswith("cmd") else ""
     if abs(turn) < np.pi / 4:
@@ -273,32 +280,32 @@ def _mirror_words(what: str, turn: float) -> str:
     return f"{prefix}{x} and {prefix}{y} are swapped"
 
 
-def _turn_words(turn: float) -> str:
+def _describe_turn(turn: float) -> str:
     if abs(turn) > 3 * np.pi / 4:
         return "both signs are wrong, or the frames are turned about z"
     return "the columns are swapped and one sign is wrong, or the frames are turned about z"
 
 
-def _clock(response: str, channel: str, lag: float, correlation: float) -> Iterator[Finding]:
+def _check_delay(response: str, channel: str, lag: float, correlation: float) -> Iterator[Finding]:
     text = f"{response} follows its command after {1e3 * lag:.0f} ms (correlation {correlation:.2f})"
-    if lag < -LEAD and correlation > AGREE:
+    if lag < -LONGEST_LEAD and correlation > LEAST_CORRELATION:
         yield limit(
             channel, f"{response} leads its command by {-1e3 * lag:.0f} ms: the commands are dated too late"
         )
-    elif lag > LATEST and correlation > AGREE:
+    elif lag > LONGEST_DELAY and correlation > LEAST_CORRELATION:
         yield limit(channel, f"{text}: the commands are dated too early, or others than those flown")
     else:
         yield info(channel, text)
 
 
-def _lag(cause: list[np.ndarray], effect: list[np.ndarray]) -> tuple[float, float]:
-    """Seconds by which `effect` follows `cause`, and how well: over real, or complex up to a turn."""
+def _best_lag(cause: list[np.ndarray], effect: list[np.ndarray]) -> tuple[float, float]:
+    """Return the delay [s] of `effect` against `cause` with the largest correlation, and that correlation."""
     best = (0.0, -1.0)
     for rows in range(-round(0.15 * RATE), round(LONGEST_LAG * RATE) + 1):
         first = [c[: len(c) - rows] if rows >= 0 else c[-rows:] for c in cause]
         second = [e[rows:] if rows >= 0 else e[:rows] for e in effect]
         if np.iscomplexobj(first[0]):
-            pair = _compare(first, second, excited=0.0)
+            pair = _compare_signals(first, second, excited=0.0)
             value = -1.0 if pair is None else pair.agreement
         else:
             value = _correlation(np.concatenate(first), np.concatenate(second))

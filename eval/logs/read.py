@@ -29,7 +29,7 @@ def read_log(
     name: str | None = None,
     check: bool = True,
 ) -> FlightLog:
-    """One flight from its file (or from several files of the same flight with the same clock).
+    """Return one flight from its file, or from several files of the same flight with the same clock.
 
     path: CSV (.csv, .csv.gz), micro-SD binary or ROS bag. Several files: a sequence, or one string
         with the names joined by `+`, as for the client's one file per log block.
@@ -72,7 +72,8 @@ def _read(paths: list[Path], chosen: str | Path | None, units: dict[str, str], n
     names = list(dict.fromkeys(column for record in records for column in record.columns))
     if column_map is None:
         column_map = mappings.detect(names, where)
-    channels, notes = {}, []
+    channels: dict[str, mappings.Channel] = {}
+    notes: list[str] = []
     for record in records:
         found, words = mappings.apply(column_map, record, units)
         notes += words
@@ -103,8 +104,8 @@ def _check_units(units: Mapping[str, str], where: str) -> None:
 
 def _paths(path: str | Path | Sequence[str | Path]) -> list[Path]:
     if isinstance(path, (str, Path)):
-        whole = "+" not in str(path) or os.path.exists(path)
-        path = [path] if whole else str(path).split("+")
+        single = "+" not in str(path) or os.path.exists(path)
+        path = [path] if single else str(path).split("+")
     if not path or not all(str(part).strip() for part in path):
         raise UserError("no flight log given, or an empty name among several")
     return [Path(part) for part in path]

@@ -26,13 +26,13 @@ _FIXED_FREQUENCY = "fixedFrequency"
 
 
 def is_sd_card_log(path: Path) -> bool:
-    """Whether the file begins like one."""
+    """Return whether the file begins like a micro-SD log."""
     with path.open("rb") as file:
         return file.read(1) == bytes([MAGIC])
 
 
 def read(path: Path) -> Record:
-    """Read a log: columns by variable name, each dated by its event.
+    """Return the log's columns by variable name, each with the time of its events.
 
     A variable that several events carry is `event:name` for all but the one logged at fixed frequency.
     A wrong checksum or a cut end (battery empty, card pulled out) costs the rest, and is noted.
@@ -67,7 +67,7 @@ def read(path: Path) -> Record:
 
 
 def _header(path: Path, data: bytes) -> tuple[int, dict[int, tuple[str, np.dtype]], int]:
-    """Version, (name, row type) of every event by its id, and where the events begin."""
+    """Return the version, (name, row type) of every event by its id, and the offset of the first event."""
     try:
         magic, version, number = struct.unpack_from("<BHH", data)
         if magic != MAGIC or version not in _TIME:
@@ -101,7 +101,7 @@ def _name(data: bytes, position: int) -> tuple[str, int]:
 
 
 def _offsets(data: bytes, position: int, end: int, sizes: dict[int, int]) -> tuple[dict[int, list[int]], int]:
-    """Where each event's rows begin, and how many bytes at the end are none."""
+    """Return the offsets of each event's rows, and the number of trailing bytes that are no whole event."""
     rows: dict[int, list[int]] = {}
     while position + 2 <= end:
         key = data[position] | data[position + 1] << 8

@@ -39,7 +39,7 @@ _SPELLINGS |= {"°/s": "deg/s", "mv": "mV", "seconds": "s", "sec": "s"}
 
 
 def factor(column: str, unit: str, where: str) -> float:
-    """What a value of canonical `column` in `unit` is multiplied with to be in the canonical unit.
+    """Return the conversion factor from `unit` to the canonical unit of `column`.
 
     Raises UserError (starting with `where`) when the unit does not measure the column's quantity.
     """

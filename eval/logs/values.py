@@ -12,14 +12,14 @@ from inclined_landing.eval.logs.limits import FEWEST_PER_SECOND, MOST_PER_SECOND
 from inclined_landing.eval.logs.log import COMMANDS, GAP_SECONDS, GAP_STEPS, MEASURED, FlightLog
 
 SHORTEST = 1.0  # s: below, not even one prediction window with room for delays
-SHORT = 5.0  # s
-SLOWEST = 20.0  # Hz: below, a window of 0.6 s holds too few rows to tell lag from delay
+SHORT_FLIGHT = 5.0  # s
+LEAST_RATE = 20.0  # Hz: below, a window of 0.6 s holds too few rows to tell lag from delay
 JUMP = 0.03  # m that a row may lie away from its neighbours besides what HARDEST allows
-HARDEST = 40.0  # m/s2
-FASTEST = 15.0  # m/s
-FARTHEST = 200.0  # m
+LARGEST_ACCELERATION = 40.0  # m/s2
+LARGEST_SPEED = 15.0  # m/s
+LARGEST_DISTANCE = 200.0  # m
 MOTORS_OFF = 10_000.0  # PWM
-TURNED_BY = (  # command, the largest in SI units, its unit
+_ATTITUDE_COMMANDS = (  # command, the largest in SI units, its unit
     ("cmd_roll", np.pi / 2, "rad"),
     ("cmd_pitch", np.pi / 2, "rad"),
     ("cmd_yaw_rate", 15.0, "rad/s"),
@@ -27,26 +27,26 @@ TURNED_BY = (  # command, the largest in SI units, its unit
 
 
 def check(log: FlightLog) -> Iterator[Finding]:
-    """Findings about the columns of one flight, each for itself."""
-    yield from _time(log)
-    yield from _not_numbers(log)
-    yield from _position(log)
-    yield from _attitude(log)
-    yield from _thrust(log)
-    yield from _turn_commands(log)
-    yield from _voltage(log)
+    """Yield findings about each column of one flight by itself."""
+    yield from _check_time(log)
+    yield from _check_finite(log)
+    yield from _check_position(log)
+    yield from _check_attitude(log)
+    yield from _check_thrust(log)
+    yield from _check_attitude_commands(log)
+    yield from _check_voltage(log)
 
 
-def _time(log: FlightLog) -> Iterator[Finding]:
+def _check_time(log: FlightLog) -> Iterator[Finding]:
     if log.duration < SHORTEST:
         yield refuse("t", f"lasts only {log.duration:.2g} s; at least {SHORTEST:g} s of flight are needed")
         return
     if not FEWEST_PER_SECOND <= log.rate <= MOST_PER_SECOND:
         yield refuse("t", f"has {log.rate:.3g} rows per second: no flight, or time in another unit")
         return
-    if log.duration < SHORT:
+    if log.duration < SHORT_FLIGHT:
         yield limit("t", f"lasts only {log.duration:.2g} s: little can be told from it")
-    if log.rate < SLOWEST:
+    if log.rate < LEAST_RATE:
         yield limit("t", f"has only {log.rate:.3g} rows per second: lags and delays cannot be told apart")
     gaps = log.gap_starts
     if len(gaps):
@@ -60,7 +60,7 @@ def _time(log: FlightLog) -> Iterator[Finding]:
             yield limit("t", f"{text}: nothing is predicted across them")
 
 
-def _not_numbers(log: FlightLog) -> Iterator[Finding]:
+def _check_finite(log: FlightLog) -> Iterator[Finding]:
     table = np.hstack([log.position, log.attitude, log.command])
     for name, column in zip(MEASURED + COMMANDS, table.T):
         bad = np.flatnonzero(~np.isfinite(column))
@@ -72,15 +72,15 @@ def _not_numbers(log: FlightLog) -> Iterator[Finding]:
         yield limit(", ".join(log.missing), f"not logged: {', '.join(log.missing)}")
 
 
-def _position(log: FlightLog) -> Iterator[Finding]:
+def _check_position(log: FlightLog) -> Iterator[Finding]:
     if np.ptp(log.position, axis=0).max() < 1e-6:
         yield refuse("x, y, z", "columns x, y, z never change: not a flight, or not a measurement")
         return
     speed = np.linalg.norm(np.diff(log.position, axis=0), axis=1) / np.maximum(np.diff(log.t), 1 / log.rate)
     # Of nearly all rows: a few of them, wherever they lie, are no reason to doubt the unit.
     top, span = np.percentile(speed, 90), np.ptp(np.percentile(log.position, (10, 90), axis=0), axis=0).max()
-    if top > FASTEST or span > FARTHEST:
-        moves = f"move at {top:.3g} m/s" if top > FASTEST else f"span {span:.3g} m"
+    if top > LARGEST_SPEED or span > LARGEST_DISTANCE:
+        moves = f"move at {top:.3g} m/s" if top > LARGEST_SPEED else f"span {span:.3g} m"
         yield refuse("x, y, z", f"columns x, y, z {moves}: wrong unit (millimetres?)")
         return
     spikes, jumps = _discontinuities(log)
@@ -88,14 +88,15 @@ def _position(log: FlightLog) -> Iterator[Finding]:
         count = len(spikes) + len(jumps)
         yield refuse("x, y, z", f"columns x, y, z jump in {count} of {len(log)} rows: tracking was lost")
         return
-    near = _around(jumps, log)
-    kept = np.delete(np.arange(len(log)), np.union1d(spikes, near))
-    away = np.abs(log.position - np.median(log.position, axis=0)).max(axis=1)
-    far = kept[away[kept] > FARTHEST]
+    near = _rows_near_jumps(jumps, log)
+    rows = np.delete(np.arange(len(log)), np.union1d(spikes, near))
+    deviation = np.abs(log.position - np.median(log.position, axis=0)).max(axis=1)
+    far = rows[deviation[rows] > LARGEST_DISTANCE]
     if len(far):
         where = f"in {len(far)} rows, first in row {far[0] + 1} (t = {log.t[far[0]]:.2f} s)"
         yield refuse(
-            "x, y, z", f"columns x, y, z lie {away[far[0]]:.3g} m from the flight {where}: tracking was lost"
+            "x, y, z",
+            f"columns x, y, z lie {deviation[far[0]]:.3g} m from the flight {where}: tracking was lost",
         )
         return
     if len(spikes):
@@ -123,22 +124,26 @@ def _position(log: FlightLog) -> Iterator[Finding]:
 
 
 def _discontinuities(log: FlightLog) -> tuple[np.ndarray, np.ndarray]:
-    """Rows that lie away from their neighbours, and rows from which on the position is elsewhere."""
-    smooth = JUMP + HARDEST / log.rate**2
-    away = np.linalg.norm(log.position - median_filter(log.position, size=(5, 1), mode="nearest"), axis=1)
-    spikes = np.flatnonzero(away > max(smooth, 8 * np.median(away)))
-    kept = np.delete(np.arange(len(log)), spikes)
-    step = np.diff(log.t[kept])[:, None]
-    moved = np.diff(log.position[kept], axis=0)
+    """Return the rows of isolated outliers in position, and the rows from which on it is offset."""
+    # A row is an outlier where |x - median_5(x)| exceeds JUMP + a dt^2 and 8 times its median; a jump where
+    # the step differs from the median velocity times dt by as much.
+    smooth = JUMP + LARGEST_ACCELERATION / log.rate**2
+    deviation = np.linalg.norm(
+        log.position - median_filter(log.position, size=(5, 1), mode="nearest"), axis=1
+    )
+    spikes = np.flatnonzero(deviation > max(smooth, 8 * np.median(deviation)))
+    rows = np.delete(np.arange(len(log)), spikes)
+    step = np.diff(log.t[rows])[:, None]
+    moved = np.diff(log.position[rows], axis=0)
     usual = median_filter(moved / np.maximum(step, 1 / log.rate), size=(5, 1), mode="nearest") * step
-    off = np.linalg.norm(moved - usual, axis=1)
+    deviation = np.linalg.norm(moved - usual, axis=1)
     unbroken = step[:, 0] < GAP_STEPS / log.rate
-    jumps = np.flatnonzero(unbroken & (off > max(smooth, 8 * np.median(off))))
-    return spikes, kept[jumps + 1]
+    jumps = np.flatnonzero(unbroken & (deviation > max(smooth, 8 * np.median(deviation))))
+    return spikes, rows[jumps + 1]
 
 
-def _around(jumps: np.ndarray, log: FlightLog) -> np.ndarray:
-    """Rows so near to jumps that a hole is left: what comes before and after does not predict one another."""
+def _rows_near_jumps(jumps: np.ndarray, log: FlightLog) -> np.ndarray:
+    """Return the rows so close to jumps that leaving them out makes a gap in the record."""
     if not len(jumps):
         return jumps
     width = 0.6 * max(GAP_STEPS / log.rate, GAP_SECONDS)
@@ -148,7 +153,7 @@ def _around(jumps: np.ndarray, log: FlightLog) -> np.ndarray:
     return np.flatnonzero(np.minimum(*distance) <= width)
 
 
-def _attitude(log: FlightLog) -> Iterator[Finding]:
+def _check_attitude(log: FlightLog) -> Iterator[Finding]:
     for name, column in zip(("roll", "pitch"), log.attitude.T):
         if np.isnan(column).all():
             continue
@@ -163,7 +168,7 @@ def _attitude(log: FlightLog) -> Iterator[Finding]:
         yield refuse("roll, pitch", "neither roll nor pitch ever changes: not a measurement")
 
 
-def _thrust(log: FlightLog) -> Iterator[Finding]:
+def _check_thrust(log: FlightLog) -> Iterator[Finding]:
     pwm = log.command[:, 0]
     if np.isnan(pwm).all():
         return
@@ -193,8 +198,8 @@ def _thrust(log: FlightLog) -> Iterator[Finding]:
             )
 
 
-def _turn_commands(log: FlightLog) -> Iterator[Finding]:
-    for (name, most, unit), column in zip(TURNED_BY, log.command[:, 1:].T):
+def _check_attitude_commands(log: FlightLog) -> Iterator[Finding]:
+    for (name, most, unit), column in zip(_ATTITUDE_COMMANDS, log.command[:, 1:].T):
         if np.isnan(column).all():
             continue
         if np.ptp(column) < 1e-6 and name != "cmd_yaw_rate":
@@ -206,7 +211,7 @@ def _turn_commands(log: FlightLog) -> Iterator[Finding]:
             yield refuse(name, f"column {name} reaches {top}: {taken}? State its unit")
 
 
-def _voltage(log: FlightLog) -> Iterator[Finding]:
+def _check_voltage(log: FlightLog) -> Iterator[Finding]:
     if log.voltage is None:
         return
     low, high = log.voltage.min(), log.voltage.max()

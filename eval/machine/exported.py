@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks import Task
 from inclined_landing.eval.base.statistics import spread
 from inclined_landing.eval.export import c_source, compiled, contract, numpy_file, vectors
 from inclined_landing.eval.export.landing_policy import LandingPolicy
@@ -28,8 +29,8 @@ def latency(policy: Policy, repeats: int, seed: int) -> dict:
     `largest_difference` is that of an action from the policy's, over a thousand inputs. `cost` is counted and
     estimated, see `export.cost`.
     """
-    network = Network.of(policy)
-    terms = contract.of(policy, network)
+    network = Network.from_policy(policy)
+    terms = contract.describe(policy, network)
     rng = np.random.default_rng(seed)
     inputs = policy.centre + policy.scale * rng.normal(size=(_COMPARED, network.inputs))
     inputs, wanted = inputs.astype(np.float32), policy.predict(inputs.astype(np.float32))
@@ -37,19 +38,21 @@ def latency(policy: Policy, repeats: int, seed: int) -> dict:
     tested = vectors.sequence(policy, np.zeros((len(observations), 13)), observations)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        numpy_file.write(folder, network, policy.task, tested)
+        export = folder, policy.task, network, terms, tested
+        numpy_file.write(*export)
         reader = LandingPolicy(folder / "policy.npz")
         return {
-            "c": _c(folder, terms, network, tested, inputs, wanted, repeats),
+            "c": _c(export, inputs, wanted, repeats),
             "numpy": _measured(reader.infer, inputs, wanted, repeats),
-            "onnx": _onnx(folder, network, inputs, wanted, repeats),
+            "onnx": _onnx(export, inputs, wanted, repeats),
             "cost": terms["cost"],
         }
 
 
-def _c(folder: Path, terms: dict, network: Network, tested: Vectors, inputs, wanted, repeats: int) -> dict:
+def _c(export: tuple[Path, Task, Network, dict, Vectors], inputs, wanted, repeats: int) -> dict:
+    folder, _, network, *_ = export
     try:
-        c_source.write(folder, terms, network, tested)
+        c_source.write(*export)
         library = compiled.Library(folder, folder)
     except UserError as error:
         return {"skipped": str(error)}
@@ -61,18 +64,18 @@ def _c(folder: Path, terms: dict, network: Network, tested: Vectors, inputs, wan
     return spread(microseconds) | _apart(library.infer(inputs, actions), wanted)
 
 
-def _onnx(folder: Path, network: Network, inputs, wanted, repeats: int) -> dict:
+def _onnx(export: tuple[Path, Task, Network, dict, Vectors], inputs, wanted, repeats: int) -> dict:
     try:
         import onnxruntime
 
         from inclined_landing.eval.export import onnx_file
     except ImportError as error:
         return {"skipped": f"{error.name} is not installed"}
-    onnx_file.write(folder, network, {})
+    onnx_file.write(*export)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     session = onnxruntime.InferenceSession(
-        folder / "policy.onnx", options, providers=["CPUExecutionProvider"]
+        export[0] / "policy.onnx", options, providers=["CPUExecutionProvider"]
     )
     return _measured(lambda rows: session.run(None, {"input": rows})[0], inputs, wanted, repeats)
 

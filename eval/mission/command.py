@@ -15,7 +15,7 @@ from rich.progress import Progress
 from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME
 from inclined_landing.envs.mission import HAND_OVER, Mission, Plan, fly_missions
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.envs.rendering import check_look
+from inclined_landing.envs.rendering import check_picture_options
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import (
@@ -47,9 +47,9 @@ class HandOver:
 
     Args:
         hand_over: the point that the set-point policy flies to, in metres; y is 0.
-        near: how near it the vehicle must be, in metres,
-        slow: how slow, in m/s,
-        dwell: and how long both, in seconds, before the landing policy takes over.
+        near: distance to that point below which the landing policy may take over, in metres.
+        slow: speed below which it may take over, in m/s.
+        dwell: time for which both must hold, in seconds.
         drift: let y drift where a policy commands no roll; otherwise the set-point policy's roll holds it.
     """
 
@@ -87,7 +87,7 @@ def command(
         landing: the same, for the landing task.
         touchdown: the same, for the touchdown task.
         start: where a mission begins, in metres; repeat the option for more. Default: random starts.
-        missions: how many random starts, 100 by default.
+        missions: number of random starts, 100 by default.
         seed: of the random starts.
         inclination: of the platform in degrees, where it differs from the training's.
         vehicle: vehicle file (TOML), where it differs from the shipped one.
@@ -102,7 +102,7 @@ def command(
         raise UserError("--missions is how many random starts are drawn: leave it out with --start")
     if look.width % 2 or look.height % 2:
         raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
-    check_look(**dataclasses.asdict(look))
+    check_picture_options(**dataclasses.asdict(look))
     plan = make_plan((setpoint, landing, touchdown), hand_overs, inclination, vehicle)
     if start:
         starts = np.array([_point(text, "start", "X,Y,Z") for text in start])
@@ -124,30 +124,31 @@ def command(
 def make_plan(
     policies: tuple[str, str, str], given: HandOver, inclination: float | None, vehicle: Path | None
 ) -> Plan:
-    """The plan that the options name. Raises UserError where they name none."""
-    own = load_vehicle(vehicle) if vehicle is not None else None
+    """Return the plan of the options. Raises UserError for invalid ones."""
+    loaded = load_vehicle(vehicle) if vehicle is not None else None
     slope = None if inclination is None else math.radians(inclination)
     if slope is not None:
-        (own or load_vehicle()).check_inclination(slope)
+        (loaded or load_vehicle()).check_inclination(slope)
     setpoint, landing, touchdown = policies
+    x, z = _point(given.hand_over, "hand-over", "X,Z")
     return Plan(
-        load_policy(setpoint, "setpoint", vehicle=own),
-        load_policy(landing, vehicle=own, inclination=slope),
-        load_policy(touchdown, "touchdown", vehicle=own, inclination=slope),
-        _point(given.hand_over, "hand-over", "X,Z"),
+        load_policy(setpoint, "setpoint", vehicle=loaded),
+        load_policy(landing, vehicle=loaded, inclination=slope),
+        load_policy(touchdown, "touchdown", vehicle=loaded, inclination=slope),
+        (x, z),
         *(given.near, given.slow, given.dwell, not given.drift),
     )
 
 
 def fly(plan: Plan, starts: np.ndarray) -> list[Mission]:
-    """The missions from starts (n, 3) [m], with a progress bar on stderr."""
+    """Return the missions from starts (n, 3) [m], with a progress bar on stderr."""
     with Progress(console=Console(stderr=True), transient=True) as progress:
         bar = progress.add_task("missions", total=len(starts))
         return fly_missions(plan, starts, lambda count: progress.update(bar, completed=count))
 
 
 def _point(text: str, option: str, form: str) -> tuple[float, ...]:
-    """The numbers of an option written as `form`."""
+    """Return the numbers of an option written as `form`."""
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -158,7 +159,7 @@ def _point(text: str, option: str, form: str) -> tuple[float, ...]:
 
 
 def draw(missions: list[Mission], folder: Path, look: Look | None) -> None:
-    """The figure of missions in the folder; with a look also video and picture of the first one."""
+    """Write the figure of missions into the folder; with a look also video and picture of the first one."""
     figure = mission_figure(missions[0], missions[1:])
     for suffix in (".png", ".pdf"):
         save_figure(figure, folder / f"mission{suffix}")

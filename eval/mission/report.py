@@ -18,7 +18,7 @@ ROLES = ("setpoint", "landing", "touchdown")
 
 
 def report_of(missions: Sequence[Mission]) -> dict:
-    """Shares, times and hand-overs of missions of one plan, and a record of each."""
+    """Return success rates, times and hand-over errors of missions of one plan, and a record of each."""
     plan = missions[0].plan
     return {
         "command": "mission",
@@ -36,17 +36,17 @@ def report_of(missions: Sequence[Mission]) -> dict:
         "at_rest": proportion(sum(m.success for m in missions), len(missions)),
         "ends": {end: sum(m.end == end for m in missions) for end in ENDS},
         "time": spread([m.t[-1] for m in missions if m.success]),
-        "legs": {name: _leg(missions, name) for name in LEGS},
-        "handed_over": _handed_over(missions, plan),
+        "legs": {name: _leg_statistics(missions, name) for name in LEGS},
+        "handed_over": _hand_over_errors(missions, plan),
         "rest": {"y": spread([abs(m.state[-1, Y]) for m in missions if m.success])},
-        "flights": [_record(m) for m in missions],
+        "flights": [_mission_json(m) for m in missions],
         "versions": runs.versions(),
     }
 
 
-def _leg(missions: Sequence[Mission], name: str) -> dict:
-    """One leg in all missions: how many flew it, lost there, how long it took, what was touched."""
-    pairs = [(mission, leg) for mission in missions if (leg := mission.flown(name))]
+def _leg_statistics(missions: Sequence[Mission], name: str) -> dict:
+    """Return the statistics of one leg over all missions: flown, lost, duration, contacts."""
+    pairs = [(mission, leg) for mission in missions if (leg := mission.find_leg(name))]
     lost = Counter(mission.end for mission, leg in pairs if not leg.done)
     touched = Counter(surface for _, leg in pairs for surface in leg.touched)
     return {
@@ -58,9 +58,9 @@ def _leg(missions: Sequence[Mission], name: str) -> dict:
     }
 
 
-def _handed_over(missions: Sequence[Mission], plan: Plan) -> dict:
-    """Errors of the vehicles that the landing policy was given."""
-    states = np.array([m.state[np.argmax(m.leg >= LANDING)] for m in missions if m.flown("landing")])
+def _hand_over_errors(missions: Sequence[Mission], plan: Plan) -> dict:
+    """Return the errors of position and speed at the hand-over to the landing policy."""
+    states = np.array([m.state[np.argmax(m.leg >= LANDING)] for m in missions if m.find_leg("landing")])
     states = states.reshape(-1, STATE_SIZE)
     return {
         "position": spread(np.linalg.norm(states[:, X : Z + 1] - plan.point, axis=1)),
@@ -70,17 +70,17 @@ def _handed_over(missions: Sequence[Mission], plan: Plan) -> dict:
     }
 
 
-def _record(mission: Mission) -> dict:
+def _mission_json(mission: Mission) -> dict:
     return {
         "start": mission.state[0, :3].tolist(),
         "end": mission.end,
         "time": float(mission.t[-1]),
         "place": mission.state[-1, :3].tolist(),
-        "legs": [_leg_record(leg) for leg in mission.legs],
+        "legs": [_leg_json(leg) for leg in mission.legs],
     }
 
 
-def _leg_record(leg: Leg) -> dict:
+def _leg_json(leg: Leg) -> dict:
     return {
         "name": leg.name,
         "began": leg.began,
@@ -92,7 +92,7 @@ def _leg_record(leg: Leg) -> dict:
 
 
 def show(report: dict) -> None:
-    """Print a report: how many missions ended well, and a row for each leg."""
+    """Print a report: the success rate, and a row for each leg."""
     console = printer()
     count = report["missions"]
     title = f"{count} mission{'s' * (count != 1)}, at rest on the feet: {share_cell(report['at_rest'])} %"

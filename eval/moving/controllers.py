@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from inclined_landing.envs.batch import numbers
+from inclined_landing.envs.batch import as_floats
 from inclined_landing.envs.history import History
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import Moment, is_path
@@ -84,9 +84,9 @@ class _PolicyPilot:
     def __call__(self, t: float, moment: Moment) -> np.ndarray:
         observation = self._task.observe(moment)
         if t == 0.0:
-            self._past.begin(slice(None), observation)
-        actions = self._policy.predict(self._past.behind(observation)).astype(float)
-        self._past.note(observation, actions)
+            self._past.reset(slice(None), observation)
+        actions = self._policy.predict(self._past.stack(observation)).astype(float)
+        self._past.record(observation, actions)
         commands = self._task.body_commands(self._task.commands(actions), moment.state, moment.deck)
         if self._task.cut_at_success:
             self._cut |= self._task.in_goal(moment.state, GOAL_SIZE, moment.deck)
@@ -113,7 +113,7 @@ class _Told:
         except (Exception, SystemExit) as error:  # whatever the code does
             raise UserError(f"{where} raised {type(error).__name__}: {shown(error, 120)}") from error
         try:
-            commands = numbers(answer, where)
+            commands = as_floats(answer, where)
         except UserError:
             raise UserError(f"{where} must answer with real numbers, not {shown(repr(answer), 60)}") from None
         wanted = (len(moment.state), COMMAND_SIZE)

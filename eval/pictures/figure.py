@@ -9,7 +9,7 @@ from inclined_landing.eval.base.options import Flag, Flat, Flown, Folder, Look, 
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.pictures import picture
 from inclined_landing.eval.pictures.figures import save_figure, trajectory_figure
-from inclined_landing.eval.pictures.flown import Until, fly, points, report
+from inclined_landing.eval.pictures.flights import Until, fly_from, print_outcome, start_points
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
@@ -50,15 +50,15 @@ def command(
     cases = task.figure_starts
     if start:
         names = ["trajectory"] if len(start) == 1 else [f"trajectory_{k + 1}" for k in range(len(start))]
-        cases = dict(zip(names, points(start, task)))
-    flights = fly(loaded, list(cases.values()), flown.plant, task.judged_steps)
+        cases = dict(zip(names, start_points(start, task)))
+    flights = fly_from(loaded, list(cases.values()), flown.plant, task.judged_steps)
     for name, flight in zip(cases, flights):
         for path in draw(flight, out, name):
             print(path)
-        report(flight, name)
+        print_outcome(flight, name)
 
 
 def draw(flight: Flight, out: Path, name: str) -> list[Path]:
-    """The figure of one flight in the folder `out`; returns its files."""
+    """Write the figure of one flight into the folder `out`; return its files."""
     drawn = trajectory_figure(flight)
     return [save_figure(drawn, out / f"{name}{suffix}") for suffix in (".png", ".pdf")]

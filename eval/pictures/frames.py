@@ -11,13 +11,20 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from inclined_landing.envs.flights import Track
+from inclined_landing.envs.flights import Flight, Track
 from inclined_landing.envs.mission import Mission
-from inclined_landing.envs.rendering import Ghost, make_renderer, pose_on, qpos_of_state
-from inclined_landing.eval.pictures.labels import CUT, draw_labels, ended, tempo
-from inclined_landing.eval.pictures.legs import along, named
-from inclined_landing.eval.pictures.to_rest import Landing
-from inclined_landing.eval.pictures.way import progress, spread_copies
+from inclined_landing.envs.rendering import Ghost, make_renderer, pose_from_state, qpos_of_state
+from inclined_landing.eval.pictures.labels import (
+    MOTORS_CUT,
+    Label,
+    draw_labels,
+    leg_colours,
+    leg_label,
+    outcome_label,
+    speed_label,
+)
+from inclined_landing.eval.pictures.path import path_share, select_copies
+from inclined_landing.eval.pictures.to_rest import LandedFlight
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
@@ -27,14 +34,14 @@ _SPACING = 0.13  # m; copies in a strobe picture are at least this apart
 _EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # along a strobe picture
 
 
-def scene_of(flight: Track, k: int):
-    """What the renderers are given for sample k: where vehicle and platform are, or that there is none."""
+def pose_at(flight: Track, k: int):
+    """Return the pose of vehicle and platform at sample k, as renderers take it."""
     deck = None if flight.deck is None else flight.deck[k]
-    return pose_on(flight.state[k], deck, based=flight.motion is None)
+    return pose_from_state(flight.state[k], deck, has_base=flight.motion is None)
 
 
-def caption_of(flight: Track, k: int) -> str:
-    """The line under frame k."""
+def caption(flight: Track, k: int) -> str:
+    """Return the caption of frame k."""
     s, pwm = flight.state[k], flight.commands[k, 0]
     planar = np.abs(flight.state[:, 1]).max() < 0.01
     across = "" if planar else f"y {s[1]:+5.2f}  "
@@ -44,19 +51,19 @@ def caption_of(flight: Track, k: int) -> str:
     )
 
 
-def said(flight: Track, k: int) -> list[tuple[str, str]]:
-    """The labels of sample k: which leg is flown, are the motors cut, how did the flight end."""
+def labels_of(flight: Flight | Mission, k: int) -> list[Label]:
+    """Return the labels of sample k: leg, motor cut, outcome of the flight."""
     last = k == len(flight.t) - 1
     if isinstance(flight, Mission):
-        return [named(flight, k), *([ended(flight.words, flight.success)] if last else [])]
-    if isinstance(flight, Landing) and k >= flight.cut:
+        return [leg_label(flight, k), *([outcome_label(flight.summary, flight.success)] if last else [])]
+    if isinstance(flight, LandedFlight) and k >= flight.cut:
         settled = k >= flight.settled
-        return [ended(flight.ending, flight.at_rest) if settled else CUT]
-    return [ended(flight.task.flight_words(flight), flight.success)] if last else []
+        return [outcome_label(flight.ending, flight.at_rest) if settled else MOTORS_CUT]
+    return [outcome_label(flight.task.flight_words(flight), flight.success)] if last else []
 
 
 def render_flight(
-    flight: Track,
+    flight: Flight | Mission,
     *,
     camera: str = "arena",
     width: int = 640,
@@ -67,7 +74,7 @@ def render_flight(
     title: str | None = None,
     renderer: Any = None,
 ) -> Iterator[np.ndarray]:
-    """Frames (height, width, 3) uint8, `fps` of them for a second of flight.
+    """Yield frames (height, width, 3) uint8, `fps` of them per second of flight.
 
     slow: how much slower they will be shown, which is said in the picture; so is how the flight ended, and
     what it is called, where it has a title.
@@ -79,23 +86,23 @@ def render_flight(
     ghosts = (
         [] if close or flight.motion is not None else [Ghost(qpos_of_state(goal)) for goal in flight.goals]
     )
-    colours = along(flight) if isinstance(flight, Mission) else None
+    colours = leg_colours(flight) if isinstance(flight, Mission) else None
     with _opened(renderer, flight, width, height, camera, backend) as drawing:
         for k in frames:
             frame = drawing.render(
-                scene_of(flight, k),
+                pose_at(flight, k),
                 trail=None if close else flight.state[: k + 1],
                 trail_colour=None if colours is None else colours[: k + 1],
                 ghosts=ghosts,
-                caption=caption_of(flight, k),
+                caption=caption(flight, k),
             )
-            named = [] if title is None else [(title, None)]
-            draw_labels(frame, named + tempo(slow) + said(flight, k))
+            title_label: list[Label] = [] if title is None else [(title, None)]
+            draw_labels(frame, title_label + speed_label(slow) + labels_of(flight, k))
             yield frame
 
 
 def _opened(renderer, flight: Track, *look):
-    """Context of a renderer: of the given one, which stays open, or of a new one for this look."""
+    """Return a context of the given renderer, which stays open, or of a new one for this look."""
     if renderer is not None:
         return contextlib.nullcontext(renderer)
     return make_renderer(*look, vehicle=flight.task.vehicle)
@@ -111,30 +118,26 @@ def strobe(
     backend: str = "auto",
     renderer: Any = None,
 ) -> np.ndarray:
-    """One picture of the whole flight: copies of the vehicle along its way, the last one solid.
+    """Return a stroboscopic picture of the whole flight: copies of the vehicle along its path, the last one
+    solid.
 
     At most `copies` before the last, coloured from early (violet) to late (orange), a mission's by leg.
     renderer: as in `render_flight`.
     """
-    chosen = spread_copies(flight.state, copies + 1, _SPACING)[:-1]
-    colours = _EARLY + progress(flight.state)[:, None] * (_LATE - _EARLY)
+    chosen = select_copies(flight.state, copies + 1, _SPACING)[:-1]
+    colours = _EARLY + path_share(flight.state)[:, None] * (_LATE - _EARLY)
     if isinstance(flight, Mission):
-        colours = along(flight)
+        colours = leg_colours(flight)
     ghosts = [
         Ghost(qpos_of_state(flight.state[k]), tuple(colours[k]), alpha=0.8, tint=0.7, shadow=True)
         for k in chosen
     ]
     with _opened(renderer, flight, width, height, camera, backend) as drawing:
-        return drawing.render(
-            scene_of(flight, -1),
-            trail=flight.state,
-            trail_colour=colours,
-            ghosts=ghosts,
-        )
+        return drawing.render(pose_at(flight, -1), trail=flight.state, trail_colour=colours, ghosts=ghosts)
 
 
 def write_picture(path: pathlib.Path, picture: np.ndarray) -> pathlib.Path:
-    """Write a picture (h, w, 3) uint8 to a .png file, whole or not at all; returns its path."""
+    """Write a picture (h, w, 3) uint8 to a .png file, whole or not at all; return its path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with storage.atomic(path) as part:
         Image.fromarray(picture).save(part)
@@ -142,7 +145,7 @@ def write_picture(path: pathlib.Path, picture: np.ndarray) -> pathlib.Path:
 
 
 def write_video(path, frames, fps: float = FPS) -> pathlib.Path:
-    """Write frames (h, w, 3) uint8 to an .mp4 or .gif file; returns its path.
+    """Write frames (h, w, 3) uint8 to an .mp4 or .gif file; return its path.
 
     The file appears under its name when it is complete. Raises UserError for another suffix and for
     no frames.
@@ -153,10 +156,9 @@ def write_video(path, frames, fps: float = FPS) -> pathlib.Path:
 
 
 def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) -> None:
-    """The same in several files, as long as each other: by file, every how many-th of the frames it has."""
-    codecs = [_CODECS.get(path.suffix.lower()) for path in every]
-    for path, codec in zip(every, codecs):
-        if codec is None:
+    """Write the same frames to several files of the same duration, each with every n-th frame (by file)."""
+    for path in every:
+        if path.suffix.lower() not in _CODECS:
             raise UserError(f"a video is an .mp4 or .gif file, not {path.name!r}")
     frames = iter(frames)
     first = next(frames, None)
@@ -168,11 +170,12 @@ def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) ->
     mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
     with contextlib.ExitStack() as opened:
         writers = []
-        for (path, step), codec in zip(every.items(), codecs):
+        for path, step in every.items():
             path.parent.mkdir(parents=True, exist_ok=True)
             part = opened.enter_context(storage.atomic(path))
-            quality = {"qp": 20} if codec == "h264" else {}
-            writer = mediapy.VideoWriter(part, first.shape[:2], fps=fps / step, codec=codec, **quality)
+            codec = _CODECS[path.suffix.lower()]
+            quality = 20 if codec == "h264" else None
+            writer = mediapy.VideoWriter(part, first.shape[:2], fps=fps / step, codec=codec, qp=quality)
             writers.append((opened.enter_context(writer), step))
         for k, frame in enumerate(itertools.chain([first], frames)):
             for writer, step in writers:

@@ -1,4 +1,4 @@
-"""Labels over a frame, in its upper right corner: how much slower it plays, what state the vehicle is in."""
+"""Labels over a frame, in its upper right corner: playback speed, leg of a mission, state of the vehicle."""
 
 from __future__ import annotations
 
@@ -6,30 +6,45 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.colors import to_rgb
 from PIL import Image, ImageDraw, ImageFont
 
-from inclined_landing.eval.base.style import GREEN, INK, ORANGE
+from inclined_landing.envs.mission import LEGS, Mission
+from inclined_landing.eval.base.style import BLUE, GREEN, INK, ORANGE, PURPLE
 
 _FINE = 3  # labels are drawn this much larger and resampled
 _PAPER, _RULE = "#fafbff", "#c3cedb"
-# What is said of the vehicle, with the colour of the dot before it.
-CUT = ("motors cut", ORANGE)
+Label = tuple[str, str | None]  # a text, and the colour of the dot before it or None
+MOTORS_CUT: Label = ("motors cut", ORANGE)
+LEG_COLOURS = (PURPLE, BLUE, ORANGE, GREEN)  # of LEGS, in all pictures of missions
 
 
-def ended(words: str, well: bool) -> tuple[str, str]:
-    """The label of a flight's end, green when it ended as it should."""
+def outcome_label(words: str, well: bool) -> Label:
+    """Return the label of a flight's outcome, green for success."""
     return words, GREEN if well else ORANGE
 
 
-def tempo(slow: float) -> list[tuple[str, None]]:
-    """The label of a video that does not play at the flight's own speed."""
+def speed_label(slow: float) -> list[Label]:
+    """Return the label of the playback speed; none at real time."""
     if slow == 1.0:
         return []
     return [(f"{slow:.3g}x slower" if slow > 1.0 else f"{1.0 / slow:.3g}x faster", None)]
 
 
-def draw_labels(frame: np.ndarray, labels: Sequence[tuple[str, str | None]]) -> None:
-    """Put labels, text and colour of a dot or None, below each other over frame (h, w, 3) uint8."""
+def leg_label(mission: Mission, k: int) -> Label:
+    """Return the label of the leg of row k, with its colour."""
+    leg = mission.leg[k]
+    policy = mission.plan.policies[max(leg - 1, 0)]
+    return f"{LEGS[leg]}: policy {policy.name}", LEG_COLOURS[leg]
+
+
+def leg_colours(mission: Mission) -> np.ndarray:
+    """Return the leg colours (T, 3) of a mission's rows."""
+    return np.array([to_rgb(colour) for colour in LEG_COLOURS])[mission.leg]
+
+
+def draw_labels(frame: np.ndarray, labels: Sequence[Label]) -> None:
+    """Draw labels, text with an optional coloured dot, below each other onto frame (h, w, 3) uint8."""
     height, width = frame.shape[:2]
     unit = min(width / 960, height / 540)
     margin = top = round(16 * unit)
@@ -45,7 +60,9 @@ def draw_labels(frame: np.ndarray, labels: Sequence[tuple[str, str | None]]) -> 
 
 @functools.lru_cache(maxsize=32)
 def _label(text: str, colour: str | None, size: int, widest: int) -> np.ndarray:
-    """The picture (h, w, 4) of a label in letters of `size` pixels, smaller where it would be too wide."""
+    """Return the picture (h, w, 4) of a label in letters of `size` pixels, smaller where it would be too
+    wide.
+    """
     dot = 0.0 if colour is None else 0.95
     while size > 7 and (length := font(size).getlength(text)) + (1.4 + dot) * size > widest:
         size -= 1
@@ -65,7 +82,7 @@ def _label(text: str, colour: str | None, size: int, widest: int) -> np.ndarray:
 
 @functools.lru_cache(maxsize=32)
 def font(size: int):
-    """The letters of all overlays, `size` pixels high."""
+    """Return the font of all overlays, `size` pixels high."""
     from matplotlib import font_manager
 
     return ImageFont.truetype(font_manager.findfont("DejaVu Sans"), size)

@@ -6,10 +6,16 @@ import dataclasses
 from pathlib import Path
 
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.rendering import check_look
+from inclined_landing.envs.rendering import check_picture_options
 from inclined_landing.eval.base.options import Look
 from inclined_landing.eval.base.style import make_folder
-from inclined_landing.eval.pictures.flown import check_until, finish, fly, points, report
+from inclined_landing.eval.pictures.flights import (
+    check_ending,
+    continue_flights,
+    fly_from,
+    print_outcome,
+    start_points,
+)
 from inclined_landing.eval.pictures.frames import strobe, write_picture
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
@@ -19,17 +25,17 @@ def check(out: Path, look: Look, until: str) -> None:
     """Raise UserError for a file that is no .png or cannot be written, or for an unknown look or end."""
     if out.suffix.lower() != ".png":
         raise UserError(f"a picture is a .png file, not {out.name!r}")
-    check_until(until)
+    check_ending(until)
     storage.check_file(out)
-    check_look(**dataclasses.asdict(look))
+    check_picture_options(**dataclasses.asdict(look))
 
 
 def draw(policy: Policy, out: Path, start: str | None, look: Look, until: str, plant: str) -> None:
     """Fly from `start`, X,Z or (setpoint) X,Y,Z in metres, and write the picture of the flight."""
-    flown_from = points([] if start is None else [start], policy.task)
-    flight = finish(fly(policy, flown_from, plant), until)[0]
+    flown_from = start_points([] if start is None else [start], policy.task)
+    flight = continue_flights(fly_from(policy, flown_from, plant), until)[0]
     drawn = strobe(flight, **dataclasses.asdict(look))
     make_folder(out.parent)
     write_picture(out, drawn)
-    report(flight, out.name)
+    print_outcome(flight, out.name)
     print(out)

@@ -10,19 +10,19 @@ import dataclasses
 
 import numpy as np
 
-from inclined_landing.envs.flights import Flight, put_platform
+from inclined_landing.envs.flights import Flight, place_platform
 from inclined_landing.models.geometry import SURFACES
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import Recorder, still
 
-LONGEST = 2.0  # s that a landing is watched after its motors are cut
-HELD = 0.3  # s without motion that end it
+WATCH_TIME = 2.0  # s that a landing is watched after its motors are cut
+STILL_TIME = 0.3  # s without motion that end it
 _SLAB, _FLOOR = SURFACES.index("slab"), SURFACES.index("floor")
 
 
 @dataclasses.dataclass(kw_only=True)
-class Landing(Flight):
-    """A flight with what followed the motor cut; rows from `cut` on have PWM 0 as their command."""
+class LandedFlight(Flight):
+    """A flight continued after the motor cut; rows from `cut` on have PWM 0 as their command."""
 
     cut: int  # row of the motor cut, the flight's last one
     settled: int  # row from which `ending` is true
@@ -36,7 +36,7 @@ class Landing(Flight):
 
 
 def to_rest(flight: Flight) -> Flight:
-    """The flight, and what follows where its task has the motors cut: a `Landing`.
+    """Return the flight continued to rest where its task cuts the motors: a `LandedFlight`.
 
     It goes on for up to 2 s after the goal, until the vehicle has not moved for 0.3 s. A flight that did not
     succeed, or whose task cuts no motors, comes back as it is.
@@ -45,11 +45,11 @@ def to_rest(flight: Flight) -> Flight:
         return flight
     vehicle = flight.task.vehicle
     plant = MujocoPlant(1, vehicle, torque_needs_motors=True, moving=flight.motion is not None)
-    put_platform(plant, flight, flight.t[-1])
+    place_platform(plant, flight, flight.t[-1])
     recorder = Recorder(plant, flight.state[-1:])
     period = plant.control_period
     states, decks, settled, steps = [], [], 0, 0
-    while steps < round(LONGEST / period) and steps - settled < round(HELD / period):
+    while steps < round(WATCH_TIME / period) and steps - settled < round(STILL_TIME / period):
         recorder.step(np.zeros((1, 4)))
         steps += 1
         states.append(plant.state[0].copy())
@@ -68,17 +68,17 @@ def to_rest(flight: Flight) -> Flight:
         "reward": np.pad(flight.reward, (0, steps)),
     }
     given = {field.name: getattr(flight, field.name) for field in dataclasses.fields(Flight)}
-    return Landing(
+    return LandedFlight(
         **given | extended,
         cut=cut,
         settled=cut + min(settled + 1, steps),
         at_rest=bool(recorder.at_rest()[0]),
-        ending=_ending(recorder),
+        ending=_outcome(recorder),
     )
 
 
-def _ending(recorder: Recorder) -> str:
-    """What became of the vehicle, as its present state and contacts tell."""
+def _outcome(recorder: Recorder) -> str:
+    """Return the final state of the vehicle in words, from its motion and contacts."""
     plant = recorder.plant
     touch = plant.contacts.touch[0]
     if recorder.at_rest()[0]:

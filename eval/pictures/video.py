@@ -7,30 +7,31 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from inclined_landing.envs.flights import Track, record_flights
-from inclined_landing.envs.rendering import check_look
+from inclined_landing.envs.flights import Flight, record_flights
+from inclined_landing.envs.mission import Mission
+from inclined_landing.envs.rendering import check_picture_options
 from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Look, Range, Seed, Starts
 from inclined_landing.eval.base.policies import AnyPolicy
-from inclined_landing.eval.pictures.flown import (
+from inclined_landing.eval.pictures.flights import (
     Until,
-    begin,
-    check_drawn,
-    check_until,
-    finish,
-    fly,
-    points,
-    report,
+    check_ending,
+    check_random_starts,
+    choose_starts,
+    continue_flights,
+    fly_from,
+    print_outcome,
+    start_points,
 )
 from inclined_landing.eval.pictures.frames import FPS, render_flight, write_videos
-from inclined_landing.eval.pictures.touch import STEP, Touchdown, watch
-from inclined_landing.eval.pictures.touch_video import render_touchdowns
+from inclined_landing.eval.pictures.touchdown import STEP, Touchdown, record_touchdown
+from inclined_landing.eval.pictures.touchdown_video import render_touchdowns
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
@@ -62,26 +63,26 @@ def command(
         out: .mp4 or .gif file.
         start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
             more flights.
-        drawn: so many flights from random starts instead, over random slopes where the policy knows many.
-        seed: of them.
+        drawn: number of flights from random starts instead, over random slopes if the policy observes them.
+        seed: of the random starts.
         gif: write a .gif beside the .mp4.
         slow: 2 plays at half speed; the picture says so.
-        forces: film the touchdowns only, at the engine's steps, with the contact forces as arrows. A landing
-            policy's motors are cut in the goal box. Goes with --slow 16 and --camera touch, a fixed look at
-            the touchdown from nearby.
+        forces: film only the touchdowns, at the engine's steps, with the contact forces as arrows. A landing
+            policy's motors are cut in the goal box. Best with --slow 16 and --camera touch, a fixed view of
+            the touchdown from close by.
         until: where the video of a landing ends: rest goes on after the goal box with the motors cut, by
             MuJoCo, until the vehicle is at rest; goal ends with the policy's flight.
-        beside: vehicle files, or shipped vehicles by name, that fly the same, each in a part of the picture.
+        beside: vehicle files, or names of shipped vehicles, flown by the same policy side by side.
     """
     if out.suffix.lower() not in (".mp4", ".gif"):
         raise UserError(f"a video is an .mp4 or .gif file, not {out.name!r}")
     if look.width % 2 or look.height % 2:
         raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
-    check_until(until)
-    check_drawn(drawn, start)
+    check_ending(until)
+    check_random_starts(drawn, start)
     storage.check_file(out)
     if look.camera != "touch":
-        check_look(**dataclasses.asdict(look))
+        check_picture_options(**dataclasses.asdict(look))
     if beside and (forces or flown.vehicle is not None):
         raise UserError(
             "--beside shows whole flights of the vehicles it names: leave --forces and --vehicle out"
@@ -98,23 +99,24 @@ def command(
     if forces and until == "goal":
         raise UserError("--forces films what follows the goal box: leave --until goal out")
     others = {name: dataclasses.replace(flown, vehicle=Path(name)).load(policy) for name in beside}
-    where = begin(loaded.task, points(start, loaded.task), drawn, seed)
+    where = choose_starts(loaded.task, start_points(start, loaded.task), drawn, seed)
     flights = [] if beside else record_flights(loaded, flown.plant, where)
     shown = dataclasses.asdict(look)
     if forces:
-        frames, total, rate = film_touchdowns([watch(flight) for flight in flights], slow, **shown)
+        frames, total, rate = film_touchdowns([record_touchdown(flight) for flight in flights], slow, **shown)
     else:
         most = GIF_FPS if out.suffix.lower() == ".gif" else FPS
         sampled = min(FPS, most * slow)  # there are no more states
         if beside:
             each = {
-                name: fly(other, points(start, other.task), flown.plant) for name, other in others.items()
+                name: fly_from(other, start_points(start, other.task), flown.plant)
+                for name, other in others.items()
             }
-            rows = [finish(flights, until) for flights in each.values()]
+            rows = [continue_flights(flights, until) for flights in each.values()]
             flights = list(itertools.chain(*rows))
-            frames, total, rate = film_beside(list(zip(*rows)), tuple(each), sampled, slow, **shown)
+            frames, total, rate = film_side_by_side(list(zip(*rows)), tuple(each), sampled, slow, **shown)
         else:
-            flights = finish(flights, until)
+            flights = continue_flights(flights, until)
             frames, total, rate = film(flights, sampled, slow, **shown)
     files = {out: 1}
     if gif and out.suffix.lower() != ".gif":
@@ -123,13 +125,13 @@ def command(
     for path in files:
         print(path)
     for k, flight in enumerate(flights):
-        report(flight, f"flight {k + 1}")
+        print_outcome(flight, f"flight {k + 1}")
 
 
 def film(
-    flights: Sequence[Track], sampled: float, slow: float, **look
+    flights: Sequence[Flight | Mission], sampled: float, slow: float, **look: Any
 ) -> tuple[Iterator[np.ndarray], int, float]:
-    """Frames of flights after each other, how many they are, and how many are shown in a second.
+    """Return the frames of flights in sequence, their number, and the frames per second of the video.
 
     sampled: frames for a second of flight. The last frame of each flight stays for a moment.
     """
@@ -145,10 +147,10 @@ def film(
     return frames(), total, sampled / slow
 
 
-def film_beside(
-    takes: Sequence[Sequence[Track]], titles: Sequence[str], sampled: float, slow: float, **look
+def film_side_by_side(
+    takes: Sequence[Sequence[Flight]], titles: Sequence[str], sampled: float, slow: float, **look: Any
 ) -> tuple[Iterator[np.ndarray], int, float]:
-    """The same of flights beside each other, one of each title in a take; who has ended waits."""
+    """Return the same for flights side by side, one per title in a take; flights that have ended wait."""
     columns = math.ceil(math.sqrt(len(titles)))
     lines = math.ceil(len(titles) / columns)
     tile = look | {"width": look["width"] // columns // 2 * 2, "height": look["height"] // lines // 2 * 2}
@@ -176,9 +178,9 @@ def film_beside(
 
 
 def film_touchdowns(
-    touchdowns: Sequence[Touchdown], slow: float, **look
+    touchdowns: Sequence[Touchdown], slow: float, **look: Any
 ) -> tuple[Iterator[np.ndarray], int, float]:
-    """The same of touchdowns, whose frames are engine steps."""
+    """Return the same for touchdowns, whose frames are engine steps."""
     every = math.ceil(1.0 / (STEP * FPS * slow) - 1e-9)  # engine steps from frame to frame
     rate = 1.0 / (every * STEP * slow)
     rest = round(_REST * rate)
@@ -191,7 +193,7 @@ def film_touchdowns(
 
 
 def write(files: Mapping[Path, int], frames: Iterator[np.ndarray], total: int, rate: float) -> None:
-    """Write the videos, each of every so many-th frame, with a progress bar on stderr."""
+    """Write the videos, each with every n-th frame, with a progress bar on stderr."""
     names = " and ".join(str(path) for path in files)
     with Progress(console=Console(stderr=True), transient=True) as progress:
         try:

@@ -67,12 +67,12 @@ def land(policy: Policy, states: np.ndarray, friction: float, restitution: float
     recorder = Recorder(plant, states)
     cut, ended = np.zeros(n, bool), np.zeros(n, bool)
     past = History(task, n)
-    past.begin(slice(None), task.observe(Moment(plant.state, plant.contacts)))
+    past.reset(slice(None), task.observe(Moment(plant.state, plant.contacts)))
     held, last, time = np.zeros(n, int), np.full(n, task.max_steps), np.full(n, np.nan)
     for tick in range(1, task.max_steps + SETTLING + 1):
         observation = task.observe(Moment(plant.state, plant.contacts))
-        actions = policy.predict(past.behind(observation)).astype(float)
-        past.note(observation, actions)
+        actions = policy.predict(past.stack(observation)).astype(float)
+        past.record(observation, actions)
         commands = task.commands(actions)
         if cutting:
             entered = ~cut & task.in_goal(plant.state, GOAL_SIZE)

@@ -20,10 +20,10 @@ from inclined_landing.eval.base.options import Drawn, Flag, Flat, Flown, Range, 
 from inclined_landing.eval.gap.search.rollout import HORIZON
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.logs.command import parse_units
-from inclined_landing.eval.pictures.flown import begin, check_drawn, points
-from inclined_landing.eval.replay.measured import of_log
+from inclined_landing.eval.pictures.flights import check_random_starts, choose_starts, start_points
+from inclined_landing.eval.replay.measured import from_log
 from inclined_landing.eval.replay.page import write
-from inclined_landing.eval.replay.recording import Recording, of_flight
+from inclined_landing.eval.replay.recording import Recording, from_flight
 from inclined_landing.eval.replay.view import InWindow, show
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
@@ -60,13 +60,13 @@ def command(
         out: .html file; not with --window.
         start: where policies fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for more
             flights.
-        drawn: so many flights of each policy from random starts instead, over random slopes where it knows
-            many.
-        seed: of them.
-        anew: seconds after which the simulation of a log begins anew at the measured state.
-        mapping: shipped mapping or mapping file (TOML), where a log's column names do not tell.
-        unit: of a column that states none, roll=deg for example; repeat the option for more.
-        platform: the slab of the vehicle file stood in the arena (known from logs with contacts).
+        drawn: number of flights of each policy from random starts instead, over random slopes where it
+            observes them.
+        seed: of the random starts.
+        anew: seconds after which the simulation of a log restarts at the measured state.
+        mapping: shipped mapping or mapping file (TOML), where a log's column names are not known.
+        unit: unit of a column that states none, roll=deg for example; repeat the option for more.
+        platform: the vehicle file's slab stood in the arena (implied by logs with contacts).
     """
     if not sources:
         raise UserError("name at least one policy or log")
@@ -80,7 +80,7 @@ def command(
     if out.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"a page is an .html file, not {shown(out.name)!r}")
     storage.check_file(out)
-    check_drawn(drawn, start)
+    check_random_starts(drawn, start)
     plant, vehicle, units = _plant(flown), _vehicle(flown), parse_units(unit)
     policies = [source for source in sources if _is_policy(source)]
     if (start or drawn) and not policies:
@@ -89,16 +89,16 @@ def command(
         )
     # Everything is read before anything flies.
     logs = {s: read_log(s, mapping=mapping, units=units) for s in sources if s not in policies}
-    ready = {source: _ready(source, start, drawn, seed, flown) for source in policies}
+    ready = {source: _load_policy(source, start, drawn, seed, flown) for source in policies}
     recordings: list[Recording] = []
     notes: list[str] = []
     for source in sources:
         if source in ready:
-            recordings += _flights(*ready[source], plant)
+            recordings += _record(*ready[source], plant)
             continue
-        found, said = of_log(logs[source], vehicle, platform=platform, anew=anew, plant=plant)
+        found, log_notes = from_log(logs[source], vehicle, platform=platform, horizon=anew, plant=plant)
         recordings += found
-        notes += said
+        notes += log_notes
     text = write(
         recordings,
         title=_title(sources),
@@ -125,7 +125,7 @@ def _in_window(
         raise UserError("--window shows flights from --start and writes nothing: leave --out and --drawn out")
     for source in sources:
         policy = flown.load(source)
-        show(policy, points(start, policy.task), flown.plant, how)
+        show(policy, start_points(start, policy.task), flown.plant, how)
 
 
 def _is_policy(source: str) -> bool:
@@ -140,24 +140,24 @@ def _title(sources: tuple[str, ...]) -> str:
     return ", ".join(names[:2]) + rest
 
 
-def _ready(source: str, start: Starts, drawn: int, seed: int, flown: Flown) -> tuple[Policy, Start]:
-    """A policy, and what it flies from."""
+def _load_policy(source: str, start: Starts, drawn: int, seed: int, flown: Flown) -> tuple[Policy, Start]:
+    """Return a policy and its starts."""
     policy = flown.load(source)
-    where = points(start, policy.task) if start else policy.task.film_starts
-    return policy, begin(policy.task, where, drawn, seed)
+    where = start_points(start, policy.task) if start else policy.task.film_starts
+    return policy, choose_starts(policy.task, where, drawn, seed)
 
 
-def _flights(policy: Policy, where: Start, plant: str) -> list[Recording]:
-    """The flights of one policy."""
-    found = []
+def _record(policy: Policy, where: Start, plant: str) -> list[Recording]:
+    """Return the recorded flights of one policy."""
+    recordings = []
     for flight in record_flights(policy, plant, where):
         name = f"{shown(policy.name, 60)} from {policy.task.start_words(flight.state[0])}"
-        found.append(of_flight(flight, name, plant))
-    return found
+        recordings.append(from_flight(flight, name, plant))
+    return recordings
 
 
 def _plant(flown: Flown) -> str:
-    """Of a log's simulation; raises UserError for one that is unknown."""
+    """Return the plant of a log's simulation; raise UserError for an unknown one."""
     from inclined_landing.models.plants import PLANTS
 
     if flown.plant not in PLANTS:
@@ -166,7 +166,7 @@ def _plant(flown: Flown) -> str:
 
 
 def _vehicle(flown: Flown) -> Vehicle:
-    """That a log is simulated with."""
+    """Return the vehicle of a log's simulation."""
     vehicle = load_vehicle(flown.vehicle)
     if flown.inclination is None:
         return vehicle

@@ -17,12 +17,12 @@ from inclined_landing.models.parameters import Vehicle
 SHORTEST = 5  # steps of a part that is left at the end of a stretch of free flight
 
 
-def of_log(
-    log: FlightLog, vehicle: Vehicle, *, platform: bool, anew: float, plant: str
+def from_log(
+    log: FlightLog, vehicle: Vehicle, *, platform: bool, horizon: float, plant: str
 ) -> tuple[list[Recording], list[str]]:
-    """The measured flight and, where the log tells enough, its simulation; and sentences on what lacks.
+    """Return the measured flight with, where the log suffices, its simulation; and notes on what is missing.
 
-    platform: the vehicle file's slab stood there. anew: s after which the simulation begins again at the
+    platform: the vehicle file's slab stood there. horizon: s after which the simulation begins again at the
     measured state, see `gap.search.rollout`.
     """
     notes = [f"{log.name}: {note}" for note in log.notes]
@@ -38,11 +38,11 @@ def of_log(
         attitude=log.attitude,
         velocity=_velocity(log),
         commands=log.command,
-        events=_touch(log),
+        events=_first_contact(log),
     )
     try:
         flight = prepare(log, vehicle, platform=platform)
-        simulated = _simulated(measured, flight, vehicle, anew, plant)
+        simulated = _simulated(measured, flight, vehicle, horizon, plant)
     except (UserError, FloatingPointError) as error:
         reason = str(error).removeprefix(f"{log.name}: ")
         return [measured], [*notes, f"no simulation of {log.name}: {reason}"]
@@ -50,41 +50,45 @@ def of_log(
 
 
 def _velocity(log: FlightLog) -> np.ndarray:
-    """As logged, or the differences of the measured position (m, 3) [m/s]."""
+    """Return the velocity (m, 3) [m/s] as logged, or by finite differences of the measured position."""
     return log.velocity if log.velocity is not None else np.gradient(log.position, log.t, axis=0)
 
 
-def _touch(log: FlightLog) -> list[tuple[float, str]]:
+def _first_contact(log: FlightLog) -> list[tuple[float, str]]:
     if log.contact is None:
         return []
     begins = np.flatnonzero(np.diff(log.contact.astype(int)) == 1) + 1
     return [(float(log.t[begins[0]] - log.t[0]), "first touch")] if len(begins) else []
 
 
-def _simulated(measured: Recording, flight: Measured, vehicle: Vehicle, anew: float, plant: str) -> Recording:
-    """The model's flight in parts of `anew` seconds, each from the measured state at its beginning.
+def _simulated(
+    measured: Recording, flight: Measured, vehicle: Vehicle, horizon: float, plant: str
+) -> Recording:
+    """Return the simulated flight in segments of `horizon` seconds, each from its measured initial state.
 
     Where nothing is known to stand in the arena only free flight is simulated: the vehicle would fall through
     the ground that it stands on.
     """
     known = measured.inclination is not None
-    parts = _parts(np.full(flight.samples, True) if known else flight.usable, max(1, round(anew / flight.dt)))
-    if not parts:
+    usable = np.full(flight.samples, True) if known else flight.usable
+    segments = _segments(usable, max(1, round(horizon / flight.dt)))
+    if not segments:
         raise UserError("no free flight in it")
-    windows = {}
-    for steps in sorted({steps for _, steps in parts}):
-        firsts = [first for first, own in parts if own == steps]
-        windows |= dict(zip(firsts, _flown(flight, firsts, steps, vehicle, plant)))
-    poses = [windows[first] for first, _ in parts]
-    index = np.concatenate([np.arange(first, first + n + 1) for first, n in parts])
+    windows: dict[int, np.ndarray] = {}
+    for steps in sorted({steps for _, steps in segments}):
+        firsts = [first for first, length in segments if length == steps]
+        windows |= dict(zip(firsts, _simulated_poses(flight, firsts, steps, vehicle, plant)))
+    poses = [windows[first] for first, _ in segments]
+    index = np.concatenate([np.arange(first, first + n + 1) for first, n in segments])
     pose = np.concatenate(poses)
     velocity = np.concatenate([np.gradient(part[:, :3], flight.dt, axis=0) for part in poses])
-    apart = np.linalg.norm(pose[:, :3] - flight.position[index], axis=1)
-    ends = np.cumsum([n + 1 for _, n in parts]) - 1
-    longest = max(n for _, n in parts)
-    reached = [apart[end] for end, (_, n) in zip(ends, parts) if n == longest]
-    typical = math.sqrt(float(np.mean(np.square(reached))))
-    often = "once" if len(parts) == 1 else f"anew every {anew:g} s" + ("" if known else " of free flight")
+    error = np.linalg.norm(pose[:, :3] - flight.position[index], axis=1)
+    ends = np.cumsum([n + 1 for _, n in segments]) - 1
+    longest = max(n for _, n in segments)
+    final = [error[end] for end, (_, n) in zip(ends, segments) if n == longest]
+    typical = math.sqrt(float(np.mean(np.square(final))))
+    of = "" if known else " of free flight"
+    often = "once" if len(segments) == 1 else f"anew every {horizon:g} s{of}"
     return dataclasses.replace(
         measured,
         name=f"{measured.name}, simulated",
@@ -97,12 +101,14 @@ def _simulated(measured: Recording, flight: Measured, vehicle: Vehicle, anew: fl
         velocity=velocity,
         commands=flight.command[index],
         events=[],
-        anew=ends[:-1] + 1,
+        restarts=ends[:-1] + 1,
     )
 
 
-def _parts(usable: np.ndarray, rows: int) -> list[tuple[int, int]]:
-    """First row and number of steps, at most `rows`, of the parts that usable rows (m,) are cut into."""
+def _segments(usable: np.ndarray, rows: int) -> list[tuple[int, int]]:
+    """Return first row and number of steps, at most `rows`, of the segments that usable rows (m,) are cut
+    into.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], usable, [False]]).astype(int)))
     found = []
     for begin, end in zip(edges[::2], edges[1::2]):
@@ -113,7 +119,9 @@ def _parts(usable: np.ndarray, rows: int) -> list[tuple[int, int]]:
     return found
 
 
-def _flown(flight: Measured, firsts: list[int], steps: int, vehicle: Vehicle, plant: str) -> np.ndarray:
-    """Simulated poses (k, steps + 1, 6) from the k rows `firsts`."""
+def _simulated_poses(
+    flight: Measured, firsts: list[int], steps: int, vehicle: Vehicle, plant: str
+) -> np.ndarray:
+    """Return simulated poses (k, steps + 1, 6) from the k rows `firsts`."""
     starts = Starts([flight], np.zeros(len(firsts), int), np.array(firsts), steps, flight.dt)
     return simulate(starts, vehicle, plant)

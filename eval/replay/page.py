@@ -12,7 +12,7 @@ import numpy as np
 from markupsafe import Markup
 
 from inclined_landing.eval.base.page import render
-from inclined_landing.eval.pictures.way import spread_copies
+from inclined_landing.eval.pictures.path import select_copies
 from inclined_landing.eval.replay.recording import Recording
 from inclined_landing.eval.replay.scene import scene
 from inclined_landing.models.attitude import ROLL, STATE_SIZE
@@ -29,17 +29,17 @@ _COPIES, _SPACING = 9, 0.2  # translucent copies along a flight, and how far apa
 def write(
     recordings: Sequence[Recording], *, title: str, notes: Sequence[str], run: str, versions: dict
 ) -> str:
-    """The text of the page. run: how it was made."""
+    """Return the HTML of the page. run: the command that made it."""
     most = max(2, MOST_ROWS // len(recordings))
-    thinned = [recording.thinned(most) for recording in recordings]
-    notes = [*notes, *_thinned_words(recordings, thinned)]
+    downsampled = [recording.downsampled(most) for recording in recordings]
+    notes = [*notes, *_downsampling_notes(recordings, downsampled)]
     scenes: dict[tuple, dict] = {}
     flights = []
-    for recording in thinned:
+    for recording in downsampled:
         key = (recording.vehicle, recording.inclination, recording.azimuth)
         if key not in scenes:
             scenes[key] = scene(*key)
-        flights.append(_packed(recording) | {"scene": list(scenes).index(key)})
+        flights.append(_encoded(recording) | {"scene": list(scenes).index(key)})
     content = {"flights": flights, "scenes": list(scenes.values())}
     return render(
         __package__,
@@ -60,50 +60,50 @@ def _file(name: str) -> str:
 
 
 def _as_script(content: dict) -> Markup:
-    """JSON that may stand in a script element, whatever names it holds."""
+    """Return JSON that is safe inside a script element."""
     text = json.dumps(content, allow_nan=False, separators=(",", ":"))
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
-def _packed(recording: Recording) -> dict[str, Any]:
-    """A recording as JSON: columns as little-endian 32-bit floats in base 64, NaN included."""
+def _encoded(recording: Recording) -> dict[str, Any]:
+    """Return a recording as JSON: columns as little-endian 32-bit floats in base 64, NaN included."""
     r = recording
     state = np.zeros((len(r.t), STATE_SIZE))
     state[:, :3], state[:, ROLL : ROLL + 3] = r.position, np.nan_to_num(r.attitude)
-    packed: dict[str, Any] = {
+    encoded: dict[str, Any] = {
         "name": shown(r.name, 120),
         "kind": r.kind,
         "outcome": shown(r.outcome, 300),
         "rows": len(r.t),
         "events": [[round(t, 4), text] for t, text in r.events],
-        "anew": r.anew.tolist(),
-        "copies": spread_copies(state, _COPIES, _SPACING)[:-1].tolist(),
+        "anew": r.restarts.tolist(),
+        "copies": select_copies(state, _COPIES, _SPACING)[:-1].tolist(),
         "goal": None,
         "contacts": None,
     }
     for name in ("t", "position", "attitude", "velocity", "commands"):
-        packed[name] = _floats(getattr(r, name))
+        encoded[name] = _floats(getattr(r, name))
     if r.goal is not None:
-        packed["goal"] = {
+        encoded["goal"] = {
             "position": r.goal[:3].tolist(),
             "attitude": r.goal[ROLL : ROLL + 3].tolist(),
             "size": r.goal_size,
         }
     if r.forces is not None and r.points is not None:
         counts = np.array([len(force) for force in r.forces], np.uint8)
-        packed["contacts"] = {
+        encoded["contacts"] = {
             "counts": base64.b64encode(counts.tobytes()).decode("ascii"),
             "points": _floats(np.concatenate(r.points)),
             "forces": _floats(np.concatenate(r.forces)),
         }
-    return packed
+    return encoded
 
 
 def _floats(values: np.ndarray) -> str:
     return base64.b64encode(np.ascontiguousarray(values, "<f4").tobytes()).decode("ascii")
 
 
-def _thinned_words(before: Sequence[Recording], after: Sequence[Recording]) -> list[str]:
+def _downsampling_notes(before: Sequence[Recording], after: Sequence[Recording]) -> list[str]:
     return [
         f"{a.name}: {len(b.t)} of its {len(a.t)} rows are in the page"
         for a, b in zip(before, after)

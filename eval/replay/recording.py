@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from inclined_landing.envs.flights import Flight, refly
-from inclined_landing.eval.pictures.to_rest import Landing, to_rest
+from inclined_landing.envs.flights import Flight, resimulate
+from inclined_landing.eval.pictures.to_rest import LandedFlight, to_rest
 from inclined_landing.models.attitude import ROLL, VX, YAW
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
@@ -40,45 +40,47 @@ class Recording:
     )
     forces: Sequence[np.ndarray] | None = None  # T arrays (k, 3) N, on the vehicle
     events: list[tuple[float, str]] = dataclasses.field(default_factory=list)  # time [s] and what happens
-    anew: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, int))  # rows that begin a part
+    restarts: np.ndarray = dataclasses.field(
+        default_factory=lambda: np.zeros(0, int)
+    )  # first rows of segments
     azimuth: float = 0.0  # of the platform, rad
     goal: np.ndarray | None = None  # (13,) the task's goal as a state
     goal_size: float | None = None  # half width of its box, m
 
     @property
     def duration(self) -> float:
-        """Of the flight [s]."""
+        """Length of the flight [s]."""
         return float(self.t[-1])
 
-    def thinned(self, most: int) -> Recording:
-        """At most about `most` rows of it, evenly chosen; parts keep their ends."""
+    def downsampled(self, most: int) -> Recording:
+        """Return a copy with at most about `most` rows, evenly chosen; segments keep their ends."""
         stride = -(-len(self.t) // most)
         if stride == 1:
             return self
-        ends = np.concatenate([[0, len(self.t) - 1], self.anew, self.anew - 1]).astype(int)
+        ends = np.concatenate([[0, len(self.t) - 1], self.restarts, self.restarts - 1]).astype(int)
         rows = np.unique(np.concatenate([np.arange(0, len(self.t), stride), ends]))
         names = ("t", "position", "attitude", "velocity", "commands")
         changed: dict = {name: getattr(self, name)[rows] for name in names}
         for name in ("points", "forces"):
             if getattr(self, name) is not None:
                 changed[name] = [getattr(self, name)[k] for k in rows]
-        return dataclasses.replace(self, **changed, anew=np.searchsorted(rows, self.anew))
+        return dataclasses.replace(self, **changed, restarts=np.searchsorted(rows, self.restarts))
 
 
-def of_flight(flight: Flight, name: str, plant: str) -> Recording:
-    """A policy's flight, a landing until it is at rest.
+def from_flight(flight: Flight, name: str, plant: str) -> Recording:
+    """Return the recording of a policy's flight, a landing until it is at rest.
 
-    Of the MuJoCo plant at every engine step with its contacts, see `refly`; of others at the control rate,
-    without contacts. Raises UserError for a flight over a moving platform.
+    For the MuJoCo plant at every engine step with its contacts, see `resimulate`; for others at the control
+    rate, without contacts. Raises UserError for a flight over a moving platform.
     """
     if flight.motion is not None:
         raise UserError("the replay page shows platforms that stand still; landing-eval video draws this one")
     task, outcome = flight.task, flight.task.flight_words(flight)
     events = [(flight.duration, "goal box")] if flight.success and task.goal_size is not None else []
     flight = to_rest(flight)
-    steps = refly(flight) if plant == "mujoco" else None
-    whole = flight if steps is None else steps
-    if isinstance(flight, Landing):
+    steps = resimulate(flight) if plant == "mujoco" else None
+    source = flight if steps is None else steps
+    if isinstance(flight, LandedFlight):
         outcome += f"; motors cut there, {flight.ending} after {flight.t[flight.settled]:.2f} s"
     if steps is not None:
         touched = [k for k, force in enumerate(steps.forces) if len(force)]
@@ -93,11 +95,11 @@ def of_flight(flight: Flight, name: str, plant: str) -> Recording:
         outcome=outcome,
         vehicle=task.vehicle,
         inclination=flight.inclination,
-        t=whole.t,
-        position=whole.state[:, :3],
-        attitude=whole.state[:, ROLL : ROLL + 3],
-        velocity=whole.state[:, VX : VX + 3],
-        commands=whole.commands,
+        t=source.t,
+        position=source.state[:, :3],
+        attitude=source.state[:, ROLL : ROLL + 3],
+        velocity=source.state[:, VX : VX + 3],
+        commands=source.commands,
         points=None if steps is None else steps.points,
         forces=None if steps is None else steps.forces,
         events=sorted(events),

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from inclined_landing.envs.rendering import scenery
-from inclined_landing.envs.rendering.pose import Pose, pose_of
+from inclined_landing.envs.rendering.pose import Pose, as_pose
 from inclined_landing.models.parameters import Vehicle
 
 _KINDS = {
@@ -23,12 +23,13 @@ _KINDS = {
 
 
 def scene(vehicle: Vehicle, inclination: float | None, azimuth: float = 0.0) -> dict[str, Any]:
-    """Geoms of the world and of the vehicle in its true size, with names, sizes [m], poses and colours.
+    """Return the geoms of the world and of the vehicle in its true size, with names, sizes [m], poses and
+    colours.
 
     The world's are in its frame, the vehicle's in the body's. `low`: height of the foot tips in the body's
     frame; `feet`: their spheres; `scale`: how much larger a vehicle is drawn to be seen.
     """
-    pose = pose_of(np.array([0, 0, 0, 1, 0, 0, 0]), vehicle, inclination, azimuth)
+    pose = as_pose(np.array([0, 0, 0, 1, 0, 0, 0]), vehicle, inclination, azimuth)
     platform = (None, None) if inclination is None else (pose.platform_pos, pose.platform_quat)
     model = scenery.rendering_model(vehicle, platform=platform, scale=1.0)
     data = mujoco.MjData(model)
@@ -48,7 +49,9 @@ def scene(vehicle: Vehicle, inclination: float | None, azimuth: float = 0.0) -> 
 
 
 def _slab(vehicle: Vehicle, pose: Pose) -> dict[str, Any]:
-    """Where the slab's surface is: centre, half length along the slope and half depth [m], quaternion."""
+    """Return the pose of the slab's surface: centre, half length along the slope and half depth [m],
+    quaternion.
+    """
     return {
         "position": _rounded(pose.platform_pos),
         "quaternion": _rounded(pose.platform_quat),
@@ -79,5 +82,5 @@ def _geom(model: mujoco.MjModel, data: mujoco.MjData, k: int) -> dict[str, Any]:
 
 
 def _rounded(values) -> list[float]:
-    """To a micrometre."""
+    """Return numbers rounded to a micrometre."""
     return [round(float(value), 6) for value in values]

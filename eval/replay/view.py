@@ -6,11 +6,11 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Annotated
 
-from inclined_landing.envs.flights import Flight, refly
+from inclined_landing.envs.flights import Flight, resimulate
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.rendering.window import Window, check_display
 from inclined_landing.eval.base.options import Flag, Range
-from inclined_landing.eval.pictures.flown import fly, report
+from inclined_landing.eval.pictures.flights import fly_from, print_outcome
 from inclined_landing.eval.pictures.to_rest import to_rest
 
 _FPS = 50.0  # moments shown in a second
@@ -38,36 +38,36 @@ def show(policy: Policy, where: Sequence[tuple[float, ...]], plant: str, how: In
     Raises UserError without a display.
     """
     check_display()
-    flights = fly(policy, where, plant)
+    flights = fly_from(policy, where, plant)
     with Window(policy.task.vehicle) as window:
         first = True
         while window.open and (first or how.again):
             for k, flight in enumerate(flights):
                 play(window, flight, plant, how.slow)
                 if first:
-                    report(flight, f"flight {k + 1}")
+                    print_outcome(flight, f"flight {k + 1}")
             first = False
 
 
 def play(window: Window, flight: Flight, plant: str, slow: float) -> None:
-    """Show one flight in real time, `slow` times slower; ends early when the window is closed.
+    """Show one flight in real time, `slow` times slower; stop when the window is closed.
 
     A landing is followed until the vehicle is at rest.
     """
     flight = to_rest(flight)
-    whole = refly(flight) if plant == "mujoco" else flight
-    decks = [None] * len(whole.t) if whole.deck is None else whole.deck
-    stride = max(1, round(1.0 / (_FPS * slow * (whole.t[1] - whole.t[0]))))
-    rows = [*range(0, len(whole.t), stride), len(whole.t) - 1]
+    steps = resimulate(flight) if plant == "mujoco" else flight
+    decks = [None] * len(steps.t) if steps.deck is None else steps.deck
+    stride = max(1, round(1.0 / (_FPS * slow * (steps.t[1] - steps.t[0]))))
+    rows = [*range(0, len(steps.t), stride), len(steps.t) - 1]
     waited = 0.0
     for k in rows:
         if not window.open:
             return
-        text = f"t {whole.t[k]:.2f} s   PWM {whole.commands[k, 0]:.0f}"
-        pause = slow * (whole.t[k] - waited)
-        window.show(whole.state[k], whole.commands[k], decks[k], text=text, seconds=pause)
-        waited = whole.t[k]
+        text = f"t {steps.t[k]:.2f} s   PWM {steps.commands[k, 0]:.0f}"
+        pause = slow * (steps.t[k] - waited)
+        window.show(steps.state[k], steps.commands[k], decks[k], text=text, seconds=pause)
+        waited = steps.t[k]
     for _ in range(round(_LINGERS * _FPS)):
         if not window.open:
             return
-        window.show(whole.state[-1], whole.commands[-1], decks[-1], text=text, seconds=1.0 / _FPS)
+        window.show(steps.state[-1], steps.commands[-1], decks[-1], text=text, seconds=1.0 / _FPS)

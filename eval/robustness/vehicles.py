@@ -19,7 +19,7 @@ from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.tasks.landing import START_CLEARANCE
-from inclined_landing.envs.vehicle_numbers import NAMES, vehicle_numbers
+from inclined_landing.envs.vehicle_parameters import NAMES, vehicle_parameters
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.base.conditions import fly_all, outcome
@@ -156,7 +156,7 @@ def _starts_of_draws(policy: Policy, fleet, draws: int, starts: int, seed: int) 
 
 def _description(vehicle: Vehicle) -> dict[str, float]:
     """Return the mass [kg] and the numbers that policies may observe of a vehicle."""
-    numbers = zip(NAMES, vehicle_numbers(vehicle).tolist())
+    numbers = zip(NAMES, vehicle_parameters(vehicle).tolist())
     return {"mass": vehicle.body_mass, **{name.replace(" ", "_"): value for name, value in numbers}}
 
 

@@ -237,7 +237,7 @@ def test_an_episode_taken_over_begins_where_the_vehicle_is():
     for _ in range(3):
         env.step(np.zeros((2, 2)))
     before = env.plant.save()
-    observation = env.take_over([1])
+    observation = env.begin_in_place([1])
     for name, array in env.plant.save().arrays.items():
         np.testing.assert_array_equal(array, before.arrays[name])
     np.testing.assert_array_equal(observation, env.observe([1]))

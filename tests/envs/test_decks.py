@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from inclined_landing.envs.flights import Flight, refly
-from inclined_landing.envs.rendering import make_renderer, pose_on
+from inclined_landing.envs.flights import Flight, resimulate
+from inclined_landing.envs.rendering import make_renderer, pose_from_state
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.pictures.figures import trajectory_figure
-from inclined_landing.eval.pictures.frames import scene_of
+from inclined_landing.eval.pictures.frames import pose_at
 from inclined_landing.eval.pictures.to_rest import to_rest
-from inclined_landing.eval.replay.recording import of_flight
+from inclined_landing.eval.replay.recording import from_flight
 from inclined_landing.models.attitude import PITCH, YAW
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import MODES, Motion
@@ -55,7 +55,7 @@ def flight(plant):
 
 def test_flown_again_at_the_engines_steps(flight):
     """Until the touch bit for bit; then decks that are put in place at other times differ by a micrometre."""
-    steps = refly(flight)
+    steps = resimulate(flight)
     touch = next(k for k, points in enumerate(steps.points) if len(points))
     np.testing.assert_array_equal(steps.state[: touch - 1 : 5], flight.state[: len(range(0, touch - 1, 5))])
     np.testing.assert_allclose(steps.state[::5, :3], flight.state[:, :3], atol=1e-6)
@@ -78,7 +78,7 @@ def test_followed_to_rest_on_the_same_deck(flight):
 @pytest.mark.parametrize("backend", ["ray", pytest.param("gl", marks=pytest.mark.gl)])
 def test_the_platform_is_drawn_where_it_is(flight, backend):
     """A platform that was moved looks as one that was built there."""
-    poses = [pose_on(flight.state[0], flight.deck[k], based=False) for k in (0, 30)]
+    poses = [pose_from_state(flight.state[0], flight.deck[k], has_base=False) for k in (0, 30)]
     with make_renderer(**LOOK, backend=backend) as renderer:
         kept = [renderer.render(pose) for pose in poses]
     with make_renderer(**LOOK, backend=backend) as renderer:
@@ -94,13 +94,13 @@ def test_pictures_of_the_flight_and_of_the_engine_are_the_same(flight, plant):
     mujoco.mj_kinematics(plant.model, data)
     with make_renderer(**LOOK, backend="ray") as renderer:
         engine = renderer.render(data)
-        shown, begun = (renderer.render(scene_of(flight, k)) for k in (-1, 0))
+        shown, begun = (renderer.render(pose_at(flight, k)) for k in (-1, 0))
     # The same pose from other angles and quaternions: rounding may move an edge over a pixel's centre.
     assert (shown != engine).any(axis=2).mean() < 0.001 < (begun != engine).any(axis=2).mean()
 
 
 def test_pages_and_figures_for_standing_platforms_say_so(flight):
     with pytest.raises(UserError, match="stand still"):
-        of_flight(flight, "x", "mujoco")
+        from_flight(flight, "x", "mujoco")
     with pytest.raises(UserError, match="stands still"):
         trajectory_figure(flight)

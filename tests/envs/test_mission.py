@@ -50,7 +50,7 @@ def test_landings_begin_in_the_box(flown):
         first = np.argmax(mission.leg >= LANDING)
         dwell = mission.state[first - round(PLAN.dwell / 0.02) + 1 : first + 1]
         assert PLAN.in_box(dwell).all() and len(dwell) == 20
-        assert np.linalg.norm(mission.flown("approach").state[VX : VZ + 1]) < PLAN.slow
+        assert np.linalg.norm(mission.find_leg("approach").state[VX : VZ + 1]) < PLAN.slow
 
 
 def test_a_mission_does_not_depend_on_the_others(flown):
@@ -71,7 +71,7 @@ def test_from_the_hand_over_point_the_landing_begins_at_once():
 def test_fewer_starts_are_the_first_of_many():
     few, many = (PLAN.sample(np.random.default_rng(3), n) for n in (4, 9))
     np.testing.assert_array_equal(few, many[:4])
-    assert PLAN.free(many).all()
+    assert PLAN.admissible(many).all()
 
 
 def test_roll_holds_the_plane_and_drifts_without():
@@ -80,7 +80,7 @@ def test_roll_holds_the_plane_and_drifts_without():
     starts = np.array([[-1.0, 1.2, 1.8], [-1.0, -1.2, 1.8]])
     held, drifted = (fly_missions(Plan(*POLICIES, **loose, hold=hold), starts) for hold in (True, False))
     for one, other in zip(held, drifted):
-        assert one.flown("approach").duration == other.flown("approach").duration
+        assert one.find_leg("approach").duration == other.find_leg("approach").duration
         assert abs(one.state[-1, Y]) < 0.05 < abs(other.state[-1, Y])
         assert not other.commands[other.leg >= LANDING, 1].any()
     assert np.abs([mission.state[:, YAW] for mission in held[:1]]).max() < 0.1
@@ -122,11 +122,11 @@ def test_trim_holds_what_sinks():
     trim = Trim(2)
     for _ in range(2000):
         hangs = trim.offset[0] - (0.0, 0.0, 0.04)
-        trim.learn(np.array([-hangs, (1.0, 0.0, 0.0)]), 0.02)
+        trim.integrate(np.array([-hangs, (1.0, 0.0, 0.0)]), 0.02)
     np.testing.assert_allclose(trim.offset, [[0.0, 0.0, 0.04], [0.0, 0.0, 0.0]], atol=1e-6)
     for _ in range(200):
-        trim.learn(np.full((2, 3), 0.15), 0.02, np.array([False, True]))
-    np.testing.assert_allclose(trim.offset, [[0.0, 0.0, 0.04], [hover.LIMIT] * 3], atol=1e-6)
+        trim.integrate(np.full((2, 3), 0.15), 0.02, np.array([False, True]))
+    np.testing.assert_allclose(trim.offset, [[0.0, 0.0, 0.04], [hover.TRIM_LIMIT] * 3], atol=1e-6)
 
 
 def test_time_runs_out():

@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs import starts
-from inclined_landing.envs.rendering import Ghost, Pose, contact_arrows, look_at, make_renderer
+from inclined_landing.envs.rendering import Ghost, Pose, look_at, make_renderer
 from inclined_landing.envs.rendering import gl as gl_backend
-from inclined_landing.envs.rendering.camera import framing
+from inclined_landing.envs.rendering.camera import nearest_position
 from inclined_landing.envs.rendering.overlay import caption_height, draw_caption
 from inclined_landing.envs.rendering.pose import qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
-from inclined_landing.envs.rendering.scenery import drawn_centres, drawn_points, rendering_model
+from inclined_landing.envs.rendering.scenery import rendering_model, scaled_centres, scaled_points
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import shapes_of
 from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants.recorder import contact_forces
 from inclined_landing.models.scene import build_spec
 
 W, H = 320, 240
@@ -118,7 +119,7 @@ def test_vehicle_stays_at_its_place_when_drawn_larger():
     assert ratio == pytest.approx(3.0)
     for name in ("foot_front_left", "rotor_front_left", "body_collision"):
         np.testing.assert_array_equal(small.geom(name).size, large.geom(name).size)
-    centre = drawn_centres(small, hovering(0.0, 1.0, 0.0)[None], 3.0)[0]
+    centre = scaled_centres(small, hovering(0.0, 1.0, 0.0)[None], 3.0)[0]
     np.testing.assert_allclose(centre, [0, 0, 1.0 - 2.0 * lowest(small)], atol=1e-9)
 
 
@@ -165,7 +166,7 @@ def test_framing_is_as_near_as_can_be():
         points, forward = rng.normal(size=(9, 3)), rng.normal(size=3)
         axes = look_at((0, 0, 0), forward, 1, 1).axes
         halves = rng.uniform(0.2, 1.0, 2)
-        local = (points - framing(points, axes, *halves)) @ axes.T
+        local = (points - nearest_position(points, axes, *halves)) @ axes.T
         share = local[:, :2] / (local[:, 2:] * halves)
         assert (local[:, 2] > 0).all() and np.abs(share).max() < 1 + 1e-9  # rounding
         reached = np.isclose(share.max(axis=0), 1.0) & np.isclose(share.min(axis=0), -1.0)
@@ -258,14 +259,14 @@ def test_contact_arrows_carry_the_weight():
     data.qpos[:7] = [2.0, 0, foot.size[0] - foot.pos[2], 1, 0, 0, 0]
     for _ in range(500):
         mujoco.mj_step(model, data)
-    arrows = contact_arrows(model, data, metres_per_newton=1.0)
-    assert len(arrows) == 4
-    # at rest after 2 s: forces sum to the weight, 1 % covers what is left of the settling
-    total = np.sum([force for _, force in arrows], axis=0)
+    points, forces = contact_forces(model, data)
+    assert len(forces) == 4
+    # at rest after 2 s: forces sum to the weight, 1 % covers the rest of the settling
+    total = np.sum(forces, axis=0)
     np.testing.assert_allclose(total, [0, 0, weight], atol=0.01 * weight)
     with make_renderer(W, H, "closeup", "ray") as renderer:
         plain = renderer.render(data)
-        drawn = renderer.render(data, forces=contact_arrows(model, data))
+        drawn = renderer.render(data, forces=list(zip(points, 0.3 * forces)))
         assert changed(plain, drawn).sum() > 30
 
 
@@ -281,7 +282,7 @@ def test_arrows_start_where_the_larger_vehicle_stands(hero):
     leg = model.geom("leg_front_left")
     hero.render(state)
     low = hero._scene.data.geom_xpos[leg.id] - leg.size[1] * frame.reshape(3, 3)[:, 2]
-    start = drawn_points(model, qpos, tip, 3.0)
+    start = scaled_points(model, qpos, tip, 3.0)
     assert np.linalg.norm(start - low) < 3.0 * 0.006  # the drawn leg ends within its radius
     arrow = np.array([0.0, 0.0, 0.4])
     mask = changed(hero.render(state), hero.render(state, forces=[(tip, arrow)]))

@@ -11,8 +11,8 @@ import pytest
 
 pytest.importorskip("cflib", reason="the extra fly is not installed")
 
-from inclined_landing.eval.flying.coherence import FORGETTING, Coherence
-from inclined_landing.eval.flying.fly import load
+from inclined_landing.eval.flying.consistency import TIME_CONSTANT, ConsistencyMonitor
+from inclined_landing.eval.flying.fly import load_policies
 from inclined_landing.eval.flying.pilot import Plan
 from inclined_landing.eval.flying.simulated.firmware import State
 from inclined_landing.eval.flying.simulated.world import Setting, Trace
@@ -26,7 +26,7 @@ logging.getLogger("cflib").setLevel(logging.CRITICAL)
 
 @pytest.fixture(scope="module")
 def plan():
-    landing, hover, starts = load("landing-robust", "setpoint", (), None, None)
+    landing, hover, starts = load_policies("landing-robust", "setpoint", (), None, None)
     return Plan(landing, hover, starts[2])
 
 
@@ -110,25 +110,25 @@ unit = st.tuples(*[st.floats(-0.5, 0.5)] * 2)
 @hypothesis.given(unit, st.floats(0.3, 1.8))
 def test_motion_that_fits_the_forces_leaves_nothing(lean, lift):
     up = np.array([*lean, math.sqrt(1.0 - lean[0] ** 2 - lean[1] ** 2)])
-    coherence, acceleration = Coherence(G), G * (lift * up - [0.0, 0.0, 1.0])
+    coherence, acceleration = ConsistencyMonitor(G), G * (lift * up - [0.0, 0.0, 1.0])
     for k in range(200):
-        coherence.note(0.02 * k, acceleration * 0.02 * k, up, lift)
-    assert coherence.parted < 1e-9
+        coherence.update(0.02 * k, acceleration * 0.02 * k, up, lift)
+    assert coherence.velocity_mismatch < 1e-9
 
 
 @hypothesis.given(unit, st.floats(0.3, 1.8))
 def test_forces_that_lead_nowhere_add_up(lean, lift):
     up = np.array([*lean, math.sqrt(1.0 - lean[0] ** 2 - lean[1] ** 2)])
-    coherence, acceleration = Coherence(G), G * (lift * up - [0.0, 0.0, 1.0])
+    coherence, acceleration = ConsistencyMonitor(G), G * (lift * up - [0.0, 0.0, 1.0])
     for k in range(201):
-        coherence.note(0.02 * k, np.zeros(3), up, lift)
-    expected = np.linalg.norm(acceleration) * FORGETTING * (1.0 - math.exp(-4.0 / FORGETTING))
-    assert coherence.parted == pytest.approx(expected, rel=0.01)  # steps of 0.02 s in 2.5 s: 0.4 %
-    coherence.note(5.0, np.full(3, np.nan), up, lift)
-    coherence.note(5.0, np.zeros(3), up, math.nan)
-    assert math.isfinite(coherence.parted)
-    coherence.begin()
-    assert coherence.parted == 0.0
+        coherence.update(0.02 * k, np.zeros(3), up, lift)
+    expected = np.linalg.norm(acceleration) * TIME_CONSTANT * (1.0 - math.exp(-4.0 / TIME_CONSTANT))
+    assert coherence.velocity_mismatch == pytest.approx(expected, rel=0.01)  # steps of 0.02 s in 2.5 s: 0.4 %
+    coherence.update(5.0, np.full(3, np.nan), up, lift)
+    coherence.update(5.0, np.zeros(3), up, math.nan)
+    assert math.isfinite(coherence.velocity_mismatch)
+    coherence.reset()
+    assert coherence.velocity_mismatch == 0.0
 
 
 # --- flights -----------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.logs.alignment import pose
+from inclined_landing.eval.logs.alignment import align_pose
 from inclined_landing.models.parameters import load_vehicle
 from tests import ROOT
 from tests.proof.__main__ import main
@@ -58,11 +58,11 @@ def test_tilt_of_the_motion_capture_shows_on_the_floor_too():
 def test_tracked_point_above_the_centre_of_mass_repeats():
     """Eleven NanoBench flights that tilt enough agree within 3 mm; attitude is not 10 ms late."""
     logs = flights(DATA / "nanobench", "nb_*.csv.gz")
-    found = [pose(log) for log in logs if "linear_ramp" not in log.name]
-    heights = np.array([p.above.value for p in found])
+    found = [align_pose(log) for log in logs if "linear_ramp" not in log.name]
+    heights = np.array([p.height.value for p in found])
     assert len(heights) == 11
     np.testing.assert_allclose(heights, 0.013, atol=0.003)
-    assert abs(np.median([p.late.value for p in found])) < 0.01
+    assert abs(np.median([p.delay.value for p in found])) < 0.01
 
 
 @needs_data

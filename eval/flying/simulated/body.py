@@ -27,7 +27,7 @@ _SETTLING = 1e-4  # m by which the feet are set into the floor
 
 
 class Body:
-    """One vehicle beside the platform, at first on the floor with its motors off.
+    """One simulated vehicle beside the platform, at first on the floor with its motors off.
 
     start: x, y [m] on the floor; heading [rad]; inclination of the platform [rad], None for the vehicle
     file's; seed of the unrest of the air.
@@ -62,29 +62,25 @@ class Body:
         state[0, :2], state[0, 2], state[0, YAW] = start, self.plant.foot_height - _SETTLING, heading
         self.plant.reset([0], state)
         self._command = np.zeros((1, 4))
-        self._before = self._now = self._seen(self.plant.state)
-        self._shown = self._seen(self.plant.measurement)
+        self._before = self._now = self.plant.state[0].copy()
+        self._shown = self.plant.measurement[0].copy()
         self._shown_before = self._shown
         self._felt = np.array([0.0, 0.0, 1.0])
-        self.drained = 0.0  # V by which the battery is emptier than the vehicle file says
-
-    @staticmethod
-    def _seen(state: np.ndarray) -> np.ndarray:
-        return state[0].copy()
+        self.voltage_drop = 0.0  # V by which the battery is emptier than the vehicle file says
 
     @property
     def state(self) -> np.ndarray:
-        """(13,) at `time`, columns of `models.attitude`."""
+        """State (13,) at `time`, columns of `models.attitude`."""
         return self._now
 
     @property
     def command(self) -> np.ndarray:
-        """(4,) of the last step: PWM, roll, pitch [rad], yaw rate [rad/s]."""
+        """Command (4,) of the last step: PWM, roll, pitch [rad], yaw rate [rad/s]."""
         return self._command[0]
 
     @property
-    def felt(self) -> np.ndarray:
-        """(3,) specific force that an accelerometer shows along the body's axes [g], mean over the last step.
+    def specific_force(self) -> np.ndarray:
+        """Specific force (3,) that an accelerometer shows in the body frame [g], mean over the last step.
 
         Of all forces but gravity: 1 up at rest, 0 in free fall.
         """
@@ -92,35 +88,36 @@ class Body:
 
     @property
     def touching(self) -> np.ndarray:
-        """(3,) bool: slab, base, floor, in the last step."""
+        """Whether slab, base and floor were in contact in the last step, (3,) bool."""
         return self.plant.contacts.touch[0].any(axis=1)
 
     def step(self, setpoint: Setpoint) -> None:
-        """One engine step on, under what the firmware wants."""
+        """Advance by one engine step under the firmware's set-point."""
         self._command[0] = plant_command(setpoint)
         self.plant.step(self._command)
         self.time += self.step_length
-        self._before, self._now = self._now, self._seen(self.plant.state)
-        self._shown_before, self._shown = self._shown, self._seen(self.plant.measurement)
+        self._before, self._now = self._now, self.plant.state[0].copy()
+        self._shown_before, self._shown = self._shown, self.plant.measurement[0].copy()
+        # f = R' (dv/dt + g e_z) / g, in the body frame
         change = (self._now[VX : VX + 3] - self._before[VX : VX + 3]) / self.step_length
         change[2] += self.vehicle.environment_gravity
         self._felt = rotation(*self._now[ROLL : YAW + 1]).T @ change / self.vehicle.environment_gravity
 
-    def weaken(self, share: float) -> None:
-        """Thrust from now on as a share of the vehicle file's."""
+    def scale_thrust(self, share: float) -> None:
+        """Set the thrust from now on as a share of the vehicle file's."""
         self.plant.perturb(thrust_scale=share)
 
     def state_at(self, time: float) -> np.ndarray:
-        """The state (13,) at a time within the last step."""
+        """Return the state (13,) at a time within the last step."""
         return _between(self._before, self._now, (time - self.time) / self.step_length + 1.0)
 
     def pose_at(self, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Position (3,) [m] and quaternion (4,) that cameras see at a time within the last step."""
+        """Return position (3,) [m] and quaternion (4,) that cameras see at a time within the last step."""
         seen = _between(self._shown_before, self._shown, (time - self.time) / self.step_length + 1.0)
         return seen[:3], np.array(quaternion(*seen[ROLL : YAW + 1]))
 
     def estimate_at(self, time: float) -> np.ndarray:
-        """Roll, pitch, yaw (3,) [rad] of the onboard estimate, as the vehicle file has it lean and tilt."""
+        """Return roll, pitch, yaw (3,) [rad] of the onboard estimate, with the vehicle file's errors."""
         state = self.state_at(time)
         angles = state[ROLL : YAW + 1].copy()
         angles[:2] = equations.estimated_angles(*angles, *state[VX : VX + 3], self._constants)
@@ -130,12 +127,12 @@ class Body:
 
     @property
     def voltage(self) -> float:
-        """Of the battery under its present load [V]."""
-        return equations.battery_voltage(self._now[LAG], self.time, self._constants) - self.drained
+        """Battery voltage under the present load [V]."""
+        return equations.battery_voltage(self._now[LAG], self.time, self._constants) - self.voltage_drop
 
 
 def firmware_attitude(roll: float, pitch: float, yaw: float) -> tuple[float, float, float]:
-    """Roll, pitch, yaw [deg] as the firmware logs them, of an attitude in the project's angles [rad]."""
+    """Return roll, pitch, yaw [deg] as the firmware logs them, from the project's angles [rad]."""
     r = rotation(roll, pitch, yaw)
     forward = math.asin(min(1.0, max(-1.0, -r[2, 0])))
     return (
@@ -146,7 +143,7 @@ def firmware_attitude(roll: float, pitch: float, yaw: float) -> tuple[float, flo
 
 
 def plant_command(setpoint: Setpoint) -> tuple[float, float, float, float]:
-    """PWM, roll, pitch [rad], yaw rate [rad/s] of the plant for a set-point of the firmware.
+    """Return PWM, roll, pitch [rad], yaw rate [rad/s] of the plant for a set-point of the firmware.
 
     The rotors' axis is the same in both conventions: (sin p cos r, -sin r, cos p cos r) for the firmware's r
     and p.
@@ -157,6 +154,7 @@ def plant_command(setpoint: Setpoint) -> tuple[float, float, float, float]:
 
 
 def _between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
+    """Return the state interpolated linearly at a share of the step, angles the short way."""
     change = after - before
     change[ROLL : YAW + 1] = (change[ROLL : YAW + 1] + math.pi) % (2 * math.pi) - math.pi
     return before + share * change

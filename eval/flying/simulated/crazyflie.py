@@ -36,7 +36,7 @@ _PATIENCE = 5.0  # s of real time that cflib's threads may take in setting up th
 
 
 class _WorldLink(CRTPDriver):
-    """cflib's side of the link."""
+    """The driver of cflib's link into the simulated world."""
 
     def __init__(self, world: World, owner: Crazyflie):
         super().__init__()
@@ -46,15 +46,15 @@ class _WorldLink(CRTPDriver):
         self._inbox: queue.SimpleQueue[Packet] = queue.SimpleQueue()
 
     def put(self, packet: Packet) -> None:
-        """A packet that has arrived."""
+        """Receive a packet of the simulated vehicle."""
         self._inbox.put(packet)
 
     def send_packet(self, pk: CRTPPacket) -> None:
-        """A packet of cflib, from whatever thread."""
+        """Send a packet of cflib, from any thread."""
         self._world.send((pk.header, bytes(pk.data)))
 
     def receive_packet(self, wait: float = 0) -> CRTPPacket | None:
-        """The next packet that has arrived; without one cflib's loop of incoming packets is left."""
+        """Return the next packet; without one, stop cflib's loop of incoming packets."""
         try:
             head, data = self._inbox.get_nowait()
         except queue.Empty:
@@ -64,13 +64,13 @@ class _WorldLink(CRTPDriver):
         return CRTPPacket(head, list(data))
 
     def close(self) -> None:
-        """Nothing arrives any more."""
-        self._world.to_host = lambda packet: None
-        self._world.broken = lambda reason: None
+        """Disconnect from the world."""
+        self._world.on_packet = lambda packet: None
+        self._world.on_link_lost = lambda reason: None
         self._owner.incoming.stop()
 
     def get_name(self) -> str:
-        """Of the driver."""
+        """Return the driver's name."""
         return "simulated"
 
 
@@ -87,7 +87,7 @@ class SimulatedCrazyflie(Crazyflie):
         set_value = self.param.set_value
 
         def set_and_wait(name: str, value) -> None:
-            """As cflib's, but back when the vehicle has it: what is flown must not depend on threads."""
+            """Set a parameter and wait until the vehicle has it: flights must not depend on threads."""
             before = self.link.parameters_answered if self.link else 0
             set_value(name, value)
             self._wait(lambda: self.link.parameters_answered > before)
@@ -95,21 +95,21 @@ class SimulatedCrazyflie(Crazyflie):
         self.param.set_value = set_and_wait
 
     def open_link(self, link_uri: str = URI) -> None:
-        """Connect; back when the vehicle is connected, with all parameters read, or when that has failed."""
+        """Connect; return once the vehicle is connected with all parameters read, or when that has failed."""
         self._pilot = threading.current_thread()
         self.connection_requested.call(link_uri)
         self.state, self.link_uri = State.INITIALIZED, link_uri
         link = self.link = _WorldLink(self._world, self)
-        self._world.to_host = link.put
-        self._world.broken = self._link_error_cb
+        self._world.on_packet = link.put
+        self._world.on_link_lost = self._link_error_cb
         self.packet_received.add_callback(self._check_for_initial_packet_cb)
         self._start_connection_setup()
-        if not self._world.hears:
+        if not self._world.link_up:
             self._link_error_cb("Too many packets lost")
         self._wait(lambda: self.param.is_updated)
 
     def send_packet(self, pk, expected_reply=(), resend=False, timeout=0.2) -> None:
-        """As cflib's; what is answered at once has been, when this returns to the pilot."""
+        """Send as cflib does, and deliver immediate answers before returning to the pilot."""
         super().send_packet(pk, expected_reply, resend, timeout)
         if threading.current_thread() is self._pilot:
             self.deliver()
@@ -126,7 +126,7 @@ class SimulatedCrazyflie(Crazyflie):
             self._delivering = False
 
     def _wait(self, done: Callable[[], bool]) -> None:
-        """For cflib's thread of parameters, in real time; the world's time stands still."""
+        """Wait for cflib's parameter thread in real time; the world's time stands still."""
         end = real_time.monotonic() + _PATIENCE
         while self.link is not None and not done():
             if real_time.monotonic() > end:
@@ -136,25 +136,25 @@ class SimulatedCrazyflie(Crazyflie):
 
 
 class SimulatedClock:
-    """The world's time; waiting lets it pass, with cflib's callbacks in this thread."""
+    """The world's clock; waiting advances it, with cflib's callbacks in this thread."""
 
     def __init__(self, world: World, crazyflie: SimulatedCrazyflie):
         self._world, self._crazyflie = world, crazyflie
 
     def now(self) -> float:
-        """The present time [s]."""
+        """Return the present time [s]."""
         return self._world.time
 
-    def wait_until(self, time: float) -> None:
-        """Let the world go on to `time` [s]."""
+    def wait_until(self, moment: float) -> None:
+        """Advance the world to `moment` [s]."""
         self._crazyflie.deliver()
-        for _ in self._world.events(time):
+        for _ in self._world.events(moment):
             self._crazyflie.deliver()
 
 
 @dataclasses.dataclass(frozen=True)
 class SimulatedFlight:
-    """What a pilot needs to fly, and the world that knows how it truly went."""
+    """A connected simulated vehicle, and the world with the ground truth."""
 
     world: World
     crazyflie: SimulatedCrazyflie
@@ -163,14 +163,14 @@ class SimulatedFlight:
 
     @property
     def motion_capture(self) -> MotionCapture:
-        """What the cameras show."""
+        """The simulated motion capture."""
         return self.world.view
 
 
 def fly_simulated(
     setting: Setting | None = None, *, seed: int, faults: Sequence[Fault] = ()
 ) -> SimulatedFlight:
-    """A Crazyflie on the floor, just switched on. Raises UserError for a setting that cannot be."""
+    """Return a Crazyflie on the floor, just switched on. Raises UserError for an impossible setting."""
     world = World(setting or Setting(), seed, faults)
     crazyflie = SimulatedCrazyflie(world)
     return SimulatedFlight(world, crazyflie, SimulatedClock(world, crazyflie))

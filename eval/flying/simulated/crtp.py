@@ -63,18 +63,18 @@ _MOST_BLOCKS, _MOST_VARIABLES, _LOG_BYTES = 16, 128, 26
 
 
 def header(port: int, channel: int) -> int:
-    """The first byte of a packet, with the two bits that are always set."""
+    """Return the first byte of a packet, with the two bits that are always set."""
     return port << 4 | 3 << 2 | channel
 
 
 def port_of(head: int) -> tuple[int, int]:
-    """Port and channel."""
+    """Return port and channel of a header byte."""
     return head >> 4, head & 3
 
 
 @dataclasses.dataclass
 class _Block:
-    """Of log variables that are sent together."""
+    """A block of log variables that are sent together."""
 
     variables: list[tuple[str, str]]  # name, struct format
     period: float = 0.0  # s; 0: stopped
@@ -82,7 +82,7 @@ class _Block:
 
 
 class Services:
-    """Answers packets for one `Firmware`, and sends what is logged.
+    """The CRTP services of one `Firmware`: answers to packets, and log blocks.
 
     values: the present values of LOGGED by name, at a time [s]; read when a block is due.
     """
@@ -104,7 +104,7 @@ class Services:
         }
 
     def answer(self, time: float, packet: Packet) -> list[Packet]:
-        """What a packet that arrives at `time` [s] is answered with; nothing for one that makes no sense."""
+        """Return the answers to a packet that arrives at `time` [s]; none for a malformed one."""
         head, data = packet
         port, channel = port_of(head)
         known = self._answers.get(port)
@@ -120,11 +120,11 @@ class Services:
 
     @property
     def next_log(self) -> float:
-        """When a log block is due [s]; infinity while none is."""
+        """Time at which the next log block is due [s]; infinity while none is."""
         return min((b.next for b in self._blocks.values() if b.period), default=float("inf"))
 
     def logged(self, time: float) -> list[Packet]:
-        """The log blocks that are due at `time` [s]."""
+        """Return the log blocks that are due at `time` [s]."""
         packets = []
         for name, block in sorted(self._blocks.items()):
             if block.period and block.next <= time + 1e-9:
@@ -137,7 +137,7 @@ class Services:
 
     @staticmethod
     def console(line: str) -> list[Packet]:
-        """A line that the firmware prints."""
+        """Return the packets of a line that the firmware prints."""
         text = (line + "\n").encode()
         return [(header(CONSOLE, 0), text[k : k + LARGEST]) for k in range(0, len(text), LARGEST)]
 
@@ -233,7 +233,7 @@ class Services:
             yield 1, bytes([command, block, self._set_up(time, command, block, data[2:])])
 
     def _set_up(self, time: float, command: int, name: int, data: bytes) -> int:
-        """What a command for the log blocks is answered with: 0 or an error number."""
+        """Return the result of a log block command: 0 or an error number."""
         if command == 5:
             self._blocks.clear()
             return 0
@@ -278,10 +278,10 @@ class Services:
 
 
 def _contents(data: bytes, items: list[tuple[str, int]], more: bytes) -> Iterator[tuple[int, bytes]]:
-    """The table of contents: its size with a hash of it, or one of its items."""
+    """Yield the size and hash of a table of contents, or one of its items."""
     if data[0] == 3:
-        said = zlib.crc32(repr(items).encode())
-        yield 0, struct.pack("<BHI", 3, len(items), said) + more
+        checksum = zlib.crc32(repr(items).encode())
+        yield 0, struct.pack("<BHI", 3, len(items), checksum) + more
     elif data[0] == 2:
         number = struct.unpack("<H", data[1:3])[0]
         if number >= len(items):
@@ -292,7 +292,7 @@ def _contents(data: bytes, items: list[tuple[str, int]], more: bytes) -> Iterato
 
 
 def _packed(form: str, value: float) -> bytes:
-    """One value as it is logged; whole numbers are cut to their range."""
+    """Return one logged value as bytes; integers are clipped to their range."""
     if form in ("<f", "<e"):
         return struct.pack(form, value)
     size, signed = 8 * struct.calcsize(form), form[1].islower()

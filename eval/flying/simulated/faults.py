@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from inclined_landing.eval.flying.simulated.world import World
 
 SWAP = 0.3  # m by which the pose jumps when markers are swapped
-STORM, STORM_LENGTH = 0.9, 1.0  # share of the packets lost, both ways, and for how long [s]
-SWITCHED = 0.12  # s from the pilot's end to the stop of `dead_man`: the slowest of six over UDP
+BURST_LOSS, BURST_LENGTH = 0.9, 1.0  # share of the packets lost, both ways, and for how long [s]
+DEAD_MAN_DELAY = 0.12  # s from the pilot's end to the stop of `dead_man`: the slowest of six over UDP
 SAG_RATE, FLAT = 0.5, 2.8  # V/s by which a failing battery falls, down to this voltage
 EVENTS = ("start", "air", "low", "near")
 
 
 def _set(name: str, **changes) -> Callable[[World], None]:
-    """A fault that sets attributes of a part of the world for good."""
+    """Return a fault that permanently sets attributes of a part of the world."""
 
     def begin(world: World) -> None:
         for key, value in changes.items():
@@ -32,21 +32,21 @@ def _set(name: str, **changes) -> Callable[[World], None]:
 def _link_lost(world: World) -> None:
     world.up.down = world.down.down = True
     link = world.up.link
-    world.at(world.time + link.attempts * link.again, world.give_up_link)
+    world.schedule(world.time + link.attempts * link.again, world.report_link_lost)
 
 
 def _killed(world: World) -> None:
     world.up.down = world.down.down = True
-    world.at(world.time + SWITCHED, lambda: world.firmware.stop_now())
+    world.schedule(world.time + DEAD_MAN_DELAY, lambda: world.firmware.stop_now())
 
 
 def _storm(world: World) -> None:
-    world.up.storm = world.down.storm = STORM
+    world.up.storm = world.down.storm = BURST_LOSS
 
     def end() -> None:
         world.up.storm = world.down.storm = 0.0
 
-    world.at(world.time + STORM_LENGTH, end)
+    world.schedule(world.time + BURST_LENGTH, end)
 
 
 def _swap(world: World) -> None:
@@ -58,18 +58,15 @@ def _swap(world: World) -> None:
 FAULTS: dict[str, tuple[str, Callable[[World], None]]] = {
     "link-lost": ("no packet gets through, either way; cflib's driver gives up soon after", _link_lost),
     "pilot-killed": (
-        f"the pilot's process is gone; the one that outlives it sends a stop {SWITCHED:g} s later",
+        f"the pilot's process is gone; the one that outlives it sends a stop {DEAD_MAN_DELAY:g} s later",
         _killed,
     ),
     "uplink-lost": ("set-points do not arrive; the log goes on", _set("up", down=True)),
     "downlink-lost": ("the log stops; set-points arrive", _set("down", down=True)),
-    "packet-storm": (f"{STORM:.0%} of the packets are lost for {STORM_LENGTH:g} s, both ways", _storm),
+    "packet-storm": (f"{BURST_LOSS:.0%} of the packets are lost for {BURST_LENGTH:g} s, both ways", _storm),
     "mocap-lost": ("the cameras see nothing any more", _set("view", blind=True)),
     "mocap-frozen": ("the same pose again and again, with new times", _set("view", frozen=True)),
-    "mocap-stuck": (
-        "a marker left behind: the pose stays where it was",
-        _set("view", stuck=True),
-    ),
+    "mocap-stuck": ("a marker left behind: the pose stays where it was", _set("view", stuck=True)),
     "marker-swap": (f"the pose jumps by {SWAP:g} m in a random direction", _swap),
     "attitude-turned": ("the pose shows the vehicle turned by half a turn", _set("view", turned=True)),
     "attitude-wrong": ("the onboard roll and pitch have the wrong sign", _set("sensors", sign=-1.0)),
@@ -95,7 +92,7 @@ class Fault:
 
     @staticmethod
     def parse(text: str) -> Fault:
-        """From NAME, NAME@SECONDS or NAME@EVENT+SECONDS. Raises UserError."""
+        """Return the fault NAME, NAME@SECONDS or NAME@EVENT+SECONDS. Raises UserError."""
         name, at, when = text.partition("@")
         if name not in FAULTS:
             raise UserError(f"unknown fault {shown(name, 40)}; known are {', '.join(FAULTS)}")
@@ -109,14 +106,14 @@ class Fault:
         except ValueError:
             after = math.nan
         if event not in EVENTS or not 0.0 <= after < 1e4:
-            said = shown(text, 60)
             raise UserError(
-                f"fault {said}: expected NAME@SECONDS or NAME@EVENT+SECONDS, events {', '.join(EVENTS)}"
+                f"fault {shown(text, 60)}: expected NAME@SECONDS or NAME@EVENT+SECONDS, events "
+                f"{', '.join(EVENTS)}"
             )
         return Fault(name, event, after)
 
     def begin(self, world: World) -> None:
-        """Let it happen, now."""
+        """Begin the fault now."""
         FAULTS[self.name][1](world)
 
     def __str__(self) -> str:

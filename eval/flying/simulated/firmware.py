@@ -36,7 +36,7 @@ STEEPEST = 80.0  # deg; what a set-point beyond, or one that is no number, amoun
 
 
 class State(enum.IntEnum):
-    """Of the supervisor, in the firmware's order."""
+    """States of the supervisor, in the firmware's order."""
 
     NOT_INITIALIZED = 0
     CHECKS_NOT_PASSED = 1
@@ -58,7 +58,7 @@ _ARMED = _CAN_FLY | {State.ARMING}
 
 @dataclasses.dataclass(frozen=True)
 class Conditions:
-    """What the supervisor decides by."""
+    """The conditions of the supervisor's state transitions."""
 
     armed: bool
     flying: bool
@@ -120,7 +120,7 @@ _TRANSITIONS: dict[State, tuple[tuple[State, Callable[[Conditions], bool]], ...]
 
 @dataclasses.dataclass(frozen=True)
 class Setpoint:
-    """What the commander holds, in the firmware's units and signs."""
+    """The commander's set-point, in the firmware's units and signs."""
 
     thrust: float = 0.0  # 0 to 60000
     roll: float = 0.0  # deg
@@ -152,38 +152,38 @@ class Firmware:
         self.setpoint = Setpoint()
         self.thrust = 0.0  # that the motors have
         self.armed = self.crashed = self.emergency = self.tumbled = False
-        self._said = said
+        self._print = said
         self._commanded = False  # has the commander had a set-point: its priority is no longer "disable"
         self._locked = True
-        self._checked = -math.inf
+        self._last_supervision = -math.inf
         self._tilted_since: float | None = None
-        self._noticed: float | None = None  # last notice of the emergency watchdog
+        self._last_notice: float | None = None  # last notice of the emergency watchdog
         self._last_thrust = self._ready = self._landed = -math.inf
 
     # --- what a client sends ---------------------------------------------------------------------
 
     def receive_rpyt(self, time: float, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
-        """The legacy set-point: degrees, degrees per second (positive turns right), 0 to 65535."""
+        """Receive a legacy set-point: degrees, degrees per second (positive turns right), 0 to 65535."""
         if not self._commanded:
             self._locked = True
         if thrust == 0:
             self._locked = False
-        given = 0.0 if self._locked or thrust < LEAST_THRUST else float(min(thrust, MOST_THRUST))
-        self._set(Setpoint(given, roll, pitch, -yaw_rate, time))
+        limited = 0.0 if self._locked or thrust < LEAST_THRUST else float(min(thrust, MOST_THRUST))
+        self._set(Setpoint(limited, roll, pitch, -yaw_rate, time))
 
     def receive_manual(self, time: float, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
-        """The generic set-point "manual" with angles; it has no thrust lock, and yaw is not inverted."""
+        """Receive a generic "manual" set-point with angles: no thrust lock, and yaw is not inverted."""
         self._set(Setpoint(float(thrust), roll, pitch, yaw_rate, time))
 
     def receive_stop(self, time: float) -> None:
-        """The generic set-point "stop"."""
+        """Receive the generic "stop" set-point."""
         self._set(Setpoint(time=time))
 
     def _set(self, setpoint: Setpoint) -> None:
         self.setpoint, self._commanded = setpoint, True
 
     def request_arming(self, arm: bool) -> bool:
-        """Whether it was granted."""
+        """Arm or disarm; return whether it was granted."""
         if arm == self.armed:
             return True
         if arm and self.state is not State.CHECKS_PASSED:
@@ -192,30 +192,30 @@ class Firmware:
         return True
 
     def request_recovery(self) -> bool:
-        """From a crash; whether it was granted."""
+        """Recover from a crash; return whether it was granted."""
         if self.crashed and self.tumbled:
             return False
         self.crashed = False
         return True
 
     def stop_now(self) -> None:
-        """The emergency stop; only a restart undoes it."""
+        """Stop in an emergency; only a restart undoes it."""
         self.emergency = True
 
     def notice(self, time: float) -> None:
-        """Of the emergency watchdog: from the first one on they must go on."""
-        self._noticed = time
+        """Feed the emergency watchdog, which runs from the first notice on."""
+        self._last_notice = time
 
     # --- what runs on board ----------------------------------------------------------------------
 
     @property
     def can_fly(self) -> bool:
-        """Does the supervisor let set-points through?"""
+        """Whether the supervisor lets set-points through."""
         return self.state in _CAN_FLY
 
     @property
     def info(self) -> int:
-        """The supervisor's bits, as `supervisor.info` and cflib's `Supervisor` have them."""
+        """Status bits of the supervisor, as `supervisor.info` and cflib's `Supervisor` have them."""
         bits = (
             *(self.state is State.CHECKS_PASSED, self.armed, True, self.can_fly),
             *(self.state in (State.FLYING, State.LEVEL_OUT), self.tumbled),
@@ -224,15 +224,15 @@ class Firmware:
         return sum(bit << k for k, bit in enumerate(bits))
 
     def step(self, time: float, up: float, norm: float) -> Setpoint:
-        """What the motors and the attitude loops are to do from `time` on.
+        """Return the set-point of motors and attitude loops from `time` on.
 
         up: acceleration along the body's z, as an accelerometer shows it [g]; norm: its size [g].
         """
         setpoint = self.setpoint if self.can_fly else Setpoint()
         if setpoint.thrust > 0.0:
             self._last_thrust = time
-        if time - self._checked >= PERIOD - 1e-9:
-            self._checked = time
+        if time - self._last_supervision >= PERIOD - 1e-9:
+            self._last_supervision = time
             self._supervise(self._conditions(time, setpoint, up, norm), time)
         if self.state is State.LEVEL_OUT:
             setpoint = Setpoint(setpoint.thrust, time=setpoint.time)
@@ -241,12 +241,12 @@ class Firmware:
         self.thrust = setpoint.thrust
         if setpoint.thrust == 0.0:
             return Setpoint(time=setpoint.time)
-        worst = (_bounded(angle, STEEPEST) for angle in (setpoint.roll, setpoint.pitch))
-        return Setpoint(setpoint.thrust, *worst, _bounded(setpoint.yaw_rate, 720.0), setpoint.time)
+        roll, pitch = (_bounded(angle, STEEPEST) for angle in (setpoint.roll, setpoint.pitch))
+        return Setpoint(setpoint.thrust, roll, pitch, _bounded(setpoint.yaw_rate, 720.0), setpoint.time)
 
     def _conditions(self, time: float, setpoint: Setpoint, up: float, norm: float) -> Conditions:
         age = time - setpoint.time
-        silent = self._noticed is not None and time >= self._noticed + EMERGENCY_WATCHDOG
+        silent = self._last_notice is not None and time >= self._last_notice + EMERGENCY_WATCHDOG
         self.tumbled = self._is_tumbled(time, up, norm)
         return Conditions(
             armed=self.armed,
@@ -282,11 +282,11 @@ class Firmware:
             self._landed = time
         elif new is State.CRASHED:
             self.crashed = True
-            self._said("SUP: Crashed, recovery required")
+            self._print("SUP: Crashed, recovery required")
         elif new is State.FREE_FALL:
-            self._said("SUP: free falling!")
+            self._print("SUP: free falling!")
         elif new is State.LOCKED:
-            self._said("SUP: Locked, reboot required")
+            self._print("SUP: Locked, reboot required")
         if new not in _ARMED:
             self.armed = False
         if new is State.CHECKS_PASSED:
@@ -294,5 +294,5 @@ class Firmware:
 
 
 def _bounded(value: float, size: float) -> float:
-    """`value` from -size to size; `size` itself for what is no number."""
+    """Return `value` clipped to [-size, size]; `size` itself for NaN."""
     return size if math.isnan(value) else min(size, max(-size, value))

@@ -8,8 +8,8 @@ import numpy as np
 
 
 @dataclasses.dataclass(frozen=True)
-class Link:
-    """How good the radio is, each direction alike.
+class LinkQuality:
+    """Latency and losses of the radio, the same in both directions.
 
     The Crazyradio sends a packet again until it is acknowledged, so what goes wrong on the air is mostly a
     delay. The figures are estimates: bitcraze's own measurements give round trips of 4 to 10 ms at 2 Mbit/s.
@@ -23,10 +23,10 @@ class Link:
     lost: float = 0.005  # share of the packets lost for good, in full queues
 
 
-class Way:
-    """One direction. down: nothing gets through; storm: share of the packets that is lost on top."""
+class LinkDirection:
+    """One direction of the link. down: nothing gets through; storm: share of packets lost on top."""
 
-    def __init__(self, link: Link, random: np.random.Generator):
+    def __init__(self, link: LinkQuality, random: np.random.Generator):
         self.link = link
         self.down = False
         self.storm = 0.0
@@ -34,7 +34,7 @@ class Way:
         self._last = 0.0
 
     def arrival(self, time: float) -> float | None:
-        """When a packet sent at `time` [s] arrives; None when it does not."""
+        """Return the arrival time of a packet sent at `time` [s]; None when it is lost."""
         link, random = self.link, self._random
         lost = random.random() < link.lost + self.storm
         failed = random.geometric(1.0 - link.failing) - 1

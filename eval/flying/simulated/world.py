@@ -7,6 +7,7 @@ The time is whatever the caller advances it to: in one go for flights in virtual
 from __future__ import annotations
 
 import dataclasses
+import functools
 import heapq
 import itertools
 import math
@@ -18,11 +19,11 @@ import numpy as np
 from inclined_landing.eval.flying.interfaces import Pose
 from inclined_landing.eval.flying.simulated import crtp
 from inclined_landing.eval.flying.simulated.body import FLOOR, Body, firmware_attitude
-from inclined_landing.eval.flying.simulated.cameras import Cameras, MarkerView
 from inclined_landing.eval.flying.simulated.crtp import Packet, Services
 from inclined_landing.eval.flying.simulated.faults import FLAT, SAG_RATE, Fault
 from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware, State
-from inclined_landing.eval.flying.simulated.radio import Link, Way
+from inclined_landing.eval.flying.simulated.mocap import CameraQuality, SimulatedMotionCapture
+from inclined_landing.eval.flying.simulated.radio import LinkDirection, LinkQuality
 from inclined_landing.eval.logs import FlightLog, write_log
 from inclined_landing.models.attitude import ROLL, VX, VZ, WX, YAW, X, Z
 from inclined_landing.models.effects import LIBRARY
@@ -32,7 +33,7 @@ BOOT = 1.0  # s from switching on until somebody connects
 _LOW_BATTERY, _LOW_AFTER = 3.2, 5.0  # V and s (platform_defaults_cf2.h), after which pm.state is "low"
 _NEAR, _LOW = 0.5, 0.3  # m, of the events that faults wait for
 # Packets whose answers the pilot waits for while it sets up: they take no time, and none is lost.
-_AT_ONCE = {
+_ANSWERED_AT_ONCE = {
     *((crtp.LINK, 0), (crtp.LINK, 1), (crtp.PLATFORM, 1), (crtp.SUPERVISOR, 0), (crtp.MEM, 0)),
     *((crtp.PARAM, channel) for channel in range(4)),
     *((crtp.LOG, 0), (crtp.LOG, 1)),
@@ -41,22 +42,20 @@ _AT_ONCE = {
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """What flies, from where, and how well it is seen and heard."""
+    """Vehicle, start, and quality of link and motion capture of a simulated flight."""
 
     vehicle: Vehicle = dataclasses.field(default_factory=load_vehicle)
     start: tuple[float, float] = (1.0, 0.0)  # x, y on the floor, m
-    heading: float | None = (
-        None  # rad; None: drawn, with a standard deviation of 2 deg, as a hand puts it down
-    )
+    heading: float | None = None  # rad; None: drawn with a standard deviation of 2 deg
     inclination: float | None = None  # of the platform, rad; None: the vehicle file's
     charge: float = 0.0  # V by which the battery is emptier than the vehicle file says
-    link: Link = dataclasses.field(default_factory=Link)
-    cameras: Cameras = dataclasses.field(default_factory=Cameras)
+    link: LinkQuality = dataclasses.field(default_factory=LinkQuality)
+    cameras: CameraQuality = dataclasses.field(default_factory=CameraQuality)
 
 
 @dataclasses.dataclass(frozen=True)
 class Trace:
-    """What truly happened, at every engine step; T steps."""
+    """Ground truth at every engine step; T steps."""
 
     time: np.ndarray  # (T,) s
     state: np.ndarray  # (T, 13), columns of `models.attitude`
@@ -66,7 +65,7 @@ class Trace:
     mode: np.ndarray  # (T,) firmware.State
 
     def write(self, path: Path) -> None:
-        """As the documented CSV, at 125 Hz, whole or not at all."""
+        """Write the documented CSV at 125 Hz, whole or not at all."""
         some = slice(None, None, 2)
         write_log(
             path,
@@ -83,8 +82,8 @@ class Trace:
         )
 
 
-class Sensors:
-    """What the vehicle measures of itself. sign: -1 for roll and pitch the wrong way round.
+class OnboardSensors:
+    """The vehicle's own measurements. sign: -1 for inverted roll and pitch.
 
     The yaw of the onboard estimate is 0 where the vehicle was switched on: it knows no north.
     """
@@ -101,46 +100,40 @@ class Sensors:
         self.voltage = body.voltage
 
     def look(self, time: float) -> None:
-        """Read the battery; once per period of the supervisor."""
+        """Measure the battery voltage; once per period of the supervisor."""
         self.voltage = self._body.voltage + self._random.normal(0.0, self.voltage_noise)
         if self.voltage >= _LOW_BATTERY:
             self._low_since = None
         elif self._low_since is None:
             self._low_since = time
         if self.failing and self._body.voltage > FLAT:
-            self._body.drained += SAG_RATE * PERIOD
+            self._body.voltage_drop += SAG_RATE * PERIOD
             sensitivity = LIBRARY["battery_voltage"].parameters[0].plausible
-            self._body.weaken(max(0.0, 1.0 - sensitivity * self._body.drained))
+            self._body.scale_thrust(max(0.0, 1.0 - sensitivity * self._body.voltage_drop))
 
     def values(self, time: float) -> dict[str, float]:
-        """The log variables of crtp.LOGGED."""
+        """Return the log variables of crtp.LOGGED."""
         body, firmware = self._body, self._firmware()
         roll, pitch, yaw = body.estimate_at(time)
-        roll, pitch, yaw = firmware_attitude(self.sign * roll, self.sign * pitch, yaw - self._heading)
-        noise = self._random.normal(0.0, self.angle_noise, 3)
-        angles = dict(
-            zip(("roll", "pitch", "yaw"), (float(a + e) for a, e in zip((roll, pitch, yaw), noise)))
-        )
+        angles = firmware_attitude(self.sign * roll, self.sign * pitch, yaw - self._heading)
+        angles = np.add(angles, self._random.normal(0.0, self.angle_noise, 3)).tolist()
+        groups = {
+            "stateEstimate": zip(("roll", "pitch", "yaw"), angles),
+            "stabilizer": zip(("roll", "pitch", "yaw"), angles),
+            "gyro": zip("xyz", np.degrees(body.state_at(time)[WX : WX + 3]).tolist()),
+            "acc": zip("xyz", body.specific_force.tolist()),
+        }
         low = self._low_since is not None and time - self._low_since > _LOW_AFTER
-        mode = firmware.state
         return {
-            **{
-                f"{group}.{axis}": angle
-                for group in ("stateEstimate", "stabilizer")
-                for axis, angle in angles.items()
-            },
+            **{f"{group}.{name}": value for group, values in groups.items() for name, value in values},
             "stabilizer.thrust": firmware.thrust,
             "controller.cmd_thrust": firmware.thrust,
-            **dict(
-                zip(("gyro.x", "gyro.y", "gyro.z"), np.degrees(body.state_at(time)[WX : WX + 3]).tolist())
-            ),
-            **dict(zip(("acc.x", "acc.y", "acc.z"), body.felt.tolist())),
             "pm.vbat": self.voltage,
             "pm.vbatMV": 1000.0 * self.voltage,
             "pm.state": 3.0 if low else 0.0,
             "supervisor.info": firmware.info,
             "sys.canfly": firmware.can_fly,
-            "sys.isFlying": mode in (State.FLYING, State.LEVEL_OUT),
+            "sys.isFlying": firmware.state in (State.FLYING, State.LEVEL_OUT),
             "sys.isTumbled": firmware.tumbled,
         }
 
@@ -154,7 +147,7 @@ class World:
 
     def __init__(self, setting: Setting, seed: int, faults: Sequence[Fault] = ()):
         seeds = np.random.SeedSequence(seed).spawn(6)
-        up, down, seen, felt, self.random, start = (np.random.default_rng(s) for s in seeds)
+        up, down, seen, specific_force, self.random, start = (np.random.default_rng(s) for s in seeds)
         heading = math.radians(2.0) * start.normal() if setting.heading is None else setting.heading
         self.setting = setting
         self.body = Body(
@@ -164,67 +157,67 @@ class World:
             inclination=setting.inclination,
             seed=int(start.integers(2**31)),
         )
-        self.body.drained = setting.charge
-        self.up, self.down = Way(setting.link, up), Way(setting.link, down)
-        self.view = MarkerView(setting.cameras, seen)
+        self.body.voltage_drop = setting.charge
+        self.up, self.down = LinkDirection(setting.link, up), LinkDirection(setting.link, down)
+        self.view = SimulatedMotionCapture(setting.cameras, seen)
         self._switch_on()
-        self.sensors = Sensors(self.body, lambda: self.firmware, felt)
+        self.sensors = OnboardSensors(self.body, lambda: self.firmware, specific_force)
         self.time = 0.0
-        self.to_host: Callable[[Packet], None] = lambda packet: None
-        self.broken: Callable[[str], None] = lambda reason: None
-        self.said: Callable[[str], None] = lambda line: None
-        self.shown: Callable[[Pose], None] = lambda pose: None
+        self.on_packet: Callable[[Packet], None] = lambda packet: None
+        self.on_link_lost: Callable[[str], None] = lambda reason: None
+        self.on_message: Callable[[str], None] = lambda line: None
+        self.on_pose: Callable[[Pose], None] = lambda pose: None
         self.thrust = 0.0  # that the motors are given
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
         self._frame = float(start.random()) / setting.cameras.rate
-        self._looked, self._voltage = -math.inf, self.body.voltage
+        self._last_battery_reading, self._voltage = -math.inf, self.body.voltage
         self._waiting = list(faults)
-        self.begun: list[tuple[float, str]] = []  # faults so far: when, which
+        self.begun_faults: list[tuple[float, str]] = []  # faults so far: when, which
         self._flown = self._been_far = self._been_high = False
         self._rows: list[tuple] = []
         self.advance(BOOT)
-        self._meet("start")
+        self._trigger("start")
 
     def _switch_on(self) -> None:
         self.firmware = Firmware(self._print)
         self.services = Services(self.firmware, lambda time: self.sensors.values(time))
 
     def _print(self, line: str) -> None:
-        self.said(f"console: {line}")
+        self.on_message(f"console: {line}")
         for packet in self.services.console(line):
             self._send_down(self.body.time, packet)
 
     @property
     def trace(self) -> Trace:
-        """What happened so far."""
+        """The ground truth so far."""
         return Trace(*map(np.array, zip(*self._rows)))
 
     # --- what the pilot's side does --------------------------------------------------------------
 
     def send(self, packet: Packet) -> None:
-        """A packet of the pilot, now."""
-        if crtp.port_of(packet[0]) in _AT_ONCE:
-            if self.hears:
+        """Send a packet of the pilot, now."""
+        if crtp.port_of(packet[0]) in _ANSWERED_AT_ONCE:
+            if self.link_up:
                 for answer in self.services.answer(self.time, packet):
-                    self.to_host(answer)
+                    self.on_packet(answer)
             return
         arrival = self.up.arrival(self.time)
         if arrival is not None:
-            self.at(arrival, lambda: self._receive(packet))
+            self.schedule(arrival, lambda: self._receive(packet))
 
     @property
-    def hears(self) -> bool:
-        """Do packets get through both ways?"""
+    def link_up(self) -> bool:
+        """Whether packets get through both ways."""
         return not (self.up.down or self.down.down)
 
     def advance(self, until: float) -> None:
-        """Let the time pass [s]; what is due meanwhile happens in its order."""
+        """Advance to `until` [s], with everything that is due meanwhile in its order."""
         for _ in self.events(until):
             pass
 
     def events(self, until: float) -> Iterator[float]:
-        """As `advance`, but stops after everything that happens, with its time [s]."""
+        """Advance as `advance` does, but yield the time [s] after each event."""
         while True:
             queued = self._queue[0][0] if self._queue else math.inf
             due = min(queued, self._frame, self.services.next_log)
@@ -235,7 +228,7 @@ class World:
             if queued == due:
                 heapq.heappop(self._queue)[2]()
             elif self._frame == due:
-                self._expose(due)
+                self._capture(due)
             else:
                 for packet in self.services.logged(due):
                     self._send_down(due, packet)
@@ -245,19 +238,19 @@ class World:
 
     # --- what happens ----------------------------------------------------------------------------
 
-    def at(self, time: float, action: Callable[[], None]) -> None:
-        """Do something at a time [s]."""
+    def schedule(self, time: float, action: Callable[[], None]) -> None:
+        """Schedule an action at a time [s]."""
         heapq.heappush(self._queue, (time, next(self._count), action))
 
-    def give_up_link(self) -> None:
-        """What cflib's radio driver does when no packet is acknowledged any more."""
-        self.broken("Too many packets lost")
+    def report_link_lost(self) -> None:
+        """Report the link as lost, as cflib's radio driver does without acknowledgements."""
+        self.on_link_lost("Too many packets lost")
 
     def reboot(self) -> None:
-        """The vehicle restarts in flight."""
+        """Restart the vehicle in flight."""
         self._switch_on()
         self.up.down = self.down.down = True
-        self.at(self.time + self.up.link.attempts * self.up.link.again, self.give_up_link)
+        self.schedule(self.time + self.up.link.attempts * self.up.link.again, self.report_link_lost)
 
     def _receive(self, packet: Packet) -> None:
         for answer in self.services.answer(self.time, packet):
@@ -266,18 +259,18 @@ class World:
     def _send_down(self, time: float, packet: Packet) -> None:
         arrival = self.down.arrival(time)
         if arrival is not None:
-            self.at(arrival, lambda: self.to_host(packet))
+            self.schedule(arrival, lambda: self.on_packet(packet))
 
-    def _expose(self, time: float) -> None:
+    def _capture(self, time: float) -> None:
         self._frame += 1.0 / self.setting.cameras.rate
         frame = self.view.expose(time, *self.body.pose_at(time))
         if frame is not None:
             arrival, pose = frame
-            self.at(arrival, lambda: self._arrive(pose))
+            self.schedule(arrival, lambda: self._arrive(pose))
 
     def _arrive(self, pose: Pose) -> None:
         self.view.arrive(pose)
-        self.shown(pose)
+        self.on_pose(pose)
 
     def _run(self, until: float) -> None:
         while self.body.time < until - 1e-9:
@@ -285,58 +278,49 @@ class World:
 
     def _step(self) -> None:
         body = self.body
-        if body.time - self._looked >= PERIOD - 1e-9:
-            self._looked = body.time
+        if body.time - self._last_battery_reading >= PERIOD - 1e-9:
+            self._last_battery_reading = body.time
             self._voltage = body.voltage
             self.sensors.look(body.time)
-        felt = body.felt
-        setpoint = self.firmware.step(body.time, felt[2], math.sqrt(felt @ felt))
+        specific_force = body.specific_force
+        setpoint = self.firmware.step(
+            body.time, specific_force[2], math.sqrt(specific_force @ specific_force)
+        )
         body.step(setpoint)
         self.thrust = setpoint.thrust
-        self._rows.append(
-            (
-                body.time,
-                body.state,
-                body.touching,
-                body.command.copy(),
-                self._voltage,
-                int(self.firmware.state),
-            )
-        )
+        mode = int(self.firmware.state)
+        self._rows.append((body.time, body.state, body.touching, body.command.copy(), self._voltage, mode))
         self._watch()
 
     def _watch(self) -> None:
-        """Which events that faults wait for have come."""
+        """Trigger the faults whose events have occurred."""
         state, v = self.body.state, self.setting.vehicle
-        if (
-            not self._flown
-            and not self.body.touching[FLOOR]
-            and state[Z] > self.body.plant.foot_height + 0.01
-        ):
+        lifted = not self.body.touching[FLOOR] and state[Z] > self.body.plant.foot_height + 0.01
+        if lifted and not self._flown:
             self._flown = True
-            self._meet("air")
+            self._trigger("air")
         if not self._flown or not self._waiting:
             return
         far = math.hypot(state[X], state[Z] - v.platform_surface_height) > _NEAR
         if self._been_far and not far:
-            self._meet("near")
+            self._trigger("near")
         if self._been_high and state[Z] < _LOW:
-            self._meet("low")
+            self._trigger("low")
         self._been_far |= far
         self._been_high |= state[Z] > _LOW
 
-    def _meet(self, event: str) -> None:
+    def _trigger(self, event: str) -> None:
         for fault in [f for f in self._waiting if f.event == event]:
             self._waiting.remove(fault)
-            self.at(self.body.time + fault.after, lambda f=fault: self.begin(f))
+            self.schedule(self.body.time + fault.after, functools.partial(self.begin, fault))
 
     def begin(self, fault: Fault) -> None:
-        """Let a fault happen now, whatever it was to wait for."""
-        self.said(f"fault: {fault.name}")
-        self.begun.append((self.time, fault.name))
+        """Begin a fault now, whatever event it was to wait for."""
+        self.on_message(f"fault: {fault.name}")
+        self.begun_faults.append((self.time, fault.name))
         fault.begin(self)
 
     @property
     def speed(self) -> float:
-        """Of the vehicle [m/s]."""
+        """Speed of the vehicle [m/s]."""
         return float(np.linalg.norm(self.body.state[VX : VX + 3]))

@@ -53,7 +53,7 @@ def public_flights(name: str, files: Sequence[str], out: Path | None) -> None:
 
 
 def _packed(text: bytes) -> bytes:
-    """Compressed, the same bytes for the same text."""
+    """Return gzipped bytes, always the same for the same text."""
     packed = io.BytesIO()
     with gzip.GzipFile(fileobj=packed, mode="wb", mtime=0) as file:
         file.write(text)

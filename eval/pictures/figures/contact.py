@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -14,12 +15,12 @@ from matplotlib.ticker import LogLocator
 from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, legend_below, styled
 
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE, INK)
-_DASHED = {"color": MUTED, "lw": 1.2, "ls": (0, (5, 2))}
+_DASHED: dict[str, Any] = {"color": MUTED, "lw": 1.2, "ls": (0, (5, 2))}
 DRAW: dict[str, Callable[[dict], Figure]] = {}  # by the key of the finding
 
 
 def _panels(count: int, width: float = 3.5):
-    """Enter a function that draws data into `count` panels, `width` [in] each, in DRAW."""
+    """Register a function that draws data into `count` panels, `width` [in] each, in DRAW."""
 
     def enter(draw: Callable[..., None]) -> Callable[[dict], Figure]:
         @functools.wraps(draw)
@@ -36,13 +37,13 @@ def _panels(count: int, width: float = 3.5):
 
 
 def _level(axes: Axes, value: float, text: str, x: float) -> None:
-    """A dashed line at a height, with text over it from x on."""
+    """Draw a dashed line at a height, with text above it from x on."""
     axes.axhline(value, **_DASHED)
     axes.annotate(text, (x, value), xytext=(0, 3), textcoords="offset points", size=8.5)
 
 
 def _logarithmic(axes: Axes, ticks: list[float]) -> None:
-    """A logarithmic axis of steps, with these ticks."""
+    """Set a logarithmic x axis with these ticks."""
     axes.set_xscale("log")
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
@@ -50,7 +51,7 @@ def _logarithmic(axes: Axes, ticks: list[float]) -> None:
 
 @_panels(3)
 def rest(data: dict, force: Axes, creep: Axes, springy: Axes) -> None:
-    """Forces at rest over the inclination; creep over inclination and restitution."""
+    """Draw forces at rest over inclination, and creep over inclination and restitution."""
     fine = np.linspace(0, 50, 101)
     weight = data["expected"][0, 0]
     for name, share, colour in (("normal", np.cos, BLUE), ("tangential", np.sin, ORANGE)):
@@ -69,7 +70,7 @@ def rest(data: dict, force: Axes, creep: Axes, springy: Axes) -> None:
 
 @_panels(2, 3.8)
 def slip(data: dict, gain: Axes, onset: Axes) -> None:
-    """Acceleration around the angle of friction; the angle at which sliding begins over the friction."""
+    """Draw acceleration around the friction angle, and the angle of sliding onset over friction."""
     for mu, values, colour in zip(data["friction"], data["acceleration"], _COLOURS):
         gain.plot(data["around"], values, "o-", color=colour, ms=3, lw=1.2, label=f"friction {mu:g}")
     gain.set(xlabel="inclination less atan(friction) [deg]", ylabel="acceleration [m/s²]")
@@ -83,17 +84,17 @@ def slip(data: dict, gain: Axes, onset: Axes) -> None:
 
 @_panels(3)
 def restitution(data: dict, times: Axes, speeds: Axes, pushed: Axes) -> None:
-    """Measured over set restitution, by contact time (bars: scatter) and by drop speed; contact times."""
-    wanted = np.array(data["set"])
+    """Draw measured over set restitution, by contact time (bars: scatter) and drop speed; contact times."""
+    nominal = np.array(data["set"])
     rows = zip(data["contact_time"], data["measured at 1 m/s"], data["scatter"], data["pushed"], _COLOURS)
     for t, values, scatter, contact, colour in rows:
-        times.errorbar(wanted, values, scatter, color=colour, marker="o", lw=1.2, label=f"{1e3 * t:g} ms")
+        times.errorbar(nominal, values, scatter, color=colour, marker="o", lw=1.2, label=f"{1e3 * t:g} ms")
         pushed.axhline(1e3 * t, **_DASHED | {"color": colour})
-        pushed.plot(wanted, 1e3 * contact, "o", color=colour)
+        pushed.plot(nominal, 1e3 * contact, "o", color=colour)
     times.set_title("drops at 1 m/s, by contact time", loc="left")
     for speed, colour in zip(data["speeds"], _COLOURS):
         values = data[f"measured at {speed:g} m/s"][-1]
-        speeds.plot(wanted, values, "o-", color=colour, lw=1.2, label=f"{speed:g} m/s")
+        speeds.plot(nominal, values, "o-", color=colour, lw=1.2, label=f"{speed:g} m/s")
     speeds.set_title("contact time 20 ms, by drop speed", loc="left")
     for axes in (times, speeds):
         axes.plot([0, 0.6], [0, 0.6], **_DASHED, zorder=1, label="as set")
@@ -109,7 +110,7 @@ def restitution(data: dict, times: Axes, speeds: Axes, pushed: Axes) -> None:
 
 @_panels(2, 3.8)
 def impulse(data: dict, errors: Axes, peaks: Axes) -> None:
-    """Error of the impulse summed from sampled forces over the step; the largest of these forces."""
+    """Draw the error of the impulse from sampled forces over the time step, and the largest force."""
     for setting, label, colour in (("default", "default", BLUE), ("0.6", "restitution 0.6", ORANGE)):
         rows = [row for row in data["rows"] if row["setting"] == setting]
         steps = [1e3 * row["step"] for row in rows]
@@ -128,7 +129,7 @@ def impulse(data: dict, errors: Axes, peaks: Axes) -> None:
 
 @_panels(1, 6.2)
 def penetration(data: dict, axes: Axes) -> None:
-    """Deepest penetration of the feet over the normal speed."""
+    """Draw the deepest penetration of the feet over the normal velocity."""
     axes.plot(data["speeds"], 1e3 * data["default"], "o-", color=INK, label="default")
     for t, values, colour in zip(data["contact_time"], data["depth"].T, _COLOURS):
         label = f"contact time {1e3 * t:g} ms"
@@ -141,7 +142,7 @@ def penetration(data: dict, axes: Axes) -> None:
 
 @_panels(2, 3.8)
 def convergence(data: dict, scatter: Axes, depth: Axes) -> None:
-    """Scatter of rebounds over the step; error of the depth against the finest step."""
+    """Draw the scatter of rebounds and the error of penetration over the time step."""
     steps = 1e3 * np.array(data["steps"])
     error = 1e3 * np.abs(data["depth"][:-1] - data["depth"][-1])
     scatter.plot(steps, data["scatter"][:, 0], "o-", color=BLUE, label="restitution 0.3")
@@ -160,27 +161,22 @@ def convergence(data: dict, scatter: Axes, depth: Axes) -> None:
 
 @_panels(2, 3.8)
 def tumbling(data: dict, energy: Axes, share: Axes) -> None:
-    """Energy of drops over time; the share of drops that gain energy over their speed."""
+    """Draw the energy of drops over time, and the share of drops that gain energy over their speed."""
     history = 1e3 * data["history"]
     energy.plot(0.02 * np.arange(len(history)), history, color=BLUE, lw=0.6, alpha=0.5)
     energy.set(xlabel="time [s]", ylabel="energy [mJ]", title="default contact, 1 m/s, one line a drop")
     marks = zip(data["settings"], data["share"], _COLOURS, ("o", "s", "^", "D", "v"))
     for k, (setting, values, colour, mark) in enumerate(marks):
         label = setting if setting == "default" else f"restitution {setting:g}"
-        look = {
-            "color": colour,
-            "marker": mark,
-            "ms": 9 - 2 * k,
-            "lw": 3.2 - 0.8 * k,
-        }  # some lie on each other
-        share.plot(data["speeds"], 100 * values, label=label, **look)
+        size, width = 9 - 2 * k, 3.2 - 0.8 * k  # some lines lie on each other
+        share.plot(data["speeds"], 100 * values, label=label, color=colour, marker=mark, ms=size, lw=width)
     share.set(xlabel="speed [m/s]", ylabel="drops that gain over 1 % [%]", ylim=(-1, None))
     legend_below(share, ncols=3)
 
 
 @_panels(1, 6.2)
 def torque(data: dict, axes: Axes) -> None:
-    """Pitch after half a second over the thrust, for two torque limits; dashed: statics."""
+    """Draw pitch after half a second over thrust, for two torque limits; dashed: statics."""
     for row, colour in zip(data["rows"], _COLOURS):
         label = f"torque up to {1e3 * row['limit']:g} mN m"
         axes.plot(data["share"], row["pitch"], "o-", color=colour, ms=3, lw=1.2, label=label)
@@ -191,7 +187,7 @@ def torque(data: dict, axes: Axes) -> None:
 
 
 def touchdowns(data: dict) -> Figure:
-    """Measured and simulated heights of every touchdown, in millimetres above the touch."""
+    """Return a figure of measured and simulated heights [mm] after contact, a panel per touchdown."""
     fits = data["fits"]
     columns = 4
     rows = -(-len(fits) // columns)

@@ -6,7 +6,7 @@ import io
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -23,31 +23,37 @@ from inclined_landing.models.errors import UserError, shown
 _LARGEST = 1e12  # number in the tables of a run
 
 
-class _Against(NamedTuple):
-    """What curves are drawn against."""
+class _Abscissa(NamedTuple):
+    """The horizontal axis of curves: a column of the tables, its unit and label."""
 
     column: str
     unit: float
     label: str
 
 
-_STEPS = _Against("steps", 1e6, "environment steps [10⁶]")
-_AGAINST = (_STEPS, _Against("cpu_seconds", 1.0, "CPU time of the training [s]"))
+class _Run(NamedTuple):
+    """A training run as it is drawn."""
+
+    task: str
+    group: str  # values of the options it is compared by
+    learning: pd.DataFrame
+    evaluations: pd.DataFrame
+
+
+_STEPS = _Abscissa("steps", 1e6, "environment steps [10⁶]")
+_STEPS_AND_TIME = (_STEPS, _Abscissa("cpu_seconds", 1.0, "CPU time of the training [s]"))
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE, INK, MUTED)
 
 _LEVEL = ScoreCurve("level", "curriculum level", 1.0, (-0.03, 1.08))
 _LENGTH = ScoreCurve("episode_length", "episode length [steps]", 1.0, None)
 _REWARD = ScoreCurve("episode_reward", "episode reward", 1.0, None)
-# By table of a run: what is shown of it, and in which colour; of the evaluations the score of the task.
-_LEARNING = {_LEVEL: PURPLE, _LENGTH: GREEN, _REWARD: ORANGE}
+_LEARNING = {_LEVEL: PURPLE, _LENGTH: GREEN, _REWARD: ORANGE}  # curves of learning.csv, and their colours
 
 
-def read_run(
-    folder: str | Path, against: Sequence[_Against] = (_STEPS,)
-) -> tuple[str, dict[str, pd.DataFrame]]:
-    """The task of a run folder, and its tables `learning` and `evaluations`.
+def _read_run(folder: str | Path, abscissae: Sequence[_Abscissa] = (_STEPS,), by: Sequence[str] = ()) -> _Run:
+    """Return a training run from its folder, with the columns that are drawn over `abscissae`.
 
-    against: what they are drawn against. Raises UserError, naming the file, if it is not one.
+    by: options whose values name its group. Raises UserError, naming the file, if the folder is not a run.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -55,27 +61,29 @@ def read_run(
     record = storage.read_json(folder / "run.json", "run")
     try:
         task = record["config"]["task"]
-        drawn = {"learning": _LEARNING, "evaluations": (_score_curve(task),)}
+        score = _score_curve(task)
     except (TypeError, KeyError, UserError) as error:
         raise UserError(f"{folder / 'run.json'} does not say which task was trained") from error
-    tables = {
-        name: _table(
-            folder / f"{name}.csv", [*(axis.column for axis in against), *(curve.column for curve in curves)]
-        )
-        for name, curves in drawn.items()
-    }
-    if tables["learning"].empty:
+    x = [abscissa.column for abscissa in abscissae]
+    learning = _read_table(folder / "learning.csv", [*x, *(curve.column for curve in _LEARNING)])
+    evaluations = _read_table(folder / "evaluations.csv", [*x, score.column])
+    if learning.empty:
         raise UserError(f"{folder / 'learning.csv'} holds no rows yet: the run has not learned anything")
-    return task, tables
+    for name in by:
+        if name not in record["config"]:
+            raise UserError(f"the run {folder} has no option {shown(name, 40)!r}")
+    values = (record["config"][name] for name in by)
+    group = ", ".join("-" if value is None else shown(value, 40) for value in values)
+    return _Run(task, group, learning, evaluations)
 
 
 def _score_curve(task: str) -> ScoreCurve:
-    """The task's; of a task of one's own that was not imported what every task has."""
+    """Return the score curve of a task; the default one for a user's task that was not imported."""
     return ScoreCurve() if is_path(task) and not known(task) else task_class(task).score_curve
 
 
-def _table(path: Path, columns: list[str]) -> pd.DataFrame:
-    """The columns of a table of a run, NaN where there is no value; UserError for what is no number."""
+def _read_table(path: Path, columns: list[str]) -> pd.DataFrame:
+    """Return columns of a CSV table of a run, NaN in empty cells; raise UserError for text in them."""
     text = storage.read_text(path, "table", storage.LARGEST_JSON)
     try:
         with warnings.catch_warnings():
@@ -101,7 +109,7 @@ def _table(path: Path, columns: list[str]) -> pd.DataFrame:
 
 
 def learning_curves(runs: Sequence[str | Path]) -> Figure:
-    """Figure of success, curriculum, episodes and reward against environment steps.
+    """Return a figure of score, curriculum level, episode length and reward over environment steps.
 
     runs: run folders of one task, usually one for each seed. Each is a thin line; from two on, the
     median is a thick line and the range from the lowest to the highest a band, as far as all runs
@@ -110,29 +118,29 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
     """
     if not runs:
         raise UserError("learning curves need at least one run folder")
-    named, read = zip(*map(read_run, runs))
-    tasks = sorted(set(named))
+    loaded = [_read_run(folder) for folder in runs]
+    tasks = sorted({run.task for run in loaded})
     if len(tasks) > 1:
         raise UserError(f"the runs are of different tasks ({' and '.join(tasks)}); choose runs of one")
-    curves = [("evaluations", _score_curve(tasks[0]), BLUE)]
+    curves = [(_score_curve(tasks[0]), BLUE, [run.evaluations for run in loaded])]
     for curve, colour in _LEARNING.items():
-        if curve is _REWARD or any(run["learning"][curve.column].nunique() > 1 for run in read):
-            curves.append(("learning", curve, colour))
+        if curve is _REWARD or any(run.learning[curve.column].nunique() > 1 for run in loaded):
+            curves.append((curve, colour, [run.learning for run in loaded]))
     with styled():
         columns = 2 if len(curves) == 4 else len(curves)  # two to four
         rows = len(curves) // columns
         figure = Figure(figsize=(3.4 * columns, 0.45 + 2.05 * rows), layout="constrained")
         grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
-        for axes, (table, curve, colour) in zip(grid.ravel(), curves):
-            _draw(axes, curve, colour, [run[table] for run in read], _STEPS)
-            _frame(axes, curve)
+        for axes, (curve, colour, tables) in zip(grid.ravel(), curves):
+            _draw_curves(axes, curve, colour, tables, _STEPS)
+            _format_axes(axes, curve)
         for axes in grid[-1]:
             axes.set_xlabel(_STEPS.label)
-        final = max(run["learning"]["steps"].max() for run in read) / 1e6
+        final = max(run.learning["steps"].max() for run in loaded) / 1e6
         grid[0, 0].set_xlim(0, 1.01 * final)
-        if len(read) > 1:
+        if len(loaded) > 1:
             handles = [
-                *grid[0, 0].plot([], [], color=MUTED, lw=2.2, label=f"median of {len(read)} seeds"),
+                *grid[0, 0].plot([], [], color=MUTED, lw=2.2, label=f"median of {len(loaded)} seeds"),
                 grid[0, 0].fill_between([], [], color=MUTED, alpha=0.25, lw=0, label="lowest to highest"),
                 *grid[0, 0].plot([], [], color=MUTED, lw=0.7, alpha=0.7, label="each seed"),
             ]
@@ -141,7 +149,7 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
 
 
 def comparison_curves(runs: Sequence[str | Path], by: Sequence[str]) -> Figure:
-    """Figure of score and curriculum level against environment steps and CPU seconds of the training.
+    """Return a figure of score and curriculum level over environment steps and CPU time of the training.
 
     runs: run folders; those with the same values of the options `by`, as run.json calls them, are seeds of
     one group and have one colour: thin lines, their median, and the range from the lowest to the highest.
@@ -150,69 +158,63 @@ def comparison_curves(runs: Sequence[str | Path], by: Sequence[str]) -> Figure:
     """
     if not runs:
         raise UserError("curves need at least one run folder")
-    runs_read = [(*read_run(folder, _AGAINST), _group(Path(folder), by)) for folder in runs]
-    tasks, groups = (list(dict.fromkeys(run[k] for run in runs_read)) for k in (0, 2))
+    loaded = [_read_run(folder, _STEPS_AND_TIME, by) for folder in runs]
+    groups = list(dict.fromkeys(run.group for run in loaded))
     if len(groups) > len(_COLOURS):
         raise UserError(f"the runs are of {len(groups)} kinds; at most {len(_COLOURS)} are told apart")
     rows = []
-    for task in tasks:
-        rows.append((task, "evaluations", _score_curve(task)))
-        if any(of == task and tables["learning"]["level"].nunique() > 1 for of, tables, _ in runs_read):
-            rows.append((task, "learning", _LEVEL))
+    for task in dict.fromkeys(run.task for run in loaded):
+        rows.append((task, _score_curve(task)))
+        if any(run.task == task and run.learning["level"].nunique() > 1 for run in loaded):
+            rows.append((task, _LEVEL))
     with styled():
         figure = Figure(figsize=(6.8, 0.75 + 1.9 * len(rows)), layout="constrained")
-        grid = figure.subplots(len(rows), len(_AGAINST), sharex="col", sharey="row", squeeze=False)
-        for line, (task, name, curve) in zip(grid, rows):
-            for axes, against in zip(line, _AGAINST):
+        grid = figure.subplots(len(rows), len(_STEPS_AND_TIME), sharex="col", sharey="row", squeeze=False)
+        for line, (task, curve) in zip(grid, rows):
+            for axes, abscissa in zip(line, _STEPS_AND_TIME):
                 for group, colour in zip(groups, _COLOURS):
-                    tables = [read[name] for of, read, g in runs_read if (of, g) == (task, group)]
-                    _draw(axes, curve, colour, tables, against)
-                _frame(axes, curve)
+                    seeds = [run for run in loaded if (run.task, run.group) == (task, group)]
+                    tables = [run.learning if curve is _LEVEL else run.evaluations for run in seeds]
+                    _draw_curves(axes, curve, colour, tables, abscissa)
+                _format_axes(axes, curve)
                 axes.set_xlim(left=0)
             line[1].set_ylabel("")
             if curve is not _LEVEL:
                 line[0].set_title(task, loc="left")
-        for axes, against in zip(grid[-1], _AGAINST):
-            axes.set_xlabel(against.label)
+        for axes, abscissa in zip(grid[-1], _STEPS_AND_TIME):
+            axes.set_xlabel(abscissa.label)
         handles = []
         for group, colour in zip(groups, _COLOURS):
-            count = sum(of == group for *_, of in runs_read)
+            count = sum(run.group == group for run in loaded)
             label = f"{literal(group)}, {count} run{'s' if count > 1 else ''}"
             handles += grid[0, 0].plot([], [], color=colour, lw=2.2, label=label)
         figure.legend(handles=handles, loc="outside upper center", ncols=min(3, len(handles)))
     return figure
 
 
-def _group(folder: Path, by: Sequence[str]) -> str:
-    """The values of options of a run, in words."""
-    config = storage.read_json(folder / "run.json", "run").get("config", {})
-    for name in by:
-        if name not in config:
-            raise UserError(f"the run {folder} has no option {shown(name, 40)!r}")
-    return ", ".join("-" if config[name] is None else shown(config[name], 40) for name in by)
-
-
-def _draw(axes: Axes, curve: ScoreCurve, colour: str, tables: list[pd.DataFrame], against: _Against) -> None:
-    """Curves of several seeds: a thin line each, from two on their median and range."""
+def _draw_curves(
+    axes: Axes, curve: ScoreCurve, colour: str, tables: Sequence[pd.DataFrame], abscissa: _Abscissa
+) -> None:
+    """Draw the curves of several seeds: a thin line each, from two on their median and range."""
     lines = []
     for table in tables:
-        rows = table[[against.column, curve.column]].dropna() if curve.column in table else table.iloc[:0]
+        rows = table[[abscissa.column, curve.column]].dropna()
         if len(rows):
             values = rows.to_numpy(float)
-            lines.append((values[:, 0] / against.unit, curve.factor * values[:, 1]))
+            lines.append((values[:, 0] / abscissa.unit, curve.factor * values[:, 1]))
     several = len(lines) > 1
     for x, y in lines:
-        style = {"lw": 0.7, "alpha": 0.6} if several else {"lw": 2.0}
+        style: dict[str, Any] = {"lw": 0.7, "alpha": 0.6} if several else {"lw": 2.0}
         style |= {"marker": "o", "ms": 3.5} if not several and len(x) < 16 else {}
         axes.plot(x, y, color=colour, gid="run", **style)
     if several:
-        x, middle, low, high = band(lines)
+        x, middle, low, high = median_and_range(lines)
         axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0, gid="band")
         axes.plot(x, middle, color=colour, lw=2.2, gid="median")
 
 
-def _frame(axes: Axes, curve: ScoreCurve) -> None:
-    """Labels, limits and what the curves are compared with."""
+def _format_axes(axes: Axes, curve: ScoreCurve) -> None:
+    """Set labels, limits and scale of axes, and draw the reference value of their curve."""
     axes.grid(True)
     axes.set_ylabel(curve.label)
     if not axes.lines:
@@ -233,8 +235,10 @@ def _frame(axes: Axes, curve: ScoreCurve) -> None:
         axes.yaxis.set_minor_locator(NullLocator())
 
 
-def band(lines: Sequence[tuple[np.ndarray, np.ndarray]]):
-    """Common steps and the median, lowest and highest value there of curves (x, y).
+def median_and_range(
+    lines: Sequence[tuple[np.ndarray, np.ndarray]],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return common abscissae (m,) of curves (x, y), and their median, lowest and highest values there.
 
     Curves are interpolated linearly; only the range that all of them cover is used.
     """

@@ -11,25 +11,25 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 
 from inclined_landing.envs.mission import LEGS, Mission
-from inclined_landing.envs.rendering.stamp import StampMaker
+from inclined_landing.envs.rendering.sprite import SpriteRenderer
 from inclined_landing.eval.base.style import BASE, INK, MUTED, SLAB, halo, legend_below, panel, styled
-from inclined_landing.eval.pictures.figures.scene import draw_air, draw_platform, draw_vehicle
-from inclined_landing.eval.pictures.legs import COLOURS, along
-from inclined_landing.eval.pictures.way import spread_copies
+from inclined_landing.eval.pictures.figures.scene import draw_background, draw_platform, draw_vehicle
+from inclined_landing.eval.pictures.labels import LEG_COLOURS, leg_colours
+from inclined_landing.eval.pictures.path import select_copies
 from inclined_landing.models.attitude import X, Y, Z
 
 _WIDTH, _LEFT, _RIGHT = 7.0, 0.60, 0.14  # in
-_COPIES, _SPACING, _TURN = 12, 0.25, 0.12  # see `spread_copies`
+_COPIES, _SPACING, _TURN = 12, 0.25, 0.12  # see `select_copies`
 _MARGIN = 0.1  # m around the arena's part that is shown
-_MOST = 100  # ways of others that are drawn
+_MOST_PATHS = 100  # ways of others that are drawn
 
 
 def mission_figure(mission: Mission, others: Sequence[Mission] = ()) -> Figure:
-    """One mission with copies of the vehicle, seen from the side, and its way seen from above.
+    """Return a figure of one mission from the side, with copies of the vehicle, and from above.
 
     others: missions of the same plan whose ways are drawn thin behind it, at most the first hundred.
     """
-    others = [other for other in others if other is not mission][:_MOST]
+    others = [other for other in others if other is not mission][:_MOST_PATHS]
     points = np.concatenate([track.state[:, :3] for track in (mission, *others)])
     vehicle = mission.plan.vehicle
     low = np.minimum(points.min(axis=0), (-1.0, vehicle.arena_y[0], 0.0)) - _MARGIN
@@ -43,37 +43,37 @@ def mission_figure(mission: Mission, others: Sequence[Mission] = ()) -> Figure:
         above = panel(figure, _LEFT, foot, width, top)
         beside = panel(figure, _LEFT, foot + top + gap, width, side)
         for axes, plane in ((beside, [X, Z]), (above, [X, Y])):
-            limits = [(low[axis], high[axis]) for axis in plane]
-            draw_air(axes, *limits)
+            across, up = ((low[axis], high[axis]) for axis in plane)
+            draw_background(axes, across, up)
             for other in others:
-                _draw_way(axes, other, plane, lw=0.6, alpha=0.3, zorder=2.6, gid="other way")
-            _draw_way(axes, mission, plane, lw=2.2, zorder=3, path_effects=halo(4.0), gid="way")
+                _draw_path(axes, other, plane, lw=0.6, alpha=0.3, zorder=2.6, gid="other way")
+            _draw_path(axes, mission, plane, lw=2.2, zorder=3, path_effects=halo(4.0), gid="way")
         above.set_ylabel("y [m]")
-        draw_platform(beside, mission.task.inclination, vehicle)
-        half = vehicle.slab_half_length * np.cos(mission.task.inclination), 0.5 * vehicle.platform_depth
+        draw_platform(beside, mission.plan.task.inclination, vehicle)
+        half = vehicle.slab_half_length * np.cos(mission.plan.task.inclination), 0.5 * vehicle.platform_depth
         slab = Rectangle(
             (-half[0], -half[1]), 2 * half[0], 2 * half[1], facecolor=SLAB, edgecolor=BASE, lw=0.5
         )
         above.add_patch(slab)
-        _draw_marks(beside, above, mission)
-        _draw_words(beside, above, mission, others)
+        _draw_vehicle_and_box(beside, above, mission)
+        _draw_annotations(beside, above, mission, others)
     return figure
 
 
-def _draw_way(axes, mission: Mission, plane, **look) -> None:
+def _draw_path(axes, mission: Mission, plane, **look) -> None:
     place = mission.state[:, plane]
-    way = np.stack([place[:-1], place[1:]], axis=1)
+    segments = np.stack([place[:-1], place[1:]], axis=1)
     axes.add_collection(
-        LineCollection(way, colors=along(mission)[:-1], capstyle="round", **look), autolim=False
+        LineCollection(segments, colors=leg_colours(mission)[:-1], capstyle="round", **look), autolim=False
     )
 
 
-def _draw_marks(beside, above, mission: Mission) -> None:
-    """Copies of the vehicle, its start, and the hand-over box."""
-    maker, colours = StampMaker(mission.plan.vehicle), along(mission)
-    for order, k in enumerate(spread_copies(mission.state, _COPIES, _SPACING, _TURN)):
+def _draw_vehicle_and_box(beside, above, mission: Mission) -> None:
+    """Draw copies of the vehicle, its start and end, and the hand-over box."""
+    sprites, colours = SpriteRenderer(mission.plan.vehicle), leg_colours(mission)
+    for order, k in enumerate(select_copies(mission.state, _COPIES, _SPACING, _TURN)):
         draw_vehicle(
-            beside, maker, mission.state[k], colour=tuple(colours[k]), alpha=0.95, zorder=4 + 0.01 * order
+            beside, sprites, mission.state[k], colour=tuple(colours[k]), alpha=0.95, zorder=4 + 0.01 * order
         )
     x, _, z = mission.plan.point
     for axes, other in ((beside, z), (above, 0.0)):
@@ -84,20 +84,20 @@ def _draw_marks(beside, above, mission: Mission) -> None:
     above.plot(*end[[X, Y]], "o", ms=6, color=colours[-1], mec="white", zorder=5, gid="end")
 
 
-def _draw_words(beside, above, mission: Mission, others: Sequence[Mission]) -> None:
+def _draw_annotations(beside, above, mission: Mission, others: Sequence[Mission]) -> None:
     lines, names = [], []
-    for colour, name in zip(COLOURS, LEGS):
-        own = mission.flown(name)
-        if own is not None or any(other.flown(name) for other in others):
+    for colour, name in zip(LEG_COLOURS, LEGS):
+        flown_leg = mission.find_leg(name)
+        if flown_leg is not None or any(other.find_leg(name) for other in others):
             lines.append(Line2D([], [], color=colour, lw=2.2))
-            names.append(name if own is None else f"{name} {own.duration:.2f} s")
+            names.append(name if flown_leg is None else f"{name} {flown_leg.duration:.2f} s")
     lines.append(Line2D([], [], color=INK, marker="o", mfc="none", ls="", mew=0.9))
     names.append("hand-over box")
     legend_below(above, handles=lines, labels=names, ncols=len(names), columnspacing=1.1, handlelength=1.3)
     start = mission.state[0]
-    title = f"From x {start[X]:.2f}, y {start[Y]:.2f}, z {start[Z]:.2f} m: {mission.words}"
+    title = f"From x {start[X]:.2f}, y {start[Y]:.2f}, z {start[Z]:.2f} m: {mission.summary}"
     beside.set_title(title, loc="left", pad=6)
-    scale = StampMaker(mission.plan.vehicle).scale
+    scale = SpriteRenderer(mission.plan.vehicle).scale
     behind = f"; thin: {len(others)} other mission{'s' * (len(others) != 1)}" if others else ""
     notes = {beside: f"from the side; quadrotor drawn {scale:g}×", above: f"from above{behind}"}
     for axes, note in notes.items():

@@ -48,12 +48,12 @@ def exported(tmp_path_factory):
     folders = {}
     for name in POLICIES:
         policy = contract.load(name)
-        network, tested = Network.of(policy), vectors.of(policy)
-        terms = contract.of(policy, network)
+        network, tested = Network.from_policy(policy), vectors.record(policy)
+        terms = contract.describe(policy, network)
         for format, make in FORMATS.items():
             folder = root / f"{name}-{format}"
             folder.mkdir()
-            make(folder, policy, network, terms, tested)
+            importlib.import_module(make).write(folder, policy.task, network, terms, tested)
             (folder / "vectors.json").write_text(storage.to_json(tested.table()))
             (folder / "contract.json").write_text(storage.to_json(terms))
             folders[name, format] = folder
@@ -296,7 +296,7 @@ def test_the_contract_follows_its_schema(exported, name):
     wrong = terms | {"control_period": 0}
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(wrong, schema)
-    page = contract.words(terms)
+    page = contract.to_markdown(terms)
     for word in (*terms["input"]["names"], terms["policy"]["sha256"], terms["vehicle"]["sha256"]):
         assert word in page
 
@@ -377,7 +377,7 @@ def test_markdown_shows_a_value_letter_by_letter(value):
 
 def test_the_contract_is_the_task_the_stamp_and_the_vehicle():
     policy = contract.load("landing")
-    terms, task = contract.of(policy, Network.of(policy)), policy.task
+    terms, task = contract.describe(policy, Network.from_policy(policy)), policy.task
     assert terms["control_period"] == load_vehicle().command_control_period
     assert terms["task"]["goal"]["z"] == task.goal[1]
     inside = np.zeros((2, 13))
@@ -444,14 +444,14 @@ def policies(draw, hidden=(2, 2)):
 
 
 def any_network_is_exported(policy, tmp_path):
-    network, terms = Network.of(policy), contract.of(policy, Network.of(policy))
+    network, terms = Network.from_policy(policy), contract.describe(policy, Network.from_policy(policy))
     rng = np.random.default_rng(1)
     o, a = len(policy.task.observation_names), len(policy.task.action_names)
     tested = vectors.sequence(policy, np.zeros((8, 13)), rng.normal(scale=2.0, size=(8, o)))
     folder = tmp_path / "export"
     folder.mkdir()
     for make in FORMATS.values():
-        make(folder, policy, network, terms, tested)
+        importlib.import_module(make).write(folder, policy.task, network, terms, tested)
     (folder / "contract.json").write_text(storage.to_json(terms))
     inputs = rng.normal(scale=3.0, size=(50, len(policy.centre))).astype(np.float32)
     library = compiled.Library(folder, tmp_path, "-O1")
@@ -486,9 +486,9 @@ def test_tanh_of_the_c_code_is_tanh(tmp_path):
     weights, biases = (split, both, split.T.copy()), (np.zeros(2), np.zeros(2), np.zeros(1))
     ends = np.zeros(1), np.ones(1), np.inf
     policy = Policy(AnyTask(1, 1, 0), {}, Path(__file__), *ends, weights, biases, "ReLU", True)
-    network = Network.of(policy)
+    network = Network.from_policy(policy)
     tested = vectors.sequence(policy, np.zeros((3, 13)), np.array([[-1.0], [0.0], [2.0]]))
-    c_source.write(tmp_path, contract.of(policy, network), network, tested)
+    c_source.write(tmp_path, policy.task, network, contract.describe(policy, network), tested)
     x = np.concatenate([np.linspace(-12, 12, 200_001), [3e38, -3e38, 1e-30]]).astype(np.float32)[:, None]
     got = compiled.Library(tmp_path, tmp_path).infer(x, 1)
     assert np.abs(got - np.tanh(x.astype(float))).max() < 2e-7
@@ -644,20 +644,20 @@ def test_what_a_format_cannot_hold_is_refused(tmp_path):
     wide = Policy(make_task("landing"), {}, Path(__file__), np.zeros(5), np.ones(5), np.inf,
                   (np.ones((5, 400)), np.ones((400, 400)), np.ones((400, 2))),
                   (np.zeros(400), np.zeros(400), np.zeros(2)), "ReLU")  # fmt: skip
-    network = Network.of(wide)
+    network = Network.from_policy(wide)
     tested = vectors.sequence(wide, np.zeros((1, 13)), np.zeros((1, 5)))
     with pytest.raises(UserError, match="bytes of constants"):
-        c_source.write(tmp_path, contract.of(wide, network), network, tested)
+        c_source.write(tmp_path, wide.task, network, contract.describe(wide, network), tested)
     assert not [*tmp_path.iterdir()]
     with pytest.raises(UserError, match="float32 does not hold"):
-        Network.of(dataclasses.replace(wide, scale=np.full(5, 1e-300)))
+        Network.from_policy(dataclasses.replace(wide, scale=np.full(5, 1e-300)))
 
     class OwnCommands(type(make_task("landing"))):
         def commands(self, actions):
             return super().commands(actions) * 0.9
 
     with pytest.raises(UserError, match="in a way of its own"):
-        contract.of(dataclasses.replace(wide, task=OwnCommands()), network)
+        contract.describe(dataclasses.replace(wide, task=OwnCommands()), network)
 
 
 def test_policies_of_sac_and_of_another_vehicle(tmp_path):
@@ -719,6 +719,6 @@ def test_what_a_policy_is_told_of_its_vehicle_is_part_of_its_export(tmp_path):
     spec.loader.exec_module(module)
     reader = module.LandingPolicy(tmp_path / "out/policy.npz")
     rows = rng.normal(scale=0.5, size=(20, 5)).astype(np.float32)
-    inputs = History(task, 20).behind(rows)
+    inputs = History(task, 20).stack(rows)
     for row, given in zip(rows, inputs):
         np.testing.assert_allclose(reader.act(row), told.predict(given), rtol=0.0, atol=TOLERANCE)

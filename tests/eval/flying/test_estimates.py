@@ -11,13 +11,13 @@ from scipy.stats import chi2
 
 from inclined_landing.envs import load_policy, record_flights
 from inclined_landing.eval.flying import frames
-from inclined_landing.eval.flying.estimate import Attitude, Estimator, LogClock
+from inclined_landing.eval.flying.estimate import Attitude, ClockOffset, Estimator
 from inclined_landing.eval.flying.interfaces import Pose
-from inclined_landing.eval.flying.kalman import Filter, Noise, process_noise, transition
+from inclined_landing.eval.flying.kalman import KalmanFilter, NoiseModel, process_noise, transition
 from inclined_landing.models.attitude import quaternion, rotation
 from inclined_landing.models.parameters import load_vehicle
 
-NOISE = Noise.of(load_vehicle())
+NOISE = NoiseModel.of(load_vehicle())
 STEP = 1 / 120
 
 
@@ -57,16 +57,16 @@ def test_errors_are_as_large_as_the_filter_says():
         truth = np.stack(
             [np.zeros(3), random.normal(0, NOISE.speed, 3), random.normal(0, NOISE.acceleration, 3)]
         )
-        tracked, last = Filter(NOISE), 0.0
+        tracked, last = KalmanFilter(NOISE), 0.0
         for t in times(random, 1.5):
             kick = random.multivariate_normal(
                 np.zeros(3), process_noise(t - last, NOISE.acceleration, NOISE.correlation), 3, method="eigh"
             )
             truth, last = transition(t - last, NOISE.correlation) @ truth + kick.T, t
-            tracked.measure(t, truth[0] + random.normal(0, NOISE.position, 3))
+            tracked.update(t, truth[0] + random.normal(0, NOISE.position, 3))
         error = truth - tracked.mean
         squared.append(np.einsum("ik,ij,jk->k", error, np.linalg.inv(tracked.variance), error))
-        inside.append(tracked.innovation)
+        inside.append(tracked.normalised_innovation_squared)
     # 60 sums of three squares: chi-square with 180 degrees, 0.1 % and 99.9 %.
     assert chi2.ppf(1e-3, 180) < np.sum(squared) < chi2.ppf(1 - 1e-3, 180)
     assert chi2.ppf(1e-3, 60) < np.sum(inside) < chi2.ppf(1 - 1e-3, 60)
@@ -78,33 +78,33 @@ def test_landings_are_followed():
     starts = policy.task.states_at([(0.0, 2.0), (-1.5, 1.6), (1.5, 1.8)])
     random = np.random.default_rng(5)
     for flight in record_flights(policy, "hybrid", starts):
-        tracked, errors, deviations = Filter(NOISE), [], []
+        tracked, errors, deviations = KalmanFilter(NOISE), [], []
         for t in np.arange(0.0, flight.duration, STEP):
             state = np.array([np.interp(t, flight.t, column) for column in flight.state[:, :6].T])
-            tracked.measure(t, state[:3] + random.normal(0, NOISE.position, 3))
-            errors.append(np.stack(tracked.at(t)) - state.reshape(2, 3))
-            deviations.append(tracked.deviation(t))
+            tracked.update(t, state[:3] + random.normal(0, NOISE.position, 3))
+            errors.append(np.stack(tracked.predict(t)) - state.reshape(2, 3))
+            deviations.append(tracked.standard_deviations(t))
         error, deviation = np.abs(errors)[20:], np.array(deviations)[20:, :, None]
         assert (error < 4 * deviation).all() and np.sqrt((error**2).mean((0, 2))) @ [0, 1] < 0.10
 
 
 def test_what_is_no_measurement_is_left_out():
-    tracked = Filter(NOISE)
-    assert np.isnan(tracked.at(0.0)).all() and tracked.deviation(0.0) == (np.inf, np.inf)
-    assert not tracked.measure(np.nan, np.zeros(3)) and not tracked.measure(0.0, np.full(3, np.inf))
+    tracked = KalmanFilter(NOISE)
+    assert np.isnan(tracked.predict(0.0)).all() and tracked.standard_deviations(0.0) == (np.inf, np.inf)
+    assert not tracked.update(np.nan, np.zeros(3)) and not tracked.update(0.0, np.full(3, np.inf))
     for k in range(100):
-        assert tracked.measure(k * STEP, np.zeros(3))
+        assert tracked.update(k * STEP, np.zeros(3))
     before = tracked.mean.copy()
-    assert not tracked.measure(99 * STEP, np.zeros(3)), "not newer"
-    assert not tracked.measure(100 * STEP, np.array([0.3, 0.0, 0.0])), "a jump of 30 cm"
-    assert not tracked.measure(100 * STEP, np.array([0.3, 0.0, 0.0]), impact=True), "nor from a touch"
+    assert not tracked.update(99 * STEP, np.zeros(3)), "not newer"
+    assert not tracked.update(100 * STEP, np.array([0.3, 0.0, 0.0])), "a jump of 30 cm"
+    assert not tracked.update(100 * STEP, np.array([0.3, 0.0, 0.0]), impact=True), "nor from a touch"
     np.testing.assert_array_equal(tracked.mean, before)
     # A fall at 2 m/s ends at once: only where something may be touched that is believed.
-    falling = Filter(NOISE)
+    falling = KalmanFilter(NOISE)
     path = [-2.0 * max(0.0, 0.5 - k * STEP) for k in range(90)]
     for at, z in enumerate(path):
-        falling.measure(at * STEP, np.array([0.0, 0.0, z]), impact=True)
-    assert falling.impacts >= 1 and abs(falling.at(89 * STEP)[1][2]) < 0.1
+        falling.update(at * STEP, np.array([0.0, 0.0, z]), impact=True)
+    assert falling.contact_updates >= 1 and abs(falling.predict(89 * STEP)[1][2]) < 0.1
 
 
 def test_heading_comes_from_motion_capture():
@@ -115,25 +115,25 @@ def test_heading_comes_from_motion_capture():
         t = k * STEP
         drift = own + 0.02 * t
         turned = frames.about_z(drift) @ rotation(*angles)
-        estimator.feel(Attitude(t, turned))
-        estimator.see(Pose(t, np.full(3, 1e-4 * (k % 2)), np.array(quaternion(*angles))))
-    belief = estimator.at(t)
+        estimator.add_attitude(Attitude(t, turned))
+        estimator.add_pose(Pose(t, np.full(3, 1e-4 * (k % 2)), np.array(quaternion(*angles))))
+    estimate = estimator.predict(t)
     # The drift of 0.02 rad/s is followed HEADING_TIME = 0.5 s late: 0.01 rad.
-    assert frames.angle_between(rotation(*angles), estimator.in_arena(estimator.attitude)) < 0.015
-    assert belief.disagreement < 0.015
+    assert frames.angle_between(rotation(*angles), estimator.to_arena(estimator.attitude)) < 0.015
+    assert estimate.attitude_mismatch < 0.015
     level = rotation(0.0, 0.0, angles[2]).T @ rotation(*angles)
-    assert belief.tilt == pytest.approx(np.arccos(level[2, 2]), abs=1e-6)
+    assert estimate.tilt == pytest.approx(np.arccos(level[2, 2]), abs=1e-6)
 
 
 def test_frozen_cameras_are_no_measurement():
     estimator = Estimator(NOISE)
-    assert estimator.see(Pose(0.0, np.zeros(3)))
-    assert not any(estimator.see(Pose(k * STEP, np.zeros(3))) for k in range(1, 60))
-    assert estimator.at(0.5).pose_age == 0.5
+    assert estimator.add_pose(Pose(0.0, np.zeros(3)))
+    assert not any(estimator.add_pose(Pose(k * STEP, np.zeros(3))) for k in range(1, 60))
+    assert estimator.predict(0.5).pose_age == 0.5
 
 
 def test_the_log_is_dated_by_its_earliest_packet():
-    clock, random = LogClock(), np.random.default_rng(0)
+    clock, random = ClockOffset(), np.random.default_rng(0)
     stamps = 5000 + 10 * np.arange(200)
     delays = 0.003 + random.exponential(0.004, 200)
     dates = [clock.date(int(s), 1e-3 * s - 2.5 + d) for s, d in zip(stamps, delays)]

@@ -16,10 +16,10 @@ from inclined_landing.envs import load_policy
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval import cli
 from inclined_landing.eval.flying import motion_capture
-from inclined_landing.eval.flying.flight_log import FlightLog
+from inclined_landing.eval.flying.flight_log import FlightLogWriter
+from inclined_landing.eval.flying.interfaces import RealClock
 from inclined_landing.eval.flying.motion_capture import Tracked, open_capture
 from inclined_landing.eval.flying.pilot import Pilot, Plan
-from inclined_landing.eval.flying.real_clock import RealClock
 from inclined_landing.eval.flying.safety import Phase
 from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
 from inclined_landing.eval.flying.simulated.world import Setting
@@ -133,15 +133,15 @@ def test_whatever_raises_the_motors_stop(where, policies, tmp_path):
     def before(pilot):
         step = pilot._command
 
-        def command(belief):
-            if belief.state[2] > 1.0:
+        def command(estimate):
+            if estimate.state[2] > 1.0:
                 if where == "log":
                     pilot._log.command = fail
                 elif where == "setpoint":
                     object.__setattr__(pilot.plan.setpoint, "predict", lambda o: np.full((len(o), 3), np.nan))
                 else:
                     fail() if where == "interrupt" else pilot._say("anything")
-            return step(belief)
+            return step(estimate)
 
         pilot._command = command
 
@@ -178,11 +178,11 @@ def test_the_watchdog_bites_once_and_only_then(monkeypatch):
     with Watchdog(0.1, lambda: bites.append(1)) as watchdog:
         for _ in range(5):
             now[0] += 0.09
-            watchdog.alive()
+            watchdog.feed()
             time.sleep(0.05)
-        assert not watchdog.bitten and not bites
+        assert not watchdog.triggered and not bites
         now[0] += 0.11
-        until(lambda: watchdog.bitten)
+        until(lambda: watchdog.triggered)
         time.sleep(0.1)
     assert bites == [1]
 
@@ -216,7 +216,7 @@ def test_checks_refuse_what_must_not_fly(policies):
 
 def test_a_log_holds_what_it_is_told(tmp_path):
     path = tmp_path / "f.csv"
-    with FlightLog(path, 100.0) as log:
+    with FlightLogWriter(path, 100.0) as log:
         for k in range(400):
             t = 100.0 + 0.01 * k
             if not 150 <= k < 200:  # blind
@@ -235,7 +235,7 @@ def test_a_log_holds_what_it_is_told(tmp_path):
     np.testing.assert_allclose(np.unwrap(found.attitude[:, 2]), 3.1 + 0.1 * (found.t + 0.002), atol=1e-3)
     assert found.command[-1, 0] == 30_398.0
     with pytest.raises(UserError, match="there already"):
-        FlightLog(path, 0.0)
+        FlightLogWriter(path, 0.0)
 
 
 def test_motion_capture_by_library():

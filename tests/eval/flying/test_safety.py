@@ -8,10 +8,16 @@ import pytest
 
 from inclined_landing.envs import load_policy
 from inclined_landing.eval.flying import safety
-from inclined_landing.eval.flying.actors import Hover
-from inclined_landing.eval.flying.estimate import Belief
-from inclined_landing.eval.flying.safety import Guard, Now, Phase, Reaction, stopping_distance
-from inclined_landing.eval.flying.surroundings import CLEAR, Surroundings, Target
+from inclined_landing.eval.flying.estimate import StateEstimate
+from inclined_landing.eval.flying.policies import SetpointFollower
+from inclined_landing.eval.flying.safety import (
+    FlightStatus,
+    Phase,
+    Reaction,
+    SafetyMonitor,
+    stopping_distance,
+)
+from inclined_landing.eval.flying.surroundings import CLEAR, MovingTarget, Surroundings
 from inclined_landing.models.attitude import PITCH, VX, VZ, X, Y, Z
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
@@ -20,17 +26,17 @@ from tests import ROOT
 VEHICLE = load_vehicle()
 
 
-def now(phase=Phase.LANDING, time=10.0, state=None, **changes) -> Now:
+def now(phase=Phase.LANDING, time=10.0, state=None, **changes) -> FlightStatus:
     """A flight in which nothing is wrong, but for the changes."""
-    belief = {"pose_age": 0.01, "attitude_age": 0.01, "disagreement": 0.02}
-    belief |= {key: changes.pop(key) for key in list(changes) if key in belief}
+    estimate = {"pose_age": 0.01, "attitude_age": 0.01, "attitude_mismatch": 0.02}
+    estimate |= {key: changes.pop(key) for key in list(changes) if key in estimate}
     values = np.zeros(13)
     values[[X, Z]] = 1.0, 1.6
     for column, value in (state or {}).items():
         values[column] = value
     fine = {"since": 1.0, "airborne": True, "linked": True, "locked": False, "voltage": 3.6}
-    fine |= {"heading_error": 0.0, "parted": 0.1, "lying": 0.0, "landing_limit": 6.0}
-    return Now(phase=phase, belief=Belief(time, values, **belief), **(fine | changes))
+    fine |= {"heading_error": 0.0, "velocity_mismatch": 0.1, "resting_time": 0.0, "landing_limit": 6.0}
+    return FlightStatus(phase=phase, estimate=StateEstimate(time, values, **estimate), **(fine | changes))
 
 
 CASES = {
@@ -40,14 +46,14 @@ CASES = {
     "bad state": {"state": {VX: math.nan}},
     "supervisor": {"locked": True},
     "tilt": {"state": {PITCH: 1.1}},
-    "disagreement": {"disagreement": 0.4},
-    "wrong position": {"parted": 2.1},
+    "disagreement": {"attitude_mismatch": 0.4},
+    "wrong position": {"velocity_mismatch": 2.1},
     "outside": {"state": {Y: -1.41}},
     "fence": {"state": {Z: 2.1, VZ: 1.2}},
     "speed": {"state": {VX: -4.1}},
     "heading": {"heading_error": -0.6},
     "battery": {"voltage": 2.95},
-    "touched": {"lying": 0.5},
+    "touched": {"resting_time": 0.5},
     "approach takes too long": {"phase": Phase.APPROACH, "since": 25.1},
     "landing takes too long": {"since": 6.02},
     "retreat takes too long": {"phase": Phase.RETREAT, "since": 20.1},
@@ -56,9 +62,9 @@ CASES = {
 
 def asked(case: dict, seconds: float = 0.6):
     """The first cause within some seconds of it."""
-    guard = Guard(VEHICLE)
+    monitor = SafetyMonitor(VEHICLE)
     for k in range(int(seconds / 0.02)):
-        cause = guard.cause(now(time=10.0 + 0.02 * k, **case))
+        cause = monitor.cause(now(time=10.0 + 0.02 * k, **case))
         if cause is not None:
             return cause, 0.02 * k
     return None, seconds
@@ -98,13 +104,13 @@ def test_every_cause_of_the_module_is_in_the_table_and_the_page():
 @pytest.mark.parametrize(("axis", "speed"), [(0, 2.5), (0, -1.5), (1, 1.5), (2, 1.2), (2, -1.2)])
 def test_the_set_point_policy_stops_within_the_stated_distance(axis, speed):
     """A retreat from full speed: the target stands where it began; how far does the vehicle go on?"""
-    hover, plant = Hover(load_policy("setpoint")), make_plant("hybrid", 1, VEHICLE)
+    hover, plant = SetpointFollower(load_policy("setpoint")), make_plant("hybrid", 1, VEHICLE)
     state = hover.actor.task.states_at([(0.0, 0.0, 1.3)])
     state[0, VX + axis] = speed
     plant.reset([0], state)
     here, farthest, late = state[0, :3].copy(), 0.0, [np.array([VEHICLE.hover_pwm, 0, 0, 0])] * 2
     for _ in range(100):
-        late.append(hover.fly(plant.state[0], here, 0.02))
+        late.append(hover.command_towards(plant.state[0], here, 0.02))
         plant.step(late.pop(0)[None])  # 40 ms late: position, radio, one control step
         farthest = max(farthest, math.copysign(1.0, speed) * (plant.state[0, axis] - here[axis]))
     velocity = np.zeros(3)
@@ -117,9 +123,9 @@ def test_ways_keep_clear_of_the_platform(inclination):
     around = Surroundings(VEHICLE, inclination)
     home = np.array([1.0, 0.0, 0.02])
     for x, z in ((0.0, 2.0), (-1.5, 1.6), (1.5, 1.8)):
-        assert_clear(around, home, around.way_to(home, np.array([x, 0.0, z])), 0.0)
+        assert_clear(around, home, around.path_to(home, np.array([x, 0.0, z])), 0.0)
     for here in ((0.0, 0.0, 2.0), (0.1, 0.05, 1.35), (1.5, 0.0, 0.6), (-0.6, 0.3, 1.5)):
-        way = around.way_down(np.array(here))
+        way = around.path_down(np.array(here))
         assert way[-1][2] < 0.0 and abs(way[-1][0]) > VEHICLE.slab_half_length
         if not math.isclose(inclination, 0.0, abs_tol=0.5):
             continue
@@ -127,24 +133,24 @@ def test_ways_keep_clear_of_the_platform(inclination):
 
 
 def assert_clear(around, begin, way, leaving):
-    target, gone, states = Target(begin, list(way), 1.0), 0.0, []
+    target, gone, states = MovingTarget(begin, list(way), 1.0), 0.0, []
     while not target.arrived:
         before = target.position
-        gone += float(np.linalg.norm(target.move(0.02, before) - before))
+        gone += float(np.linalg.norm(target.advance(0.02, before) - before))
         if gone > leaving and target.position[2] > 0.05:
             states.append(np.r_[target.position, np.zeros(10)])
     assert around.distances(np.array(states))[:, 0].min() > CLEAR - 0.02
 
 
 def test_a_target_waits_for_its_vehicle():
-    target = Target(np.zeros(3), [np.array([0.0, 0.0, 5.0])], 1.0, lead=0.4)
+    target = MovingTarget(np.zeros(3), [np.array([0.0, 0.0, 5.0])], 1.0, lead=0.4)
     for _ in range(500):
-        target.move(0.02, np.zeros(3))
+        target.advance(0.02, np.zeros(3))
     assert 0.4 <= target.position[2] <= 0.43 and not target.arrived
 
 
-def test_a_now_is_what_the_guard_is_asked():
-    """Each field of `Now` moves at least one cause: nothing is told in vain."""
-    fields = {field.name for field in dataclasses.fields(Now)}
-    told = {key for case in CASES.values() for key in case} | {"belief", "airborne", "landing_limit", "phase"}
-    assert fields <= told
+def test_every_field_of_the_flight_status_is_used():
+    """Each field of `FlightStatus` moves at least one cause: no field is unused."""
+    fields = {field.name for field in dataclasses.fields(FlightStatus)}
+    used = {key for case in CASES.values() for key in case} | {"estimate", "airborne"}
+    assert fields <= used | {"landing_limit", "phase"}

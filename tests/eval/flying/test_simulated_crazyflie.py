@@ -20,13 +20,13 @@ from inclined_landing.eval.flying import pose_stream
 from inclined_landing.eval.flying.interfaces import Pose
 from inclined_landing.eval.flying.simulated import crtp, firmware
 from inclined_landing.eval.flying.simulated.body import Body, firmware_attitude, plant_command
-from inclined_landing.eval.flying.simulated.cameras import Cameras, MarkerView
 from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
 from inclined_landing.eval.flying.simulated.faults import FAULTS, Fault
 from inclined_landing.eval.flying.simulated.firmware import Firmware, Setpoint, State
-from inclined_landing.eval.flying.simulated.gaps import HIDDEN, vehicle_named
-from inclined_landing.eval.flying.simulated.process import Process
-from inclined_landing.eval.flying.simulated.radio import Link, Way
+from inclined_landing.eval.flying.simulated.mocap import CameraQuality, SimulatedMotionCapture
+from inclined_landing.eval.flying.simulated.radio import LinkDirection, LinkQuality
+from inclined_landing.eval.flying.simulated.server import SimulatorServer
+from inclined_landing.eval.flying.simulated.vehicles import HIDDEN, named_vehicle
 from inclined_landing.eval.flying.simulated.world import Setting, World
 from inclined_landing.models import attitude
 from inclined_landing.models.attitude import PITCH, ROLL, VX, VY, YAW, X, Z, rotation
@@ -34,7 +34,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
 PERIOD = 0.02
-PERFECT = Link(jitter=0.0, failing=0.0, lost=0.0)
+PERFECT = LinkQuality(jitter=0.0, failing=0.0, lost=0.0)
 angles = st.floats(-75.0, 75.0)
 yaws = st.floats(-179.0, 179.0)
 
@@ -134,9 +134,11 @@ def placed(inclination=None, **columns):
     return body
 
 
-def felt(body, setpoint, seconds):
+def specific_force(body, setpoint, seconds):
     """(T, 3) of every engine step."""
-    return np.array([(body.step(setpoint), body.felt)[1] for _ in range(round(seconds / body.step_length))])
+    return np.array(
+        [(body.step(setpoint), body.specific_force)[1] for _ in range(round(seconds / body.step_length))]
+    )
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
@@ -145,8 +147,8 @@ def test_the_accelerometer_feels_nothing_in_a_fall_and_gravity_s_reaction_on_the
     angle = sign * v.platform_inclination
     height = v.platform_surface_height + 0.025  # the feet 5 mm above the slope: a fall of 30 ms
     body = placed(angle, X=0.025 * math.sin(angle), Z=height, PITCH=angle)
-    assert np.abs(felt(body, Setpoint(), 0.02)).max() < 1e-3  # drag at 0.2 m/s
-    resting = felt(body, Setpoint(), 0.6)[-1]
+    assert np.abs(specific_force(body, Setpoint(), 0.02)).max() < 1e-3  # drag at 0.2 m/s
+    resting = specific_force(body, Setpoint(), 0.6)[-1]
     state = body.state
     assert body.touching[0] and np.linalg.norm(state[VX : VX + 3]) < 1e-3
     assert state[PITCH] == pytest.approx(angle, abs=0.01)
@@ -160,12 +162,12 @@ def test_the_accelerometer_feels_the_thrust_in_flight(share):
     body = placed(Z=1.5, LAG=share * v.hover_lag, PITCH=0.2)
     command = Setpoint(thrust=share * v.hover_pwm, pitch=-math.degrees(0.2))
     # Drag at 0.1 m/s, and the turning of a body that is not held still, in 20 ms.
-    assert felt(body, command, 0.02) == pytest.approx(np.tile([0.0, 0.0, share], (5, 1)), abs=5e-3)
+    assert specific_force(body, command, 0.02) == pytest.approx(np.tile([0.0, 0.0, share], (5, 1)), abs=5e-3)
 
 
 def test_a_touch_is_felt():
     body = placed(X=1.0, Z=0.1)
-    hit = felt(body, Setpoint(), 0.8)
+    hit = specific_force(body, Setpoint(), 0.8)
     assert hit[:, 2].max() > 2.0 and hit[-1] == pytest.approx([0.0, 0.0, 1.0], abs=1e-3)
 
 
@@ -233,11 +235,11 @@ def test_a_stop_setpoint_ends_a_flight_that_may_go_on():
 def test_tumbling_stops_the_motors(up, after):
     rules, time = Firmware(), 0.0
 
-    def pass_by(seconds, felt):
+    def pass_by(seconds, specific_force):
         nonlocal time
         for _ in range(round(seconds / 0.004)):
             rules.receive_manual(time, 0.0, 0.0, 0.0, 40000)
-            rules.step(time, felt, abs(felt))
+            rules.step(time, specific_force, abs(specific_force))
             time += 0.004
 
     pass_by(0.5, 1.0)
@@ -308,8 +310,8 @@ def test_parameters_and_the_emergency_stop_among_them():
 
 
 def test_packets_arrive_in_order_late_and_not_always():
-    link = Link(lost=0.1)
-    way = Way(link, np.random.default_rng(0))
+    link = LinkQuality(lost=0.1)
+    way = LinkDirection(link, np.random.default_rng(0))
     times = 0.01 * np.arange(4000)
     arrivals = [way.arrival(t) for t in times]
     lost = np.mean([a is None for a in arrivals])
@@ -322,11 +324,11 @@ def test_packets_arrive_in_order_late_and_not_always():
 
 
 def test_cameras_see_with_their_noise_rate_and_latency():
-    flight = connected(cameras=Cameras(jitter=0.0))
+    flight = connected(cameras=CameraQuality(jitter=0.0))
     poses = []
-    flight.world.shown = lambda pose: poses.append((flight.clock.now(), pose))
+    flight.world.on_pose = lambda pose: poses.append((flight.clock.now(), pose))
     flight.clock.wait_until(flight.clock.now() + 8.0)
-    c = Cameras()
+    c = CameraQuality()
     seen = len(poses) / 8.0
     hidden = c.dropouts * (c.dropout_length + 0.5 / c.rate)
     assert seen == pytest.approx(c.rate * (1.0 - hidden), abs=3.0)  # 4 dropouts of 30 ms, give or take 3
@@ -337,7 +339,7 @@ def test_cameras_see_with_their_noise_rate_and_latency():
 
 
 def test_the_newest_pose_is_the_one_taken_last():
-    view = MarkerView(Cameras(), np.random.default_rng(0))
+    view = SimulatedMotionCapture(CameraQuality(), np.random.default_rng(0))
     for time in (0.02, 0.01):
         view.arrive(Pose(time, np.full(3, time)))
     assert view.latest().time == 0.02
@@ -355,7 +357,7 @@ def test_a_flight_repeats_bit_for_bit_under_its_seed():
 
 
 def test_hidden_gaps_are_felt():
-    nominal, hidden = (airborne(0.6, vehicle=vehicle_named(name)) for name in ("nominal", "hidden"))
+    nominal, hidden = (airborne(0.6, vehicle=named_vehicle(name)) for name in ("nominal", "hidden"))
     assert hidden.world.body.state[Z] < 0.5 * nominal.world.body.state[Z]
     assert set(HIDDEN) == {"thrust_scale", "level_calibration", "thrust_delay", "attitude_delay"}
 
@@ -375,13 +377,13 @@ def test_voltage_falls_under_load_and_with_time():
 @functools.cache
 def fault_flight(name):
     """A second of flight, and one with the fault."""
-    flight = connected(faults=[f"{name}@air+0.5"], cameras=Cameras(dropouts=0.0))
+    flight = connected(faults=[f"{name}@air+0.5"], cameras=CameraQuality(dropouts=0.0))
     lost = []
     flight.crazyflie.connection_lost.add_callback(lambda uri, why: lost.append((flight.clock.now(), why)))
     rows = logged(flight, 10, "stateEstimate.roll", "stateEstimate.pitch", "pm.vbat")
     fly(flight, 0.1, (0, 0, 0, 0))
     poses = []
-    flight.world.shown = lambda pose: poses.append(
+    flight.world.on_pose = lambda pose: poses.append(
         (flight.clock.now(), pose, flight.world.body.state[:3].copy())
     )
     fly(flight, 1.8, (0, 5, 0, 36000))
@@ -496,7 +498,7 @@ def test_the_process_answers_packets_and_streams_poses():
     receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     receiver.bind(("127.0.0.1", 0))
     lines: list[str] = []
-    process = Process(World(Setting(), 3), 0, receiver.getsockname(), lines.append)
+    process = SimulatorServer(World(Setting(), 3), 0, receiver.getsockname(), lines.append)
     thread = threading.Thread(target=process.run, args=(1.5,))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as pilot:
         pilot.settimeout(2.0)
@@ -512,7 +514,7 @@ def test_the_process_answers_packets_and_streams_poses():
         pilot.send(b"x" * 2000)
         thread.join()
     with pytest.raises(UserError):
-        Process(World(Setting(), 3), process.port, ("127.0.0.1", 9), lines.append)
+        SimulatorServer(World(Setting(), 3), process.port, ("127.0.0.1", 9), lines.append)
     process.close()
     poses = [pose_stream.decode(receiver.recv(1024), 10.0) for _ in range(50)]
     receiver.close()

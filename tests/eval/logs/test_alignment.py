@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.eval.logs.alignment import commands, pose
+from inclined_landing.eval.logs.alignment import align_commands, align_pose
 from inclined_landing.models.attitude import rotations
 from inclined_landing.models.errors import UserError
 
@@ -47,11 +47,11 @@ def flight(seed: int, late: float = 0.0, above: float = 0.0, noise: float = 0.0)
 
 @pytest.mark.parametrize(("late", "above"), [(0.0, 0.0), (0.012, 0.0), (-0.008, 0.025), (0.0, -0.03)])
 def test_late_attitude_and_the_height_of_the_tracked_point(late, above):
-    found = pose(flight(1, late, above, noise=1e-4))
+    found = align_pose(flight(1, late, above, noise=1e-4))
     # The speed of the tracked point is taken for that of the mass: 1 ms at 25 mm and this drag.
-    assert found.late.value == pytest.approx(late, abs=0.0025)
-    assert found.above.value == pytest.approx(above, abs=0.0015)
-    assert found.late.half < 0.002 and found.above.half < 0.002
+    assert found.delay.value == pytest.approx(late, abs=0.0025)
+    assert found.height.value == pytest.approx(above, abs=0.0015)
+    assert found.delay.half_width < 0.002 and found.height.half_width < 0.002
 
 
 def test_commands_late_in_one_flight_of_four():
@@ -61,16 +61,16 @@ def test_commands_late_in_one_flight_of_four():
     for k in (1, 2):
         shifted[:, k] = np.interp(log.t - 0.02, log.t, log.command[:, k])
     logs[2] = dataclasses.replace(log, command=shifted)
-    late = [estimate.value for estimate in commands(logs)]
+    late = [estimate.value for estimate in align_commands(logs)]
     np.testing.assert_allclose(late, [-0.005, -0.005, 0.015, -0.005], atol=0.001)
 
 
 def test_too_little_flight_is_said():
     with pytest.raises(UserError, match="of flight"):
-        pose(flight(0).between(0.0, 5.0))
+        align_pose(flight(0).between(0.0, 5.0))
     with pytest.raises(UserError, match="at least two"):
-        commands([flight(0)])
+        align_commands([flight(0)])
     log = flight(0)
     blind = dataclasses.replace(log, attitude=np.full_like(log.attitude, np.nan))
     with pytest.raises(UserError, match="not logged"):
-        pose(blind)
+        align_pose(blind)

@@ -11,7 +11,7 @@ from inclined_landing.envs.mission import fly_missions
 from inclined_landing.eval import cli
 from inclined_landing.eval.mission.command import HandOver, make_plan
 from inclined_landing.eval.pictures import frames
-from inclined_landing.eval.pictures.labels import ended
+from inclined_landing.eval.pictures.labels import outcome_label
 
 
 def test_missions_are_counted_and_drawn(tmp_path, capsys):
@@ -47,9 +47,11 @@ def test_labels_name_the_leg_and_the_end():
     plan = make_plan(("setpoint", "landing", "touchdown"), HandOver(), None, None)
     mission = fly_missions(plan, [-1.0, 0.0, 1.8])[0]
     last = len(mission.t) - 1
-    begun = [frames.said(mission, k)[0][0] for k in (0, np.argmax(mission.leg == 3), last)]
+    begun = [frames.labels_of(mission, k)[0][0] for k in (0, np.argmax(mission.leg == 3), last)]
     assert begun == ["landing: policy landing", *["touchdown: policy touchdown"] * 2]
-    assert len(frames.said(mission, 0)) == 1 and frames.said(mission, last)[1] == ended(mission.words, True)
+    assert len(frames.labels_of(mission, 0)) == 1 and frames.labels_of(mission, last)[1] == outcome_label(
+        mission.summary, True
+    )
     assert len(mission.goals) == 2 and mission.goals[0][2] == 1.8
 
 

@@ -16,14 +16,14 @@ from stable_baselines3 import PPO
 
 from inclined_landing.envs import policy
 from inclined_landing.envs.flights import Flight
-from inclined_landing.envs.rendering.stamp import StampMaker
+from inclined_landing.envs.rendering.sprite import SpriteRenderer
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import Conditions
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.options import Flown
 from inclined_landing.eval.base.style import STAMP_DPI
 from inclined_landing.eval.machine.plain_env import PlainLandingEnv
-from inclined_landing.eval.pictures import flown, video
+from inclined_landing.eval.pictures import video
 from inclined_landing.eval.pictures.figures import (
     comparison_curves,
     curriculum_figure,
@@ -31,8 +31,9 @@ from inclined_landing.eval.pictures.figures import (
     save_figure,
     trajectory_figure,
 )
-from inclined_landing.eval.pictures.figures.curves import band
+from inclined_landing.eval.pictures.figures.curves import median_and_range
 from inclined_landing.eval.pictures.figures.scene import platform_outline
+from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import render_flight
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -162,7 +163,7 @@ def test_flight_at_rest_has_a_figure():
 def test_stamp_tilts_as_the_vehicle_does():
     """Positive pitch lowers the nose (+x, right); positive roll lowers the right wing (-y, left)."""
     for across, attitude in ((0, (0.0, 0.4, 0.0)), (1, (-0.4, 0.0, 0.0))):
-        maker = StampMaker(pixels=96, across=across)
+        maker = SpriteRenderer(pixels=96, across=across)
         cover = maker(attitude).rgba[:, :, 3] / 255.0
         level = maker((0, 0, 0)).rgba[:, :, 3] / 255.0
         rows = np.arange(96)[:, None]
@@ -174,7 +175,7 @@ def test_stamp_tilts_as_the_vehicle_does():
 
 def test_stamp_is_the_vehicle_s_size():
     """Front and rear motors are 65 mm apart: at scale 3 the feet are, too."""
-    maker = StampMaker(pixels=400)
+    maker = SpriteRenderer(pixels=400)
     stamp = maker((0, 0, 0))
     feet = np.flatnonzero(stamp.rgba[:, :, 3].any(axis=1))[-3]
     columns = np.flatnonzero(stamp.rgba[feet, :, 3] > 128)
@@ -271,7 +272,7 @@ def test_seeds_have_median_and_range(tmp_path):
 
 
 def test_band_covers_common_steps_only():
-    x, middle_, low, high = band(
+    x, middle_, low, high = median_and_range(
         [(np.array([0.0, 2, 4]), np.array([0.0, 2, 4])), (np.array([1.0, 3]), np.ones(2))]
     )
     np.testing.assert_array_equal(x, [1, 2, 3])
@@ -452,7 +453,7 @@ def test_video_command_flies_all_starts(hover_policy, tmp_path):
 
 
 def test_slow_video_has_every_sample_once(hover_policy):
-    flights = flown.fly(Flown().load(hover_policy), [(1.5, 1.8)], "analytic", steps=10)
+    flights = fly_from(Flown().load(hover_policy), [(1.5, 1.8)], "analytic", steps=10)
     look = {"camera": "side", "width": 64, "height": 48, "backend": "ray"}
     frames, total, rate = video.film(flights, 50.0, 2.0, **look)
     frames = list(frames)

@@ -9,9 +9,9 @@ from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.pictures import video
-from inclined_landing.eval.pictures.flown import fly
-from inclined_landing.eval.pictures.touch import LEAD, STEP, watch
-from inclined_landing.eval.pictures.touch_video import caption_of, render_touchdowns
+from inclined_landing.eval.pictures.flights import fly_from
+from inclined_landing.eval.pictures.touchdown import LEAD, STEP, record_touchdown
+from inclined_landing.eval.pictures.touchdown_video import caption, render_touchdowns
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH
 from inclined_landing.models.errors import UserError
@@ -23,7 +23,7 @@ WEIGHT = V.body_mass * V.environment_gravity
 
 def flown(name) -> Flight:
     policy = load_policy(name)
-    return fly(policy, policy.task.film_starts[:1], "mujoco")[0]
+    return fly_from(policy, policy.task.film_starts[:1], "mujoco")[0]
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def flight():
 
 @pytest.fixture(scope="module")
 def touchdown(flight):
-    return watch(flight)
+    return record_touchdown(flight)
 
 
 def test_the_flight_is_flown_again_bit_for_bit(flight, touchdown):
@@ -47,7 +47,7 @@ def test_the_flight_is_flown_again_bit_for_bit(flight, touchdown):
 
 
 def test_forces_begin_with_the_touch_and_end_with_the_weight(touchdown):
-    net = touchdown.net
+    net = touchdown.net_forces
     before = round(LEAD / STEP)
     assert not net[:before].any() and net[before, 0] > 0
     alpha = abs(touchdown.deck[0, PITCH])
@@ -59,20 +59,20 @@ def test_forces_begin_with_the_touch_and_end_with_the_weight(touchdown):
     [normal] = surface.normals(touchdown.deck[:1])
     points = np.concatenate(touchdown.points) - [0, 0, V.platform_surface_height]
     assert np.abs(points @ normal).max() < 0.005
-    assert touchdown.strongest < net[:, 0].max()
+    assert touchdown.largest_force < net[:, 0].max()
 
 
 def test_motors_of_a_landing_are_cut_in_the_goal_box():
-    landing = watch(flown("landing"))
-    assert not landing.commands[len(landing.t) // 2 :].any() and landing.net[:, 0].max() > 2 * WEIGHT
+    landing = record_touchdown(flown("landing"))
+    assert not landing.commands[len(landing.t) // 2 :].any() and landing.net_forces[:, 0].max() > 2 * WEIGHT
 
 
 def test_a_flight_that_touches_nothing_is_a_sentence(flight):
     hover = dataclasses.replace(flight, t=flight.t[:6], state=flight.state[:6], commands=flight.commands[:6])
     with pytest.raises(UserError, match=r"nothing touches in the flight from x 1\.5, z 1\.8 m"):
-        watch(hover)
+        record_touchdown(hover)
     with pytest.raises(UserError, match="no platform"):
-        watch(dataclasses.replace(flight, inclination=None))
+        record_touchdown(dataclasses.replace(flight, inclination=None))
 
 
 def test_arrows_and_gauge_are_drawn(touchdown):
@@ -87,8 +87,8 @@ def test_arrows_and_gauge_are_drawn(touchdown):
     forces = [len(touchdown.forces[k]) for k in range(0, len(touchdown.t), 4)]
     free = max(red(frame) for (frame, _), k in zip(frames, forces) if k == 0)  # one of its lights is red
     assert free < 3 and red(frames[-1][0]) > 8
-    k = int(touchdown.net[:, 0].argmax())
-    assert caption_of(touchdown, k).startswith(f"t {touchdown.t[k]:5.3f} s   normal force")
+    k = int(touchdown.net_forces[:, 0].argmax())
+    assert caption(touchdown, k).startswith(f"t {touchdown.t[k]:5.3f} s   normal force")
 
 
 def test_the_command_films_every_engine_step(tmp_path, monkeypatch):

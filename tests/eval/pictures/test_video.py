@@ -11,11 +11,11 @@ from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.pictures.flown import fly
-from inclined_landing.eval.pictures.frames import caption_of, render_flight, said, strobe, write_video
-from inclined_landing.eval.pictures.labels import draw_labels, tempo
+from inclined_landing.eval.pictures.flights import fly_from
+from inclined_landing.eval.pictures.frames import caption, labels_of, render_flight, strobe, write_video
+from inclined_landing.eval.pictures.labels import draw_labels, speed_label
 from inclined_landing.eval.pictures.to_rest import to_rest
-from inclined_landing.eval.pictures.video import film_beside
+from inclined_landing.eval.pictures.video import film_side_by_side
 from inclined_landing.eval.policies.motors_cut import cut_motors
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants.recorder import still
@@ -43,7 +43,9 @@ def test_frames_follow_the_clock():
 
 def test_flights_beside_each_other_wait_for_the_longest():
     takes = [(flight(0.2), flight(0.4), flight(0.1))]
-    frames, total, rate = film_beside(takes, ("a", "b", "c"), 50.0, 2.0, width=242, height=160, backend="ray")
+    frames, total, rate = film_side_by_side(
+        takes, ("a", "b", "c"), 50.0, 2.0, width=242, height=160, backend="ray"
+    )
     frames = list(frames)
     assert len(frames) == total == 21 + 25 and rate == 25.0  # a second of rest, shown at half the speed
     assert all(frame.shape == (160, 240, 3) for frame in frames)
@@ -85,7 +87,7 @@ def test_strobe_draws_copies_along_the_way():
 
 
 def test_caption_names_time_place_attitude_and_command():
-    assert caption_of(flight(), 5) == ("t 0.10 s   x +0.90  z 1.80 m   pitch  +17.2 deg   PWM  42000")
+    assert caption(flight(), 5) == ("t 0.10 s   x +0.90  z 1.80 m   pitch  +17.2 deg   PWM  42000")
 
 
 def test_wrong_videos_are_sentences(tmp_path):
@@ -99,7 +101,7 @@ def test_wrong_videos_are_sentences(tmp_path):
 def landed():
     """The shipped policy's first film start, and the flight with what followed the motor cut."""
     policy = load_policy("landing")
-    flight = fly(policy, policy.task.film_starts[:1], "mujoco")[0]
+    flight = fly_from(policy, policy.task.film_starts[:1], "mujoco")[0]
     return flight, to_rest(flight)
 
 
@@ -144,11 +146,15 @@ def test_only_landings_go_on():
 
 def test_labels_say_speed_and_state(landed):
     flight, whole = landed
-    assert [said(whole, k) for k in (0, whole.cut - 1)] == [[], []]
-    assert said(whole, whole.cut)[0][0] == "motors cut"
-    assert said(whole, whole.settled)[0][0] == said(whole, len(whole.t) - 1)[0][0] == "at rest on its feet"
-    assert said(flight, len(flight.t) - 1)[0][0].startswith("goal box after")
-    assert [tempo(slow) for slow in (1.0, 16.0, 1.5, 0.5)] == [
+    assert [labels_of(whole, k) for k in (0, whole.cut - 1)] == [[], []]
+    assert labels_of(whole, whole.cut)[0][0] == "motors cut"
+    assert (
+        labels_of(whole, whole.settled)[0][0]
+        == labels_of(whole, len(whole.t) - 1)[0][0]
+        == "at rest on its feet"
+    )
+    assert labels_of(flight, len(flight.t) - 1)[0][0].startswith("goal box after")
+    assert [speed_label(slow) for slow in (1.0, 16.0, 1.5, 0.5)] == [
         [],
         [("16x slower", None)],
         [("1.5x slower", None)],

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from inclined_landing.envs.policy import SHIPPED, load_policy, locate, trained_for
+from inclined_landing.envs.policy import SHIPPED, load_policy, locate, trained_task
 from inclined_landing.eval.moving import controllers
 from inclined_landing.eval.moving.controllers import vehicle_flown
 from inclined_landing.eval.moving.flying import fly
@@ -15,7 +15,7 @@ from inclined_landing.eval.policies.success import evaluate
 
 FIRST_SEED = {"landing": 0, "setpoint": 0, "touchdown": 10}
 MOVING = [name for name in SHIPPED if name.endswith("-moving")]
-LANDING = [name for name in SHIPPED if trained_for(name) == "landing" and name not in MOVING]
+LANDING = [name for name in SHIPPED if trained_task(name) == "landing" and name not in MOVING]
 
 
 @pytest.mark.parametrize("name", SHIPPED)

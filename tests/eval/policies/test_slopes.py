@@ -49,7 +49,7 @@ def test_each_policy_stands_under_its_own_name(tmp_path, capsys):
 @pytest.mark.parametrize("name", NAMES)
 def test_contract_says_where_things_are_seen_from(name):
     policy = load_policy(name)
-    said = contract.of(policy, Network.of(policy))
+    said = contract.describe(policy, Network.from_policy(policy))
     assert said["task"]["inclination"] is None and "azimuth" in said["frames"]["surface"]
     assert {row["frame"] for row in said["observation"]} == {"surface"}
     assert all(row["unit"] for row in said["observation"])

@@ -78,7 +78,8 @@ def test_the_frozen_grid_is_what_its_rule_makes():
     task = make_task("landing")
     made = landing_starts.make_grid(task)
     file = resources.files("inclined_landing.envs") / "shipped" / "landing_grid.csv"
-    assert file.read_text("utf-8") == landing_starts.grid_text(made)
+    lines = [line for line in file.read_text("utf-8").splitlines() if not line.startswith("#")]
+    assert lines == [f"{x:.2f},{z:.2f}" for x, z in made]
     np.testing.assert_array_equal(landing_starts.grid(), made)
 
 

@@ -12,9 +12,9 @@ from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.eval.replay.measured import of_log
+from inclined_landing.eval.replay.measured import from_log
 from inclined_landing.eval.replay.page import write
-from inclined_landing.eval.replay.recording import of_flight
+from inclined_landing.eval.replay.recording import from_flight
 from inclined_landing.models.attitude import ROLL
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -46,9 +46,9 @@ def file(tmp_path_factory):
     flight = record_flights(policy, "mujoco", policy.task.states_at([(1.5, 1.8)]))[0]
     t, state = flight.t, flight.state
     log = FlightLog(HOSTILE, t, state[:, :3], state[:, ROLL : ROLL + 3], flight.commands)
-    measured, notes = of_log(log, policy.task.vehicle, platform=True, anew=0.5, plant="mujoco")
+    measured, notes = from_log(log, policy.task.vehicle, platform=True, horizon=0.5, plant="mujoco")
     path = tmp_path_factory.mktemp("replay") / "page.html"
-    recordings = [of_flight(flight, "landing", "mujoco"), *measured]
+    recordings = [from_flight(flight, "landing", "mujoco"), *measured]
     text = write(recordings, title=HOSTILE, notes=notes, run="a test", versions=runs.packages())
     path.write_text(text, "utf-8")
     return path

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inclined_landing.envs.flights import record_flights, refly
+from inclined_landing.envs.flights import record_flights, resimulate
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.logs import FlightLog, write_log
 from inclined_landing.eval.pictures.to_rest import to_rest
-from inclined_landing.eval.replay.measured import of_log
-from inclined_landing.eval.replay.recording import of_flight
+from inclined_landing.eval.replay.measured import from_log
+from inclined_landing.eval.replay.recording import from_flight
 from inclined_landing.eval.replay.scene import scene
 from inclined_landing.models.attitude import ROLL, VX
 from inclined_landing.models.effects import LIBRARY
@@ -53,7 +53,7 @@ def log_of(flight, name="flight", noise=0.0, rate=100.0):
 @pytest.mark.parametrize("name, point", [("touchdown", (0.9, 1.7)), ("setpoint", (0.6, 0.3, 1.0))])
 def test_commands_flown_again_give_the_same_states(name, point):
     flight = flown(name, point)
-    steps = refly(flight)
+    steps = resimulate(flight)
     stride = round((flight.t[1] - flight.t[0]) / (steps.t[1] - steps.t[0]))
     np.testing.assert_array_equal(steps.state[::stride], flight.state)
     np.testing.assert_array_equal(steps.commands[:-1:stride], flight.commands[:-1])
@@ -62,18 +62,18 @@ def test_commands_flown_again_give_the_same_states(name, point):
 def test_delays_are_flown_again_too():
     late = LIBRARY["thrust_delay"].apply(V, {"delay": 0.013})
     flight = flown("setpoint", (0.6, 0.3, 1.0), late)
-    np.testing.assert_array_equal(refly(flight).state[::5], flight.state)
+    np.testing.assert_array_equal(resimulate(flight).state[::5], flight.state)
 
 
 def test_a_landing_is_followed_to_rest(landing):
     """At the end the slope carries the weight: the forces sum to it within the trembling of 0.02 m/s, 5 %."""
-    steps = refly(to_rest(landing))
+    steps = resimulate(to_rest(landing))
     assert steps.t[-1] > landing.duration + 0.3
     assert still(steps.state, steps.deck)[-1] and not steps.commands[-1].any()
     weight = V.body_mass * V.environment_gravity
     net = np.mean([force.sum(axis=0) for force in steps.forces[-20:]], axis=0)
     np.testing.assert_allclose(net, [0, 0, weight], atol=0.05 * weight)
-    recording = of_flight(landing, "x", "mujoco")
+    recording = from_flight(landing, "x", "mujoco")
     np.testing.assert_array_equal(recording.t, steps.t)
     times = dict((name, t) for t, name in recording.events)
     assert times["goal box"] == landing.duration < times["first touch"] < times["at rest"] < steps.t[-1]
@@ -83,20 +83,20 @@ def test_a_landing_is_followed_to_rest(landing):
 def test_other_plants_are_shown_as_they_flew():
     policy = load_policy("landing")
     flight = record_flights(policy, "analytic", policy.task.states_at([(0.9, 1.7)]))[0]
-    recording = of_flight(flight, "x", "analytic")
+    recording = from_flight(flight, "x", "analytic")
     np.testing.assert_array_equal(recording.position[: len(flight.t)], flight.state[:, :3])
     assert recording.forces is None
 
 
 def test_thinning_keeps_ends_and_parts(landing):
-    whole = of_flight(landing, "x", "mujoco")
-    parts = dataclasses.replace(whole, anew=np.array([101, 303]))
-    thin = parts.thinned(50)
+    whole = from_flight(landing, "x", "mujoco")
+    parts = dataclasses.replace(whole, restarts=np.array([101, 303]))
+    thin = parts.downsampled(50)
     assert 50 <= len(thin.t) <= 60 and thin.t[0] == whole.t[0] and thin.t[-1] == whole.t[-1]
-    np.testing.assert_array_equal(thin.t[thin.anew], whole.t[[101, 303]])
-    np.testing.assert_array_equal(thin.t[thin.anew - 1], whole.t[[100, 302]])
+    np.testing.assert_array_equal(thin.t[thin.restarts], whole.t[[101, 303]])
+    np.testing.assert_array_equal(thin.t[thin.restarts - 1], whole.t[[100, 302]])
     assert len(thin.forces) == len(thin.points) == len(thin.t)
-    assert whole.thinned(10**6) is whole
+    assert whole.downsampled(10**6) is whole
 
 
 # --- a log and its simulation --------------------------------------------------------------------------
@@ -109,11 +109,12 @@ def test_the_model_follows_its_own_flight_and_not_that_of_another():
     log = log_of(flight)
     apart = {}
     for name, vehicle in (("own", V), ("weak", LIBRARY["thrust_scale"].apply(V, {"scale": 0.9}))):
-        (measured, simulated), _ = of_log(log, vehicle, platform=False, anew=0.5, plant="mujoco")
+        (measured, simulated), _ = from_log(log, vehicle, platform=False, horizon=0.5, plant="mujoco")
         reached = np.stack([np.interp(simulated.t, measured.t, c) for c in measured.position.T], axis=1)
-        ends = simulated.anew - 1
+        ends = simulated.restarts - 1
         apart[name] = np.linalg.norm(simulated.position - reached, axis=1)[ends]
-        np.testing.assert_allclose(simulated.position[simulated.anew], reached[simulated.anew], atol=0.02)
+        begins = simulated.restarts
+        np.testing.assert_allclose(simulated.position[begins], reached[begins], atol=0.02)
     assert simulated.t[-1] == measured.t[-1] and np.all(np.diff(simulated.t) >= 0)
     assert np.median(apart["own"]) < 0.01
     assert 0.08 < np.median(apart["weak"]) < 0.16
@@ -131,14 +132,14 @@ def test_what_stands_on_the_ground_is_not_simulated():
         attitude=np.concatenate([0.0 * level, flight.attitude]),
         command=np.concatenate([np.zeros((len(stand), 4)), flight.command]),
     )
-    (_, simulated), _ = of_log(log, V, platform=False, anew=1.0, plant="mujoco")
+    (_, simulated), _ = from_log(log, V, platform=False, horizon=1.0, plant="mujoco")
     assert simulated.t[0] >= 2.0 and simulated.t[-1] > 7.5
     assert np.abs(simulated.position).max() < 1.5
 
 
 def test_a_log_too_short_to_simulate_is_shown_and_said(landing):
     log = log_of(landing)
-    found, notes = of_log(log.rows(slice(0, 40)), V, platform=True, anew=1.0, plant="mujoco")
+    found, notes = from_log(log.rows(slice(0, 40)), V, platform=True, horizon=1.0, plant="mujoco")
     assert [recording.kind for recording in found] == ["measured"]
     assert any("no simulation of flight" in note for note in notes)
     assert found[0].inclination == V.platform_inclination
@@ -182,7 +183,7 @@ def test_a_page_of_a_policy_and_a_log_with_a_hostile_name(tmp_path, landing, cap
     assert [flight["kind"] for flight in flights] == ["flown", "measured", "simulated"]
     assert flights[1]["name"] == name.removesuffix(".csv")
     position = np.frombuffer(base64.b64decode(flights[0]["position"]), "<f4").reshape(-1, 3)
-    np.testing.assert_allclose(position, refly(steps).state[:, :3], atol=1e-6)
+    np.testing.assert_allclose(position, resimulate(steps).state[:, :3], atol=1e-6)
     velocity = np.frombuffer(base64.b64decode(flights[0]["velocity"]), "<f4").reshape(-1, 3)
     np.testing.assert_allclose(velocity[-1], steps.state[-1, VX : VX + 3], atol=1e-6)
     assert "simulated anew every 1 s" in capsys.readouterr().err

@@ -81,7 +81,7 @@ def fly_once(
     def say(line: str) -> None:
         if line.startswith("hand-over"):
             for fault in in_landing:
-                world.at(world.time + fault.after, lambda f=fault: world.begin(f))
+                world.schedule(world.time + fault.after, lambda f=fault: world.begin(f))
 
     radio = Radio(flight.crazyflie, flight.clock, plan.landing.task.vehicle.command_angle_limit)
     try:
@@ -100,7 +100,7 @@ def fly_once(
     finally:
         radio.close()
     world.advance(world.time + AFTER)
-    return Flown(seed, report, truth_of(world.trace, plan), tuple(world.begun))
+    return Flown(seed, report, truth_of(world.trace, plan), tuple(world.begun_faults))
 
 
 def truth_of(trace: Trace, plan: Plan) -> Truth:

@@ -57,7 +57,7 @@ def command(
             records = trouble.fly_cases(*first, flights, seed, done)
         else:
             records = [row.record() for row in table.fly_table(loaded, settings, flights, seed, done)]
-    tables.printer().print(trouble.shown(records) if faults else table.shown(records))
+    tables.printer().print(trouble.on_pose(records) if faults else table.on_pose(records))
     if out is not None:
         with runs.staged_run(out) as folder:
             kind = "faults" if faults else "starts"

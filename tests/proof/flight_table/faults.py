@@ -15,7 +15,7 @@ from inclined_landing.eval.flying.interfaces import Clock
 from inclined_landing.eval.flying.pilot import Pilot, Plan
 from inclined_landing.eval.flying.simulated import firmware
 from inclined_landing.eval.flying.simulated.crazyflie import SimulatedFlight
-from inclined_landing.eval.flying.simulated.faults import FAULTS, SWITCHED, Fault
+from inclined_landing.eval.flying.simulated.faults import DEAD_MAN_DELAY, FAULTS, Fault
 from inclined_landing.eval.flying.simulated.world import Setting
 from tests.proof.flight_table.chain import Flown, fly_once
 from tests.proof.flight_table.table import Loaded, flight_record
@@ -52,7 +52,7 @@ WITHIN = 0.0
 CASES = (
     _of(
         "pilot-killed",
-        SWITCHED + firmware.PERIOD + REACTION,
+        DEAD_MAN_DELAY + firmware.PERIOD + REACTION,
         WITHIN,
         "a process outlives it, and sends a stop",
     ),
@@ -92,7 +92,7 @@ def fly_case(case: Case, plan: Plan, setting: Setting, seed: int) -> Flown:
     def prepare(flight: SimulatedFlight, pilot: Pilot) -> None:
         clocks.append(flight.clock)
         if case.name == "interrupt":
-            flight.world.at(flight.world.time + 2.0 + after, interrupt)
+            flight.world.schedule(flight.world.time + 2.0 + after, interrupt)
 
     def interrupt() -> None:
         """As a signal would, out of whatever the pilot waits in."""
@@ -171,7 +171,7 @@ def is_safe(case: Case, flown: Flown) -> bool:
     return bool(late <= case.limit and flown.truth.rests and flown.truth.outside <= case.outside)
 
 
-def shown(records: list[dict]):
+def on_pose(records: list[dict]):
     """The table for the terminal."""
     table = tables.new_table(
         "Faults, one at a time",

@@ -12,9 +12,9 @@ import numpy as np
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.eval.base import statistics, tables
-from inclined_landing.eval.flying.fly import load
+from inclined_landing.eval.flying.fly import load_policies
 from inclined_landing.eval.flying.pilot import Plan
-from inclined_landing.eval.flying.simulated.gaps import vehicle_named
+from inclined_landing.eval.flying.simulated.vehicles import named_vehicle
 from inclined_landing.eval.flying.simulated.world import Setting
 from inclined_landing.models.errors import UserError
 from tests.proof.flight_table.chain import Flown, fly_once
@@ -87,8 +87,8 @@ def read(policies: Sequence[str], vehicles: Sequence[str]) -> tuple[dict[str, Lo
     """Policies with what flies them to their starts, and vehicles. Raises UserError where one is none."""
     if not policies or not vehicles:
         raise UserError("name at least one policy and one vehicle")
-    settings = {name: Setting(vehicle_named(name)) for name in vehicles}
-    return {name: load(name, "setpoint", (), None, None) for name in policies}, settings
+    settings = {name: Setting(named_vehicle(name)) for name in vehicles}
+    return {name: load_policies(name, "setpoint", (), None, None) for name in policies}, settings
 
 
 def fly_table(
@@ -112,7 +112,7 @@ def fly_table(
     return rows
 
 
-def shown(records: Sequence[dict]):
+def on_pose(records: Sequence[dict]):
     """The table for the terminal, the paper's row first."""
     share = tables.share_cell
     table = tables.new_table(

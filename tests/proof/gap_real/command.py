@@ -157,7 +157,7 @@ def _attitude(folder: Path, nominal: Vehicle) -> Part:
 
 def _streams(name: str, pattern: str, folder: Path, nominal: Vehicle) -> Part:
     logs = flights(folder, pattern)
-    poses, late = [alignment.pose(log) for log in logs], alignment.commands(logs)
+    poses, late = [alignment.align_pose(log) for log in logs], alignment.align_commands(logs)
     plain: dict[str, object] = {
         log.name: {"pose": dataclasses.asdict(p), "commands": dataclasses.asdict(c)}
         for log, p, c in zip(logs, poses, late)

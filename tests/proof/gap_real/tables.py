@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pandas as pd
 
 from inclined_landing.eval.gap.result import Diagnosis, PlantGap
-from inclined_landing.eval.logs.alignment import Estimate, Pose
+from inclined_landing.eval.logs.alignment import Estimate, PoseAlignment
 from inclined_landing.models.parameters import Vehicle
 from tests.proof.gap_real.attitude import Lean, Loop, Tilt
 from tests.proof.gap_real.halves import Fleet, Stability
@@ -139,12 +139,15 @@ def lags(found: Sequence[Lag], vehicle: Vehicle) -> str:
     return "\n".join([*lines, ""])
 
 
-def streams(title: str, names: Sequence[str], poses: Sequence[Pose], late: Sequence[Estimate]) -> str:
+def streams(
+    title: str, names: Sequence[str], poses: Sequence[PoseAlignment], late: Sequence[Estimate]
+) -> str:
     """How the streams of each flight agree in time, and where the tracked point is."""
     lines = [f"## {title}", "", "| flight | attitude late ms | commands late ms | tracked point above mm |"]
     lines += ["|---|---|---|---|"]
     for name, pose, commands in zip(names, poses, late):
-        cells = [f"{1e3 * x.value:.0f} ± {1e3 * x.half:.0f}" for x in (pose.late, commands, pose.above)]
+        estimates = (pose.delay, commands, pose.height)
+        cells = [f"{1e3 * x.value:.0f} ± {1e3 * x.half_width:.0f}" for x in estimates]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join([*lines, ""])
 

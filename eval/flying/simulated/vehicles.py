@@ -7,7 +7,7 @@ import math
 from inclined_landing.models.effects import apply
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
-# What the default hidden vehicle has and no policy was told: the thrust of the paper's flights, an attitude
+# Gaps of the hidden vehicle, unknown to every policy: the thrust of the paper's flights, an attitude
 # estimate levelled on a table that was not, and what a radio and firmware queues add in delay.
 HIDDEN = {
     "thrust_scale": {"scale": 0.88},
@@ -17,8 +17,8 @@ HIDDEN = {
 }
 
 
-def vehicle_named(name: str) -> Vehicle:
-    """ "nominal", "hidden" (HIDDEN on the nominal one), or the path of a vehicle file.
+def named_vehicle(name: str) -> Vehicle:
+    """Return the vehicle "nominal", "hidden" (HIDDEN applied to the nominal one), or that of a vehicle file.
 
     Raises UserError for a file that cannot be read.
     """

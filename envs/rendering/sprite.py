@@ -8,8 +8,7 @@ import numpy as np
 
 from inclined_landing.envs.rendering import scenery
 from inclined_landing.envs.rendering.camera import look_at
-from inclined_landing.envs.rendering.ghost import Ghost
-from inclined_landing.envs.rendering.pose import Pose, qpos_of_state
+from inclined_landing.envs.rendering.pose import Ghost, Pose, qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
 from inclined_landing.models.attitude import STATE_SIZE
 from inclined_landing.models.errors import UserError
@@ -20,15 +19,15 @@ _NOWHERE = np.array([0.0, 0.0, -100.0])
 
 
 @dataclasses.dataclass(frozen=True)
-class Stamp:
-    """rgba (k, k, 4) uint8 and half its side [m]; the centre of mass is in the middle."""
+class Sprite:
+    """Cut-out picture rgba (k, k, 4) uint8 and half its side [m]; the centre of mass is in the middle."""
 
     rgba: np.ndarray
     half: float
 
 
-class StampMaker:
-    """Draws vehicles in any attitude, `scale` times their size, orthographic.
+class SpriteRenderer:
+    """Orthographic renderer of vehicles in any attitude, `scale` times their size.
 
     across: 0 shows x to the right and z up (seen from the side), 1 shows y to the right (from the
     front). pixels: side of the stamps. The vehicle is scaled about its centre of mass, so that a stamp in the
@@ -46,31 +45,31 @@ class StampMaker:
         self.vehicle = vehicle or load_vehicle()
         self.scale, self.pixels, self.across = scale, pixels, across
         self._renderer = RayRenderer(self.vehicle, pixels, pixels, "side", scale)
-        self._renderer.stage(
+        self._renderer.set_platform(
             Pose(np.array([*_PLACE, 1.0, 0.0, 0.0, 0.0]), _NOWHERE, np.array([1.0, 0, 0, 0]))
         )
-        self._kept: dict[tuple, Stamp] = {}
+        self._cache: dict[tuple, Sprite] = {}
 
-    def __call__(self, attitude, colour=None, tint: float = 0.85) -> Stamp:
-        """The stamp at attitude (3,): roll, pitch, yaw [rad]; tinted if a colour (3,) in 0..1 is given."""
+    def __call__(self, attitude, colour=None, tint: float = 0.85) -> Sprite:
+        """Return the sprite at attitude (3,): roll, pitch, yaw [rad]; tinted by a colour (3,) in 0..1."""
         attitude = np.asarray(attitude, float)
         if attitude.shape != (3,) or not np.isfinite(attitude).all():
             raise UserError("an attitude is three finite angles: roll, pitch and yaw")
         key = (attitude.tobytes(), None if colour is None else tuple(np.asarray(colour, float)), tint)
-        if key not in self._kept:
-            self._kept[key] = self._draw(attitude, colour, tint)
-        return self._kept[key]
+        if key not in self._cache:
+            self._cache[key] = self._draw(attitude, colour, tint)
+        return self._cache[key]
 
-    def _draw(self, attitude, colour, tint) -> Stamp:
+    def _draw(self, attitude, colour, tint) -> Sprite:
         state = np.zeros(STATE_SIZE)
         state[:3], state[6:9] = _PLACE, attitude
         scene, n = self._renderer._scene, self.pixels
-        centre = scenery.drawn_centres(scene.model, state[None], self.scale)[0]
+        centre = scenery.scaled_centres(scene.model, state[None], self.scale)[0]
         qpos = qpos_of_state(state)
         scene.place(qpos)
         drawn = np.concatenate([scene.parts, scene.discs])
-        away = np.linalg.norm(scene.data.geom_xpos[drawn] - centre, axis=1)
-        half = 1.02 * float((away + scene.model.geom_rbound[drawn]).max())
+        distance = np.linalg.norm(scene.data.geom_xpos[drawn] - centre, axis=1)
+        half = 1.02 * float((distance + scene.model.geom_rbound[drawn]).max())
         aside = np.array([2.0, 0.0, 0.0] if self.across else [0.0, -2.0, 0.0])
         view = look_at(centre + aside, centre, n, n, extent=2.0 * half)
         ghost = None if colour is None else Ghost(qpos, tuple(colour), alpha=1.0, tint=tint)
@@ -79,4 +78,4 @@ class StampMaker:
         picture[:, :, :3] = rgb.sum(axis=0) / cover.sum()  # what resampling mixes in at the edges
         picture[row, column, :3] = rgb / cover[:, None]
         picture[row, column, 3] = cover
-        return Stamp((np.clip(picture, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8), half)
+        return Sprite((np.clip(picture, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8), half)

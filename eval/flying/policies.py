@@ -11,57 +11,57 @@ from inclined_landing.envs.tasks import Moment, Setpoint
 from inclined_landing.models.attitude import ROLL_COMMAND, X, Y, Z
 
 
-class BadAction(Exception):
-    """A policy gave NaN or infinity."""
+class InvalidAction(Exception):
+    """Raised for an action that is NaN or infinite."""
 
     def __init__(self, policy: Policy):
         super().__init__(f"the policy {policy.name} gives NaN or infinity")
         self.policy = policy
 
 
-class Actor:
-    """One policy, with the past that it may be given."""
+class PolicyRunner:
+    """One policy with its observation history."""
 
     def __init__(self, policy: Policy):
         self.policy, self.task = policy, policy.task
         self._past = History(self.task, 1)
         self._begun = False
 
-    def begin(self) -> None:
-        """A new flight: what was before counts no more."""
+    def reset(self) -> None:
+        """Clear the history: a new flight begins."""
         self._begun = False
 
     def act(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Action (a,) in [-1, 1] and command (4,) PWM, rad, rad, rad/s for a state (13,).
+        """Return the action (a,) in [-1, 1] and the command (4,) PWM, rad, rad, rad/s for a state (13,).
 
         Raises BadAction when the action is NaN or infinite.
         """
         observation = self.task.observe(Moment(state[None]))
         if not self._begun:
-            self._past.begin([0], observation)
+            self._past.reset([0], observation)
             self._begun = True
-        action = np.asarray(self.policy.predict(self._past.behind(observation)))
+        action = np.asarray(self.policy.predict(self._past.stack(observation)))
         if not np.isfinite(action).all():
-            raise BadAction(self.policy)
+            raise InvalidAction(self.policy)
         action = np.clip(action, -1.0, 1.0)
-        self._past.note(observation, action)
+        self._past.record(observation, action)
         return action[0], self.task.commands(action)[0]
 
 
-class Hover:
-    """The set-point policy, flying to any point: it is told where it is from its own goal."""
+class SetpointFollower:
+    """The set-point policy flying to any target: it observes its state relative to the task's goal."""
 
     def __init__(self, policy: Policy):
-        self.actor = Actor(policy)
+        self.actor = PolicyRunner(policy)
         self.trim = Trim(1)
         self._task: Setpoint = policy.task  # type: ignore[assignment]
 
-    def fly(self, state: np.ndarray, target: np.ndarray, dt: float) -> np.ndarray:
-        """Command (4,) for a state (13,) towards a target (3,) [m], dt [s] after the last one."""
-        self.trim.learn((target - state[X : Z + 1])[None], dt)
+    def command_towards(self, state: np.ndarray, target: np.ndarray, dt: float) -> np.ndarray:
+        """Return the command (4,) at a state (13,) towards a target (3,) [m], dt [s] after the last one."""
+        self.trim.integrate((target - state[X : Z + 1])[None], dt)
         return self.actor.act(self._task.shifted(state[None], target + self.trim.offset)[0])[1]
 
-    def roll_to(self, state: np.ndarray, y: float) -> float:
-        """Roll command [rad] that holds a planar flight at y [m]: the policy's, all else at its goal."""
+    def roll_command_to_hold(self, state: np.ndarray, y: float) -> float:
+        """Return the policy's roll command [rad] that holds y [m] in a planar flight."""
         shown = self._task.across(state[None], y + self.trim.offset[0, Y])[0]
         return float(self.actor.act(shown)[1][ROLL_COMMAND])

@@ -28,7 +28,7 @@ _STILL = 0.02  # m/s
 _NAMES = {State.FREE_FALL: 'motors stopped (state "free fall")'}
 
 
-class Process:
+class SimulatorServer:
     """Serves one world on a UDP port and streams its poses to an address.
 
     say: called with every line of what happens. Raises UserError where the port is taken.
@@ -47,12 +47,12 @@ class Process:
             self.close()
             raise UserError(f"port {port} cannot be used: {reason(error)}") from error
         self.port = self._radio.getsockname()[1]
-        world.to_host, world.shown = self._send, self._show
-        world.said = self._tell
+        world.on_packet, world.on_pose = self._send, self._show
+        world.on_message = self._tell
         self._mode, self._thrust, self._places = world.firmware.state, 0.0, "on the floor"
 
     def run(self, seconds: float = float("inf")) -> None:
-        """Until that many seconds of real time have passed."""
+        """Run for that many seconds of real time."""
         world, begin = self.world, time.monotonic() - self.world.time
         end = time.monotonic() + seconds
         while (now := time.monotonic()) < end:
@@ -65,7 +65,7 @@ class Process:
             self._watch()
 
     def close(self) -> None:
-        """Give the sockets back."""
+        """Close the sockets."""
         self._radio.close()
         self._poses.close()
 

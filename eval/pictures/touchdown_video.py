@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from PIL import Image, ImageDraw
 
-from inclined_landing.envs.rendering import View, look_at, make_renderer, pose_on
+from inclined_landing.envs.rendering import View, look_at, make_renderer, pose_from_state
 from inclined_landing.envs.rendering.overlay import FORCE, arrow_outline, arrow_width
-from inclined_landing.eval.pictures.labels import draw_labels, font, tempo
-from inclined_landing.eval.pictures.touch import Touchdown
+from inclined_landing.eval.pictures.labels import draw_labels, font, speed_label
+from inclined_landing.eval.pictures.touchdown import Touchdown
 from inclined_landing.models import surface
 
 _LONGEST = 0.10  # m per unit of the vehicle's drawn scale: length of the strongest force's arrow
@@ -23,7 +23,7 @@ _RED = tuple(int(255 * c) for c in FORCE)
 
 
 def render_touchdowns(
-    touchdowns: list[Touchdown],
+    touchdowns: Sequence[Touchdown],
     *,
     every: int = 1,
     slow: float = 1.0,
@@ -32,41 +32,42 @@ def render_touchdowns(
     height: int = 480,
     backend: str = "auto",
 ) -> Iterator[tuple[np.ndarray, bool]]:
-    """Frames (height, width, 3) uint8 of touchdowns one after the other, one for `every` engine steps.
+    """Yield frames (height, width, 3) uint8 of touchdowns in sequence, one for `every` engine steps.
 
     slow: how much slower they will be shown, which is said in the picture.
     camera: one of the scene's, or "touch": fixed, close to the touchdown (rays only). With each frame: is it
     the last of its touchdown. All share one scale of forces.
     """
-    strongest = max(touchdown.strongest for touchdown in touchdowns)
+    largest_force = max(touchdown.largest_force for touchdown in touchdowns)
     for touchdown in touchdowns:
-        look, scale = (_look(touchdown, width, height), 1.0) if camera == "touch" else (camera, None)
+        close = camera == "touch"
+        look, scale = _touchdown_view(touchdown, width, height) if close else camera, 1.0 if close else None
         with make_renderer(width, height, look, backend, vehicle=touchdown.vehicle, scale=scale) as renderer:
-            metres_per_newton = _LONGEST * renderer.scale / strongest
+            metres_per_newton = _LONGEST * renderer.scale / largest_force
             gauge = Gauge(touchdown, renderer, metres_per_newton)
             frames = range(0, len(touchdown.t), every)
             for k in frames:
                 frame = renderer.render(
-                    pose_on(touchdown.state[k], touchdown.deck[k]),
+                    pose_from_state(touchdown.state[k], touchdown.deck[k]),
                     forces=list(zip(touchdown.points[k], metres_per_newton * touchdown.forces[k])),
-                    caption=caption_of(touchdown, k),
+                    caption=caption(touchdown, k),
                 )
                 gauge.draw(frame, k)
-                draw_labels(frame, tempo(slow) + touchdown.said(k))
+                draw_labels(frame, speed_label(slow) + touchdown.labels(k))
                 yield frame, k == frames[-1]
 
 
-def _look(touchdown: Touchdown, width: int, height: int) -> View:
-    """From the side and a little above, at where the vehicle first touches and where it ends."""
+def _touchdown_view(touchdown: Touchdown, width: int, height: int) -> View:
+    """Return a view from the side and slightly above, at the first contact and the final place."""
     first = next(k for k, force in enumerate(touchdown.forces) if len(force))
     middle = 0.5 * (touchdown.state[first, :3] + touchdown.state[-1, :3])
     target = middle + _AIM * surface.normals(touchdown.deck[first : first + 1])[0]
     return look_at(middle + _FROM, target, width, height, fovy=33.0)
 
 
-def caption_of(touchdown: Touchdown, k: int) -> str:
-    """The line under the frame of step k."""
-    normal, tangential = touchdown.net[k]
+def caption(touchdown: Touchdown, k: int) -> str:
+    """Return the caption of the frame of step k."""
+    normal, tangential = touchdown.net_forces[k]
     weights = normal / touchdown.weight
     return (
         f"t {touchdown.t[k]:5.3f} s   normal force {normal:4.2f} N = {weights:3.1f} weights   "
@@ -75,23 +76,25 @@ def caption_of(touchdown: Touchdown, k: int) -> str:
 
 
 class Gauge:
-    """A panel in the upper left corner: net normal force until now, what it is at rest, the arrows' scale."""
+    """A panel in the upper left corner: net normal force over time, its value at rest, the scale of the
+    arrows.
+    """
 
     def __init__(self, touchdown: Touchdown, renderer, metres_per_newton: float):
-        self._t, self._force = touchdown.t, touchdown.net[:, 0]
+        self._t, self._force = touchdown.t, touchdown.net_forces[:, 0]
         unit = _FINE * min(renderer.width / 960, renderer.height / 540)
         self._unit = unit
         self._size = round(300 * unit), round(180 * unit)
         self._at = (round(16 * unit / _FINE),) * 2
         self._top = _nice(float(self._force.max()), up=True)
-        view = renderer.view(pose_on(touchdown.state[-1], touchdown.deck[-1]))
+        view = renderer.view(pose_from_state(touchdown.state[-1], touchdown.deck[-1]))
         depth = view.project(touchdown.state[-1:, :3])[1]
         self._pixels_per_newton = metres_per_newton / float(view.pixel_size(depth)[0])
         self._shaft = arrow_width(renderer.height)
         self._back = self._draw_back(touchdown.weight * surface.normals(touchdown.deck[-1:])[0, 2])
 
     def _point(self, t: float, force: float) -> tuple[float, float]:
-        """Where time [s] and force [N] are in the panel."""
+        """Return the panel coordinates of time [s] and force [N]."""
         w, h = self._size
         u = self._unit
         left, right, top, bottom = 44 * u, w - 14 * u, 58 * u, h - 30 * u
@@ -125,7 +128,7 @@ class Gauge:
         return panel
 
     def draw(self, frame: np.ndarray, k: int) -> None:
-        """Put the panel as it is at step k over frame (h, w, 3) uint8."""
+        """Draw the panel of step k onto frame (h, w, 3) uint8."""
         u = self._unit
         panel = self._back.copy()
         pen = ImageDraw.Draw(panel)
@@ -142,7 +145,7 @@ class Gauge:
 
 
 def _nice(value: float, up: bool) -> float:
-    """The nearest of 1, 2, 5 times a power of ten that is not below, or not above, `value`."""
+    """Return the nearest of 1, 2, 5 times a power of ten that is not below, or not above, `value`."""
     power = 10.0 ** math.floor(math.log10(value))
     steps = [step * power for step in (1.0, 2.0, 5.0, 10.0)]
     return next(step for step in steps if step >= value) if up else max(s for s in steps if s <= value)

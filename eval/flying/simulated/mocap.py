@@ -11,8 +11,10 @@ from inclined_landing.eval.flying.interfaces import Pose
 
 
 @dataclasses.dataclass(frozen=True)
-class Cameras:
-    """How good the motion capture is. Estimates of what halls with eight and more cameras reach."""
+class CameraQuality:
+    """Rate, latency, noise and dropouts of the motion capture, as estimated for halls with eight or more
+    cameras.
+    """
 
     rate: float = 120.0  # Hz
     latency: float = 0.008  # s from exposure to arrival
@@ -23,15 +25,15 @@ class Cameras:
     dropout_length: float = 0.03  # s, mean of an exponential
 
 
-class MarkerView:
-    """What the cameras make of where the vehicle is; `MotionCapture` for a pilot.
+class SimulatedMotionCapture:
+    """The simulated `MotionCapture`, with its faults.
 
     blind: no pose; frozen: the last one again and again, with new times; stuck: the place where it was, with
     fresh noise; shift (3,) [m]: another marker taken
     for the vehicle's; turned: the attitude shown the wrong way round.
     """
 
-    def __init__(self, cameras: Cameras, random: np.random.Generator):
+    def __init__(self, cameras: CameraQuality, random: np.random.Generator):
         self.cameras = cameras
         self.blind = self.frozen = self.stuck = self.turned = False
         self.shift = np.zeros(3)
@@ -42,11 +44,11 @@ class MarkerView:
         self._pose: Pose | None = None
 
     def latest(self) -> Pose | None:
-        """The newest pose that has arrived."""
+        """Return the newest pose that has arrived."""
         return self._pose
 
     def expose(self, time: float, position: np.ndarray, attitude: np.ndarray) -> tuple[float, Pose] | None:
-        """A frame at `time` [s]: when its pose arrives, and the pose; None where nothing is seen."""
+        """Return arrival time and pose of a frame at `time` [s]; None where nothing is seen."""
         c, random = self.cameras, self._random
         delay = c.latency + random.exponential(c.jitter)
         noise, angles = random.normal(0.0, c.noise, 3), random.normal(0.0, c.angle_noise, 3)
@@ -65,13 +67,13 @@ class MarkerView:
         return time + delay, Pose(time + delay - c.latency, *self._frame)
 
     def arrive(self, pose: Pose) -> None:
-        """From now on this is the newest pose, unless there is a newer one."""
+        """Store a pose as the newest one, unless there is a newer one."""
         if self._pose is None or pose.time >= self._pose.time:
             self._pose = pose
 
 
 def _multiplied(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Product of two quaternions (4,), as a unit one."""
+    """Return the product of two quaternions (4,), normalised."""
     product = np.empty(4)
     mujoco.mju_mulQuat(product, a, b)
     return product / np.linalg.norm(product)

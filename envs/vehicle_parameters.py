@@ -1,6 +1,6 @@
-"""What a policy is told of its vehicle, with the task option `observe_vehicle`.
+"""Vehicle parameters that a policy observes with the task option `observe_vehicle` (privileged observation).
 
-Six numbers in SI units, behind the observation and its history, the same for a whole flight:
+Six numbers in SI units after the observation and its history, constant during a flight:
 
 | number | unit | of the Crazyflie 2.1 | how |
 |---|---|---|---|
@@ -11,7 +11,7 @@ Six numbers in SI units, behind the observation and its history, the same for a 
 | drag rate | 1/s | 0.2 | sideways in hover: linear drag over mass |
 | reach | m | 0.056 | outermost point of a rotor along x and y |
 
-They are those of the vehicle file: what it does not know, such as a hidden effect, they do not tell.
+They are those of the vehicle file: effects hidden from it are not in them.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ CENTRE = np.array([2.0, 0.07, 0.2, 1.0, 0.4, 0.1])
 SCALE = np.array([0.5, 0.03, 0.1, 0.2, 0.3, 0.1])
 
 
-def vehicle_numbers(vehicle: Vehicle) -> np.ndarray:
-    """The numbers (6,) of NAMES, float32."""
+def vehicle_parameters(vehicle: Vehicle) -> np.ndarray:
+    """Return the parameters (6,) of NAMES, float32."""
     v = vehicle
     weight = v.body_mass * v.environment_gravity
     drag = -v.drag_coefficients[0] * rotor_speed_sum(weight, pack(v)[0])

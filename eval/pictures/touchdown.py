@@ -13,22 +13,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from inclined_landing.envs.flights import Flight, refly
-from inclined_landing.eval.pictures.labels import CUT, ended
+from inclined_landing.envs.flights import Flight, resimulate
+from inclined_landing.eval.pictures.labels import MOTORS_CUT, Label, outcome_label
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PWM
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.recorder import REST_SPEED, STEP
 
-AFTER_CUT = 1.0  # s that a landing is watched after its motors are cut
+CUT_TIME = 1.0  # s that a landing is watched after its motors are cut
 LEAD = 0.1  # s before the first touch that belong to it
-STILL = 0.12  # s that it goes on once the vehicle is still
+STILL_TIME = 0.12  # s that it goes on once the vehicle is still
 
 
 @dataclasses.dataclass
 class Touchdown:
-    """A flight at the engine's steps, from shortly before the first touch until still; T steps."""
+    """A touchdown at the engine's steps, from shortly before first contact until still; T steps."""
 
     t: np.ndarray  # (T,) s since the flight's start
     state: np.ndarray  # (T, 13), columns of `models.attitude`
@@ -40,31 +40,32 @@ class Touchdown:
     settled: int  # step from which it does not move any more; T where it still does
 
     @property
-    def net(self) -> np.ndarray:
+    def net_forces(self) -> np.ndarray:
         """Net normal force and size of the net tangential force (T, 2) on the vehicle [N]."""
+        # F_n = F . n, F_t = |F - F_n n|
         total, normal = np.array([force.sum(axis=0) for force in self.forces]), surface.normals(self.deck)
         away = (total * normal).sum(axis=1)
         return np.stack([away, np.linalg.norm(total - away[:, None] * normal, axis=1)], axis=1)
 
-    def said(self, k: int) -> list[tuple[str, str]]:
-        """The label of step k: are the motors cut for good, is it at rest."""
+    def labels(self, k: int) -> list[Label]:
+        """Return the label of step k: motors cut, or at rest."""
         if k >= self.settled:
-            return [ended("at rest", True)]
-        return [] if self.commands[k:, PWM].any() else [CUT]
+            return [outcome_label("at rest", True)]
+        return [] if self.commands[k:, PWM].any() else [MOTORS_CUT]
 
     @property
     def weight(self) -> float:
-        """Of the vehicle [N]."""
+        """Weight of the vehicle [N]."""
         return self.vehicle.body_mass * self.vehicle.environment_gravity
 
     @property
-    def strongest(self) -> float:
-        """Largest force at one point [N]."""
+    def largest_force(self) -> float:
+        """Largest contact force at one point [N]."""
         return max(float(np.linalg.norm(force, axis=1).max()) for force in self.forces if len(force))
 
 
-def watch(flight: Flight) -> Touchdown:
-    """Fly the commands of a flight in the MuJoCo plant again and watch its touchdown.
+def record_touchdown(flight: Flight) -> Touchdown:
+    """Return the touchdown of a flight, simulated again in the MuJoCo plant from its commands.
 
     flight: of the landing or the touchdown task, nominal physics. Raises UserError for one without a
     platform, and where nothing touches it.
@@ -72,7 +73,8 @@ def watch(flight: Flight) -> Touchdown:
     if flight.deck is None:
         raise UserError("contact forces need a flight that touches something; this task has no platform")
     vehicle = flight.task.vehicle
-    steps = refly(flight, AFTER_CUT if flight.task.cut_at_success else 0.0)
+    steps = resimulate(flight, CUT_TIME if flight.task.cut_at_success else 0.0)
+    assert steps.deck is not None
     states, commands = steps.state[1:], steps.commands[:-1]
     points, forces = steps.points[1:], steps.forces[1:]
     touching = [k for k, force in enumerate(forces) if len(force)]
@@ -83,7 +85,7 @@ def watch(flight: Flight) -> Touchdown:
     _, velocity, _ = surface.relative(states, deck)
     moving = np.flatnonzero(np.linalg.norm(velocity, axis=1) > REST_SPEED)
     begin, settled = max(touching[0] - round(LEAD / STEP), 0), moving[-1] + 1
-    part = slice(begin, settled + round(STILL / STEP))
+    part = slice(begin, settled + round(STILL_TIME / STEP))
     return Touchdown(
         steps.t[1:][part],
         states[part],

@@ -9,10 +9,10 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.gym_env import InclinedLandingEnv  # type: ignore[attr-defined]
 from inclined_landing.envs.history import input_centre, input_names, input_scale
-from inclined_landing.envs.policy import Policy, load_policy, locate, stamp, told_vehicle
+from inclined_landing.envs.policy import Policy, load_policy, locate, observes_vehicle, stamp
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import TASKS, make_task
-from inclined_landing.envs.vehicle_numbers import NAMES, UNITS, vehicle_numbers
+from inclined_landing.envs.vehicle_parameters import NAMES, UNITS, vehicle_parameters
 from inclined_landing.models.attitude import LAG, VZ
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -38,14 +38,14 @@ def told(task, observation):
 
 
 def test_the_numbers_are_those_of_the_vehicle():
-    numbers = dict(zip(NAMES, vehicle_numbers(V)))
+    numbers = dict(zip(NAMES, vehicle_parameters(V)))
     assert len(NAMES) == len(UNITS)
     assert numbers["thrust to weight"] == pytest.approx(60_000 / V.hover_pwm)
     assert numbers["thrust lag"] == pytest.approx(1 / 15.467)
     assert numbers["attitude lag"] == pytest.approx(0.183806 + 0.02)
     assert numbers["reach"] == pytest.approx(0.056)
     sagging = LIBRARY["thrust_bias"].apply(V, {"force": -0.02})
-    assert vehicle_numbers(sagging)[0] < 0.96 * numbers["thrust to weight"]
+    assert vehicle_parameters(sagging)[0] < 0.96 * numbers["thrust to weight"]
 
 
 def test_the_drag_rate_is_that_of_the_equations():
@@ -59,7 +59,7 @@ def test_the_drag_rate_is_that_of_the_equations():
         for _ in range(10):
             plant.step(np.array([[vehicle.hover_pwm, 0.0, 0.0, 0.0]]))
         rate = -np.log(plant.state[0, 3] / 0.5) / 0.2
-        assert rate == pytest.approx(vehicle_numbers(vehicle)[4], rel=1e-3)
+        assert rate == pytest.approx(vehicle_parameters(vehicle)[4], rel=1e-3)
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -70,7 +70,7 @@ def test_every_task_tells_each_vehicle_behind_its_history(name):
     env = BatchEnv(task, make_plant("hybrid", 8, pool=FLEET, threads=1), 0, nominal=0.3)
     plain = BatchEnv(make_task(name, history=2), make_plant("hybrid", 8, pool=FLEET, threads=1), 0, 0.3)
     seen = env.reset()
-    table = np.array([vehicle_numbers(v) for v in (V, *FLEET)])
+    table = np.array([vehicle_parameters(v) for v in (V, *FLEET)])
     np.testing.assert_array_equal(told(task, seen), table[env.plant.choice])
     np.testing.assert_array_equal(seen[:, : -len(NAMES)], plain.reset())
     before = env.plant.choice.copy()
@@ -82,7 +82,7 @@ def test_every_task_tells_each_vehicle_behind_its_history(name):
 def test_what_is_hidden_in_the_plant_is_not_told():
     hidden = LIBRARY["thrust_scale"].apply(V, {"scale": 0.8})
     env = BatchEnv(make_task("landing", observe_vehicle=True), make_plant("analytic", 1, hidden), 0)
-    np.testing.assert_array_equal(told(env.task, env.reset())[0], vehicle_numbers(V))
+    np.testing.assert_array_equal(told(env.task, env.reset())[0], vehicle_parameters(V))
 
 
 def test_the_faces_show_it():
@@ -134,12 +134,12 @@ def test_a_policy_flies_each_vehicle_by_its_per_vehicle_hover_where_it_was_train
 
 def test_a_policy_is_not_flown_without_what_it_is_told(tmp_path):
     path = stamped(tmp_path, pwm_centre="hover", observe_vehicle=True)
-    assert told_vehicle(path) and not told_vehicle("landing")
-    with pytest.raises(UserError, match=r"is told the numbers of its vehicle; .* observe_vehicle=True"):
+    assert observes_vehicle(path) and not observes_vehicle("landing")
+    with pytest.raises(UserError, match=r"observes its vehicle.s parameters; .* observe_vehicle=True"):
         load_policy(path, make_task("landing"))
     with pytest.raises(UserError, match=r"takes 5 observations and gives 2 actions, but .* 11 and 2"):
         load_policy(path)
-    with pytest.raises(UserError, match=r"is not told the numbers .* observe_vehicle=False"):
+    with pytest.raises(UserError, match=r"does not observe .* observe_vehicle=False"):
         load_policy("landing", make_task("landing", observe_vehicle=True))
 
 
@@ -149,7 +149,7 @@ def test_a_policy_for_its_vehicle_alone_flies_the_same(history):
     for vehicle in FLEET:
         task = make_task("landing", vehicle, observe_vehicle=True, pwm_centre="own", history=history)
         policy = pilot(task)
-        alone = policy.for_its_vehicle()
+        alone = policy.with_fixed_vehicle()
         assert len(alone.centre) == len(policy.centre) - len(NAMES)
         assert alone.task.pwm_centre == task.pwm_centre and not alone.task.per_vehicle_hover
         states = task.sample(np.random.default_rng(2), 3).state
@@ -157,4 +157,4 @@ def test_a_policy_for_its_vehicle_alone_flies_the_same(history):
         for one, other in zip(*flights):
             np.testing.assert_allclose(one.actions, other.actions, rtol=0.0, atol=1e-6)
     plain = load_policy("landing")
-    assert plain.for_its_vehicle() is plain
+    assert plain.with_fixed_vehicle() is plain

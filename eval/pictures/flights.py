@@ -12,54 +12,54 @@ import tyro
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Start, Task
-from inclined_landing.eval.pictures.to_rest import Landing, to_rest
+from inclined_landing.eval.pictures.to_rest import LandedFlight, to_rest
 from inclined_landing.models.errors import UserError, shown
 
 _UNTIL = ("rest", "goal")
 Until = Annotated[str, tyro.conf.arg(metavar="{rest,goal}")]
 
 
-def points(starts: Sequence[str], task: Task) -> list[tuple[float, ...]]:
-    """Where to fly from [m]: what --start says, or the task's own first point."""
+def start_points(starts: Sequence[str], task: Task) -> list[tuple[float, ...]]:
+    """Return start points [m] from --start, or the task's first point."""
     try:
         return [task.parse_start(text) for text in starts] or [task.film_starts[0]]
     except UserError as error:
         raise UserError(f"--{error}") from None
 
 
-def fly(policy: Policy, points: Sequence[tuple[float, ...]], plant: str, steps: int | None = None):
-    """Flights from hover at points of the task's start axes [m], at most `steps` control steps long."""
+def fly_from(policy: Policy, points: Sequence[tuple[float, ...]], plant: str, steps: int | None = None):
+    """Return flights from hover at points of the task's start axes [m], at most `steps` steps long."""
     return record_flights(policy, plant, policy.task.states_at(points), steps=steps)
 
 
-def begin(task: Task, where: Sequence[tuple[float, ...]], drawn: int, seed: int) -> Start:
-    """Starts from hover at points of the task's axes [m], or so many drawn ones, slopes included."""
+def choose_starts(task: Task, where: Sequence[tuple[float, ...]], drawn: int, seed: int) -> Start:
+    """Return starts from hover at points of the task's axes [m], or `drawn` random ones, slopes included."""
     if drawn:
         return task.sample(np.random.default_rng(seed), drawn)
     return task.start(task.states_at(where))
 
 
-def check_drawn(drawn: int, starts: Sequence[str]) -> None:
-    """Raise UserError for starts that are given and drawn."""
+def check_random_starts(drawn: int, starts: Sequence[str]) -> None:
+    """Raise UserError where starts are both given and drawn."""
     if drawn and starts:
         raise UserError("give either --start or --drawn")
 
 
-def check_until(until: str) -> None:
-    """Raise UserError for an --until that is not known."""
+def check_ending(until: str) -> None:
+    """Raise UserError for an unknown --until."""
     if until not in _UNTIL:
         raise UserError(f"--until is {' or '.join(_UNTIL)}, not {shown(until)}")
 
 
-def finish(flights: Sequence[Flight], until: str) -> list[Flight]:
-    """The flights as --until asks: "rest" or "goal"."""
+def continue_flights(flights: Sequence[Flight], until: str) -> list[Flight]:
+    """Return the flights up to the end that --until names: "rest" or "goal"."""
     return [to_rest(flight) for flight in flights] if until == "rest" else list(flights)
 
 
-def report(flight: Flight, name: str) -> None:
-    """One line on stderr about a flight."""
+def print_outcome(flight: Flight, name: str) -> None:
+    """Print one line about a flight on stderr."""
     task = flight.task
     words = task.flight_words(flight)
-    if isinstance(flight, Landing):
+    if isinstance(flight, LandedFlight):
         words += f", motors cut: {flight.ending}"
     print(f"{name}: from {task.start_words(flight.state[0])}: {words}", file=sys.stderr)

@@ -1,0 +1,140 @@
+"""What both renderers share: the drawn model, rebuilt when the platform's pose changes."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from inclined_landing.envs.rendering import overlay, scenery
+from inclined_landing.envs.rendering.camera import View
+from inclined_landing.envs.rendering.pose import Ghost, Pose, as_pose
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import Vehicle, load_vehicle
+
+
+@dataclasses.dataclass(frozen=True)
+class Drawing:
+    """What is drawn besides the scene itself."""
+
+    trail: np.ndarray | None  # (k, 3) m, k > 1
+    trail_colour: np.ndarray | None  # (3,) or (k, 3)
+    ghosts: Sequence[Ghost]
+    forces: Sequence[tuple[np.ndarray, np.ndarray]]  # point (3,) and arrow (3,) in the picture, m
+    show_vehicle: bool
+
+
+class SceneRenderer:
+    """Base of the renderers: picture size, camera and the model of the latest platform."""
+
+    closed = False
+
+    def __init__(
+        self,
+        vehicle: Vehicle | None = None,
+        width: int = 640,
+        height: int = 480,
+        camera: str | View = "arena",
+        scale: float | None = None,
+    ):
+        if not (16 <= width <= 4096 and 16 <= height <= 4096):
+            raise UserError(f"a picture has 16 to 4096 pixels a side, not {width} x {height}")
+        self.vehicle = vehicle or load_vehicle()
+        self.width, self.height, self.camera = int(width), int(height), camera
+        self.scale = scenery.default_vehicle_scale(camera) if scale is None else float(scale)
+        self.model: mujoco.MjModel
+        self._platform = "none yet"
+        self.set_platform(as_pose(None, self.vehicle))
+
+    def render(
+        self,
+        scene,
+        *,
+        inclination: float | None = None,
+        trail=None,
+        trail_colour=None,
+        ghosts=(),
+        forces=(),
+        caption: str = "",
+        show_vehicle: bool = True,
+    ) -> np.ndarray:
+        """Return one frame (height, width, 3) uint8.
+
+        scene: MjData of the landing scene, a qpos (7,), a state (13,) or a `Pose`; inclination [rad] of the
+        platform where `scene` does not say. trail: states (k, 13), through the centre of the drawn vehicle,
+        or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts: `Ghost`s or qpos (7,). forces: pairs of
+        point (3,) [m] on the real vehicle, moved to the same point of the drawn one, and arrow (3,) [m],
+        which keeps its length and is drawn over everything.
+        """
+        pose = self._pose(scene, inclination)
+        if trail is not None and np.shape(trail)[1:] == (13,):
+            trail = scenery.scaled_centres(self.model, trail, self.scale)
+        forces = [
+            (scenery.scaled_points(self.model, pose.qpos, point, self.scale), arrow)
+            for point, arrow in forces
+        ]
+        ghosts = [g if isinstance(g, Ghost) else Ghost(np.asarray(g, float)) for g in ghosts]
+        trail = None if trail is None or len(trail) < 2 else np.asarray(trail, float)
+        frame = self._draw(pose, Drawing(trail, trail_colour, ghosts, forces, show_vehicle))
+        if caption:
+            overlay.draw_caption(frame, caption, scenery.scale_note(self.scale))
+        return frame
+
+    def view(self, scene, inclination: float | None = None) -> View:
+        """Return the view that `render` uses for this scene: projects points to pixels."""
+        return self._view(self._pose(scene, inclination))
+
+    def _pose(self, scene, inclination: float | None) -> Pose:
+        if self.closed:
+            raise UserError("this renderer was closed")
+        pose = as_pose(scene, self.vehicle, inclination)
+        self.set_platform(pose)
+        return pose
+
+    def set_platform(self, pose: Pose) -> None:
+        """Set the platform's pose: a model whose platform has a base is rebuilt for each pose."""
+        if pose.platform_key != self._platform:
+            self._rebuild(pose)
+        if not pose.has_base:
+            self._move_platform(pose)
+
+    def _rebuild(self, pose: Pose) -> None:
+        absent = pose.platform_key is None
+        platform = (None, None) if absent else (pose.platform_pos, pose.platform_quat)
+        model = scenery.rendering_model(
+            self.vehicle,
+            platform=platform,
+            has_base=pose.has_base,
+            scale=self.scale,
+            aspect=self.width / self.height,
+            far=self.camera == "arena",
+        )
+        if isinstance(self.camera, str):
+            names = [model.camera(k).name for k in range(model.ncam)]
+            if self.camera not in names:
+                raise UserError(f"unknown camera {self.camera!r}; known are {', '.join(names)}")
+        self._prepare(model)
+        self._platform = pose.platform_key
+
+    def _move_platform(self, pose: Pose) -> None:
+        raise NotImplementedError
+
+    def _prepare(self, model: mujoco.MjModel) -> None:
+        raise NotImplementedError
+
+    def _draw(self, pose: Pose, drawing: Drawing) -> np.ndarray:
+        raise NotImplementedError
+
+    def _view(self, pose: Pose) -> View:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Free the renderer's resources; by default nothing."""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()

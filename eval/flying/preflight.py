@@ -1,0 +1,96 @@
+"""What must be true before the motors turn."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from inclined_landing.eval.flying.estimate import StateEstimate
+from inclined_landing.eval.flying.interfaces import Pose
+from inclined_landing.eval.flying.surroundings import CLEAR, Surroundings
+
+RECORDING_TIME = 1.0  # s that is listened to the vehicle and the motion capture
+LEAST_VOLTAGE = 3.7  # V at rest: about half full; hovering takes half a volt off
+POSE_RATE, ATTITUDE_RATE = 50.0, 40.0  # least per second
+LONGEST_GAP = 0.1  # s
+LARGEST_SPREAD = 0.005  # m, largest standard deviation of a position at rest
+LEVEL = math.radians(10.0)  # of the place that it stands on, and between the two attitudes
+HEIGHT = 0.03  # m by which the standing height may differ
+ROOM = 0.2  # m to the arena's walls
+
+
+@dataclasses.dataclass(frozen=True)
+class Check:
+    """The result of one preflight check."""
+
+    name: str
+    passed: bool
+    found: str
+
+
+@dataclasses.dataclass(frozen=True)
+class PreflightData:
+    """Measurements of RECORDING_TIME seconds at rest."""
+
+    poses: list[Pose]
+    attitudes: int
+    voltage: float  # V, NaN where none came
+    locked: bool
+    estimate: StateEstimate
+
+
+def preflight_checks(data: PreflightData, surroundings: Surroundings, stand: float) -> list[Check]:
+    """Return all preflight checks; stand [m]: height of what the vehicle stands on."""
+    v, estimate = surroundings.vehicle, data.estimate
+    positions = np.array([pose.position for pose in data.poses]).reshape(-1, 3)
+    times = np.array([pose.time for pose in data.poses])
+    gap = float(np.diff(times).max()) if len(times) > 1 else math.inf
+    spread = float(positions.std(axis=0).max()) if len(positions) > 1 else math.inf
+    moved = len(np.unique(positions, axis=0)) > 1
+    state = estimate.state
+    x, y, z = state[:3]
+    inside = v.arena_x[0] + ROOM < x < v.arena_x[1] - ROOM and v.arena_y[0] + ROOM < y < v.arena_y[1] - ROOM
+    expected = stand + surroundings.standing_height
+    known = bool(np.isfinite(state).all())
+    clearance = float(surroundings.distances(state[None])[0, 0]) if known else math.nan
+    tilt = estimate.tilt if known else math.nan
+    degrees, mismatch = math.degrees(tilt), math.degrees(estimate.attitude_mismatch)
+    frozen = "" if moved or len(times) < 2 else ", all the same: frozen"
+    checks = {
+        "battery": (
+            data.voltage >= LEAST_VOLTAGE,
+            f"{data.voltage:.2f} V; at least {LEAST_VOLTAGE:g} V at rest",
+        ),
+        "supervisor": (
+            not data.locked,
+            "locked, crashed or tumbled: switch it off and on" if data.locked else "not locked",
+        ),
+        "motion capture": (
+            len(times) >= POSE_RATE * RECORDING_TIME and gap <= LONGEST_GAP and moved,
+            f"{len(times) / RECORDING_TIME:.0f} poses per second, longest gap {1e3 * gap:.0f} ms{frozen}"
+            f"; at least {POSE_RATE:g}, at most {1e3 * LONGEST_GAP:g} ms",
+        ),
+        "at rest": (
+            spread <= LARGEST_SPREAD,
+            f"position spreads by {1e3 * spread:.1f} mm; at most {1e3 * LARGEST_SPREAD:g} mm",
+        ),
+        "attitude log": (
+            data.attitudes >= ATTITUDE_RATE * RECORDING_TIME,
+            f"{data.attitudes / RECORDING_TIME:.0f} per second; at least {ATTITUDE_RATE:g}",
+        ),
+        "level": (
+            tilt <= LEVEL and estimate.attitude_mismatch <= LEVEL,
+            f"tilted by {degrees:.1f} deg, {mismatch:.1f} deg from what motion capture shows; at most "
+            f"{math.degrees(LEVEL):.0f} deg",
+        ),
+        "inside the arena": (inside, f"x {x:.2f}, y {y:.2f} m; {ROOM:g} m from the walls at least"),
+        "height": (
+            abs(z - expected) <= HEIGHT,
+            f"stands at z {z:.3f} m, expected {expected:.3f}: stand {stand:g} m, centre of mass "
+            f"{surroundings.standing_height:.3f} m above its feet",
+        ),
+        "clear of the platform": (clearance > CLEAR, f"{clearance:.2f} m; more than {CLEAR:g} m"),
+    }
+    return [Check(name, bool(passed), found) for name, (passed, found) in checks.items()]
