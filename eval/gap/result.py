@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -168,8 +169,8 @@ class ScoredSet:
 
     effects: tuple[str, ...]
     probability: float
-    values: dict[str, dict[str, float]]
-    deviations: dict[str, dict[str, float]]  # standard errors of the values, where they are known
+    values: Mapping[str, Mapping[str, float]]
+    deviations: Mapping[str, Mapping[str, float]]  # standard errors of the values, where they are known
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,6 +10,7 @@ import math
 import os
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -87,8 +88,10 @@ class Study:
             for entry in data["parameters"]
         )
         if "vehicle" in data:
-            given = data["vehicle"].items()
-            data["vehicle"] = Vehicle(**{k: tuple(v) if isinstance(v, list) else v for k, v in given})
+            given: dict[str, Any] = {
+                k: tuple(v) if isinstance(v, list) else v for k, v in data["vehicle"].items()
+            }
+            data["vehicle"] = Vehicle(**given)
         return Study(**data)
 
     def fingerprint(self) -> str:

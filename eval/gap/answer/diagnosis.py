@@ -68,7 +68,8 @@ def diagnose(
 
     Raises UserError when no flight can be used.
     """
-    clock, notes = _Clock(), []
+    clock = _Clock()
+    notes: list[str] = []
     if platform is None:
         platform = any(log.contact is not None and log.contact.any() for log in flights)
     fitted = prepare_all(flights, vehicle, platform, notes)
@@ -110,7 +111,9 @@ def diagnose(
     if touched.landed:
         clock("touchdown")
     starts = _starts(test, notes)
-    gap, drawn = {}, {"horizon": (), "windows": ()}
+    gap: dict[str, PlantGap] = {}
+    horizon: tuple[HorizonCurve, ...] = ()
+    windows: tuple[WindowCurves, ...] = ()
     if starts is not None:
         floor = rollout.noise_floor(starts, corrected)
         error = float(rollout.errors_by_flight(starts, after)[0][-1])
@@ -118,7 +121,7 @@ def diagnose(
         effects = tuple(_costed(problem, starts, effects, e) for e in effects)
         if curves:
             horizon = _horizon(problem, starts, effects, after, floor)
-            drawn = {"horizon": horizon, "windows": _window_curves(starts, vehicle, corrected)}
+            windows = _window_curves(starts, vehicle, corrected)
         clock("show")
         for plant in plants:
             gap[plant] = rollout.plant_gap(starts, vehicle, corrected if judged else after, plant, floor)
@@ -139,7 +142,8 @@ def diagnose(
         unseen=unseen_sets(problem, found),
         touchdowns=touched.left,
         unrest=disturbances(problem, found.noise_model),
-        **drawn,
+        horizon=horizon,
+        windows=windows,
         remainder=left,
         gap=gap,
         platform=platform,
@@ -222,27 +226,30 @@ def _where(problem: Problem, before, after) -> tuple[WhereRow, ...]:
         for k, channel in enumerate(CHANNELS):
             w = member & (problem.logged[:, k] > 0.0)
             if w.any():
-                rms = [float(np.sqrt((x[w, k] ** 2).mean())) for x in (first, second)]
+                worse, better = (float(np.sqrt((x[w, k] ** 2).mean())) for x in (first, second))
                 floor = float(np.sqrt(variance[w, k].mean()))
-                rows.append(WhereRow(name, channel, *rms, floor, residual.UNITS[channel], int(w.sum())))
+                unit = residual.UNITS[channel]
+                rows.append(WhereRow(name, channel, worse, better, floor, unit, int(w.sum())))
     return tuple(rows)
 
 
 def _where_touching(landed, before: Vehicle, after: Vehicle) -> tuple[WhereRow, ...]:
     """Return the position error after the touch, as a table row."""
-    rms = [float(np.sqrt((after_touch.position_errors(landed, v) ** 2).mean())) for v in (before, after)]
+    worse, better = (
+        float(np.sqrt((after_touch.position_errors(landed, v) ** 2).mean())) for v in (before, after)
+    )
     floor = float(np.sqrt(np.mean([(x.deviation[:, :3] ** 2).sum(axis=1).mean() for x in landed])))
-    return (WhereRow("touchdown", "touchdown", *rms, floor, "m", len(landed)),)
+    return (WhereRow("touchdown", "touchdown", worse, better, floor, "m", len(landed)),)
 
 
 def _landing_gap(landed, before: Vehicle, after: Vehicle) -> PlantGap:
     """Return the gap of logs with landings only: error at the end of the motion after the touch."""
-    end = [
+    worse, better = (
         float(np.sqrt((after_touch.position_errors(landed, v)[:, -1] ** 2).mean())) for v in (before, after)
-    ]
+    )
     floor = float(np.sqrt(np.mean([(x.deviation[-1, :3] ** 2).sum() for x in landed])))
     nan = float("nan")
-    return PlantGap(*end, floor, nan, nan, len(landed), BEFORE + AFTER)
+    return PlantGap(worse, better, floor, nan, nan, len(landed), BEFORE + AFTER)
 
 
 def _starts(problem: Problem, notes: list[str]) -> rollout.Starts | None:

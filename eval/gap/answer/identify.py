@@ -81,12 +81,18 @@ class Identification:
 
     def to_json(self) -> dict:
         """Plain dicts, lists, strings and numbers."""
-        rest = [f.name for f in dataclasses.fields(self) if f.name != "reference"]
-        result = dataclasses.asdict(dataclasses.replace(self, reference=None))
-        result = {name: result[name] for name in rest}
-        result["vehicle"] = {f: getattr(self.vehicle, f) for f in self.fields}
-        result["paper"] = PAPER
-        return result
+        return {
+            "vehicle": {f: getattr(self.vehicle, f) for f in self.fields},
+            "parameters": [dataclasses.asdict(p) for p in self.parameters],
+            "identifiable": [dataclasses.asdict(one) for one in self.identifiable],
+            "fit": self.fit,
+            "unrest": {channel: dataclasses.asdict(d) for channel, d in self.unrest.items()},
+            "fields": self.fields,
+            "flights": self.flights,
+            "notes": self.notes,
+            "contradictions": [dataclasses.asdict(one) for one in self.contradictions],
+            "paper": PAPER,
+        }
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # flights are shared among threads already

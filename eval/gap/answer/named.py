@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterable
 
 import numpy as np
@@ -59,14 +59,17 @@ def confounded_with_it(found: Search | Touched, name: str) -> tuple[str, ...]:
 
     What stands beside it more probably than without it does not take its place.
     """
-    alone, beside, held = Counter[str](), Counter[str](), 0.0
+    alone: dict[str, float] = defaultdict(float)  # probability of sets without `name`
+    beside: dict[str, float] = defaultdict(float)  # and of sets with it
+    held = 0.0
     for one in found.sets:
         if held >= HELD:
             break
         held += one.probability
         for other in one.names - found.names:
             (beside if name in one.names else alone)[other] += one.probability
-    return tuple(n for n, share in alone.most_common() if share > max(beside[n], LIKELY))
+    ranked = sorted(alone.items(), key=lambda item: -item[1])
+    return tuple(n for n, share in ranked if share > max(beside[n], LIKELY))
 
 
 def by_channel(problem: Problem, found: Search, values: Values) -> np.ndarray:

@@ -99,17 +99,17 @@ class Whitening:
 
         size, time (6,): of the disturbance in every channel [m/s2, rad/s2], [s]; None: the air is still.
         """
-        matrices = []
+        factors = []
         for channel, free in enumerate(shapes.free):
             covariance = shapes.noise(channel, noise, acceleration)
-            if size is not None and size[channel] > 0.0:
+            if size is not None and time is not None and size[channel] > 0.0:
                 covariance = covariance + size[channel] ** 2 * shapes.unrest(channel, time[channel])
             factor = cholesky(covariance, lower=True)
-            matrices.append(solve_triangular(factor, free.T, lower=True))
-        rows = matrices[0].shape[1]
+            factors.append(solve_triangular(factor, free.T, lower=True))
+        rows = factors[0].shape[1]
         t = np.arange(rows) * shapes.dt
         unit = [0.5 * t * t] * 3 + [np.ones(rows)] * 2 + [t / t[-1]]
-        matrices = np.array(matrices)
+        matrices = np.array(factors)
         return Whitening(matrices, np.einsum("cqk,ck->cq", matrices, np.array(unit)))
 
     def __call__(self, windows: np.ndarray) -> np.ndarray:

@@ -169,7 +169,9 @@ class _Search:
     def repeated(self, piece: Piece) -> np.ndarray:
         """Matrix (P, P) of a piece of the pool flown again and again until time is up."""
         times = self.seconds / pieces.alone(piece, self.space).seconds
-        return times * self._grams[piece][0]
+        grams = self._grams[piece]
+        assert grams is not None  # pieces of the pool are safe
+        return times * grams[0]
 
     def best(self) -> Path:
         """The pieces of the pool that tell most together, refined, as one flight."""

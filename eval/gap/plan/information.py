@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -57,13 +58,13 @@ class Quiet:
     def around(self, vehicle: Vehicle) -> Vehicle:
         """The vehicle in air of this unrest."""
         size, time = (tuple(map(float, x)) for x in (self.unrest, self.time))
-        return dataclasses.replace(
-            vehicle,
-            unrest_acceleration=size[:3],
-            unrest_acceleration_time=time[:3],
-            unrest_angular=size[3:],
-            unrest_angular_time=time[3:],
-        )
+        fields: dict[str, Any] = {
+            "unrest_acceleration": size[:3],
+            "unrest_acceleration_time": time[:3],
+            "unrest_angular": size[3:],
+            "unrest_angular_time": time[3:],
+        }
+        return dataclasses.replace(vehicle, **fields)
 
     @staticmethod
     def usual() -> Quiet:

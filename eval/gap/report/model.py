@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import Vehicle, write_vehicle
 
 VEHICLE, MJCF = "vehicle.toml", "landing.xml"
+Uncertainty = float | tuple[float, ...] | str  # half-width of a 95 % interval, of each number, or "not known"
 
 
 def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = None) -> None:
@@ -42,9 +44,7 @@ def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = N
     storage.write_text(folder / MJCF, spec.to_xml())
 
 
-def provenance(
-    d: Diagnosis, vehicle: Vehicle
-) -> tuple[dict[str, str], dict[str, float | tuple[float, ...] | str]]:
+def provenance(d: Diagnosis, vehicle: Vehicle) -> tuple[dict[str, str], dict[str, Uncertainty]]:
     """Source and half-width of the 95 % interval of every vehicle field that the effects change."""
     sources: dict[str, str] = {}
     squares: dict[str, np.ndarray] = {}
@@ -56,13 +56,13 @@ def provenance(
     return sources, {field: _half_width(squared) for field, squared in squares.items()}
 
 
-def unrest_fields(unrest: Mapping[str, Disturbance]) -> tuple[dict[str, tuple], dict[str, tuple]]:
+def unrest_fields(unrest: Mapping[str, Disturbance]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Fields of the vehicle's table of disturbance, and the half-widths of their 95 % intervals.
 
     A channel without disturbance, or not logged, is still.
     """
-    fields: dict[str, tuple] = {}
-    widths: dict[str, tuple] = {}
+    fields: dict[str, Any] = {}
+    widths: dict[str, Any] = {}
     for name, channels in (("acceleration", "x y z"), ("angular", "roll pitch yaw")):
         stirred = [unrest[c] if c in unrest and unrest[c].size else None for c in channels.split()]
         for field, of in ((f"unrest_{name}", "size"), (f"unrest_{name}_time", "time")):
@@ -103,7 +103,7 @@ def _spread(effect: NamedEffect, vehicle: Vehicle) -> dict[str, np.ndarray]:
     return result
 
 
-def _half_width(squared: np.ndarray) -> float | tuple[float, ...] | str:
+def _half_width(squared: np.ndarray) -> Uncertainty:
     if not np.all(np.isfinite(squared)):
         return "not known"
     rounded = [_short(x) for x in np.sqrt(np.atleast_1d(squared))]

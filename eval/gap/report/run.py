@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -13,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.eval.base.options import FlightSource
 from inclined_landing.eval.gap.flights.reading import check_apart, read_flights
+from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import storage
 
 _COLUMNS = (TextColumn("{task.description:22}"), BarColumn(), TimeElapsedColumn())
@@ -32,12 +34,13 @@ def flown(source: FlightSource, parts: int, more: Sequence[str] = ()) -> Iterato
         def tick(what: str) -> None:
             bar.update(task, description=what, advance=1)
 
-        options = {"mapping": source.mapping, "units": source.unit, "tick": tick}
-        plain, first = [], ()
+        read = functools.partial(read_flights, mapping=source.mapping, units=source.unit, tick=tick)
+        plain: list[FlightLog] = []
+        first: tuple[str, ...] = ()
         if more:
-            plain, _, first = read_flights(more, **options)
+            plain, _, first = read(more)
             check_apart(source.files, source.heldout, more)
-        logs, kept, notes = read_flights(source.files, source.heldout, **options)
+        logs, kept, notes = read(source.files, source.heldout)
         yield logs, kept, (*first, *notes), tick, plain
 
 

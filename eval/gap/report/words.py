@@ -313,7 +313,7 @@ def axis(d: Dependence) -> str:
 def repeats(d: Dependence) -> str:
     """One thing that repeats and that no effect explains, as a sentence."""
     cost = f"it moves the vehicle by {centimetres(d.displacement)} within a second"
-    most = max(d.regimes, key=d.regimes.get, default="")
+    most = max(d.regimes, key=d.regimes.__getitem__, default="")
     where = ""
     if most:
         where = f", most in {REGIMES.get(most, label(most))} ({quantity(d.regimes[most], d.unit)})"

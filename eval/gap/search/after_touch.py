@@ -91,8 +91,14 @@ def simulate(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
         commands[k, len(part) :] = part[-1]
         state[k, LAG] = lag[x.first]
     step = dt / math.ceil(dt / STEP - 1e-9)
-    options = {"integrator": "implicitfast", "torque_needs_motors": True}
-    plant = MujocoPlant(n, undelayed(vehicle), control_period=dt, timestep=step, **options)
+    plant = MujocoPlant(
+        n,
+        undelayed(vehicle),
+        control_period=dt,
+        timestep=step,
+        integrator="implicitfast",
+        torque_needs_motors=True,
+    )
     plant.set_platform(np.arange(n), vehicle.platform_inclination)
     plant.reset(np.arange(n), state)
     pose = fly(plant, commands.swapaxes(0, 1))[..., [X, Y, Z, ROLL, PITCH, PITCH + 1]].swapaxes(0, 1)

@@ -289,7 +289,7 @@ class _Engine:
             several = [n for n in logs if len(n) > 1 and n not in seen and probability[n] > CLEAR]
             if not several or len(seen) == ANEW:
                 break
-            likeliest = max(several, key=probability.get)
+            likeliest = max(several, key=probability.__getitem__)
             self.anew(table, likeliest)
             seen.add(likeliest)
         order = sorted(logs, key=lambda n: (-probability[n], sorted(n)))

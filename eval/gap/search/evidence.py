@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from inclined_landing.eval.gap.search.reference import Reference
 
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
+FittedValues = dict[str, dict[str, float]]  # the same, a copy to change
 
 # With fewer flights than this, flights are split into this many groups of windows in all.
 LEAST_GROUPS = 8
@@ -106,13 +107,12 @@ class Suspects:
         p = self.parameter(column)
         step = p.step or p.negligible
         if column.fixed:  # on top of what there is
-            beside = {p.name: p.value_at(step), **dict(column.fixed)}
-            return self.library[column.effect].apply(self.corrected(values), beside), step
+            added = {p.name: p.value_at(step), **dict(column.fixed)}
+            return self.library[column.effect].apply(self.corrected(values), added), step
         at = {**self.library[column.effect].neutral, **values.get(column.effect, {})}
         here = p.coordinate(at[p.name])
         step = step if p.value_at(here + step) <= p.possible[1] else -step
-        beside = self.corrected({**values, column.effect: {**at, p.name: p.value_at(here + step)}})
-        return beside, step
+        return self.corrected({**values, column.effect: {**at, p.name: p.value_at(here + step)}}), step
 
     def coordinates(self, values: Values, columns: Sequence[Column]) -> np.ndarray:
         """Return the coordinates (P,) of values along columns; of effects' model errors 0."""
@@ -124,12 +124,12 @@ class Suspects:
             elif at and not column.form:
                 p, effect = self.parameter(column), self.library[column.effect]
                 result[k] = p.coordinate(at.get(p.name, p.neutral))
-                if column.fixed:
-                    ends = effect.at_ends(result[k], at.get(effect.reference.name, effect.reference.neutral))
-                    result[k] = ends[column.fixed[0][1] == effect.reference.either_side()[1]]
+                if column.fixed and (about := effect.reference) is not None:
+                    ends = effect.at_ends(result[k], at.get(about.name, about.neutral))
+                    result[k] = ends[column.fixed[0][1] == about.either_side()[1]]
         return result
 
-    def values_at(self, names: Iterable[str], columns: Sequence[Column], at: np.ndarray) -> Values:
+    def values_at(self, names: Iterable[str], columns: Sequence[Column], at: np.ndarray) -> FittedValues:
         """Return the values of the effects `names` at coordinates (P,), clipped to their bounds."""
         result = {}
         for name, effect in self.library.items():
@@ -242,6 +242,7 @@ class Problem(Suspects):
         """Return the Jacobian (F, m, 6) of a flight's prediction in the base model's errors."""
         if self._formed is None:
             self.reform(self.vehicle)
+        assert self._formed is not None
         return self._formed[self.flights.index(flight)]
 
     def _beside_forms(self, flight: Measured, predicted: np.ndarray, values: Values) -> np.ndarray:

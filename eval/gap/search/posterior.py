@@ -145,18 +145,21 @@ class Bounds:
     @staticmethod
     def of(problem: Problem, columns: Sequence, unit: np.ndarray) -> Bounds:
         """Return the bounds in units (P,), from neutral."""
-        low, high, pairs = np.full(len(columns), -np.inf), np.full(len(columns), np.inf), []
+        low, high = np.full(len(columns), -np.inf), np.full(len(columns), np.inf)
+        pairs: list[tuple[int, int, tuple[float, float], tuple[float, float]]] = []
         for k, column in enumerate(columns):
             if column.form:
                 continue
             p = problem.parameter(column)
-            ends = [p.coordinate(x) / unit[k] for x in p.possible]
+            least, most = (p.coordinate(x) / unit[k] for x in p.possible)
             if not column.fixed:
-                low[k], high[k] = ends
+                low[k], high[k] = least, most
             elif k and columns[k - 1].effect == column.effect:
                 effect = problem.library[column.effect]
-                shares = sorted(effect.at_ends(1.0, x)[1] for x in effect.reference.possible)
-                pairs.append((k - 1, k, tuple(ends), tuple(shares)))
+                about = effect.reference
+                assert about is not None  # a fixed parameter is a reference
+                first, last = sorted(effect.at_ends(1.0, x)[1] for x in about.possible)
+                pairs.append((k - 1, k, (least, most), (first, last)))
         return Bounds(low, high, tuple(pairs))
 
     def clip(self, at: np.ndarray) -> np.ndarray:

@@ -148,8 +148,7 @@ def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[Reference, str]
 
     Raises UserError for a posterior that is damaged.
     """
-    file = beside(path) if path else None
-    if file is None or not file.exists():
+    if path is None or not (file := beside(path)).exists():
         return Reference.of_file(path, vehicle), ""
     table = storage.read_json(file, "posterior")
     try:

@@ -258,9 +258,9 @@ def _described(
     against, best, curve = names[0], -1.0, (np.zeros(0), np.zeros(0))
     for k, name in enumerate(names):
         x = np.concatenate([f.cut(v[:, k]).mean(axis=1) for f, v in zip(problem.flights, arrays)])
-        spread, *bins = _binned(x, value)
+        spread, centres, means = _binned(x, value)
         if spread > best:
-            against, best, curve = name, spread, bins
+            against, best, curve = name, spread, (centres, means)
     unit = UNITS_OF[CHANNELS.index(function.target)] if function.target in CHANNELS else UNITS_OF[0]
     channels = _channels(function.target)
     weight = problem.weight / left.inflation
