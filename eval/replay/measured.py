@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
-from inclined_landing.eval.gap.flights.windows import Measured, prepare
-from inclined_landing.eval.gap.search.rollout import Starts, simulate
+from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
+from inclined_landing.eval.gap.search.rollout import RolloutWindows, simulate
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.replay.recording import MEASURED, SIMULATED, Recording
 from inclined_landing.models.errors import UserError
@@ -61,7 +61,9 @@ def _touch(log: FlightLog) -> list[tuple[float, str]]:
     return [(float(log.t[begins[0]] - log.t[0]), "first touch")] if len(begins) else []
 
 
-def _simulated(measured: Recording, flight: Measured, vehicle: Vehicle, anew: float, plant: str) -> Recording:
+def _simulated(
+    measured: Recording, flight: MeasuredFlight, vehicle: Vehicle, anew: float, plant: str
+) -> Recording:
     """The model's flight in parts of `anew` seconds, each from the measured state at its beginning.
 
     Where nothing is known to stand in the arena only free flight is simulated: the vehicle would fall through
@@ -113,7 +115,7 @@ def _parts(usable: np.ndarray, rows: int) -> list[tuple[int, int]]:
     return found
 
 
-def _flown(flight: Measured, firsts: list[int], steps: int, vehicle: Vehicle, plant: str) -> np.ndarray:
+def _flown(flight: MeasuredFlight, firsts: list[int], steps: int, vehicle: Vehicle, plant: str) -> np.ndarray:
     """Simulated poses (k, steps + 1, 6) from the k rows `firsts`."""
-    starts = Starts([flight], np.zeros(len(firsts), int), np.array(firsts), steps, flight.dt)
+    starts = RolloutWindows([flight], np.zeros(len(firsts), int), np.array(firsts), steps, flight.dt)
     return simulate(starts, vehicle, plant)

@@ -14,25 +14,25 @@ from sklearn.kernel_approximation import RBFSampler
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from inclined_landing.eval.gap.flights.windows import Measured, prepare
+from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
 from inclined_landing.eval.gap.plan import pieces
 from inclined_landing.eval.gap.plan.pieces import Space
 from inclined_landing.eval.gap.plan.setpoints import setpoints
-from inclined_landing.eval.gap.search.residual import quantities
+from inclined_landing.eval.gap.search.residual import regressors
 from inclined_landing.models.errors import UserError, shown
 
 FEATURES = 16  # of a function
 APART = 0.3  # s after which a disturbance is another one
 
 
-class Breadth:
-    """Unknown functions of some quantities (names of groups or inputs of `quantities`); none of no names.
+class RegressorCoverage:
+    """Unknown functions of some quantities (names of groups or inputs of `regressors`); none of no names.
 
     Raises UserError for a name that is not known.
     """
 
     def __init__(self, names: Sequence[str], space: Space, noise: np.ndarray):
-        path = pieces.joined([pieces.middle(k) for k in pieces.kinds(space)], space)
+        path = pieces.joined_path([pieces.midpoint(k) for k in pieces.kinds(space)], space)
         usual = prepare(setpoints(path, space.vehicle).log("usual", noise), space.vehicle)
         known = self._inputs(usual)
         unknown = [name for name in names if name not in known]
@@ -45,16 +45,16 @@ class Breadth:
             self._features[name] = make_pipeline(StandardScaler(), random).fit(known[name])
 
     @staticmethod
-    def _inputs(flight: Measured) -> dict[str, np.ndarray]:
+    def _inputs(flight: MeasuredFlight) -> dict[str, np.ndarray]:
         """Values (m, k) of every group of quantities, and of every single one."""
-        groups = quantities([flight])
+        groups = regressors([flight])
         whole = {name: arrays[0] for name, (_, arrays) in groups.items()}
         single = {
             one: arrays[0][:, inputs.index(one), None] for inputs, arrays in groups.values() for one in inputs
         }
         return single | whole
 
-    def gram(self, flight: Measured) -> np.ndarray:
+    def gram(self, flight: MeasuredFlight) -> np.ndarray:
         """Scalar products (g, FEATURES, FEATURES) of the features of every function on a flight."""
         result = np.zeros((len(self.names), FEATURES, FEATURES))
         if self.names:

@@ -35,8 +35,8 @@ from inclined_landing.eval.gap.result import (
     HorizonCurve,
     NamedEffect,
     PlantGap,
-    Remainder,
-    WhereRow,
+    RegimeError,
+    ResidualAnalysis,
     WindowCurves,
 )
 
@@ -62,7 +62,7 @@ def svg(figure: Figure) -> str:
 # ---- where
 
 
-def where_map(rows: Sequence[WhereRow]) -> Figure | None:
+def where_map(rows: Sequence[RegimeError]) -> Figure | None:
     """Maps regime by channel: before, after, and what noise and disturbance alone give."""
     if not rows:
         return None
@@ -80,7 +80,7 @@ def where_map(rows: Sequence[WhereRow]) -> Figure | None:
 
 
 def draw_where(
-    axis: Axes, rows: Sequence[WhereRow], what: str, *, size: float = 7.5, named: bool = True
+    axis: Axes, rows: Sequence[RegimeError], what: str, *, size: float = 7.5, named: bool = True
 ) -> None:
     """One map: `what` is before, after or floor; colours are times the floor; named: with its regimes."""
     regimes, channels = _axes_of(rows)
@@ -110,14 +110,16 @@ def draw_where(
     axis.set_title(_MAPS[what], fontsize=9.5)
 
 
-def _where_norm(rows: Sequence[WhereRow]) -> tuple[LogNorm, float]:
+def _where_norm(rows: Sequence[RegimeError]) -> tuple[LogNorm, float]:
     """Return one scale for all maps and its end, the first of _ENDS beyond the worst cell."""
     worst = max((max(row.before, row.after) / row.floor for row in rows if row.floor > 0), default=1.0)
     end = next((end for end in _ENDS if end >= worst), _ENDS[-1])
     return LogNorm(1.0, end), end
 
 
-def _where_scale(figure: Figure, rows: Sequence[WhereRow], left: float, bottom: float, width: float) -> None:
+def _where_scale(
+    figure: Figure, rows: Sequence[RegimeError], left: float, bottom: float, width: float
+) -> None:
     axis = panel(figure, left, bottom, width, 0.09)
     norm, last = _where_norm(rows)
     bar = figure.colorbar(ScalarMappable(norm, _HEAT), cax=axis, orientation="horizontal")
@@ -128,7 +130,7 @@ def _where_scale(figure: Figure, rows: Sequence[WhereRow], left: float, bottom: 
     bar.minorticks_off()
 
 
-def _where_units(rows: Sequence[WhereRow]) -> str:
+def _where_units(rows: Sequence[RegimeError]) -> str:
     units: dict[str, list[str]] = {}
     for channel in _axes_of(rows)[1]:
         unit = next(row.unit for row in rows if row.channel == channel)
@@ -136,7 +138,7 @@ def _where_units(rows: Sequence[WhereRow]) -> str:
     return "; ".join(f"{', '.join(names)} in {unit}" for unit, names in units.items())
 
 
-def _axes_of(rows: Sequence[WhereRow]) -> tuple[list[str], list[str]]:
+def _axes_of(rows: Sequence[RegimeError]) -> tuple[list[str], list[str]]:
     regimes = [r for r in REGIMES if any(row.regime == r for row in rows)]
     regimes += sorted({row.regime for row in rows} - set(regimes))
     return regimes, [c for c in CHANNELS if any(row.channel == c for row in rows)]
@@ -340,7 +342,7 @@ def name_rows(axis: Axes, names: Sequence[str], size: float = 9.0) -> None:
     axis.tick_params(axis="y", length=0)
 
 
-def remainder(left: Remainder) -> Figure | None:
+def residual(left: ResidualAnalysis) -> Figure | None:
     """What repeats without being explained, over the input that it goes with most."""
     drawn = [d for d in left.depends_on if len(d.x)][:4]
     if not drawn:

@@ -21,7 +21,7 @@ _COLUMNS = (TextColumn("{task.description:22}"), BarColumn(), TimeElapsedColumn(
 
 
 @contextlib.contextmanager
-def flown(source: FlightSource, parts: int, more: Sequence[str] = ()) -> Iterator[tuple]:
+def read_run(source: FlightSource, parts: int, reference_files: Sequence[str] = ()) -> Iterator[tuple]:
     """Flights to fit, flights left out, sentences on them, what names the next of some parts, more flights.
 
     more: files of flights of another state of the vehicle.
@@ -29,19 +29,19 @@ def flown(source: FlightSource, parts: int, more: Sequence[str] = ()) -> Iterato
     """
     console = Console(stderr=True)
     with Progress(*_COLUMNS, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=len(source.files) + len(source.heldout) + len(more) + parts)
+        task = bar.add_task("", total=len(source.files) + len(source.heldout) + len(reference_files) + parts)
 
         def tick(what: str) -> None:
             bar.update(task, description=what, advance=1)
 
         read = functools.partial(read_flights, mapping=source.mapping, units=source.unit, tick=tick)
-        plain: list[FlightLog] = []
-        first: tuple[str, ...] = ()
-        if more:
-            plain, _, first = read(more)
-            check_apart(source.files, source.heldout, more)
-        logs, kept, notes = read(source.files, source.heldout)
-        yield logs, kept, (*first, *notes), tick, plain
+        reference_logs: list[FlightLog] = []
+        reference_notes: tuple[str, ...] = ()
+        if reference_files:
+            reference_logs, _, reference_notes = read(reference_files)
+            check_apart(source.files, source.heldout, reference_files)
+        logs, heldout, notes = read(source.files, source.heldout)
+        yield logs, heldout, (*reference_notes, *notes), tick, reference_logs
 
 
 def write(
@@ -50,5 +50,5 @@ def write(
     """report.html and report.json; run.json: the command, its options, what it took, the versions."""
     storage.write_text(folder / "report.html", page)
     storage.write_json(folder / "report.json", answer)
-    taken = {"seconds": round(time.monotonic() - began, 1), "versions": versions}
-    storage.write_json(folder / "run.json", {"command": command, **dataclasses.asdict(source), **taken})
+    statistics = {"seconds": round(time.monotonic() - began, 1), "versions": versions}
+    storage.write_json(folder / "run.json", {"command": command, **dataclasses.asdict(source), **statistics})

@@ -23,28 +23,30 @@ import numpy as np
 from scipy import stats
 from scipy.special import logsumexp
 
-from inclined_landing.eval.gap.flights.landings import BEFORE, Landing, ideal
-from inclined_landing.eval.gap.search.after_touch import TouchdownProblem
-from inclined_landing.eval.gap.search.posterior import SLAB, SPIKE, Set, flight_weights
-from inclined_landing.eval.gap.search.sets import CLEAR, LEAST, NOTHING, Scored
+from inclined_landing.eval.gap.flights.landings import BEFORE, Landing, contact_model_covariance
+from inclined_landing.eval.gap.search.posterior import SLAB, SPIKE, EffectSet, flight_weights
+from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, PRIOR_EMPTY, REFIT_ABOVE, SetProbability
+from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.parameters import Vehicle
 
-FEWEST = 6  # landings
-MOST = 2  # effects of a set
-IDEAL = 0.1  # standard deviation, in plausible sizes, of what two idealised contacts differ by
+LEAST_LANDINGS = 6  # landings
+MOST_EFFECTS = 2  # effects of a set
+MODEL_ERROR = 0.1  # standard deviation, in plausible sizes, of what two idealised contacts differ by
 SCAN = (0.2, 0.55, 1.1, 2.4)  # plausible sizes to either side that are simulated
-REFINED = 2  # times that the best place of a scan is simulated
-ANEW = 3  # sets of several that are scanned beside one another, at most
-FINE = np.linspace(-6.0, 6.0, 25)  # standard deviations about that place at which the likelihood is summed
-STEPS = 2  # of the parameters that are integrated out linearly
-HELD = 0.95  # of an interval
+REFINEMENTS = 2  # times that the best place of a scan is simulated
+RESCANS = 3  # sets of several that are scanned beside one another, at most
+FINE_GRID = np.linspace(
+    -6.0, 6.0, 25
+)  # standard deviations about that place at which the likelihood is summed
+NEWTON_STEPS = 2  # of the parameters that are integrated out linearly
+CREDIBLE = 0.95  # of an interval
 FALSE_ALARM = 0.05
-MODES = 4  # ways in which an axis may err alike in all landings
+COMMON_MODES = 4  # ways in which an axis may err alike in all landings
 
 
 @dataclasses.dataclass
-class Sized:
+class ContactEstimate:
     """A parameter of a set, estimated from the landings."""
 
     value: float
@@ -54,17 +56,17 @@ class Sized:
 
 
 @dataclasses.dataclass
-class Touched:
-    """The outcome of `name_contact`."""
+class ContactPosterior:
+    """The outcome of `contact_posterior`."""
 
-    sets: tuple[Scored, ...]  # most probable first
-    sizes: dict[str, Sized]  # of the most probable set
+    sets: tuple[SetProbability, ...]  # most probable first
+    sizes: dict[str, ContactEstimate]  # of the most probable set
     gains: dict[str, float]  # effect -> share of the squared error closed that comes back without it
     unexplained: bool  # something repeats that no set explains, nor that contacts are idealised
     p_value: float  # of what repeats most
 
     @property
-    def names(self) -> Set:
+    def names(self) -> EffectSet:
         """Return the most probable set."""
         return self.sets[0].names
 
@@ -78,21 +80,23 @@ class Touched:
         return sum(s.probability for s in self.sets if name in s.names)
 
 
-def name_contact(
+def contact_posterior(
     landings: Sequence[Landing], vehicle: Vehicle, library: Mapping[str, Effect]
-) -> tuple[TouchdownProblem, Touched]:
+) -> tuple[TouchdownProblem, ContactPosterior]:
     """Return the posterior over sets of contact effects; `vehicle` is corrected for free flight."""
     problem = TouchdownProblem(landings, vehicle, library)
-    engine = _Engine(problem)
+    engine = _ContactModel(problem)
     sets, chosen = engine.distribution()
     values = sets[0].values
-    p_value = repeated(problem.flights, engine.left(values), engine.inflation)
+    p_value = common_residual_p_value(problem.flights, engine.residual(values), engine.inflation)
     unexplained = p_value < FALSE_ALARM
-    return problem, Touched(sets, engine.sized(chosen), engine.gains(values), unexplained, p_value)
+    return problem, ContactPosterior(
+        sets, engine.estimates(chosen), engine.gains(values), unexplained, p_value
+    )
 
 
 @dataclasses.dataclass
-class _Scan:
+class _ErrorGrid:
     """White errors (m, n, 6, q) of the landings on a grid of sizes (m,) of one effect."""
 
     sizes: np.ndarray
@@ -104,17 +108,17 @@ class _Scan:
         share = ((sizes - self.sizes[k]) / (self.sizes[k + 1] - self.sizes[k]))[:, None, None, None]
         return (1.0 - share) * self.errors[k] + share * self.errors[k + 1]
 
-    def with_one(self, size: float, errors: np.ndarray) -> _Scan:
+    def with_one(self, size: float, errors: np.ndarray) -> _ErrorGrid:
         """Return the grid with the errors (n, 6, q) at one more size."""
         k = int(np.searchsorted(self.sizes, size))
-        return _Scan(np.insert(self.sizes, k, size), np.insert(self.errors, k, errors, axis=0))
+        return _ErrorGrid(np.insert(self.sizes, k, size), np.insert(self.errors, k, errors, axis=0))
 
 
 @dataclasses.dataclass
-class _Part:
+class _Profile:
     """A set with one effect on a grid (log evidence along it), the others linearised."""
 
-    names: Set
+    names: EffectSet
     name: str  # the one scanned
     sizes: np.ndarray  # (m,)
     log: np.ndarray  # (d, m) of draws of the landings, all of them first, prior and spacing included
@@ -126,12 +130,12 @@ class _Part:
         return logsumexp(self.log, axis=1)
 
 
-def _likeliest(parts: Sequence[_Part]) -> _Part:
+def _most_probable(profiles: Sequence[_Profile]) -> _Profile:
     """Return the part of the highest evidence."""
-    return max(parts, key=lambda x: float(x.evidence[0]))
+    return max(profiles, key=lambda x: float(x.evidence[0]))
 
 
-class _Engine:
+class _ContactModel:
     """Grids of every effect (one parameter each) and the evidence of every set."""
 
     def __init__(self, problem: TouchdownProblem):
@@ -142,7 +146,7 @@ class _Engine:
         self.weights = np.vstack([np.ones(n), flight_weights(n)])
         self.slab = np.array([SLAB * abs(p.coordinate(p.plausible)) for p in self.parameters])
         spike = [SPIKE * abs(p.coordinate(p.neutral + p.negligible)) for p in self.parameters]
-        self.spike = np.hypot(IDEAL * self.slab, spike)
+        self.spike = np.hypot(MODEL_ERROR * self.slab, spike)
         self.neutral = problem.errors(problem.vehicle)
         self.scans = [self._scan(j, {}) for j in range(len(self.names))]
         self.slopes = np.stack([self._slopes(scan) for scan in self.scans], axis=-1)  # (n, 6, q, P)
@@ -159,15 +163,17 @@ class _Engine:
         named = {self.names[j]: (self.parameters[j], size) for j, size in sizes.items()}
         return {n: {named[n][0].name: named[n][0].bounded(named[n][1])} for n in self.names if n in named}
 
-    def _scan(self, j: int, beside: Mapping[int, float]) -> _Scan:
+    def _scan(self, j: int, beside: Mapping[int, float]) -> _ErrorGrid:
         p = self.parameters[j]
-        wanted = np.outer((-1.0, 1.0), SCAN).ravel() * self.slab[j]
-        sizes = sorted({p.coordinate(p.bounded(x)) for x in wanted} | {0.0})
+        grid = np.outer((-1.0, 1.0), SCAN).ravel() * self.slab[j]
+        sizes = sorted({p.coordinate(p.bounded(x)) for x in grid} | {0.0})
         if beside:
-            return _Scan(np.array(sizes), np.stack([self._errors({**beside, j: x}) for x in sizes]))
-        return _Scan(np.array(sizes), np.stack([self._errors({j: x}) if x else self.neutral for x in sizes]))
+            return _ErrorGrid(np.array(sizes), np.stack([self._errors({**beside, j: x}) for x in sizes]))
+        return _ErrorGrid(
+            np.array(sizes), np.stack([self._errors({j: x}) if x else self.neutral for x in sizes])
+        )
 
-    def _slopes(self, scan: _Scan) -> np.ndarray:
+    def _slopes(self, scan: _ErrorGrid) -> np.ndarray:
         """Return minus the slope (n, 6, q) of the errors about neutral."""
         k = int(np.searchsorted(scan.sizes, 0.0))
         low, high = max(k - 1, 0), min(k + 1, len(scan.sizes) - 1)
@@ -177,7 +183,7 @@ class _Engine:
         """Return the prior standard deviations (P,): slabs for the set, spikes for the others."""
         return np.where(np.isin(np.arange(len(self.names)), list(named)), self.slab, self.spike)
 
-    def _beside(self, named: set[int], j: int, sizes: np.ndarray) -> np.ndarray:
+    def _coupled_widths(self, named: set[int], j: int, sizes: np.ndarray) -> np.ndarray:
         """Return the same (m, P) with effect j at sizes (m,) and coupled effects free in proportion."""
         width = np.tile(self._widths(named), (len(sizes), 1))
         for other in self.problem.library[self.names[j]].couples_with:
@@ -185,10 +191,12 @@ class _Engine:
                 width[:, k] = np.hypot(width[:, k], sizes / self.slab[j] * self.slab[k])
         return width
 
-    def _refined(self, j: int, scan: _Scan, width: np.ndarray, beside: Mapping[int, float]) -> _Scan:
+    def _refined(
+        self, j: int, scan: _ErrorGrid, width: np.ndarray, beside: Mapping[int, float]
+    ) -> _ErrorGrid:
         """Return the grid refined at the most probable sizes."""
-        for _ in range(REFINED):
-            sizes = _between(scan.sizes, 4)
+        for _ in range(REFINEMENTS):
+            sizes = _subdivided(scan.sizes, 4)
             log = self._logs(j, scan.at(sizes), width, beside)[0][:, 0] - 0.5 * (sizes / width[j]) ** 2
             best = float(sizes[np.argmax(log)])
             if np.abs(scan.sizes - best).min() < 1e-3 * self.slab[j]:
@@ -210,115 +218,118 @@ class _Engine:
         share = 1.0 / self.inflation
         slopes, m = self.slopes, np.zeros((len(errors), count))
         squares = np.einsum("icqp,icqs->icps", slopes, slopes, optimize=True)
-        for step in range(STEPS + 1):
-            left = errors - np.einsum("icqp,mp->micq", slopes, m, optimize=True) if step else errors
-            weight = _weights(left) * share
-            b = np.einsum("micq,icqp,mic->mip", left, slopes, weight, optimize=True)
+        for step in range(NEWTON_STEPS + 1):
+            residual = errors - np.einsum("icqp,mp->micq", slopes, m, optimize=True) if step else errors
+            weight = _weights(residual) * share
+            b = np.einsum("micq,icqp,mic->mip", residual, slopes, weight, optimize=True)
             a = np.einsum("icps,mic->mips", squares, weight, optimize=True)
-            if step < STEPS:
+            if step < NEWTON_STEPS:
                 h = b.sum(axis=1) - precision * (m + at)
                 m = m + np.linalg.solve(a.sum(axis=1) + prior, h[..., None])[..., 0]
-        each = (_log_t(left) * share).sum(axis=-1)
+        each = (_log_t(residual) * share).sum(axis=-1)
         total = np.einsum("di,mips->mdps", self.weights, a, optimize=True) + prior[:, None]
         h = np.einsum("di,mip->mdp", self.weights, b) - (precision * (m + at))[:, None]
         square = (h * np.linalg.solve(total, h[..., None])[..., 0]).sum(axis=-1)
-        unlikely = (precision * free * (m + at) ** 2).sum(axis=1)[:, None]
-        log = each @ self.weights.T - 0.5 * (unlikely - square)
+        prior_penalty = (precision * free * (m + at) ** 2).sum(axis=1)[:, None]
+        log = each @ self.weights.T - 0.5 * (prior_penalty - square)
         log -= 0.5 * (np.linalg.slogdet(total)[1] - np.log(precision).sum(axis=1)[:, None])
         return log, m + at, np.einsum("mipp->mip", a)
 
-    def part(self, names: Set, j: int, scan: _Scan, beside: Mapping[int, float]) -> _Part:
+    def profile(self, names: EffectSet, j: int, scan: _ErrorGrid, beside: Mapping[int, float]) -> _Profile:
         """Return a set with effect j on its grid."""
         named = {k for k, n in enumerate(self.names) if n in names}
-        width, sizes = self._widths(named), _between(scan.sizes, 2)
-        log, _, known = self._logs(j, scan.at(sizes), self._beside(named, j, sizes), beside)
+        width, sizes = self._widths(named), _subdivided(scan.sizes, 2)
+        log, _, known = self._logs(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
         k = int(np.argmax(log[:, 0] - 0.5 * (sizes / width[j]) ** 2))
         near = 1.0 / math.sqrt(known[k, :, j].sum() + 1.0 / width[j] ** 2)
-        sizes = np.concatenate([sizes, sizes[k] + near * FINE])
+        sizes = np.concatenate([sizes, sizes[k] + near * FINE_GRID])
         sizes = np.unique(np.clip(sizes, scan.sizes[0], scan.sizes[-1]))
-        log, best, _ = self._logs(j, scan.at(sizes), self._beside(named, j, sizes), beside)
+        log, best, _ = self._logs(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
         prior = -0.5 * (sizes / width[j]) ** 2 - math.log(width[j] * math.sqrt(2.0 * math.pi))
         at = best.copy()
         at[:, j] = sizes
         own = [k for k, n in enumerate(self.names) if n in names]
-        log = log.T + prior + self._sizable(at[:, own], own) + np.log(np.gradient(sizes))
+        log = log.T + prior + self._nonlocal_log_prior(at[:, own], own) + np.log(np.gradient(sizes))
         k = int(np.argmax(log[0] - np.log(np.gradient(sizes))))
         best[k, j] = sizes[k]
-        return _Part(names, self.names[j], sizes, log, best[k])
+        return _Profile(names, self.names[j], sizes, log, best[k])
 
-    def _sizable(self, sizes: np.ndarray, own: Sequence[int]) -> np.ndarray:
+    def _nonlocal_log_prior(self, sizes: np.ndarray, own: Sequence[int]) -> np.ndarray:
         """Return the log prior factor (m,) of sizes (m, k): a named effect exceeds its spike."""
         spike, slab = self.spike[own], self.slab[own]
         factor = -np.expm1(-0.5 * (sizes / spike) ** 2) / (1.0 - spike / np.hypot(spike, slab))
         return np.log(np.maximum(factor, 1e-12)).sum(axis=1)
 
-    def parts(self, names: Set) -> list[_Part]:
+    def profiles(self, names: EffectSet) -> list[_Profile]:
         """Return the parts of a set."""
         along = [j for j, n in enumerate(self.names) if len(names) < 2 or n in names]
-        return [self.part(names, j, self.scans[j], {}) for j in along]
+        return [self.profile(names, j, self.scans[j], {}) for j in along]
 
-    def anew(self, table: dict[Set, list[_Part]], names: Set) -> None:
+    def rescan(self, table: dict[EffectSet, list[_Profile]], names: EffectSet) -> None:
         """Recompute the grids of a set, each effect beside the others at their mode.
 
         Sets without the one that is scanned are seen along it as well: with none of its size, but what any
         contact may be off by.
         """
-        best = _likeliest(table[names]).best
+        best = _most_probable(table[names]).best
         own = {k: float(best[k]) for k, n in enumerate(self.names) if n in names}
         table[names] = []
         for j in own:
             others = {k: size for k, size in own.items() if k != j}
             scan = self._refined(j, self._scan(j, others), self._widths(set(own)), others)
-            table[names].append(self.part(names, j, scan, others))
+            table[names].append(self.profile(names, j, scan, others))
             rest = names - {self.names[j]}
-            table[rest].append(self.part(rest, j, scan, others))
+            table[rest].append(self.profile(rest, j, scan, others))
 
-    def distribution(self) -> tuple[tuple[Scored, ...], list[_Part]]:
+    def distribution(self) -> tuple[tuple[SetProbability, ...], list[_Profile]]:
         """Return the posterior over sets, and the parts of the best."""
-        share = 1.0 - NOTHING ** (1.0 / max(1, len(self.names)))
+        share = 1.0 - PRIOR_EMPTY ** (1.0 / max(1, len(self.names)))
         odds = math.log(share / (1.0 - share))
-        table: dict[Set, list[_Part]] = {}
-        for count in range(MOST + 1):
+        table: dict[EffectSet, list[_Profile]] = {}
+        for count in range(MOST_EFFECTS + 1):
             for names in itertools.combinations(self.names, count):
-                table[frozenset(names)] = self.parts(frozenset(names))
-        seen: set[Set] = set()
+                table[frozenset(names)] = self.profiles(frozenset(names))
+        seen: set[EffectSet] = set()
         while True:
-            logs = {names: _likeliest(parts).evidence + len(names) * odds for names, parts in table.items()}
+            logs = {
+                names: _most_probable(profiles).evidence + len(names) * odds
+                for names, profiles in table.items()
+            }
             every = np.stack(list(logs.values()))[:, 1:]
             probability = dict(zip(logs, np.exp(every - logsumexp(every, axis=0)).mean(axis=1)))
-            several = [n for n in logs if len(n) > 1 and n not in seen and probability[n] > CLEAR]
-            if not several or len(seen) == ANEW:
+            several = [n for n in logs if len(n) > 1 and n not in seen and probability[n] > REFIT_ABOVE]
+            if not several or len(seen) == RESCANS:
                 break
             likeliest = max(several, key=probability.__getitem__)
-            self.anew(table, likeliest)
+            self.rescan(table, likeliest)
             seen.add(likeliest)
         order = sorted(logs, key=lambda n: (-probability[n], sorted(n)))
-        kept = [n for k, n in enumerate(order) if not k or probability[n] >= LEAST]
+        kept = [n for k, n in enumerate(order) if not k or probability[n] >= LEAST_PROBABILITY]
         own = {n: [x for x in table[n] if x.name in n] for n in kept}
         values = {n: self._values(self._best(own[n])) for n in kept}
-        return tuple(Scored(n, float(probability[n]), values[n]) for n in kept), own[kept[0]]
+        return tuple(SetProbability(n, float(probability[n]), values[n]) for n in kept), own[kept[0]]
 
-    def _best(self, parts: Sequence[_Part]) -> dict[int, float]:
+    def _best(self, profiles: Sequence[_Profile]) -> dict[int, float]:
         """Return the modes of a set by index."""
-        return {self.names.index(x.name): float(x.best[self.names.index(x.name)]) for x in parts}
+        return {self.names.index(x.name): float(x.best[self.names.index(x.name)]) for x in profiles}
 
-    def sized(self, parts: Sequence[_Part]) -> dict[str, Sized]:
+    def estimates(self, profiles: Sequence[_Profile]) -> dict[str, ContactEstimate]:
         """Return the estimates of a set, with intervals, and per landing."""
-        own, result = self._best(parts), {}
-        left = self._errors(own) if own else self.neutral
-        weight = _weights(left) / self.inflation
-        for part in parts:
-            j = self.names.index(part.name)
+        own, result = self._best(profiles), {}
+        residual = self._errors(own) if own else self.neutral
+        weight = _weights(residual) / self.inflation
+        for profile in profiles:
+            j = self.names.index(profile.name)
             p, slopes = self.parameters[j], self.slopes[..., j]
-            density = np.exp(part.log[1:] - part.evidence[1:, None]).mean(axis=0)
+            density = np.exp(profile.log[1:] - profile.evidence[1:, None]).mean(axis=0)
             below = np.cumsum(density) - 0.5 * density
-            ends = np.interp([0.5 - 0.5 * HELD, 0.5 + 0.5 * HELD], below, part.sizes)
+            ends = np.interp([0.5 - 0.5 * CREDIBLE, 0.5 + 0.5 * CREDIBLE], below, profile.sizes)
             known = np.einsum("ic,icq,icq->i", weight, slopes, slopes) + self.spike[j] ** -2.0
-            each = own[j] + np.einsum("ic,icq,icq->i", weight, slopes, left) / known
+            each = own[j] + np.einsum("ic,icq,icq->i", weight, slopes, residual) / known
             value = p.bounded(own[j])
             error = [p.bounded(own[j] + x) - value for x in known**-0.5]
             low, high = (p.bounded(x) for x in ends)
-            result[part.name] = Sized(
+            result[profile.name] = ContactEstimate(
                 value,
                 (min(low, value), max(high, value)),
                 np.array([p.bounded(x) for x in each]),
@@ -339,16 +350,16 @@ class _Engine:
         rest = {name: {n: v for n, v in values.items() if n != name} for name in values}
         return {name: float(np.clip((squares(rest[name]) - after) / closed, 0.0, 1.0)) for name in values}
 
-    def left(self, values) -> np.ndarray:
+    def residual(self, values) -> np.ndarray:
         """Return the residual errors (n, 6, q), small errors of all effects removed."""
         errors = self.problem.errors(self.problem.corrected(values))[None]
         small = self._logs(None, errors, self._widths(set()), {})[1][0]
         return errors[0] - self.slopes @ small
 
 
-def _between(sizes: np.ndarray, parts: int) -> np.ndarray:
-    """Return sizes (m,) with every interval divided into `parts`."""
-    inner = [np.linspace(a, b, parts, endpoint=False) for a, b in itertools.pairwise(sizes)]
+def _subdivided(sizes: np.ndarray, profiles: int) -> np.ndarray:
+    """Return sizes (m,) with every interval divided into `profiles`."""
+    inner = [np.linspace(a, b, profiles, endpoint=False) for a, b in itertools.pairwise(sizes)]
     return np.append(np.concatenate(inner), sizes[-1])
 
 
@@ -379,17 +390,17 @@ def inflation(errors: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     return own * max(1.0, float(ratio.mean()))
 
 
-def repeated(landings: Sequence[Landing], left: np.ndarray, inflated: np.ndarray) -> float:
+def common_residual_p_value(landings: Sequence[Landing], residual: np.ndarray, inflated: np.ndarray) -> float:
     """Return the p-value of the mean residual of landings on the same surface.
 
     left (n, 6, q): errors beside a set; inflated (6,). On each surface an axis may err alike in all landings,
     in MODES ways, each as much as the resting pose and the motion before it are expected to: squares of what
     they have in common, in what chance makes of these, are chi-squared. The largest of all axes counts.
     """
-    weight, q, values = _weights(left) / inflated, left.shape[2], []
+    weight, q, values = _weights(residual) / inflated, residual.shape[2], []
     first = landings[0]
-    sizes, shapes = np.linalg.eigh(ideal(first.compared[:q] * first.dt - BEFORE))
-    ways = (shapes * np.sqrt(np.maximum(sizes, 0.0))[:, None])[:, :, -MODES:]  # (6, q, MODES)
+    sizes, shapes = np.linalg.eigh(contact_model_covariance(first.compared[:q] * first.dt - BEFORE))
+    ways = (shapes * np.sqrt(np.maximum(sizes, 0.0))[:, None])[:, :, -COMMON_MODES:]  # (6, q, MODES)
     on_platform = np.array([x.on_platform for x in landings])
     for own in (on_platform, ~on_platform):
         if own.sum() < 2:
@@ -397,7 +408,7 @@ def repeated(landings: Sequence[Landing], left: np.ndarray, inflated: np.ndarray
         whiten = np.stack([x.whiten[:, :q, :q] for x in landings])[own]
         slopes = whiten @ ways
         a = np.einsum("ic,icqp,icqs->cps", weight[own], slopes, slopes)
-        h = np.einsum("ic,icqp,icq->cp", weight[own], slopes, left[own])
+        h = np.einsum("ic,icqp,icq->cp", weight[own], slopes, residual[own])
         squares = (h * np.linalg.solve(a + a @ a, h[..., None])[..., 0]).sum(axis=1)
-        values.append(stats.chi2.sf(squares, MODES))
+        values.append(stats.chi2.sf(squares, COMMON_MODES))
     return float(min(1.0, np.min(values) * np.size(values)))

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from inclined_landing.eval.gap.flights.noise_model import NoiseModel
-from inclined_landing.eval.gap.flights.whitening import Shapes
-from inclined_landing.eval.gap.flights.windows import Measured
+from inclined_landing.eval.gap.flights.whitening import ErrorResponses
+from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.search import form
 from inclined_landing.eval.gap.search.prediction import YAW_CHANNEL, predict, same_translation, translated
 from inclined_landing.models.effects import Effect, Parameter
@@ -43,16 +43,16 @@ class Column:
     form: str = ""  # of a model error of the effect (`search.form`): it has no parameter
 
 
-class Suspects:
+class Candidates:
     """A nominal vehicle and the candidate effects."""
 
     vehicle: Vehicle
     library: dict[str, Effect]
 
     @staticmethod
-    def of(vehicle: Vehicle, library: Mapping[str, Effect]) -> Suspects:
+    def of(vehicle: Vehicle, library: Mapping[str, Effect]) -> Candidates:
         """Return the effects of a library as candidates for a vehicle."""
-        suspects = Suspects()
+        suspects = Candidates()
         suspects.vehicle = vehicle
         suspects.library = {name: effect.beside(vehicle) for name, effect in library.items()}
         return suspects
@@ -102,7 +102,7 @@ class Suspects:
                 result += [Column(name, p.name) for p in effect.parameters]
         return result
 
-    def to_one_side(self, values: Values, column: Column) -> tuple[Vehicle, float]:
+    def one_sided_difference(self, values: Values, column: Column) -> tuple[Vehicle, float]:
         """Return the vehicle of a one-sided difference along a column at `values`, and its step."""
         p = self.parameter(column)
         step = p.step or p.negligible
@@ -146,7 +146,7 @@ class Suspects:
             }
         return result
 
-    def to_either_side(self, values: Values, column: Column, times: float) -> tuple[list[Vehicle], float]:
+    def central_difference(self, values: Values, column: Column, times: float) -> tuple[list[Vehicle], float]:
         """Return the two vehicles of a central difference over some negligible sizes, and their distance."""
         p = self.parameter(column)
         at = {**self.library[column.effect].neutral, **values.get(column.effect, {}), **dict(column.fixed)}
@@ -156,12 +156,12 @@ class Suspects:
         return ends, high - low
 
 
-class Problem(Suspects):
+class Problem(Candidates):
     """Flights cut into windows, with candidate effects and a noise model: a regression problem."""
 
     def __init__(
         self,
-        flights: Sequence[Measured],
+        flights: Sequence[MeasuredFlight],
         vehicle: Vehicle,
         library: Mapping[str, Effect],
         reference: Reference | None = None,
@@ -191,13 +191,13 @@ class Problem(Suspects):
         self.excitation: dict[tuple[str, str], float] = {}
         # Whether flights of the vehicle have shown by how much the formulas are off.
         self.identified = reference is not None and reference.from_flights
-        self._formed: list[np.ndarray] | None = None
+        self._form_jacobians: list[np.ndarray] | None = None
         self._pool = ThreadPoolExecutor(2)
 
     def rewhiten(self, noise_model: NoiseModel, vehicle: Vehicle) -> None:
         """Whiten with the estimated noise and disturbance; the attitude loops are those of `vehicle`."""
         for flight in self.flights:
-            flight.rewhiten(Shapes.of(flight.rows, flight.dt, vehicle), noise_model)
+            flight.rewhiten(ErrorResponses.of(flight.rows, flight.dt, vehicle), noise_model)
 
     def known(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
         """Return the prior of the vehicle's errors theta along `columns`: mean (P,), covariance (P, P).
@@ -211,55 +211,57 @@ class Problem(Suspects):
         wide = [share * form.BASE[c.form] if c.effect == BASE else 0.0 for c in columns]
         return np.zeros(len(columns)), np.diag(np.square(wide))
 
-    def white(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
+    def white_errors(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
         """Return the white errors (w, 6, q) of every flight, each with its vehicle."""
-        return list(self._pool.map(self.white_of, range(len(self.flights)), vehicles))
+        return list(self._pool.map(self.white_errors_of, range(len(self.flights)), vehicles))
 
-    def white_at(self, values: Values) -> list[np.ndarray]:
+    def white_errors_at(self, values: Values) -> list[np.ndarray]:
         """Return the white errors (w, 6, q) of every flight with effects at `values`."""
         if any(values.get(BASE, {}).values()):
-            self.formed(self.flights[0])
+            self.form_jacobian(self.flights[0])
 
-        def of(flight: Measured) -> np.ndarray:
+        def of(flight: MeasuredFlight) -> np.ndarray:
             return flight.whitening(flight.cut(flight.measured - self.predicted(flight, values)))
 
         return list(self._pool.map(of, self.flights))
 
-    def predicted(self, flight: Measured, values: Values) -> np.ndarray:
+    def predicted(self, flight: MeasuredFlight, values: Values) -> np.ndarray:
         """Return the predicted pose (m, 6) of a flight with effects and model errors at `values`."""
         return self._beside_forms(flight, predict(flight, self.corrected(values)), values)
 
-    def reform(self, vehicle: Vehicle) -> None:
+    def compute_form_jacobians(self, vehicle: Vehicle) -> None:
         """Compute the base model's error columns along the prediction of `vehicle`."""
 
-        def of(flight: Measured) -> np.ndarray:
+        def of(flight: MeasuredFlight) -> np.ndarray:
             gravity, predicted = vehicle.environment_gravity, predict(flight, vehicle)
             return np.stack([form.base_column(f, predicted, gravity, flight) for f in form.BASE])
 
-        self._formed = list(self._pool.map(of, self.flights))
+        self._form_jacobians = list(self._pool.map(of, self.flights))
 
-    def formed(self, flight: Measured) -> np.ndarray:
+    def form_jacobian(self, flight: MeasuredFlight) -> np.ndarray:
         """Return the Jacobian (F, m, 6) of a flight's prediction in the base model's errors."""
-        if self._formed is None:
-            self.reform(self.vehicle)
-        assert self._formed is not None
-        return self._formed[self.flights.index(flight)]
+        if self._form_jacobians is None:
+            self.compute_form_jacobians(self.vehicle)
+        assert self._form_jacobians is not None
+        return self._form_jacobians[self.flights.index(flight)]
 
-    def _beside_forms(self, flight: Measured, predicted: np.ndarray, values: Values) -> np.ndarray:
+    def _beside_forms(self, flight: MeasuredFlight, predicted: np.ndarray, values: Values) -> np.ndarray:
         weights = values.get(BASE, {})
         if not any(weights.values()):
             return predicted
-        return predicted + np.tensordot([weights[f] for f in form.BASE], self.formed(flight), axes=1)
+        return predicted + np.tensordot([weights[f] for f in form.BASE], self.form_jacobian(flight), axes=1)
 
-    def white_of(self, k: int, vehicle: Vehicle) -> np.ndarray:
+    def white_errors_of(self, k: int, vehicle: Vehicle) -> np.ndarray:
         """Return the white errors (w, 6, q) of one vehicle on the flight k."""
         flight = self.flights[k]
         return flight.whitening(flight.cut(flight.measured - predict(flight, vehicle)))
 
     def squares(self, values: Values, inflation: np.ndarray) -> float:
         """Return the weighted sum of squared white errors with effects at `values`."""
-        by_channel = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in self.white_at(values)])
-        return float((self.weight / inflation * by_channel).sum())
+        squares_by_channel = np.concatenate(
+            [np.einsum("wcq,wcq->wc", x, x) for x in self.white_errors_at(values)]
+        )
+        return float((self.weight / inflation * squares_by_channel).sum())
 
     def form_columns(self, values: Values) -> list[Column]:
         """Return the model error columns of the base and of the effects that are not neutral in `values`."""
@@ -270,21 +272,23 @@ class Problem(Suspects):
             for f in self.library[name].forms
         ]
 
-    def slopes(self, values: Values, columns: Sequence[Column]) -> Callable[[Measured], list[np.ndarray]]:
+    def jacobian(
+        self, values: Values, columns: Sequence[Column]
+    ) -> Callable[[MeasuredFlight], list[np.ndarray]]:
         """Return a function of a flight: predicted pose (m, 6) at `values`, then its slopes along columns."""
         vehicle, order = self.corrected(values), list(form.BASE)
-        beside = {c: self.to_one_side(values, c) for c in columns if not c.form}
-        formed = {c.effect for c in columns if c.form} - {BASE}
-        rest = {n: self.corrected({m: v for m, v in values.items() if m != n}) for n in formed}
+        beside = {c: self.one_sided_difference(values, c) for c in columns if not c.form}
+        form_jacobian = {c.effect for c in columns if c.form} - {BASE}
+        rest = {n: self.corrected({m: v for m, v in values.items() if m != n}) for n in form_jacobian}
 
-        def of(flight: Measured) -> list[np.ndarray]:
+        def of(flight: MeasuredFlight) -> list[np.ndarray]:
             like = translated(flight, vehicle)
             here = predict(flight, vehicle, like)
             without = {name: here - predict(flight, other) for name, other in rest.items()}
             result = [self._beside_forms(flight, here, values)]
             for column in columns:
                 if column.effect == BASE:
-                    result.append(self.formed(flight)[order.index(column.form)])
+                    result.append(self.form_jacobian(flight)[order.index(column.form)])
                 elif column.form:
                     result.append(form.column(column.form, without[column.effect], flight))
                 else:
@@ -295,7 +299,7 @@ class Problem(Suspects):
 
         return of
 
-    def linearise(self, values: Values, columns: Sequence[Column], inflation: np.ndarray) -> Linear:
+    def linearise(self, values: Values, columns: Sequence[Column], inflation: np.ndarray) -> Linearisation:
         """Return the Gram matrices of white errors and Jacobian at `values`.
 
         inflation (6,): by which the squared errors of every channel are divided.
@@ -305,8 +309,8 @@ class Problem(Suspects):
         c = np.zeros(self.groups)
 
         if any(column.effect == BASE for column in columns):
-            self.formed(self.flights[0])
-        slopes_of = self.slopes(values, columns)
+            self.form_jacobian(self.flights[0])
+        slopes_of = self.jacobian(values, columns)
 
         def of(k: int) -> None:
             flight, own = self.flights[k], self.flight_of == k
@@ -327,10 +331,10 @@ class Problem(Suspects):
                         a[np.ix_([g], at, at)] += gram[None, 1:, 1:]
 
         list(self._pool.map(of, range(len(self.flights))))
-        return Linear(tuple(columns), a, b, c, self)
+        return Linearisation(tuple(columns), a, b, c, self)
 
 
-def _groups(flights: Sequence[Measured]) -> np.ndarray:
+def _groups(flights: Sequence[MeasuredFlight]) -> np.ndarray:
     """Return the group of every window: its flight, or part of it where there are few."""
     parts = 1 if len(flights) >= LEAST_GROUPS else -(-LEAST_GROUPS // len(flights))
     groups, offset = [], 0
@@ -343,7 +347,7 @@ def _groups(flights: Sequence[Measured]) -> np.ndarray:
 
 
 def identifiable_effects(
-    library: Mapping[str, Effect], flights: Sequence[Measured]
+    library: Mapping[str, Effect], flights: Sequence[MeasuredFlight]
 ) -> tuple[dict[str, Effect], list[str]]:
     """Return the effects whose required log channels were logged and vary, and sentences on the others."""
     kept, notes = {}, []
@@ -359,7 +363,7 @@ def identifiable_effects(
     return kept, notes
 
 
-def _why_unidentifiable(channel: str, least: float, flights: Sequence[Measured]) -> str:
+def _why_unidentifiable(channel: str, least: float, flights: Sequence[MeasuredFlight]) -> str:
     """Return why a log channel identifies nothing; empty if it does."""
     logged = [getattr(f, channel) for f in flights]
     if any(x is None for x in logged):
@@ -370,7 +374,7 @@ def _why_unidentifiable(channel: str, least: float, flights: Sequence[Measured])
 
 
 @dataclasses.dataclass
-class Linear:
+class Linearisation:
     """Linearised least squares: Gram matrices of every group of windows."""
 
     columns: tuple[Column, ...]

@@ -19,25 +19,27 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.evidence import Linear, Problem, Values
+from inclined_landing.eval.gap.search.evidence import Linearisation, Problem, Values
 from inclined_landing.models.effects.effect import OFF
 
 SPIKE = 0.35  # standard deviation of what is not named, as a share of negligible
 BETWEEN = 0.35  # of the difference between flights, likewise
 SLAB = 1.0  # of what is named, in plausible sizes
 LARGE = 4.0  # times as wide where an effect is far larger: sizes have heavy tails
-DRAWS = 24  # of flights
-MOST = 0.5  # plausible sizes: what is not named is no more
-ROUNDS = 10  # of expectation and maximisation
-BOUNDED = 4  # rounds in which what lies outside its bounds is put there
+BOOTSTRAP_SAMPLES = 24  # of flights
+MOST_SPIKE = 0.5  # plausible sizes: what is not named is no more
+EM_ROUNDS = 10  # of expectation and maximisation
+ACTIVE_SET_ROUNDS = 4  # rounds in which what lies outside its bounds is put there
 # How well differences between flights are known beforehand, as if seen in so many flights.
-SEEN_BEFORE = 2.0
-SHAPE = np.array([[0.3125, 0.1875], [0.1875, 0.3125]])  # covariance of a unit size at both sides: see `wide`
+PRIOR_FLIGHTS = 2.0
+SHAPE_COVARIANCE = np.array(
+    [[0.3125, 0.1875], [0.1875, 0.3125]]
+)  # covariance of a unit size at both sides: see `slab_covariance`
 
-Set = frozenset[str]
+EffectSet = frozenset[str]
 
 
-def spikes(problem: Problem, columns: Sequence) -> np.ndarray:
+def spike_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
     """Return the spikes' standard deviations (P,).
 
     A share of the negligible size, split among confounded columns, plus the standard error of the mean of the
@@ -45,26 +47,27 @@ def spikes(problem: Problem, columns: Sequence) -> np.ndarray:
     """
     count = np.array([problem.excitation.get((c.effect, c.parameter), problem.groups) for c in columns])
     spike = np.hypot(
-        SPIKE * _shares(problem, columns), between_flight_deviations(problem, columns) / np.sqrt(count)
+        SPIKE * _shared_negligible_sizes(problem, columns),
+        between_flight_deviations(problem, columns) / np.sqrt(count),
     )
-    return np.minimum(spike, MOST * slabs(problem, columns))
+    return np.minimum(spike, MOST_SPIKE * slab_deviations(problem, columns))
 
 
 def between_flight_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
     """Return the between-flight standard deviations (P,)."""
     own = [problem.between.get((c.effect, c.parameter), 0.0) for c in columns]
-    return np.maximum(BETWEEN * _shares(problem, columns), own)
+    return np.maximum(BETWEEN * _shared_negligible_sizes(problem, columns), own)
 
 
-def _shares(problem: Problem, columns: Sequence) -> np.ndarray:
+def _shared_negligible_sizes(problem: Problem, columns: Sequence) -> np.ndarray:
     """Return the negligible sizes (P,), each divided by the root of the number of confounded columns."""
-    alike = [
+    collinear = [
         problem.confounded.get((c.effect, c.parameter), 1.0) * (2.0 if c.fixed else 1.0) for c in columns
     ]
-    return np.array([problem.parameter(c).negligible for c in columns]) / np.sqrt(alike)
+    return np.array([problem.parameter(c).negligible for c in columns]) / np.sqrt(collinear)
 
 
-def confounding(linear: Linear) -> dict[tuple[str, str], float]:
+def confounding(linear: Linearisation) -> dict[tuple[str, str], float]:
     """Return (effect, parameter) -> effective number of columns collinear with it: sum of squared cosines."""
     a = linear.a.sum(axis=0)
     scale = np.sqrt(np.maximum(np.diag(a), 1e-300))
@@ -73,30 +76,32 @@ def confounding(linear: Linear) -> dict[tuple[str, str], float]:
     return {(c.effect, c.parameter): float(x) for c, x in zip(linear.columns, count)}
 
 
-def excitation(problem: Problem, linear: Linear) -> dict[tuple[str, str], float]:
+def excitation(problem: Problem, linear: Linearisation) -> dict[tuple[str, str], float]:
     """Return (effect, parameter) -> number of flights (>= 1) that excite it beyond what flights differ by."""
     spread = between_flight_deviations(problem, linear.columns)
     share = np.minimum(1.0, np.einsum("gkk->gk", linear.a) * spread**2).sum(axis=0)
     return {(c.effect, c.parameter): max(1.0, float(x)) for c, x in zip(linear.columns, share)}
 
 
-def estimate_between_flights(problem: Problem, linear: Linear) -> dict[tuple[str, str], float]:
+def estimate_between_flight_deviations(
+    problem: Problem, linear: Linearisation
+) -> dict[tuple[str, str], float]:
     """Return (effect, parameter) -> between-flight standard deviation, by expectation maximisation.
 
     The prior counts as SEEN_BEFORE flights: with one flight that excites an effect, it is all there is.
     """
-    unit = _shares(problem, linear.columns)
+    unit = _shared_negligible_sizes(problem, linear.columns)
     a, b = linear.a * np.outer(unit, unit), linear.b * unit
-    prior = (unit / slabs(problem, linear.columns)) ** 2
+    prior = (unit / slab_deviations(problem, linear.columns)) ** 2
     known = np.array([problem.parameter(c).between for c in linear.columns]) / unit
     known = np.maximum(BETWEEN, known) ** 2
     variance, eye = known.copy(), np.eye(len(unit))
     # Of a loop, it is known by how much; of the rest, days differ as vehicles do.
     loop = np.array([problem.parameter(c).manoeuvre > 0.0 for c in linear.columns])
-    most = np.maximum(known, np.where(loop, MOST**2, 1.0) / prior)
+    most = np.maximum(known, np.where(loop, MOST_SPIKE**2, 1.0) / prior)
     sized = np.array([not problem.parameter(c).is_reference for c in linear.columns])
-    share = SEEN_BEFORE / (SEEN_BEFORE + problem.groups)
-    for _ in range(ROUNDS):
+    share = PRIOR_FLIGHTS / (PRIOR_FLIGHTS + problem.groups)
+    for _ in range(EM_ROUNDS):
         inner = np.linalg.inv(eye + a * variance)
         total = (inner @ a).sum(axis=0) + np.diag(prior)
         fleet = np.linalg.solve(total, np.einsum("gpq,gq->p", inner, b))
@@ -108,7 +113,7 @@ def estimate_between_flights(problem: Problem, linear: Linear) -> dict[tuple[str
     return {(c.effect, c.parameter): float(np.sqrt(v) * u) for c, v, u in zip(linear.columns, variance, unit)}
 
 
-def slabs(problem: Problem, columns: Sequence) -> np.ndarray:
+def slab_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
     """Return the slabs' standard deviations (P,)."""
     width = []
     for column in columns:
@@ -117,18 +122,18 @@ def slabs(problem: Problem, columns: Sequence) -> np.ndarray:
     return np.array(width)
 
 
-def wide(problem: Problem, columns: Sequence) -> np.ndarray:
+def slab_covariance(problem: Problem, columns: Sequence) -> np.ndarray:
     """Return the slabs' covariance (P, P).
 
     A size s about a reference that lies t N(0, 1/4) of the way to either side is s (1/2 - t) and s (1/2 + t)
     about both sides: with the same sign, or it would be a scale and no shape.
     """
-    width = slabs(problem, columns)
+    width = slab_deviations(problem, columns)
     shape = np.eye(len(columns))
     for i, one in enumerate(columns):
         for j, other in enumerate(columns):
             if one.fixed and (one.effect, one.parameter) == (other.effect, other.parameter):
-                shape[i, j] = SHAPE[0, int(i != j)]
+                shape[i, j] = SHAPE_COVARIANCE[0, int(i != j)]
     return shape * np.outer(width, width)
 
 
@@ -179,7 +184,7 @@ class Bounds:
         coordinates outside are fixed at their bound, the others conditioned on them.
         """
         outside, result, unlikely = np.zeros(len(at), bool), at, 0.0
-        for _ in range(BOUNDED):
+        for _ in range(ACTIVE_SET_ROUNDS):
             clipped = self.clip(result)
             off = np.zeros(len(at), bool)
             off[own] = np.abs(clipped - result)[own] > 1e-9 * (1.0 + np.abs(clipped[own]))
@@ -195,7 +200,7 @@ class Bounds:
 
 
 @dataclasses.dataclass
-class Local:
+class LinearGaussian:
     """Quadratic log-likelihood of the flights near one point, coordinates in units of the spikes.
 
     log p = -1/2 (c - 2 b'x + x'a x) of every flight (or group of windows), random effects integrated out.
@@ -213,21 +218,21 @@ class Local:
     off: np.ndarray  # (P,) mean of theta
     known: np.ndarray  # (P, P) covariance of theta
     between: np.ndarray  # (P,) variance between flights
-    own_a: np.ndarray  # (f, P, P) of every flight, its deviation not integrated out
-    own_b: np.ndarray  # (f, P)
+    flight_a: np.ndarray  # (f, P, P) of every flight, its deviation not integrated out
+    flight_b: np.ndarray  # (f, P)
 
     @staticmethod
-    def of(problem: Problem, linear: Linear, values: Values) -> Local:
+    def of(problem: Problem, linear: Linearisation, values: Values) -> LinearGaussian:
         """Return the model linearised at `values`."""
         columns = linear.columns
-        unit = spikes(problem, columns)
+        unit = spike_deviations(problem, columns)
         at = problem.coordinates(values, columns)
         at = at / unit
         a = linear.a * np.outer(unit, unit)
         b = linear.b * unit
         c = linear.c
-        own_a, own_b = linear.by_flight()
-        own_a, own_b = own_a * np.outer(unit, unit), own_b * unit
+        flight_a, flight_b = linear.by_flight()
+        flight_a, flight_b = flight_a * np.outer(unit, unit), flight_b * unit
         between = (between_flight_deviations(problem, columns) / unit) ** 2
         # Marginal over a deviation u of each flight, u ~ N(0, between) in every column.
         inner = np.linalg.inv(np.eye(len(columns)) + a * between)
@@ -236,24 +241,26 @@ class Local:
         a = inner @ a
         a = 0.5 * (a + a.swapaxes(1, 2))
         off, known = problem.known(columns)
-        slab = wide(problem, columns) / np.outer(unit, unit)
+        slab = slab_covariance(problem, columns) / np.outer(unit, unit)
         off, known = off / unit, known / np.outer(unit, unit)
         bounds = Bounds.of(problem, columns, unit)
-        return Local(problem, columns, at, a, b, c, unit, slab, bounds, off, known, between, own_a, own_b)
+        return LinearGaussian(
+            problem, columns, at, a, b, c, unit, slab, bounds, off, known, between, flight_a, flight_b
+        )
 
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Return the indices of the columns of the effects `names`."""
         names = set(names)
         return np.array([k for k, column in enumerate(self.columns) if column.effect in names], int)
 
-    def fresh(self, names: Set) -> np.ndarray:
+    def change_covariance(self, names: EffectSet) -> np.ndarray:
         """Return the prior covariance (P, P) of delta: slabs for `names`, spikes for the others."""
         own = np.isin(np.arange(len(self.columns)), self.index(names))
         return np.where(np.outer(own, own), self.slab, np.diag(~own))
 
-    def prior(self, names: Set) -> tuple[np.ndarray, np.ndarray]:
+    def prior(self, names: EffectSet) -> tuple[np.ndarray, np.ndarray]:
         """Return the prior mean (P,) of z, from the linearisation point, and its covariance (P, P)."""
-        return self.off - self.at, self.known + self.fresh(names)
+        return self.off - self.at, self.known + self.change_covariance(names)
 
     def evidence(self, weights: np.ndarray | None = None) -> Evidence:
         """Return the marginal likelihood as a function of a set; `weights` (g,): bootstrap counts."""
@@ -263,7 +270,7 @@ class Local:
             self, np.tensordot(w, self.a, axes=1), w @ self.b, float(w @ self.c), mean, covariance
         )
 
-    def fit(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def fit(self, names: EffectSet, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the posterior mean (P,) of z, from the linearisation point, and covariance, in spikes."""
         w = np.ones(len(self.c)) if weights is None else weights
         mean, prior = self.prior(names)
@@ -271,45 +278,45 @@ class Local:
         covariance = np.linalg.solve(np.eye(len(b)) + prior @ a, prior)
         return mean + covariance @ (b - a @ mean), 0.5 * (covariance + covariance.T)
 
-    def delta(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def delta(self, names: EffectSet, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the posterior mean (P,) of delta, from neutral, and covariance (P, P), in spikes, unbounded.
 
         With z = theta + delta and prior covariance K = Sigma + V:  delta = V K^-1 (z - m).
         """
         change, covariance = self.fit(names, weights)
         mean, prior = self.prior(names)
-        fresh = self.fresh(names)
-        share = fresh @ np.linalg.inv(prior)
-        return share @ (change - mean), fresh + share @ (covariance - prior) @ share.T
+        change_covariance = self.change_covariance(names)
+        share = change_covariance @ np.linalg.inv(prior)
+        return share @ (change - mean), change_covariance + share @ (covariance - prior) @ share.T
 
-    def within(self, names: Set, weights: np.ndarray | None = None) -> np.ndarray:
+    def within(self, names: EffectSet, weights: np.ndarray | None = None) -> np.ndarray:
         """Return the posterior mode (P,) of delta within bounds, in spikes."""
         return self.bounds.within(*self.delta(names, weights), self.index(names))[0]
 
-    def errors(self, names: Set) -> np.ndarray:
+    def errors(self, names: EffectSet) -> np.ndarray:
         """Return the standard errors (P,) of delta, in spikes."""
         return np.sqrt(np.maximum(self.delta(names)[1].diagonal(), 0.0))
 
     def deviation(self, flight: int, change: np.ndarray) -> np.ndarray:
         """Return the posterior mean (P,) of one flight's random effect, in spikes."""
-        a, b = self.own_a[flight], self.own_b[flight]
+        a, b = self.flight_a[flight], self.flight_b[flight]
         return np.linalg.solve(a + np.diag(1.0 / self.between), b - a @ change)
 
-    def sized(self, values: Values) -> dict[tuple[str, str], Sized]:
+    def sized(self, values: Values) -> dict[tuple[str, str], ParameterEstimate]:
         """Return (effect, parameter) -> its standard errors, for the set of `values`."""
         names = frozenset(values)
         change, _ = self.fit(names)
         _, covariance = self.delta(names)
         variance = self.errors(names) ** 2
-        deviation = np.array([self.deviation(k, change) for k in range(len(self.own_a))])
-        alone = np.linalg.inv(self.own_a + np.diag(1.0 / self.between))
+        deviation = np.array([self.deviation(k, change) for k in range(len(self.flight_a))])
+        alone = np.linalg.inv(self.flight_a + np.diag(1.0 / self.between))
         result = {}
         own = [(c.effect, c.parameter) for c in self.columns if c.effect in names and not c.form]
         for name, parameter in dict.fromkeys(own):
             k = [i for i, c in enumerate(self.columns) if (c.effect, c.parameter) == (name, parameter)]
             square = variance[k[0]] if len(k) == 1 else covariance[np.ix_(k, k)].sum()
             unit = self.unit[k[0]] * self.problem.parameter(self.columns[k[0]]).slope(values[name][parameter])
-            result[name, parameter] = Sized(
+            result[name, parameter] = ParameterEstimate(
                 error=float(np.sqrt(max(0.0, square)) * unit),
                 deviation=deviation[:, k].sum(axis=1) * unit,
                 alone=np.sqrt(np.maximum(0.0, alone[:, k][:, :, k].sum(axis=(1, 2)))) * unit,
@@ -319,7 +326,7 @@ class Local:
 
 
 @dataclasses.dataclass(frozen=True)
-class Sized:
+class ParameterEstimate:
     """Standard errors of a parameter, in its unit."""
 
     error: float  # standard error
@@ -346,7 +353,7 @@ class Evidence:
     bounds: Bounds
 
     @staticmethod
-    def of(local: Local, a, b, c: float, mean: np.ndarray, covariance: np.ndarray) -> Evidence:
+    def of(local: LinearGaussian, a, b, c: float, mean: np.ndarray, covariance: np.ndarray) -> Evidence:
         """Return it for Gram matrices a, b, c summed over flights and the prior of the empty set."""
         c = c - 2.0 * b @ mean + mean @ a @ mean
         b = b - a @ mean
@@ -359,33 +366,37 @@ class Evidence:
         ends = [(n, k[:2]) for n, k in own.items() if len(k) and local.columns[k[0]].fixed]
         return Evidence(0.5 * (after + after.T), inner @ b, float(empty), own, local.slab, ends, local.bounds)
 
-    def __call__(self, names: Set) -> float:
+    def __call__(self, names: EffectSet) -> float:
         """Return the log marginal likelihood of a set."""
         columns = [self.own[n] for n in sorted(names) if len(self.own[n])]
         if not columns:
             return self.empty
         k = np.concatenate(columns)
-        at, score = self._at(k, np.ones(len(k)))
+        at, score = self._mode(k, np.ones(len(k)))
         far = np.abs(at[k]) > 2.0 * np.sqrt(self.slab[k, k])
         if far.any():  # heavy tails: one time in five, sizes are LARGE times as large
-            at_large, large = self._at(k, np.where(far, LARGE, 1.0))
+            at_large, large = self._mode(k, np.where(far, LARGE, 1.0))
             large -= far.sum() * np.log(4.0)
             at, score = max(((at, score), (at_large, large)), key=lambda one: one[1])
-        return score + sum(self._shape(n, at[one], at[other]) for n, (one, other) in self.ends if n in names)
+        return score + sum(
+            self._shape_log_prior(n, at[one], at[other]) for n, (one, other) in self.ends if n in names
+        )
 
-    def _shape(self, name: str, low: float, high: float) -> float:
+    def _shape_log_prior(self, name: str, low: float, high: float) -> float:
         """Return the log prior ratio of two sizes about a reference, relative to their normal prior.
 
         A size s about a reference t of the way to one side: log N(s) N(t; 0, 1/4) / |s|, less the normal one.
         """
-        width = math.sqrt(self.slab[self.own[name][0], self.own[name][0]] / SHAPE[0, 0])
+        width = math.sqrt(self.slab[self.own[name][0], self.own[name][0]] / SHAPE_COVARIANCE[0, 0])
         s, ends = low + high, np.array([low, high]) / width
         t = 0.5 * (high - low) / s if s else math.inf
         product = -0.5 * (s / width) ** 2 - 2.0 * t * t - math.log(0.5 * max(abs(s) / width, 0.1))
-        normal = -0.5 * ends @ np.linalg.solve(SHAPE, ends) - 0.5 * math.log(np.linalg.det(SHAPE))
+        normal = -0.5 * ends @ np.linalg.solve(SHAPE_COVARIANCE, ends) - 0.5 * math.log(
+            np.linalg.det(SHAPE_COVARIANCE)
+        )
         return min(0.0, product - normal)
 
-    def _at(self, k: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, float]:
+    def _mode(self, k: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the bounded mode (P,) of the columns k, slabs `times` (k,) as wide, and the log evidence."""
         prior = self.slab[np.ix_(k, k)] * np.outer(times, times) - np.eye(len(k))
         root = np.linalg.cholesky(prior + np.diag(np.maximum(1e-9, 1e-6 - prior.diagonal())))
@@ -405,4 +416,8 @@ class Evidence:
 
 def flight_weights(groups: int, seed: int = 0) -> np.ndarray:
     """Return the bootstrap counts (DRAWS, g) of the flights."""
-    return np.random.default_rng(seed).multinomial(groups, np.full(groups, 1.0 / groups), DRAWS).astype(float)
+    return (
+        np.random.default_rng(seed)
+        .multinomial(groups, np.full(groups, 1.0 / groups), BOOTSTRAP_SAMPLES)
+        .astype(float)
+    )

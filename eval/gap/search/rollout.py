@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from inclined_landing.eval.gap.flights.windows import SMOOTHING, Measured, level, prepare
+from inclined_landing.eval.gap.flights.windows import SMOOTHING, MeasuredFlight, prepare, remove_tilt
 from inclined_landing.eval.gap.result import PlantGap
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.models import equations
@@ -26,23 +26,23 @@ from inclined_landing.models.perturbation import neutral
 from inclined_landing.models.plants import PLANTS, MujocoPlant
 
 HORIZON = 1.0  # s
-ENGINE_STEP = 0.004  # s at most
-FAR_UP = 50.0  # m
+LARGEST_STEP = 0.004  # s at most
+CLEAR_HEIGHT = 50.0  # m
 ANGLE_SMOOTHING = 0.05  # s to either side, for start attitudes and their rates
 
 
 @dataclasses.dataclass
-class Starts:
+class RolloutWindows:
     """Windows of several flights to simulate together; all have the same number of rows."""
 
-    flights: list[Measured]
+    flights: list[MeasuredFlight]
     flight_of: np.ndarray  # (n,)
     first: np.ndarray  # (n,) row in the flight
     rows: int  # steps of the horizon
     dt: float
 
     @staticmethod
-    def of(flights: Sequence[Measured], horizon: float = HORIZON, every: float = 1.0) -> Starts:
+    def of(flights: Sequence[MeasuredFlight], horizon: float = HORIZON, every: float = 1.0) -> RolloutWindows:
         """A window every `every` seconds wherever all of it is usable.
 
         Raises UserError when the flights have different rates, and where no stretch is long enough.
@@ -62,7 +62,7 @@ class Starts:
         if not first:
             names = ", ".join(f.name for f in flights)
             raise UserError(f"no stretch of {horizon:g} s in free flight in {names}")
-        return Starts(list(flights), np.array(flight_of, int), np.array(first, int), rows, dt)
+        return RolloutWindows(list(flights), np.array(flight_of, int), np.array(first, int), rows, dt)
 
     def __len__(self) -> int:
         return len(self.first)
@@ -77,7 +77,7 @@ class Starts:
         return self.gather([f.measured for f in self.flights], self.rows + 1)
 
 
-def smoothed_states(flight: Measured) -> np.ndarray:
+def smoothed_states(flight: MeasuredFlight) -> np.ndarray:
     """States (m, 13) from smoothed measurements; lag zero."""
     dt = flight.dt
     wide, narrow = (2 * max(2, round(x / dt)) + 1 for x in (SMOOTHING, ANGLE_SMOOTHING))
@@ -91,7 +91,7 @@ def smoothed_states(flight: Measured) -> np.ndarray:
     return state
 
 
-def start_noise(flight: Measured) -> np.ndarray:
+def start_state_noise(flight: MeasuredFlight) -> np.ndarray:
     """Standard deviations (12,) of a smoothed state's noise: position, velocity, attitude, rates."""
     dt = flight.dt
     wide, narrow = (2 * max(2, round(x / dt)) + 1 for x in (SMOOTHING, ANGLE_SMOOTHING))
@@ -103,7 +103,7 @@ def start_noise(flight: Measured) -> np.ndarray:
     return np.concatenate([factor[0] * p, factor[1] * p, factor[2] * a, factor[3] * a])
 
 
-def drive(command: np.ndarray, dt: float, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
+def delayed_commands(command: np.ndarray, dt: float, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     """Commands (m, 4) as delayed means (m - 1, 4) over each step, and the thrust lag (m,) they lead to."""
     late = vehicle.effects_mocap_delay
     delays = [vehicle.effects_thrust_delay + late] + [vehicle.effects_attitude_delay + late] * 3
@@ -111,30 +111,30 @@ def drive(command: np.ndarray, dt: float, vehicle: Vehicle) -> tuple[np.ndarray,
     return commands, equations.lags(commands[:, PWM], dt, equations.pack(vehicle))
 
 
-def undelayed(vehicle: Vehicle) -> Vehicle:
-    """The vehicle for commands that `drive` has delayed."""
+def without_delays(vehicle: Vehicle) -> Vehicle:
+    """The vehicle for commands that `delayed_commands` has delayed."""
     return dataclasses.replace(
         vehicle, effects_thrust_delay=0.0, effects_attitude_delay=0.0, effects_mocap_delay=0.0
     )
 
 
 def simulate(
-    starts: Starts, vehicle: Vehicle, plant: str = "analytic", disturbance: np.ndarray | None = None
+    starts: RolloutWindows, vehicle: Vehicle, plant: str = "analytic", perturbation: np.ndarray | None = None
 ) -> np.ndarray:
     """Simulated pose (n, rows + 1, 6) of every window.
 
     disturbance: (n, 12) added to position, velocity, attitude and body rates of the start states.
     """
-    driven = [drive(f.command, f.dt, vehicle) for f in starts.flights]
+    driven = [delayed_commands(f.command, f.dt, vehicle) for f in starts.flights]
     commands = starts.gather([c for c, _ in driven])
     state = starts.gather([smoothed_states(f) for f in starts.flights], 1)[:, 0]
     tilt = vehicle.effects_mocap_tilt
     if any(tilt):
-        state[:, ROLL : ROLL + 3] = level(state[:, ROLL : ROLL + 3].copy(), tilt)
+        state[:, ROLL : ROLL + 3] = remove_tilt(state[:, ROLL : ROLL + 3].copy(), tilt)
     lag = starts.gather([lag for _, lag in driven])
     state[:, LAG] = lag[:, 0]
-    if disturbance is not None:
-        state[:, :LAG] += disturbance
+    if perturbation is not None:
+        state[:, :LAG] += perturbation
     ambient = starts.gather([f.ambient for f in starts.flights])
     if plant not in PLANTS:
         raise UserError(f"unknown plant {plant!r}; known are {', '.join(PLANTS)}")
@@ -153,13 +153,13 @@ def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
     c, p = equations.pack(vehicle), neutral(n)
     pose = np.empty((n, starts.rows + 1, 6))
     pose[:, 0] = state[:, _POSE]
-    substeps = max(1, math.ceil(starts.dt / ENGINE_STEP))
-    around = ambient[:, 0].copy()
-    around[:, 0] -= 0.5 * starts.dt
+    substeps = max(1, math.ceil(starts.dt / LARGEST_STEP))
+    step_ambient = ambient[:, 0].copy()
+    step_ambient[:, 0] -= 0.5 * starts.dt
     for k in range(starts.rows):
-        around[:, 1:] = ambient[:, k, 1:]
+        step_ambient[:, 1:] = ambient[:, k, 1:]
         command, dt = np.ascontiguousarray(commands[:, k]), starts.dt / substeps
-        equations.advance(state, command, around, c, p, True, dt, substeps, equations.STILL)
+        equations.advance(state, command, step_ambient, c, p, True, dt, substeps, equations.STILL)
         pose[:, k + 1] = state[:, _POSE]
     return pose
 
@@ -167,14 +167,16 @@ def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
 def _mujoco(starts, vehicle, state, commands, ambient, lag) -> np.ndarray:
     """As `_analytic`; what depends on flight time and measured voltage enters as a scale of the thrust."""
     n = len(starts)
-    plain = dataclasses.replace(undelayed(vehicle), effects_thrust_fade=0.0, effects_voltage_sensitivity=0.0)
-    scale = _scales(ambient, lag, equations.pack(vehicle))
+    plain = dataclasses.replace(
+        without_delays(vehicle), effects_thrust_fade=0.0, effects_voltage_sensitivity=0.0
+    )
+    scale = _thrust_scales(ambient, lag, equations.pack(vehicle))
     varies = bool((scale != 1.0).any())
-    step = starts.dt / math.ceil(starts.dt / ENGINE_STEP - 1e-9)
+    step = starts.dt / math.ceil(starts.dt / LARGEST_STEP - 1e-9)
     plant = MujocoPlant(n, plain, control_period=starts.dt, timestep=step)
     plant.set_platform(np.arange(n), vehicle.platform_inclination, ambient[:, 0, 3] > 0.0)
     # Free flight meets nothing: without surfaces that matter it is flown high above the floor.
-    lift = 0.0 if vehicle.effects_ground_effect or ambient[:, 0, 3].any() else FAR_UP
+    lift = 0.0 if vehicle.effects_ground_effect or ambient[:, 0, 3].any() else CLEAR_HEIGHT
     state[:, 2] += lift
     plant.reset(np.arange(n), state)
     pose = np.empty((n, starts.rows + 1, 6))
@@ -189,7 +191,7 @@ def _mujoco(starts, vehicle, state, commands, ambient, lag) -> np.ndarray:
 
 
 @numba.njit(cache=True)
-def _scales(ambient, lag, vehicle):
+def _thrust_scales(ambient, lag, vehicle):
     """What flight time and battery voltage multiply the thrust by, (n, rows)."""
     v, out = vehicle[0], np.empty(lag.shape)
     for i in range(out.shape[0]):
@@ -207,21 +209,21 @@ def position_error(simulated: np.ndarray, measured: np.ndarray) -> np.ndarray:
     return np.sqrt(((simulated - measured)[:, 1:, :3] ** 2).sum(axis=2).mean(axis=0))
 
 
-def noise_floor(starts: Starts, vehicle: Vehicle, seed: int = 0) -> np.ndarray:
+def noise_floor(starts: RolloutWindows, vehicle: Vehicle, seed: int = 0) -> np.ndarray:
     """Error (rows,) [m] that a perfect model would show: noise of start state and of the comparison.
 
     By simulation of `vehicle` from start states with and without the noise that smoothing leaves, plus
     the measurement noise at the end.
     """
     rng = np.random.default_rng(seed)
-    scale = np.stack([start_noise(f) for f in starts.flights])[starts.flight_of]
+    scale = np.stack([start_state_noise(f) for f in starts.flights])[starts.flight_of]
     a = simulate(starts, vehicle)
-    b = simulate(starts, vehicle, disturbance=scale * rng.standard_normal(scale.shape))
+    b = simulate(starts, vehicle, perturbation=scale * rng.standard_normal(scale.shape))
     end = np.stack([f.noise[:3] for f in starts.flights])[starts.flight_of]
     return np.sqrt(position_error(a, b) ** 2 + (end**2).sum(axis=1).mean())
 
 
-def translation_error(starts: Starts, vehicle: Vehicle) -> np.ndarray:
+def translation_error(starts: RolloutWindows, vehicle: Vehicle) -> np.ndarray:
     """As `position_error` with the measured attitude in place of the simulated one."""
     squares = np.zeros((len(starts), starts.rows))
     time = np.arange(1, starts.rows + 1) * starts.dt
@@ -241,7 +243,7 @@ def translation_error(starts: Starts, vehicle: Vehicle) -> np.ndarray:
 
 
 def plant_gap(
-    starts: Starts, before: Vehicle, after: Vehicle | Sequence[Vehicle], plant: str, floor: np.ndarray
+    starts: RolloutWindows, before: Vehicle, after: Vehicle | Sequence[Vehicle], plant: str, floor: np.ndarray
 ) -> PlantGap:
     """Gap at the end of the horizon; `after`: one vehicle, or one for each flight of `starts`."""
     first, second = (errors_by_flight(starts, vehicle, plant) for vehicle in (before, after))
@@ -257,7 +259,7 @@ def plant_gap(
 
 
 def errors_by_flight(
-    starts: Starts, vehicle: Vehicle | Sequence[Vehicle], plant: str = "analytic"
+    starts: RolloutWindows, vehicle: Vehicle | Sequence[Vehicle], plant: str = "analytic"
 ) -> tuple[np.ndarray, np.ndarray]:
     """`position_error` and `translation_error` (rows,), where each flight may have a vehicle of its own."""
     if isinstance(vehicle, Vehicle):
@@ -290,8 +292,10 @@ def measure_gap(
     place of the simulated one, how many windows, and {t, error, floor} against the horizon.
     Raises UserError when no flight has a usable stretch of that length.
     """
-    prepared = [f if isinstance(f, Measured) else prepare(f, vehicle, platform=platform) for f in flights]
-    starts = Starts.of(prepared, horizon)
+    prepared = [
+        f if isinstance(f, MeasuredFlight) else prepare(f, vehicle, platform=platform) for f in flights
+    ]
+    starts = RolloutWindows.of(prepared, horizon)
     error, translation = errors_by_flight(starts, vehicle, plant)
     floor = noise_floor(starts, vehicle)
     return {

@@ -15,9 +15,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.flights.landings import BEFORE, FLEETING, Landing
-from inclined_landing.eval.gap.search.evidence import Suspects
-from inclined_landing.eval.gap.search.rollout import drive, undelayed
+from inclined_landing.eval.gap.flights.landings import BEFORE, TRANSIENT, Landing
+from inclined_landing.eval.gap.search.evidence import Candidates
+from inclined_landing.eval.gap.search.rollout import delayed_commands, without_delays
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, X, Y, Z
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.effects.contact import spring_of
@@ -30,7 +30,7 @@ from inclined_landing.models.scene import compile_scene
 STEP = 0.00125  # s at most, of the engine: damping times 3 is unstable at twice as much
 
 
-class TouchdownProblem(Suspects):
+class TouchdownProblem(Candidates):
     """Landings, and the effects of contact that may explain them.
 
     Channels: along and across the slope, along its normal, roll, pitch, yaw.
@@ -48,14 +48,16 @@ class TouchdownProblem(Suspects):
         simulated = simulate(self.flights, vehicle)
         result = np.empty((len(self.flights), 6, self.samples))
         si, ci = math.sin(self.vehicle.platform_inclination), math.cos(self.vehicle.platform_inclination)
-        lower, leaning = np.subtract(sag(vehicle, self.reach), sag(self.vehicle, self.reach))
+        lower, leaning = np.subtract(
+            static_deflection(vehicle, self.reach), static_deflection(self.vehicle, self.reach)
+        )
         for k, landing in enumerate(self.flights):
             error = (landing.measured - simulated[k][landing.compared])[: self.samples]
             if landing.on_platform:
                 x, z = error[:, 0].copy(), error[:, 2].copy()
                 error[:, 0], error[:, 2] = ci * x - si * z, si * x + ci * z
             t = landing.compared[: self.samples] * landing.dt - BEFORE
-            settled = 1.0 - np.exp(-np.maximum(t, 0.0) / FLEETING)
+            settled = 1.0 - np.exp(-np.maximum(t, 0.0) / TRANSIENT)
             error[:, 2] += lower * settled
             if landing.on_platform:
                 error[:, 4] -= leaning * settled
@@ -64,7 +66,7 @@ class TouchdownProblem(Suspects):
         return result
 
 
-def sag(vehicle: Vehicle, reach: float) -> tuple[float, float]:
+def static_deflection(vehicle: Vehicle, reach: float) -> tuple[float, float]:
     """How feet of the vehicle's contact stiffness give way at rest: distance [m], pitch on the slope [rad].
 
     reach: of the feet below the centre of mass [m].
@@ -85,7 +87,7 @@ def simulate(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
     state = np.stack([x.start for x in landings])
     commands = np.zeros((n, rows, 4))
     for k, x in enumerate(landings):
-        driven, lag = drive(x.command, dt, vehicle)
+        driven, lag = delayed_commands(x.command, dt, vehicle)
         part = driven[x.first : x.first + rows]
         commands[k, : len(part)] = part
         commands[k, len(part) :] = part[-1]
@@ -93,7 +95,7 @@ def simulate(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
     step = dt / math.ceil(dt / STEP - 1e-9)
     plant = MujocoPlant(
         n,
-        undelayed(vehicle),
+        without_delays(vehicle),
         control_period=dt,
         timestep=step,
         integrator="implicitfast",
