@@ -121,7 +121,7 @@ def identify(
     )
     notes += unidentifiable
     problem = Problem(fitted, vehicle, library)
-    problem.free = True
+    problem.wide_model_errors = True
     places = [name for name in problem.library if LIBRARY[name].of_the_place]
     fit, noise_model = fit_jointly(problem, list(problem.library))
     inflation = autocorrelation_inflation(problem, fit.values)
@@ -166,7 +166,7 @@ def _vehicle_posterior(problem: Problem, vehicle: Vehicle, inflation, size):
     """Return the posterior of the identified vehicle and the identifiability of each effect."""
     library, _ = identifiable_effects({n: e for n, e in LIBRARY.items() if not e.contact}, problem.flights)
     around = Problem(problem.flights, vehicle, library)
-    around.weight, around.free = problem.weight, True
+    around.weight, around.wide_model_errors = problem.weight, True
     reference = Reference.of(around, size, inflation)
     wide = slab_deviations(around, reference.columns)
     error = np.sqrt(np.diag(reference.covariance))

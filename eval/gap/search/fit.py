@@ -8,20 +8,27 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.evidence import BASE, Column, Linearisation, Problem, Values, solve
+from inclined_landing.eval.gap.search.evidence import (
+    BASE,
+    Column,
+    FittedValues,
+    Linearisation,
+    Problem,
+    Values,
+    solve,
+)
 
 
 @dataclasses.dataclass
 class LeastSquaresFit:
     """A least-squares fit and its linearisation."""
 
-    values: dict[str, dict[str, float]]
+    values: FittedValues
     linear: Linearisation  # columns of the effects in `values`
-    inflation: np.ndarray  # (6,) that the weights were divided by
 
     @property
     def squares(self) -> float:
-        """White squared error over all windows."""
+        """Return the weighted squared white error over all windows (least-squares cost)."""
         return float(self.linear.c.sum())
 
 
@@ -33,19 +40,21 @@ def fit_least_squares(
     tolerance: float = 0.05,
     prior: Callable[[Problem, Sequence[Column]], np.ndarray] | None = None,
 ) -> LeastSquaresFit:
-    """Fit all parameters of the effects in `values` by Levenberg-Marquardt, within bounds.
+    """Return the Levenberg-Marquardt fit of all parameters of the effects in `values`, within bounds.
 
-    prior: gives the standard deviation (P,) of columns about neutral; None: as the flights say.
+    tolerance: decrease of the cost that ends the iteration. prior: gives the standard deviations (P,) of the
+    columns about neutral; None: flat.
     """
     names = list(values)
-    values = {name: problem.neutral(name) | dict(v) for name, v in values.items()}
+    start = {name: problem.neutral(name) | dict(v) for name, v in values.items()}
     damping = 1e-3
     columns = [
         Column(name, p.name) for name in names if name != BASE for p in problem.library[name].parameters
     ]
     columns += problem.columns([BASE] if BASE in names else ())
-    fit = _linearised_fit(problem, values, columns, inflation)
+    fit = _linearised_fit(problem, start, columns, inflation)
     width = prior(problem, columns) if prior else np.full(len(columns), np.inf)
+    # Damping lambda as by Marquardt: a tenth after a step that decreases the cost, else ten times as much.
     for _ in range(iterations if names else 0):
         improved = False
         while damping < 1e4:
@@ -66,20 +75,21 @@ def fit_least_squares(
     return fit
 
 
-def _linearised_fit(problem: Problem, values, columns, inflation) -> LeastSquaresFit:
+def _linearised_fit(
+    problem: Problem, values: FittedValues, columns: Sequence[Column], inflation: np.ndarray
+) -> LeastSquaresFit:
     """Return the linearisation at `values`."""
-    return LeastSquaresFit(values, problem.linearise(values, columns, inflation), inflation)
+    return LeastSquaresFit(values, problem.linearise(values, columns, inflation))
 
 
 def _prior_penalty(problem: Problem, columns: Sequence[Column], values: Values, width: np.ndarray) -> float:
-    """Return the prior penalty: the sum of squared coordinates over `width`."""
+    """Return the prior penalty sum_k (x_k / width_k)^2 (ridge)."""
     return float(((problem.coordinates(values, columns) / width) ** 2).sum())
 
 
-def _damped_step(
-    problem: Problem, fit: LeastSquaresFit, damping: float, width: np.ndarray
-) -> dict[str, dict[str, float]]:
+def _damped_step(problem: Problem, fit: LeastSquaresFit, damping: float, width: np.ndarray) -> FittedValues:
     """Return the values after a damped Gauss-Newton step within bounds (active set)."""
+    # (a + lambda diag a) d = b,  with the prior W = width^-2:  a = J'J + W,  b = J'e - W x
     a, b = fit.linear.a.sum(axis=0), fit.linear.b.sum(axis=0)
     a, b = a + np.diag(width**-2.0), b - problem.coordinates(fit.values, fit.linear.columns) * width**-2.0
     at, bounds = at_and_bounds(problem, fit)
@@ -95,7 +105,10 @@ def at_and_bounds(problem: Problem, fit: LeastSquaresFit) -> tuple[np.ndarray, n
 
 
 def active_set_step(damped, a, b, at, bounds, free) -> np.ndarray:
-    """Return the step of the `free` columns, by active set: those that leave their bounds are fixed there."""
+    """Return the step of the `free` columns by the active-set method.
+
+    Columns that would leave their bounds are fixed there, and the others solved for again.
+    """
     free, step = free.copy(), np.zeros(len(at))
     for _ in range(len(at) + 1):
         k = np.flatnonzero(free)
@@ -110,11 +123,13 @@ def active_set_step(damped, a, b, at, bounds, free) -> np.ndarray:
 
 def _predicted_squares(problem: Problem, fit: LeastSquaresFit, trial: Values) -> float:
     there, here = (problem.coordinates(v, fit.linear.columns) for v in (trial, fit.values))
-    return fit.linear.left(there - here)
+    return fit.linear.predicted_squares(there - here)
 
 
 def dersimonian_laird(value: np.ndarray, error: np.ndarray) -> float:
-    """Return the between-flight standard deviation, by moments (DerSimonian and Laird 1986)."""
+    """Return the between-flight standard deviation by moments (DerSimonian and Laird 1986)."""
+    # tau^2 = [Q - (k - 1)] / (S1 - S2 / S1),  Q = sum w (x - mean)^2,  w = 1 / se^2,
+    # S1 = sum w,  S2 = sum w^2
     good = np.isfinite(value) & np.isfinite(error) & (error > 0)
     if good.sum() < 3:
         return 0.0
@@ -125,7 +140,7 @@ def dersimonian_laird(value: np.ndarray, error: np.ndarray) -> float:
     return math.sqrt(max(0.0, float(excess)))
 
 
-def _values_after(problem: Problem, fit: LeastSquaresFit, step: np.ndarray) -> dict[str, dict[str, float]]:
+def _values_after(problem: Problem, fit: LeastSquaresFit, step: np.ndarray) -> FittedValues:
     """Return the values of a fit after a step of its columns, clipped to their bounds."""
     values = {name: dict(v) for name, v in fit.values.items()}
     for column, change in zip(fit.linear.columns, step):

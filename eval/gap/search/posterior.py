@@ -22,16 +22,15 @@ import numpy as np
 from inclined_landing.eval.gap.search.evidence import Linearisation, Problem, Values
 from inclined_landing.models.effects.effect import OFF
 
-SPIKE = 0.35  # standard deviation of what is not named, as a share of negligible
-BETWEEN = 0.35  # of the difference between flights, likewise
-SLAB = 1.0  # of what is named, in plausible sizes
-LARGE = 4.0  # times as wide where an effect is far larger: sizes have heavy tails
-BOOTSTRAP_SAMPLES = 24  # of flights
-MOST_SPIKE = 0.5  # plausible sizes: what is not named is no more
-EM_ROUNDS = 10  # of expectation and maximisation
-ACTIVE_SET_ROUNDS = 4  # rounds in which what lies outside its bounds is put there
-# How well differences between flights are known beforehand, as if seen in so many flights.
-PRIOR_FLIGHTS = 2.0
+SPIKE = 0.35  # standard deviation of the spike, in negligible sizes
+BETWEEN = 0.35  # least between-flight standard deviation, in negligible sizes
+SLAB = 1.0  # standard deviation of the slab, in plausible sizes
+LARGE = 4.0  # slab widths of the second, wider component of the slab: sizes have heavy tails
+BOOTSTRAP_SAMPLES = 24
+MOST_SPIKE = 0.5  # largest standard deviation of the spike, in those of the slab
+EM_ROUNDS = 10
+ACTIVE_SET_ROUNDS = 4
+PRIOR_FLIGHTS = 2.0  # weight of the prior between-flight variance (inverse gamma), in flights
 SHAPE_COVARIANCE = np.array(
     [[0.3125, 0.1875], [0.1875, 0.3125]]
 )  # covariance of a unit size at both sides: see `slab_covariance`
@@ -40,11 +39,9 @@ EffectSet = frozenset[str]
 
 
 def spike_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Return the spikes' standard deviations (P,).
-
-    A share of the negligible size, split among confounded columns, plus the standard error of the mean of the
-    flights that excite a column, where flights differ:  hypot(SPIKE negligible, between / sqrt(flights)).
-    """
+    """Return the spikes' standard deviations (P,)."""
+    # A share of the negligible size, and the standard error of the mean over the n flights that excite a
+    # column:  sigma^2 = (SPIKE negligible)^2 + between^2 / n
     count = np.array([problem.excitation.get((c.effect, c.parameter), problem.groups) for c in columns])
     spike = np.hypot(
         SPIKE * _shared_negligible_sizes(problem, columns),
@@ -55,8 +52,8 @@ def spike_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
 
 def between_flight_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
     """Return the between-flight standard deviations (P,)."""
-    own = [problem.between.get((c.effect, c.parameter), 0.0) for c in columns]
-    return np.maximum(BETWEEN * _shared_negligible_sizes(problem, columns), own)
+    estimated = [problem.between.get((c.effect, c.parameter), 0.0) for c in columns]
+    return np.maximum(BETWEEN * _shared_negligible_sizes(problem, columns), estimated)
 
 
 def _shared_negligible_sizes(problem: Problem, columns: Sequence) -> np.ndarray:
@@ -68,7 +65,8 @@ def _shared_negligible_sizes(problem: Problem, columns: Sequence) -> np.ndarray:
 
 
 def confounding(linear: Linearisation) -> dict[tuple[str, str], float]:
-    """Return (effect, parameter) -> effective number of columns collinear with it: sum of squared cosines."""
+    """Return (effect, parameter) -> effective number of columns collinear with it (>= 1)."""
+    # n_j = sum_k cos^2(J_j, J_k),  cos = a_jk / sqrt(a_jj a_kk)
     a = linear.a.sum(axis=0)
     scale = np.sqrt(np.maximum(np.diag(a), 1e-300))
     squared = (a / np.outer(scale, scale)) ** 2
@@ -77,7 +75,8 @@ def confounding(linear: Linearisation) -> dict[tuple[str, str], float]:
 
 
 def excitation(problem: Problem, linear: Linearisation) -> dict[tuple[str, str], float]:
-    """Return (effect, parameter) -> number of flights (>= 1) that excite it beyond what flights differ by."""
+    """Return (effect, parameter) -> effective number of flights (>= 1) that excite it."""
+    # A flight g counts as min(1, a_gkk between^2): the information of one that resolves the differences is 1.
     spread = between_flight_deviations(problem, linear.columns)
     share = np.minimum(1.0, np.einsum("gkk->gk", linear.a) * spread**2).sum(axis=0)
     return {(c.effect, c.parameter): max(1.0, float(x)) for c, x in zip(linear.columns, share)}
@@ -86,17 +85,20 @@ def excitation(problem: Problem, linear: Linearisation) -> dict[tuple[str, str],
 def estimate_between_flight_deviations(
     problem: Problem, linear: Linearisation
 ) -> dict[tuple[str, str], float]:
-    """Return (effect, parameter) -> between-flight standard deviation, by expectation maximisation.
+    """Return (effect, parameter) -> between-flight standard deviation, by expectation maximisation (EM).
 
-    The prior counts as SEEN_BEFORE flights: with one flight that excites an effect, it is all there is.
+    The prior counts as PRIOR_FLIGHTS flights.
     """
+    # Random effects u_g ~ N(0, diag v) of every flight beside a common z with the slab prior (Laird and Ware
+    # 1982).  E: mean m_g and covariance C_g of u_g at the current v.  M, with the prior variance v_0:
+    #   v = s v_0 + (1 - s) mean_g (m_g^2 + diag C_g),   s = n_0 / (n_0 + n),  n_0 = PRIOR_FLIGHTS
     unit = _shared_negligible_sizes(problem, linear.columns)
     a, b = linear.a * np.outer(unit, unit), linear.b * unit
     prior = (unit / slab_deviations(problem, linear.columns)) ** 2
     known = np.array([problem.parameter(c).between for c in linear.columns]) / unit
     known = np.maximum(BETWEEN, known) ** 2
     variance, eye = known.copy(), np.eye(len(unit))
-    # Of a loop, it is known by how much; of the rest, days differ as vehicles do.
+    # Bounds: for the attitude loops half a slab, for the rest a whole one (days differ as vehicles do).
     loop = np.array([problem.parameter(c).manoeuvre > 0.0 for c in linear.columns])
     most = np.maximum(known, np.where(loop, MOST_SPIKE**2, 1.0) / prior)
     sized = np.array([not problem.parameter(c).is_reference for c in linear.columns])
@@ -104,10 +106,10 @@ def estimate_between_flight_deviations(
     for _ in range(EM_ROUNDS):
         inner = np.linalg.inv(eye + a * variance)
         total = (inner @ a).sum(axis=0) + np.diag(prior)
-        fleet = np.linalg.solve(total, np.einsum("gpq,gq->p", inner, b))
+        common = np.linalg.solve(total, np.einsum("gpq,gq->p", inner, b))
         covariance = variance[:, None] * inner
-        own = np.einsum("gpq,gq->gp", covariance, b - a @ fleet)
-        second = own**2 + np.diagonal(covariance, axis1=1, axis2=2)
+        mean = np.einsum("gpq,gq->gp", covariance, b - a @ common)
+        second = mean**2 + np.diagonal(covariance, axis1=1, axis2=2)
         found = share * known + (1.0 - share) * second.mean(axis=0)
         variance = np.where(sized, np.clip(found, BETWEEN**2, most), BETWEEN**2)
     return {(c.effect, c.parameter): float(np.sqrt(v) * u) for c, v, u in zip(linear.columns, variance, unit)}
@@ -123,11 +125,9 @@ def slab_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
 
 
 def slab_covariance(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Return the slabs' covariance (P, P).
-
-    A size s about a reference that lies t N(0, 1/4) of the way to either side is s (1/2 - t) and s (1/2 + t)
-    about both sides: with the same sign, or it would be a scale and no shape.
-    """
+    """Return the slabs' covariance (P, P); the two columns of an effect about a reference are correlated."""
+    # A size s ~ N(0, w^2) about a reference at the share t ~ N(0, 1/4) from the middle is s (1/2 - t) and
+    # s (1/2 + t) along the two columns: E x_i^2 = w^2 (1/4 + 1/16), E x_i x_j = w^2 (1/4 - 1/16).
     width = slab_deviations(problem, columns)
     shape = np.eye(len(columns))
     for i, one in enumerate(columns):
@@ -143,8 +143,8 @@ class Bounds:
 
     low: np.ndarray  # (P,)
     high: np.ndarray  # (P,)
-    # Of the two columns of an effect about a reference: their places, bounds of the size and of the share
-    # that the second has of it.
+    # For the two columns of an effect about a reference: their indices, bounds of the size (their sum) and of
+    # the second one's share of it.
     pairs: tuple[tuple[int, int, tuple[float, float], tuple[float, float]], ...]
 
     @staticmethod
@@ -178,12 +178,13 @@ class Bounds:
         return result
 
     def within(self, at: np.ndarray, covariance: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, float]:
-        """Return the mode of a truncated normal distribution and its log density relative to the mean.
+        """Return the mode (P,) of a truncated normal distribution and its log density relative to the mean.
 
-        at (P,) mean, covariance (P, P); own (k,): the coordinates that have bounds. Active-set iteration:
-        coordinates outside are fixed at their bound, the others conditioned on them.
+        at (P,) mean, covariance (P, P); own (k,): the coordinates that have bounds.
         """
-        outside, result, unlikely = np.zeros(len(at), bool), at, 0.0
+        # Active set A of coordinates fixed at their bounds c_A; the others conditioned on them:
+        #   x = m + C_.A C_AA^-1 (c_A - m_A),   log p(x) - log p(m) = -1/2 (c_A - m_A)' C_AA^-1 (c_A - m_A)
+        outside, result, log_ratio = np.zeros(len(at), bool), at, 0.0
         for _ in range(ACTIVE_SET_ROUNDS):
             clipped = self.clip(result)
             off = np.zeros(len(at), bool)
@@ -192,33 +193,34 @@ class Bounds:
                 break
             outside |= off
             k = np.flatnonzero(outside)
-            apart = clipped[k] - at[k]
-            through = np.linalg.solve(covariance[np.ix_(k, k)] + 1e-9 * np.eye(len(k)), apart)
-            result, unlikely = at + covariance[:, k] @ through, -0.5 * float(apart @ through)
+            shift = clipped[k] - at[k]
+            solved = np.linalg.solve(covariance[np.ix_(k, k)] + 1e-9 * np.eye(len(k)), shift)
+            result, log_ratio = at + covariance[:, k] @ solved, -0.5 * float(shift @ solved)
             result[k] = clipped[k]
-        return result, unlikely
+        return result, log_ratio
 
 
 @dataclasses.dataclass
 class LinearGaussian:
-    """Quadratic log-likelihood of the flights near one point, coordinates in units of the spikes.
+    """Linear-Gaussian model of the flights at one linearisation point, coordinates in units of the spikes.
 
-    log p = -1/2 (c - 2 b'x + x'a x) of every flight (or group of windows), random effects integrated out.
+    Laplace approximation: log p = -1/2 (c - 2 b'x + x'a x) of every group of windows, random effects of the
+    flights marginalised.
     """
 
     problem: Problem
     columns: tuple
-    at: np.ndarray  # (P,) where it was linearised, from neutral, in spikes
+    at: np.ndarray  # (P,) linearisation point, from neutral, in spikes
     a: np.ndarray  # (g, P, P)
     b: np.ndarray  # (g, P)
     c: np.ndarray  # (g,)
-    unit: np.ndarray  # (P,) spikes
-    slab: np.ndarray  # (P, P) covariance of what is named, in spikes
+    unit: np.ndarray  # (P,) standard deviations of the spikes
+    slab: np.ndarray  # (P, P) covariance of the slab, in spikes
     bounds: Bounds  # in spikes, from neutral
-    off: np.ndarray  # (P,) mean of theta
-    known: np.ndarray  # (P, P) covariance of theta
-    between: np.ndarray  # (P,) variance between flights
-    flight_a: np.ndarray  # (f, P, P) of every flight, its deviation not integrated out
+    off: np.ndarray  # (P,) prior mean of theta
+    known: np.ndarray  # (P, P) prior covariance of theta
+    between: np.ndarray  # (P,) between-flight variance
+    flight_a: np.ndarray  # (f, P, P) of every flight, its random effect not marginalised
     flight_b: np.ndarray  # (f, P)
 
     @staticmethod
@@ -234,13 +236,14 @@ class LinearGaussian:
         flight_a, flight_b = linear.by_flight()
         flight_a, flight_b = flight_a * np.outer(unit, unit), flight_b * unit
         between = (between_flight_deviations(problem, columns) / unit) ** 2
-        # Marginal over a deviation u of each flight, u ~ N(0, between) in every column.
+        # Marginal over the random effect u ~ N(0, B) of each flight, B diagonal, with M = (1 + a B)^-1:
+        #   a -> M a,   b -> M b,   c -> c - b' B M b
         inner = np.linalg.inv(np.eye(len(columns)) + a * between)
         c = c - np.einsum("gp,p,gpq,gq->g", b, between, inner, b, optimize=True)
         b = np.einsum("gpq,gq->gp", inner, b)
         a = inner @ a
         a = 0.5 * (a + a.swapaxes(1, 2))
-        off, known = problem.known(columns)
+        off, known = problem.vehicle_prior(columns)
         slab = slab_covariance(problem, columns) / np.outer(unit, unit)
         off, known = off / unit, known / np.outer(unit, unit)
         bounds = Bounds.of(problem, columns, unit)
@@ -254,16 +257,16 @@ class LinearGaussian:
         return np.array([k for k, column in enumerate(self.columns) if column.effect in names], int)
 
     def change_covariance(self, names: EffectSet) -> np.ndarray:
-        """Return the prior covariance (P, P) of delta: slabs for `names`, spikes for the others."""
-        own = np.isin(np.arange(len(self.columns)), self.index(names))
-        return np.where(np.outer(own, own), self.slab, np.diag(~own))
+        """Return the spike-and-slab prior covariance (P, P) of delta: slabs for `names`, else spikes."""
+        named = np.isin(np.arange(len(self.columns)), self.index(names))
+        return np.where(np.outer(named, named), self.slab, np.diag(~named))
 
     def prior(self, names: EffectSet) -> tuple[np.ndarray, np.ndarray]:
         """Return the prior mean (P,) of z, from the linearisation point, and its covariance (P, P)."""
         return self.off - self.at, self.known + self.change_covariance(names)
 
     def evidence(self, weights: np.ndarray | None = None) -> Evidence:
-        """Return the marginal likelihood as a function of a set; `weights` (g,): bootstrap counts."""
+        """Return the log marginal likelihood as a function of a set; `weights` (g,): bootstrap counts."""
         w = np.ones(len(self.c)) if weights is None else weights
         mean, covariance = self.prior(frozenset())
         return Evidence.of(
@@ -272,6 +275,8 @@ class LinearGaussian:
 
     def fit(self, names: EffectSet, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the posterior mean (P,) of z, from the linearisation point, and covariance, in spikes."""
+        # Posterior of a linear model (Bishop 3.50) with the prior N(m, K):
+        #   C = (1 + K a)^-1 K,   z = m + C (b - a m)
         w = np.ones(len(self.c)) if weights is None else weights
         mean, prior = self.prior(names)
         a, b = np.tensordot(w, self.a, axes=1), w @ self.b
@@ -279,18 +284,17 @@ class LinearGaussian:
         return mean + covariance @ (b - a @ mean), 0.5 * (covariance + covariance.T)
 
     def delta(self, names: EffectSet, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the posterior mean (P,) of delta, from neutral, and covariance (P, P), in spikes, unbounded.
-
-        With z = theta + delta and prior covariance K = Sigma + V:  delta = V K^-1 (z - m).
-        """
+        """Return the posterior mean (P,) and covariance (P, P) of delta, from neutral, in spikes, unbounded."""
+        # z = theta + delta with the prior covariance K = Sigma + V;  given z (Bishop 2.81), with G = V K^-1:
+        #   E delta = G (z - m),   Cov delta = V + G (C - K) G'
         change, covariance = self.fit(names, weights)
         mean, prior = self.prior(names)
-        change_covariance = self.change_covariance(names)
-        share = change_covariance @ np.linalg.inv(prior)
-        return share @ (change - mean), change_covariance + share @ (covariance - prior) @ share.T
+        slab = self.change_covariance(names)
+        gain = slab @ np.linalg.inv(prior)
+        return gain @ (change - mean), slab + gain @ (covariance - prior) @ gain.T
 
     def within(self, names: EffectSet, weights: np.ndarray | None = None) -> np.ndarray:
-        """Return the posterior mode (P,) of delta within bounds, in spikes."""
+        """Return the posterior mode (P,) of delta within bounds (truncated normal), in spikes."""
         return self.bounds.within(*self.delta(names, weights), self.index(names))[0]
 
     def errors(self, names: EffectSet) -> np.ndarray:
@@ -298,12 +302,12 @@ class LinearGaussian:
         return np.sqrt(np.maximum(self.delta(names)[1].diagonal(), 0.0))
 
     def deviation(self, flight: int, change: np.ndarray) -> np.ndarray:
-        """Return the posterior mean (P,) of one flight's random effect, in spikes."""
+        """Return the posterior mean (P,) of one flight's random effect (BLUP), in spikes."""
         a, b = self.flight_a[flight], self.flight_b[flight]
         return np.linalg.solve(a + np.diag(1.0 / self.between), b - a @ change)
 
     def sized(self, values: Values) -> dict[tuple[str, str], ParameterEstimate]:
-        """Return (effect, parameter) -> its standard errors, for the set of `values`."""
+        """Return (effect, parameter) -> its standard errors and random effects, for the set of `values`."""
         names = frozenset(values)
         change, _ = self.fit(names)
         _, covariance = self.delta(names)
@@ -311,8 +315,8 @@ class LinearGaussian:
         deviation = np.array([self.deviation(k, change) for k in range(len(self.flight_a))])
         alone = np.linalg.inv(self.flight_a + np.diag(1.0 / self.between))
         result = {}
-        own = [(c.effect, c.parameter) for c in self.columns if c.effect in names and not c.form]
-        for name, parameter in dict.fromkeys(own):
+        fitted = [(c.effect, c.parameter) for c in self.columns if c.effect in names and not c.form]
+        for name, parameter in dict.fromkeys(fitted):
             k = [i for i, c in enumerate(self.columns) if (c.effect, c.parameter) == (name, parameter)]
             square = variance[k[0]] if len(k) == 1 else covariance[np.ix_(k, k)].sum()
             unit = self.unit[k[0]] * self.problem.parameter(self.columns[k[0]]).slope(values[name][parameter])
@@ -327,7 +331,7 @@ class LinearGaussian:
 
 @dataclasses.dataclass(frozen=True)
 class ParameterEstimate:
-    """Standard errors of a parameter, in its unit."""
+    """Standard error, random effects and between-flight deviation of a parameter, in its unit."""
 
     error: float  # standard error
     deviation: np.ndarray  # (f,) random effect of every flight
@@ -337,24 +341,25 @@ class ParameterEstimate:
 
 @dataclasses.dataclass
 class Evidence:
-    """Log marginal likelihood as a function of the set; what all sets share is integrated out once.
+    """Log marginal likelihood (model evidence) as a function of the set.
 
-    With the prior covariance K of the empty set, about its mean,
-    log p = -1/2 [c - b' (1 + K a)^-1 K b + log det(1 + K a)],  and for what a set has more, the same with
-    a' = (1 + a K)^-1 a,  b' = (1 + a K)^-1 b  and the wider variances of its columns.
+    The priors that all sets share are marginalised once, so that a set costs a matrix of its own columns.
     """
 
     a: np.ndarray  # (P, P)
     b: np.ndarray  # (P,)
     empty: float  # log marginal likelihood of the empty set
-    own: dict[str, np.ndarray]  # effect -> its columns
+    own: dict[str, np.ndarray]  # effect -> indices of its columns
     slab: np.ndarray  # (P, P)
     ends: list[tuple[str, np.ndarray]]  # effects about a reference, with their two columns
     bounds: Bounds
 
     @staticmethod
     def of(local: LinearGaussian, a, b, c: float, mean: np.ndarray, covariance: np.ndarray) -> Evidence:
-        """Return it for Gram matrices a, b, c summed over flights and the prior of the empty set."""
+        """Return the evidence for Gram matrices a, b, c summed over flights and the empty set's prior."""
+        # Evidence of a linear model (Bishop 3.86), prior N(m, K) of the empty set, a, b, c taken about m:
+        #   log p = -1/2 [c - b' K M b + log det(1 + a K)],  M = (1 + a K)^-1
+        # and, for what a set has in addition, the same with a -> M a, b -> M b.
         c = c - 2.0 * b @ mean + mean @ a @ mean
         b = b - a @ mean
         inner = np.linalg.inv(np.eye(len(b)) + a @ covariance)
@@ -374,7 +379,7 @@ class Evidence:
         k = np.concatenate(columns)
         at, score = self._mode(k, np.ones(len(k)))
         far = np.abs(at[k]) > 2.0 * np.sqrt(self.slab[k, k])
-        if far.any():  # heavy tails: one time in five, sizes are LARGE times as large
+        if far.any():  # scale mixture: weight 1/5 for a slab LARGE times as wide, odds 1 : 4
             at_large, large = self._mode(k, np.where(far, LARGE, 1.0))
             large -= far.sum() * np.log(4.0)
             at, score = max(((at, score), (at_large, large)), key=lambda one: one[1])
@@ -383,10 +388,9 @@ class Evidence:
         )
 
     def _shape_log_prior(self, name: str, low: float, high: float) -> float:
-        """Return the log prior ratio of two sizes about a reference, relative to their normal prior.
-
-        A size s about a reference t of the way to one side: log N(s) N(t; 0, 1/4) / |s|, less the normal one.
-        """
+        """Return the log prior of a size about a reference, less that of the bivariate normal of its columns."""
+        # Change of variables (low, high) -> (s, t), Jacobian |s|:  log [N(s; 0, w^2) N(t; 0, 1/4) / |s|]
+        # less the log density of N(0, SHAPE_COVARIANCE w^2) with the moments of this product.
         width = math.sqrt(self.slab[self.own[name][0], self.own[name][0]] / SHAPE_COVARIANCE[0, 0])
         s, ends = low + high, np.array([low, high]) / width
         t = 0.5 * (high - low) / s if s else math.inf
@@ -398,6 +402,9 @@ class Evidence:
 
     def _mode(self, k: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the bounded mode (P,) of the columns k, slabs `times` (k,) as wide, and the log evidence."""
+        # With V = L L' the additional prior covariance,
+        #   log p = log p_0 + 1/2 |z|^2 - 1/2 log det(1 + L' a L),
+        # F F' = 1 + L' a L (Cholesky),  z = F^-1 L' b,  mode L F'^-1 z
         prior = self.slab[np.ix_(k, k)] * np.outer(times, times) - np.eye(len(k))
         root = np.linalg.cholesky(prior + np.diag(np.maximum(1e-9, 1e-6 - prior.diagonal())))
         inner = np.eye(len(k)) + root.T @ self.a[np.ix_(k, k)] @ root
@@ -410,8 +417,8 @@ class Evidence:
             return at, score
         half, covariance = np.linalg.solve(factor, root.T), np.zeros_like(self.a)
         covariance[np.ix_(k, k)] = half.T @ half
-        at, unlikely = self.bounds.within(at, covariance, k)
-        return at, score + unlikely
+        at, log_ratio = self.bounds.within(at, covariance, k)
+        return at, score + log_ratio
 
 
 def flight_weights(groups: int, seed: int = 0) -> np.ndarray:
