@@ -60,7 +60,7 @@ def test_one_flight_of_another_vehicle(flown):
     assert {"attitude_gain"} < set(differs) and {"thrust_scale", "mass"} & set(differs)
     low, high = differs["attitude_gain"].ci95["scale"]
     assert low < 1.15 < high and high - low < 0.1
-    text = " ".join(words.against(one))
+    text = " ".join(words.inconsistency(one))
     assert text.startswith(
         "flight_07 contradicts the other 9 flights. Beside a model of the others, in flight_07"
     )
@@ -76,7 +76,7 @@ def test_two_groups_of_flights(flown, other, effects):
     groups = {one.flights, one.others}
     assert groups == {tuple(f"flight_{k:02d}" for k in g) for g in (range(5), range(5, 10))}
     assert effects & {d.effect for d in one.differences}
-    assert words.against(one)[0].startswith("Two groups of flights contradict each other: flight_0")
+    assert words.inconsistency(one)[0].startswith("Two groups of flights contradict each other: flight_0")
 
 
 def test_another_calibration_has_its_tilt(flown):

@@ -126,7 +126,7 @@ def test_what_is_new_in_the_flights_is_told_from_what_was_uncertain(local):
     """delta given the errors, from the joint normal law of theta, delta and the errors."""
     one, slopes, errors = local
     names = frozenset("ab")
-    slopes, fresh = slopes.reshape(-1, 8), one.fresh(names)
+    slopes, fresh = slopes.reshape(-1, 8), one.change_covariance(names)
     covariance = np.eye(len(slopes)) + slopes @ (fresh + one.known) @ slopes.T
     gain = np.linalg.solve(covariance, slopes @ fresh).T
     at, spread = one.delta(names)
@@ -171,7 +171,7 @@ def test_a_shape_is_no_more_probable_than_its_normal_prior_says(local):
     slab = np.kron(np.eye(4), 10.0 * SHAPE_COVARIANCE)
     evidence = dataclasses.replace(one, columns=columns, slab=slab).evidence()
     assert [name for name, _ in evidence.ends] == list("abcd")
-    assert evidence._shape("a", 4.0, -3.5) < evidence._shape("a", 0.2, 0.3) <= 0.0
+    assert evidence._shape_log_prior("a", 4.0, -3.5) < evidence._shape_log_prior("a", 0.2, 0.3) <= 0.0
 
 
 def test_flips_of_signs_raise_few_false_alarms():

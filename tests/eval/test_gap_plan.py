@@ -198,7 +198,7 @@ def test_what_flights_could_not_show_is_sought_too(tmp_path):
     """Nothing but an effect near the floor is open: the flight goes there."""
     ground = Hypothesis(("ground_effect",), 0.03, {"ground_effect": LIBRARY["ground_effect"].plausible})
     row = {"effects": ["ground_effect"], "probability": 0.03, "values": ground.values}
-    folder = report(tmp_path, Hypothesis((), 0.9, {}), unidentifiable_sets=[row])
+    folder = report(tmp_path, Hypothesis((), 0.9, {}), unseen=[row])
     doubt = read_report(folder)
     assert [h.text for h in doubt.hypotheses] == ["nothing", "ground_effect"]
     discrimination = ModelDiscrimination(doubt.hypotheses, VEHICLE, doubt.noise_levels)
@@ -284,7 +284,7 @@ def test_the_proof_counts_flights_until_the_right_name_stands_alone():
         case | {"planned": [(0.96, 0.1)], "ordinary": [(0.5, 0.0)] * plan_proof.MOST},
         case | {"planned": [(0.97, 0.6), (0.97, 0.2)], "ordinary": [(0.99, 0.1)]},
     ]
-    assert [plan_proof.trajectories(r["planned"]) for r in rows[1:]] == [1, 2]  # a rival must go first
+    assert [plan_proof.flown(r["planned"]) for r in rows[1:]] == [1, 2]  # a rival must go first
     text = plan_proof.markdown(rows)
     assert "3 cases; in 2 the right name is in doubt" in text
     assert "| planned | 2 of 2 | 1.5" in text and "| ordinary | 1 of 2 | 3.0" in text

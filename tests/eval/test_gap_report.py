@@ -133,9 +133,9 @@ def test_what_was_not_named_is_possible_from_some_probability_on():
 
 def test_every_effect_is_said_in_words_with_its_numbers():
     for name, effect in LIBRARY.items():
-        text = words.says(named(name, effect.plausible))
+        text = words.meaning(named(name, effect.plausible))
         assert len(re.findall(r"-?\d[\d.]*", text)) == len(effect.parameters) and "_" not in text
-    late = words.says(named("thrust_delay", {"delay": 0.012}))
+    late = words.meaning(named("thrust_delay", {"delay": 0.012}))
     assert late == "thrust commands act 12.0 ms after they were sent"
 
 

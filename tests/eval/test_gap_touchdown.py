@@ -95,7 +95,7 @@ def made_up(monkeypatch, landings, hidden, noise=1.0, seed=0):
         return white + sum(slopes[n] * (hidden.get(n, 0.0) - now[n]) / (4.0 * unit[n]) for n in few)
 
     monkeypatch.setattr(TouchdownProblem, "errors", errors)
-    monkeypatch.setattr("inclined_landing.eval.gap.search.contact.repeated", lambda *_: 1.0)
+    monkeypatch.setattr("inclined_landing.eval.gap.search.contact.common_residual_p_value", lambda *_: 1.0)
     return contact_posterior(landings, VEHICLE, few)[1]
 
 

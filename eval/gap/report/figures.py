@@ -234,12 +234,8 @@ def draw_track(axis: Axes, one: Track, k: int) -> None:
         drawn.append((f"predicted {one.seconds:g} s ahead, {word}", pieces, colour, 1.5))
     for name, pieces, colour, width in drawn:
         for j, (t, p) in enumerate(pieces):
-            style: dict[str, Any] = {
-                "linewidth": width,
-                "solid_capstyle": "round",
-                "label": None if j else name,
-            }
-            axis.plot(t, p[:, k], color=colour, solid_capstyle="round", **style)
+            look: dict[str, Any] = {"linewidth": width, "label": None if j else name}
+            axis.plot(t, p[:, k], color=colour, solid_capstyle="round", **look)
             if colour != INK:
                 axis.plot(t[-1], p[-1, k], "o", color=colour, markersize=3)
     low, high = np.nanmin(one.position[:, k]), np.nanmax(one.position[:, k])

@@ -1,15 +1,13 @@
-"""Which set of contact effects explains the landings: friction, stiffness, damping, platform height and tilt.
+"""Posterior over sets of contact effects from landings: friction, stiffness, damping, the platform's pose.
 
-As for free flight, every set is a candidate, and the answer is a distribution over sets. An effect of the
-set has a normal prior as wide as what is plausible, of the logarithm where it is a factor; every other one
-may be off by what any two idealised contacts differ by. Touching is far from linear: what an effect does
-is scanned through the simulator over its range, and its part of the marginal likelihood is a sum over that
-scan. Everything else is small, or a second effect, and is integrated out linearly beside it.
+As for free flight, every set is a candidate with a spike-and-slab prior: a slab as wide as is plausible, of
+the logarithm where the parameter is a factor, and a spike as wide as two idealised contact models differ.
+Contact is far from linear, so that an effect's errors are simulated on a grid of its sizes and its part of
+the marginal likelihood is a sum over that grid; all others are marginalised by Laplace approximation.
 
-An axis of a landing that goes wrong stays wrong: its errors together have a t distribution. Neither are its
-samples independent, nor the axes of a landing: by how much the slopes of errors and effects agree in single
-landings, where chance alone would make it one, gives how much less a landing tells. Probabilities are means
-over landings drawn with replacement.
+The errors of one axis of a landing have a multivariate t distribution: outliers are whole axes. Samples of an
+axis and axes of a landing are correlated; a variance inflation from the scores of single landings allows for
+that. Probabilities are means over bootstrap samples of the landings (bagged posterior).
 """
 
 from __future__ import annotations
@@ -24,46 +22,45 @@ from scipy import stats
 from scipy.special import logsumexp
 
 from inclined_landing.eval.gap.flights.landings import BEFORE, Landing, contact_model_covariance
+from inclined_landing.eval.gap.search.evidence import FittedValues, Values
 from inclined_landing.eval.gap.search.posterior import SLAB, SPIKE, EffectSet, flight_weights
 from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, PRIOR_EMPTY, REFIT_ABOVE, SetProbability
 from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.parameters import Vehicle
 
-LEAST_LANDINGS = 6  # landings
-MOST_EFFECTS = 2  # effects of a set
-MODEL_ERROR = 0.1  # standard deviation, in plausible sizes, of what two idealised contacts differ by
-SCAN = (0.2, 0.55, 1.1, 2.4)  # plausible sizes to either side that are simulated
-REFINEMENTS = 2  # times that the best place of a scan is simulated
-RESCANS = 3  # sets of several that are scanned beside one another, at most
-FINE_GRID = np.linspace(
-    -6.0, 6.0, 25
-)  # standard deviations about that place at which the likelihood is summed
-NEWTON_STEPS = 2  # of the parameters that are integrated out linearly
-CREDIBLE = 0.95  # of an interval
+LEAST_LANDINGS = 6
+MOST_EFFECTS = 2  # of a set
+MODEL_ERROR = 0.1  # standard deviation between two idealised contact models, in plausible sizes
+SCAN = (0.2, 0.55, 1.1, 2.4)  # sizes simulated on both sides of neutral, in plausible sizes
+REFINEMENTS = 2  # grid points added at the mode
+RESCANS = 3  # sets of two that are simulated jointly
+FINE_GRID = np.linspace(-6.0, 6.0, 25)  # posterior standard deviations about the mode, of the sum's terms
+NEWTON_STEPS = 2  # of the marginalised parameters
+CREDIBLE = 0.95  # probability of an interval
 FALSE_ALARM = 0.05
-COMMON_MODES = 4  # ways in which an axis may err alike in all landings
+COMMON_MODES = 4  # eigenvectors of the contact model error that are tested for a common residual
 
 
 @dataclasses.dataclass
 class ContactEstimate:
-    """A parameter of a set, estimated from the landings."""
+    """Posterior mode and credible interval of a parameter, and its estimates in single landings."""
 
     value: float
-    ends: tuple[float, float]  # of its interval
-    each: np.ndarray  # (n,) in every landing, drawn to the common value
-    error: np.ndarray  # (n,) standard errors of these
+    ends: tuple[float, float]  # of the interval
+    each: np.ndarray  # (n,) estimates in single landings, shrunk towards the common value
+    error: np.ndarray  # (n,) their standard errors
 
 
 @dataclasses.dataclass
 class ContactPosterior:
-    """The outcome of `contact_posterior`."""
+    """Posterior over sets of contact effects, with estimates of the most probable set."""
 
     sets: tuple[SetProbability, ...]  # most probable first
     sizes: dict[str, ContactEstimate]  # of the most probable set
-    gains: dict[str, float]  # effect -> share of the squared error closed that comes back without it
-    unexplained: bool  # something repeats that no set explains, nor that contacts are idealised
-    p_value: float  # of what repeats most
+    gains: dict[str, float]  # effect -> share of the decrease in deviance that is lost without it
+    unexplained: bool  # whether a common residual is significant
+    p_value: float  # of the most significant common residual
 
     @property
     def names(self) -> EffectSet:
@@ -71,8 +68,8 @@ class ContactPosterior:
         return self.sets[0].names
 
     @property
-    def values(self) -> dict[str, dict[str, float]]:
-        """Return its values."""
+    def values(self) -> FittedValues:
+        """Return the values of the most probable set."""
         return self.sets[0].values
 
     def probability(self, name: str) -> float:
@@ -116,13 +113,13 @@ class _ErrorGrid:
 
 @dataclasses.dataclass
 class _Profile:
-    """A set with one effect on a grid (log evidence along it), the others linearised."""
+    """Log evidence of a set along a grid of one effect's sizes, the others marginalised."""
 
     names: EffectSet
-    name: str  # the one scanned
+    name: str  # the effect on the grid
     sizes: np.ndarray  # (m,)
-    log: np.ndarray  # (d, m) of draws of the landings, all of them first, prior and spacing included
-    best: np.ndarray  # (P,) most probable sizes of all effects, from neutral
+    log: np.ndarray  # (d, m) of bootstrap samples (all landings first), prior and spacing included
+    best: np.ndarray  # (P,) posterior mode of all effects, from neutral
 
     @property
     def evidence(self) -> np.ndarray:
@@ -131,12 +128,12 @@ class _Profile:
 
 
 def _most_probable(profiles: Sequence[_Profile]) -> _Profile:
-    """Return the part of the highest evidence."""
+    """Return the profile of the highest evidence."""
     return max(profiles, key=lambda x: float(x.evidence[0]))
 
 
 class _ContactModel:
-    """Grids of every effect (one parameter each) and the evidence of every set."""
+    """Simulated errors on a grid of every effect (one parameter each), and the evidence of every set."""
 
     def __init__(self, problem: TouchdownProblem):
         self.problem = problem
@@ -159,22 +156,21 @@ class _ContactModel:
         """Return the errors (n, 6, q) with effects at `sizes`, by index."""
         return self.problem.errors(self.problem.corrected(self._values(sizes)))
 
-    def _values(self, sizes: Mapping[int, float]) -> dict[str, dict[str, float]]:
+    def _values(self, sizes: Mapping[int, float]) -> FittedValues:
+        """Return the parameter values of effects at `sizes`, by index, within bounds."""
         named = {self.names[j]: (self.parameters[j], size) for j, size in sizes.items()}
         return {n: {named[n][0].name: named[n][0].bounded(named[n][1])} for n in self.names if n in named}
 
     def _scan(self, j: int, beside: Mapping[int, float]) -> _ErrorGrid:
+        """Return the errors simulated on the grid SCAN of effect j, others at the sizes `beside`."""
         p = self.parameters[j]
         grid = np.outer((-1.0, 1.0), SCAN).ravel() * self.slab[j]
         sizes = sorted({p.coordinate(p.bounded(x)) for x in grid} | {0.0})
-        if beside:
-            return _ErrorGrid(np.array(sizes), np.stack([self._errors({**beside, j: x}) for x in sizes]))
-        return _ErrorGrid(
-            np.array(sizes), np.stack([self._errors({j: x}) if x else self.neutral for x in sizes])
-        )
+        errors = [self._errors({**beside, j: x}) if beside or x else self.neutral for x in sizes]
+        return _ErrorGrid(np.array(sizes), np.stack(errors))
 
     def _slopes(self, scan: _ErrorGrid) -> np.ndarray:
-        """Return minus the slope (n, 6, q) of the errors about neutral."""
+        """Return the Jacobian (n, 6, q) of the simulated motion at neutral, by a central difference."""
         k = int(np.searchsorted(scan.sizes, 0.0))
         low, high = max(k - 1, 0), min(k + 1, len(scan.sizes) - 1)
         return -(scan.errors[high] - scan.errors[low]) / (scan.sizes[high] - scan.sizes[low])
@@ -184,7 +180,8 @@ class _ContactModel:
         return np.where(np.isin(np.arange(len(self.names)), list(named)), self.slab, self.spike)
 
     def _coupled_widths(self, named: set[int], j: int, sizes: np.ndarray) -> np.ndarray:
-        """Return the same (m, P) with effect j at sizes (m,) and coupled effects free in proportion."""
+        """Return the prior standard deviations (m, P) with effect j at sizes (m,), coupled ones widened."""
+        # sigma_k^2 = spike_k^2 + (x_j / slab_j * slab_k)^2  for an effect k that MuJoCo couples with j
         width = np.tile(self._widths(named), (len(sizes), 1))
         for other in self.problem.library[self.names[j]].couples_with:
             if other in self.names and (k := self.names.index(other)) not in named:
@@ -194,7 +191,7 @@ class _ContactModel:
     def _refined(
         self, j: int, scan: _ErrorGrid, width: np.ndarray, beside: Mapping[int, float]
     ) -> _ErrorGrid:
-        """Return the grid refined at the most probable sizes."""
+        """Return the grid with a point added at the posterior mode, REFINEMENTS times."""
         for _ in range(REFINEMENTS):
             sizes = _subdivided(scan.sizes, 4)
             log = self._logs(j, scan.at(sizes), width, beside)[0][:, 0] - 0.5 * (sizes / width[j]) ** 2
@@ -204,12 +201,18 @@ class _ContactModel:
             scan = scan.with_one(best, self._errors({**beside, j: best}))
         return scan
 
-    def _logs(self, j, errors, width, beside) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the log evidence (m, d) of errors (m, n, 6, q), all effects but j marginalised.
+    def _logs(
+        self, j: int | None, errors: np.ndarray, width: np.ndarray, beside: Mapping[int, float]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the log evidence (m, d) of errors (m, n, 6, q), all effects but j marginalised (Laplace).
 
-        width (P,) or (m, P): of their priors; beside: sizes that the errors have already. Returns their most
-        probable sizes (m, P) too, and how well every landing knows all of them alone, (m, n, P).
+        width (P,) or (m, P): prior standard deviations; beside: sizes that the errors include already.
+        Returns the posterior mode (m, P) of all effects too, and their information (m, n, P) by landing.
         """
+        # Mode x by iteratively reweighted least squares (t weights w), Jacobian J, prior precision K:
+        #   x += (J'wJ + K)^-1 (J'w e - K x)
+        # and, with H = J'wJ + K and h the gradient at x,
+        #   log p = sum log t(e) - 1/2 x'K x + 1/2 h'H^-1 h - 1/2 log det H + 1/2 log det K
         count, every = len(self.names), np.eye(len(self.names))
         at = np.array([beside.get(k, 0.0) for k in range(count)])
         free = np.ones(count) if j is None else np.arange(count) != j
@@ -236,15 +239,16 @@ class _ContactModel:
         return log, m + at, np.einsum("mipp->mip", a)
 
     def profile(self, names: EffectSet, j: int, scan: _ErrorGrid, beside: Mapping[int, float]) -> _Profile:
-        """Return a set with effect j on its grid."""
+        """Return the log evidence of a set along a grid of effect j, refined about the mode."""
         named = {k for k, n in enumerate(self.names) if n in names}
         width, sizes = self._widths(named), _subdivided(scan.sizes, 2)
         log, _, known = self._logs(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
         k = int(np.argmax(log[:, 0] - 0.5 * (sizes / width[j]) ** 2))
-        near = 1.0 / math.sqrt(known[k, :, j].sum() + 1.0 / width[j] ** 2)
-        sizes = np.concatenate([sizes, sizes[k] + near * FINE_GRID])
+        spread = 1.0 / math.sqrt(known[k, :, j].sum() + 1.0 / width[j] ** 2)
+        sizes = np.concatenate([sizes, sizes[k] + spread * FINE_GRID])
         sizes = np.unique(np.clip(sizes, scan.sizes[0], scan.sizes[-1]))
         log, best, _ = self._logs(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
+        # p(data | S) = sum_x p(data | x) N(x; 0, width^2) q(x) dx,  q the factor of the non-local prior
         prior = -0.5 * (sizes / width[j]) ** 2 - math.log(width[j] * math.sqrt(2.0 * math.pi))
         at = best.copy()
         at[:, j] = sizes
@@ -255,21 +259,22 @@ class _ContactModel:
         return _Profile(names, self.names[j], sizes, log, best[k])
 
     def _nonlocal_log_prior(self, sizes: np.ndarray, own: Sequence[int]) -> np.ndarray:
-        """Return the log prior factor (m,) of sizes (m, k): a named effect exceeds its spike."""
+        """Return the log factor (m,) of a non-local prior (Johnson and Rossell 2010) at sizes (m, k)."""
+        # A named effect exceeds its spike:  q(x) = [1 - exp(-x^2 / 2 spike^2)] / Z,
+        # Z = 1 - spike / sqrt(spike^2 + slab^2), so that N(x; 0, slab^2) q(x) is normalised.
         spike, slab = self.spike[own], self.slab[own]
         factor = -np.expm1(-0.5 * (sizes / spike) ** 2) / (1.0 - spike / np.hypot(spike, slab))
         return np.log(np.maximum(factor, 1e-12)).sum(axis=1)
 
     def profiles(self, names: EffectSet) -> list[_Profile]:
-        """Return the parts of a set."""
+        """Return the profiles of a set along each of its effects (of up to one effect: along all)."""
         along = [j for j, n in enumerate(self.names) if len(names) < 2 or n in names]
         return [self.profile(names, j, self.scans[j], {}) for j in along]
 
     def rescan(self, table: dict[EffectSet, list[_Profile]], names: EffectSet) -> None:
-        """Recompute the grids of a set, each effect beside the others at their mode.
+        """Simulate a set again, each effect's grid with the others at their mode; extend `table` by it.
 
-        Sets without the one that is scanned are seen along it as well: with none of its size, but what any
-        contact may be off by.
+        The sets without the effect on the grid get a profile along it as well, with its spike prior.
         """
         best = _most_probable(table[names]).best
         own = {k: float(best[k]) for k, n in enumerate(self.names) if n in names}
@@ -282,7 +287,7 @@ class _ContactModel:
             table[rest].append(self.profile(rest, j, scan, others))
 
     def distribution(self) -> tuple[tuple[SetProbability, ...], list[_Profile]]:
-        """Return the posterior over sets, and the parts of the best."""
+        """Return the bagged posterior over sets, most probable first, and the profiles of the first."""
         share = 1.0 - PRIOR_EMPTY ** (1.0 / max(1, len(self.names)))
         odds = math.log(share / (1.0 - share))
         table: dict[EffectSet, list[_Profile]] = {}
@@ -310,11 +315,11 @@ class _ContactModel:
         return tuple(SetProbability(n, float(probability[n]), values[n]) for n in kept), own[kept[0]]
 
     def _best(self, profiles: Sequence[_Profile]) -> dict[int, float]:
-        """Return the modes of a set by index."""
+        """Return the posterior mode of a set, by index of the effect."""
         return {self.names.index(x.name): float(x.best[self.names.index(x.name)]) for x in profiles}
 
     def estimates(self, profiles: Sequence[_Profile]) -> dict[str, ContactEstimate]:
-        """Return the estimates of a set, with intervals, and per landing."""
+        """Return the estimates of a set with credible intervals, and those of single landings."""
         own, result = self._best(profiles), {}
         residual = self._errors(own) if own else self.neutral
         weight = _weights(residual) / self.inflation
@@ -337,66 +342,69 @@ class _ContactModel:
             )
         return result
 
-    def gains(self, values) -> dict[str, float]:
-        """Return effect -> share of the set's gain that is lost without it."""
+    def gains(self, values: Values) -> dict[str, float]:
+        """Return effect -> share of the set's decrease in deviance that is lost without it."""
 
-        def squares(some) -> float:
+        def deviance(some: Values) -> float:
             return -float(_log_t(self.problem.errors(self.problem.corrected(some))).sum())
 
         if not values:
             return {}
-        after = squares(values)
+        after = deviance(values)
         closed = max(-float(_log_t(self.neutral).sum()) - after, 1e-9)
         rest = {name: {n: v for n, v in values.items() if n != name} for name in values}
-        return {name: float(np.clip((squares(rest[name]) - after) / closed, 0.0, 1.0)) for name in values}
+        return {name: float(np.clip((deviance(rest[name]) - after) / closed, 0.0, 1.0)) for name in values}
 
-    def residual(self, values) -> np.ndarray:
-        """Return the residual errors (n, 6, q), small errors of all effects removed."""
+    def residual(self, values: Values) -> np.ndarray:
+        """Return the residual (n, 6, q) at `values`, small (spike) errors of all effects removed."""
         errors = self.problem.errors(self.problem.corrected(values))[None]
         small = self._logs(None, errors, self._widths(set()), {})[1][0]
         return errors[0] - self.slopes @ small
 
 
-def _subdivided(sizes: np.ndarray, profiles: int) -> np.ndarray:
-    """Return sizes (m,) with every interval divided into `profiles`."""
-    inner = [np.linspace(a, b, profiles, endpoint=False) for a, b in itertools.pairwise(sizes)]
+def _subdivided(sizes: np.ndarray, parts: int) -> np.ndarray:
+    """Return a grid (m,) with every interval of `sizes` divided into `parts`."""
+    inner = [np.linspace(a, b, parts, endpoint=False) for a, b in itertools.pairwise(sizes)]
     return np.append(np.concatenate(inner), sizes[-1])
 
 
 def _log_t(errors: np.ndarray) -> np.ndarray:
-    """Return the log-likelihood (..., 6) of errors (..., 6, q), multivariate t with q degrees of freedom."""
+    """Return the log-likelihood (..., 6) of errors (..., 6, q): multivariate Student t with nu = q."""
+    # log t_nu(e) = -(nu + q) / 2 log(1 + |e|^2 / nu),  nu = q
     return -errors.shape[-1] * np.log1p((errors**2).mean(axis=-1))
 
 
 def _weights(errors: np.ndarray) -> np.ndarray:
-    """Return the robust weights (..., 6) of the axes, of that t distribution, at errors (..., 6, q)."""
+    """Return the robust weights (..., 6) of the axes by that t distribution at errors (..., 6, q)."""
+    # w = (nu + q) / (nu + |e|^2),  nu = q
     return 2.0 / (1.0 + (errors**2).mean(axis=-1))
 
 
 def inflation(errors: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Return the variance inflation (6,) of correlated samples within a landing.
+    """Return the variance inflation (6,) by correlated samples of an axis and correlated axes of a landing.
 
-    errors (n, 6, q) near the best explanation, slopes (n, 6, q, P). First the samples of an axis: squares of
-    slope times error over what independent samples give, of the effect where they are largest. Then the same
-    of whole landings, whose axes go wrong together, mean over effects.
+    errors (n, 6, q) at the best point of all grids, slopes (n, 6, q, P): the Jacobian.
     """
+    # Empirical over model variance of the scores s = J'w e (as in a sandwich estimator): within an axis
+    # max_p sum_i s_ip^2 / sum_i (J'wJ)_ip; then likewise of whole landings, mean over the effects p.
     weight = _weights(errors)[..., None]
     score = weight * np.einsum("icq,icqp->icp", errors, slopes)
     known = weight * np.einsum("icqp,icqp->icp", slopes, slopes)
     ratio = (score**2).sum(axis=0) / np.maximum(known.sum(axis=0), 1e-12)
     own = np.maximum(1.0, ratio.max(axis=1))
-    whole = (score / own[:, None]).sum(axis=1)
-    ratio = (whole**2).sum(axis=0) / np.maximum((known / own[:, None]).sum(axis=(0, 1)), 1e-12)
+    landing = (score / own[:, None]).sum(axis=1)
+    ratio = (landing**2).sum(axis=0) / np.maximum((known / own[:, None]).sum(axis=(0, 1)), 1e-12)
     return own * max(1.0, float(ratio.mean()))
 
 
 def common_residual_p_value(landings: Sequence[Landing], residual: np.ndarray, inflated: np.ndarray) -> float:
-    """Return the p-value of the mean residual of landings on the same surface.
+    """Return the p-value of a common residual of the landings on the same surface, Bonferroni over axes.
 
-    left (n, 6, q): errors beside a set; inflated (6,). On each surface an axis may err alike in all landings,
-    in MODES ways, each as much as the resting pose and the motion before it are expected to: squares of what
-    they have in common, in what chance makes of these, are chi-squared. The largest of all axes counts.
+    residual (n, 6, q) beside a set; inflated (6,): the variance inflation.
     """
+    # Score test of a component common to all landings, in the COMMON_MODES largest eigenvectors V of the
+    # contact model error (scaled by their standard deviations), a = V'wV, h = V'w e:
+    #   h' (a + a a)^-1 h ~ chi^2(COMMON_MODES),  a + a^2 the variance of h by noise and by model error.
     weight, q, values = _weights(residual) / inflated, residual.shape[2], []
     first = landings[0]
     sizes, shapes = np.linalg.eigh(contact_model_covariance(first.compared[:q] * first.dt - BEFORE))

@@ -1,11 +1,10 @@
-"""Do all flights tell of one vehicle on one day? Which contradict the others, and in what.
+"""Heterogeneity of flights: which of them are inconsistent with the others, and in which effects.
 
-Every flight says how far it lies from the fit of all in each effect, everything else allowed the small
-differences that flights may have (`posterior.BETWEEN`, and `Parameter.manoeuvre` of the effects). Flights are
-split in two groups, each effect's size free to differ between them as widely as real vehicles differ
-(`posterior.slab_deviations`), and the difference is compared with how far flights of one group scatter: an F test.
-Every way to split them counts. All groups of one size have a share of the false alarms together, a smaller
-one the larger they are, since one odd flight among many is what happens most; and each effect has its share.
+Every flight has an estimate of each effect relative to the common fit, small random effects allowed for
+(`posterior.BETWEEN`, and `Parameter.manoeuvre` of the effects). The flights are split in two groups whose
+effects differ with the slab prior (`posterior.slab_deviations`), and the contrast is compared with the
+scatter within the groups by an F test. All splits are tested: the false alarms are shared out evenly over the
+sizes of the smaller group, within one size over its groups (Bonferroni), and over the effects.
 """
 
 from __future__ import annotations
@@ -21,16 +20,11 @@ from inclined_landing.eval.gap.result import Difference, InconsistentFlights
 from inclined_landing.eval.gap.search.evidence import Linearisation, Problem, Values
 from inclined_landing.eval.gap.search.posterior import BETWEEN, confounding, slab_deviations
 
-SIGNIFICANCE = 0.01  # diagnoses of one vehicle in which flights are said to contradict each other
-# The scatter of flights within a group is known beforehand as well as if so many more numbers had been seen,
-# with the size that noise and small differences give: how it varies over effects and sets of flights.
-PRIOR_DEGREES_OF_FREEDOM = 2.0
-# A flight has a say in an effect when it tells more of it than was known beforehand.
-LEAST_INFORMATION = 0.7  # standard error as a share of what is known
-CONFOUNDED = 0.05  # likelihood beside the best effect's, above which another may be meant
-UNCONFOUNDED = (
-    0.5  # of what an effect changes, the share that others do not, above which it is another matter
-)
+SIGNIFICANCE = 0.01  # familywise false alarm rate of a diagnosis
+PRIOR_DEGREES_OF_FREEDOM = 2.0  # of the mean square within groups, whose prior value is 1
+LEAST_INFORMATION = 0.7  # standard error over prior standard deviation below which a flight excites an effect
+CONFOUNDED = 0.05  # likelihood ratio to the best effect above which another is confounded with it
+UNCONFOUNDED = 0.5  # share of an effect's information above which it is a difference of its own
 
 
 def inconsistent_flights(
@@ -38,7 +32,7 @@ def inconsistent_flights(
 ) -> tuple[InconsistentFlights, ...]:
     """Return the groups of flights that are inconsistent with the others, most significant first.
 
-    near: the flights linearised at `values`, all effects of the library fitted together.
+    linear: the flights linearised at `values`, all effects of the library fitted jointly.
     """
     table = _FlightInformation.of(problem, linear)
     remaining, result = np.arange(len(problem.flights)), []
@@ -51,30 +45,31 @@ def inconsistent_flights(
     return tuple(result)
 
 
-def summary_line(against: InconsistentFlights) -> str:
-    """Return a one-line note on inconsistent flights."""
-    names, several = ", ".join(d.effect for d in against.differences), len(against.flights) > 1
-    return f"{', '.join(against.flights)} contradict{'' if several else 's'} the other flights in {names}"
+def summary_line(found: InconsistentFlights) -> str:
+    """Return a note of one line on inconsistent flights."""
+    names, several = ", ".join(d.effect for d in found.differences), len(found.flights) > 1
+    return f"{', '.join(found.flights)} contradict{'' if several else 's'} the other flights in {names}"
 
 
 @dataclasses.dataclass
 class _FlightInformation:
-    """Gram matrices of every flight in units of `negligible`, small random effects integrated out."""
+    """Gram matrices of every flight in negligible sizes, small random effects marginalised."""
 
     a: np.ndarray  # (f, P, P)
     b: np.ndarray  # (f, P)
     unit: np.ndarray  # (P,)
-    known: np.ndarray  # (P,) precision of what is known beforehand
+    known: np.ndarray  # (P,) prior precision
     own: dict[str, np.ndarray]  # effect -> its columns
 
     @staticmethod
     def of(problem: Problem, linear: Linearisation) -> _FlightInformation:
-        """Return the table of a linearisation."""
+        """Return the information of the flights in a linearisation."""
         columns = linear.columns
         unit = np.array([problem.parameter(c).negligible for c in columns])
         a, b = linear.by_flight()
         a, b = a * np.outer(unit, unit), b * unit
-        # What looks alike shares the small differences; beside them, no loop is quite of its form.
+        # Random effects u ~ N(0, S) of every flight, S diagonal: BETWEEN^2 shared by collinear columns, and the
+        # model error of the loops (`manoeuvre`).  Marginal:  a -> (1 + a S)^-1 a,  b -> (1 + a S)^-1 b
         confounded = confounding(linear)
         small = BETWEEN**2 / np.array([confounded[c.effect, c.parameter] for c in columns])
         small += (np.array([problem.parameter(c).manoeuvre for c in columns]) / unit) ** 2
@@ -92,7 +87,9 @@ class _FlightInformation:
         )
 
     def part(self, index: np.ndarray, flights: Sequence[int]) -> _GroupContrast:
-        """Return some columns of some flights, relative to their common fit."""
+        """Return the contrasts of some flights in some columns, relative to their common fit."""
+        # With the common fit x = A^-1 sum_g b_g, A = sum_g a_g:  score s_g = b_g - a_g x, whose covariance is
+        #   P_gh = delta_gh a_g - a_g A^-1 a_h
         rows = np.asarray(flights)
         a, b = self.a[np.ix_(rows, index, index)], self.b[np.ix_(rows, index)]
         known = np.diag(self.known[index])
@@ -113,21 +110,22 @@ class _FlightInformation:
 
 @dataclasses.dataclass
 class _GroupContrast:
-    """Heterogeneity of some flights in some columns."""
+    """Scores of n flights in d columns about their common fit, and what groups of them differ by."""
 
     precision: np.ndarray  # (n, d, n, d)
     score: np.ndarray  # (n, d)
-    known: np.ndarray  # (d, d) precision of what is known beforehand
+    known: np.ndarray  # (d, d) prior precision
 
     def difference(self, members: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return gain (s,), difference (s, d) to the others and its covariance (s, d, d) of groups (s, n)."""
+        """Return gain (s,), contrast (s, d) to the others and its covariance (s, d, d) of groups (s, n)."""
+        # d = (P + K)^-1 s with the prior precision K; decrease of the squared error s' d
         score, own = self._group_information(members)
         covariance = np.linalg.inv(own + self.known)
         difference = np.einsum("sij,sj->si", covariance, score)
         return np.einsum("si,si->s", score, difference), difference, covariance
 
     def mean_square(self, members: np.ndarray) -> np.ndarray:
-        """Return the residual mean square (s,) given groups (s, n), at least 1."""
+        """Return the mean square (s,) within groups (s, n), at least 1."""
         n, d = self.score.shape
         flat = self.score.ravel()
         squares = flat @ np.linalg.solve(self.precision.reshape(n * d, n * d), flat)
@@ -136,7 +134,7 @@ class _GroupContrast:
         return np.maximum(1.0, (PRIOR_DEGREES_OF_FREEDOM + squares - closed) / self.degrees_of_freedom)
 
     def p_value(self, members: np.ndarray) -> np.ndarray:
-        """Return the p-values (s,) of groups (s, n), by an F test."""
+        """Return the p-values (s,) of groups (s, n) by an F test: F = (gain / d) / mean square."""
         d = len(self.known)
         return stats.f.sf(
             self.difference(members)[0] / d / self.mean_square(members), d, self.degrees_of_freedom
@@ -149,21 +147,23 @@ class _GroupContrast:
         return PRIOR_DEGREES_OF_FREEDOM + d * (n - 2)
 
     def _group_information(self, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the score (s, d) and information (s, d, d) of groups (s, n)."""
         inside = members.astype(float)
         own = np.einsum("sf,figl,sg->sil", inside, self.precision, inside, optimize=True)
         return inside @ self.score, own
 
     def candidate_groups(self) -> np.ndarray:
-        """Return candidate groups (s, n): each flight alone, all cuts of the order along some directions."""
+        """Return candidate groups (s, n): single flights, and cuts of their order along some directions."""
+        # Directions: the first principal component of the whitened estimates, and the columns.
         n, d = self.score.shape
         each = np.arange(n)
         own = self.precision[each, :, each]
-        away = np.linalg.solve(own + self.known, self.score[..., None])[..., 0]
-        away = away @ np.linalg.cholesky(own.mean(axis=0) + self.known)
-        main = np.linalg.svd(away - away.mean(axis=0), full_matrices=False)[2][:1]
-        rows = np.vstack([main, np.eye(d)]) @ away.T
-        place = np.argsort(np.argsort(rows, axis=1), axis=1)
-        members = np.concatenate([np.eye(n, dtype=bool), *(place < m for m in range(1, n))])
+        estimate = np.linalg.solve(own + self.known, self.score[..., None])[..., 0]
+        estimate = estimate @ np.linalg.cholesky(own.mean(axis=0) + self.known)
+        main = np.linalg.svd(estimate - estimate.mean(axis=0), full_matrices=False)[2][:1]
+        rows = np.vstack([main, np.eye(d)]) @ estimate.T
+        rank = np.argsort(np.argsort(rows, axis=1), axis=1)
+        members = np.concatenate([np.eye(n, dtype=bool), *(rank < m for m in range(1, n))])
         size = members.sum(axis=1)
         flip = (2 * size > n) | ((2 * size == n) & ~members[:, 0])
         return np.unique(members ^ flip[:, None], axis=0)
@@ -176,8 +176,8 @@ class _Split:
     name: str
     group: tuple[int, ...]  # the smaller group
     others: tuple[int, ...]
-    level: float  # probability of a difference like this in any of all tests, by chance
-    tested: int  # effects
+    level: float  # p-value, corrected for multiple testing
+    tested: int  # number of effects tested
 
 
 def _most_significant_split(table: _FlightInformation, remaining: np.ndarray) -> _Split | None:
@@ -198,17 +198,18 @@ def _most_significant_split(table: _FlightInformation, remaining: np.ndarray) ->
 
 
 def _multiplicity(members: np.ndarray) -> np.ndarray:
-    """Return the multiple-testing factor (s,) of groups (s, n), from the number of that size."""
+    """Return the multiple-testing (Bonferroni) factor (s,) of groups (s, n)."""
+    # Groups of m flights share the part (1/m) / H of the level, H = sum_m 1/m: small groups are likelier.
     n, sizes = members.shape[1], members.sum(axis=1)
-    every = sum(1.0 / m for m in range(1, n // 2 + 1))
+    harmonic = sum(1.0 / m for m in range(1, n // 2 + 1))
     count = np.array([math.comb(n, m) * (0.5 if 2 * m == n else 1.0) for m in sizes])
-    return count * sizes * every
+    return count * sizes * harmonic
 
 
 def _described_split(
     problem: Problem, table: _FlightInformation, split: _Split, values: Values
 ) -> InconsistentFlights:
-    """Describe the difference of two groups: effects chosen forward, fitted jointly, with confounded ones."""
+    """Return the contrast of two groups in effects chosen by forward selection and fitted jointly."""
     chosen, confounded = [split.name], {}
     known = [name for name in table.own if _excited_in_both(table, split, name)]
     while True:
@@ -247,18 +248,18 @@ def _described_split(
 
 @dataclasses.dataclass(frozen=True)
 class _ConditionalTest:
-    """The test of one effect on a split, given the effects already chosen."""
+    """F test of one effect on a split, given the effects already chosen."""
 
     name: str
     p_value: float
-    likelihood: float  # log, up to a constant
+    likelihood: float  # log-likelihood, up to a constant
     mean_square: float
     degrees_of_freedom: float
-    own: float  # share of what it changes in the smaller group that the others do not
+    own: float  # share of its information that is not confounded with the effects already chosen
 
 
 def _excited_in_both(table: _FlightInformation, split: _Split, name: str) -> bool:
-    """Tell whether both groups excite an effect, with enough flights for its variance."""
+    """Return whether both groups excite an effect, with enough flights for its variance."""
     exciting = set(table.exciting(name, np.array(split.group + split.others)))
     return exciting >= set(split.group) and len(exciting & set(split.others)) > 1
 
@@ -271,7 +272,7 @@ def _membership(split: _Split, flights: Sequence[int]) -> np.ndarray:
 def _conditional_test(
     table: _FlightInformation, split: _Split, chosen: Sequence[str], name: str
 ) -> _ConditionalTest:
-    """Test one more effect as a difference between the groups of a split."""
+    """Return the F test of one more effect as a contrast between the groups of a split."""
     flights = table.exciting(name, np.array(split.group + split.others))
     members, own = _membership(split, flights), table.own[name]
     part, share = table.part(own, flights), 1.0
@@ -283,20 +284,21 @@ def _conditional_test(
         gain, share = max(0.0, float(more - less)), _unconfounded_share(table, split, before, own)
     mean_square, d = float(part.mean_square(members)[0]), len(own)
     p_value = float(stats.f.sf(gain / d / mean_square, d, part.degrees_of_freedom))
-    likelihood = (
-        0.5 * (part.degrees_of_freedom + d) * math.log1p(gain / mean_square / part.degrees_of_freedom)
-    )
-    return _ConditionalTest(name, p_value, likelihood, mean_square, part.degrees_of_freedom, share)
+    # Variance unknown (Student t):  log L = (nu + d) / 2 log(1 + gain / (nu s^2))
+    nu = part.degrees_of_freedom
+    likelihood = 0.5 * (nu + d) * math.log1p(gain / mean_square / nu)
+    return _ConditionalTest(name, p_value, likelihood, mean_square, nu, share)
 
 
 def _unconfounded_share(
     table: _FlightInformation, split: _Split, before: np.ndarray, own: np.ndarray
 ) -> float:
     """Return the share of the information on the columns `own` not confounded with the columns `before`."""
+    # Schur complement:  tr[a_oo^+ (a_oo - a_ob a_bb^+ a_bo)] / d
     index, k = np.concatenate([before, own]), len(before)
     a = table.a[list(split.group)].sum(axis=0)[np.ix_(index, index)]
-    rest = a[k:, k:] - a[k:, :k] @ np.linalg.pinv(a[:k, :k]) @ a[:k, k:]
-    return float(np.trace(np.linalg.pinv(a[k:, k:]) @ rest) / len(own))
+    schur = a[k:, k:] - a[k:, :k] @ np.linalg.pinv(a[:k, :k]) @ a[:k, k:]
+    return float(np.trace(np.linalg.pinv(a[k:, k:]) @ schur) / len(own))
 
 
 def _difference(
@@ -307,7 +309,7 @@ def _difference(
     half: np.ndarray,
     values: Values,
 ) -> Difference:
-    """Return an effect's difference as its values in a model of the others, or the other way round."""
+    """Return an effect's contrast as its values in a model of the others, or the other way round."""
     at = dict(problem.library[name].neutral) | dict(values.get(name, {}))
     parameters = [p for p in problem.library[name].parameters if not p.is_reference]
     swapped = any(p.one_signed and change < 0.0 for p, change in zip(parameters, size))

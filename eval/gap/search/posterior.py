@@ -284,7 +284,7 @@ class LinearGaussian:
         return mean + covariance @ (b - a @ mean), 0.5 * (covariance + covariance.T)
 
     def delta(self, names: EffectSet, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the posterior mean (P,) and covariance (P, P) of delta, from neutral, in spikes, unbounded."""
+        """Return the posterior mean (P,) and covariance (P, P) of delta, in spikes, without bounds."""
         # z = theta + delta with the prior covariance K = Sigma + V;  given z (Bishop 2.81), with G = V K^-1:
         #   E delta = G (z - m),   Cov delta = V + G (C - K) G'
         change, covariance = self.fit(names, weights)
@@ -388,7 +388,7 @@ class Evidence:
         )
 
     def _shape_log_prior(self, name: str, low: float, high: float) -> float:
-        """Return the log prior of a size about a reference, less that of the bivariate normal of its columns."""
+        """Return the log prior of a size about a reference, less that of its columns' bivariate normal."""
         # Change of variables (low, high) -> (s, t), Jacobian |s|:  log [N(s; 0, w^2) N(t; 0, 1/4) / |s|]
         # less the log density of N(0, SHAPE_COVARIANCE w^2) with the moments of this product.
         width = math.sqrt(self.slab[self.own[name][0], self.own[name][0]] / SHAPE_COVARIANCE[0, 0])

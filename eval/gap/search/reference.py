@@ -1,7 +1,7 @@
-"""The posterior of an identified vehicle: mean and covariance of its errors, written beside its file.
+"""The posterior of an identified vehicle: mean and covariance of its errors, stored beside its file.
 
-A vehicle file holds point estimates. Their joint covariance tells which combinations its flights left
-uncertain; functions of logged quantities describe the residual that repeats in these flights.
+A vehicle file holds point estimates. Their joint covariance holds which combinations the reference flights
+left uncertain; functions of logged quantities describe the residual common to these flights.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from inclined_landing.models.parameters import Constant, Vehicle, constants
 
 SUFFIX = ".posterior.json"
 VERSION = 2
-_NORMAL = 1.96  # half-widths of 95 % intervals per standard deviation
+_NORMAL = 1.96  # half-width of a 95 % interval in standard deviations
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,11 +39,11 @@ class Reference:
     columns: tuple[Column, ...]
     mean: np.ndarray  # (P,) coordinates of the parameters
     covariance: np.ndarray  # (P, P) of these
-    repeating: ReferenceResidual  # what repeats in its flights that no effect explains
-    from_flights: bool = True  # or from the entries of a vehicle file
+    repeating: ReferenceResidual  # functions of the residual common to its flights
+    from_flights: bool = True  # or from the uncertainties in a vehicle file
 
     def along(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean (Q,) and covariance (Q, Q) along other columns; zero for those it does not have."""
+        """Return the marginal mean (Q,) and covariance (Q, Q) along some columns; zero for unknown ones."""
         place = {column: k for k, column in enumerate(self.columns)}
         share = np.zeros((len(columns), len(place)))
         for i, column in enumerate(columns):
@@ -86,7 +86,7 @@ class Reference:
         )
 
     def to_json(self, vehicle: Vehicle) -> dict:
-        """Plain lists and numbers; `vehicle` is the one it is about."""
+        """Return the posterior as plain lists and numbers; `vehicle`: the one identified."""
         functions = self.repeating
         return {
             "version": VERSION,
@@ -179,9 +179,11 @@ def _numbers(values, dimensions: int) -> np.ndarray:
 
 
 def _deviation(problem: Candidates, column: Column, given: dict[str, Constant]) -> float:
-    """Return the standard deviation of a column, from the uncertainty of the constants that it changes."""
+    """Return the prior standard deviation of a column, from the uncertainties of the constants it changes."""
+    # Linear propagation: a constant c with the 95 % half-width h gives sigma = h / (1.96 |dc/dx|); the
+    # smallest of all that the column changes.
     if column.form or column.fixed:
-        # Without flights nothing tells the formulas' errors from effects.
+        # Without flights, model errors and effects are confounded: the former stay small.
         return form.ALONE * problem.parameter(column).plausible if column.form else 0.0
     moved, step = problem.one_sided_difference({}, column)
     widths = []

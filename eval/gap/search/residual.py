@@ -25,24 +25,24 @@ from inclined_landing.models.parameters import Vehicle
 
 UNITS = {"x": "m/s2", "y": "m/s2", "z": "m/s2", "roll": "rad", "pitch": "rad", "yaw": "rad"}
 TARGETS = (*CHANNELS, "forward", "left")
-SIGNIFICANCE = 0.02
-FLIPS = 400
-FEATURES = 24  # random ones of a function
-KNOTS = 7  # of the bumps along every input
-TIME_SPACING = 0.5  # s between those of the flight time
-BLOCK = 5.0  # s of a flight that may have the other sign
-COMMAND_LAGS = (0.1, 0.25)  # s ago, of commands
-VELOCITY_LAGS = (0.15, 0.3, 0.5)  # s ago, of velocities
+SIGNIFICANCE = 0.02  # family-wise
+FLIPS = 400  # random sign flips
+FEATURES = 24  # random Fourier features of a function
+KNOTS = 7  # radial basis functions along every input
+TIME_SPACING = 0.5  # s between those along the flight time
+BLOCK = 5.0  # s of flight that share a sign in the permutation test
+COMMAND_LAGS = (0.1, 0.25)  # s
+VELOCITY_LAGS = (0.15, 0.3, 0.5)  # s
 TIME = "flight time"
 BINS = 8
-HORIZON = 1.0  # s, over which a disturbance displaces the vehicle
+HORIZON = 1.0  # s, over which a function displaces the vehicle
 UNITS_OF = ("m/s2",) * 3 + ("rad/s2",) * 3
-EXPECTED_SIZE = {"m/s2": 0.01, "rad/s2": 0.3}  # a function's expected size where the air is still
+EXPECTED_SIZE = {"m/s2": 0.01, "rad/s2": 0.3}  # least prior standard deviation of a function
 
 
 @dataclasses.dataclass(frozen=True)
 class Residual:
-    """Residuals of a fit."""
+    """White residuals of a fit, with its disturbance level and variance inflation."""
 
     errors: list[np.ndarray]  # white (w, 6, q) of every flight
     size: np.ndarray  # (6,) of the disturbance [m/s2, rad/s2]
@@ -56,9 +56,9 @@ class Residual:
         change, _ = local.fit(names)
         errors, slopes_of = [], problem.jacobian(at, local.columns)
         for k, flight in enumerate(problem.flights):
-            own = (change + local.deviation(k, change)) * local.unit
+            step = (change + local.deviation(k, change)) * local.unit  # z + u of this flight
             here, *slopes = slopes_of(flight)
-            error = flight.measured - here - np.tensordot(own, np.array(slopes), axes=1)
+            error = flight.measured - here - np.tensordot(step, np.array(slopes), axes=1)
             errors.append(flight.whitening(flight.cut(error)))
         return Residual(errors, size, inflation)
 
@@ -76,12 +76,13 @@ class Basis:
         """Return a basis scaled to inputs `seen` (m, k)."""
         centre, scale = seen.mean(axis=0), np.maximum(seen.std(axis=0), 1e-9)
         z, count = (seen - centre) / scale, KNOTS
-        if tuple(inputs) == (TIME,):  # what beats, or swings
+        if tuple(inputs) == (TIME,):  # oscillations in time need a finer basis
             count = max(KNOTS, round(float(np.ptp(seen)) / TIME_SPACING))
         return Basis(centre, scale, tuple(np.quantile(c, np.linspace(0, 1, count)) for c in z.T))
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Return the features (m, D) of inputs (m, k)."""
+        # Radial: exp(-(z - knot)^2 / (2 width^2));  Fourier: sqrt(2 / D) cos(w'z + phase), w ~ N(0, 1 / k)
         z = np.clip((x - self.centre) / self.scale, -4.0, 4.0)
         parts = []
         for column, knots in zip(z.T, self.knots):
@@ -97,14 +98,14 @@ class Basis:
 
 @dataclasses.dataclass(frozen=True)
 class ReferenceResidual:
-    """Functions fitted to the residual of reference flights."""
+    """Functions fitted to the residual of the reference flights."""
 
     bases: Mapping[str, Basis]  # of quantities
     weights: Mapping[tuple[str, str], np.ndarray]  # (target, quantity) -> (D,)
 
     @staticmethod
     def of(problem: Problem, residual: Residual) -> ReferenceResidual:
-        """Fitted to all flights of `problem`."""
+        """Return the functions of all flights of `problem`, each shrunk by its cross-validated gain."""
         inputs = regressors(problem.flights)
         bases = {name: _basis(problem, *of) for name, of in inputs.items()}
         functions = _functions(problem, residual, inputs, bases, None)
@@ -113,7 +114,7 @@ class ReferenceResidual:
 
 
 def equivalent_sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return every window's error (w, 6) as a constant acceleration or angle, and its expected variance."""
+    """Return every window's error (w, 6) as a constant acceleration or angle, and its variance."""
     value = np.concatenate([f.whitening.amplitudes(x) for f, x in zip(problem.flights, white)])
     variance = np.concatenate(
         [np.tile(1.0 / f.whitening.power, (len(x), 1)) for f, x in zip(problem.flights, white)]
@@ -164,18 +165,19 @@ def regressors(flights: Sequence[MeasuredFlight]) -> dict[str, tuple[tuple[str, 
 
 
 def _lag_names(times: Sequence[float]) -> list[str]:
+    """Return the suffixes that name lagged inputs."""
     return [f" {t:g} s ago" for t in times]
 
 
 @dataclasses.dataclass
 class _RidgeRegression:
-    """A residual along one target regressed on one group of inputs."""
+    """Ridge regression of the residual along one target on the features of one group of inputs."""
 
     target: str
-    on: str
-    a: np.ndarray  # (g, D, D)
-    b: np.ndarray  # (k, D) of every block
-    fold_of: np.ndarray  # (k,) the group that a block is of
+    on: str  # name of the inputs
+    a: np.ndarray  # (g, D, D) Gram matrices of the groups of windows
+    b: np.ndarray  # (k, D) features times residual, of every block
+    fold_of: np.ndarray  # (k,) group of every block: its fold in cross-validation
     ridge: float
     form: np.ndarray  # (k, k) see `gain_matrix`
 
@@ -186,24 +188,26 @@ class _RidgeRegression:
 
     def scores(self, signs: np.ndarray) -> np.ndarray:
         """Return the gains (s,) under sign flips (s, k), standardised over all flips."""
+        # s'Qs with independent signs:  mean tr Q,  variance 1/2 sum_(i != j) (Q_ij + Q_ji)^2
         gains = np.einsum("sg,gh,sh->s", signs, self.form, signs, optimize=True) - np.trace(self.form)
         apart = self.form + self.form.T
         np.fill_diagonal(apart, 0.0)
         return gains / max(np.sqrt(0.5 * (apart**2).sum()), 1e-12)
 
     def weights(self, without: int | None = None) -> np.ndarray:
-        """Return the ridge regression (D,) of all groups, or of all but one."""
+        """Return the ridge weights (D,) of all groups, or of all but one:  (a + ridge)^-1 b."""
         use = np.arange(len(self.a)) != (-1 if without is None else without)
         a = self.a[use].sum(axis=0) + self.ridge * np.eye(self.a.shape[1])
         return np.linalg.solve(a, self.b[use[self.fold_of]].sum(axis=0))
 
     def shrinkage(self) -> float:
-        """Return the cross-validated gain over the predicted one: the shrinkage that would be optimal."""
+        """Return the optimal shrinkage of the function: its cross-validated gain over the predicted one."""
         gain, predicted = self.cross_validated_gain()
         return float(np.clip(gain.sum() / max(predicted.sum(), 1e-12), 0.0, 1.0))
 
     def cross_validated_gain(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the decrease of the squared error (g,) of every held-out group, and the predicted one."""
+        # With the weights w_-g of the other groups:  gain 2 b_g'w - w'a_g w,  predicted w'a_g w
         gain, predicted = np.zeros((2, len(self.a)))
         for g in range(len(self.a)):
             w = self.weights(g)
@@ -215,7 +219,7 @@ class _RidgeRegression:
 def analyse_residual(
     problem: Problem, residual: Residual, vehicle: Vehicle, seed: int = 0
 ) -> ResidualAnalysis:
-    """Return sizes and significant functions of the residual; vehicle: the corrected one."""
+    """Return the residual's size by channel and its significant functions; vehicle: the corrected one."""
     value, variance = equivalent_sizes(problem, residual.errors)
     size = {}
     for k, channel in enumerate(CHANNELS):
@@ -230,9 +234,9 @@ def analyse_residual(
     functions = _functions(problem, residual, inputs, bases, repeating)
     signs = _sign_flips(len(functions[0].b), seed)
     scores = np.stack([f.scores(signs) for f in functions])
-    most = scores.max(axis=0)
-    p_value = float((most >= most[0] - 1e-9).mean())
-    threshold = np.quantile(most[1:], 1.0 - SIGNIFICANCE)
+    largest = scores.max(axis=0)  # over all functions, of the data and of every flip (max-T test)
+    p_value = float((largest >= largest[0] - 1e-9).mean())
+    threshold = np.quantile(largest[1:], 1.0 - SIGNIFICANCE)
     depends: dict[str, Dependence] = {}
     for k in np.argsort(-scores[:, 0], kind="stable"):
         f = functions[k]
@@ -260,7 +264,7 @@ def _functions(
 def _dependence(
     problem, function: _RidgeRegression, basis: Basis, inputs, residual: Residual, vehicle, score
 ) -> Dependence:
-    """Return a function's size by regime, and its curve over the input that explains most of it."""
+    """Return a function's size, by regime too, and its mean over the input that explains most of it."""
     names, arrays = inputs
     weights = function.weights()
     values = [basis(x) @ weights for x in arrays]
@@ -299,10 +303,10 @@ def _dependence(
 
 
 def _displacement(problem, function: _RidgeRegression, basis: Basis, arrays, vehicle) -> np.ndarray:
-    """Return the position error [m] AHEAD that a function explains in held-out flights, with 95 % interval.
+    """Return the displacement [m] over HORIZON that a function explains in held-out flights, with interval.
 
-    Root mean square of the displacement by the function fitted to the other flights, times the root of its
-    optimal shrinkage (gain over predicted gain); bootstrap over flights.
+    Root mean square by the function fitted to the other flights, times the root of its optimal shrinkage; the
+    95 % interval is a bootstrap over groups of windows.
     """
     if function.target == "yaw":
         return np.zeros(3)
@@ -330,7 +334,7 @@ def _displacement(problem, function: _RidgeRegression, basis: Basis, arrays, veh
 
 
 def _displacement_response(flight: MeasuredFlight, target: str, vehicle: Vehicle) -> np.ndarray:
-    """Return the impulse response (r,): displacement [m] AHEAD per unit of a target in each row."""
+    """Return the impulse response (r,): displacement [m] after HORIZON per unit of a target in each row."""
     responses = ErrorResponses.of(round(HORIZON / flight.dt), flight.dt, vehicle).impulse
     if target not in ("roll", "pitch"):
         return responses[0][-1]
@@ -387,7 +391,7 @@ def _fit(problem, residual: Residual, target: str, name: str, features, block_of
             if known is not None:
                 error = error - slopes @ known
             np.add.at(b, k, np.einsum("wqd,wq->wd", slopes, error, optimize=True))
-    # Expected as large as what is taken for a disturbance.
+    # Prior of the weights N(0, size^2), size that of the disturbance:  ridge = 1 / size^2
     expected = max(float(residual.size[list(channels)].max()), EXPECTED_SIZE[UNITS_OF[channels[0]]])
     ridge = 1.0 / expected**2
     fold_of = np.array([problem.group_of[np.argmax(block_of == k)] for k in range(len(b))])
@@ -395,10 +399,12 @@ def _fit(problem, residual: Residual, target: str, name: str, features, block_of
 
 
 def gain_matrix(a: np.ndarray, b: np.ndarray, fold_of: np.ndarray, ridge: float) -> np.ndarray:
-    """Return the quadratic form Q (k, k): s'Qs is the cross-validated gain under sign flips s.
+    """Return the matrix Q (k, k) of the cross-validated gain s'Qs under sign flips s (k,) of the blocks.
 
-    a (g, D, D) of every flight, b (k, D) of every block, s (k,) the signs of the blocks.
+    a (g, D, D) of every group of windows, b (k, D) of every block.
     """
+    # Fits of fold g from the blocks outside it:  F_g = (sum_(h != g) a_h + ridge)^-1 b_i  (0 inside), and
+    #   Q = sum_g [2 b_g F_g' - F_g a_g F_g']
     total, form = a.sum(axis=0), np.zeros((len(b), len(b)))
     for g in range(len(a)):
         own = fold_of == g
@@ -421,7 +427,7 @@ def _blocks(problem: Problem) -> np.ndarray:
 
 
 def _sign_flips(blocks: int, seed: int) -> np.ndarray:
-    """Return random signs (FLIPS, blocks), the first row all positive."""
+    """Return random signs (FLIPS, blocks), the first row all positive (the data)."""
     signs = np.random.default_rng(seed).choice((-1.0, 1.0), (FLIPS, blocks))
     signs[0] = 1.0
     return signs

@@ -1,7 +1,7 @@
-"""Open-loop simulation from measured states: the gap in metres, in both plants.
+"""Open-loop simulation from measured states: the prediction error in metres, in both plants.
 
-A window starts at the smoothed measured state (the thrust lag from the commands before it) and is driven
-by the commands alone, attitude included. Delays shift the commands, averaged exactly over each step.
+A window starts at the smoothed measured state (the thrust lag from the commands before it) and is driven by
+the commands alone, attitude included. Delayed commands are averaged exactly over each step.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from inclined_landing.models.plants import PLANTS, MujocoPlant
 
 HORIZON = 1.0  # s
 LARGEST_STEP = 0.004  # s at most
-CLEAR_HEIGHT = 50.0  # m
+CLEAR_HEIGHT = 50.0  # m, at which no surface is near
 ANGLE_SMOOTHING = 0.05  # s to either side, for start attitudes and their rates
 
 
@@ -43,7 +43,7 @@ class RolloutWindows:
 
     @staticmethod
     def of(flights: Sequence[MeasuredFlight], horizon: float = HORIZON, every: float = 1.0) -> RolloutWindows:
-        """A window every `every` seconds wherever all of it is usable.
+        """Return a window every `every` seconds wherever all of it is usable.
 
         Raises UserError when the flights have different rates, and where no stretch is long enough.
         """
@@ -68,19 +68,25 @@ class RolloutWindows:
         return len(self.first)
 
     def gather(self, values: Sequence[np.ndarray], rows: int | None = None) -> np.ndarray:
-        """Rows (n, rows, ...) of one array for each flight, from each window's first on."""
+        """Return the rows (n, rows, ...) of every window from one array for each flight."""
         rows = self.rows if rows is None else rows
         return np.stack([values[f][a : a + rows] for f, a in zip(self.flight_of, self.first)])
 
     def measured(self) -> np.ndarray:
-        """Measured pose (n, rows + 1, 6)."""
+        """Return the measured pose (n, rows + 1, 6)."""
         return self.gather([f.measured for f in self.flights], self.rows + 1)
 
 
-def smoothed_states(flight: MeasuredFlight) -> np.ndarray:
-    """States (m, 13) from smoothed measurements; lag zero."""
-    dt = flight.dt
+def _filter_lengths(dt: float) -> tuple[int, int]:
+    """Return the rows of the smoothing filters of position and of attitude."""
     wide, narrow = (2 * max(2, round(x / dt)) + 1 for x in (SMOOTHING, ANGLE_SMOOTHING))
+    return wide, narrow
+
+
+def smoothed_states(flight: MeasuredFlight) -> np.ndarray:
+    """Return the states (m, 13) from smoothed measurements (Savitzky-Golay, second order); lag zero."""
+    dt = flight.dt
+    wide, narrow = _filter_lengths(dt)
     state = np.zeros((flight.samples, STATE_SIZE))
     state[:, :3] = savgol_filter(flight.position, wide, 2, axis=0)
     state[:, VX : VX + 3] = flight.velocity
@@ -92,9 +98,10 @@ def smoothed_states(flight: MeasuredFlight) -> np.ndarray:
 
 
 def start_state_noise(flight: MeasuredFlight) -> np.ndarray:
-    """Standard deviations (12,) of a smoothed state's noise: position, velocity, attitude, rates."""
+    """Return the standard deviations (12,) of a smoothed state: position, velocity, attitude, rates."""
+    # White noise sigma through the filter coefficients c:  sigma |c|
     dt = flight.dt
-    wide, narrow = (2 * max(2, round(x / dt)) + 1 for x in (SMOOTHING, ANGLE_SMOOTHING))
+    wide, narrow = _filter_lengths(dt)
     factor = [
         np.linalg.norm(savgol_coeffs(n, 2, deriv=d, delta=dt))
         for n, d in ((wide, 0), (wide, 1), (narrow, 0), (narrow, 1))
@@ -104,7 +111,7 @@ def start_state_noise(flight: MeasuredFlight) -> np.ndarray:
 
 
 def delayed_commands(command: np.ndarray, dt: float, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
-    """Commands (m, 4) as delayed means (m - 1, 4) over each step, and the thrust lag (m,) they lead to."""
+    """Return commands (m, 4) as delayed means (m - 1, 4) over each step, and the thrust lag state (m,)."""
     late = vehicle.effects_mocap_delay
     delays = [vehicle.effects_thrust_delay + late] + [vehicle.effects_attitude_delay + late] * 3
     commands = np.stack([averages(command[:, k], dt, d) for k, d in enumerate(delays)], axis=1)
@@ -112,7 +119,7 @@ def delayed_commands(command: np.ndarray, dt: float, vehicle: Vehicle) -> tuple[
 
 
 def without_delays(vehicle: Vehicle) -> Vehicle:
-    """The vehicle for commands that `delayed_commands` has delayed."""
+    """Return the vehicle without delays, for commands that `delayed_commands` has delayed."""
     return dataclasses.replace(
         vehicle, effects_thrust_delay=0.0, effects_attitude_delay=0.0, effects_mocap_delay=0.0
     )
@@ -121,7 +128,7 @@ def without_delays(vehicle: Vehicle) -> Vehicle:
 def simulate(
     starts: RolloutWindows, vehicle: Vehicle, plant: str = "analytic", perturbation: np.ndarray | None = None
 ) -> np.ndarray:
-    """Simulated pose (n, rows + 1, 6) of every window.
+    """Return the simulated pose (n, rows + 1, 6) of every window.
 
     disturbance: (n, 12) added to position, velocity, attitude and body rates of the start states.
     """
@@ -192,7 +199,7 @@ def _mujoco(starts, vehicle, state, commands, ambient, lag) -> np.ndarray:
 
 @numba.njit(cache=True)
 def _thrust_scales(ambient, lag, vehicle):
-    """What flight time and battery voltage multiply the thrust by, (n, rows)."""
+    """Return the thrust scale (n, rows) by flight time and battery voltage."""
     v, out = vehicle[0], np.empty(lag.shape)
     for i in range(out.shape[0]):
         for k in range(out.shape[1]):
@@ -205,15 +212,14 @@ _POSE = [0, 1, 2, 6, 7, 8]
 
 
 def position_error(simulated: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Root mean square distance (rows,) [m] over windows, after every step."""
+    """Return the root mean square distance (rows,) [m] over windows, after every step."""
     return np.sqrt(((simulated - measured)[:, 1:, :3] ** 2).sum(axis=2).mean(axis=0))
 
 
 def noise_floor(starts: RolloutWindows, vehicle: Vehicle, seed: int = 0) -> np.ndarray:
-    """Error (rows,) [m] that a perfect model would show: noise of start state and of the comparison.
+    """Return the error (rows,) [m] of a perfect model: noise of the start state and of the measurement.
 
-    By simulation of `vehicle` from start states with and without the noise that smoothing leaves, plus
-    the measurement noise at the end.
+    By simulation of `vehicle` from start states with and without the noise that smoothing leaves.
     """
     rng = np.random.default_rng(seed)
     scale = np.stack([start_state_noise(f) for f in starts.flights])[starts.flight_of]
@@ -224,7 +230,7 @@ def noise_floor(starts: RolloutWindows, vehicle: Vehicle, seed: int = 0) -> np.n
 
 
 def translation_error(starts: RolloutWindows, vehicle: Vehicle) -> np.ndarray:
-    """As `position_error` with the measured attitude in place of the simulated one."""
+    """Return the position error (rows,) [m] with the measured attitude in place of the simulated one."""
     squares = np.zeros((len(starts), starts.rows))
     time = np.arange(1, starts.rows + 1) * starts.dt
     for k, flight in enumerate(starts.flights):
@@ -245,14 +251,16 @@ def translation_error(starts: RolloutWindows, vehicle: Vehicle) -> np.ndarray:
 def plant_gap(
     starts: RolloutWindows, before: Vehicle, after: Vehicle | Sequence[Vehicle], plant: str, floor: np.ndarray
 ) -> PlantGap:
-    """Gap at the end of the horizon; `after`: one vehicle, or one for each flight of `starts`."""
-    first, second = (errors_by_flight(starts, vehicle, plant) for vehicle in (before, after))
+    """Return the errors at the end of the horizon; `after`: one vehicle, or one per flight of `starts`."""
+    (first, first_translation), (second, second_translation) = (
+        errors_by_flight(starts, vehicle, plant) for vehicle in (before, after)
+    )
     return PlantGap(
-        before=float(first[0][-1]),
-        after=float(second[0][-1]),
+        before=float(first[-1]),
+        after=float(second[-1]),
         floor=float(floor[-1]),
-        translation_before=float(first[1][-1]),
-        translation_after=float(second[1][-1]),
+        translation_before=float(first_translation[-1]),
+        translation_after=float(second_translation[-1]),
         windows=len(starts),
         horizon=starts.rows * starts.dt,
     )
@@ -261,7 +269,7 @@ def plant_gap(
 def errors_by_flight(
     starts: RolloutWindows, vehicle: Vehicle | Sequence[Vehicle], plant: str = "analytic"
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`position_error` and `translation_error` (rows,), where each flight may have a vehicle of its own."""
+    """Return `position_error` and `translation_error` (rows,); each flight may have its own vehicle."""
     if isinstance(vehicle, Vehicle):
         return (
             position_error(simulate(starts, vehicle, plant), starts.measured()),
@@ -285,11 +293,11 @@ def errors_by_flight(
 def measure_gap(
     vehicle: Vehicle, flights: Sequence, horizon: float = HORIZON, plant: str = "analytic", *, platform=False
 ) -> dict:
-    """Open-loop position error of a vehicle on measured flights.
+    """Return the open-loop position error of a vehicle on measured flights (`FlightLog`s).
 
-    flights: `FlightLog`s. Returns {error, floor, translation, windows, horizon, curve}: root mean square
-    distance [m] after `horizon` seconds, what noise alone gives, the error with the measured attitude in
-    place of the simulated one, how many windows, and {t, error, floor} against the horizon.
+    {error, floor, translation, windows, horizon, curve}: root mean square distance [m] after `horizon`
+    seconds, that of noise alone, the error with the measured attitude in place of the simulated one, the number of
+    windows, and {t, error, floor} against the horizon.
     Raises UserError when no flight has a usable stretch of that length.
     """
     prepared = [
