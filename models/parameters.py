@@ -320,7 +320,7 @@ def write_vehicle(
     path: str | Path,
     vehicle: Vehicle,
     sources: Mapping[str, str] | None = None,
-    uncertainties: Mapping[str, float | tuple[float, ...]] | None = None,
+    uncertainties: Mapping[str, float | tuple[float, ...] | str] | None = None,
     *,
     base: str | Path | None = None,
     heading: str = "",

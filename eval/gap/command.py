@@ -36,7 +36,7 @@ def command(
     runs.check_new_run(out)
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
-    with run.flown(source, parts=4, more=reference) as (logs, kept, notes, tick, plain):
+    with run.read_run(source, parts=4, reference_files=reference) as (logs, kept, notes, tick, plain):
         tick("reference")
         if plain:
             found = identify(plain, nominal, platform=source.platform)
@@ -54,7 +54,7 @@ def command(
             plants=tuple(words.PLANTS),
         )
         tick("figures")
-        flown = tracks.most_telling(kept or logs)
+        flown = tracks.most_varied_flight(kept or logs)
         with_slab = source.platform or any(log.contact is not None and log.contact.any() for log in logs)
         track = tracks.of(flown, nominal, d.corrected, held_out=bool(kept), platform=with_slab)
         versions = runs.versions()

@@ -23,7 +23,7 @@ def command(source: Flat[FlightSource], out: Folder) -> None:
     runs.check_new_run(out)
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
-    with run.flown(source, parts=2) as (logs, kept, notes, tick, _):
+    with run.read_run(source, parts=2) as (logs, kept, notes, tick, _):
         tick("fit")
         found = identify(logs, nominal, heldout=kept, platform=source.platform)
         tick("page")

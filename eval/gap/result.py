@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -20,7 +21,7 @@ MATERIAL = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
-class WhereRow:
+class RegimeError:
     """Short-window prediction error of one channel in one regime, before and after.
 
     Translation: root mean square of the constant acceleration (m/s2) that each window's error looks like,
@@ -118,7 +119,7 @@ class Dependence:
 
 
 @dataclasses.dataclass(frozen=True)
-class Remainder:
+class ResidualAnalysis:
     """What is left after the most probable set."""
 
     p_value: float  # of the largest gain of all functions, if nothing repeated
@@ -168,8 +169,12 @@ class ScoredSet:
 
     effects: tuple[str, ...]
     probability: float
-    values: dict[str, dict[str, float]]
-    deviations: dict[str, dict[str, float]]  # standard errors of the values, where they are known
+    values: Mapping[str, Mapping[str, float]]
+    standard_errors: Mapping[str, Mapping[str, float]]  # of the values, where they are known
+
+    def to_json(self) -> dict:
+        """Return the entry of report.json."""
+        return _some(self, "effects", "probability", "values") | {"deviations": self.standard_errors}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -184,7 +189,7 @@ class Difference:
 
 
 @dataclasses.dataclass(frozen=True)
-class Contradiction:
+class InconsistentFlights:
     """Flights that contradict the others."""
 
     flights: tuple[str, ...]
@@ -192,6 +197,10 @@ class Contradiction:
     differences: tuple[Difference, ...]  # the surest first
     p_value: float  # of the surest difference, by chance anywhere
     false_alarms: float  # share of diagnoses without contradiction in which one is said
+
+    def to_json(self) -> dict:
+        """Return the entry of report.json."""
+        return dataclasses.asdict(self)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -221,12 +230,12 @@ class Diagnosis:
     effects: tuple[NamedEffect, ...]
     corrected: Vehicle  # the vehicle diagnosed, with the named effects
     separating_manoeuvre: str | None
-    where: tuple[WhereRow, ...]
+    where: tuple[RegimeError, ...]
     sets: tuple[ScoredSet, ...]  # most probable first; with effects of contact where there are landings
     unrest: dict[str, Disturbance]  # channel -> noise and disturbance
     horizon: tuple[HorizonCurve, ...]
     windows: tuple[WindowCurves, ...]
-    remainder: Remainder
+    residual: ResidualAnalysis
     gap: dict[str, PlantGap]  # "analytic", "mujoco"; empty until `with_gap`
     platform: bool  # the slab stood in the arena
     flights: tuple[str, ...]  # names of the flights fitted
@@ -234,8 +243,10 @@ class Diagnosis:
     seconds: dict[str, float]  # stage -> s
     notes: tuple[str, ...]  # what limits this diagnosis, in sentences
     touchdowns: Touchdowns | None = None  # None: too few to name effects of contact
-    unseen: tuple[ScoredSet, ...] = ()  # with effects that the flights could not have shown, at prior odds
-    contradictions: tuple[Contradiction, ...] = ()  # flights that contradict the others
+    unidentifiable_sets: tuple[
+        ScoredSet, ...
+    ] = ()  # with effects that the flights could not have shown, at prior odds
+    inconsistent_flights: tuple[InconsistentFlights, ...] = ()  # flights that contradict the others
 
     def values(self) -> dict[str, dict[str, float]]:
         """Fitted parameter values: effect -> parameter -> value."""
@@ -281,18 +292,18 @@ class Diagnosis:
                 *("channel", "on", "size", "unit", "share", "score", "against", "regimes"),
                 *("displacement", "displacement_ci95"),
             )
-            | {"material": self.remainder.material(d)}
-            for d in self.remainder.depends_on
+            | {"material": self.residual.material(d)}
+            for d in self.residual.depends_on
         ]
         return {
             **_some(
                 self, "verdict", "nothing", "separating_manoeuvre", "platform", "flights", "heldout", "notes"
             ),
-            "contradictions": [dataclasses.asdict(one) for one in self.contradictions],
+            "contradictions": [one.to_json() for one in self.inconsistent_flights],
             "effects": named,
             "possible": self.possible,
-            "sets": [dataclasses.asdict(one) for one in self.sets],
-            "unseen": [dataclasses.asdict(one) for one in self.unseen],
+            "sets": [one.to_json() for one in self.sets],
+            "unseen": [one.to_json() for one in self.unidentifiable_sets],
             "noise": {channel: d.noise for channel, d in self.unrest.items()},
             "unrest": {
                 channel: _some(d, "size", "size_ci95", "time", "time_ci95", "unit")
@@ -300,7 +311,7 @@ class Diagnosis:
             },
             "where": [dataclasses.asdict(row) for row in self.where],
             "gap": {plant: dataclasses.asdict(gap) for plant, gap in self.gap.items()},
-            "remainder": _some(self.remainder, "unexplained", "p_value", "size", "error")
+            "remainder": _some(self.residual, "unexplained", "p_value", "size", "error")
             | {
                 "depends_on": depends_on,
                 "touchdown": self.touchdowns and dataclasses.asdict(self.touchdowns),

@@ -21,8 +21,12 @@ def total(study: Study) -> int:
     """Number of landings."""
     if study.sampling == "latin-hypercube":
         return study.samples
-    levels = math.prod(len(p.values) for p in study.parameters)
-    return levels * max(1, len(study.starts))
+    return math.prod(len(p.values) for p in _levels(study)) * max(1, len(study.starts))
+
+
+def _levels(study: Study) -> list[Levels]:
+    """Return the parameters of a factorial, which have levels only."""
+    return [p for p in study.parameters if isinstance(p, Levels)]
 
 
 @functools.lru_cache(maxsize=2)
@@ -37,7 +41,7 @@ def design(study: Study) -> tuple[dict[str, np.ndarray], np.ndarray]:
     values = {name: np.full(n, p.default) for name, p in known_parameters(study.vehicle).items()}
     starts = max(1, len(study.starts))
     if study.sampling == "factorial":
-        axes = [np.array(p.values) for p in study.parameters]
+        axes = [np.array(p.values) for p in _levels(study)]
         grid = np.meshgrid(*axes, np.arange(starts), indexing="ij")
         for p, column in zip(study.parameters, grid):
             values[p.name] = column.ravel()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,7 +24,8 @@ _CELLS = (6, 24)  # least and most in a row
 _BINS_OF_PROFILE = 20
 _LEVELS = 60  # more different values than these are binned
 _SHARES = LinearSegmentedColormap.from_list("rests", ["#fbf0d0", "#bfdfc0", "#5fb3a0", "#0b7a6b", "#053d3c"])
-_EMPTY = {"facecolor": "white", "edgecolor": "#9aa5b1", "hatch": "////", "lw": 0}  # nothing landed there
+# Cells in which nothing landed.
+_EMPTY: dict[str, Any] = {"facecolor": "white", "edgecolor": "#9aa5b1", "hatch": "////", "lw": 0}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -180,7 +182,7 @@ def _doubtful(axes: Axes, one: Map) -> list:
     if not len(row):
         return []
     x, y = one.centres
-    look = {"ls": "", "marker": "o", "ms": 3.4, "mfc": "white", "mec": INK, "mew": 0.6}
+    look: dict[str, Any] = {"ls": "", "marker": "o", "ms": 3.4, "mfc": "white", "mec": INK, "mew": 0.6}
     return axes.plot(x[column], y[row], label="most frequent, yet under half", gid="doubtful", **look)
 
 
@@ -213,7 +215,7 @@ def _lines(axes: Axes, one: Map, fixed: dict[str, float], shares: tuple[float, .
         handles += axes.plot([], [], color=INK, lw=2.0, label="half of the landings rest")
     predicted = quasi_static(one, fixed)
     if predicted:
-        look = {"color": "black", "lw": 1.8, "ls": (0, (4, 2)), "path_effects": halo(3.4)}
+        look: dict[str, Any] = {"color": "black", "lw": 1.8, "ls": (0, (4, 2)), "path_effects": halo(3.4)}
         handles += axes.plot(*predicted, label="tan(inclination) = friction", **look)
     return handles
 

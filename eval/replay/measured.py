@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
-from inclined_landing.eval.gap.flights.windows import Measured, prepare
-from inclined_landing.eval.gap.search.rollout import Starts, simulate
+from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
+from inclined_landing.eval.gap.search.rollout import RolloutWindows, simulate
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.replay.recording import MEASURED, SIMULATED, Recording
 from inclined_landing.models.errors import UserError
@@ -62,7 +62,7 @@ def _first_contact(log: FlightLog) -> list[tuple[float, str]]:
 
 
 def _simulated(
-    measured: Recording, flight: Measured, vehicle: Vehicle, horizon: float, plant: str
+    measured: Recording, flight: MeasuredFlight, vehicle: Vehicle, horizon: float, plant: str
 ) -> Recording:
     """Return the simulated flight in segments of `horizon` seconds, each from its measured initial state.
 
@@ -120,8 +120,8 @@ def _segments(usable: np.ndarray, rows: int) -> list[tuple[int, int]]:
 
 
 def _simulated_poses(
-    flight: Measured, firsts: list[int], steps: int, vehicle: Vehicle, plant: str
+    flight: MeasuredFlight, firsts: list[int], steps: int, vehicle: Vehicle, plant: str
 ) -> np.ndarray:
     """Return simulated poses (k, steps + 1, 6) from the k rows `firsts`."""
-    starts = Starts([flight], np.zeros(len(firsts), int), np.array(firsts), steps, flight.dt)
+    starts = RolloutWindows([flight], np.zeros(len(firsts), int), np.array(firsts), steps, flight.dt)
     return simulate(starts, vehicle, plant)

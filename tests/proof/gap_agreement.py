@@ -18,7 +18,7 @@ from rich.progress import track
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Folder, Range, Seed
 from inclined_landing.eval.gap.answer.identify import identify
-from inclined_landing.eval.gap.result import Contradiction
+from inclined_landing.eval.gap.result import InconsistentFlights
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -87,13 +87,13 @@ def of_reality(family: str, entropy: tuple[int, ...], mixed=None, seconds: float
         other = {int(k) for k in rng.permutation(FLIGHTS)[:count]}
         flown = fly(world) if other else usual
         logs = [(flown if k in other else usual)[k] for k in range(FLIGHTS)]
-        said = identify(logs, load_vehicle()).contradictions
+        said = identify(logs, load_vehicle()).inconsistent_flights
         names = frozenset(logs[k].name for k in other)
         rows.append({"family": family, "kind": kind, **judged(said, names, truth)})
     return rows
 
 
-def judged(said: tuple[Contradiction, ...], flights: frozenset[str], truth: dict) -> dict:
+def judged(said: tuple[InconsistentFlights, ...], flights: frozenset[str], truth: dict) -> dict:
     """Whether these flights were said to contradict the others, how many other groups, and in what.
 
     inside: whether the interval of each true difference, where it was said, holds it.

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flag, LogFiles, NewFolder, Range, VehicleFile
 from inclined_landing.eval.base.tables import new_table, printer
-from inclined_landing.eval.gap.flights.windows import level, prepare_all
+from inclined_landing.eval.gap.flights.windows import prepare_all, remove_tilt
 from inclined_landing.eval.gap.search import rollout
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.logs.csv_file import read_columns
@@ -130,7 +130,7 @@ class Motion:
 class Flown:
     """Starts in free flight, and what was measured from there on; row 0 is the start itself."""
 
-    starts: rollout.Starts
+    starts: rollout.RolloutWindows
     measured: Motion
     attitude: np.ndarray  # (n, 3) roll, pitch, yaw at the start
 
@@ -139,7 +139,7 @@ class Flown:
         """Starts in free flight, `every` seconds apart. Raises UserError where columns are missing."""
         logs = [read_log(file, mapping=mapping, name=file) for file in files]
         flights = prepare_all(logs, load_vehicle(), False, [])
-        starts = rollout.Starts.of(flights, HORIZON, every)
+        starts = rollout.RolloutWindows.of(flights, HORIZON, every)
         rates = [_rates(Path(flight.name), flight.t) for flight in flights]
         rows = starts.rows + 1
         attitude = starts.gather([f.attitude for f in flights], rows)
@@ -184,14 +184,14 @@ def by_commands(flown: Flown, vehicle: Vehicle) -> Motion:
     """The vehicle's own prediction from thrust command and angle setpoints, in the paper's equations."""
     starts, m = flown.starts, flown.measured
     n, steps = len(starts), starts.rows
-    driven = [rollout.drive(f.command, f.dt, vehicle) for f in starts.flights]
+    driven = [rollout.delayed_commands(f.command, f.dt, vehicle) for f in starts.flights]
     commands = starts.gather([c for c, _ in driven])
     state = np.zeros((n, LAG + 1))
     state[:, :3], state[:, VX : VX + 3] = m.position[:, 0], m.velocity[:, 0]
     state[:, ROLL : ROLL + 3], state[:, WX : WX + 3] = flown.attitude, m.rates[:, 0]
     tilt = vehicle.effects_mocap_tilt
     if any(tilt):
-        state[:, ROLL : ROLL + 3] = level(state[:, ROLL : ROLL + 3].copy(), tilt)
+        state[:, ROLL : ROLL + 3] = remove_tilt(state[:, ROLL : ROLL + 3].copy(), tilt)
     state[:, LAG] = starts.gather([lag for _, lag in driven], 1)[:, 0]
     ambient = starts.gather([f.ambient for f in starts.flights])
     around = ambient[:, 0].copy()
@@ -213,7 +213,7 @@ def by_motors(flown: Flown, vehicle: Vehicle) -> Motion:
     """Position and velocity under the PWM of the motors while the measured angular velocity is held."""
     starts, m = flown.starts, flown.measured
     n, steps, dt = len(starts), starts.rows, starts.dt
-    driven = [rollout.drive(f.command, f.dt, vehicle) for f in starts.flights]
+    driven = [rollout.delayed_commands(f.command, f.dt, vehicle) for f in starts.flights]
     pwm = starts.gather([c[:, PWM] for c, _ in driven])
     lag = starts.gather([lag for _, lag in driven], 1)[:, 0]
     ambient = starts.gather([f.ambient for f in starts.flights])

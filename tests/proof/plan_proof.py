@@ -20,8 +20,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Folder, Range, Seed
 from inclined_landing.eval.gap.flights.windows import prepare_all
-from inclined_landing.eval.gap.plan import Hypothesis, Quiet, design
-from inclined_landing.eval.gap.plan.information import in_doubt, unseen
+from inclined_landing.eval.gap.plan import Hypothesis, NoiseLevels, design
+from inclined_landing.eval.gap.plan.information import set_hypotheses, unidentifiable_sets
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
 from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
 from inclined_landing.eval.gap.search.reference import Reference
@@ -120,14 +120,14 @@ def race(family: str, seed: tuple[int, ...]) -> dict:
 
 def _searched(
     flights: Sequence[FlightLog], vehicle: Vehicle, known: Reference
-) -> tuple[list[Hypothesis], list[Hypothesis], Quiet]:
+) -> tuple[list[Hypothesis], list[Hypothesis], NoiseLevels]:
     """What the flights leave in doubt, as `landing-eval gap` finds it, and what they could not have shown."""
     measured = prepare_all(flights, vehicle, False, [])
     library, _ = identifiable_effects({n: e for n, e in LIBRARY.items() if not e.contact}, measured)
     problem = Problem(measured, vehicle, library, known)
     found = search(problem)
-    hypotheses, quiet = in_doubt(problem, found)
-    return hypotheses, unseen(problem, found), quiet
+    hypotheses, noise_levels = set_hypotheses(problem, found)
+    return hypotheses, unidentifiable_sets(problem, found), noise_levels
 
 
 def _named(cause: str, hypotheses: Sequence[Hypothesis]) -> tuple[float, float]:
@@ -150,8 +150,8 @@ def alone(right: float, wrong: float) -> bool:
 
 def _planned(now, vehicle: Vehicle, world: causes.Drawn, case: blind.Case, rng, seed: int):
     """The recording of a flight planned for what is in doubt now, flown in the case's reality."""
-    hypotheses, hidden, quiet = now
-    plan = design([*hypotheses, *hidden], vehicle, quiet=quiet, seconds=SECONDS, seed=seed)
+    hypotheses, hidden, noise_levels = now
+    plan = design([*hypotheses, *hidden], vehicle, noise_levels=noise_levels, seconds=SECONDS, seed=seed)
     fields = world.world | {field: rng.uniform(*ends) for field, ends in world.spread.items()}
     return simulator.fly(reference(plan.points, vehicle), simulator.World(**fields), rng, case.reality)
 

@@ -10,32 +10,39 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap.answer.named import (
+    contact_effects,
     disturbances,
-    likely,
+    joint_sets,
     named_effects,
+    probable_effects,
     scored_sets,
-    touched_effects,
     unseen_sets,
     values_with,
-    with_touched,
 )
 from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE, Landing, landings_of
 from inclined_landing.eval.gap.flights.windows import REGIMES, prepare_all
-from inclined_landing.eval.gap.plan.words import separating
+from inclined_landing.eval.gap.plan.words import discriminating_manoeuvre
 from inclined_landing.eval.gap.result import (
     Diagnosis,
     HorizonCurve,
     NamedEffect,
     PlantGap,
+    RegimeError,
     ScoredSet,
     Touchdowns,
-    WhereRow,
     WindowCurves,
 )
-from inclined_landing.eval.gap.search import after_touch, contact, disagreement, residual, rollout, sets
+from inclined_landing.eval.gap.search import (
+    contact,
+    heterogeneity,
+    residual,
+    rollout,
+    sets,
+    touchdown_simulation,
+)
 from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
-from inclined_landing.eval.gap.search.fit import refit
-from inclined_landing.eval.gap.search.posterior import slabs
+from inclined_landing.eval.gap.search.fit import fit_least_squares
+from inclined_landing.eval.gap.search.posterior import slab_deviations
 from inclined_landing.eval.gap.search.prediction import CHANNELS
 from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.logs import FlightLog
@@ -68,27 +75,28 @@ def diagnose(
 
     Raises UserError when no flight can be used.
     """
-    clock, notes = _Clock(), []
+    clock = _Clock()
+    notes: list[str] = []
     if platform is None:
         platform = any(log.contact is not None and log.contact.any() for log in flights)
     fitted = prepare_all(flights, vehicle, platform, notes)
     judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
     library, unidentifiable = identifiable_effects(library, fitted)
     problem = Problem(fitted, vehicle, library, reference)
-    notes += [*_limits_in_words(problem), *unidentifiable]
+    notes += [*_data_notes(problem), *unidentifiable]
     clock("prepare")
     found = sets.search(problem)
     clock("name")
-    against = disagreement.contradictions(problem, found.linear, found.joint)
-    notes[:0] = map(disagreement.in_short, against)
-    values = values_with(problem, found, likely(found))
+    inconsistent = heterogeneity.inconsistent_flights(problem, found.linear, found.joint)
+    notes[:0] = map(heterogeneity.summary_line, inconsistent)
+    values = values_with(problem, found, probable_effects(found))
     if not problem.identified:  # far from the vehicle file, small errors of all else would stand in for names
-        values = refit(problem, values, found.inflation, prior=slabs).values
+        values = fit_least_squares(problem, values, found.inflation, prior=slab_deviations).values
     effects, corrected = named_effects(problem, found, values), problem.corrected(values)
-    rest = residual.Residual.by(
+    residuals = residual.Residual.by(
         problem, found.local, found.names, found.at, found.noise_model.size, found.inflation
     )
-    left = residual.assess(problem, rest, corrected)
+    remaining = residual.analyse_residual(problem, residuals, corrected)
     clock("remainder")
     if judged:
         test, after = Problem(judged, vehicle, library), [corrected] * len(judged)
@@ -101,46 +109,51 @@ def diagnose(
                 for v in sets.leave_one_out(problem, found.local, frozenset(values), values)
             ],
         )
-    where = _where(test, test.white([vehicle] * len(after)), test.white(after))
+    where = _regime_errors(test, test.white_errors([vehicle] * len(after)), test.white_errors(after))
     clock("where")
     tied = any(len(e.members) > 1 for e in effects)
-    apart = separating(problem, found, platform) if tied else ""
+    manoeuvre = discriminating_manoeuvre(problem, found, platform) if tied else ""
     clock("manoeuvre")
-    touched = _touched(flights, heldout, vehicle, corrected, library, notes)
-    if touched.landed:
+    contact_result = _contact_result(flights, heldout, vehicle, corrected, library, notes)
+    if contact_result.landings:
         clock("touchdown")
     starts = _starts(test, notes)
-    gap, drawn = {}, {"horizon": (), "windows": ()}
+    gap: dict[str, PlantGap] = {}
+    horizon: tuple[HorizonCurve, ...] = ()
+    windows: tuple[WindowCurves, ...] = ()
     if starts is not None:
         floor = rollout.noise_floor(starts, corrected)
         error = float(rollout.errors_by_flight(starts, after)[0][-1])
-        left = dataclasses.replace(left, error=error)
-        effects = tuple(_costed(problem, starts, effects, e) for e in effects)
+        remaining = dataclasses.replace(remaining, error=error)
+        effects = tuple(_with_cost(problem, starts, effects, e) for e in effects)
         if curves:
             horizon = _horizon(problem, starts, effects, after, floor)
-            drawn = {"horizon": horizon, "windows": _window_curves(starts, vehicle, corrected)}
+            windows = _window_curves(starts, vehicle, corrected)
         clock("show")
         for plant in plants:
             gap[plant] = rollout.plant_gap(starts, vehicle, corrected if judged else after, plant, floor)
             clock(f"gap {plant}")
-    elif touched.landed and "mujoco" in plants:
-        gap["mujoco"] = _landing_gap(touched.landed, vehicle, touched.vehicle)
+    elif contact_result.landings and "mujoco" in plants:
+        gap["mujoco"] = _landing_gap(contact_result.landings, vehicle, contact_result.vehicle)
         clock("gap mujoco")
-    effects += touched.effects
-    unknown = left.unexplained or (touched.left is not None and touched.left.unexplained)
+    effects += contact_result.effects
+    unknown = remaining.unexplained or (
+        contact_result.remaining is not None and contact_result.remaining.unexplained
+    )
     return Diagnosis(
         verdict="unknown" if unknown else "effects" if effects else "nothing",
-        contradictions=against,
+        inconsistent_flights=inconsistent,
         effects=effects,
-        corrected=touched.vehicle,
-        separating_manoeuvre=apart or None,
-        where=where + touched.where,
-        sets=touched.sets(scored_sets(problem, found)),
-        unseen=unseen_sets(problem, found),
-        touchdowns=touched.left,
+        corrected=contact_result.vehicle,
+        separating_manoeuvre=manoeuvre or None,
+        where=where + contact_result.where,
+        sets=contact_result.sets(scored_sets(problem, found)),
+        unidentifiable_sets=unseen_sets(problem, found),
+        touchdowns=contact_result.remaining,
         unrest=disturbances(problem, found.noise_model),
-        **drawn,
-        remainder=left,
+        horizon=horizon,
+        windows=windows,
+        residual=remaining,
         gap=gap,
         platform=platform,
         flights=tuple(f.name for f in fitted),
@@ -151,39 +164,41 @@ def diagnose(
 
 
 @dataclasses.dataclass(frozen=True)
-class _Touched:
-    """Result on contact effects; `landed` is empty where landings are too few."""
+class _ContactResult:
+    """Result on contact effects; `landings` is empty where landings are too few."""
 
     vehicle: Vehicle  # corrected for contact too
-    landed: list[Landing] = dataclasses.field(default_factory=list)  # those judged on
+    landings: list[Landing] = dataclasses.field(default_factory=list)  # those judged on
     effects: tuple[NamedEffect, ...] = ()
-    where: tuple[WhereRow, ...] = ()
-    named: contact.Touched | None = None
-    left: Touchdowns | None = None
+    where: tuple[RegimeError, ...] = ()
+    named: contact.ContactPosterior | None = None
+    remaining: Touchdowns | None = None
 
     def sets(self, flown: tuple[ScoredSet, ...]) -> tuple[ScoredSet, ...]:
         """The sets of free flight with those of contact."""
-        return with_touched(flown, self.named) if self.named else flown
+        return joint_sets(flown, self.named) if self.named else flown
 
 
-def _touched(flights, heldout, vehicle: Vehicle, corrected: Vehicle, library, notes: list[str]) -> _Touched:
+def _contact_result(
+    flights, heldout, vehicle: Vehicle, corrected: Vehicle, library, notes: list[str]
+) -> _ContactResult:
     """Name contact effects from the landings of the flights."""
-    landed = landings_of(flights, corrected)
-    if len(landed) < contact.FEWEST or not any(e.contact for e in library.values()):
-        if landed:
-            few = f"{len(landed)} touchdown{'s' * (len(landed) > 1)} only"
-            notes.append(f"{few}: contact effects need {contact.FEWEST}")
-        return _Touched(corrected)
-    problem, named = contact.name_contact(landed, corrected, library)
+    landings = landings_of(flights, corrected)
+    if len(landings) < contact.LEAST_LANDINGS or not any(e.contact for e in library.values()):
+        if landings:
+            few = f"{len(landings)} touchdown{'s' * (len(landings) > 1)} only"
+            notes.append(f"{few}: contact effects need {contact.LEAST_LANDINGS}")
+        return _ContactResult(corrected)
+    problem, named = contact.contact_posterior(landings, corrected, library)
     after = problem.corrected(named.values)
     if named.unexplained:
         notes.append(
             f"something in the motion after the touch repeats that no effect explains (p {named.p_value:.2g})"
         )
-    test = landings_of(heldout, corrected) or landed
-    where = _where_touching(test, vehicle, after)
-    left = Touchdowns(len(landed), named.unexplained, named.p_value)
-    return _Touched(after, test, touched_effects(problem, named), where, named, left)
+    test = landings_of(heldout, corrected) or landings
+    where = _touchdown_errors(test, vehicle, after)
+    remaining = Touchdowns(len(landings), named.unexplained, named.p_value)
+    return _ContactResult(after, test, contact_effects(problem, named), where, named, remaining)
 
 
 class _Clock:
@@ -197,7 +212,7 @@ class _Clock:
         self._last = now
 
 
-def _limits_in_words(problem: Problem) -> list[str]:
+def _data_notes(problem: Problem) -> list[str]:
     """Return notes on too few or too short flights."""
     n, notes = len(problem.flights), []
     if n < FEW_FLIGHTS:
@@ -213,42 +228,47 @@ def _limits_in_words(problem: Problem) -> list[str]:
     return notes
 
 
-def _where(problem: Problem, before, after) -> tuple[WhereRow, ...]:
-    first, variance = residual.sizes(problem, before)
-    second, _ = residual.sizes(problem, after)
+def _regime_errors(problem: Problem, before, after) -> tuple[RegimeError, ...]:
+    first, variance = residual.equivalent_sizes(problem, before)
+    second, _ = residual.equivalent_sizes(problem, after)
     regimes = np.concatenate([f.regimes for f in problem.flights])
     rows = []
     for name, member in [("all", np.ones(len(regimes), bool)), *zip(REGIMES, regimes.T)]:
         for k, channel in enumerate(CHANNELS):
             w = member & (problem.logged[:, k] > 0.0)
             if w.any():
-                rms = [float(np.sqrt((x[w, k] ** 2).mean())) for x in (first, second)]
+                worse, better = (float(np.sqrt((x[w, k] ** 2).mean())) for x in (first, second))
                 floor = float(np.sqrt(variance[w, k].mean()))
-                rows.append(WhereRow(name, channel, *rms, floor, residual.UNITS[channel], int(w.sum())))
+                unit = residual.UNITS[channel]
+                rows.append(RegimeError(name, channel, worse, better, floor, unit, int(w.sum())))
     return tuple(rows)
 
 
-def _where_touching(landed, before: Vehicle, after: Vehicle) -> tuple[WhereRow, ...]:
+def _touchdown_errors(landings, before: Vehicle, after: Vehicle) -> tuple[RegimeError, ...]:
     """Return the position error after the touch, as a table row."""
-    rms = [float(np.sqrt((after_touch.position_errors(landed, v) ** 2).mean())) for v in (before, after)]
-    floor = float(np.sqrt(np.mean([(x.deviation[:, :3] ** 2).sum(axis=1).mean() for x in landed])))
-    return (WhereRow("touchdown", "touchdown", *rms, floor, "m", len(landed)),)
+    worse, better = (
+        float(np.sqrt((touchdown_simulation.position_errors(landings, v) ** 2).mean()))
+        for v in (before, after)
+    )
+    floor = float(np.sqrt(np.mean([(x.deviation[:, :3] ** 2).sum(axis=1).mean() for x in landings])))
+    return (RegimeError("touchdown", "touchdown", worse, better, floor, "m", len(landings)),)
 
 
-def _landing_gap(landed, before: Vehicle, after: Vehicle) -> PlantGap:
+def _landing_gap(landings, before: Vehicle, after: Vehicle) -> PlantGap:
     """Return the gap of logs with landings only: error at the end of the motion after the touch."""
-    end = [
-        float(np.sqrt((after_touch.position_errors(landed, v)[:, -1] ** 2).mean())) for v in (before, after)
-    ]
-    floor = float(np.sqrt(np.mean([(x.deviation[-1, :3] ** 2).sum() for x in landed])))
+    worse, better = (
+        float(np.sqrt((touchdown_simulation.position_errors(landings, v)[:, -1] ** 2).mean()))
+        for v in (before, after)
+    )
+    floor = float(np.sqrt(np.mean([(x.deviation[-1, :3] ** 2).sum() for x in landings])))
     nan = float("nan")
-    return PlantGap(*end, floor, nan, nan, len(landed), BEFORE + AFTER)
+    return PlantGap(worse, better, floor, nan, nan, len(landings), BEFORE + AFTER)
 
 
-def _starts(problem: Problem, notes: list[str]) -> rollout.Starts | None:
+def _starts(problem: Problem, notes: list[str]) -> rollout.RolloutWindows | None:
     """Return the windows for the gap, from flights of the most common rate."""
     try:
-        return rollout.Starts.of(problem.flights)
+        return rollout.RolloutWindows.of(problem.flights)
     except UserError as error:
         notes.append(f"the gap after one second was not measured: {error}")
         return None
@@ -269,7 +289,7 @@ def _horizon(problem, starts, effects: Sequence[NamedEffect], after, floor) -> t
     return tuple(curves)
 
 
-def _costed(problem, starts, effects: Sequence[NamedEffect], one: NamedEffect) -> NamedEffect:
+def _with_cost(problem, starts, effects: Sequence[NamedEffect], one: NamedEffect) -> NamedEffect:
     """Return the effect with its cost: root of the increase in squared 1-s error without it."""
     measured, vehicles = starts.measured(), []
     for kept in ([e for e in effects if e is not one], effects):

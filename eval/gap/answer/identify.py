@@ -16,12 +16,17 @@ from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap.answer.named import disturbances
-from inclined_landing.eval.gap.flights.windows import Measured, prepare_all
-from inclined_landing.eval.gap.result import Contradiction, Disturbance
-from inclined_landing.eval.gap.search import disagreement
+from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare_all
+from inclined_landing.eval.gap.result import Disturbance, InconsistentFlights
+from inclined_landing.eval.gap.search import heterogeneity
 from inclined_landing.eval.gap.search.evidence import BASE, Problem, Values, identifiable_effects
-from inclined_landing.eval.gap.search.fit import refit
-from inclined_landing.eval.gap.search.posterior import Local, Sized, estimate_between_flights, slabs
+from inclined_landing.eval.gap.search.fit import fit_least_squares
+from inclined_landing.eval.gap.search.posterior import (
+    LinearGaussian,
+    ParameterEstimate,
+    estimate_between_flight_deviations,
+    slab_deviations,
+)
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.gap.search.sets import autocorrelation_inflation, fit_jointly, leave_one_out
@@ -34,7 +39,7 @@ PAPER = {name: getattr(load_vehicle(), name) for name in ("attitude_gain", "atti
 PAPER["fit"] = 85.3
 FIT_HORIZON = 1.0  # s, of the velocity changes that the fit of x, y and z is about
 # A parameter is not identified when the flights leave its uncertainty above this share of what it was.
-UNSEEN = 0.7
+UNIDENTIFIABLE = 0.7
 ROUGH = 0.2  # share above which an effect is known roughly only
 CONFOUNDED = 0.8  # correlation of errors above which two effects cannot be told apart
 
@@ -77,16 +82,22 @@ class Identification:
     fields: dict[str, tuple[float, ...] | float]  # changed Vehicle field -> half-width of its interval
     flights: tuple[str, ...]
     notes: tuple[str, ...]
-    contradictions: tuple[Contradiction, ...] = ()  # flights that contradict the others
+    inconsistent_flights: tuple[InconsistentFlights, ...] = ()  # flights that contradict the others
 
     def to_json(self) -> dict:
         """Plain dicts, lists, strings and numbers."""
-        rest = [f.name for f in dataclasses.fields(self) if f.name != "reference"]
-        result = dataclasses.asdict(dataclasses.replace(self, reference=None))
-        result = {name: result[name] for name in rest}
-        result["vehicle"] = {f: getattr(self.vehicle, f) for f in self.fields}
-        result["paper"] = PAPER
-        return result
+        return {
+            "vehicle": {f: getattr(self.vehicle, f) for f in self.fields},
+            "parameters": [dataclasses.asdict(p) for p in self.parameters],
+            "identifiable": [dataclasses.asdict(one) for one in self.identifiable],
+            "fit": self.fit,
+            "unrest": {channel: dataclasses.asdict(d) for channel, d in self.unrest.items()},
+            "fields": self.fields,
+            "flights": self.flights,
+            "notes": self.notes,
+            "contradictions": [one.to_json() for one in self.inconsistent_flights],
+            "paper": PAPER,
+        }
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # flights are shared among threads already
@@ -110,21 +121,23 @@ def identify(
     )
     notes += unidentifiable
     problem = Problem(fitted, vehicle, library)
-    problem.free = True
+    problem.wide_model_errors = True
     places = [name for name in problem.library if LIBRARY[name].of_the_place]
     fit, noise_model = fit_jointly(problem, list(problem.library))
     inflation = autocorrelation_inflation(problem, fit.values)
     # The vehicle is the best one without the errors of the formulas: no vehicle file can hold these.
-    values = refit(problem, {n: fit.values[n] for n in problem.library}, inflation, prior=slabs).values
+    values = fit_least_squares(
+        problem, {n: fit.values[n] for n in problem.library}, inflation, prior=slab_deviations
+    ).values
     near = problem.linearise(values, problem.columns([*problem.library, BASE]), inflation)
-    against = disagreement.contradictions(problem, near, values)
-    notes[:0] = map(disagreement.in_short, against)
-    problem.between = estimate_between_flights(problem, near)
-    local = Local.of(problem, near, values)
+    inconsistent = heterogeneity.inconsistent_flights(problem, near, values)
+    notes[:0] = map(heterogeneity.summary_line, inconsistent)
+    problem.between = estimate_between_flight_deviations(problem, near)
+    local = LinearGaussian.of(problem, near, values)
     result = problem.corrected({n: v for n, v in values.items() if n not in places})
-    reference, identifiable = _posterior(problem, result, inflation, noise_model.size)
+    reference, identifiable = _vehicle_posterior(problem, result, inflation, noise_model.size)
     for one in identifiable:
-        if one.share > UNSEEN:
+        if one.share > UNIDENTIFIABLE:
             notes.append(f"{one.effect.replace('_', ' ')} is not excited enough in these flights")
     own = [problem.corrected(v) for v in leave_one_out(problem, local, frozenset(values), values)]
     test = judged or fitted
@@ -132,7 +145,7 @@ def identify(
     if not judged and len(fitted) < 2:
         notes.append("one flight only: the fit in percent is on the flight that was fitted")
     channels = {}
-    for channel, (measured, before, after) in _compared(test, vehicle, vehicles).items():
+    for channel, (measured, before, after) in _compared_series(test, vehicle, vehicles).items():
         channels[channel] = {"before": nrmse_fit(measured, before), "after": nrmse_fit(measured, after)}
     sized = local.sized(values)
     return Identification(
@@ -142,27 +155,29 @@ def identify(
         identifiable=identifiable,
         fit=channels,
         unrest=disturbances(problem, noise_model),
-        fields=_fields(problem, values, sized, vehicle, result),
+        fields=_field_half_widths(problem, values, sized, vehicle, result),
         flights=tuple(f.name for f in fitted),
         notes=tuple(notes),
-        contradictions=against,
+        inconsistent_flights=inconsistent,
     )
 
 
-def _posterior(problem: Problem, vehicle: Vehicle, inflation, size):
+def _vehicle_posterior(problem: Problem, vehicle: Vehicle, inflation, size):
     """Return the posterior of the identified vehicle and the identifiability of each effect."""
     library, _ = identifiable_effects({n: e for n, e in LIBRARY.items() if not e.contact}, problem.flights)
     around = Problem(problem.flights, vehicle, library)
-    around.weight, around.free = problem.weight, True
+    around.weight, around.wide_model_errors = problem.weight, True
     reference = Reference.of(around, size, inflation)
-    wide = slabs(around, reference.columns)
+    wide = slab_deviations(around, reference.columns)
     error = np.sqrt(np.diag(reference.covariance))
-    alike = np.abs(reference.covariance / np.outer(error, error))
+    correlation = np.abs(reference.covariance / np.outer(error, error))
     columns = {n: [k for k, c in enumerate(reference.columns) if c.effect == n] for n in around.library}
     result = []
     for name, own in columns.items():
         share = float(max(error[own] / wide[own]))
-        others = [n for n, its in columns.items() if n != name and alike[np.ix_(own, its)].max() > CONFOUNDED]
+        others = [
+            n for n, its in columns.items() if n != name and correlation[np.ix_(own, its)].max() > CONFOUNDED
+        ]
         result.append(
             Identifiable(name, share, tuple(others) if share > ROUGH else (), LIBRARY[name].regimes)
         )
@@ -175,7 +190,7 @@ def nrmse_fit(measured: np.ndarray, predicted: np.ndarray) -> float:
     return float(100.0 * (1.0 - np.linalg.norm(measured - predicted) / spread)) if spread > 0 else math.nan
 
 
-def _compared(flights: list[Measured], before: Vehicle, after: Sequence[Vehicle]):
+def _compared_series(flights: list[MeasuredFlight], before: Vehicle, after: Sequence[Vehicle]):
     """Return channel -> (measured, before, after): velocity changes over FIT_HORIZON, open-loop angles."""
     parts: dict[str, list] = {}
     for flight, own in zip(flights, after):
@@ -195,7 +210,7 @@ def _compared(flights: list[Measured], before: Vehicle, after: Sequence[Vehicle]
     return {c: tuple(np.concatenate(x) for x in zip(*rows)) for c, rows in parts.items()}
 
 
-def _half(problem: Problem, known: Sized) -> float:
+def _half_width(problem: Problem, known: ParameterEstimate) -> float:
     """Return the half-width of a 95 % interval."""
     return float(stats.t.ppf(0.975, max(1, problem.groups - 1))) * known.error
 
@@ -208,7 +223,7 @@ def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tup
             continue
         label = effect if effect.endswith(p.name) else f"{effect} {p.name}"
         c = p.constant or FittedConstant(label.replace("_", " "), "", p.unit, lambda v, x: x)
-        ends = (float(np.clip(value + s * _half(problem, known), *p.bounds)) for s in (-1, 1))
+        ends = (float(np.clip(value + s * _half_width(problem, known), *p.bounds)) for s in (-1, 1))
         low, high = sorted(c.number(before, x) for x in ends)
         result.append(
             Identified(
@@ -226,13 +241,13 @@ def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tup
     return tuple(result)
 
 
-def _fields(problem: Problem, values: Values, sized, before: Vehicle, after: Vehicle):
+def _field_half_widths(problem: Problem, values: Values, sized, before: Vehicle, after: Vehicle):
     """Return the changed vehicle fields with the half-widths of their intervals, in the field's unit."""
     changed = [f.name for f in dataclasses.fields(after) if getattr(after, f.name) != getattr(before, f.name)]
     width = {name: np.zeros(np.shape(getattr(after, name))) for name in changed}
     for (effect, parameter), known in sized.items():
         p = problem.library[effect].parameter(parameter)
-        end = float(np.clip(values[effect][parameter] + _half(problem, known), *p.bounds))
+        end = float(np.clip(values[effect][parameter] + _half_width(problem, known), *p.bounds))
         one = {**values, effect: {**values[effect], parameter: end}}
         moved = problem.corrected({n: v for n, v in one.items() if not LIBRARY[n].of_the_place})
         for name in changed:

@@ -3,38 +3,38 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterable
 
 import numpy as np
 from scipy import stats
 
 from inclined_landing.eval.gap.flights.noise_model import NoiseModel
-from inclined_landing.eval.gap.plan.information import Hypothesis, in_doubt, unseen
+from inclined_landing.eval.gap.plan.information import Hypothesis, set_hypotheses, unidentifiable_sets
 from inclined_landing.eval.gap.result import (
     Disturbance,
     Estimate,
     NamedEffect,
     ScoredSet,
 )
-from inclined_landing.eval.gap.search.after_touch import TouchdownProblem
-from inclined_landing.eval.gap.search.contact import Touched
+from inclined_landing.eval.gap.search.contact import ContactPosterior
 from inclined_landing.eval.gap.search.evidence import Problem, Values
-from inclined_landing.eval.gap.search.fit import spread_between
-from inclined_landing.eval.gap.search.posterior import Set
+from inclined_landing.eval.gap.search.fit import dersimonian_laird
+from inclined_landing.eval.gap.search.posterior import EffectSet
 from inclined_landing.eval.gap.search.prediction import CHANNELS
-from inclined_landing.eval.gap.search.sets import LEAST, Search, stepped
+from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, SetPosterior, posterior_mode
+from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
 
 NAMED = 0.75  # probability from which on an effect is named: on development families, fewer are mostly wrong
 LIKELY = 0.03  # probability of a name from which on it may take another's place
-HELD = 0.95  # of the probability, by the sets that what takes an effect's place is looked for in
+CREDIBLE = 0.95  # of the probability, by the sets that what takes an effect's place is looked for in
 
 
-def named_effects(problem: Problem, found: Search, values: Values) -> tuple[NamedEffect, ...]:
+def named_effects(problem: Problem, found: SetPosterior, values: Values) -> tuple[NamedEffect, ...]:
     """Return the named effects with estimates, largest gain first."""
-    sizes, lost = _estimates(problem, found, values), squares_lost(problem, found, values)
-    before, after = (by_channel(problem, found, v).sum() for v in ({}, values))
-    members = {name: (name, *confounded_with_it(found, name)) for name in values}
+    sizes, lost = _estimates(problem, found, values), squared_error_increase(problem, found, values)
+    before, after = (squares_by_channel(problem, found, v).sum() for v in ({}, values))
+    members = {name: (name, *confounded_with(found, name)) for name in values}
     effects = [
         NamedEffect(
             name=name,
@@ -49,46 +49,51 @@ def named_effects(problem: Problem, found: Search, values: Values) -> tuple[Name
     return tuple(sorted(effects, key=lambda e: -e.gain))
 
 
-def likely(found: Search) -> Set:
+def probable_effects(found: SetPosterior) -> EffectSet:
     """Return the effects of the best set of probability >= NAMED, confounded ones added."""
-    return frozenset(n for n in found.names if found.probability(n, *confounded_with_it(found, n)) >= NAMED)
+    return frozenset(n for n in found.names if found.probability(n, *confounded_with(found, n)) >= NAMED)
 
 
-def confounded_with_it(found: Search | Touched, name: str) -> tuple[str, ...]:
+def confounded_with(found: SetPosterior | ContactPosterior, name: str) -> tuple[str, ...]:
     """Return the effects that replace `name` in probable sets without it, most probable first.
 
     What stands beside it more probably than without it does not take its place.
     """
-    alone, beside, held = Counter[str](), Counter[str](), 0.0
+    alone: dict[str, float] = defaultdict(float)  # probability of sets without `name`
+    beside: dict[str, float] = defaultdict(float)  # and of sets with it
+    covered = 0.0
     for one in found.sets:
-        if held >= HELD:
+        if covered >= CREDIBLE:
             break
-        held += one.probability
+        covered += one.probability
         for other in one.names - found.names:
             (beside if name in one.names else alone)[other] += one.probability
-    return tuple(n for n, share in alone.most_common() if share > max(beside[n], LIKELY))
+    ranked = sorted(alone.items(), key=lambda item: -item[1])
+    return tuple(n for n, share in ranked if share > max(beside[n], LIKELY))
 
 
-def by_channel(problem: Problem, found: Search, values: Values) -> np.ndarray:
+def squares_by_channel(problem: Problem, found: SetPosterior, values: Values) -> np.ndarray:
     """Return the weighted sum of squared white errors (6,) of every channel."""
-    white = problem.white_at(values)
+    white = problem.white_errors_at(values)
     squares = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in white])
     return (problem.weight / found.inflation * squares).sum(axis=0)
 
 
-def squares_lost(problem: Problem, found: Search, values: Values) -> dict[str, np.ndarray]:
+def squared_error_increase(problem: Problem, found: SetPosterior, values: Values) -> dict[str, np.ndarray]:
     """Return effect -> increase of the squared error (6,) of every channel without it."""
-    after = by_channel(problem, found, values)
+    after = squares_by_channel(problem, found, values)
     rest = {name: {n: v for n, v in values.items() if n != name} for name in values}
-    return {name: by_channel(problem, found, rest[name]) - after for name in values}
+    return {name: squares_by_channel(problem, found, rest[name]) - after for name in values}
 
 
-def values_with(problem: Problem, found: Search, names: Set, weights=None) -> dict[str, dict[str, float]]:
+def values_with(
+    problem: Problem, found: SetPosterior, names: EffectSet, weights=None
+) -> dict[str, dict[str, float]]:
     """Return the posterior mode of the effects `names`; weights (g,): of the groups of windows."""
-    return stepped(problem, found.local, frozenset(names), weights)
+    return posterior_mode(problem, found.local, frozenset(names), weights)
 
 
-def _estimates(problem: Problem, found: Search, values: Values) -> dict[str, dict[str, Estimate]]:
+def _estimates(problem: Problem, found: SetPosterior, values: Values) -> dict[str, dict[str, Estimate]]:
     """Return effect -> parameter -> its estimate, the other effects marginalised."""
     sized = found.local.sized(values)
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
@@ -118,18 +123,18 @@ def _estimates(problem: Problem, found: Search, values: Values) -> dict[str, dic
     return result
 
 
-def scored_sets(problem: Problem, found: Search) -> tuple[ScoredSet, ...]:
+def scored_sets(problem: Problem, found: SetPosterior) -> tuple[ScoredSet, ...]:
     """Return the sets with probabilities and standard errors."""
-    return _scored(in_doubt(problem, found)[0])
+    return _scored(set_hypotheses(problem, found)[0])
 
 
-def unseen_sets(problem: Problem, found: Search) -> tuple[ScoredSet, ...]:
+def unseen_sets(problem: Problem, found: SetPosterior) -> tuple[ScoredSet, ...]:
     """Return the best set extended by each unidentifiable effect, at prior odds."""
-    return _scored(unseen(problem, found))
+    return _scored(unidentifiable_sets(problem, found))
 
 
 def _scored(hypotheses: Iterable[Hypothesis]) -> tuple[ScoredSet, ...]:
-    return tuple(ScoredSet(h.effects, h.probability, h.values, h.deviations) for h in hypotheses)
+    return tuple(ScoredSet(h.effects, h.probability, h.values, h.standard_errors) for h in hypotheses)
 
 
 def disturbances(problem: Problem, noise_model: NoiseModel) -> dict[str, Disturbance]:
@@ -149,7 +154,7 @@ def disturbances(problem: Problem, noise_model: NoiseModel) -> dict[str, Disturb
     }
 
 
-def touched_effects(problem: TouchdownProblem, found: Touched) -> tuple[NamedEffect, ...]:
+def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple[NamedEffect, ...]:
     """Return the named contact effects with estimates, largest gain first."""
     effects = []
     for name, sized in found.sizes.items():
@@ -163,9 +168,9 @@ def touched_effects(problem: TouchdownProblem, found: Touched) -> tuple[NamedEff
             at_bound=bool(min(sized.value - low, high - sized.value) <= 1e-6 * (high - low)),
             per_flight=tuple(map(float, sized.each)),
             per_flight_error=tuple(map(float, sized.error)),
-            spread=spread_between(sized.each, sized.error),
+            spread=dersimonian_laird(sized.each, sized.error),
         )
-        members = (name, *confounded_with_it(found, name))
+        members = (name, *confounded_with(found, name))
         remedy = problem.library[name].remedy
         effects.append(
             NamedEffect(name, members, found.probability(name), {p.name: estimate}, found.gains[name], remedy)
@@ -173,17 +178,17 @@ def touched_effects(problem: TouchdownProblem, found: Touched) -> tuple[NamedEff
     return tuple(sorted(effects, key=lambda e: -e.gain))
 
 
-def with_touched(flown: tuple[ScoredSet, ...], found: Touched) -> tuple[ScoredSet, ...]:
+def joint_sets(flown: tuple[ScoredSet, ...], found: ContactPosterior) -> tuple[ScoredSet, ...]:
     """Return the product of the posteriors of free-flight and contact sets, most probable first."""
     both = [
         ScoredSet(
             (*one.effects, *other.values),
             one.probability * other.probability,
             {**one.values, **other.values},
-            one.deviations,
+            one.standard_errors,
         )
         for one in flown
         for other in found.sets
     ]
     both.sort(key=lambda one: -one.probability)
-    return tuple(one for k, one in enumerate(both) if not k or one.probability >= LEAST)
+    return tuple(one for k, one in enumerate(both) if not k or one.probability >= LEAST_PROBABILITY)

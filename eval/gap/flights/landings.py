@@ -15,15 +15,15 @@ from inclined_landing.models.attitude import ROLL, STATE_SIZE, VX, WX, body_rate
 from inclined_landing.models.parameters import Vehicle
 
 BEFORE = 0.1  # s before the touch at which the simulation starts
-LOOK_BACK = 0.14  # s of flight before that from which the start state is fitted
+FIT_BEFORE = 0.14  # s of flight before that from which the start state is fitted
 AFTER = 0.45  # s after the touch that are compared: nothing moves any more
-EVERY = 0.01  # s between the compared samples
+COMPARE_EVERY = 0.01  # s between the compared samples
 # What the comparison cannot be better than, one idealised contact against another, in the motion that follows
 # the touch at once and in where it ends: along the slope, where feet slide, across it, along its normal [m];
 # roll, pitch, yaw [rad]. Each is correlated over time: the first over FLEETING, the second stays.
-FLEETING = 0.05  # s
-MISMATCH = (0.0010, 0.0005, 0.0003, 0.010, 0.016, 0.006)
-OFFSET = (0.0030, 0.0008, 0.0004, 0.008, 0.005, 0.012)
+TRANSIENT = 0.05  # s
+TRANSIENT_ERROR = (0.0010, 0.0005, 0.0003, 0.010, 0.016, 0.006)
+REST_ERROR = (0.0030, 0.0008, 0.0004, 0.008, 0.005, 0.012)
 
 
 @dataclasses.dataclass
@@ -51,7 +51,7 @@ def landings_of(logs: Sequence[FlightLog], vehicle: Vehicle) -> list[Landing]:
         if log.contact is None or not log.contact.any():
             continue
         dt = float(np.median(np.diff(log.t)))
-        back, rest = round((BEFORE + LOOK_BACK) / dt), round(AFTER / dt)
+        back, rest = round((BEFORE + FIT_BEFORE) / dt), round(AFTER / dt)
         touching = log.contact.astype(int)
         for touch in np.flatnonzero(np.diff(touching) == 1) + 1:
             if touch < back + 2 or log.contact[max(0, touch - max(back, round(0.3 / dt))) : touch].any():
@@ -64,7 +64,7 @@ def landings_of(logs: Sequence[FlightLog], vehicle: Vehicle) -> list[Landing]:
 
 def _landing(log: FlightLog, touch: int, dt: float, vehicle: Vehicle) -> Landing:
     first = touch - round(BEFORE / dt)
-    back = round(LOOK_BACK / dt)
+    back = round(FIT_BEFORE / dt)
     pose = np.hstack([log.position, np.unwrap(log.attitude, axis=0)])
     noise = measurement_noise(pose)
     # A parabola through the samples up to the start, and half as many after it, all before the touch.
@@ -80,7 +80,7 @@ def _landing(log: FlightLog, touch: int, dt: float, vehicle: Vehicle) -> Landing
     start[:3], start[VX : VX + 3] = value[:3], rate[:3]
     start[ROLL : ROLL + 3] = value[3:]
     start[WX : WX + 3] = body_rates(value[3], value[4], *rate[3:])
-    step = max(1, round(EVERY / dt))
+    step = max(1, round(COMPARE_EVERY / dt))
     rows = touch - first + round(AFTER / dt)
     compared = np.arange(touch - first - step, rows + 1, step)
     covariance = _covariance(compared * dt - BEFORE, noise, gain)
@@ -109,8 +109,8 @@ def _covariance(t: np.ndarray, noise: np.ndarray, gain: Sequence[float]) -> np.n
     things move; the surface ends them along its normal, in roll and in pitch.
     """
     moving = np.clip(t, -BEFORE, 0.15) + BEFORE
-    held = np.exp(-np.maximum(t, 0.0) / FLEETING)
-    result = ideal(t)
+    held = np.exp(-np.maximum(t, 0.0) / TRANSIENT)
+    result = contact_model_covariance(t)
     for c in range(6):
         start = gain[0] ** 2 + gain[1] ** 2 * np.outer(moving, moving)
         if c in (2, 3, 4):
@@ -119,11 +119,11 @@ def _covariance(t: np.ndarray, noise: np.ndarray, gain: Sequence[float]) -> np.n
     return result
 
 
-def ideal(t: np.ndarray) -> np.ndarray:
+def contact_model_covariance(t: np.ndarray) -> np.ndarray:
     """Covariance (6, k, k) of what two idealised contacts differ by at t (k,) [s] after the touch."""
-    touched = np.clip(t / FLEETING, 0.0, 1.0)
-    settled = 1.0 - np.exp(-np.maximum(t, 0.0) / FLEETING)
-    fleeting = touched * np.exp(-np.maximum(t - 0.1, 0.0) / FLEETING)
-    near = np.exp(-np.abs(t[:, None] - t) / FLEETING)
+    touched = np.clip(t / TRANSIENT, 0.0, 1.0)
+    settled = 1.0 - np.exp(-np.maximum(t, 0.0) / TRANSIENT)
+    fleeting = touched * np.exp(-np.maximum(t - 0.1, 0.0) / TRANSIENT)
+    near = np.exp(-np.abs(t[:, None] - t) / TRANSIENT)
     first, stays = near * np.outer(fleeting, fleeting), np.outer(settled, settled)
-    return np.stack([a**2 * first + b**2 * stays for a, b in zip(MISMATCH, OFFSET)])
+    return np.stack([a**2 * first + b**2 * stays for a, b in zip(TRANSIENT_ERROR, REST_ERROR)])

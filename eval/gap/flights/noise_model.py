@@ -13,14 +13,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import eigh
 
-from inclined_landing.eval.gap.flights.windows import Measured
+from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 
 UNITS = ("m/s2",) * 3 + ("rad/s2",) * 3
 TIMES = np.geomspace(0.05, 1.6, 6)  # s
 # Sizes are sought between these shares of what the errors alone would ask for.
-SIZES = np.geomspace(0.02, 3.0, 36)
-NOISE = np.geomspace(0.5, 8.0, 13)  # variance of the noise over that seen in the log
-DRAWS = 200
+SIZE_FACTORS = np.geomspace(0.02, 3.0, 36)
+NOISE_VARIANCES = np.geomspace(0.5, 8.0, 13)  # variance of the noise over that seen in the log
+BOOTSTRAP_SAMPLES = 200
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +41,7 @@ class NoiseModel:
 
 
 def estimate(
-    flights: Sequence[Measured],
+    flights: Sequence[MeasuredFlight],
     errors: Sequence[np.ndarray],
     weights: Sequence[np.ndarray] | None = None,
     seed: int = 0,
@@ -53,50 +53,56 @@ def estimate(
     """
     windows = [f.cut(e) for f, e in zip(flights, errors)]
     if weights is not None:
-        windows = [w * np.sqrt(share)[:, None] for w, share in zip(windows, weights)]
-    columns = [_of_channel(flights, windows, c, seed) for c in range(6)]
+        windows = [w * np.sqrt(counts)[:, None] for w, counts in zip(windows, weights)]
+    columns = [_fit_channel(flights, windows, c, seed) for c in range(6)]
     size, size_ends, time, time_ends, noise = (np.array(x) for x in zip(*columns))
     return NoiseModel(size, size_ends.T, time, time_ends.T, noise)
 
 
-def _of_channel(flights, windows, channel: int, seed: int):
+def _fit_channel(flights, windows, channel: int, seed: int):
     """Return (size, its interval, correlation time, its interval, noise factor) of a channel."""
     if channel == 5 and not any(f.has_yaw for f in flights):
         return 0.0, (0.0, 0.0), 0.3, (0.3, 0.3), 1.0
-    parts = [_modes(f, w, channel) for f, w in zip(flights, windows)]
+    parts = [_simultaneous_modes(f, w, channel) for f, w in zip(flights, windows)]
     # The size at which disturbance alone, of middling correlation time, would explain the errors.
     middle = len(TIMES) // 2
-    whole = np.median([z.mean() / v.mean() for v, z, _ in (p[middle] for p in parts)])
-    sizes = SIZES * np.sqrt(max(whole, 1e-12))
+    typical = np.median([z.mean() / v.mean() for v, z, _ in (p[middle] for p in parts)])
+    sizes = SIZE_FACTORS * np.sqrt(max(typical, 1e-12))
     table = np.stack([_log_likelihood(part, sizes) for part in parts])  # (f, times, noise, sizes)
     best = np.unravel_index(int(np.argmax(table.sum(axis=0))), table.shape[1:])
     rng = np.random.default_rng((seed, channel))
-    share = rng.multinomial(len(parts), np.full(len(parts), 1.0 / len(parts)), DRAWS)
-    drawn = np.tensordot(share, table[:, :, best[1], :], axes=1)
+    counts = rng.multinomial(len(parts), np.full(len(parts), 1.0 / len(parts)), BOOTSTRAP_SAMPLES)
+    drawn = np.tensordot(counts, table[:, :, best[1], :], axes=1)
     places = [np.unravel_index(int(np.argmax(x)), x.shape) for x in drawn]
     size_ends = np.quantile([sizes[k] for _, k in places], [0.025, 0.975])
     time_ends = np.quantile([TIMES[k] for k, _ in places], [0.025, 0.975])
     total = table.sum(axis=0)
-    size = _refined(np.log(sizes), total[best[0], best[1]], best[2])
-    time = _refined(np.log(TIMES), total[:, best[1], best[2]], best[0])
+    size = _parabola_vertex(np.log(sizes), total[best[0], best[1]], best[2])
+    time = _parabola_vertex(np.log(TIMES), total[:, best[1], best[2]], best[0])
     if best[2] == 0:  # no more than the least that was tried
-        return 0.0, (0.0, float(size_ends[1])), time, tuple(time_ends), float(np.sqrt(NOISE[best[1]]))
+        return (
+            0.0,
+            (0.0, float(size_ends[1])),
+            time,
+            tuple(time_ends),
+            float(np.sqrt(NOISE_VARIANCES[best[1]])),
+        )
     ends = (min(size, size_ends[0]), max(size, size_ends[1]))
     times = (min(time, time_ends[0]), max(time, time_ends[1]))
-    return size, ends, time, times, float(np.sqrt(NOISE[best[1]]))
+    return size, ends, time, times, float(np.sqrt(NOISE_VARIANCES[best[1]]))
 
 
-def _modes(flight: Measured, windows: np.ndarray, channel: int):
+def _simultaneous_modes(flight: MeasuredFlight, windows: np.ndarray, channel: int):
     """Return, for every correlation time, (variances (q,) by unit disturbance, mean squares (q,), windows w).
 
     In the directions in which noise has unit variance and disturbance is uncorrelated.
     """
-    shapes = flight.shapes
-    noise = shapes.noise(channel, flight.noise, flight.sensed)
-    free = windows[..., channel] @ shapes.free[channel]
+    error_responses = flight.error_responses
+    noise = error_responses.noise(channel, flight.noise, flight.acceleration_noise)
+    free = windows[..., channel] @ error_responses.projection[channel]
     result = []
     for time in TIMES:
-        variance, modes = eigh(shapes.unrest(channel, float(time)), noise)
+        variance, modes = eigh(error_responses.unrest(channel, float(time)), noise)
         result.append((np.maximum(variance, 0.0), _mean_squares(free @ modes), len(windows)))
     return result
 
@@ -111,14 +117,14 @@ def _mean_squares(values: np.ndarray) -> np.ndarray:
 
 def _log_likelihood(part, sizes: np.ndarray) -> np.ndarray:
     """Return the log-likelihood (times, noise, sizes) of one flight."""
-    rows = []
+    likelihoods = []
     for variance, squares, count in part:
-        total = NOISE[:, None, None] + sizes[None, :, None] ** 2 * variance
-        rows.append(-0.5 * count * (np.log(total) + squares / total).sum(axis=2))
-    return np.stack(rows)
+        total = NOISE_VARIANCES[:, None, None] + sizes[None, :, None] ** 2 * variance
+        likelihoods.append(-0.5 * count * (np.log(total) + squares / total).sum(axis=2))
+    return np.stack(likelihoods)
 
 
-def _refined(x: np.ndarray, y: np.ndarray, k: int) -> float:
+def _parabola_vertex(x: np.ndarray, y: np.ndarray, k: int) -> float:
     """Return exp of the vertex of the parabola through the maximum and its neighbours; x: logarithms."""
     if k in (0, len(x) - 1):
         return float(np.exp(x[k]))

@@ -19,15 +19,15 @@ CHANNELS = 6
 
 
 @dataclasses.dataclass(frozen=True)
-class Shapes:
+class ErrorResponses:
     """Linear responses of a window's error to noise and disturbance, for one length and vehicle."""
 
-    free: tuple[np.ndarray, ...]  # of 6 (rows, q): everything but the start state, q = rows - 2
-    responses: tuple[np.ndarray, ...]  # of 6 (rows, rows): of the error to a unit acceleration in every step
+    projection: tuple[np.ndarray, ...]  # of 6 (rows, q): onto what no start state explains, q = rows - 2
+    impulse: tuple[np.ndarray, ...]  # of 6 (rows, rows): of the error to a unit acceleration in every step
     dt: float
 
     @staticmethod
-    def of(rows: int, dt: float, vehicle: Vehicle) -> Shapes:
+    def of(rows: int, dt: float, vehicle: Vehicle) -> ErrorResponses:
         """Return the responses for windows of `rows` samples dt apart, attitude loops as of `vehicle`."""
         t = np.arange(rows) * dt
         since = t[:, None] - t[None, :]
@@ -47,20 +47,22 @@ class Shapes:
         tilt = np.stack(modes(t), axis=1)
         turn = np.stack([np.ones(rows), np.exp(-turn_bandwidth * t)], axis=1)
         line, tilt, turn = (null_space(x.T) for x in (line, tilt, turn))
-        return Shapes((line,) * 3 + (tilt,) * 2 + (turn,), (moved,) * 3 + (tilted,) * 2 + (turned,), dt)
+        return ErrorResponses(
+            (line,) * 3 + (tilt,) * 2 + (turn,), (moved,) * 3 + (tilted,) * 2 + (turned,), dt
+        )
 
     def noise(self, channel: int, noise: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         """Return the covariance (q, q) of a channel's error by measurement noise (see `Whitening.of`)."""
-        free = self.free[channel]
+        free = self.projection[channel]
         covariance = noise[channel] ** 2 * np.eye(free.shape[1])
         if channel < 3:
-            fed = acceleration[channel] * free.T @ self.responses[channel]
+            fed = acceleration[channel] * free.T @ self.impulse[channel]
             covariance += fed @ fed.T
         return covariance
 
     def unrest(self, channel: int, time: float) -> np.ndarray:
         """Return the error covariance (q, q) of a channel by a unit disturbance of a correlation time [s]."""
-        fed = self.free[channel].T @ self.responses[channel]
+        fed = self.projection[channel].T @ self.impulse[channel]
         steps = np.arange(fed.shape[1]) * self.dt
         return fed @ np.exp(-np.abs(steps[:, None] - steps) / time) @ fed.T
 
@@ -85,11 +87,11 @@ class Whitening:
     """Whitening matrices (inverse Cholesky factors) for windows of one length and one noise model."""
 
     matrices: np.ndarray  # (6, q, rows): q = rows - 2 white numbers of unit variance for each channel
-    shapes: np.ndarray  # (6, q) the whitened unit remainder of each channel (see `sizes`)
+    unit_response: np.ndarray  # (6, q) the whitened error of a unit amplitude of each channel
 
     @staticmethod
     def of(
-        shapes: Shapes,
+        error_responses: ErrorResponses,
         noise: np.ndarray,
         acceleration: np.ndarray,
         size: np.ndarray | None = None,
@@ -99,28 +101,28 @@ class Whitening:
 
         size, time (6,): of the disturbance in every channel [m/s2, rad/s2], [s]; None: the air is still.
         """
-        matrices = []
-        for channel, free in enumerate(shapes.free):
-            covariance = shapes.noise(channel, noise, acceleration)
-            if size is not None and size[channel] > 0.0:
-                covariance = covariance + size[channel] ** 2 * shapes.unrest(channel, time[channel])
+        factors = []
+        for channel, free in enumerate(error_responses.projection):
+            covariance = error_responses.noise(channel, noise, acceleration)
+            if size is not None and time is not None and size[channel] > 0.0:
+                covariance = covariance + size[channel] ** 2 * error_responses.unrest(channel, time[channel])
             factor = cholesky(covariance, lower=True)
-            matrices.append(solve_triangular(factor, free.T, lower=True))
-        rows = matrices[0].shape[1]
-        t = np.arange(rows) * shapes.dt
+            factors.append(solve_triangular(factor, free.T, lower=True))
+        rows = factors[0].shape[1]
+        t = np.arange(rows) * error_responses.dt
         unit = [0.5 * t * t] * 3 + [np.ones(rows)] * 2 + [t / t[-1]]
-        matrices = np.array(matrices)
+        matrices = np.array(factors)
         return Whitening(matrices, np.einsum("cqk,ck->cq", matrices, np.array(unit)))
 
     def __call__(self, windows: np.ndarray) -> np.ndarray:
         """Return the white errors (w, 6, q) of windows (w, rows, 6)."""
         return np.matmul(self.matrices, windows.transpose(2, 1, 0)).transpose(2, 0, 1)
 
-    def sizes(self, white: np.ndarray) -> np.ndarray:
+    def amplitudes(self, white: np.ndarray) -> np.ndarray:
         """Return the constant acceleration [m/s2] or angle [rad] (w, 6) that fits each window's error."""
-        return np.einsum("wcq,cq->wc", white, self.shapes) / self.power
+        return np.einsum("wcq,cq->wc", white, self.unit_response) / self.power
 
     @property
     def power(self) -> np.ndarray:
-        """Return the inverse variance (6,) of `sizes` under noise and disturbance alone."""
-        return np.einsum("cq,cq->c", self.shapes, self.shapes)
+        """Return the inverse variance (6,) of `amplitudes` under noise and disturbance alone."""
+        return np.einsum("cq,cq->c", self.unit_response, self.unit_response)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import savgol_filter
 
-from inclined_landing.eval.gap.flights.whitening import Shapes, Whitening
+from inclined_landing.eval.gap.flights.whitening import ErrorResponses, Whitening
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import rotations, tilted
 from inclined_landing.models.equations import AMBIENT_SIZE
@@ -23,20 +23,20 @@ from inclined_landing.models.parameters import Vehicle
 WINDOW = 0.6  # s
 RATE = 100.0  # rows per second, at most, that the windows are made of
 SMOOTHING = 0.1  # s to either side of a sample, for velocities
-SETTLING = 0.25  # s at a log's start, for the thrust lag that nobody knows there
+SKIP_AT_START = 0.25  # s at a log's start, for the thrust lag that nobody knows there
 NEAR = 0.15  # m above a surface that counts as near
 LOW_BATTERY = 3.4  # V under load
 REGIMES = ("hover", "climb", "lateral", "attitude_step", "near_surface", "low_battery")
 # Commanded thrust below this share of the hover thrust is no flight.
 IDLE = 0.3
 # Without contacts in the log, rows no higher than this above its lowest one, at its ends, may touch [m].
-LOW = 0.02
+GROUND_HEIGHT = 0.02
 # Least noise believed, where a log is so smooth that its noise cannot be seen: m, rad.
 LEAST_POSITION_NOISE, LEAST_ANGLE_NOISE = 1e-4, 3e-4
 
 
 @dataclasses.dataclass(eq=False)
-class Measured:
+class MeasuredFlight:
     """One flight on an even time grid; the arrays that `prediction.predict` needs, and its windows."""
 
     name: str
@@ -57,11 +57,13 @@ class Measured:
     starts: np.ndarray  # (w,) first row of every window
     rows: int  # per window
     regimes: np.ndarray  # (w, len(REGIMES)) bool
-    sensed: np.ndarray  # (3,) noise of the predicted acceleration by that of the attitude, per row
-    shapes: Shapes
+    acceleration_noise: (
+        np.ndarray
+    )  # (3,) noise of the predicted acceleration by that of the attitude, per row
+    error_responses: ErrorResponses
     whitening: Whitening
     usable: np.ndarray  # (m,) bool: measured, flying, not touching
-    _levelled: dict = dataclasses.field(default_factory=dict, repr=False)
+    _without_tilt: dict = dataclasses.field(default_factory=dict, repr=False)
 
     @property
     def samples(self) -> int:
@@ -78,29 +80,31 @@ class Measured:
         """Measured pose (m, 6)."""
         return np.hstack([self.position, self.attitude])
 
-    def rewhiten(self, shapes: Shapes, noise_model) -> None:
+    def rewhiten(self, error_responses: ErrorResponses, noise_model) -> None:
         """Whiten with a `NoiseModel`: measurement noise and disturbance."""
-        self.shapes = shapes
+        self.error_responses = error_responses
         noise = self.noise * noise_model.noise
-        self.whitening = Whitening.of(shapes, noise, self.sensed, noise_model.size, noise_model.time)
+        self.whitening = Whitening.of(
+            error_responses, noise, self.acceleration_noise, noise_model.size, noise_model.time
+        )
 
-    def levelled(self, tilt: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def without_tilt(self, tilt: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Attitudes in the middle of every step, their rotations, and the first one, without a tilt [rad]."""
-        kept = self._levelled.get(tilt)
-        if kept is None:
-            attitude = level(self.middle_attitude, tilt)
-            kept = attitude, rotations(attitude), level(self.attitude[:1], tilt)[0]
-            if len(self._levelled) > 8:
-                self._levelled.clear()
-            self._levelled[tilt] = kept
-        return kept
+        cached = self._without_tilt.get(tilt)
+        if cached is None:
+            attitude = remove_tilt(self.middle_attitude, tilt)
+            cached = attitude, rotations(attitude), remove_tilt(self.attitude[:1], tilt)[0]
+            if len(self._without_tilt) > 8:
+                self._without_tilt.clear()
+            self._without_tilt[tilt] = cached
+        return cached
 
     def cut(self, values: np.ndarray) -> np.ndarray:
         """Windows (w, rows, ...) of the rows of `values` (m, ...)."""
         return values[self.starts[:, None] + np.arange(self.rows)]
 
 
-def level(attitude: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
+def remove_tilt(attitude: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
     """Attitudes (m, 3) of the vehicle whose measured ones are `attitude`, by a tilt (roll, pitch) [rad]."""
     # Ry(-pitch) Rx(-roll) undoes Rx(roll) Ry(pitch).
     out = np.empty_like(attitude)
@@ -109,8 +113,8 @@ def level(attitude: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
     return out
 
 
-def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Measured:
-    """A `Measured` flight from a log: the whitening's attitude modes are those of `vehicle`.
+def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> MeasuredFlight:
+    """A `MeasuredFlight` flight from a log: the whitening's attitude modes are those of `vehicle`.
 
     platform: the slab of the vehicle file stands there (for the ground effect); else the floor only.
     Raises UserError, naming the flight, when there is too little to use.
@@ -120,7 +124,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
         lacking = ", ".join(missing)
         raise UserError(f"{log.name}: {lacking} not logged; the gap workflow needs pose and commands")
     gaps = np.stack([log.t[log.gap_starts], log.t[log.gap_starts + 1]], axis=1)
-    log = _evenly(log)
+    log = _resampled(log)
     dt = float(np.median(np.diff(log.t)))
     m = len(log.t)
     t = log.t - log.t[0]
@@ -145,8 +149,8 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     ambient[:, 0] = 0.5 * (t[1:] + t[:-1])
     ambient[:, 1] = np.nan if log.voltage is None else 0.5 * (log.voltage[1:] + log.voltage[:-1])
     ambient[:, 2:4] = vehicle.platform_inclination, float(platform)
-    usable = flying(log, vehicle)
-    usable[t < SETTLING] = False
+    usable = in_free_flight(log, vehicle)
+    usable[t < SKIP_AT_START] = False
     for start, stop in gaps:
         usable[(log.t > start - 1e-9) & (log.t < stop + 1e-9)] = False
     starts = _window_starts(usable, rows)
@@ -155,9 +159,9 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
             f"{log.name}: no window of {WINDOW:g} s in free flight; nothing of it can be used "
             f"({100 * usable.mean():.0f} % of its rows are in flight)"
         )
-    sensed = _acceleration_noise(noise, attitude[usable], vehicle)
-    shapes = Shapes.of(rows, dt, vehicle)
-    flight = Measured(
+    acceleration_noise = _acceleration_noise(noise, attitude[usable], vehicle)
+    error_responses = ErrorResponses.of(rows, dt, vehicle)
+    flight = MeasuredFlight(
         name=log.name,
         dt=dt,
         t=t,
@@ -176,16 +180,16 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
         starts=starts,
         rows=rows,
         regimes=np.zeros((len(starts), len(REGIMES)), bool),
-        sensed=sensed,
-        shapes=shapes,
-        whitening=Whitening.of(shapes, noise, sensed),
+        acceleration_noise=acceleration_noise,
+        error_responses=error_responses,
+        whitening=Whitening.of(error_responses, noise, acceleration_noise),
         usable=usable,
     )
     flight.regimes = _regimes(flight, vehicle, platform)
     return flight
 
 
-def _evenly(log: FlightLog) -> FlightLog:
+def _resampled(log: FlightLog) -> FlightLog:
     """The log on an even grid of at most RATE."""
     step = np.diff(log.t)
     dt = float(np.median(step))
@@ -196,7 +200,7 @@ def _evenly(log: FlightLog) -> FlightLog:
 
 def prepare_all(
     logs: Sequence[FlightLog], vehicle: Vehicle, platform: bool, notes: list[str]
-) -> list[Measured]:
+) -> list[MeasuredFlight]:
     """Those of `logs` that can be used; the others, and what the logs note, are added to `notes`.
 
     Raises UserError when none can be used.
@@ -227,7 +231,7 @@ def measurement_noise(values: np.ndarray) -> np.ndarray:
     return 1.4826 * np.median(np.abs(residual), axis=0) / math.sqrt(1.0 - centre)
 
 
-def flying(log: FlightLog, vehicle: Vehicle) -> np.ndarray:
+def in_free_flight(log: FlightLog, vehicle: Vehicle) -> np.ndarray:
     """Which rows (m,) of a log are free flight: thrust commanded, nothing touched, not on the ground."""
     dt = float(np.median(np.diff(log.t)))
     bad = np.isnan(log.position).any(axis=1) | np.isnan(log.attitude[:, :2]).any(axis=1)
@@ -236,11 +240,11 @@ def flying(log: FlightLog, vehicle: Vehicle) -> np.ndarray:
     if log.contact is not None:
         bad |= log.contact
     else:
-        bad |= _on_the_ground(log.position[:, 2])
+        bad |= _on_ground(log.position[:, 2])
     # At rest at the lowest height while the record begins or ends: standing on the ground.
     height = log.position[:, 2]
-    still = np.abs(height - height[0]) < 0.01
-    lead = len(still) if still.all() else int(np.argmin(still))
+    resting = np.abs(height - height[0]) < 0.01
+    lead = len(resting) if resting.all() else int(np.argmin(resting))
     if lead * dt > 1.0 and height[0] < np.nanquantile(height, 0.02) + 0.01 < np.nanmedian(height) - 0.1:
         bad[:lead] = True
     # The wake of what was touched or idle: 0.1 s after, 0.05 s before.
@@ -250,9 +254,9 @@ def flying(log: FlightLog, vehicle: Vehicle) -> np.ndarray:
     return ~wide
 
 
-def _on_the_ground(height: np.ndarray) -> np.ndarray:
+def _on_ground(height: np.ndarray) -> np.ndarray:
     """Rows (m,) next to the lowest height as the record begins or ends, when it leads well above that."""
-    low = ~(height > np.nanmin(height) + LOW)
+    low = ~(height > np.nanmin(height) + GROUND_HEIGHT)
     result = np.zeros(len(low), bool)
     if np.nanmedian(height) > np.nanmin(height) + 0.1 and not low.all():
         result[: int(np.argmin(low))] = True
@@ -280,7 +284,7 @@ def _acceleration_noise(noise: np.ndarray, attitude: np.ndarray, vehicle: Vehicl
     return np.array([horizontal, horizontal, horizontal * min(1.0, 1.5 * tilt)])
 
 
-def _regimes(flight: Measured, vehicle: Vehicle, platform: bool) -> np.ndarray:
+def _regimes(flight: MeasuredFlight, vehicle: Vehicle, platform: bool) -> np.ndarray:
     speed = flight.cut(flight.velocity)
     horizontal = np.hypot(speed[..., 0], speed[..., 1]).mean(axis=1)
     vertical = np.abs(speed[..., 2]).mean(axis=1)

@@ -4,6 +4,6 @@
 """
 
 from inclined_landing.eval.gap.plan.design import Plan, design
-from inclined_landing.eval.gap.plan.information import Hypothesis, Quiet
+from inclined_landing.eval.gap.plan.information import Hypothesis, NoiseLevels
 
-__all__ = ["Hypothesis", "Plan", "Quiet", "design"]
+__all__ = ["Hypothesis", "NoiseLevels", "Plan", "design"]

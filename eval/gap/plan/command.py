@@ -17,7 +17,7 @@ from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap.plan import words
 from inclined_landing.eval.gap.plan.design import SECONDS, Plan, design
 from inclined_landing.eval.gap.plan.picture import picture
-from inclined_landing.eval.gap.plan.reading import Doubt, read_report
+from inclined_landing.eval.gap.plan.reading import PlanInput, read_report
 from inclined_landing.eval.gap.plan.setpoints import COLUMNS
 from inclined_landing.models import storage
 
@@ -42,40 +42,44 @@ def command(
         seed: of the search.
     """
     runs.check_new_run(out)
-    doubt = read_report(report, vehicle)
-    best = doubt.hypotheses[0]
-    if best.probability >= words.ALONE and not doubt.broadly:
+    plan_input = read_report(report, vehicle)
+    best = plan_input.hypotheses[0]
+    if best.probability >= words.DECIDED and not plan_input.vary:
         print(f"{best.text} stands alone ({best.probability:.2f}): no flight is needed")
         return
-    plan = _designed(doubt, seconds, seed)
-    said = words.alike(plan.question, plan.expected)
-    if plan.gain < words.TELLS and not doubt.broadly:
-        print("\n".join([words.doubt(plan.question), *said]))
+    plan = _designed(plan_input, seconds, seed)
+    confounded_lines = words.indistinguishable(plan.discrimination, plan.expected)
+    if plan.gain < words.LEAST_GAIN and not plan_input.vary:
+        print("\n".join([words.competing_sets(plan.discrimination), *confounded_lines]))
         return
-    told = [words.doubt(plan.question), words.outcome(plan.question, plan.expected), *said]
-    if doubt.broadly:
-        told.append(words.broad(doubt.broadly))
+    lines = [
+        words.competing_sets(plan.discrimination),
+        words.outcome(plan.discrimination, plan.expected),
+        *confounded_lines,
+    ]
+    if plan_input.vary:
+        lines.append(words.variation(plan_input.vary))
     with styled():
-        drawn = picture(plan, doubt.platform)
+        figure = picture(plan, plan_input.platform)
     with runs.staged_run(out) as folder:
         storage.write_text(folder / "flight.csv", csv(plan))
-        storage.write_json(folder / "plan.json", to_json(plan, report, seed) | {"text": told})
-        save_figure(drawn, folder / "plan.png")
-    print("\n".join([*told, *words.flight(plan), str(out / "flight.csv")]))
+        storage.write_json(folder / "plan.json", to_json(plan, report, seed) | {"text": lines})
+        save_figure(figure, folder / "plan.png")
+    print("\n".join([*lines, *words.flight(plan), str(out / "flight.csv")]))
 
 
-def _designed(doubt: Doubt, seconds: float, seed: int) -> Plan:
+def _designed(plan_input: PlanInput, seconds: float, seed: int) -> Plan:
     console = Console(stderr=True)
     columns = (SpinnerColumn(), TextColumn("{task.description:22}"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=None)
         return design(
-            doubt.hypotheses,
-            doubt.vehicle,
-            quiet=doubt.quiet,
-            broadly=doubt.broadly,
+            plan_input.hypotheses,
+            plan_input.vehicle,
+            noise_levels=plan_input.noise_levels,
+            vary=plan_input.vary,
             seconds=seconds,
-            platform=doubt.platform,
+            platform=plan_input.platform,
             seed=seed,
             tick=lambda what: bar.update(task, description=what),
         )
@@ -89,7 +93,7 @@ def csv(plan: Plan) -> str:
 
 def to_json(plan: Plan, report: Path, seed: int) -> dict:
     """The contents of plan.json."""
-    states = np.concatenate([s.reshape(-1, s.shape[-1]) for s in plan.flown])
+    states = np.concatenate([s.reshape(-1, s.shape[-1]) for s in plan.trajectories])
     sets = [
         {
             "effects": h.effects,
@@ -97,14 +101,14 @@ def to_json(plan: Plan, report: Path, seed: int) -> dict:
             "expected": float(plan.expected[k, k]),
             "values": h.values,
         }
-        for k, h in enumerate(plan.question.hypotheses)
+        for k, h in enumerate(plan.discrimination.hypotheses)
     ]
     return {
         "report": str(report),
         "seconds": plan.path.seconds,
         "seed": seed,
         "sets": sets,
-        "expected": plan.right,
+        "expected": plan.expected_accuracy,
         "gain": plan.gain,
         "pieces": [
             {"kind": s.piece.kind, "start": s.start, "stop": s.stop, "text": s.piece.text}
@@ -112,7 +116,7 @@ def to_json(plan: Plan, report: Path, seed: int) -> dict:
             for s in plan.path.spans
         ],
         "simulated": {
-            "flights": sum(len(s) for s in plan.flown),
+            "flights": sum(len(s) for s in plan.trajectories),
             "speed": float(np.linalg.norm(states[:, 3:6], axis=1).max()),
             "tilt": float(np.abs(states[:, 6:8]).max()),
             "lowest": float(states[:, 2].min()),

@@ -11,22 +11,25 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from inclined_landing.eval.gap.flights.whitening import Whitening
-from inclined_landing.eval.gap.flights.windows import Measured, prepare
+from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
-from inclined_landing.eval.gap.search.evidence import Column, Problem, Suspects, Values
+from inclined_landing.eval.gap.search.evidence import Candidates, Column, Problem, Values
 from inclined_landing.eval.gap.search.posterior import BETWEEN, SPIKE
 from inclined_landing.eval.gap.search.prediction import predict
-from inclined_landing.eval.gap.search.sets import NOTHING, Search
+from inclined_landing.eval.gap.search.sets import PRIOR_EMPTY, SetPosterior
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import Vehicle
 
 # A real flight tells less than a linear, perfectly flown one: gains are averaged over these shares.
-TRUST = (1.0, 0.1, 0.01)
-UNSEEN = 0.7  # share of its prior width that flights leave of an effect which they could not have shown
+INFORMATION_SHARES = (1.0, 0.1, 0.01)
+UNIDENTIFIABLE = (
+    0.7  # share of its prior width that flights leave of an effect which they could not have shown
+)
 DRAWS = 20  # of values and noise, for every set
 
 
@@ -37,7 +40,7 @@ class Hypothesis:
     effects: tuple[str, ...]
     probability: float
     values: Values
-    deviations: Values = dataclasses.field(default_factory=dict)  # of the values, where they are known
+    standard_errors: Values = dataclasses.field(default_factory=dict)  # of the values, where they are known
 
     @property
     def text(self) -> str:
@@ -46,7 +49,7 @@ class Hypothesis:
 
 
 @dataclasses.dataclass(frozen=True)
-class Quiet:
+class NoiseLevels:
     """What a flight holds besides what any vehicle explains, of x, y, z, roll, pitch, yaw."""
 
     noise: np.ndarray  # (6,) standard deviation of the measured pose [m, rad]
@@ -54,54 +57,54 @@ class Quiet:
     time: np.ndarray  # (6,) its correlation time [s]
     inflation: np.ndarray  # (6,) how much less a window tells than if it were independent of the next
 
-    def around(self, vehicle: Vehicle) -> Vehicle:
+    def disturbed(self, vehicle: Vehicle) -> Vehicle:
         """The vehicle in air of this unrest."""
         size, time = (tuple(map(float, x)) for x in (self.unrest, self.time))
-        return dataclasses.replace(
-            vehicle,
-            unrest_acceleration=size[:3],
-            unrest_acceleration_time=time[:3],
-            unrest_angular=size[3:],
-            unrest_angular_time=time[3:],
-        )
+        fields: dict[str, Any] = {
+            "unrest_acceleration": size[:3],
+            "unrest_acceleration_time": time[:3],
+            "unrest_angular": size[3:],
+            "unrest_angular_time": time[3:],
+        }
+        return dataclasses.replace(vehicle, **fields)
 
     @staticmethod
-    def usual() -> Quiet:
+    def typical() -> NoiseLevels:
         """A millimetre and 0.3 deg of noise in air that is never quite still."""
         noise, unrest = [0.001] * 3 + [0.00524] * 3, [0.05] * 3 + [1.0] * 3
-        return Quiet(np.array(noise), np.array(unrest), np.full(6, 0.3), np.ones(6))
+        return NoiseLevels(np.array(noise), np.array(unrest), np.full(6, 0.3), np.ones(6))
 
 
-def in_doubt(problem: Problem, found: Search) -> tuple[list[Hypothesis], Quiet]:
+def set_hypotheses(problem: Problem, found: SetPosterior) -> tuple[list[Hypothesis], NoiseLevels]:
     """What a search holds for possible, with the noise and disturbance it found."""
     hypotheses = []
     for scored in found.sets:
         names = tuple(n for n in problem.library if n in scored.names)
         values = {n: dict(scored.values[n]) for n in names}
         sized = found.local.sized(values)
-        deviations: dict[str, dict[str, float]] = {n: {} for n in names}
+        standard_errors: dict[str, dict[str, float]] = {n: {} for n in names}
         for (name, parameter), known in sized.items():
-            deviations[name][parameter] = known.error
-        hypotheses.append(Hypothesis(names, scored.probability, values, deviations))
+            standard_errors[name][parameter] = known.error
+        hypotheses.append(Hypothesis(names, scored.probability, values, standard_errors))
     noise = np.median([f.noise for f in problem.flights], axis=0) * found.noise_model.noise
-    return hypotheses, Quiet(noise, found.noise_model.size, found.noise_model.time, found.inflation)
+    return hypotheses, NoiseLevels(noise, found.noise_model.size, found.noise_model.time, found.inflation)
 
 
-def unseen(problem: Problem, found: Search) -> list[Hypothesis]:
+def unidentifiable_sets(problem: Problem, found: SetPosterior) -> list[Hypothesis]:
     """The most probable set with each effect that the flights could not have shown, were it there.
 
     What nothing speaks against keeps its prior odds, at a size that is plausible.
     """
     local, best = found.local, found.sets[0]
-    share = 1.0 - NOTHING ** (1.0 / len(problem.library))
-    told = {one.names for one in found.sets}
+    share = 1.0 - PRIOR_EMPTY ** (1.0 / len(problem.library))
+    scored = {one.names for one in found.sets}
     result = []
     for name, effect in problem.library.items():
         names = best.names | {name}
         own = local.index([name])
-        if names in told or effect.told_by or not len(own):
+        if names in scored or effect.told_by or not len(own):
             continue
-        if local.errors(names)[own[0]] < UNSEEN * np.sqrt(local.slab[own[0], own[0]]):
+        if local.errors(names)[own[0]] < UNIDENTIFIABLE * np.sqrt(local.slab[own[0], own[0]]):
             continue
         width = {p.name: abs(p.size(p.plausible)) for p in effect.parameters}
         values = {n: dict(best.values[n]) for n in best.names} | {name: effect.plausible}
@@ -111,7 +114,7 @@ def unseen(problem: Problem, found: Search) -> list[Hypothesis]:
     return result
 
 
-class Question(Suspects):
+class ModelDiscrimination(Candidates):
     """Sets of effects on a vehicle, and the directions in which predictions may differ.
 
     Directions are first the K sets, each at its values, then what is free: small sizes of all effects of the
@@ -122,31 +125,33 @@ class Question(Suspects):
         self,
         hypotheses: Sequence[Hypothesis],
         vehicle: Vehicle,
-        quiet: Quiet,
+        noise_levels: NoiseLevels,
         library: Mapping[str, Effect] = LIBRARY,
     ):
         total = sum(h.probability for h in hypotheses)
         self.hypotheses = [dataclasses.replace(h, probability=h.probability / total) for h in hypotheses]
-        self.vehicle, self.quiet = vehicle, quiet
+        self.vehicle, self.noise_levels = vehicle, noise_levels
         self.library = {n: e for n, e in library.items() if not e.contact}
         self.vehicles = [self.corrected(h.values) for h in self.hypotheses]
         best = max(self.hypotheses, key=lambda h: h.probability)
         self.base = self.corrected(best.values)
         self._pairs: list[tuple[Vehicle, Vehicle, float]] = []
-        deviations: list[np.ndarray] = []
+        standard_errors: list[np.ndarray] = []
         for name, effect in self.library.items():
             for p in effect.parameters:
                 if not p.is_reference:
                     self._add(best.values, Column(name, p.name))
-                    deviations.append(np.full(len(self), math.hypot(SPIKE, BETWEEN) * p.negligible))
+                    standard_errors.append(np.full(len(self), math.hypot(SPIKE, BETWEEN) * p.negligible))
         for k, h in enumerate(self.hypotheses):
             for name in h.effects:
                 for p in self.library[name].parameters:
                     self._add(h.values, Column(name, p.name))
                     own = np.zeros(len(self))
                     own[k] = self._deviation(h, name, p)
-                    deviations.append(own)
-        self.free = np.hstack([np.zeros((len(self),) * 2), np.array(deviations).reshape(-1, len(self)).T])
+                    standard_errors.append(own)
+        self.free = np.hstack(
+            [np.zeros((len(self),) * 2), np.array(standard_errors).reshape(-1, len(self)).T]
+        )
 
     def __len__(self) -> int:
         return len(self.hypotheses)
@@ -157,47 +162,53 @@ class Question(Suspects):
         return np.array([h.probability for h in self.hypotheses])
 
     def _add(self, values: Values, column: Column) -> None:
-        (low, high), step = self.to_either_side(values, column, 1.0)
+        (low, high), step = self.central_difference(values, column, 1.0)
         self._pairs.append((low, high, step))
 
     @staticmethod
     def _deviation(h: Hypothesis, name: str, p) -> float:
         """How well a set's value is known; a quarter of its size where the diagnosis does not say."""
-        known = h.deviations.get(name, {}).get(p.name)
+        known = h.standard_errors.get(name, {}).get(p.name)
         if known is None:
             known = 0.25 * abs(p.size(h.values[name].get(p.name, p.neutral)))
         low, high = p.bounds
         return float(min(max(known, SPIKE * p.negligible), 0.25 * (high - low)))
 
-    def flight(self, points: Setpoints, *, platform: bool = False) -> Measured:
+    def flight(self, points: Setpoints, *, platform: bool = False) -> MeasuredFlight:
         """Set-points as a flight of the vehicle, flown perfectly and measured."""
-        return prepare(points.log("planned", self.quiet.noise), self.vehicle, platform=platform)
+        return prepare(points.log("planned", self.noise_levels.noise), self.vehicle, platform=platform)
 
-    def gram(self, flight: Measured) -> np.ndarray:
+    def gram(self, flight: MeasuredFlight) -> np.ndarray:
         """Scalar products (P, P) of the directions on a flight."""
-        quiet = self.quiet
-        white_by = Whitening.of(flight.shapes, quiet.noise, flight.sensed, quiet.unrest, quiet.time)
+        noise_levels = self.noise_levels
+        white_by = Whitening.of(
+            flight.error_responses,
+            noise_levels.noise,
+            flight.acceleration_noise,
+            noise_levels.unrest,
+            noise_levels.time,
+        )
         base = predict(flight, self.base)
         slopes = [predict(flight, v) - base for v in self.vehicles]
         slopes += [(predict(flight, high) - predict(flight, low)) / step for low, high, step in self._pairs]
-        weight = 1.0 / np.sqrt(quiet.inflation)[:, None]
+        weight = 1.0 / np.sqrt(noise_levels.inflation)[:, None]
         white = np.stack([(weight * white_by(flight.cut(s))).ravel() for s in slopes])
         return white @ white.T
 
     def expected(self, gram: np.ndarray, seed: int = 0) -> np.ndarray:
         """(K, K) expected probability of every set j after the flight where the set i is true."""
-        return self._posteriors(gram, _root(gram), seed).mean(axis=1)
+        return self._simulated_posteriors(gram, _matrix_root(gram), seed).mean(axis=1)
 
     def gain(self, gram: np.ndarray, seed: int = 0) -> float:
         """Expected decrease of the entropy of the sets [nat], averaged over TRUST."""
-        root, p = _root(gram), self.probabilities
+        root, p = _matrix_root(gram), self.probabilities
         after = [
-            p @ _entropy(self._posteriors(share * gram, math.sqrt(share) * root, seed)).mean(axis=1)
-            for share in TRUST
+            p @ _entropy(self._simulated_posteriors(share * gram, math.sqrt(share) * root, seed)).mean(axis=1)
+            for share in INFORMATION_SHARES
         ]
         return float(_entropy(p) - np.mean(after))
 
-    def _posteriors(self, gram: np.ndarray, root: np.ndarray, seed: int) -> np.ndarray:
+    def _simulated_posteriors(self, gram: np.ndarray, root: np.ndarray, seed: int) -> np.ndarray:
         """Probabilities (K, DRAWS, K) of the sets after flights drawn with each; root: of the matrix."""
         rng = np.random.default_rng(seed)
         x = rng.standard_normal((len(self), DRAWS, len(gram))) * self.free[:, None]
@@ -205,14 +216,14 @@ class Question(Suspects):
         seen = x @ gram + rng.standard_normal(x.shape) @ root.T
         scores = np.empty((len(self), DRAWS, len(self)))
         for j in range(len(self)):
-            live, w, constant = self._marginal(gram, j)
+            live, w, constant = self._marginal_likelihood(gram, j)
             square = (((seen[..., live] - gram[j, live]) @ w.T) ** 2).sum(axis=-1)
             scores[..., j] = seen[..., j] + 0.5 * square + constant
         scores += np.log(np.maximum(self.probabilities, 1e-12))
         p = np.exp(scores - scores.max(axis=-1, keepdims=True))
         return p / p.sum(axis=-1, keepdims=True)
 
-    def _marginal(self, gram: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray, float]:
+    def _marginal_likelihood(self, gram: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray, float]:
         """Of the log-likelihood of a set, what is free integrated out: its directions, factor, constant."""
         live = np.flatnonzero(self.free[k])
         d = self.free[k, live]
@@ -221,7 +232,7 @@ class Question(Suspects):
         return live, w, -0.5 * gram[k, k] - float(np.log(np.diag(lower)).sum())
 
 
-def _root(gram: np.ndarray) -> np.ndarray:
+def _matrix_root(gram: np.ndarray) -> np.ndarray:
     """A matrix whose product with its transpose is `gram`."""
     size, vectors = np.linalg.eigh(gram)
     return vectors * np.sqrt(np.maximum(size, 0.0))

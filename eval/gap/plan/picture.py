@@ -34,7 +34,7 @@ _LETTERS = 34  # in a line of the names of a set
 
 def picture(plan: Plan, platform: bool) -> Figure:
     """The whole figure; platform: the slab stands in the arena."""
-    vehicle = plan.question.vehicle
+    vehicle = plan.discrimination.vehicle
     with styled():
         figure = Figure(figsize=(WIDTH, HEIGHT))
         above = panel(figure, 0.7, 5.1, 5.3, 2.2)
@@ -55,7 +55,7 @@ def _way(axes: Axes, plan: Plan, v: Vehicle, platform: bool, across: int) -> Non
     axes.grid(True)
     if platform:
         _slab(axes, v, across)
-    for states in plan.flown:
+    for states in plan.trajectories:
         for flight in states:
             axes.plot(flight[:, 0], flight[:, across], color=MUTED, lw=0.4, alpha=0.4)
     position = plan.path.position
@@ -87,7 +87,7 @@ def _slab(axes: Axes, v: Vehicle, across: int) -> None:
 
 
 def _probabilities(axes: Axes, plan: Plan) -> None:
-    sets = plan.question.hypotheses
+    sets = plan.discrimination.hypotheses
     y = np.arange(len(sets))
     after = np.diag(plan.expected)
     axes.barh(y - 0.19, [h.probability for h in sets], 0.36, color=MUTED, label="now")

@@ -24,10 +24,10 @@ LEAD_IN = 1.0  # s of hover before the first piece
 MARGIN = 0.3  # m to the walls, floor, ceiling and slab, of paths
 SMOOTHING = 0.02  # s, of steps of a command
 MOVE_SPEED, MOVE_ACCELERATION, TURN_RATE = 1.2, 3.0, 1.0  # m/s, m/s2, rad/s, at most, between pieces
-# Peak speed and acceleration of `_smoothly` over unit length in unit time.
+# Peak speed and acceleration of `_minimum_snap` over unit length in unit time.
 _PEAK_SPEED, _PEAK_ACCELERATION = 35.0 / 16.0, 84.0 / (5.0 * math.sqrt(5.0))
 
-Way = tuple[np.ndarray, np.ndarray]  # position (m, 3) [m], heading (m,) [rad] at RATE
+Trajectory = tuple[np.ndarray, np.ndarray]  # position (m, 3) [m], heading (m,) [rad] at RATE
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,9 +65,9 @@ class Space:
 class Kind:
     """A kind of piece."""
 
-    words: str  # {parameter} stands for its value, angles in degrees
+    template: str  # {parameter} stands for its value, angles in degrees
     bounds: Mapping[str, tuple[float, float]]
-    make: Callable[..., Way]  # of the space and the parameters
+    make: Callable[..., Trajectory]  # of the space and the parameters
     near: bool = False  # goes closer to a surface than MARGIN
 
 
@@ -91,14 +91,14 @@ class Piece:
         shown = {
             n: f"{math.degrees(x):.0f}" if n in angles else f"{x:.2g}" for n, x in self.parameters.items()
         }
-        return KINDS[self.kind].words.format(**shown)
+        return KINDS[self.kind].template.format(**shown)
 
-    def way(self, space: Space) -> Way:
+    def trajectory(self, space: Space) -> Trajectory:
         """The piece alone."""
         return KINDS[self.kind].make(space, **self.parameters)
 
 
-def middle(kind: str) -> Piece:
+def midpoint(kind: str) -> Piece:
     """The piece of a kind with every parameter halfway within its bounds."""
     return Piece(kind, (0.5,) * len(KINDS[kind].bounds))
 
@@ -108,7 +108,7 @@ def draw(kind: str, rng: np.random.Generator) -> Piece:
     return Piece(kind, tuple(rng.random(len(KINDS[kind].bounds))))
 
 
-def moved(piece: Piece, rng: np.random.Generator, step: float) -> Piece:
+def perturbed(piece: Piece, rng: np.random.Generator, step: float) -> Piece:
     """The piece with every parameter moved by a normal step, of this share of its bounds, and kept within."""
     shares = np.array(piece.shares) + step * rng.standard_normal(len(piece.shares))
     return Piece(piece.kind, tuple(np.clip(shares, 0.0, 1.0)))
@@ -151,12 +151,12 @@ class Path:
         return result
 
 
-def joined(pieces: Sequence[Piece], space: Space, seconds: float | None = None) -> Path:
+def joined_path(pieces: Sequence[Piece], space: Space, seconds: float | None = None) -> Path:
     """The pieces one after the other from a hover at home, held to `seconds` if it is shorter."""
     ways, spans, rows = [_hold(space.home, 0.0, LEAD_IN)], [], 0
     rows = len(ways[0][1])
     for piece in pieces:
-        position, yaw = piece.way(space)
+        position, yaw = piece.trajectory(space)
         before = ways[-1]
         # The same heading, whole turns apart, that is nearest.
         yaw = yaw + 2.0 * math.pi * round((before[1][-1] - yaw[0]) / (2.0 * math.pi))
@@ -172,9 +172,9 @@ def joined(pieces: Sequence[Piece], space: Space, seconds: float | None = None) 
     return Path(position, yaw, tuple(spans))
 
 
-def alone(piece: Piece, space: Space) -> Path:
+def single_path(piece: Piece, space: Space) -> Path:
     """A piece with a short hover before and after it."""
-    position, yaw = piece.way(space)
+    position, yaw = piece.trajectory(space)
     ways = [_hold(position[0], yaw[0], 0.3), (position, yaw), _hold(position[-1], yaw[-1], 0.3)]
     position, yaw = (np.concatenate(x) for x in zip(*ways))
     return Path(position, yaw, (Span(piece, 0.0, len(yaw) / RATE),))
@@ -184,18 +184,18 @@ def _rows(seconds: float) -> int:
     return max(1, round(seconds * RATE))
 
 
-def _smoothly(seconds: float) -> np.ndarray:
+def _minimum_snap(seconds: float) -> np.ndarray:
     """From 0 to 1, from rest to rest, acceleration and jerk zero at both ends."""
     u = (np.arange(_rows(seconds)) + 1) / _rows(seconds)
     return u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3)
 
 
-def _hold(position, yaw: float, seconds: float) -> Way:
+def _hold(position, yaw: float, seconds: float) -> Trajectory:
     n = _rows(seconds)
     return np.tile(np.asarray(position, float), (n, 1)), np.full(n, yaw)
 
 
-def _line(a, b, yaw: float = 0.0, turned: float | None = None, speed: float = MOVE_SPEED) -> Way:
+def _line(a, b, yaw: float = 0.0, turned: float | None = None, speed: float = MOVE_SPEED) -> Trajectory:
     """From a to b, with a peak speed [m/s] where that takes no more than MOVE_ACCELERATION."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     turned = yaw if turned is None else turned
@@ -207,16 +207,16 @@ def _line(a, b, yaw: float = 0.0, turned: float | None = None, speed: float = MO
         math.sqrt(_PEAK_ACCELERATION * length / slow),
         _PEAK_SPEED * turn / TURN_RATE,
     )
-    s = _smoothly(seconds)
+    s = _minimum_snap(seconds)
     return a + np.outer(s, b - a), yaw + s * (turned - yaw)
 
 
-def _after(*ways: Way) -> Way:
+def _concatenated(*ways: Trajectory) -> Trajectory:
     position, yaw = zip(*ways)
     return np.concatenate(position), np.concatenate(yaw)
 
 
-def _across(direction: float) -> np.ndarray:
+def _horizontal(direction: float) -> np.ndarray:
     return np.array([math.cos(direction), math.sin(direction), 0.0])
 
 
@@ -235,41 +235,41 @@ def _doublet(seconds: float, *lags: float) -> np.ndarray:
     return steps
 
 
-def _pushed(start, acceleration: np.ndarray, yaw: float) -> Way:
+def _integrated(start, acceleration: np.ndarray, yaw: float) -> Trajectory:
     """From rest at `start` under an acceleration (m, 3) whose first integral ends at zero."""
     speed = np.cumsum(acceleration, axis=0) / RATE
     speed = speed - np.linspace(0.0, 1.0, len(speed))[:, None] * speed[-1]  # rounding of the durations
     return start + np.cumsum(speed, axis=0) / RATE, np.full(len(speed), yaw)
 
 
-def _hover(space: Space, heading: float, seconds: float) -> Way:
+def _hover(space: Space, heading: float, seconds: float) -> Trajectory:
     return _hold(space.home, heading, seconds)
 
 
-def _turn(space: Space, angle: float, rate: float) -> Way:
-    s = _smoothly(_PEAK_SPEED * angle / rate)
+def _turn(space: Space, angle: float, rate: float) -> Trajectory:
+    s = _minimum_snap(_PEAK_SPEED * angle / rate)
     return np.tile(space.home, (len(s), 1)), angle * s
 
 
-def _tilts(space: Space, tilt: float, seconds: float, direction: float, heading: float) -> Way:
+def _tilts(space: Space, tilt: float, seconds: float, direction: float, heading: float) -> Trajectory:
     v = space.vehicle
     angle = v.attitude_gain * tilt * _doublet(seconds, v.attitude_time_constant, 1.0 / v.attitude_bandwidth)
     size = v.environment_gravity * np.tan(angle)
-    return _pushed(space.home, np.outer(size, _across(direction)), heading)
+    return _integrated(space.home, np.outer(size, _horizontal(direction)), heading)
 
 
-def _thrusts(space: Space, size: float, seconds: float) -> Way:
+def _thrusts(space: Space, size: float, seconds: float) -> Trajectory:
     v = space.vehicle
     up = size * v.environment_gravity * _doublet(seconds, 1.0 / v.thrust_lag_rate)
-    return _pushed(space.home, np.outer(up, [0.0, 0.0, 1.0]), 0.0)
+    return _integrated(space.home, np.outer(up, [0.0, 0.0, 1.0]), 0.0)
 
 
-def _climb(space: Space, height: float, speed: float) -> Way:
+def _climb(space: Space, height: float, speed: float) -> Trajectory:
     low, high = space.home - [0, 0, 0.5 * height], space.home + [0, 0, 0.5 * height]
-    return _after(_line(low, high, speed=speed), _hold(high, 0.0, 0.2), _line(high, low, speed=speed))
+    return _concatenated(_line(low, high, speed=speed), _hold(high, 0.0, 0.2), _line(high, low, speed=speed))
 
 
-def _heave(space: Space, height: float, frequency: float) -> Way:
+def _heave(space: Space, height: float, frequency: float) -> Trajectory:
     """Two and a half swings; smooth at both ends."""
     t = np.arange(_rows(2.5 / frequency)) / RATE
     fade = np.sin(np.pi * np.clip(np.minimum(t, t[-1] - t) * frequency, 0.0, 0.5)) ** 2
@@ -277,24 +277,26 @@ def _heave(space: Space, height: float, frequency: float) -> Way:
     return space.home + np.outer(z, [0.0, 0.0, 1.0]), np.zeros(len(t))
 
 
-def _run(space: Space, distance: float, speed: float, direction: float, heading: float) -> Way:
-    a, b = (space.home + side * 0.5 * distance * _across(direction) for side in (-1, 1))
+def _run(space: Space, distance: float, speed: float, direction: float, heading: float) -> Trajectory:
+    a, b = (space.home + side * 0.5 * distance * _horizontal(direction) for side in (-1, 1))
     there, back = _line(a, b, heading, speed=speed), _line(b, a, heading, speed=speed)
-    return _after(there, _hold(b, heading, 0.2), back)
+    return _concatenated(there, _hold(b, heading, 0.2), back)
 
 
-def _circle(space: Space, radius: float, speed: float, seconds: float, nose: float) -> Way:
+def _circle(space: Space, radius: float, speed: float, seconds: float, nose: float) -> Trajectory:
     """Round home from rest to rest; nose 0: one heading, 1: it turns with the path."""
-    rate = np.convolve(np.ones(_rows(seconds)), np.diff(_smoothly(1.0), prepend=0.0))
+    rate = np.convolve(np.ones(_rows(seconds)), np.diff(_minimum_snap(1.0), prepend=0.0))
     angle = np.cumsum(rate) / RATE * speed / radius
     around = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     return space.home + radius * around, nose * angle
 
 
-def _down_to(above: np.ndarray, low: np.ndarray, over: np.ndarray, heading: float, seconds: float) -> Way:
+def _low_manoeuvre(
+    above: np.ndarray, low: np.ndarray, over: np.ndarray, heading: float, seconds: float
+) -> Trajectory:
     """From `above` to `low`, from there over to another low point, and up again."""
     up = over + (above - low)
-    return _after(
+    return _concatenated(
         _line(above, low, heading, speed=0.5),
         _hold(low, heading, seconds),
         _line(low, over, heading, speed=0.6),
@@ -302,21 +304,21 @@ def _down_to(above: np.ndarray, low: np.ndarray, over: np.ndarray, heading: floa
     )
 
 
-def _low_hover(space: Space, height: float, seconds: float, heading: float) -> Way:
+def _low_hover(space: Space, height: float, seconds: float, heading: float) -> Trajectory:
     low = np.array([*space.home[:2], height])
-    return _down_to(low + [0.0, 0.0, 0.35], low, low, heading, seconds)
+    return _low_manoeuvre(low + [0.0, 0.0, 0.35], low, low, heading, seconds)
 
 
-def _low_pass(space: Space, height: float, distance: float, direction: float) -> Way:
-    low = np.array([*space.home[:2], height]) - 0.5 * distance * _across(direction)
-    return _down_to(low + [0, 0, 0.35], low, low + distance * _across(direction), 0.0, 0.3)
+def _low_pass(space: Space, height: float, distance: float, direction: float) -> Trajectory:
+    low = np.array([*space.home[:2], height]) - 0.5 * distance * _horizontal(direction)
+    return _low_manoeuvre(low + [0, 0, 0.35], low, low + distance * _horizontal(direction), 0.0, 0.3)
 
 
-def _slope_hover(space: Space, height: float, seconds: float, heading: float) -> Way:
+def _slope_hover(space: Space, height: float, seconds: float, heading: float) -> Trajectory:
     v = space.vehicle
     up = np.array([math.sin(v.platform_inclination), 0.0, math.cos(v.platform_inclination)])
     low = np.array([0.0, 0.0, v.platform_surface_height]) + height * up
-    return _down_to(low + [0.0, 0.0, 0.35], low, low, heading, seconds)
+    return _low_manoeuvre(low + [0.0, 0.0, 0.35], low, low, heading, seconds)
 
 
 _TURN = (-math.pi, math.pi)

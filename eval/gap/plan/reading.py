@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.eval.gap.plan.information import Hypothesis, Quiet
+from inclined_landing.eval.gap.plan.information import Hypothesis, NoiseLevels
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, shown
@@ -21,17 +21,17 @@ CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 @dataclasses.dataclass(frozen=True)
-class Doubt:
+class PlanInput:
     """What a report holds for possible, and the flights it comes from."""
 
     hypotheses: list[Hypothesis]  # of effects that show in flight, most probable first
     vehicle: Vehicle  # the one diagnosed
-    quiet: Quiet
+    noise_levels: NoiseLevels
     platform: bool  # the slab stood in the arena
-    broadly: tuple[str, ...]  # what an unexplained remainder depends on
+    vary: tuple[str, ...]  # what an unexplained remainder depends on
 
 
-def read_report(folder: Path, vehicle: Path | None = None) -> Doubt:
+def read_report(folder: Path, vehicle: Path | None = None) -> PlanInput:
     """Read `report.json` and what `run.json` says of the flights; vehicle: file of the vehicle diagnosed.
 
     Raises UserError, naming file and entry, for what is missing or not what it should be.
@@ -45,10 +45,10 @@ def read_report(folder: Path, vehicle: Path | None = None) -> Doubt:
     if vehicle is None and isinstance(options.get("vehicle"), str):
         vehicle = Path(options["vehicle"])
     known = {"platform": options.get("platform", False)} | report
-    return doubt(known, load_vehicle(vehicle), f"report {path}")
+    return plan_input(known, load_vehicle(vehicle), f"report {path}")
 
 
-def doubt(report: Mapping, vehicle: Vehicle, name: str = "report") -> Doubt:
+def plan_input(report: Mapping, vehicle: Vehicle, name: str = "report") -> PlanInput:
     """What a plan needs of the contents of `report.json`; vehicle: the one diagnosed.
 
     Raises UserError that begins with `name`.
@@ -58,11 +58,11 @@ def doubt(report: Mapping, vehicle: Vehicle, name: str = "report") -> Doubt:
     platform = report.get("platform", False)
     if not isinstance(platform, bool):
         raise UserError(f"{name}: platform must be true or false, not {shown(repr(platform), 40)}")
-    sets, quiet = _hypotheses(report, name), _quiet(report, name)
-    return Doubt(sets, vehicle, quiet, platform, _broadly(report, name))
+    sets, noise_levels = _read_hypotheses(report, name), _read_noise_levels(report, name)
+    return PlanInput(sets, vehicle, noise_levels, platform, _read_dependences(report, name))
 
 
-def _hypotheses(report: Mapping, name: str) -> list[Hypothesis]:
+def _read_hypotheses(report: Mapping, name: str) -> list[Hypothesis]:
     """The sets of a report and those its flights could not have shown, without what touchdowns show."""
     found: dict[tuple[str, ...], Hypothesis] = {}
     for what, row in [*_rows(report, "sets", name), *_rows(report, "unseen", name)]:
@@ -72,17 +72,17 @@ def _hypotheses(report: Mapping, name: str) -> list[Hypothesis]:
         unknown = [n for n in names if n not in LIBRARY]
         if unknown:
             raise UserError(f"{what} has the unknown effect {shown(repr(unknown[0]), 60)}")
-        flown = tuple(n for n in names if not LIBRARY[n].contact)
+        free_flight = tuple(n for n in names if not LIBRARY[n].contact)
         probability = _number(row.get("probability"), f"{what}.probability")
         if not 0.0 <= probability <= 1.0:
             raise UserError(f"{what}.probability is {probability:g}; it must be from 0 to 1")
-        values = {n: _values(row, "values", n, what, needed=True) for n in flown}
-        deviations = {n: _values(row, "deviations", n, what, needed=False) for n in flown}
-        if flown in found:
-            probability += found[flown].probability
-            found[flown] = dataclasses.replace(found[flown], probability=probability)
+        values = {n: _values(row, "values", n, what, needed=True) for n in free_flight}
+        standard_errors = {n: _values(row, "deviations", n, what, needed=False) for n in free_flight}
+        if free_flight in found:
+            probability += found[free_flight].probability
+            found[free_flight] = dataclasses.replace(found[free_flight], probability=probability)
         else:
-            found[flown] = Hypothesis(flown, probability, values, deviations)
+            found[free_flight] = Hypothesis(free_flight, probability, values, standard_errors)
     if sum(h.probability for h in found.values()) <= 0.0:
         raise UserError(f"{name}: no set has a probability above 0")
     return sorted(found.values(), key=lambda h: -h.probability)
@@ -120,12 +120,12 @@ def _values(row: Mapping, key: str, name: str, what: str, *, needed: bool) -> di
     return result
 
 
-def _broadly(report: Mapping, name: str) -> tuple[str, ...]:
+def _read_dependences(report: Mapping, name: str) -> tuple[str, ...]:
     """What the remainder of an `unknown` verdict depends on."""
     if report.get("verdict") != "unknown":
         return ()
-    remainder = _table(report.get("remainder", {}), f"{name}: remainder")
-    rows = remainder.get("depends_on", ())
+    residual = _table(report.get("remainder", {}), f"{name}: remainder")
+    rows = residual.get("depends_on", ())
     if not isinstance(rows, (list, tuple)):
         raise UserError(f"{name}: remainder.depends_on must be a list")
     found = []
@@ -137,9 +137,9 @@ def _broadly(report: Mapping, name: str) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _quiet(report: Mapping, name: str) -> Quiet:
+def _read_noise_levels(report: Mapping, name: str) -> NoiseLevels:
     """Noise and disturbance of the flights, channel by channel; what is usual where the report has none."""
-    usual = Quiet.usual()
+    usual = NoiseLevels.typical()
     noise = _table(report.get("noise", {}), f"{name}: noise")
     unrest = _table(report.get("unrest", {}), f"{name}: unrest")
     found = np.array([usual.noise, usual.unrest, usual.time])

@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from inclined_landing.eval.gap.plan.information import Quiet
+from inclined_landing.eval.gap.plan.information import NoiseLevels
 from inclined_landing.eval.gap.plan.pieces import MARGIN, RATE, Space
 from inclined_landing.eval.gap.plan.setpoints import Setpoints, thrust_and_angles
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, YAW, X, Z, rotations
@@ -43,7 +43,7 @@ class Violation:
     text: str
 
 
-def planned(points: Setpoints, space: Space) -> Violation | None:
+def plan_violation(points: Setpoints, space: Space) -> Violation | None:
     """What a plan itself breaks, the first of it; None if nothing."""
     v, path = space.vehicle, points.path
     speed = np.linalg.norm(points.velocity, axis=1)
@@ -54,28 +54,28 @@ def planned(points: Setpoints, space: Space) -> Violation | None:
     pwm = np.minimum(points.command[:, 0] - low - spare, high - spare - points.command[:, 0])
     limit = v.command_angle_limit
     tilt = np.abs(points.attitude[:, :2]).max(axis=1)
-    asked = np.abs(points.command[:, 1:3]).max(axis=1)
+    commanded = np.abs(points.command[:, 1:3]).max(axis=1)
     surface = clearance(path.position, points.attitude, space)
     needed = np.where(path.near, CLEAR_NEAR + 0.02, CLEAR)
     return _first(
         ("leaves the space that is free", inside < -1e-9),
         (f"is faster than {SPEED:g} m/s", speed > SPEED),
         (f"tilts beyond {math.degrees(TILT * limit):.0f} deg", tilt > TILT * limit),
-        ("asks for more tilt than can be commanded", asked > 0.95 * limit),
+        ("asks for more tilt than can be commanded", commanded > 0.95 * limit),
         ("asks for thrust at the end of its range", pwm < 0.0),
         ("comes too close to a surface", surface < needed),
     )
 
 
-def battery(vehicle: Vehicle, seconds: float) -> float:
+def battery_voltage(vehicle: Vehicle, seconds: float) -> float:
     """Voltage under hover load [V] that the vehicle file's battery has left after so many seconds."""
     v = vehicle
     drop = v.effects_voltage_drop * v.hover_pwm
     return v.effects_voltage_open - drop - v.effects_voltage_discharge * seconds
 
 
-def simulated(
-    points: Setpoints, vehicles: Sequence[Vehicle], space: Space, quiet: Quiet, seed: int = 0
+def simulate_plan(
+    points: Setpoints, vehicles: Sequence[Vehicle], space: Space, noise_levels: NoiseLevels, seed: int = 0
 ) -> tuple[Violation | None, list[np.ndarray]]:
     """The first thing that goes wrong when each of `vehicles`, as uncertain as it is, flies the plan.
 
@@ -83,17 +83,19 @@ def simulated(
     disturbance of the air.
     """
     with ThreadPoolExecutor(2) as pool:
-        flown = list(
-            pool.map(lambda k: fly(points, vehicles[k], space, quiet, (seed, k)), range(len(vehicles)))
+        states_of_all = list(
+            pool.map(lambda k: fly(points, vehicles[k], space, noise_levels, (seed, k)), range(len(vehicles)))
         )
-    wrong = [w for states in flown if (w := _judged(states, points, space)) is not None]
-    return min(wrong, key=lambda w: w.time, default=None), flown
+    violations = [
+        w for states in states_of_all if (w := _simulation_violation(states, points, space)) is not None
+    ]
+    return min(violations, key=lambda w: w.time, default=None), states_of_all
 
 
-def fly(points: Setpoints, vehicle: Vehicle, space: Space, quiet: Quiet, seed) -> np.ndarray:
+def fly(points: Setpoints, vehicle: Vehicle, space: Space, noise_levels: NoiseLevels, seed) -> np.ndarray:
     """States (COPIES, m, 13) of a vehicle that the pilot flies along the plan in MuJoCo; NaN from a crash."""
     rng = np.random.default_rng(seed)
-    plant = MujocoPlant(COPIES, quiet.around(vehicle), threads=1, unrest=rng)
+    plant = MujocoPlant(COPIES, noise_levels.disturbed(vehicle), threads=1, unrest=rng)
     drawn = {n: rng.uniform(-s, s, COPIES) * (np.arange(COPIES) > 0) for n, s in UNCERTAINTY.items()}
     plant.perturb(**{n: x if n == "drag_change" else 1.0 + x for n, x in drawn.items()})
     plant.set_platform(np.arange(COPIES), vehicle.platform_inclination, space.platform)
@@ -105,9 +107,9 @@ def fly(points: Setpoints, vehicle: Vehicle, space: Space, quiet: Quiet, seed) -
     rows = np.arange(0, len(points.path.yaw), stride)
     states, integral = np.full((len(rows), COPIES, STATE_SIZE), np.nan), np.zeros((COPIES, 3))
     for i, row in enumerate(rows):
-        seen = plant.measurement.copy()
-        seen[:, X : Z + 1] += quiet.noise[:3] * rng.standard_normal((COPIES, 3))
-        command = _pilot(points, row, seen, integral, plant.control_period, space.vehicle)
+        measured = plant.measurement.copy()
+        measured[:, X : Z + 1] += noise_levels.noise[:3] * rng.standard_normal((COPIES, 3))
+        command = _pilot(points, row, measured, integral, plant.control_period, space.vehicle)
         plant.advance(command)
         if plant.diverged.any() or plant.contacts.touch.any():
             break
@@ -115,28 +117,30 @@ def fly(points: Setpoints, vehicle: Vehicle, space: Space, quiet: Quiet, seed) -
     return states.swapaxes(0, 1)
 
 
-def _pilot(points: Setpoints, row: int, seen: np.ndarray, integral: np.ndarray, dt: float, v: Vehicle):
+def _pilot(points: Setpoints, row: int, measured: np.ndarray, integral: np.ndarray, dt: float, v: Vehicle):
     """Commands (n, 4) from what is seen (n, 13); integral (n, 3) is changed in place."""
-    error = points.path.position[row] - seen[:, X : Z + 1]
+    error = points.path.position[row] - measured[:, X : Z + 1]
     integral += dt * np.clip(error, -0.5, 0.5)
     gains = np.array([SIDEWAYS, SIDEWAYS, UPWARD]).T
-    wanted = points.acceleration[row] + gains[0] * error
-    wanted = wanted + gains[1] * (points.velocity[row] - seen[:, VX : VX + 3]) + gains[2] * integral
-    wanted[:, 2] = np.maximum(wanted[:, 2], 2.0 - v.environment_gravity)
-    size, angles = thrust_and_angles(wanted, seen[:, YAW], v.environment_gravity)
-    turn = points.path.yaw[row] - seen[:, YAW]
+    acceleration = points.acceleration[row] + gains[0] * error
+    acceleration = (
+        acceleration + gains[1] * (points.velocity[row] - measured[:, VX : VX + 3]) + gains[2] * integral
+    )
+    acceleration[:, 2] = np.maximum(acceleration[:, 2], 2.0 - v.environment_gravity)
+    size, angles = thrust_and_angles(acceleration, measured[:, YAW], v.environment_gravity)
+    turn = points.path.yaw[row] - measured[:, YAW]
     turn = HEADING * np.arctan2(np.sin(turn), np.cos(turn))
-    limit, spin = v.command_angle_limit, v.command_yaw_rate_limit
+    limit, rate_limit = v.command_angle_limit, v.command_yaw_rate_limit
     return np.column_stack(
         [
             np.clip(v.hover_pwm * size / v.environment_gravity + points.lead[row, 0], *v.command_pwm_range),
             np.clip(angles / v.attitude_gain + points.lead[row, 1:], -limit, limit),
-            np.clip(points.command[row, 3] + turn, -spin, spin),
+            np.clip(points.command[row, 3] + turn, -rate_limit, rate_limit),
         ]
     )
 
 
-def _judged(states: np.ndarray, points: Setpoints, space: Space) -> Violation | None:
+def _simulation_violation(states: np.ndarray, points: Setpoints, space: Space) -> Violation | None:
     v = space.vehicle
     stride = max(1, round(len(points.path.yaw) / states.shape[1]))
     near = points.path.near[::stride][: states.shape[1]]
@@ -179,5 +183,9 @@ def clearance(position: np.ndarray, attitude: np.ndarray, space: Space) -> np.nd
 
 def _first(*checks: tuple[str, np.ndarray], step: float = 1.0 / RATE) -> Violation | None:
     """The earliest row that a check (text, (m,) bool) finds wrong."""
-    found = [Violation(float(np.argmax(wrong)) * step, text) for text, wrong in checks if wrong.any()]
+    found = [
+        Violation(float(np.argmax(violations)) * step, text)
+        for text, violations in checks
+        if violations.any()
+    ]
     return min(found, key=lambda v: v.time, default=None)

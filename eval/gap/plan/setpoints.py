@@ -64,26 +64,26 @@ def setpoints(path: Path, vehicle: Vehicle) -> Setpoints:
     acceleration = np.gradient(velocity, dt, axis=0)
     size, angles = thrust_and_angles(acceleration, path.yaw, v.environment_gravity)
     rates = np.gradient(angles, dt, axis=0)
-    bends = np.gradient(rates, dt, axis=0)
+    second_rates = np.gradient(rates, dt, axis=0)
     tau, bandwidth = v.attitude_time_constant, v.attitude_bandwidth
     lag = v.attitude_damping * (tau + 1.0 / bandwidth)
-    lead = (lag * rates + tau / bandwidth * bends) / v.attitude_gain
+    lead = (lag * rates + tau / bandwidth * second_rates) / v.attitude_gain
     pwm = v.hover_pwm * size / v.environment_gravity
-    push = np.gradient(pwm, dt) / v.thrust_lag_rate
-    wanted = _ahead(angles / v.attitude_gain + lead, v.effects_attitude_delay)
+    lag_compensation = np.gradient(pwm, dt) / v.thrust_lag_rate
+    angle_commands = _ahead(angles / v.attitude_gain + lead, v.effects_attitude_delay)
     turn = np.gradient(path.yaw, dt)
     turn = turn + np.gradient(turn, dt) / v.attitude_yaw_bandwidth
-    limit, spin = v.command_angle_limit, v.command_yaw_rate_limit
+    limit, rate_limit = v.command_angle_limit, v.command_yaw_rate_limit
     command = np.column_stack(
         [
-            np.clip(_ahead(pwm + push, v.effects_thrust_delay), *v.command_pwm_range),
-            np.clip(wanted, -limit, limit),
-            np.clip(_ahead(turn, v.effects_attitude_delay), -spin, spin),
+            np.clip(_ahead(pwm + lag_compensation, v.effects_thrust_delay), *v.command_pwm_range),
+            np.clip(angle_commands, -limit, limit),
+            np.clip(_ahead(turn, v.effects_attitude_delay), -rate_limit, rate_limit),
         ]
     )
-    still = np.column_stack([pwm, angles / v.attitude_gain])
+    hover_equivalent = np.column_stack([pwm, angles / v.attitude_gain])
     attitude = np.column_stack([angles, path.yaw])
-    return Setpoints(path, velocity, acceleration, attitude, command, command[:, :3] - still)
+    return Setpoints(path, velocity, acceleration, attitude, command, command[:, :3] - hover_equivalent)
 
 
 def _ahead(values: np.ndarray, delay: float) -> np.ndarray:

@@ -6,6 +6,7 @@ import base64
 import io
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -34,8 +35,8 @@ from inclined_landing.eval.gap.result import (
     HorizonCurve,
     NamedEffect,
     PlantGap,
-    Remainder,
-    WhereRow,
+    RegimeError,
+    ResidualAnalysis,
     WindowCurves,
 )
 
@@ -61,7 +62,7 @@ def svg(figure: Figure) -> str:
 # ---- where
 
 
-def where_map(rows: Sequence[WhereRow]) -> Figure | None:
+def where_map(rows: Sequence[RegimeError]) -> Figure | None:
     """Maps regime by channel: before, after, and what noise and disturbance alone give."""
     if not rows:
         return None
@@ -79,21 +80,21 @@ def where_map(rows: Sequence[WhereRow]) -> Figure | None:
 
 
 def draw_where(
-    axis: Axes, rows: Sequence[WhereRow], what: str, *, size: float = 7.5, named: bool = True
+    axis: Axes, rows: Sequence[RegimeError], what: str, *, size: float = 7.5, named: bool = True
 ) -> None:
     """One map: `what` is before, after or floor; colours are times the floor; named: with its regimes."""
     regimes, channels = _axes_of(rows)
     cells = {(row.regime, row.channel): row for row in rows}
-    norm = _where_norm(rows)
+    norm, end = _where_norm(rows)
     for i, regime in enumerate(regimes):
         for j, channel in enumerate(channels):
             row = cells.get((regime, channel))
-            value = math.nan if row is None else getattr(row, what)
-            colour, ink, text = "white", MUTED if what == "floor" else INK, "–"
-            if math.isfinite(value):
+            colour: Any = "white"
+            ink, text = MUTED if what == "floor" else INK, "–"
+            if row is not None and math.isfinite(value := getattr(row, what)):
                 text = _number(shown(row.unit)[0] * value)
                 if what != "floor" and row.floor > 0:
-                    times = norm(min(max(value / row.floor, 1.0), norm.vmax))
+                    times = norm(min(max(value / row.floor, 1.0), end))
                     colour, ink = _HEAT(times), "white" if times > 0.62 else INK
             axis.add_patch(Rectangle((j, i), 1, 1, facecolor=colour, edgecolor="white", linewidth=1.2))
             axis.text(j + 0.5, i + 0.52, text, ha="center", va="center", fontsize=size, color=ink)
@@ -109,24 +110,27 @@ def draw_where(
     axis.set_title(_MAPS[what], fontsize=9.5)
 
 
-def _where_norm(rows: Sequence[WhereRow]) -> LogNorm:
-    """One scale for all maps, up to the first end beyond the worst cell."""
+def _where_norm(rows: Sequence[RegimeError]) -> tuple[LogNorm, float]:
+    """Return one scale for all maps and its end, the first of _ENDS beyond the worst cell."""
     worst = max((max(row.before, row.after) / row.floor for row in rows if row.floor > 0), default=1.0)
-    return LogNorm(1.0, next((end for end in _ENDS if end >= worst), _ENDS[-1]))
+    end = next((end for end in _ENDS if end >= worst), _ENDS[-1])
+    return LogNorm(1.0, end), end
 
 
-def _where_scale(figure: Figure, rows: Sequence[WhereRow], left: float, bottom: float, width: float) -> None:
+def _where_scale(
+    figure: Figure, rows: Sequence[RegimeError], left: float, bottom: float, width: float
+) -> None:
     axis = panel(figure, left, bottom, width, 0.09)
-    norm = _where_norm(rows)
+    norm, last = _where_norm(rows)
     bar = figure.colorbar(ScalarMappable(norm, _HEAT), cax=axis, orientation="horizontal")
     bar.outline.set_visible(False)
-    ends = [end for end in _ENDS if end <= norm.vmax]
+    ends = [end for end in _ENDS if end <= last]
     bar.set_ticks([1, 3, *ends], labels=["floor", "3 times the floor", *(f"{end:g}" for end in ends)])
     bar.ax.tick_params(labelsize=7.5, length=0, colors=MUTED)
     bar.minorticks_off()
 
 
-def _where_units(rows: Sequence[WhereRow]) -> str:
+def _where_units(rows: Sequence[RegimeError]) -> str:
     units: dict[str, list[str]] = {}
     for channel in _axes_of(rows)[1]:
         unit = next(row.unit for row in rows if row.channel == channel)
@@ -134,7 +138,7 @@ def _where_units(rows: Sequence[WhereRow]) -> str:
     return "; ".join(f"{', '.join(names)} in {unit}" for unit, names in units.items())
 
 
-def _axes_of(rows: Sequence[WhereRow]) -> tuple[list[str], list[str]]:
+def _axes_of(rows: Sequence[RegimeError]) -> tuple[list[str], list[str]]:
     regimes = [r for r in REGIMES if any(row.regime == r for row in rows)]
     regimes += sorted({row.regime for row in rows} - set(regimes))
     return regimes, [c for c in CHANNELS if any(row.channel == c for row in rows)]
@@ -172,12 +176,10 @@ def draw_horizon(axis: Axes, curves: Sequence[HorizonCurve], gap: dict[str, Plan
         ends.append((100 * last.floor[-1], f"noise alone  {100 * last.floor[-1]:.1f} cm", INK))
     if "mujoco" in gap:
         g = gap["mujoco"]
-        for value, colour, name in ((g.before, BEFORE, "the same in MuJoCo"), (g.after, AFTER, None)):
-            axis.plot(
-                *(g.horizon, 100 * value, "D"),
-                **{"color": "white", "markeredgecolor": colour, "markeredgewidth": 1.6, "markersize": 5.5},
-                **{"zorder": 20, "clip_on": False, "label": name},
-            )
+        look: dict[str, Any] = {"color": "white", "markeredgewidth": 1.6, "markersize": 5.5}
+        look |= {"zorder": 20, "clip_on": False}
+        for value, colour, text in ((g.before, BEFORE, "the same in MuJoCo"), (g.after, AFTER, None)):
+            axis.plot(g.horizon, 100 * value, "D", markeredgecolor=colour, label=text, **look)
         axis.legend(loc="upper left", handletextpad=0.2)
     top = max([value for value, *_ in ends] + [1e-3]) * 1.06
     end = max((curve.horizon[-1] for curve in curves), default=1.0)
@@ -188,7 +190,9 @@ def draw_horizon(axis: Axes, curves: Sequence[HorizonCurve], gap: dict[str, Plan
 
 def _name_ends(axis: Axes, ends, top: float) -> None:
     """Names right of the axes at the height of their curves, moved apart where they would overlap."""
-    inches = axis.get_position().height * axis.figure.get_figheight()
+    figure = axis.get_figure(root=True)
+    assert figure is not None
+    inches = axis.get_position().height * figure.get_figheight()
     least = 0.17 / inches * top
     ends = sorted(ends, key=lambda e: e[0])
     heights = [value for value, *_ in ends]
@@ -230,8 +234,8 @@ def draw_track(axis: Axes, one: Track, k: int) -> None:
         drawn.append((f"predicted {one.seconds:g} s ahead, {word}", pieces, colour, 1.5))
     for name, pieces, colour, width in drawn:
         for j, (t, p) in enumerate(pieces):
-            style = {"linewidth": width, "solid_capstyle": "round", "label": None if j else name}
-            axis.plot(t, p[:, k], color=colour, **style)
+            look: dict[str, Any] = {"linewidth": width, "label": None if j else name}
+            axis.plot(t, p[:, k], color=colour, solid_capstyle="round", **look)
             if colour != INK:
                 axis.plot(t[-1], p[-1, k], "o", color=colour, markersize=3)
     low, high = np.nanmin(one.position[:, k]), np.nanmax(one.position[:, k])
@@ -322,7 +326,7 @@ def _mark_neutral(axis: Axes, neutral: float, unit: str) -> None:
     right = neutral > high
     text = f"model as it was: {neutral:.3g} {unit}".rstrip()
     x, text, side = (0.99, f"{text} →", "right") if right else (0.01, f"← {text}", "left")
-    style = {"ha": side, "va": "bottom", "fontsize": 7.5, "color": MUTED}
+    style: dict[str, Any] = {"ha": side, "va": "bottom", "fontsize": 7.5, "color": MUTED}
     axis.text(x, 1.02, text, transform=axis.transAxes, **style)
     axis.set_xlim(low, high)
 
@@ -334,7 +338,7 @@ def name_rows(axis: Axes, names: Sequence[str], size: float = 9.0) -> None:
     axis.tick_params(axis="y", length=0)
 
 
-def remainder(left: Remainder) -> Figure | None:
+def residual(left: ResidualAnalysis) -> Figure | None:
     """What repeats without being explained, over the input that it goes with most."""
     drawn = [d for d in left.depends_on if len(d.x)][:4]
     if not drawn:

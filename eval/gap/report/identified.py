@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 
 from inclined_landing.eval.base.style import MUTED, panel
 from inclined_landing.eval.base.tables import new_table
-from inclined_landing.eval.gap.answer.identify import PAPER, ROUGH, UNSEEN, Identification, Identified
+from inclined_landing.eval.gap.answer.identify import PAPER, ROUGH, UNIDENTIFIABLE, Identification, Identified
 from inclined_landing.eval.gap.report import figures, words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, WIDTH, name_rows
 from inclined_landing.eval.gap.report.model import VEHICLE, unrest_fields
 from inclined_landing.eval.gap.report.page import render
 from inclined_landing.eval.gap.report.terminal import say
-from inclined_landing.eval.gap.search.reference import beside
+from inclined_landing.eval.gap.search.reference import posterior_path
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 
@@ -33,12 +33,12 @@ def headline(found: Identification) -> str:
 def sentences(found: Identification) -> list[str]:
     """What the headline leaves out."""
     before = ", ".join(f"{channel} {_percent(fit['before'])}" for channel, fit in found.fit.items())
-    said = [
+    lines = [
         f"The model as it was: {before}. The paper reports {PAPER['fit']:g} % for the attitude. Fit is "
         "100 % minus the error as a share of the signal's own variation; x, y and z: velocity changes over "
         "1 s, angles: open loop.",
     ]
-    return said
+    return lines
 
 
 IDENTIFIABLE = ("effect", "standard error", "confounded with", "excited by")
@@ -63,7 +63,7 @@ def identifiability(found: Identification) -> Figure:
     figure = Figure(figsize=(WIDTH, 0.22 * n + 0.7))
     axis = panel(figure, 2.0, 0.5, WIDTH - 2.3, 0.22 * n)
     for k, one in enumerate(found.identifiable):
-        colour = AFTER if one.share <= ROUGH else BEFORE if one.share > UNSEEN else "#c9b458"
+        colour = AFTER if one.share <= ROUGH else BEFORE if one.share > UNIDENTIFIABLE else "#c9b458"
         axis.barh(k, min(one.share, 1.0), color=colour, height=0.62)
     axis.axvline(ROUGH, color=MUTED, linewidth=0.8, linestyle=(0, (2, 2)))
     axis.set_xlim(0.0, 1.0)
@@ -92,13 +92,13 @@ def page(
         identifiable=identifiable_rows(found),
         identifiable_heads=IDENTIFIABLE,
         identifiability=figures.svg(identifiability(found)),
-        contradictions=found.contradictions,
+        inconsistent_flights=found.inconsistent_flights,
         percent=_percent,
         paper=PAPER["fit"],
         colours=(BEFORE, AFTER),
         heads=_HEADS,
         rows=rows(found),
-        quiet=words.quiet_rows(found.unrest),
+        noise_rows=words.noise_rows(found.unrest),
         words=words,
         vehicle=VEHICLE,
         flights=found.flights,
@@ -116,7 +116,7 @@ def rows(found: Identification) -> list[tuple[str, ...]]:
             p.name + (f" ({p.note})" if p.note else ""),
             words.exact(p.before, p.unit),
             words.rounded(p.value, p.ci95, p.unit),
-            words.span(p.ci95, p.unit),
+            words.interval(p.ci95, p.unit),
             words.exact(float(f"{p.spread:.2g}"), p.unit) if math.isfinite(p.spread) else "",
             words.exact(PAPER[p.field], p.unit) if p.field in PAPER else "",
         )
@@ -129,7 +129,7 @@ def show(found: Identification, notes: Sequence[str] = ()) -> None:
     constants = new_table(None, *_HEADS)
     for row in rows(found):
         constants.add_row(*row)
-    say(headline(found), sentences(found), constants, (*found.notes, *notes), found.contradictions)
+    say(headline(found), sentences(found), constants, (*found.notes, *notes), found.inconsistent_flights)
 
 
 def write(found: Identification, folder: Path, *, base: Path | None = None) -> None:
@@ -139,21 +139,25 @@ def write(found: Identification, folder: Path, *, base: Path | None = None) -> N
         by_field.setdefault(p.field, []).append(p)
     sources = {
         field: f"identified by landing-eval identify from {len(found.flights)} flights"
-        + "".join(f"; {p.name} {words.span(p.ci95, p.unit)}, 95 % interval" for p in by_field.get(field, []))
+        + "".join(
+            f"; {p.name} {words.interval(p.ci95, p.unit)}, 95 % interval" for p in by_field.get(field, [])
+        )
         for field in found.fields
     }
     disturbance, widths = unrest_fields(found.unrest)
-    said = f"estimated by landing-eval identify from {len(found.flights)} flights"
+    lines = f"estimated by landing-eval identify from {len(found.flights)} flights"
     write_vehicle(
         folder / VEHICLE,
         dataclasses.replace(found.vehicle, **disturbance),
-        sources | dict.fromkeys(disturbance, said),
+        sources | dict.fromkeys(disturbance, lines),
         found.fields | widths,
         base=base,
         heading="Identified by landing-eval identify.\nEvery command takes it with --vehicle.",
     )
 
-    storage.write_json(beside(folder / VEHICLE), found.reference.to_json(load_vehicle(folder / VEHICLE)))
+    storage.write_json(
+        posterior_path(folder / VEHICLE), found.reference.to_json(load_vehicle(folder / VEHICLE))
+    )
 
 
 def _percent(fit: float) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import Vehicle, write_vehicle
 
 VEHICLE, MJCF = "vehicle.toml", "landing.xml"
+Uncertainty = float | tuple[float, ...] | str  # half-width of a 95 % interval, of each number, or "not known"
 
 
 def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = None) -> None:
@@ -25,8 +27,8 @@ def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = N
 
     sources, uncertainties = provenance(d, vehicle)
     disturbance, widths = unrest_fields(d.unrest)
-    said = f"estimated by landing-eval gap from {len(d.flights)} flight{'s' * (len(d.flights) != 1)}"
-    sources |= dict.fromkeys(disturbance, said)
+    estimated = f"estimated by landing-eval gap from {len(d.flights)} flight{'s' * (len(d.flights) != 1)}"
+    sources |= dict.fromkeys(disturbance, estimated)
     uncertainties |= widths
     names = ", ".join(effect.name for effect in d.effects) or "no effect"
     write_vehicle(
@@ -42,37 +44,35 @@ def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = N
     storage.write_text(folder / MJCF, spec.to_xml())
 
 
-def provenance(
-    d: Diagnosis, vehicle: Vehicle
-) -> tuple[dict[str, str], dict[str, float | tuple[float, ...] | str]]:
+def provenance(d: Diagnosis, vehicle: Vehicle) -> tuple[dict[str, str], dict[str, Uncertainty]]:
     """Source and half-width of the 95 % interval of every vehicle field that the effects change."""
     sources: dict[str, str] = {}
     squares: dict[str, np.ndarray] = {}
     for effect in d.effects:
-        for field, squared in _spread(effect, vehicle).items():
+        for field, squared in _squared_half_widths(effect, vehicle).items():
             sources[field] = f"{sources[field]}; " if field in sources else "identified by landing-eval gap: "
             sources[field] += _source(effect)
             squares[field] = squares.get(field, 0.0) + squared
     return sources, {field: _half_width(squared) for field, squared in squares.items()}
 
 
-def unrest_fields(unrest: Mapping[str, Disturbance]) -> tuple[dict[str, tuple], dict[str, tuple]]:
+def unrest_fields(unrest: Mapping[str, Disturbance]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Fields of the vehicle's table of disturbance, and the half-widths of their 95 % intervals.
 
     A channel without disturbance, or not logged, is still.
     """
-    fields: dict[str, tuple] = {}
-    widths: dict[str, tuple] = {}
+    fields: dict[str, Any] = {}
+    widths: dict[str, Any] = {}
     for name, channels in (("acceleration", "x y z"), ("angular", "roll pitch yaw")):
-        stirred = [unrest[c] if c in unrest and unrest[c].size else None for c in channels.split()]
+        channels_ = [unrest[c] if c in unrest and unrest[c].size else None for c in channels.split()]
         for field, of in ((f"unrest_{name}", "size"), (f"unrest_{name}_time", "time")):
-            ends = [getattr(d, f"{of}_ci95") if d else (0.0, 0.0) for d in stirred]
-            fields[field] = tuple(_short(getattr(d, of)) if d else 0.0 for d in stirred)
-            widths[field] = tuple(_short(round(0.5 * (high - low), 9)) for low, high in ends)
+            ends = [getattr(d, f"{of}_ci95") if d else (0.0, 0.0) for d in channels_]
+            fields[field] = tuple(_three_digits(getattr(d, of)) if d else 0.0 for d in channels_)
+            widths[field] = tuple(_three_digits(round(0.5 * (high - low), 9)) for low, high in ends)
     return fields, widths
 
 
-def _short(value: float) -> float:
+def _three_digits(value: float) -> float:
     return float(f"{value:.3g}")
 
 
@@ -84,7 +84,7 @@ def _source(effect: NamedEffect) -> str:
     )
 
 
-def _spread(effect: NamedEffect, vehicle: Vehicle) -> dict[str, np.ndarray]:
+def _squared_half_widths(effect: NamedEffect, vehicle: Vehicle) -> dict[str, np.ndarray]:
     """Squared half-width of every field that the effect changes, from the ends of its intervals."""
 
     def fields(values) -> dict[str, np.ndarray]:
@@ -103,8 +103,8 @@ def _spread(effect: NamedEffect, vehicle: Vehicle) -> dict[str, np.ndarray]:
     return result
 
 
-def _half_width(squared: np.ndarray) -> float | tuple[float, ...] | str:
+def _half_width(squared: np.ndarray) -> Uncertainty:
     if not np.all(np.isfinite(squared)):
         return "not known"
-    rounded = [_short(x) for x in np.sqrt(np.atleast_1d(squared))]
+    rounded = [_three_digits(x) for x in np.sqrt(np.atleast_1d(squared))]
     return tuple(rounded) if squared.ndim else rounded[0]

@@ -25,13 +25,13 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
             "horizon": figures.horizon(d.horizon, d.gap) if d.horizon else None,
             "track": figures.track(track) if track else None,
             "windows": figures.window_curves(d.windows),
-            "remainder": figures.remainder(d.remainder),
+            "residual": figures.residual(d.residual),
         }
     rows = []
     for effect in d.effects:
         for k, (name, p) in enumerate(effect.parameters.items()):
             value = words.rounded(p.value, p.ci95, p.unit)
-            row = (name, value, words.span(p.ci95, p.unit), words.exact(p.neutral, p.unit))
+            row = (name, value, words.interval(p.ci95, p.unit), words.exact(p.neutral, p.unit))
             first, last = ("", "") if k else (words.label(effect.name), LIBRARY[effect.name].formula)
             rows.append((first, *row, last))
     return render(
@@ -40,12 +40,12 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
         title=words.headline(d),
         lead=[words.gap("analytic", d.gap["analytic"])] if "analytic" in d.gap else [],
         d=d,
-        contradictions=d.contradictions,
+        inconsistent_flights=d.inconsistent_flights,
         words=words,
         rows=rows,
         answer=words.answer_rows(d),
         sets=words.set_rows(d),
-        quiet=words.quiet_rows(d.unrest),
+        noise_rows=words.noise_rows(d.unrest),
         figures={name: figure and figures.svg(figure) for name, figure in drawn.items()},
         colours=(figures.BEFORE, figures.AFTER),
         every=EVERY,
@@ -61,6 +61,6 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
 
 def render(template: str, *, notes: Sequence[str], **content) -> str:
     """A template of this room filled in; notes: sentences, said once each."""
-    said = [words.plain(note) for note in dict.fromkeys(notes)]
-    text = base_page.render(__package__, template, notes=said, **content)
+    lines = [words.plain(note) for note in dict.fromkeys(notes)]
+    text = base_page.render(__package__, template, notes=lines, **content)
     return text.replace(" %", "\u00a0%")  # no line ends between a number and its percent

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -13,13 +14,14 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.eval.base.options import FlightSource
 from inclined_landing.eval.gap.flights.reading import check_apart, read_flights
+from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import storage
 
 _COLUMNS = (TextColumn("{task.description:22}"), BarColumn(), TimeElapsedColumn())
 
 
 @contextlib.contextmanager
-def flown(source: FlightSource, parts: int, more: Sequence[str] = ()) -> Iterator[tuple]:
+def read_run(source: FlightSource, parts: int, reference_files: Sequence[str] = ()) -> Iterator[tuple]:
     """Flights to fit, flights left out, sentences on them, what names the next of some parts, more flights.
 
     more: files of flights of another state of the vehicle.
@@ -27,18 +29,19 @@ def flown(source: FlightSource, parts: int, more: Sequence[str] = ()) -> Iterato
     """
     console = Console(stderr=True)
     with Progress(*_COLUMNS, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=len(source.files) + len(source.heldout) + len(more) + parts)
+        task = bar.add_task("", total=len(source.files) + len(source.heldout) + len(reference_files) + parts)
 
         def tick(what: str) -> None:
             bar.update(task, description=what, advance=1)
 
-        options = {"mapping": source.mapping, "units": source.unit, "tick": tick}
-        plain, first = [], ()
-        if more:
-            plain, _, first = read_flights(more, **options)
-            check_apart(source.files, source.heldout, more)
-        logs, kept, notes = read_flights(source.files, source.heldout, **options)
-        yield logs, kept, (*first, *notes), tick, plain
+        read = functools.partial(read_flights, mapping=source.mapping, units=source.unit, tick=tick)
+        reference_logs: list[FlightLog] = []
+        reference_notes: tuple[str, ...] = ()
+        if reference_files:
+            reference_logs, _, reference_notes = read(reference_files)
+            check_apart(source.files, source.heldout, reference_files)
+        logs, heldout, notes = read(source.files, source.heldout)
+        yield logs, heldout, (*reference_notes, *notes), tick, reference_logs
 
 
 def write(
@@ -47,5 +50,5 @@ def write(
     """report.html and report.json; run.json: the command, its options, what it took, the versions."""
     storage.write_text(folder / "report.html", page)
     storage.write_json(folder / "report.json", answer)
-    taken = {"seconds": round(time.monotonic() - began, 1), "versions": versions}
-    storage.write_json(folder / "run.json", {"command": command, **dataclasses.asdict(source), **taken})
+    statistics = {"seconds": round(time.monotonic() - began, 1), "versions": versions}
+    storage.write_json(folder / "run.json", {"command": command, **dataclasses.asdict(source), **statistics})

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from inclined_landing.eval.base.tables import new_table, printer
 from inclined_landing.eval.gap.report import words
-from inclined_landing.eval.gap.result import Contradiction, Diagnosis
+from inclined_landing.eval.gap.result import Diagnosis, InconsistentFlights
 
 
 def show(d: Diagnosis, notes: Sequence[str] = ()) -> None:
@@ -18,13 +18,13 @@ def show(d: Diagnosis, notes: Sequence[str] = ()) -> None:
         ends = (words.label(effect.name), words.probability(effect.probability), words.share(effect.gain))
         for name, p in effect.parameters.items():
             value = words.rounded(p.value, p.ci95, p.unit)
-            rows.add_row(ends[0], name, value, words.span(p.ci95, p.unit), *ends[1:])
+            rows.add_row(ends[0], name, value, words.interval(p.ci95, p.unit), *ends[1:])
             ends = ("", "", "")
-    answer = new_table(None, *words.ANSWER, left=4)
+    answer = new_table(None, *words.ANSWER_HEADS, left=4)
     for row in words.answer_rows(d):
         answer.add_row(*row)
-    said = words.sentences(d)
-    say(words.headline(d), said, rows, (*d.notes, *notes), d.contradictions, answer)
+    lines = words.sentences(d)
+    say(words.headline(d), lines, rows, (*d.notes, *notes), d.inconsistent_flights, answer)
 
 
 def say(
@@ -32,13 +32,13 @@ def say(
     sentences: Sequence[str],
     rows: Table,
     notes: Sequence[str],
-    contradictions: Sequence[Contradiction],
+    inconsistent_flights: Sequence[InconsistentFlights],
     answer: Table | None = None,
 ) -> None:
     """Print an answer, flights that contradict the others first; notes are said once each."""
     console = printer()
-    for one in contradictions:
-        who, *more = words.against(one)
+    for one in inconsistent_flights:
+        who, *more = words.inconsistency(one)
         console.print(who, style="bold")
         for text in more:
             console.print(text)

@@ -48,7 +48,7 @@ def of(
     """
     flight = prepare(log, before, platform=platform)
     try:
-        starts = rollout.Starts.of([flight], every=EVERY)
+        starts = rollout.RolloutWindows.of([flight], every=EVERY)
     except UserError:
         return None
     poses = [rollout.simulate(starts, vehicle)[..., :3] for vehicle in (before, after)]
@@ -65,7 +65,7 @@ def of(
     )
 
 
-def most_telling(logs: Sequence[FlightLog]) -> FlightLog:
+def most_varied_flight(logs: Sequence[FlightLog]) -> FlightLog:
     """The flight with the largest range of heights, of those that come near the floor if any does."""
 
     def key(log: FlightLog) -> tuple[bool, float]:

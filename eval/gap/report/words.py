@@ -7,12 +7,12 @@ import re
 from collections.abc import Mapping, Sequence
 
 from inclined_landing.eval.gap.result import (
-    Contradiction,
     Dependence,
     Diagnosis,
     Difference,
     Disturbance,
     Estimate,
+    InconsistentFlights,
     NamedEffect,
     PlantGap,
     ScoredSet,
@@ -35,7 +35,7 @@ SHOWN = {
     "s2/m2": (1.0, "s²/m²"),
 }
 # Named effects that close less than this share are left to the cards.
-TO_THE_HEADLINE = 0.01
+HEADLINE_GAIN = 0.01
 SETS = 7  # rows of sets of effects
 NAMED = 3  # names of a class that a headline lists
 PLANTS = {"analytic": "the equations", "mujoco": "MuJoCo"}
@@ -81,7 +81,7 @@ def exact(value: float, unit: str) -> str:
     return f"{value:.0f} {name}".rstrip() if abs(value) >= 1e4 else f"{value:.4g} {name}".rstrip()
 
 
-def span(ends: Sequence[float], unit: str) -> str:
+def interval(ends: Sequence[float], unit: str) -> str:
     """An interval with as many digits as its width can bear, `0.876 to 0.884`."""
     factor, name = shown(unit)
     low, high = (factor * x for x in ends)
@@ -90,7 +90,7 @@ def span(ends: Sequence[float], unit: str) -> str:
     if low == high:
         return quantity(ends[0], unit)
     places = _places(max(high - low, 1e-3 * abs(high)))
-    return f"{_written(low, places)} to {_written(high, places)} {name}".rstrip()
+    return f"{_fixed_point(low, places)} to {_fixed_point(high, places)} {name}".rstrip()
 
 
 def rounded(value: float, ends: Sequence[float], unit: str) -> str:
@@ -100,7 +100,7 @@ def rounded(value: float, ends: Sequence[float], unit: str) -> str:
     if not math.isfinite(width):
         return quantity(value, unit)
     places = _places(max(width, 1e-2 * abs(factor * value)))
-    return f"{_written(factor * value, places + 1)} {name}".rstrip()
+    return f"{_fixed_point(factor * value, places + 1)} {name}".rstrip()
 
 
 def _places(width: float) -> int:
@@ -108,28 +108,28 @@ def _places(width: float) -> int:
     return min(6, 1 - math.floor(math.log10(abs(width)))) if width else 3
 
 
-def _written(value: float, places: int) -> str:
+def _fixed_point(value: float, places: int) -> str:
     return f"{round(value, places):.{max(0, places)}f}"
 
 
-def says(effect: NamedEffect) -> str:
+def meaning(effect: NamedEffect) -> str:
     """What a named effect means with its values, as part of a sentence."""
-    values = {name: _sized(p) for name, p in effect.parameters.items()}
+    values = {name: _value_text(p) for name, p in effect.parameters.items()}
     return LIBRARY[effect.name].says.format(**values)
 
 
-def _sized(p: Estimate) -> str:
+def _value_text(p: Estimate) -> str:
     """A value with three digits, or as few as its interval can bear."""
     return min(quantity(p.value, p.unit), rounded(p.value, p.ci95, p.unit), key=len)
 
 
 def sentence(effect: NamedEffect) -> str:
     """The same as a sentence of its own."""
-    text = says(effect)
+    text = meaning(effect)
     return text[0].upper() + text[1:] + "."
 
 
-def tie(effect: NamedEffect) -> str:
+def confounding_sentence(effect: NamedEffect) -> str:
     """What may take a named effect's place, as a sentence; empty where nothing does."""
     others = [label(name) for name in effect.members if name != effect.name]
     if not others:
@@ -152,15 +152,15 @@ def probability(part: float) -> str:
     return "under 1 %" if part < 0.01 else f"{100 * part:.0f} %"
 
 
-def _some(names: Sequence[str]) -> list[str]:
+def _shortened(names: Sequence[str]) -> list[str]:
     """The first names, and how many more there are."""
     more = len(names) - NAMED
     return list(names) if more < 2 else [*names[:NAMED], f"{more} others"]
 
 
-def _lacking(effect: NamedEffect) -> str:
+def _headline_entry(effect: NamedEffect) -> str:
     """A named effect in the headline: `rotor drag (98 %)`, `mass or thrust scale (99 %: ...)`."""
-    names = listed(_some([label(name) for name in effect.members]), "or")
+    names = listed(_shortened([label(name) for name in effect.members]), "or")
     why = ": only their ratio shows" if len(effect.members) > 1 and _only_the_ratio(effect.members) else ""
     return f"{names} ({probability(effect.probability)}{why})"
 
@@ -168,14 +168,14 @@ def _lacking(effect: NamedEffect) -> str:
 def headline(d: Diagnosis) -> str:
     """The verdict in one sentence."""
     if d.verdict == "nothing":
-        said = f" ({probability(d.nothing)})" if d.sets else ""
-        if d.contradictions:
-            return f"Nothing is missing that all flights share{said}."
+        lines = f" ({probability(d.nothing)})" if d.sets else ""
+        if d.inconsistent_flights:
+            return f"Nothing is missing that all flights share{lines}."
         as_well = "the model explains these flights as well as noise and disturbances allow"
-        return f"Nothing is missing{said}: {as_well}."
-    large = [e for e in d.effects if e.gain >= TO_THE_HEADLINE] or list(d.effects)
-    sure = listed([_lacking(e) for e in large if e.sure])
-    rest = listed([_lacking(e) for e in large if not e.sure])
+        return f"Nothing is missing{lines}: {as_well}."
+    large = [e for e in d.effects if e.gain >= HEADLINE_GAIN] or list(d.effects)
+    sure = listed([_headline_entry(e) for e in large if e.sure])
+    rest = listed([_headline_entry(e) for e in large if not e.sure])
     count = len(d.effects) - len(large)
     smaller = f"{count} smaller effect{'s' * (count > 1)}" if count else ""
     if rest and not sure and d.verdict != "unknown":
@@ -188,19 +188,19 @@ def headline(d: Diagnosis) -> str:
     return f"The model lacks {listed(parts, 'and') if len(parts) < 3 else ', and '.join(parts)}."
 
 
-ANSWER = ("what is wrong", "how sure", "costs after 1 s", "what to do")
+ANSWER_HEADS = ("what is wrong", "how sure", "costs after 1 s", "what to do")
 
 
 def answer_rows(d: Diagnosis) -> list[tuple[str, str, str, str]]:
     """What is wrong, how sure that is, what it costs, what to do: the named effects, then what repeats."""
     rows = []
     for e in d.effects:
-        names = listed(_some([label(name) for name in e.members]), "or")
+        names = listed(_shortened([label(name) for name in e.members]), "or")
         cost = centimetres(e.cost) if math.isfinite(e.cost) else ""
         how = f"{'sure' if e.sure else 'possible'}, {probability(e.probability)}"
         rows.append((names, how, cost, plain(e.remedy)))
-    for one in d.remainder.depends_on:
-        if d.remainder.material(one):
+    for one in d.residual.depends_on:
+        if d.residual.material(one):
             low, high = one.displacement_ci95
             cost = f"{centimetres(one.displacement)} ({100 * low:.1f} to {100 * high:.1f})"
             rows.append(
@@ -214,7 +214,7 @@ def answer_rows(d: Diagnosis) -> list[tuple[str, str, str, str]]:
     return rows
 
 
-def possibly(d: Diagnosis) -> str:
+def possible_sentence(d: Diagnosis) -> str:
     """What was not named and may yet be, as a sentence; empty where nothing may."""
     if not d.possible:
         return ""
@@ -222,26 +222,26 @@ def possibly(d: Diagnosis) -> str:
     return f"Not named, but possible: {listed(names, 'or')}."
 
 
-def against(c: Contradiction) -> list[str]:
+def inconsistency(c: InconsistentFlights) -> list[str]:
     """Flights that contradict the others: who, in what, and what to do; a sentence or two each."""
     these, n = listed(c.flights), len(c.others)
     if len(c.flights) == n:
-        who = f"Two groups of flights contradict each other: {these}; and {listed(c.others)}."
+        subject = f"Two groups of flights contradict each other: {these}; and {listed(c.others)}."
         apart = "diagnose the two groups apart"
     else:
         verb, them = ("contradicts", "it") if len(c.flights) == 1 else ("contradict", "them")
-        who = f"{these} {verb} the other {n} flights."
+        subject = f"{these} {verb} the other {n} flights."
         apart = f"diagnose {these} apart, and the other {n} flights without {them}"
     return [
-        who,
-        *(_differs(c, one) for one in c.differences),
+        subject,
+        *(_difference_sentence(c, one) for one in c.differences),
         f"Another vehicle, or another day's calibration? What is said below mixes the two: {apart} "
         "(landing-eval gap with the logs of each). Where all flights agree, such a thing is said by chance "
         f"in {100 * c.false_alarms:g} % of diagnoses.",
     ]
 
 
-def _differs(c: Contradiction, one: Difference) -> str:
+def _difference_sentence(c: InconsistentFlights, one: Difference) -> str:
     effect = LIBRARY[one.effect]
     if len(c.flights) == len(c.others):
         there, model = "the first group", "the second"
@@ -256,13 +256,13 @@ def _differs(c: Contradiction, one: Difference) -> str:
         for name, x in one.values.items()
     }
     ends = [
-        f"{label(name) + ' ' if len(one.ci95) > 1 else ''}{span(x, effect.parameter(name).unit)}"
+        f"{label(name) + ' ' if len(one.ci95) > 1 else ''}{interval(x, effect.parameter(name).unit)}"
         for name, x in one.ci95.items()
     ]
-    said = f"Beside a model of {model}, in {there} {effect.says.format(**values)}"
-    said += f" (95 % interval{'s' * (len(ends) > 1)}: {', '.join(ends)})."
+    lines = f"Beside a model of {model}, in {there} {effect.says.format(**values)}"
+    lines += f" (95 % interval{'s' * (len(ends) > 1)}: {', '.join(ends)})."
     others = [label(name) for name in one.alike]
-    return f"{said} What differs may as well be {listed(others, 'or')}." if others else said
+    return f"{lines} What differs may as well be {listed(others, 'or')}." if others else lines
 
 
 def set_rows(d: Diagnosis) -> list[tuple[str, float, str, bool]]:
@@ -282,25 +282,25 @@ def _sizes(one: ScoredSet) -> str:
     parts = []
     for name, values in one.values.items():
         effect = LIBRARY[name]
-        said = [f"{label(p)} {quantity(x, effect.parameter(p).unit)}" for p, x in values.items()]
-        parts.append(", ".join(said))
+        lines = [f"{label(p)} {quantity(x, effect.parameter(p).unit)}" for p, x in values.items()]
+        parts.append(", ".join(lines))
     return "; ".join(parts)
 
 
-QUIET = ("channel", "noise", "disturbance", "95 % interval", "correlation time", "95 % interval")
+NOISE_HEADS = ("channel", "noise", "disturbance", "95 % interval", "correlation time", "95 % interval")
 
 
-def quiet_rows(unrest: Mapping[str, Disturbance]) -> list[tuple[str, ...]]:
+def noise_rows(unrest: Mapping[str, Disturbance]) -> list[tuple[str, ...]]:
     """Noise and disturbance of every channel under the heads QUIET."""
     rows: list[tuple[str, ...]] = []
     for channel, q in unrest.items():
         size, time = ("none", ""), ("", "")
         if q.size_ci95[1] > 0.0:
-            size = rounded(q.size, q.size_ci95, q.unit), span(q.size_ci95, q.unit)
+            size = rounded(q.size, q.size_ci95, q.unit), interval(q.size_ci95, q.unit)
             if not any(digit in size[0].split()[0] for digit in "123456789"):
                 size = "none", size[1]
         if q.size_ci95[0] > 0.0:  # where nothing is sure to be there, its time tells nothing
-            time = quantity(q.time, "s"), span(q.time_ci95, "s")
+            time = quantity(q.time, "s"), interval(q.time_ci95, "s")
         rows.append((channel, quantity(q.noise, "m" if channel in "xyz" else "rad"), *size, *time))
     return rows
 
@@ -310,10 +310,10 @@ def axis(d: Dependence) -> str:
     return {"forward": "along the heading", "left": "across the heading"}.get(d.channel, f"in {d.channel}")
 
 
-def repeats(d: Dependence) -> str:
+def dependence_sentence(d: Dependence) -> str:
     """One thing that repeats and that no effect explains, as a sentence."""
     cost = f"it moves the vehicle by {centimetres(d.displacement)} within a second"
-    most = max(d.regimes, key=d.regimes.get, default="")
+    most = max(d.regimes, key=d.regimes.__getitem__, default="")
     where = ""
     if most:
         where = f", most in {REGIMES.get(most, label(most))} ({quantity(d.regimes[most], d.unit)})"
@@ -352,32 +352,36 @@ def manoeuvre(d: Diagnosis) -> str:
 
 def sentences(d: Diagnosis) -> list[str]:
     """The first lines of the report, after the headline and its table."""
-    said = []
+    lines = []
     for effect in d.effects:
-        said += [s for s in (sentence(effect), tie(effect), plain(effect.note)) if s]
+        lines += [s for s in (sentence(effect), confounding_sentence(effect), plain(effect.note)) if s]
     if d.separating_manoeuvre:
-        said.append(f"To tell them apart: {manoeuvre(d)}")
-    said += [gap(plant, g) for plant, g in d.gap.items()]
-    return said + remains(d)
+        lines.append(f"To tell them apart: {manoeuvre(d)}")
+    lines += [gap(plant, g) for plant, g in d.gap.items()]
+    return lines + residual_sentences(d)
 
 
-def remains(d: Diagnosis) -> list[str]:
+def residual_sentences(d: Diagnosis) -> list[str]:
     """What is left after the effects, in sentences: what is possible, what repeats, large and small."""
-    left, said = d.remainder, [possibly(d)] if d.possible else []
-    said += [repeats(one) for one in left.depends_on if left.material(one)]
-    small = [one for one in left.depends_on if not left.material(one) and one.displacement > 0.0]
+    residual, lines = d.residual, [possible_sentence(d)] if d.possible else []
+    lines += [dependence_sentence(one) for one in residual.depends_on if residual.material(one)]
+    small = [one for one in residual.depends_on if not residual.material(one) and one.displacement > 0.0]
     if small:
         most = max(small, key=lambda one: one.displacement)
-        said.append(
+        lines.append(
             f"Below the line: {len(small)} small thing{'s repeat' if len(small) > 1 else ' repeats'} too, at "
             f"most {centimetres(most.displacement)} within a second ({axis(most)}, with {most.on})"
-            + (f", of the {centimetres(left.error)} that are left." if math.isfinite(left.error) else ".")
+            + (
+                f", of the {centimetres(residual.error)} that are left."
+                if math.isfinite(residual.error)
+                else "."
+            )
         )
-    if not (left.depends_on or d.contradictions):
-        said.append(
+    if not (residual.depends_on or d.inconsistent_flights):
+        lines.append(
             "What remains cannot be predicted from anything that was logged: it is noise and disturbances."
         )
-    return said
+    return lines
 
 
 def plain(text: str) -> str:

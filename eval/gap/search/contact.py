@@ -1,15 +1,13 @@
-"""Which set of contact effects explains the landings: friction, stiffness, damping, platform height and tilt.
+"""Posterior over sets of contact effects from landings: friction, stiffness, damping, the platform's pose.
 
-As for free flight, every set is a candidate, and the answer is a distribution over sets. An effect of the
-set has a normal prior as wide as what is plausible, of the logarithm where it is a factor; every other one
-may be off by what any two idealised contacts differ by. Touching is far from linear: what an effect does
-is scanned through the simulator over its range, and its part of the marginal likelihood is a sum over that
-scan. Everything else is small, or a second effect, and is integrated out linearly beside it.
+As for free flight, every set is a candidate with a spike-and-slab prior: a slab as wide as is plausible, of
+the logarithm where the parameter is a factor, and a spike as wide as two idealised contact models differ.
+Contact is far from linear, so that an effect's errors are simulated on a grid of its sizes and its part of
+the marginal likelihood is a sum over that grid; all others are marginalised by Laplace approximation.
 
-An axis of a landing that goes wrong stays wrong: its errors together have a t distribution. Neither are its
-samples independent, nor the axes of a landing: by how much the slopes of errors and effects agree in single
-landings, where chance alone would make it one, gives how much less a landing tells. Probabilities are means
-over landings drawn with replacement.
+The errors of one axis of a landing have a multivariate t distribution: outliers are whole axes. Samples of an
+axis and axes of a landing are correlated; a variance inflation from the scores of single landings allows for
+that. Probabilities are means over bootstrap samples of the landings (bagged posterior).
 """
 
 from __future__ import annotations
@@ -23,54 +21,55 @@ import numpy as np
 from scipy import stats
 from scipy.special import logsumexp
 
-from inclined_landing.eval.gap.flights.landings import BEFORE, Landing, ideal
-from inclined_landing.eval.gap.search.after_touch import TouchdownProblem
-from inclined_landing.eval.gap.search.posterior import SLAB, SPIKE, Set, flight_weights
-from inclined_landing.eval.gap.search.sets import CLEAR, LEAST, NOTHING, Scored
+from inclined_landing.eval.gap.flights.landings import BEFORE, Landing, contact_model_covariance
+from inclined_landing.eval.gap.search.evidence import FittedValues, Values
+from inclined_landing.eval.gap.search.posterior import SLAB, SPIKE, EffectSet, flight_weights
+from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, PRIOR_EMPTY, REFIT_ABOVE, SetProbability
+from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.parameters import Vehicle
 
-FEWEST = 6  # landings
-MOST = 2  # effects of a set
-IDEAL = 0.1  # standard deviation, in plausible sizes, of what two idealised contacts differ by
-SCAN = (0.2, 0.55, 1.1, 2.4)  # plausible sizes to either side that are simulated
-REFINED = 2  # times that the best place of a scan is simulated
-ANEW = 3  # sets of several that are scanned beside one another, at most
-FINE = np.linspace(-6.0, 6.0, 25)  # standard deviations about that place at which the likelihood is summed
-STEPS = 2  # of the parameters that are integrated out linearly
-HELD = 0.95  # of an interval
+LEAST_LANDINGS = 6
+MOST_EFFECTS = 2  # of a set
+MODEL_ERROR = 0.1  # standard deviation between two idealised contact models, in plausible sizes
+SCAN = (0.2, 0.55, 1.1, 2.4)  # sizes simulated on both sides of neutral, in plausible sizes
+REFINEMENTS = 2  # grid points added at the mode
+RESCANS = 3  # sets of two that are simulated jointly
+FINE_GRID = np.linspace(-6.0, 6.0, 25)  # posterior standard deviations about the mode, of the sum's terms
+NEWTON_STEPS = 2  # of the marginalised parameters
+CREDIBLE = 0.95  # probability of an interval
 FALSE_ALARM = 0.05
-MODES = 4  # ways in which an axis may err alike in all landings
+COMMON_MODES = 4  # eigenvectors of the contact model error that are tested for a common residual
 
 
 @dataclasses.dataclass
-class Sized:
-    """A parameter of a set, estimated from the landings."""
+class ContactEstimate:
+    """Posterior mode and credible interval of a parameter, and its estimates in single landings."""
 
     value: float
-    ends: tuple[float, float]  # of its interval
-    each: np.ndarray  # (n,) in every landing, drawn to the common value
-    error: np.ndarray  # (n,) standard errors of these
+    ends: tuple[float, float]  # of the interval
+    each: np.ndarray  # (n,) estimates in single landings, shrunk towards the common value
+    error: np.ndarray  # (n,) their standard errors
 
 
 @dataclasses.dataclass
-class Touched:
-    """The outcome of `name_contact`."""
+class ContactPosterior:
+    """Posterior over sets of contact effects, with estimates of the most probable set."""
 
-    sets: tuple[Scored, ...]  # most probable first
-    sizes: dict[str, Sized]  # of the most probable set
-    gains: dict[str, float]  # effect -> share of the squared error closed that comes back without it
-    unexplained: bool  # something repeats that no set explains, nor that contacts are idealised
-    p_value: float  # of what repeats most
+    sets: tuple[SetProbability, ...]  # most probable first
+    sizes: dict[str, ContactEstimate]  # of the most probable set
+    gains: dict[str, float]  # effect -> share of the decrease in deviance that is lost without it
+    unexplained: bool  # whether a common residual is significant
+    p_value: float  # of the most significant common residual
 
     @property
-    def names(self) -> Set:
+    def names(self) -> EffectSet:
         """Return the most probable set."""
         return self.sets[0].names
 
     @property
-    def values(self) -> dict[str, dict[str, float]]:
-        """Return its values."""
+    def values(self) -> FittedValues:
+        """Return the values of the most probable set."""
         return self.sets[0].values
 
     def probability(self, name: str) -> float:
@@ -78,21 +77,23 @@ class Touched:
         return sum(s.probability for s in self.sets if name in s.names)
 
 
-def name_contact(
+def contact_posterior(
     landings: Sequence[Landing], vehicle: Vehicle, library: Mapping[str, Effect]
-) -> tuple[TouchdownProblem, Touched]:
+) -> tuple[TouchdownProblem, ContactPosterior]:
     """Return the posterior over sets of contact effects; `vehicle` is corrected for free flight."""
     problem = TouchdownProblem(landings, vehicle, library)
-    engine = _Engine(problem)
+    engine = _ContactModel(problem)
     sets, chosen = engine.distribution()
     values = sets[0].values
-    p_value = repeated(problem.flights, engine.left(values), engine.inflation)
+    p_value = common_residual_p_value(problem.flights, engine.residual(values), engine.inflation)
     unexplained = p_value < FALSE_ALARM
-    return problem, Touched(sets, engine.sized(chosen), engine.gains(values), unexplained, p_value)
+    return problem, ContactPosterior(
+        sets, engine.estimates(chosen), engine.gains(values), unexplained, p_value
+    )
 
 
 @dataclasses.dataclass
-class _Scan:
+class _ErrorGrid:
     """White errors (m, n, 6, q) of the landings on a grid of sizes (m,) of one effect."""
 
     sizes: np.ndarray
@@ -104,21 +105,21 @@ class _Scan:
         share = ((sizes - self.sizes[k]) / (self.sizes[k + 1] - self.sizes[k]))[:, None, None, None]
         return (1.0 - share) * self.errors[k] + share * self.errors[k + 1]
 
-    def with_one(self, size: float, errors: np.ndarray) -> _Scan:
+    def with_one(self, size: float, errors: np.ndarray) -> _ErrorGrid:
         """Return the grid with the errors (n, 6, q) at one more size."""
         k = int(np.searchsorted(self.sizes, size))
-        return _Scan(np.insert(self.sizes, k, size), np.insert(self.errors, k, errors, axis=0))
+        return _ErrorGrid(np.insert(self.sizes, k, size), np.insert(self.errors, k, errors, axis=0))
 
 
 @dataclasses.dataclass
-class _Part:
-    """A set with one effect on a grid (log evidence along it), the others linearised."""
+class _Profile:
+    """Log evidence of a set along a grid of one effect's sizes, the others marginalised."""
 
-    names: Set
-    name: str  # the one scanned
+    names: EffectSet
+    name: str  # the effect on the grid
     sizes: np.ndarray  # (m,)
-    log: np.ndarray  # (d, m) of draws of the landings, all of them first, prior and spacing included
-    best: np.ndarray  # (P,) most probable sizes of all effects, from neutral
+    log: np.ndarray  # (d, m) of bootstrap samples (all landings first), prior and spacing included
+    best: np.ndarray  # (P,) posterior mode of all effects, from neutral
 
     @property
     def evidence(self) -> np.ndarray:
@@ -126,13 +127,13 @@ class _Part:
         return logsumexp(self.log, axis=1)
 
 
-def _likeliest(parts: Sequence[_Part]) -> _Part:
-    """Return the part of the highest evidence."""
-    return max(parts, key=lambda x: float(x.evidence[0]))
+def _most_probable(profiles: Sequence[_Profile]) -> _Profile:
+    """Return the profile of the highest evidence."""
+    return max(profiles, key=lambda x: float(x.evidence[0]))
 
 
-class _Engine:
-    """Grids of every effect (one parameter each) and the evidence of every set."""
+class _ContactModel:
+    """Simulated errors on a grid of every effect (one parameter each), and the evidence of every set."""
 
     def __init__(self, problem: TouchdownProblem):
         self.problem = problem
@@ -142,7 +143,7 @@ class _Engine:
         self.weights = np.vstack([np.ones(n), flight_weights(n)])
         self.slab = np.array([SLAB * abs(p.coordinate(p.plausible)) for p in self.parameters])
         spike = [SPIKE * abs(p.coordinate(p.neutral + p.negligible)) for p in self.parameters]
-        self.spike = np.hypot(IDEAL * self.slab, spike)
+        self.spike = np.hypot(MODEL_ERROR * self.slab, spike)
         self.neutral = problem.errors(problem.vehicle)
         self.scans = [self._scan(j, {}) for j in range(len(self.names))]
         self.slopes = np.stack([self._slopes(scan) for scan in self.scans], axis=-1)  # (n, 6, q, P)
@@ -155,20 +156,21 @@ class _Engine:
         """Return the errors (n, 6, q) with effects at `sizes`, by index."""
         return self.problem.errors(self.problem.corrected(self._values(sizes)))
 
-    def _values(self, sizes: Mapping[int, float]) -> dict[str, dict[str, float]]:
+    def _values(self, sizes: Mapping[int, float]) -> FittedValues:
+        """Return the parameter values of effects at `sizes`, by index, within bounds."""
         named = {self.names[j]: (self.parameters[j], size) for j, size in sizes.items()}
         return {n: {named[n][0].name: named[n][0].bounded(named[n][1])} for n in self.names if n in named}
 
-    def _scan(self, j: int, beside: Mapping[int, float]) -> _Scan:
+    def _scan(self, j: int, beside: Mapping[int, float]) -> _ErrorGrid:
+        """Return the errors simulated on the grid SCAN of effect j, others at the sizes `beside`."""
         p = self.parameters[j]
-        wanted = np.outer((-1.0, 1.0), SCAN).ravel() * self.slab[j]
-        sizes = sorted({p.coordinate(p.bounded(x)) for x in wanted} | {0.0})
-        if beside:
-            return _Scan(np.array(sizes), np.stack([self._errors({**beside, j: x}) for x in sizes]))
-        return _Scan(np.array(sizes), np.stack([self._errors({j: x}) if x else self.neutral for x in sizes]))
+        grid = np.outer((-1.0, 1.0), SCAN).ravel() * self.slab[j]
+        sizes = sorted({p.coordinate(p.bounded(x)) for x in grid} | {0.0})
+        errors = [self._errors({**beside, j: x}) if beside or x else self.neutral for x in sizes]
+        return _ErrorGrid(np.array(sizes), np.stack(errors))
 
-    def _slopes(self, scan: _Scan) -> np.ndarray:
-        """Return minus the slope (n, 6, q) of the errors about neutral."""
+    def _slopes(self, scan: _ErrorGrid) -> np.ndarray:
+        """Return the Jacobian (n, 6, q) of the simulated motion at neutral, by a central difference."""
         k = int(np.searchsorted(scan.sizes, 0.0))
         low, high = max(k - 1, 0), min(k + 1, len(scan.sizes) - 1)
         return -(scan.errors[high] - scan.errors[low]) / (scan.sizes[high] - scan.sizes[low])
@@ -177,18 +179,21 @@ class _Engine:
         """Return the prior standard deviations (P,): slabs for the set, spikes for the others."""
         return np.where(np.isin(np.arange(len(self.names)), list(named)), self.slab, self.spike)
 
-    def _beside(self, named: set[int], j: int, sizes: np.ndarray) -> np.ndarray:
-        """Return the same (m, P) with effect j at sizes (m,) and coupled effects free in proportion."""
+    def _coupled_widths(self, named: set[int], j: int, sizes: np.ndarray) -> np.ndarray:
+        """Return the prior standard deviations (m, P) with effect j at sizes (m,), coupled ones widened."""
+        # sigma_k^2 = spike_k^2 + (x_j / slab_j * slab_k)^2  for an effect k that MuJoCo couples with j
         width = np.tile(self._widths(named), (len(sizes), 1))
         for other in self.problem.library[self.names[j]].couples_with:
             if other in self.names and (k := self.names.index(other)) not in named:
                 width[:, k] = np.hypot(width[:, k], sizes / self.slab[j] * self.slab[k])
         return width
 
-    def _refined(self, j: int, scan: _Scan, width: np.ndarray, beside: Mapping[int, float]) -> _Scan:
-        """Return the grid refined at the most probable sizes."""
-        for _ in range(REFINED):
-            sizes = _between(scan.sizes, 4)
+    def _refined(
+        self, j: int, scan: _ErrorGrid, width: np.ndarray, beside: Mapping[int, float]
+    ) -> _ErrorGrid:
+        """Return the grid with a point added at the posterior mode, REFINEMENTS times."""
+        for _ in range(REFINEMENTS):
+            sizes = _subdivided(scan.sizes, 4)
             log = self._logs(j, scan.at(sizes), width, beside)[0][:, 0] - 0.5 * (sizes / width[j]) ** 2
             best = float(sizes[np.argmax(log)])
             if np.abs(scan.sizes - best).min() < 1e-3 * self.slab[j]:
@@ -196,12 +201,18 @@ class _Engine:
             scan = scan.with_one(best, self._errors({**beside, j: best}))
         return scan
 
-    def _logs(self, j, errors, width, beside) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the log evidence (m, d) of errors (m, n, 6, q), all effects but j marginalised.
+    def _logs(
+        self, j: int | None, errors: np.ndarray, width: np.ndarray, beside: Mapping[int, float]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the log evidence (m, d) of errors (m, n, 6, q), all effects but j marginalised (Laplace).
 
-        width (P,) or (m, P): of their priors; beside: sizes that the errors have already. Returns their most
-        probable sizes (m, P) too, and how well every landing knows all of them alone, (m, n, P).
+        width (P,) or (m, P): prior standard deviations; beside: sizes that the errors include already.
+        Returns the posterior mode (m, P) of all effects too, and their information (m, n, P) by landing.
         """
+        # Mode x by iteratively reweighted least squares (t weights w), Jacobian J, prior precision K:
+        #   x += (J'wJ + K)^-1 (J'w e - K x)
+        # and, with H = J'wJ + K and h the gradient at x,
+        #   log p = sum log t(e) - 1/2 x'K x + 1/2 h'H^-1 h - 1/2 log det H + 1/2 log det K
         count, every = len(self.names), np.eye(len(self.names))
         at = np.array([beside.get(k, 0.0) for k in range(count)])
         free = np.ones(count) if j is None else np.arange(count) != j
@@ -210,115 +221,120 @@ class _Engine:
         share = 1.0 / self.inflation
         slopes, m = self.slopes, np.zeros((len(errors), count))
         squares = np.einsum("icqp,icqs->icps", slopes, slopes, optimize=True)
-        for step in range(STEPS + 1):
-            left = errors - np.einsum("icqp,mp->micq", slopes, m, optimize=True) if step else errors
-            weight = _weights(left) * share
-            b = np.einsum("micq,icqp,mic->mip", left, slopes, weight, optimize=True)
+        for step in range(NEWTON_STEPS + 1):
+            residual = errors - np.einsum("icqp,mp->micq", slopes, m, optimize=True) if step else errors
+            weight = _weights(residual) * share
+            b = np.einsum("micq,icqp,mic->mip", residual, slopes, weight, optimize=True)
             a = np.einsum("icps,mic->mips", squares, weight, optimize=True)
-            if step < STEPS:
+            if step < NEWTON_STEPS:
                 h = b.sum(axis=1) - precision * (m + at)
                 m = m + np.linalg.solve(a.sum(axis=1) + prior, h[..., None])[..., 0]
-        each = (_log_t(left) * share).sum(axis=-1)
+        each = (_log_t(residual) * share).sum(axis=-1)
         total = np.einsum("di,mips->mdps", self.weights, a, optimize=True) + prior[:, None]
         h = np.einsum("di,mip->mdp", self.weights, b) - (precision * (m + at))[:, None]
         square = (h * np.linalg.solve(total, h[..., None])[..., 0]).sum(axis=-1)
-        unlikely = (precision * free * (m + at) ** 2).sum(axis=1)[:, None]
-        log = each @ self.weights.T - 0.5 * (unlikely - square)
+        prior_penalty = (precision * free * (m + at) ** 2).sum(axis=1)[:, None]
+        log = each @ self.weights.T - 0.5 * (prior_penalty - square)
         log -= 0.5 * (np.linalg.slogdet(total)[1] - np.log(precision).sum(axis=1)[:, None])
         return log, m + at, np.einsum("mipp->mip", a)
 
-    def part(self, names: Set, j: int, scan: _Scan, beside: Mapping[int, float]) -> _Part:
-        """Return a set with effect j on its grid."""
+    def profile(self, names: EffectSet, j: int, scan: _ErrorGrid, beside: Mapping[int, float]) -> _Profile:
+        """Return the log evidence of a set along a grid of effect j, refined about the mode."""
         named = {k for k, n in enumerate(self.names) if n in names}
-        width, sizes = self._widths(named), _between(scan.sizes, 2)
-        log, _, known = self._logs(j, scan.at(sizes), self._beside(named, j, sizes), beside)
+        width, sizes = self._widths(named), _subdivided(scan.sizes, 2)
+        log, _, known = self._logs(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
         k = int(np.argmax(log[:, 0] - 0.5 * (sizes / width[j]) ** 2))
-        near = 1.0 / math.sqrt(known[k, :, j].sum() + 1.0 / width[j] ** 2)
-        sizes = np.concatenate([sizes, sizes[k] + near * FINE])
+        spread = 1.0 / math.sqrt(known[k, :, j].sum() + 1.0 / width[j] ** 2)
+        sizes = np.concatenate([sizes, sizes[k] + spread * FINE_GRID])
         sizes = np.unique(np.clip(sizes, scan.sizes[0], scan.sizes[-1]))
-        log, best, _ = self._logs(j, scan.at(sizes), self._beside(named, j, sizes), beside)
+        log, best, _ = self._logs(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
+        # p(data | S) = sum_x p(data | x) N(x; 0, width^2) q(x) dx,  q the factor of the non-local prior
         prior = -0.5 * (sizes / width[j]) ** 2 - math.log(width[j] * math.sqrt(2.0 * math.pi))
         at = best.copy()
         at[:, j] = sizes
         own = [k for k, n in enumerate(self.names) if n in names]
-        log = log.T + prior + self._sizable(at[:, own], own) + np.log(np.gradient(sizes))
+        log = log.T + prior + self._nonlocal_log_prior(at[:, own], own) + np.log(np.gradient(sizes))
         k = int(np.argmax(log[0] - np.log(np.gradient(sizes))))
         best[k, j] = sizes[k]
-        return _Part(names, self.names[j], sizes, log, best[k])
+        return _Profile(names, self.names[j], sizes, log, best[k])
 
-    def _sizable(self, sizes: np.ndarray, own: Sequence[int]) -> np.ndarray:
-        """Return the log prior factor (m,) of sizes (m, k): a named effect exceeds its spike."""
+    def _nonlocal_log_prior(self, sizes: np.ndarray, own: Sequence[int]) -> np.ndarray:
+        """Return the log factor (m,) of a non-local prior (Johnson and Rossell 2010) at sizes (m, k)."""
+        # A named effect exceeds its spike:  q(x) = [1 - exp(-x^2 / 2 spike^2)] / Z,
+        # Z = 1 - spike / sqrt(spike^2 + slab^2), so that N(x; 0, slab^2) q(x) is normalised.
         spike, slab = self.spike[own], self.slab[own]
         factor = -np.expm1(-0.5 * (sizes / spike) ** 2) / (1.0 - spike / np.hypot(spike, slab))
         return np.log(np.maximum(factor, 1e-12)).sum(axis=1)
 
-    def parts(self, names: Set) -> list[_Part]:
-        """Return the parts of a set."""
+    def profiles(self, names: EffectSet) -> list[_Profile]:
+        """Return the profiles of a set along each of its effects (of up to one effect: along all)."""
         along = [j for j, n in enumerate(self.names) if len(names) < 2 or n in names]
-        return [self.part(names, j, self.scans[j], {}) for j in along]
+        return [self.profile(names, j, self.scans[j], {}) for j in along]
 
-    def anew(self, table: dict[Set, list[_Part]], names: Set) -> None:
-        """Recompute the grids of a set, each effect beside the others at their mode.
+    def rescan(self, table: dict[EffectSet, list[_Profile]], names: EffectSet) -> None:
+        """Simulate a set again, each effect's grid with the others at their mode; extend `table` by it.
 
-        Sets without the one that is scanned are seen along it as well: with none of its size, but what any
-        contact may be off by.
+        The sets without the effect on the grid get a profile along it as well, with its spike prior.
         """
-        best = _likeliest(table[names]).best
+        best = _most_probable(table[names]).best
         own = {k: float(best[k]) for k, n in enumerate(self.names) if n in names}
         table[names] = []
         for j in own:
             others = {k: size for k, size in own.items() if k != j}
             scan = self._refined(j, self._scan(j, others), self._widths(set(own)), others)
-            table[names].append(self.part(names, j, scan, others))
+            table[names].append(self.profile(names, j, scan, others))
             rest = names - {self.names[j]}
-            table[rest].append(self.part(rest, j, scan, others))
+            table[rest].append(self.profile(rest, j, scan, others))
 
-    def distribution(self) -> tuple[tuple[Scored, ...], list[_Part]]:
-        """Return the posterior over sets, and the parts of the best."""
-        share = 1.0 - NOTHING ** (1.0 / max(1, len(self.names)))
+    def distribution(self) -> tuple[tuple[SetProbability, ...], list[_Profile]]:
+        """Return the bagged posterior over sets, most probable first, and the profiles of the first."""
+        share = 1.0 - PRIOR_EMPTY ** (1.0 / max(1, len(self.names)))
         odds = math.log(share / (1.0 - share))
-        table: dict[Set, list[_Part]] = {}
-        for count in range(MOST + 1):
+        table: dict[EffectSet, list[_Profile]] = {}
+        for count in range(MOST_EFFECTS + 1):
             for names in itertools.combinations(self.names, count):
-                table[frozenset(names)] = self.parts(frozenset(names))
-        seen: set[Set] = set()
+                table[frozenset(names)] = self.profiles(frozenset(names))
+        seen: set[EffectSet] = set()
         while True:
-            logs = {names: _likeliest(parts).evidence + len(names) * odds for names, parts in table.items()}
+            logs = {
+                names: _most_probable(profiles).evidence + len(names) * odds
+                for names, profiles in table.items()
+            }
             every = np.stack(list(logs.values()))[:, 1:]
             probability = dict(zip(logs, np.exp(every - logsumexp(every, axis=0)).mean(axis=1)))
-            several = [n for n in logs if len(n) > 1 and n not in seen and probability[n] > CLEAR]
-            if not several or len(seen) == ANEW:
+            several = [n for n in logs if len(n) > 1 and n not in seen and probability[n] > REFIT_ABOVE]
+            if not several or len(seen) == RESCANS:
                 break
-            likeliest = max(several, key=probability.get)
-            self.anew(table, likeliest)
+            likeliest = max(several, key=probability.__getitem__)
+            self.rescan(table, likeliest)
             seen.add(likeliest)
         order = sorted(logs, key=lambda n: (-probability[n], sorted(n)))
-        kept = [n for k, n in enumerate(order) if not k or probability[n] >= LEAST]
+        kept = [n for k, n in enumerate(order) if not k or probability[n] >= LEAST_PROBABILITY]
         own = {n: [x for x in table[n] if x.name in n] for n in kept}
         values = {n: self._values(self._best(own[n])) for n in kept}
-        return tuple(Scored(n, float(probability[n]), values[n]) for n in kept), own[kept[0]]
+        return tuple(SetProbability(n, float(probability[n]), values[n]) for n in kept), own[kept[0]]
 
-    def _best(self, parts: Sequence[_Part]) -> dict[int, float]:
-        """Return the modes of a set by index."""
-        return {self.names.index(x.name): float(x.best[self.names.index(x.name)]) for x in parts}
+    def _best(self, profiles: Sequence[_Profile]) -> dict[int, float]:
+        """Return the posterior mode of a set, by index of the effect."""
+        return {self.names.index(x.name): float(x.best[self.names.index(x.name)]) for x in profiles}
 
-    def sized(self, parts: Sequence[_Part]) -> dict[str, Sized]:
-        """Return the estimates of a set, with intervals, and per landing."""
-        own, result = self._best(parts), {}
-        left = self._errors(own) if own else self.neutral
-        weight = _weights(left) / self.inflation
-        for part in parts:
-            j = self.names.index(part.name)
+    def estimates(self, profiles: Sequence[_Profile]) -> dict[str, ContactEstimate]:
+        """Return the estimates of a set with credible intervals, and those of single landings."""
+        own, result = self._best(profiles), {}
+        residual = self._errors(own) if own else self.neutral
+        weight = _weights(residual) / self.inflation
+        for profile in profiles:
+            j = self.names.index(profile.name)
             p, slopes = self.parameters[j], self.slopes[..., j]
-            density = np.exp(part.log[1:] - part.evidence[1:, None]).mean(axis=0)
+            density = np.exp(profile.log[1:] - profile.evidence[1:, None]).mean(axis=0)
             below = np.cumsum(density) - 0.5 * density
-            ends = np.interp([0.5 - 0.5 * HELD, 0.5 + 0.5 * HELD], below, part.sizes)
+            ends = np.interp([0.5 - 0.5 * CREDIBLE, 0.5 + 0.5 * CREDIBLE], below, profile.sizes)
             known = np.einsum("ic,icq,icq->i", weight, slopes, slopes) + self.spike[j] ** -2.0
-            each = own[j] + np.einsum("ic,icq,icq->i", weight, slopes, left) / known
+            each = own[j] + np.einsum("ic,icq,icq->i", weight, slopes, residual) / known
             value = p.bounded(own[j])
             error = [p.bounded(own[j] + x) - value for x in known**-0.5]
             low, high = (p.bounded(x) for x in ends)
-            result[part.name] = Sized(
+            result[profile.name] = ContactEstimate(
                 value,
                 (min(low, value), max(high, value)),
                 np.array([p.bounded(x) for x in each]),
@@ -326,70 +342,73 @@ class _Engine:
             )
         return result
 
-    def gains(self, values) -> dict[str, float]:
-        """Return effect -> share of the set's gain that is lost without it."""
+    def gains(self, values: Values) -> dict[str, float]:
+        """Return effect -> share of the set's decrease in deviance that is lost without it."""
 
-        def squares(some) -> float:
+        def deviance(some: Values) -> float:
             return -float(_log_t(self.problem.errors(self.problem.corrected(some))).sum())
 
         if not values:
             return {}
-        after = squares(values)
+        after = deviance(values)
         closed = max(-float(_log_t(self.neutral).sum()) - after, 1e-9)
         rest = {name: {n: v for n, v in values.items() if n != name} for name in values}
-        return {name: float(np.clip((squares(rest[name]) - after) / closed, 0.0, 1.0)) for name in values}
+        return {name: float(np.clip((deviance(rest[name]) - after) / closed, 0.0, 1.0)) for name in values}
 
-    def left(self, values) -> np.ndarray:
-        """Return the residual errors (n, 6, q), small errors of all effects removed."""
+    def residual(self, values: Values) -> np.ndarray:
+        """Return the residual (n, 6, q) at `values`, small (spike) errors of all effects removed."""
         errors = self.problem.errors(self.problem.corrected(values))[None]
         small = self._logs(None, errors, self._widths(set()), {})[1][0]
         return errors[0] - self.slopes @ small
 
 
-def _between(sizes: np.ndarray, parts: int) -> np.ndarray:
-    """Return sizes (m,) with every interval divided into `parts`."""
+def _subdivided(sizes: np.ndarray, parts: int) -> np.ndarray:
+    """Return a grid (m,) with every interval of `sizes` divided into `parts`."""
     inner = [np.linspace(a, b, parts, endpoint=False) for a, b in itertools.pairwise(sizes)]
     return np.append(np.concatenate(inner), sizes[-1])
 
 
 def _log_t(errors: np.ndarray) -> np.ndarray:
-    """Return the log-likelihood (..., 6) of errors (..., 6, q), multivariate t with q degrees of freedom."""
+    """Return the log-likelihood (..., 6) of errors (..., 6, q): multivariate Student t with nu = q."""
+    # log t_nu(e) = -(nu + q) / 2 log(1 + |e|^2 / nu),  nu = q
     return -errors.shape[-1] * np.log1p((errors**2).mean(axis=-1))
 
 
 def _weights(errors: np.ndarray) -> np.ndarray:
-    """Return the robust weights (..., 6) of the axes, of that t distribution, at errors (..., 6, q)."""
+    """Return the robust weights (..., 6) of the axes by that t distribution at errors (..., 6, q)."""
+    # w = (nu + q) / (nu + |e|^2),  nu = q
     return 2.0 / (1.0 + (errors**2).mean(axis=-1))
 
 
 def inflation(errors: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Return the variance inflation (6,) of correlated samples within a landing.
+    """Return the variance inflation (6,) by correlated samples of an axis and correlated axes of a landing.
 
-    errors (n, 6, q) near the best explanation, slopes (n, 6, q, P). First the samples of an axis: squares of
-    slope times error over what independent samples give, of the effect where they are largest. Then the same
-    of whole landings, whose axes go wrong together, mean over effects.
+    errors (n, 6, q) at the best point of all grids, slopes (n, 6, q, P): the Jacobian.
     """
+    # Empirical over model variance of the scores s = J'w e (as in a sandwich estimator): within an axis
+    # max_p sum_i s_ip^2 / sum_i (J'wJ)_ip; then likewise of whole landings, mean over the effects p.
     weight = _weights(errors)[..., None]
     score = weight * np.einsum("icq,icqp->icp", errors, slopes)
     known = weight * np.einsum("icqp,icqp->icp", slopes, slopes)
     ratio = (score**2).sum(axis=0) / np.maximum(known.sum(axis=0), 1e-12)
     own = np.maximum(1.0, ratio.max(axis=1))
-    whole = (score / own[:, None]).sum(axis=1)
-    ratio = (whole**2).sum(axis=0) / np.maximum((known / own[:, None]).sum(axis=(0, 1)), 1e-12)
+    landing = (score / own[:, None]).sum(axis=1)
+    ratio = (landing**2).sum(axis=0) / np.maximum((known / own[:, None]).sum(axis=(0, 1)), 1e-12)
     return own * max(1.0, float(ratio.mean()))
 
 
-def repeated(landings: Sequence[Landing], left: np.ndarray, inflated: np.ndarray) -> float:
-    """Return the p-value of the mean residual of landings on the same surface.
+def common_residual_p_value(landings: Sequence[Landing], residual: np.ndarray, inflated: np.ndarray) -> float:
+    """Return the p-value of a common residual of the landings on the same surface, Bonferroni over axes.
 
-    left (n, 6, q): errors beside a set; inflated (6,). On each surface an axis may err alike in all landings,
-    in MODES ways, each as much as the resting pose and the motion before it are expected to: squares of what
-    they have in common, in what chance makes of these, are chi-squared. The largest of all axes counts.
+    residual (n, 6, q) beside a set; inflated (6,): the variance inflation.
     """
-    weight, q, values = _weights(left) / inflated, left.shape[2], []
+    # Score test of a component common to all landings, in the COMMON_MODES largest eigenvectors V of the
+    # contact model error (scaled by their standard deviations), a = V'wV, h = V'w e:
+    #   h' (a + a a)^-1 h ~ chi^2(COMMON_MODES),  a + a^2 the variance of h by noise and by model error.
+    weight, q, values = _weights(residual) / inflated, residual.shape[2], []
     first = landings[0]
-    sizes, shapes = np.linalg.eigh(ideal(first.compared[:q] * first.dt - BEFORE))
-    ways = (shapes * np.sqrt(np.maximum(sizes, 0.0))[:, None])[:, :, -MODES:]  # (6, q, MODES)
+    sizes, shapes = np.linalg.eigh(contact_model_covariance(first.compared[:q] * first.dt - BEFORE))
+    ways = (shapes * np.sqrt(np.maximum(sizes, 0.0))[:, None])[:, :, -COMMON_MODES:]  # (6, q, MODES)
     on_platform = np.array([x.on_platform for x in landings])
     for own in (on_platform, ~on_platform):
         if own.sum() < 2:
@@ -397,7 +416,7 @@ def repeated(landings: Sequence[Landing], left: np.ndarray, inflated: np.ndarray
         whiten = np.stack([x.whiten[:, :q, :q] for x in landings])[own]
         slopes = whiten @ ways
         a = np.einsum("ic,icqp,icqs->cps", weight[own], slopes, slopes)
-        h = np.einsum("ic,icqp,icq->cp", weight[own], slopes, left[own])
+        h = np.einsum("ic,icqp,icq->cp", weight[own], slopes, residual[own])
         squares = (h * np.linalg.solve(a + a @ a, h[..., None])[..., 0]).sum(axis=1)
-        values.append(stats.chi2.sf(squares, MODES))
+        values.append(stats.chi2.sf(squares, COMMON_MODES))
     return float(min(1.0, np.min(values) * np.size(values)))

@@ -1,6 +1,7 @@
 """Whitened prediction errors of a vehicle over short windows, and their linearisation in all effects.
 
-Everything after a linearisation works on small Gram matrices per flight: a = J'J, b = J'e, c = e'e.
+With white errors e and the Jacobian J of the prediction, e(x + d) = e - J d; everything after a linearisation
+works on the Gram matrices of every flight (normal equations):  a = J'J,  b = J'e,  c = e'e.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from inclined_landing.eval.gap.flights.noise_model import NoiseModel
-from inclined_landing.eval.gap.flights.whitening import Shapes
-from inclined_landing.eval.gap.flights.windows import Measured
+from inclined_landing.eval.gap.flights.whitening import ErrorResponses
+from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.search import form
 from inclined_landing.eval.gap.search.prediction import YAW_CHANNEL, predict, same_translation, translated
 from inclined_landing.models.effects import Effect, Parameter
@@ -25,11 +26,11 @@ if TYPE_CHECKING:
     from inclined_landing.eval.gap.search.reference import Reference
 
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
+FittedValues = dict[str, dict[str, float]]  # the same, a copy to change
 
-# With fewer flights than this, flights are split into this many groups of windows in all.
-LEAST_GROUPS = 8
-BASE = ""  # in place of the name of an effect: the base model, of which only the form has errors
-_RIDGE = 1e-9
+LEAST_GROUPS = 8  # of windows: fewer flights are split into this many in all
+BASE = ""  # in place of the name of an effect: the base model, which has model (form) errors only
+_RIDGE = 1e-9  # on the unit diagonal of a scaled Gram matrix
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,23 +39,23 @@ class Column:
 
     effect: str
     parameter: str
-    fixed: tuple[tuple[str, float], ...] = ()  # other parameters of the effect, where they differ
-    form: str = ""  # of a model error of the effect (`search.form`): it has no parameter
+    fixed: tuple[tuple[str, float], ...] = ()  # other parameters of the effect at which it is taken
+    form: str = ""  # name of a model error of the effect (`search.form`), in place of a parameter
 
 
-class Suspects:
-    """A nominal vehicle and the candidate effects."""
+class Candidates:
+    """A nominal vehicle and the candidate effects of a library."""
 
     vehicle: Vehicle
     library: dict[str, Effect]
 
     @staticmethod
-    def of(vehicle: Vehicle, library: Mapping[str, Effect]) -> Suspects:
+    def of(vehicle: Vehicle, library: Mapping[str, Effect]) -> Candidates:
         """Return the effects of a library as candidates for a vehicle."""
-        suspects = Suspects()
-        suspects.vehicle = vehicle
-        suspects.library = {name: effect.beside(vehicle) for name, effect in library.items()}
-        return suspects
+        candidates = Candidates()
+        candidates.vehicle = vehicle
+        candidates.library = {name: effect.beside(vehicle) for name, effect in library.items()}
+        return candidates
 
     def corrected(self, values: Values) -> Vehicle:
         """Return the vehicle with effects at `values`, applied in the order of the library."""
@@ -67,11 +68,11 @@ class Suspects:
     def parameter(self, column: Column) -> Parameter:
         """Return the parameter of a column; of a model error, its weight."""
         if column.effect == BASE:
-            wide = form.BASE[column.form]
-            return Parameter(column.form, "1", 0.0, (-9.0, 9.0), wide, wide / OFF, manoeuvre=0.5 * wide)
+            sd = form.BASE[column.form]
+            return Parameter(column.form, "1", 0.0, (-9.0, 9.0), sd, sd / OFF, manoeuvre=0.5 * sd)
         if column.form:
-            wide = self.library[column.effect].form
-            return Parameter(column.form, "1", 0.0, (-9.0, 9.0), 0.0, wide / OFF, is_reference=True)
+            sd = self.library[column.effect].form
+            return Parameter(column.form, "1", 0.0, (-9.0, 9.0), 0.0, sd / OFF, is_reference=True)
         return self.library[column.effect].parameter(column.parameter)
 
     def neutral(self, name: str) -> dict[str, float]:
@@ -85,8 +86,9 @@ class Suspects:
     def columns(self, names: Iterable[str]) -> list[Column]:
         """Return the columns of the effects `names`.
 
-        A reference (the load about which a curve bends) has no slope while its effect is neutral. The effect
-        then has two columns, its first parameter with the reference at either end, whose span is linear.
+        A reference parameter (the load about which a curve bends) is not identifiable while its effect is
+        neutral. Such an effect has two columns, its first parameter with the reference at either end: it is
+        linear in these two.
         """
         result = []
         for name in names:
@@ -101,18 +103,17 @@ class Suspects:
                 result += [Column(name, p.name) for p in effect.parameters]
         return result
 
-    def to_one_side(self, values: Values, column: Column) -> tuple[Vehicle, float]:
-        """Return the vehicle of a one-sided difference along a column at `values`, and its step."""
+    def one_sided_difference(self, values: Values, column: Column) -> tuple[Vehicle, float]:
+        """Return the vehicle of a one-sided finite difference along a column at `values`, and the step."""
         p = self.parameter(column)
         step = p.step or p.negligible
-        if column.fixed:  # on top of what there is
-            beside = {p.name: p.value_at(step), **dict(column.fixed)}
-            return self.library[column.effect].apply(self.corrected(values), beside), step
+        if column.fixed:  # a second instance of the effect, added to the first
+            added = {p.name: p.value_at(step), **dict(column.fixed)}
+            return self.library[column.effect].apply(self.corrected(values), added), step
         at = {**self.library[column.effect].neutral, **values.get(column.effect, {})}
         here = p.coordinate(at[p.name])
         step = step if p.value_at(here + step) <= p.possible[1] else -step
-        beside = self.corrected({**values, column.effect: {**at, p.name: p.value_at(here + step)}})
-        return beside, step
+        return self.corrected({**values, column.effect: {**at, p.name: p.value_at(here + step)}}), step
 
     def coordinates(self, values: Values, columns: Sequence[Column]) -> np.ndarray:
         """Return the coordinates (P,) of values along columns; of effects' model errors 0."""
@@ -124,30 +125,33 @@ class Suspects:
             elif at and not column.form:
                 p, effect = self.parameter(column), self.library[column.effect]
                 result[k] = p.coordinate(at.get(p.name, p.neutral))
-                if column.fixed:
-                    ends = effect.at_ends(result[k], at.get(effect.reference.name, effect.reference.neutral))
-                    result[k] = ends[column.fixed[0][1] == effect.reference.either_side()[1]]
+                if column.fixed and (about := effect.reference) is not None:
+                    ends = effect.at_ends(result[k], at.get(about.name, about.neutral))
+                    result[k] = ends[column.fixed[0][1] == about.either_side()[1]]
         return result
 
-    def values_at(self, names: Iterable[str], columns: Sequence[Column], at: np.ndarray) -> Values:
+    def values_at(self, names: Iterable[str], columns: Sequence[Column], at: np.ndarray) -> FittedValues:
         """Return the values of the effects `names` at coordinates (P,), clipped to their bounds."""
         result = {}
         for name, effect in self.library.items():
             if name not in names:
                 continue
-            own = [k for k, c in enumerate(columns) if c.effect == name and not c.form]
-            found = {columns[k].parameter: self.parameter(columns[k]).value_at(at[k]) for k in own}
+            indices = [k for k, c in enumerate(columns) if c.effect == name and not c.form]
+            found = {columns[k].parameter: self.parameter(columns[k]).value_at(at[k]) for k in indices}
             if effect.reference:
                 first = effect.parameters[0]
-                size, about = effect.from_ends(*at[own])
+                size, about = effect.from_ends(*at[indices])
                 found = {first.name: first.neutral + size, effect.reference.name: about}
             result[name] = {
                 p.name: float(np.clip(found.get(p.name, p.neutral), *p.possible)) for p in effect.parameters
             }
         return result
 
-    def to_either_side(self, values: Values, column: Column, times: float) -> tuple[list[Vehicle], float]:
-        """Return the two vehicles of a central difference over some negligible sizes, and their distance."""
+    def central_difference(self, values: Values, column: Column, times: float) -> tuple[list[Vehicle], float]:
+        """Return the two vehicles of a central difference along a column, and their distance.
+
+        times: half the distance in negligible sizes, where the bounds allow it.
+        """
         p = self.parameter(column)
         at = {**self.library[column.effect].neutral, **values.get(column.effect, {}), **dict(column.fixed)}
         low = max(p.bounds[0], at[p.name] - times * p.negligible)
@@ -156,20 +160,20 @@ class Suspects:
         return ends, high - low
 
 
-class Problem(Suspects):
-    """Flights cut into windows, with candidate effects and a noise model: a regression problem."""
+class Problem(Candidates):
+    """Flights cut into windows, candidate effects and a noise model: a nonlinear regression problem."""
 
     def __init__(
         self,
-        flights: Sequence[Measured],
+        flights: Sequence[MeasuredFlight],
         vehicle: Vehicle,
         library: Mapping[str, Effect],
         reference: Reference | None = None,
     ):
         self.flights = list(flights)
         self.vehicle = vehicle
-        self.reference = reference  # what is known of the vehicle; None: it is exact
-        self.free = False  # whether a reference is being made: the formulas may be as wrong as they can
+        self.reference = reference  # posterior of the vehicle's identification; None: its constants are exact
+        self.wide_model_errors = False  # whether model errors have their full prior width without a reference
         ignored = {"touchdown"} if any(f.has_yaw for f in flights) else {"touchdown", "yaw"}
         self.library = {
             name: effect.beside(vehicle)
@@ -180,85 +184,89 @@ class Problem(Suspects):
         self.flight_of = np.concatenate([np.full(len(f.starts), k) for k, f in enumerate(self.flights)])
         self.group_of = _groups(self.flights)
         self.groups = int(self.group_of.max()) + 1
-        self.rows = np.array([f.rows - 2 for f in self.flights])[self.flight_of]  # white numbers each
-        # Weights (w, 6): channels that were not logged have none.
+        self.rows = np.array([f.rows - 2 for f in self.flights])[self.flight_of]  # white numbers of a channel
+        # Weights (w, 6), zero for channels that were not logged.
         self.logged = np.ones((len(self.flight_of), 6))
         self.logged[~np.array([f.has_yaw for f in self.flights])[self.flight_of], YAW_CHANNEL] = 0.0
         self.weight = self.logged.copy()
-        # Of (effect, parameter): between-flight deviation, number of confounded columns, exciting flights.
+        # By (effect, parameter): between-flight standard deviation, number of collinear columns, number of
+        # flights that excite it.
         self.between: dict[tuple[str, str], float] = {}
         self.confounded: dict[tuple[str, str], float] = {}
         self.excitation: dict[tuple[str, str], float] = {}
-        # Whether flights of the vehicle have shown by how much the formulas are off.
+        # Whether the vehicle's model errors were identified from flights.
         self.identified = reference is not None and reference.from_flights
-        self._formed: list[np.ndarray] | None = None
+        self._form_jacobians: list[np.ndarray] | None = None
         self._pool = ThreadPoolExecutor(2)
 
     def rewhiten(self, noise_model: NoiseModel, vehicle: Vehicle) -> None:
         """Whiten with the estimated noise and disturbance; the attitude loops are those of `vehicle`."""
         for flight in self.flights:
-            flight.rewhiten(Shapes.of(flight.rows, flight.dt, vehicle), noise_model)
+            flight.rewhiten(ErrorResponses.of(flight.rows, flight.dt, vehicle), noise_model)
 
-    def known(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
+    def vehicle_prior(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
         """Return the prior of the vehicle's errors theta along `columns`: mean (P,), covariance (P, P).
 
-        Without a reference only the base model's formulas have errors, small ones unless the vehicle is being
-        identified (`free`).
+        Without a reference only the base model has (form) errors, small ones unless `wide_model_errors`.
         """
         if self.reference is not None:
             return self.reference.along(columns)
-        share = 1.0 if self.free else form.ALONE
-        wide = [share * form.BASE[c.form] if c.effect == BASE else 0.0 for c in columns]
-        return np.zeros(len(columns)), np.diag(np.square(wide))
+        share = 1.0 if self.wide_model_errors else form.ALONE
+        sd = [share * form.BASE[c.form] if c.effect == BASE else 0.0 for c in columns]
+        return np.zeros(len(columns)), np.diag(np.square(sd))
 
-    def white(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
+    def white_errors(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
         """Return the white errors (w, 6, q) of every flight, each with its vehicle."""
-        return list(self._pool.map(self.white_of, range(len(self.flights)), vehicles))
+        return list(self._pool.map(self.white_errors_of, range(len(self.flights)), vehicles))
 
-    def white_at(self, values: Values) -> list[np.ndarray]:
+    def white_errors_at(self, values: Values) -> list[np.ndarray]:
         """Return the white errors (w, 6, q) of every flight with effects at `values`."""
         if any(values.get(BASE, {}).values()):
-            self.formed(self.flights[0])
+            self.form_jacobian(self.flights[0])
 
-        def of(flight: Measured) -> np.ndarray:
+        def of(flight: MeasuredFlight) -> np.ndarray:
             return flight.whitening(flight.cut(flight.measured - self.predicted(flight, values)))
 
         return list(self._pool.map(of, self.flights))
 
-    def predicted(self, flight: Measured, values: Values) -> np.ndarray:
+    def predicted(self, flight: MeasuredFlight, values: Values) -> np.ndarray:
         """Return the predicted pose (m, 6) of a flight with effects and model errors at `values`."""
-        return self._beside_forms(flight, predict(flight, self.corrected(values)), values)
+        return self._with_model_errors(flight, predict(flight, self.corrected(values)), values)
 
-    def reform(self, vehicle: Vehicle) -> None:
-        """Compute the base model's error columns along the prediction of `vehicle`."""
+    def compute_form_jacobians(self, vehicle: Vehicle) -> None:
+        """Compute the Jacobians in the base model's errors along the prediction of `vehicle`."""
 
-        def of(flight: Measured) -> np.ndarray:
+        def of(flight: MeasuredFlight) -> np.ndarray:
             gravity, predicted = vehicle.environment_gravity, predict(flight, vehicle)
             return np.stack([form.base_column(f, predicted, gravity, flight) for f in form.BASE])
 
-        self._formed = list(self._pool.map(of, self.flights))
+        self._form_jacobians = list(self._pool.map(of, self.flights))
 
-    def formed(self, flight: Measured) -> np.ndarray:
+    def form_jacobian(self, flight: MeasuredFlight) -> np.ndarray:
         """Return the Jacobian (F, m, 6) of a flight's prediction in the base model's errors."""
-        if self._formed is None:
-            self.reform(self.vehicle)
-        return self._formed[self.flights.index(flight)]
+        if self._form_jacobians is None:
+            self.compute_form_jacobians(self.vehicle)
+        assert self._form_jacobians is not None
+        return self._form_jacobians[self.flights.index(flight)]
 
-    def _beside_forms(self, flight: Measured, predicted: np.ndarray, values: Values) -> np.ndarray:
+    def _with_model_errors(self, flight: MeasuredFlight, predicted: np.ndarray, values: Values) -> np.ndarray:
+        """Return the predicted pose (m, 6) with the base model's errors at their weights in `values`."""
         weights = values.get(BASE, {})
         if not any(weights.values()):
             return predicted
-        return predicted + np.tensordot([weights[f] for f in form.BASE], self.formed(flight), axes=1)
+        return predicted + np.tensordot([weights[f] for f in form.BASE], self.form_jacobian(flight), axes=1)
 
-    def white_of(self, k: int, vehicle: Vehicle) -> np.ndarray:
+    def white_errors_of(self, k: int, vehicle: Vehicle) -> np.ndarray:
         """Return the white errors (w, 6, q) of one vehicle on the flight k."""
         flight = self.flights[k]
         return flight.whitening(flight.cut(flight.measured - predict(flight, vehicle)))
 
     def squares(self, values: Values, inflation: np.ndarray) -> float:
-        """Return the weighted sum of squared white errors with effects at `values`."""
-        by_channel = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in self.white_at(values)])
-        return float((self.weight / inflation * by_channel).sum())
+        """Return the weighted sum of squared white errors with effects at `values` (least-squares cost)."""
+        squares_by_channel = np.concatenate(
+            [np.einsum("wcq,wcq->wc", x, x) for x in self.white_errors_at(values)]
+        )
+        return float((self.weight / inflation * squares_by_channel).sum())
 
     def form_columns(self, values: Values) -> list[Column]:
         """Return the model error columns of the base and of the effects that are not neutral in `values`."""
@@ -269,48 +277,50 @@ class Problem(Suspects):
             for f in self.library[name].forms
         ]
 
-    def slopes(self, values: Values, columns: Sequence[Column]) -> Callable[[Measured], list[np.ndarray]]:
-        """Return a function of a flight: predicted pose (m, 6) at `values`, then its slopes along columns."""
+    def jacobian(
+        self, values: Values, columns: Sequence[Column]
+    ) -> Callable[[MeasuredFlight], list[np.ndarray]]:
+        """Return a function of a flight: pose (m, 6) at `values`, then the Jacobian's columns."""
         vehicle, order = self.corrected(values), list(form.BASE)
-        beside = {c: self.to_one_side(values, c) for c in columns if not c.form}
-        formed = {c.effect for c in columns if c.form} - {BASE}
-        rest = {n: self.corrected({m: v for m, v in values.items() if m != n}) for n in formed}
+        differences = {c: self.one_sided_difference(values, c) for c in columns if not c.form}
+        with_errors = {c.effect for c in columns if c.form} - {BASE}
+        rest = {n: self.corrected({m: v for m, v in values.items() if m != n}) for n in with_errors}
 
-        def of(flight: Measured) -> list[np.ndarray]:
-            like = translated(flight, vehicle)
-            here = predict(flight, vehicle, like)
-            without = {name: here - predict(flight, other) for name, other in rest.items()}
-            result = [self._beside_forms(flight, here, values)]
+        def of(flight: MeasuredFlight) -> list[np.ndarray]:
+            translation = translated(flight, vehicle)
+            here = predict(flight, vehicle, translation)
+            contribution = {name: here - predict(flight, other) for name, other in rest.items()}
+            result = [self._with_model_errors(flight, here, values)]
             for column in columns:
                 if column.effect == BASE:
-                    result.append(self.formed(flight)[order.index(column.form)])
+                    result.append(self.form_jacobian(flight)[order.index(column.form)])
                 elif column.form:
-                    result.append(form.column(column.form, without[column.effect], flight))
-                else:
-                    moved, step = beside[column]
-                    own = like if same_translation(moved, vehicle) else None
-                    result.append((predict(flight, moved, own) - here) / step)
+                    result.append(form.column(column.form, contribution[column.effect], flight))
+                else:  # finite difference: dp/dx = (p(x + h) - p(x)) / h
+                    moved, step = differences[column]
+                    same = translation if same_translation(moved, vehicle) else None
+                    result.append((predict(flight, moved, same) - here) / step)
             return result
 
         return of
 
-    def linearise(self, values: Values, columns: Sequence[Column], inflation: np.ndarray) -> Linear:
+    def linearise(self, values: Values, columns: Sequence[Column], inflation: np.ndarray) -> Linearisation:
         """Return the Gram matrices of white errors and Jacobian at `values`.
 
-        inflation (6,): by which the squared errors of every channel are divided.
+        inflation (6,): variance inflation of every channel.
         """
-        share = np.sqrt(self.weight / inflation)
+        share = np.sqrt(self.weight / inflation)  # (w, 6) weighted least squares
         a, b = np.zeros((self.groups, len(columns), len(columns))), np.zeros((self.groups, len(columns)))
         c = np.zeros(self.groups)
 
         if any(column.effect == BASE for column in columns):
-            self.formed(self.flights[0])
-        slopes_of = self.slopes(values, columns)
+            self.form_jacobian(self.flights[0])
+        jacobian_of = self.jacobian(values, columns)
 
         def of(k: int) -> None:
             flight, own = self.flights[k], self.flight_of == k
-            here, *slopes = slopes_of(flight)
-            stack = np.stack([flight.measured - here, *slopes])  # (1 + P, m, 6)
+            here, *jacobian = jacobian_of(flight)
+            stack = np.stack([flight.measured - here, *jacobian])  # (1 + P, m, 6): [e, J]
             groups = self.group_of[own]
             for channel, matrix in enumerate(flight.whitening.matrices):
                 live = np.flatnonzero(np.ptp(stack[:, :, channel], axis=1))
@@ -318,7 +328,7 @@ class Problem(Suspects):
                 white = (windows @ matrix.T) * share[own, channel, None]  # (live, w, q)
                 for g in np.unique(groups):
                     part = white[:, groups == g].reshape(len(live), -1)
-                    gram = part @ part.T
+                    gram = part @ part.T  # [e, J]' [e, J]
                     if len(live) and live[0] == 0:
                         at = live[1:] - 1
                         c[g] += gram[0, 0]
@@ -326,51 +336,51 @@ class Problem(Suspects):
                         a[np.ix_([g], at, at)] += gram[None, 1:, 1:]
 
         list(self._pool.map(of, range(len(self.flights))))
-        return Linear(tuple(columns), a, b, c, self)
+        return Linearisation(tuple(columns), a, b, c, self)
 
 
-def _groups(flights: Sequence[Measured]) -> np.ndarray:
+def _groups(flights: Sequence[MeasuredFlight]) -> np.ndarray:
     """Return the group of every window: its flight, or part of it where there are few."""
-    parts = 1 if len(flights) >= LEAST_GROUPS else -(-LEAST_GROUPS // len(flights))
+    most = 1 if len(flights) >= LEAST_GROUPS else -(-LEAST_GROUPS // len(flights))
     groups, offset = [], 0
     for flight in flights:
         n = len(flight.starts)
-        own = min(parts, n)
-        groups.append(offset + np.arange(n) * own // n)
-        offset += own
+        parts = min(most, n)
+        groups.append(offset + np.arange(n) * parts // n)
+        offset += parts
     return np.concatenate(groups)
 
 
 def identifiable_effects(
-    library: Mapping[str, Effect], flights: Sequence[Measured]
+    library: Mapping[str, Effect], flights: Sequence[MeasuredFlight]
 ) -> tuple[dict[str, Effect], list[str]]:
-    """Return the effects whose required log channels were logged and vary, and sentences on the others."""
+    """Return the effects whose required log channels were logged and excited, and notes on the others."""
     kept, notes = {}, []
     for name, effect in library.items():
         why = {_why_unidentifiable(channel, least, flights) for channel, least in effect.requires.items()} - {
             ""
         }
         if why:
-            alike = ", ".join(effect.confused_with)
-            notes += [f"{reason}: {name} cannot be told from {alike}" for reason in sorted(why)]
+            others = ", ".join(effect.confused_with)
+            notes += [f"{reason}: {name} cannot be told from {others}" for reason in sorted(why)]
         else:
             kept[name] = effect
     return kept, notes
 
 
-def _why_unidentifiable(channel: str, least: float, flights: Sequence[Measured]) -> str:
-    """Return why a log channel identifies nothing; empty if it does."""
+def _why_unidentifiable(channel: str, least: float, flights: Sequence[MeasuredFlight]) -> str:
+    """Return why a log channel excites nothing, a clause; empty if it does."""
     logged = [getattr(f, channel) for f in flights]
     if any(x is None for x in logged):
         return f"{channel} not logged in every flight"
-    flown = [x[f.usable] for x, f in zip(logged, flights)]
-    constant = max(map(np.ptp, flown)) < least and np.ptp([x.mean() for x in flown]) < least
+    used = [x[f.usable] for x, f in zip(logged, flights)]
+    constant = max(map(np.ptp, used)) < least and np.ptp([x.mean() for x in used]) < least
     return f"the {channel} logged is constant" if constant else ""
 
 
 @dataclasses.dataclass
-class Linear:
-    """Linearised least squares: Gram matrices of every group of windows."""
+class Linearisation:
+    """Linearised least squares: Gram matrices of every group of windows (normal equations)."""
 
     columns: tuple[Column, ...]
     a: np.ndarray  # (g, P, P)
@@ -387,18 +397,21 @@ class Linear:
         np.add.at(b, of, self.b)
         return a, b
 
-    def left(self, change: np.ndarray) -> float:
-        """Return the squared error after a change (P,):  c - 2 b'x + x'a x."""
+    def predicted_squares(self, change: np.ndarray) -> float:
+        """Return the squared error that the linear model predicts after a change (P,)."""
+        # |e - J d|^2 = c - 2 b'd + d'a d
         return float(self.c.sum() - 2.0 * self.b.sum(axis=0) @ change + change @ self.a.sum(axis=0) @ change)
 
     def covariance(self) -> np.ndarray:
         """Return the cluster-robust covariance (P, P) of the least-squares fit (sandwich estimator)."""
+        # A^-1 [n/(n-1) sum_g s_g s_g'] A^-1,  s_g = b_g - a_g x the score of group g at the solution x (Liang
+        # and Zeger 1986).
         inverse, n = invert(self.a.sum(axis=0)), len(self.c)
-        with np.errstate(invalid="ignore"):  # what the flights do not show at all is NaN
+        with np.errstate(invalid="ignore"):  # columns without any excitation are NaN
             scores = self.b - self.a @ (inverse @ self.b.sum(axis=0))
             meat = scores.T @ scores * n / max(1, n - 1)
             clustered = inverse @ meat @ inverse
-        # Never smaller than what the noise of the windows alone gives.
+        # At least the variance by the windows' noise, A^-1.
         floor = np.diag(inverse)
         scale = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(clustered), 1e-300)))
         return clustered * np.outer(scale, scale)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from inclined_landing.eval.gap.flights.windows import Measured
+from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.models.parameters import load_vehicle
 
 LAG = 0.03  # s, by which a contribution may come later
@@ -32,7 +32,7 @@ ALONE = 0.05  # share of these that is free where no flights of a reference have
 _CHANNELS = {"translation": slice(0, 3), "attitude": slice(3, 5), "yaw": slice(5, 6)}
 
 
-def column(name: str, contribution: np.ndarray, flight: Measured) -> np.ndarray:
+def column(name: str, contribution: np.ndarray, flight: MeasuredFlight) -> np.ndarray:
     """Return the Jacobian column (m, 6) of a model error of an effect that contributes (m, 6)."""
     group, what = name.split()
     own = _CHANNELS[group]
@@ -50,7 +50,7 @@ def column(name: str, contribution: np.ndarray, flight: Measured) -> np.ndarray:
     return result
 
 
-def base_column(name: str, predicted: np.ndarray, gravity: float, flight: Measured) -> np.ndarray:
+def base_column(name: str, predicted: np.ndarray, gravity: float, flight: MeasuredFlight) -> np.ndarray:
     """Return the Jacobian column (m, 6) of a model error of the base model that predicts (m, 6)."""
     group, what = name.split()
     if group not in ("thrust", "drag"):
@@ -67,13 +67,13 @@ def base_column(name: str, predicted: np.ndarray, gravity: float, flight: Measur
     return result
 
 
-def _moved(second: np.ndarray, what: str, flight: Measured) -> np.ndarray:
+def _moved(second: np.ndarray, what: str, flight: MeasuredFlight) -> np.ndarray:
     """Return the positions (m, 3): double sum of second differences (m - 2, 3) times a quantity."""
     bent = second if what == "x" else second * _quantity(what, flight)[1:-1, None]
     return np.vstack([np.zeros((2, 3)), np.cumsum(np.cumsum(bent, axis=0), axis=0)])
 
 
-def _quantity(what: str, flight: Measured) -> np.ndarray:
+def _quantity(what: str, flight: MeasuredFlight) -> np.ndarray:
     """Return the quantity (m,) of order one that a model error is proportional to."""
     if what == "load":
         pwm = flight.command[:, 0]

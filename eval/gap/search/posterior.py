@@ -19,53 +19,54 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.evidence import Linear, Problem, Values
+from inclined_landing.eval.gap.search.evidence import Linearisation, Problem, Values
 from inclined_landing.models.effects.effect import OFF
 
-SPIKE = 0.35  # standard deviation of what is not named, as a share of negligible
-BETWEEN = 0.35  # of the difference between flights, likewise
-SLAB = 1.0  # of what is named, in plausible sizes
-LARGE = 4.0  # times as wide where an effect is far larger: sizes have heavy tails
-DRAWS = 24  # of flights
-MOST = 0.5  # plausible sizes: what is not named is no more
-ROUNDS = 10  # of expectation and maximisation
-BOUNDED = 4  # rounds in which what lies outside its bounds is put there
-# How well differences between flights are known beforehand, as if seen in so many flights.
-SEEN_BEFORE = 2.0
-SHAPE = np.array([[0.3125, 0.1875], [0.1875, 0.3125]])  # covariance of a unit size at both sides: see `wide`
+SPIKE = 0.35  # standard deviation of the spike, in negligible sizes
+BETWEEN = 0.35  # least between-flight standard deviation, in negligible sizes
+SLAB = 1.0  # standard deviation of the slab, in plausible sizes
+LARGE = 4.0  # slab widths of the second, wider component of the slab: sizes have heavy tails
+BOOTSTRAP_SAMPLES = 24
+MOST_SPIKE = 0.5  # largest standard deviation of the spike, in those of the slab
+EM_ROUNDS = 10
+ACTIVE_SET_ROUNDS = 4
+PRIOR_FLIGHTS = 2.0  # weight of the prior between-flight variance (inverse gamma), in flights
+SHAPE_COVARIANCE = np.array(
+    [[0.3125, 0.1875], [0.1875, 0.3125]]
+)  # covariance of a unit size at both sides: see `slab_covariance`
 
-Set = frozenset[str]
+EffectSet = frozenset[str]
 
 
-def spikes(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Return the spikes' standard deviations (P,).
-
-    A share of the negligible size, split among confounded columns, plus the standard error of the mean of the
-    flights that excite a column, where flights differ:  hypot(SPIKE negligible, between / sqrt(flights)).
-    """
+def spike_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
+    """Return the spikes' standard deviations (P,)."""
+    # A share of the negligible size, and the standard error of the mean over the n flights that excite a
+    # column:  sigma^2 = (SPIKE negligible)^2 + between^2 / n
     count = np.array([problem.excitation.get((c.effect, c.parameter), problem.groups) for c in columns])
     spike = np.hypot(
-        SPIKE * _shares(problem, columns), between_flight_deviations(problem, columns) / np.sqrt(count)
+        SPIKE * _shared_negligible_sizes(problem, columns),
+        between_flight_deviations(problem, columns) / np.sqrt(count),
     )
-    return np.minimum(spike, MOST * slabs(problem, columns))
+    return np.minimum(spike, MOST_SPIKE * slab_deviations(problem, columns))
 
 
 def between_flight_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
     """Return the between-flight standard deviations (P,)."""
-    own = [problem.between.get((c.effect, c.parameter), 0.0) for c in columns]
-    return np.maximum(BETWEEN * _shares(problem, columns), own)
+    estimated = [problem.between.get((c.effect, c.parameter), 0.0) for c in columns]
+    return np.maximum(BETWEEN * _shared_negligible_sizes(problem, columns), estimated)
 
 
-def _shares(problem: Problem, columns: Sequence) -> np.ndarray:
+def _shared_negligible_sizes(problem: Problem, columns: Sequence) -> np.ndarray:
     """Return the negligible sizes (P,), each divided by the root of the number of confounded columns."""
-    alike = [
+    collinear = [
         problem.confounded.get((c.effect, c.parameter), 1.0) * (2.0 if c.fixed else 1.0) for c in columns
     ]
-    return np.array([problem.parameter(c).negligible for c in columns]) / np.sqrt(alike)
+    return np.array([problem.parameter(c).negligible for c in columns]) / np.sqrt(collinear)
 
 
-def confounding(linear: Linear) -> dict[tuple[str, str], float]:
-    """Return (effect, parameter) -> effective number of columns collinear with it: sum of squared cosines."""
+def confounding(linear: Linearisation) -> dict[tuple[str, str], float]:
+    """Return (effect, parameter) -> effective number of columns collinear with it (>= 1)."""
+    # n_j = sum_k cos^2(J_j, J_k),  cos = a_jk / sqrt(a_jj a_kk)
     a = linear.a.sum(axis=0)
     scale = np.sqrt(np.maximum(np.diag(a), 1e-300))
     squared = (a / np.outer(scale, scale)) ** 2
@@ -73,42 +74,48 @@ def confounding(linear: Linear) -> dict[tuple[str, str], float]:
     return {(c.effect, c.parameter): float(x) for c, x in zip(linear.columns, count)}
 
 
-def excitation(problem: Problem, linear: Linear) -> dict[tuple[str, str], float]:
-    """Return (effect, parameter) -> number of flights (>= 1) that excite it beyond what flights differ by."""
+def excitation(problem: Problem, linear: Linearisation) -> dict[tuple[str, str], float]:
+    """Return (effect, parameter) -> effective number of flights (>= 1) that excite it."""
+    # A flight g counts as min(1, a_gkk between^2): the information of one that resolves the differences is 1.
     spread = between_flight_deviations(problem, linear.columns)
     share = np.minimum(1.0, np.einsum("gkk->gk", linear.a) * spread**2).sum(axis=0)
     return {(c.effect, c.parameter): max(1.0, float(x)) for c, x in zip(linear.columns, share)}
 
 
-def estimate_between_flights(problem: Problem, linear: Linear) -> dict[tuple[str, str], float]:
-    """Return (effect, parameter) -> between-flight standard deviation, by expectation maximisation.
+def estimate_between_flight_deviations(
+    problem: Problem, linear: Linearisation
+) -> dict[tuple[str, str], float]:
+    """Return (effect, parameter) -> between-flight standard deviation, by expectation maximisation (EM).
 
-    The prior counts as SEEN_BEFORE flights: with one flight that excites an effect, it is all there is.
+    The prior counts as PRIOR_FLIGHTS flights.
     """
-    unit = _shares(problem, linear.columns)
+    # Random effects u_g ~ N(0, diag v) of every flight beside a common z with the slab prior (Laird and Ware
+    # 1982).  E: mean m_g and covariance C_g of u_g at the current v.  M, with the prior variance v_0:
+    #   v = s v_0 + (1 - s) mean_g (m_g^2 + diag C_g),   s = n_0 / (n_0 + n),  n_0 = PRIOR_FLIGHTS
+    unit = _shared_negligible_sizes(problem, linear.columns)
     a, b = linear.a * np.outer(unit, unit), linear.b * unit
-    prior = (unit / slabs(problem, linear.columns)) ** 2
+    prior = (unit / slab_deviations(problem, linear.columns)) ** 2
     known = np.array([problem.parameter(c).between for c in linear.columns]) / unit
     known = np.maximum(BETWEEN, known) ** 2
     variance, eye = known.copy(), np.eye(len(unit))
-    # Of a loop, it is known by how much; of the rest, days differ as vehicles do.
+    # Bounds: for the attitude loops half a slab, for the rest a whole one (days differ as vehicles do).
     loop = np.array([problem.parameter(c).manoeuvre > 0.0 for c in linear.columns])
-    most = np.maximum(known, np.where(loop, MOST**2, 1.0) / prior)
+    most = np.maximum(known, np.where(loop, MOST_SPIKE**2, 1.0) / prior)
     sized = np.array([not problem.parameter(c).is_reference for c in linear.columns])
-    share = SEEN_BEFORE / (SEEN_BEFORE + problem.groups)
-    for _ in range(ROUNDS):
+    share = PRIOR_FLIGHTS / (PRIOR_FLIGHTS + problem.groups)
+    for _ in range(EM_ROUNDS):
         inner = np.linalg.inv(eye + a * variance)
         total = (inner @ a).sum(axis=0) + np.diag(prior)
-        fleet = np.linalg.solve(total, np.einsum("gpq,gq->p", inner, b))
+        common = np.linalg.solve(total, np.einsum("gpq,gq->p", inner, b))
         covariance = variance[:, None] * inner
-        own = np.einsum("gpq,gq->gp", covariance, b - a @ fleet)
-        second = own**2 + np.diagonal(covariance, axis1=1, axis2=2)
+        mean = np.einsum("gpq,gq->gp", covariance, b - a @ common)
+        second = mean**2 + np.diagonal(covariance, axis1=1, axis2=2)
         found = share * known + (1.0 - share) * second.mean(axis=0)
         variance = np.where(sized, np.clip(found, BETWEEN**2, most), BETWEEN**2)
     return {(c.effect, c.parameter): float(np.sqrt(v) * u) for c, v, u in zip(linear.columns, variance, unit)}
 
 
-def slabs(problem: Problem, columns: Sequence) -> np.ndarray:
+def slab_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
     """Return the slabs' standard deviations (P,)."""
     width = []
     for column in columns:
@@ -117,18 +124,16 @@ def slabs(problem: Problem, columns: Sequence) -> np.ndarray:
     return np.array(width)
 
 
-def wide(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Return the slabs' covariance (P, P).
-
-    A size s about a reference that lies t N(0, 1/4) of the way to either side is s (1/2 - t) and s (1/2 + t)
-    about both sides: with the same sign, or it would be a scale and no shape.
-    """
-    width = slabs(problem, columns)
+def slab_covariance(problem: Problem, columns: Sequence) -> np.ndarray:
+    """Return the slabs' covariance (P, P); the two columns of an effect about a reference are correlated."""
+    # A size s ~ N(0, w^2) about a reference at the share t ~ N(0, 1/4) from the middle is s (1/2 - t) and
+    # s (1/2 + t) along the two columns: E x_i^2 = w^2 (1/4 + 1/16), E x_i x_j = w^2 (1/4 - 1/16).
+    width = slab_deviations(problem, columns)
     shape = np.eye(len(columns))
     for i, one in enumerate(columns):
         for j, other in enumerate(columns):
             if one.fixed and (one.effect, one.parameter) == (other.effect, other.parameter):
-                shape[i, j] = SHAPE[0, int(i != j)]
+                shape[i, j] = SHAPE_COVARIANCE[0, int(i != j)]
     return shape * np.outer(width, width)
 
 
@@ -138,25 +143,28 @@ class Bounds:
 
     low: np.ndarray  # (P,)
     high: np.ndarray  # (P,)
-    # Of the two columns of an effect about a reference: their places, bounds of the size and of the share
-    # that the second has of it.
+    # For the two columns of an effect about a reference: their indices, bounds of the size (their sum) and of
+    # the second one's share of it.
     pairs: tuple[tuple[int, int, tuple[float, float], tuple[float, float]], ...]
 
     @staticmethod
     def of(problem: Problem, columns: Sequence, unit: np.ndarray) -> Bounds:
         """Return the bounds in units (P,), from neutral."""
-        low, high, pairs = np.full(len(columns), -np.inf), np.full(len(columns), np.inf), []
+        low, high = np.full(len(columns), -np.inf), np.full(len(columns), np.inf)
+        pairs: list[tuple[int, int, tuple[float, float], tuple[float, float]]] = []
         for k, column in enumerate(columns):
             if column.form:
                 continue
             p = problem.parameter(column)
-            ends = [p.coordinate(x) / unit[k] for x in p.possible]
+            least, most = (p.coordinate(x) / unit[k] for x in p.possible)
             if not column.fixed:
-                low[k], high[k] = ends
+                low[k], high[k] = least, most
             elif k and columns[k - 1].effect == column.effect:
                 effect = problem.library[column.effect]
-                shares = sorted(effect.at_ends(1.0, x)[1] for x in effect.reference.possible)
-                pairs.append((k - 1, k, tuple(ends), tuple(shares)))
+                about = effect.reference
+                assert about is not None  # a fixed parameter is a reference
+                first, last = sorted(effect.at_ends(1.0, x)[1] for x in about.possible)
+                pairs.append((k - 1, k, (least, most), (first, last)))
         return Bounds(low, high, tuple(pairs))
 
     def clip(self, at: np.ndarray) -> np.ndarray:
@@ -170,13 +178,14 @@ class Bounds:
         return result
 
     def within(self, at: np.ndarray, covariance: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, float]:
-        """Return the mode of a truncated normal distribution and its log density relative to the mean.
+        """Return the mode (P,) of a truncated normal distribution and its log density relative to the mean.
 
-        at (P,) mean, covariance (P, P); own (k,): the coordinates that have bounds. Active-set iteration:
-        coordinates outside are fixed at their bound, the others conditioned on them.
+        at (P,) mean, covariance (P, P); own (k,): the coordinates that have bounds.
         """
-        outside, result, unlikely = np.zeros(len(at), bool), at, 0.0
-        for _ in range(BOUNDED):
+        # Active set A of coordinates fixed at their bounds c_A; the others conditioned on them:
+        #   x = m + C_.A C_AA^-1 (c_A - m_A),   log p(x) - log p(m) = -1/2 (c_A - m_A)' C_AA^-1 (c_A - m_A)
+        outside, result, log_ratio = np.zeros(len(at), bool), at, 0.0
+        for _ in range(ACTIVE_SET_ROUNDS):
             clipped = self.clip(result)
             off = np.zeros(len(at), bool)
             off[own] = np.abs(clipped - result)[own] > 1e-9 * (1.0 + np.abs(clipped[own]))
@@ -184,129 +193,134 @@ class Bounds:
                 break
             outside |= off
             k = np.flatnonzero(outside)
-            apart = clipped[k] - at[k]
-            through = np.linalg.solve(covariance[np.ix_(k, k)] + 1e-9 * np.eye(len(k)), apart)
-            result, unlikely = at + covariance[:, k] @ through, -0.5 * float(apart @ through)
+            shift = clipped[k] - at[k]
+            solved = np.linalg.solve(covariance[np.ix_(k, k)] + 1e-9 * np.eye(len(k)), shift)
+            result, log_ratio = at + covariance[:, k] @ solved, -0.5 * float(shift @ solved)
             result[k] = clipped[k]
-        return result, unlikely
+        return result, log_ratio
 
 
 @dataclasses.dataclass
-class Local:
-    """Quadratic log-likelihood of the flights near one point, coordinates in units of the spikes.
+class LinearGaussian:
+    """Linear-Gaussian model of the flights at one linearisation point, coordinates in units of the spikes.
 
-    log p = -1/2 (c - 2 b'x + x'a x) of every flight (or group of windows), random effects integrated out.
+    Laplace approximation: log p = -1/2 (c - 2 b'x + x'a x) of every group of windows, random effects of the
+    flights marginalised.
     """
 
     problem: Problem
     columns: tuple
-    at: np.ndarray  # (P,) where it was linearised, from neutral, in spikes
+    at: np.ndarray  # (P,) linearisation point, from neutral, in spikes
     a: np.ndarray  # (g, P, P)
     b: np.ndarray  # (g, P)
     c: np.ndarray  # (g,)
-    unit: np.ndarray  # (P,) spikes
-    slab: np.ndarray  # (P, P) covariance of what is named, in spikes
+    unit: np.ndarray  # (P,) standard deviations of the spikes
+    slab: np.ndarray  # (P, P) covariance of the slab, in spikes
     bounds: Bounds  # in spikes, from neutral
-    off: np.ndarray  # (P,) mean of theta
-    known: np.ndarray  # (P, P) covariance of theta
-    between: np.ndarray  # (P,) variance between flights
-    own_a: np.ndarray  # (f, P, P) of every flight, its deviation not integrated out
-    own_b: np.ndarray  # (f, P)
+    off: np.ndarray  # (P,) prior mean of theta
+    known: np.ndarray  # (P, P) prior covariance of theta
+    between: np.ndarray  # (P,) between-flight variance
+    flight_a: np.ndarray  # (f, P, P) of every flight, its random effect not marginalised
+    flight_b: np.ndarray  # (f, P)
 
     @staticmethod
-    def of(problem: Problem, linear: Linear, values: Values) -> Local:
+    def of(problem: Problem, linear: Linearisation, values: Values) -> LinearGaussian:
         """Return the model linearised at `values`."""
         columns = linear.columns
-        unit = spikes(problem, columns)
+        unit = spike_deviations(problem, columns)
         at = problem.coordinates(values, columns)
         at = at / unit
         a = linear.a * np.outer(unit, unit)
         b = linear.b * unit
         c = linear.c
-        own_a, own_b = linear.by_flight()
-        own_a, own_b = own_a * np.outer(unit, unit), own_b * unit
+        flight_a, flight_b = linear.by_flight()
+        flight_a, flight_b = flight_a * np.outer(unit, unit), flight_b * unit
         between = (between_flight_deviations(problem, columns) / unit) ** 2
-        # Marginal over a deviation u of each flight, u ~ N(0, between) in every column.
+        # Marginal over the random effect u ~ N(0, B) of each flight, B diagonal, with M = (1 + a B)^-1:
+        #   a -> M a,   b -> M b,   c -> c - b' B M b
         inner = np.linalg.inv(np.eye(len(columns)) + a * between)
         c = c - np.einsum("gp,p,gpq,gq->g", b, between, inner, b, optimize=True)
         b = np.einsum("gpq,gq->gp", inner, b)
         a = inner @ a
         a = 0.5 * (a + a.swapaxes(1, 2))
-        off, known = problem.known(columns)
-        slab = wide(problem, columns) / np.outer(unit, unit)
+        off, known = problem.vehicle_prior(columns)
+        slab = slab_covariance(problem, columns) / np.outer(unit, unit)
         off, known = off / unit, known / np.outer(unit, unit)
         bounds = Bounds.of(problem, columns, unit)
-        return Local(problem, columns, at, a, b, c, unit, slab, bounds, off, known, between, own_a, own_b)
+        return LinearGaussian(
+            problem, columns, at, a, b, c, unit, slab, bounds, off, known, between, flight_a, flight_b
+        )
 
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Return the indices of the columns of the effects `names`."""
         names = set(names)
         return np.array([k for k, column in enumerate(self.columns) if column.effect in names], int)
 
-    def fresh(self, names: Set) -> np.ndarray:
-        """Return the prior covariance (P, P) of delta: slabs for `names`, spikes for the others."""
-        own = np.isin(np.arange(len(self.columns)), self.index(names))
-        return np.where(np.outer(own, own), self.slab, np.diag(~own))
+    def change_covariance(self, names: EffectSet) -> np.ndarray:
+        """Return the spike-and-slab prior covariance (P, P) of delta: slabs for `names`, else spikes."""
+        named = np.isin(np.arange(len(self.columns)), self.index(names))
+        return np.where(np.outer(named, named), self.slab, np.diag(~named))
 
-    def prior(self, names: Set) -> tuple[np.ndarray, np.ndarray]:
+    def prior(self, names: EffectSet) -> tuple[np.ndarray, np.ndarray]:
         """Return the prior mean (P,) of z, from the linearisation point, and its covariance (P, P)."""
-        return self.off - self.at, self.known + self.fresh(names)
+        return self.off - self.at, self.known + self.change_covariance(names)
 
     def evidence(self, weights: np.ndarray | None = None) -> Evidence:
-        """Return the marginal likelihood as a function of a set; `weights` (g,): bootstrap counts."""
+        """Return the log marginal likelihood as a function of a set; `weights` (g,): bootstrap counts."""
         w = np.ones(len(self.c)) if weights is None else weights
         mean, covariance = self.prior(frozenset())
         return Evidence.of(
             self, np.tensordot(w, self.a, axes=1), w @ self.b, float(w @ self.c), mean, covariance
         )
 
-    def fit(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def fit(self, names: EffectSet, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the posterior mean (P,) of z, from the linearisation point, and covariance, in spikes."""
+        # Posterior of a linear model (Bishop 3.50) with the prior N(m, K):
+        #   C = (1 + K a)^-1 K,   z = m + C (b - a m)
         w = np.ones(len(self.c)) if weights is None else weights
         mean, prior = self.prior(names)
         a, b = np.tensordot(w, self.a, axes=1), w @ self.b
         covariance = np.linalg.solve(np.eye(len(b)) + prior @ a, prior)
         return mean + covariance @ (b - a @ mean), 0.5 * (covariance + covariance.T)
 
-    def delta(self, names: Set, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the posterior mean (P,) of delta, from neutral, and covariance (P, P), in spikes, unbounded.
-
-        With z = theta + delta and prior covariance K = Sigma + V:  delta = V K^-1 (z - m).
-        """
+    def delta(self, names: EffectSet, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the posterior mean (P,) and covariance (P, P) of delta, in spikes, without bounds."""
+        # z = theta + delta with the prior covariance K = Sigma + V;  given z (Bishop 2.81), with G = V K^-1:
+        #   E delta = G (z - m),   Cov delta = V + G (C - K) G'
         change, covariance = self.fit(names, weights)
         mean, prior = self.prior(names)
-        fresh = self.fresh(names)
-        share = fresh @ np.linalg.inv(prior)
-        return share @ (change - mean), fresh + share @ (covariance - prior) @ share.T
+        slab = self.change_covariance(names)
+        gain = slab @ np.linalg.inv(prior)
+        return gain @ (change - mean), slab + gain @ (covariance - prior) @ gain.T
 
-    def within(self, names: Set, weights: np.ndarray | None = None) -> np.ndarray:
-        """Return the posterior mode (P,) of delta within bounds, in spikes."""
+    def within(self, names: EffectSet, weights: np.ndarray | None = None) -> np.ndarray:
+        """Return the posterior mode (P,) of delta within bounds (truncated normal), in spikes."""
         return self.bounds.within(*self.delta(names, weights), self.index(names))[0]
 
-    def errors(self, names: Set) -> np.ndarray:
+    def errors(self, names: EffectSet) -> np.ndarray:
         """Return the standard errors (P,) of delta, in spikes."""
         return np.sqrt(np.maximum(self.delta(names)[1].diagonal(), 0.0))
 
     def deviation(self, flight: int, change: np.ndarray) -> np.ndarray:
-        """Return the posterior mean (P,) of one flight's random effect, in spikes."""
-        a, b = self.own_a[flight], self.own_b[flight]
+        """Return the posterior mean (P,) of one flight's random effect (BLUP), in spikes."""
+        a, b = self.flight_a[flight], self.flight_b[flight]
         return np.linalg.solve(a + np.diag(1.0 / self.between), b - a @ change)
 
-    def sized(self, values: Values) -> dict[tuple[str, str], Sized]:
-        """Return (effect, parameter) -> its standard errors, for the set of `values`."""
+    def sized(self, values: Values) -> dict[tuple[str, str], ParameterEstimate]:
+        """Return (effect, parameter) -> its standard errors and random effects, for the set of `values`."""
         names = frozenset(values)
         change, _ = self.fit(names)
         _, covariance = self.delta(names)
         variance = self.errors(names) ** 2
-        deviation = np.array([self.deviation(k, change) for k in range(len(self.own_a))])
-        alone = np.linalg.inv(self.own_a + np.diag(1.0 / self.between))
+        deviation = np.array([self.deviation(k, change) for k in range(len(self.flight_a))])
+        alone = np.linalg.inv(self.flight_a + np.diag(1.0 / self.between))
         result = {}
-        own = [(c.effect, c.parameter) for c in self.columns if c.effect in names and not c.form]
-        for name, parameter in dict.fromkeys(own):
+        fitted = [(c.effect, c.parameter) for c in self.columns if c.effect in names and not c.form]
+        for name, parameter in dict.fromkeys(fitted):
             k = [i for i, c in enumerate(self.columns) if (c.effect, c.parameter) == (name, parameter)]
             square = variance[k[0]] if len(k) == 1 else covariance[np.ix_(k, k)].sum()
             unit = self.unit[k[0]] * self.problem.parameter(self.columns[k[0]]).slope(values[name][parameter])
-            result[name, parameter] = Sized(
+            result[name, parameter] = ParameterEstimate(
                 error=float(np.sqrt(max(0.0, square)) * unit),
                 deviation=deviation[:, k].sum(axis=1) * unit,
                 alone=np.sqrt(np.maximum(0.0, alone[:, k][:, :, k].sum(axis=(1, 2)))) * unit,
@@ -316,8 +330,8 @@ class Local:
 
 
 @dataclasses.dataclass(frozen=True)
-class Sized:
-    """Standard errors of a parameter, in its unit."""
+class ParameterEstimate:
+    """Standard error, random effects and between-flight deviation of a parameter, in its unit."""
 
     error: float  # standard error
     deviation: np.ndarray  # (f,) random effect of every flight
@@ -327,24 +341,25 @@ class Sized:
 
 @dataclasses.dataclass
 class Evidence:
-    """Log marginal likelihood as a function of the set; what all sets share is integrated out once.
+    """Log marginal likelihood (model evidence) as a function of the set.
 
-    With the prior covariance K of the empty set, about its mean,
-    log p = -1/2 [c - b' (1 + K a)^-1 K b + log det(1 + K a)],  and for what a set has more, the same with
-    a' = (1 + a K)^-1 a,  b' = (1 + a K)^-1 b  and the wider variances of its columns.
+    The priors that all sets share are marginalised once, so that a set costs a matrix of its own columns.
     """
 
     a: np.ndarray  # (P, P)
     b: np.ndarray  # (P,)
     empty: float  # log marginal likelihood of the empty set
-    own: dict[str, np.ndarray]  # effect -> its columns
+    own: dict[str, np.ndarray]  # effect -> indices of its columns
     slab: np.ndarray  # (P, P)
     ends: list[tuple[str, np.ndarray]]  # effects about a reference, with their two columns
     bounds: Bounds
 
     @staticmethod
-    def of(local: Local, a, b, c: float, mean: np.ndarray, covariance: np.ndarray) -> Evidence:
-        """Return it for Gram matrices a, b, c summed over flights and the prior of the empty set."""
+    def of(local: LinearGaussian, a, b, c: float, mean: np.ndarray, covariance: np.ndarray) -> Evidence:
+        """Return the evidence for Gram matrices a, b, c summed over flights and the empty set's prior."""
+        # Evidence of a linear model (Bishop 3.86), prior N(m, K) of the empty set, a, b, c taken about m:
+        #   log p = -1/2 [c - b' K M b + log det(1 + a K)],  M = (1 + a K)^-1
+        # and, for what a set has in addition, the same with a -> M a, b -> M b.
         c = c - 2.0 * b @ mean + mean @ a @ mean
         b = b - a @ mean
         inner = np.linalg.inv(np.eye(len(b)) + a @ covariance)
@@ -356,34 +371,40 @@ class Evidence:
         ends = [(n, k[:2]) for n, k in own.items() if len(k) and local.columns[k[0]].fixed]
         return Evidence(0.5 * (after + after.T), inner @ b, float(empty), own, local.slab, ends, local.bounds)
 
-    def __call__(self, names: Set) -> float:
+    def __call__(self, names: EffectSet) -> float:
         """Return the log marginal likelihood of a set."""
         columns = [self.own[n] for n in sorted(names) if len(self.own[n])]
         if not columns:
             return self.empty
         k = np.concatenate(columns)
-        at, score = self._at(k, np.ones(len(k)))
+        at, score = self._mode(k, np.ones(len(k)))
         far = np.abs(at[k]) > 2.0 * np.sqrt(self.slab[k, k])
-        if far.any():  # heavy tails: one time in five, sizes are LARGE times as large
-            at_large, large = self._at(k, np.where(far, LARGE, 1.0))
+        if far.any():  # scale mixture: weight 1/5 for a slab LARGE times as wide, odds 1 : 4
+            at_large, large = self._mode(k, np.where(far, LARGE, 1.0))
             large -= far.sum() * np.log(4.0)
             at, score = max(((at, score), (at_large, large)), key=lambda one: one[1])
-        return score + sum(self._shape(n, at[one], at[other]) for n, (one, other) in self.ends if n in names)
+        return score + sum(
+            self._shape_log_prior(n, at[one], at[other]) for n, (one, other) in self.ends if n in names
+        )
 
-    def _shape(self, name: str, low: float, high: float) -> float:
-        """Return the log prior ratio of two sizes about a reference, relative to their normal prior.
-
-        A size s about a reference t of the way to one side: log N(s) N(t; 0, 1/4) / |s|, less the normal one.
-        """
-        width = math.sqrt(self.slab[self.own[name][0], self.own[name][0]] / SHAPE[0, 0])
+    def _shape_log_prior(self, name: str, low: float, high: float) -> float:
+        """Return the log prior of a size about a reference, less that of its columns' bivariate normal."""
+        # Change of variables (low, high) -> (s, t), Jacobian |s|:  log [N(s; 0, w^2) N(t; 0, 1/4) / |s|]
+        # less the log density of N(0, SHAPE_COVARIANCE w^2) with the moments of this product.
+        width = math.sqrt(self.slab[self.own[name][0], self.own[name][0]] / SHAPE_COVARIANCE[0, 0])
         s, ends = low + high, np.array([low, high]) / width
         t = 0.5 * (high - low) / s if s else math.inf
         product = -0.5 * (s / width) ** 2 - 2.0 * t * t - math.log(0.5 * max(abs(s) / width, 0.1))
-        normal = -0.5 * ends @ np.linalg.solve(SHAPE, ends) - 0.5 * math.log(np.linalg.det(SHAPE))
+        normal = -0.5 * ends @ np.linalg.solve(SHAPE_COVARIANCE, ends) - 0.5 * math.log(
+            np.linalg.det(SHAPE_COVARIANCE)
+        )
         return min(0.0, product - normal)
 
-    def _at(self, k: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, float]:
+    def _mode(self, k: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the bounded mode (P,) of the columns k, slabs `times` (k,) as wide, and the log evidence."""
+        # With V = L L' the additional prior covariance,
+        #   log p = log p_0 + 1/2 |z|^2 - 1/2 log det(1 + L' a L),
+        # F F' = 1 + L' a L (Cholesky),  z = F^-1 L' b,  mode L F'^-1 z
         prior = self.slab[np.ix_(k, k)] * np.outer(times, times) - np.eye(len(k))
         root = np.linalg.cholesky(prior + np.diag(np.maximum(1e-9, 1e-6 - prior.diagonal())))
         inner = np.eye(len(k)) + root.T @ self.a[np.ix_(k, k)] @ root
@@ -396,10 +417,14 @@ class Evidence:
             return at, score
         half, covariance = np.linalg.solve(factor, root.T), np.zeros_like(self.a)
         covariance[np.ix_(k, k)] = half.T @ half
-        at, unlikely = self.bounds.within(at, covariance, k)
-        return at, score + unlikely
+        at, log_ratio = self.bounds.within(at, covariance, k)
+        return at, score + log_ratio
 
 
 def flight_weights(groups: int, seed: int = 0) -> np.ndarray:
     """Return the bootstrap counts (DRAWS, g) of the flights."""
-    return np.random.default_rng(seed).multinomial(groups, np.full(groups, 1.0 / groups), DRAWS).astype(float)
+    return (
+        np.random.default_rng(seed)
+        .multinomial(groups, np.full(groups, 1.0 / groups), BOOTSTRAP_SAMPLES)
+        .astype(float)
+    )

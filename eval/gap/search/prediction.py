@@ -38,7 +38,7 @@ def same_translation(one: Vehicle, other: Vehicle) -> bool:
 
 
 def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
-    """Predicted pose (m, 6) of `vehicle` along a `windows.Measured`: x, y, z, roll, pitch, yaw.
+    """Predicted pose (m, 6) of `vehicle` along a `windows.MeasuredFlight`: x, y, z, roll, pitch, yaw.
 
     like: positions and angular accelerations of a vehicle that moves alike (see `translated`).
 
@@ -52,7 +52,7 @@ def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None
     rotation, start = flight.middle_rotation, flight.attitude[0]
     tilt = vehicle.effects_mocap_tilt
     if any(tilt):
-        _, rotation, start = flight.levelled(tilt)
+        _, rotation, start = flight.without_tilt(tilt)
     out = np.empty((flight.samples, 6))
     out[:, :3], twist = translated(flight, vehicle) if like is None else like
     lean = vehicle.effects_estimator_lean
@@ -75,7 +75,7 @@ def translated(flight, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     pwm = averages(flight.command[:, PWM], dt, vehicle.effects_thrust_delay + late)
     attitude, rotation = flight.middle_attitude, flight.middle_rotation
     if any(tilt):
-        attitude, rotation, _ = flight.levelled(tilt)
+        attitude, rotation, _ = flight.without_tilt(tilt)
     out, twist = np.empty((flight.samples, 3)), np.zeros((flight.samples - 1, 3))
     measured = _Measured(flight.middle_position, flight.middle_velocity, rotation, attitude)
     _translate(measured, pwm, flight.ambient, pack(vehicle), dt, out, twist)

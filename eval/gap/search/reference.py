@@ -1,7 +1,7 @@
-"""The posterior of an identified vehicle: mean and covariance of its errors, written beside its file.
+"""The posterior of an identified vehicle: mean and covariance of its errors, stored beside its file.
 
-A vehicle file holds point estimates. Their joint covariance tells which combinations its flights left
-uncertain; functions of logged quantities describe the residual that repeats in these flights.
+A vehicle file holds point estimates. Their joint covariance holds which combinations the reference flights
+left uncertain; functions of logged quantities describe the residual common to these flights.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.eval.gap.search import form
-from inclined_landing.eval.gap.search.evidence import BASE, Column, Problem, Suspects
+from inclined_landing.eval.gap.search.evidence import BASE, Candidates, Column, Problem
 from inclined_landing.eval.gap.search.posterior import (
-    Local,
+    LinearGaussian,
     confounding,
-    estimate_between_flights,
+    estimate_between_flight_deviations,
     excitation,
 )
-from inclined_landing.eval.gap.search.residual import TARGETS, Basis, Repeating, Residual
+from inclined_landing.eval.gap.search.residual import TARGETS, Basis, ReferenceResidual, Residual
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -29,7 +29,7 @@ from inclined_landing.models.parameters import Constant, Vehicle, constants
 
 SUFFIX = ".posterior.json"
 VERSION = 2
-_NORMAL = 1.96  # half-widths of 95 % intervals per standard deviation
+_NORMAL = 1.96  # half-width of a 95 % interval in standard deviations
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,11 +39,11 @@ class Reference:
     columns: tuple[Column, ...]
     mean: np.ndarray  # (P,) coordinates of the parameters
     covariance: np.ndarray  # (P, P) of these
-    repeating: Repeating  # what repeats in its flights that no effect explains
-    from_flights: bool = True  # or from the entries of a vehicle file
+    repeating: ReferenceResidual  # functions of the residual common to its flights
+    from_flights: bool = True  # or from the uncertainties in a vehicle file
 
     def along(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean (Q,) and covariance (Q, Q) along other columns; zero for those it does not have."""
+        """Return the marginal mean (Q,) and covariance (Q, Q) along some columns; zero for unknown ones."""
         place = {column: k for k, column in enumerate(self.columns)}
         share = np.zeros((len(columns), len(place)))
         for i, column in enumerate(columns):
@@ -60,27 +60,33 @@ class Reference:
         columns = problem.columns([*problem.library, BASE])
         near = problem.linearise({}, columns, inflation)
         problem.confounded = confounding(near)
-        problem.between = estimate_between_flights(problem, near)
+        problem.between = estimate_between_flight_deviations(problem, near)
         problem.excitation = excitation(problem, near)
-        local = Local.of(problem, near, {})
+        local = LinearGaussian.of(problem, near, {})
         change, covariance = local.fit(frozenset(problem.library))
         left = Residual.by(problem, local, frozenset(problem.library), {}, size, inflation)
         known = covariance * np.outer(local.unit, local.unit)
-        return Reference(tuple(columns), (local.at + change) * local.unit, known, Repeating.of(problem, left))
+        return Reference(
+            tuple(columns), (local.at + change) * local.unit, known, ReferenceResidual.of(problem, left)
+        )
 
     @staticmethod
     def of_file(path: Path | None, vehicle: Vehicle) -> Reference:
         """Return the diagonal covariance of the uncertainties given in a vehicle file."""
-        problem = Suspects.of(vehicle, {n: e for n, e in LIBRARY.items() if not e.contact})
+        problem = Candidates.of(vehicle, {n: e for n, e in LIBRARY.items() if not e.contact})
         columns = problem.columns([*problem.library, BASE])
         given = {c.field: c for c in constants(path)}
         deviation = [_deviation(problem, c, given) for c in columns]
         return Reference(
-            tuple(columns), np.zeros(len(columns)), np.diag(np.square(deviation)), Repeating({}, {}), False
+            tuple(columns),
+            np.zeros(len(columns)),
+            np.diag(np.square(deviation)),
+            ReferenceResidual({}, {}),
+            False,
         )
 
     def to_json(self, vehicle: Vehicle) -> dict:
-        """Plain lists and numbers; `vehicle` is the one it is about."""
+        """Return the posterior as plain lists and numbers; `vehicle`: the one identified."""
         functions = self.repeating
         return {
             "version": VERSION,
@@ -128,7 +134,7 @@ class Reference:
         for (target, on), w in weights.items():
             if target not in TARGETS or len(w) != bases[on](np.zeros((1, len(bases[on].centre)))).shape[1]:
                 raise ValueError(f"weights of {target} with {on}")
-        return Reference(columns, mean, covariance, Repeating(bases, weights))
+        return Reference(columns, mean, covariance, ReferenceResidual(bases, weights))
 
 
 def digest(vehicle: Vehicle) -> str:
@@ -138,7 +144,7 @@ def digest(vehicle: Vehicle) -> str:
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
-def beside(path: Path) -> Path:
+def posterior_path(path: Path) -> Path:
     """Return the path of the posterior of a vehicle file."""
     return path.with_name(path.stem + SUFFIX)
 
@@ -148,8 +154,7 @@ def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[Reference, str]
 
     Raises UserError for a posterior that is damaged.
     """
-    file = beside(path) if path else None
-    if file is None or not file.exists():
+    if path is None or not (file := posterior_path(path)).exists():
         return Reference.of_file(path, vehicle), ""
     table = storage.read_json(file, "posterior")
     try:
@@ -173,12 +178,14 @@ def _numbers(values, dimensions: int) -> np.ndarray:
     return result
 
 
-def _deviation(problem: Suspects, column: Column, given: dict[str, Constant]) -> float:
-    """Return the standard deviation of a column, from the uncertainty of the constants that it changes."""
+def _deviation(problem: Candidates, column: Column, given: dict[str, Constant]) -> float:
+    """Return the prior standard deviation of a column, from the uncertainties of the constants it changes."""
+    # Linear propagation: a constant c with the 95 % half-width h gives sigma = h / (1.96 |dc/dx|); the
+    # smallest of all that the column changes.
     if column.form or column.fixed:
-        # Without flights nothing tells the formulas' errors from effects.
+        # Without flights, model errors and effects are confounded: the former stay small.
         return form.ALONE * problem.parameter(column).plausible if column.form else 0.0
-    moved, step = problem.to_one_side({}, column)
+    moved, step = problem.one_sided_difference({}, column)
     widths = []
     for f in dataclasses.fields(moved):
         change = np.subtract(getattr(moved, f.name), getattr(problem.vehicle, f.name)) / step

@@ -15,48 +15,50 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.flights.whitening import Shapes
-from inclined_landing.eval.gap.flights.windows import REGIMES, Measured
-from inclined_landing.eval.gap.result import Dependence, Remainder
+from inclined_landing.eval.gap.flights.whitening import ErrorResponses
+from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
+from inclined_landing.eval.gap.result import Dependence, ResidualAnalysis
 from inclined_landing.eval.gap.search.evidence import Problem, Values
-from inclined_landing.eval.gap.search.posterior import Local, Set
+from inclined_landing.eval.gap.search.posterior import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.search.prediction import CHANNELS
 from inclined_landing.models.parameters import Vehicle
 
 UNITS = {"x": "m/s2", "y": "m/s2", "z": "m/s2", "roll": "rad", "pitch": "rad", "yaw": "rad"}
 TARGETS = (*CHANNELS, "forward", "left")
-FALSE_ALARM = 0.02
-FLIPS = 400
-FEATURES = 24  # random ones of a function
-KNOTS = 7  # of the bumps along every input
-EVERY = 0.5  # s between those of the flight time
-BLOCK = 5.0  # s of a flight that may have the other sign
-PAST = (0.1, 0.25)  # s ago, of commands
-MOVED = (0.15, 0.3, 0.5)  # s ago, of velocities
+SIGNIFICANCE = 0.02  # family-wise
+FLIPS = 400  # random sign flips
+FEATURES = 24  # random Fourier features of a function
+KNOTS = 7  # radial basis functions along every input
+TIME_SPACING = 0.5  # s between those along the flight time
+BLOCK = 5.0  # s of flight that share a sign in the permutation test
+COMMAND_LAGS = (0.1, 0.25)  # s
+VELOCITY_LAGS = (0.15, 0.3, 0.5)  # s
 TIME = "flight time"
 BINS = 8
-AHEAD = 1.0  # s, over which a disturbance displaces the vehicle
+HORIZON = 1.0  # s, over which a function displaces the vehicle
 UNITS_OF = ("m/s2",) * 3 + ("rad/s2",) * 3
-LEAST = {"m/s2": 0.01, "rad/s2": 0.3}  # a function's expected size where the air is still
+EXPECTED_SIZE = {"m/s2": 0.01, "rad/s2": 0.3}  # least prior standard deviation of a function
 
 
 @dataclasses.dataclass(frozen=True)
 class Residual:
-    """Residuals of a fit."""
+    """White residuals of a fit, with its disturbance level and variance inflation."""
 
     errors: list[np.ndarray]  # white (w, 6, q) of every flight
     size: np.ndarray  # (6,) of the disturbance [m/s2, rad/s2]
     inflation: np.ndarray  # (6,)
 
     @staticmethod
-    def by(problem: Problem, local: Local, names: Set, at: Values, size: np.ndarray, inflation) -> Residual:
+    def by(
+        problem: Problem, local: LinearGaussian, names: EffectSet, at: Values, size: np.ndarray, inflation
+    ) -> Residual:
         """Return the residuals at the posterior mean of all columns, random effects of flights included."""
         change, _ = local.fit(names)
-        errors, slopes_of = [], problem.slopes(at, local.columns)
+        errors, slopes_of = [], problem.jacobian(at, local.columns)
         for k, flight in enumerate(problem.flights):
-            own = (change + local.deviation(k, change)) * local.unit
+            step = (change + local.deviation(k, change)) * local.unit  # z + u of this flight
             here, *slopes = slopes_of(flight)
-            error = flight.measured - here - np.tensordot(own, np.array(slopes), axes=1)
+            error = flight.measured - here - np.tensordot(step, np.array(slopes), axes=1)
             errors.append(flight.whitening(flight.cut(error)))
         return Residual(errors, size, inflation)
 
@@ -74,12 +76,13 @@ class Basis:
         """Return a basis scaled to inputs `seen` (m, k)."""
         centre, scale = seen.mean(axis=0), np.maximum(seen.std(axis=0), 1e-9)
         z, count = (seen - centre) / scale, KNOTS
-        if tuple(inputs) == (TIME,):  # what beats, or swings
-            count = max(KNOTS, round(float(np.ptp(seen)) / EVERY))
+        if tuple(inputs) == (TIME,):  # oscillations in time need a finer basis
+            count = max(KNOTS, round(float(np.ptp(seen)) / TIME_SPACING))
         return Basis(centre, scale, tuple(np.quantile(c, np.linspace(0, 1, count)) for c in z.T))
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Return the features (m, D) of inputs (m, k)."""
+        # Radial: exp(-(z - knot)^2 / (2 width^2));  Fourier: sqrt(2 / D) cos(w'z + phase), w ~ N(0, 1 / k)
         z = np.clip((x - self.centre) / self.scale, -4.0, 4.0)
         parts = []
         for column, knots in zip(z.T, self.knots):
@@ -94,82 +97,89 @@ class Basis:
 
 
 @dataclasses.dataclass(frozen=True)
-class Repeating:
-    """Functions fitted to the residual of reference flights."""
+class ReferenceResidual:
+    """Functions fitted to the residual of the reference flights."""
 
     bases: Mapping[str, Basis]  # of quantities
     weights: Mapping[tuple[str, str], np.ndarray]  # (target, quantity) -> (D,)
 
     @staticmethod
-    def of(problem: Problem, left: Residual) -> Repeating:
-        """Fitted to all flights of `problem`."""
-        inputs = quantities(problem.flights)
+    def of(problem: Problem, residual: Residual) -> ReferenceResidual:
+        """Return the functions of all flights of `problem`, each shrunk by its cross-validated gain."""
+        inputs = regressors(problem.flights)
         bases = {name: _basis(problem, *of) for name, of in inputs.items()}
-        functions = _functions(problem, left, inputs, bases, None)
-        weights = {(f.target, f.on): f.came_true() * f.weights() for f in functions}
-        return Repeating(bases, {key: w for key, w in weights.items() if np.any(w)})
+        functions = _functions(problem, residual, inputs, bases, None)
+        weights = {(f.target, f.on): f.shrinkage() * f.weights() for f in functions}
+        return ReferenceResidual(bases, {key: w for key, w in weights.items() if np.any(w)})
 
 
-def sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return every window's error (w, 6) as a constant acceleration or angle, and its expected variance."""
-    value = np.concatenate([f.whitening.sizes(x) for f, x in zip(problem.flights, white)])
+def equivalent_sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return every window's error (w, 6) as a constant acceleration or angle, and its variance."""
+    value = np.concatenate([f.whitening.amplitudes(x) for f, x in zip(problem.flights, white)])
     variance = np.concatenate(
         [np.tile(1.0 / f.whitening.power, (len(x), 1)) for f, x in zip(problem.flights, white)]
     )
     return value, variance
 
 
-def quantities(flights: Sequence[Measured]) -> dict[str, tuple[tuple[str, ...], list[np.ndarray]]]:
+def regressors(flights: Sequence[MeasuredFlight]) -> dict[str, tuple[tuple[str, ...], list[np.ndarray]]]:
     """Return the regressors of the residual: name -> (names of its inputs, inputs (m, k) of every flight)."""
     result: dict[str, tuple[tuple[str, ...], list[np.ndarray]]] = {}
 
-    def put(name: str, inputs: Sequence[str], of) -> None:
+    def add(name: str, inputs: Sequence[str], of) -> None:
         result[name] = (tuple(inputs), [np.column_stack(of(f)) for f in flights])
 
-    def turned(f: Measured, values: np.ndarray) -> np.ndarray:
+    def yaw_aligned(f: MeasuredFlight, values: np.ndarray) -> np.ndarray:
         c, s = np.cos(f.attitude[:, 2]), np.sin(f.attitude[:, 2])
         x, y = values[:, 0], values[:, 1]
         return np.column_stack([c * x + s * y, -s * x + c * y, values[:, 2]])
 
-    def ago(f: Measured, values: np.ndarray, times: Sequence[float]) -> list[np.ndarray]:
+    def lagged(f: MeasuredFlight, values: np.ndarray, times: Sequence[float]) -> list[np.ndarray]:
         rows = np.arange(f.samples)
         return [values[np.maximum(0, rows - round(t / f.dt))] for t in (0.0, *times)]
 
-    put("place", ("position x", "position y", "position z"), lambda f: [f.position])
-    put("velocity", ("velocity x", "velocity y", "velocity z"), lambda f: [f.velocity])
+    add("place", ("position x", "position y", "position z"), lambda f: [f.position])
+    add("velocity", ("velocity x", "velocity y", "velocity z"), lambda f: [f.velocity])
     body = ("forward speed", "sideways speed", "climb rate")
-    put("velocity along its heading", body, lambda f: [turned(f, f.velocity)])
-    put("tilt", ("roll", "pitch"), lambda f: [f.attitude[:, :2]])
-    put("heading", ("heading",) * 2, lambda f: [np.cos(f.attitude[:, 2]), np.sin(f.attitude[:, 2])])
+    add("velocity along its heading", body, lambda f: [yaw_aligned(f, f.velocity)])
+    add("tilt", ("roll", "pitch"), lambda f: [f.attitude[:, :2]])
+    add("heading", ("heading",) * 2, lambda f: [np.cos(f.attitude[:, 2]), np.sin(f.attitude[:, 2])])
     commands = ("thrust command", "roll command", "pitch command", "yaw rate command")
-    put("commands", commands, lambda f: [f.command])
-    past = [f"thrust command{when}" for when in _when(PAST)]
-    put("thrust command and its past", ("thrust command", *past), lambda f: ago(f, f.command[:, :1], PAST))
-    names = [f"{axis} command{when}" for when in ("", *_when(PAST)) for axis in ("roll", "pitch")]
-    put("tilt commands and their past", names, lambda f: ago(f, f.command[:, 1:3], PAST))
-    names = [f"{axis}{when}" for when in ("", *_when(MOVED)) for axis in body]
-    put("velocity and its past", names, lambda f: ago(f, turned(f, f.velocity), MOVED))
-    put("flight time", (TIME,), lambda f: [f.t])
+    add("commands", commands, lambda f: [f.command])
+    past = [f"thrust command{when}" for when in _lag_names(COMMAND_LAGS)]
+    add(
+        "thrust command and its past",
+        ("thrust command", *past),
+        lambda f: lagged(f, f.command[:, :1], COMMAND_LAGS),
+    )
+    names = [
+        f"{axis} command{when}" for when in ("", *_lag_names(COMMAND_LAGS)) for axis in ("roll", "pitch")
+    ]
+    add("tilt commands and their past", names, lambda f: lagged(f, f.command[:, 1:3], COMMAND_LAGS))
+    names = [f"{axis}{when}" for when in ("", *_lag_names(VELOCITY_LAGS)) for axis in body]
+    add("velocity and its past", names, lambda f: lagged(f, yaw_aligned(f, f.velocity), VELOCITY_LAGS))
+    add("flight time", (TIME,), lambda f: [f.t])
     if all(f.voltage is not None for f in flights):
-        put("battery voltage", ("battery voltage",), lambda f: [f.voltage])
+        add("battery voltage", ("battery voltage",), lambda f: [f.voltage])
     return result
 
 
-def _when(times: Sequence[float]) -> list[str]:
+def _lag_names(times: Sequence[float]) -> list[str]:
+    """Return the suffixes that name lagged inputs."""
     return [f" {t:g} s ago" for t in times]
 
 
 @dataclasses.dataclass
-class _Function:
-    """A residual along one target regressed on one group of inputs."""
+class _RidgeRegression:
+    """Ridge regression of the residual along one target on the features of one group of inputs."""
 
     target: str
-    on: str
-    a: np.ndarray  # (g, D, D)
-    b: np.ndarray  # (k, D) of every block
-    fold_of: np.ndarray  # (k,) the group that a block is of
+    on: str  # name of the inputs
+    a: np.ndarray  # (g, D, D) Gram matrices of the groups of windows
+    b: np.ndarray  # (k, D) features times residual, of every block
+    fold_of: np.ndarray  # (k,) group of every block: its fold in cross-validation
     ridge: float
-    form: np.ndarray  # (k, k) see `form_of`
+    form: np.ndarray  # (k, k) see `gain_matrix`
 
     @property
     def gain(self) -> float:
@@ -178,62 +188,68 @@ class _Function:
 
     def scores(self, signs: np.ndarray) -> np.ndarray:
         """Return the gains (s,) under sign flips (s, k), standardised over all flips."""
+        # s'Qs with independent signs:  mean tr Q,  variance 1/2 sum_(i != j) (Q_ij + Q_ji)^2
         gains = np.einsum("sg,gh,sh->s", signs, self.form, signs, optimize=True) - np.trace(self.form)
         apart = self.form + self.form.T
         np.fill_diagonal(apart, 0.0)
         return gains / max(np.sqrt(0.5 * (apart**2).sum()), 1e-12)
 
     def weights(self, without: int | None = None) -> np.ndarray:
-        """Return the ridge regression (D,) of all groups, or of all but one."""
+        """Return the ridge weights (D,) of all groups, or of all but one:  (a + ridge)^-1 b."""
         use = np.arange(len(self.a)) != (-1 if without is None else without)
         a = self.a[use].sum(axis=0) + self.ridge * np.eye(self.a.shape[1])
         return np.linalg.solve(a, self.b[use[self.fold_of]].sum(axis=0))
 
-    def came_true(self) -> float:
-        """Return the cross-validated gain over the predicted one: the shrinkage that would be optimal."""
-        gain, foreseen = self.trusted()
-        return float(np.clip(gain.sum() / max(foreseen.sum(), 1e-12), 0.0, 1.0))
+    def shrinkage(self) -> float:
+        """Return the optimal shrinkage of the function: its cross-validated gain over the predicted one."""
+        gain, predicted = self.cross_validated_gain()
+        return float(np.clip(gain.sum() / max(predicted.sum(), 1e-12), 0.0, 1.0))
 
-    def trusted(self) -> tuple[np.ndarray, np.ndarray]:
+    def cross_validated_gain(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the decrease of the squared error (g,) of every held-out group, and the predicted one."""
-        gain, foreseen = np.zeros((2, len(self.a)))
+        # With the weights w_-g of the other groups:  gain 2 b_g'w - w'a_g w,  predicted w'a_g w
+        gain, predicted = np.zeros((2, len(self.a)))
         for g in range(len(self.a)):
             w = self.weights(g)
-            foreseen[g] = w @ self.a[g] @ w
-            gain[g] = 2.0 * self.b[self.fold_of == g].sum(axis=0) @ w - foreseen[g]
-        return gain, foreseen
+            predicted[g] = w @ self.a[g] @ w
+            gain[g] = 2.0 * self.b[self.fold_of == g].sum(axis=0) @ w - predicted[g]
+        return gain, predicted
 
 
-def assess(problem: Problem, left: Residual, vehicle: Vehicle, seed: int = 0) -> Remainder:
-    """Return sizes and significant functions of the residual; vehicle: the corrected one."""
-    value, variance = sizes(problem, left.errors)
+def analyse_residual(
+    problem: Problem, residual: Residual, vehicle: Vehicle, seed: int = 0
+) -> ResidualAnalysis:
+    """Return the residual's size by channel and its significant functions; vehicle: the corrected one."""
+    value, variance = equivalent_sizes(problem, residual.errors)
     size = {}
     for k, channel in enumerate(CHANNELS):
         w = problem.logged[:, k] > 0.0
         if w.any():
             size[channel] = float(np.sqrt(max(0.0, (value[w, k] ** 2 - variance[w, k]).mean())))
     repeating = problem.reference.repeating if problem.reference else None
-    inputs = quantities(problem.flights)
+    inputs = regressors(problem.flights)
     bases = {name: _basis(problem, *of) for name, of in inputs.items()}
     if repeating:
         bases = {name: repeating.bases.get(name, basis) for name, basis in bases.items()}
-    functions = _functions(problem, left, inputs, bases, repeating)
-    signs = _signs(len(functions[0].b), seed)
+    functions = _functions(problem, residual, inputs, bases, repeating)
+    signs = _sign_flips(len(functions[0].b), seed)
     scores = np.stack([f.scores(signs) for f in functions])
-    most = scores.max(axis=0)
-    p_value = float((most >= most[0] - 1e-9).mean())
-    sure = np.quantile(most[1:], 1.0 - FALSE_ALARM)
+    largest = scores.max(axis=0)  # over all functions, of the data and of every flip (max-T test)
+    p_value = float((largest >= largest[0] - 1e-9).mean())
+    threshold = np.quantile(largest[1:], 1.0 - SIGNIFICANCE)
     depends: dict[str, Dependence] = {}
     for k in np.argsort(-scores[:, 0], kind="stable"):
         f = functions[k]
-        if scores[k, 0] >= sure and f.target not in depends and f.gain > 0.0:
-            depends[f.target] = _described(problem, f, bases[f.on], inputs[f.on], left, vehicle, scores[k, 0])
-    return Remainder(p_value, size, tuple(depends.values()))
+        if scores[k, 0] >= threshold and f.target not in depends and f.gain > 0.0:
+            depends[f.target] = _dependence(
+                problem, f, bases[f.on], inputs[f.on], residual, vehicle, scores[k, 0]
+            )
+    return ResidualAnalysis(p_value, size, tuple(depends.values()))
 
 
 def _functions(
-    problem: Problem, left: Residual, inputs, bases, repeating: Repeating | None
-) -> list[_Function]:
+    problem: Problem, residual: Residual, inputs, bases, repeating: ReferenceResidual | None
+) -> list[_RidgeRegression]:
     """Fit one function of every quantity along every target."""
     block_of, result = _blocks(problem), []
     for name, (_, arrays) in inputs.items():
@@ -241,35 +257,35 @@ def _functions(
         for target in TARGETS:
             if target != "yaw" or problem.logged[:, 5].any():
                 known = repeating.weights.get((target, name)) if repeating else None
-                result.append(_fit(problem, left, target, name, features, block_of, known))
+                result.append(_fit(problem, residual, target, name, features, block_of, known))
     return result
 
 
-def _described(
-    problem, function: _Function, basis: Basis, inputs, left: Residual, vehicle, score
+def _dependence(
+    problem, function: _RidgeRegression, basis: Basis, inputs, residual: Residual, vehicle, score
 ) -> Dependence:
-    """Return a function's size by regime, and its curve over the input that explains most of it."""
+    """Return a function's size, by regime too, and its mean over the input that explains most of it."""
     names, arrays = inputs
     weights = function.weights()
     values = [basis(x) @ weights for x in arrays]
     value = np.concatenate([f.cut(v).mean(axis=1) for f, v in zip(problem.flights, values)])
     regimes = np.concatenate([f.regimes for f in problem.flights])
     rms = {n: float(np.sqrt((value[w] ** 2).mean())) for n, w in zip(REGIMES, regimes.T) if w.any()}
-    against, best, curve = names[0], -1.0, (np.zeros(0), np.zeros(0))
+    input_name, best, curve = names[0], -1.0, (np.zeros(0), np.zeros(0))
     for k, name in enumerate(names):
         x = np.concatenate([f.cut(v[:, k]).mean(axis=1) for f, v in zip(problem.flights, arrays)])
-        spread, *bins = _binned(x, value)
+        spread, centres, means = _binned(x, value)
         if spread > best:
-            against, best, curve = name, spread, bins
+            input_name, best, curve = name, spread, (centres, means)
     unit = UNITS_OF[CHANNELS.index(function.target)] if function.target in CHANNELS else UNITS_OF[0]
     channels = _channels(function.target)
-    weight = problem.weight / left.inflation
+    weight = problem.weight / residual.inflation
     total = sum(
-        (np.concatenate([(e[:, c] ** 2).sum(axis=1) for e in left.errors]) * weight[:, c]).sum()
+        (np.concatenate([(e[:, c] ** 2).sum(axis=1) for e in residual.errors]) * weight[:, c]).sum()
         for c in channels
     )
     share = float(np.clip(function.gain / max(total, 1e-9), 0.0, 1.0))
-    moved = _displacement(problem, function, basis, arrays, vehicle)
+    displacement = _displacement(problem, function, basis, arrays, vehicle)
     size = float(np.sqrt((value**2).mean()))
     return Dependence(
         function.target,
@@ -278,26 +294,26 @@ def _described(
         unit,
         share,
         float(score),
-        moved[0],
-        moved[1:],
+        displacement[0],
+        displacement[1:],
         rms,
-        against,
+        input_name,
         *curve,
     )
 
 
-def _displacement(problem, function: _Function, basis: Basis, arrays, vehicle) -> np.ndarray:
-    """Return the position error [m] AHEAD that a function explains in held-out flights, with 95 % interval.
+def _displacement(problem, function: _RidgeRegression, basis: Basis, arrays, vehicle) -> np.ndarray:
+    """Return the displacement [m] over HORIZON that a function explains in held-out flights, with interval.
 
-    Root mean square of the displacement by the function fitted to the other flights, times the root of its
-    optimal shrinkage (gain over predicted gain); bootstrap over flights.
+    Root mean square by the function fitted to the other flights, times the root of its optimal shrinkage; the
+    95 % interval is a bootstrap over groups of windows.
     """
     if function.target == "yaw":
         return np.zeros(3)
     squares = np.zeros(len(function.a))
     counts = np.zeros(len(function.a))
     for k, (flight, x) in enumerate(zip(problem.flights, arrays)):
-        through = _through(flight, function.target, vehicle)
+        through = _displacement_response(flight, function.target, vehicle)
         blocked = np.concatenate([[0], np.cumsum(~flight.usable)])
         first = np.arange(0, max(0, flight.samples - len(through)), max(1, len(through) // 4))
         first = first[blocked[first + len(through)] == blocked[first]]
@@ -306,20 +322,20 @@ def _displacement(problem, function: _Function, basis: Basis, arrays, vehicle) -
         features = basis(x)
         for g in np.unique(mine):
             value = features @ function.weights(g)
-            moved = value[first[mine == g][:, None] + np.arange(len(through))] @ through
-            squares[g] += (moved**2).sum()
-            counts[g] += len(moved)
-    gain, foreseen = function.trusted()
+            displacement = value[first[mine == g][:, None] + np.arange(len(through))] @ through
+            squares[g] += (displacement**2).sum()
+            counts[g] += len(displacement)
+    gain, predicted = function.cross_validated_gain()
     drawn = np.random.default_rng(0).integers(0, len(gain), (200, len(gain)))
     drawn = np.vstack([np.arange(len(gain)), drawn])
-    true = np.clip(gain[drawn].sum(axis=1) / np.maximum(foreseen[drawn].sum(axis=1), 1e-12), 0.0, 1.0)
-    moved = np.sqrt(true * squares[drawn].sum(axis=1) / np.maximum(counts[drawn].sum(axis=1), 1.0))
-    return np.array([moved[0], *np.quantile(moved[1:], [0.025, 0.975])])
+    true = np.clip(gain[drawn].sum(axis=1) / np.maximum(predicted[drawn].sum(axis=1), 1e-12), 0.0, 1.0)
+    displacement = np.sqrt(true * squares[drawn].sum(axis=1) / np.maximum(counts[drawn].sum(axis=1), 1.0))
+    return np.array([displacement[0], *np.quantile(displacement[1:], [0.025, 0.975])])
 
 
-def _through(flight: Measured, target: str, vehicle: Vehicle) -> np.ndarray:
-    """Return the impulse response (r,): displacement [m] AHEAD per unit of a target in each row."""
-    responses = Shapes.of(round(AHEAD / flight.dt), flight.dt, vehicle).responses
+def _displacement_response(flight: MeasuredFlight, target: str, vehicle: Vehicle) -> np.ndarray:
+    """Return the impulse response (r,): displacement [m] after HORIZON per unit of a target in each row."""
+    responses = ErrorResponses.of(round(HORIZON / flight.dt), flight.dt, vehicle).impulse
     if target not in ("roll", "pitch"):
         return responses[0][-1]
     return vehicle.environment_gravity * responses[0][-1] @ responses[3]
@@ -346,7 +362,7 @@ def _binned(x: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray, np.ndarray
     return float((count * (mean - y.mean()) ** 2).sum() / len(y)), centre, mean
 
 
-def _fit(problem, left: Residual, target: str, name: str, features, block_of, known) -> _Function:
+def _fit(problem, residual: Residual, target: str, name: str, features, block_of, known) -> _RidgeRegression:
     """Return a ridge regression of the residual on features: Gram matrices and cross-validated gains.
 
     known (D,): what the function is in the flights of the reference; None: nothing.
@@ -356,7 +372,7 @@ def _fit(problem, left: Residual, target: str, name: str, features, block_of, kn
     a, b = np.zeros((groups, width, width)), np.zeros((int(block_of.max()) + 1, width))
     ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
     of_flights = [np.split(x, ends) for x in (problem.group_of, block_of, problem.weight)]
-    for flight, errors, basis, g, k, weight in zip(problem.flights, left.errors, features, *of_flights):
+    for flight, errors, basis, g, k, weight in zip(problem.flights, residual.errors, features, *of_flights):
         for channel in channels:
             drive = basis
             if len(channels) == 2:
@@ -364,8 +380,8 @@ def _fit(problem, left: Residual, target: str, name: str, features, block_of, kn
                 across = channel == (target == "forward")
                 sign = -1.0 if target == "left" and channel == 0 else 1.0
                 drive = basis * (sign * np.sin(heading) if across else np.cos(heading))
-            scale = 1.0 / np.sqrt(left.inflation[channel])
-            through = scale * flight.whitening.matrices[channel] @ flight.shapes.responses[channel]
+            scale = 1.0 / np.sqrt(residual.inflation[channel])
+            through = scale * flight.whitening.matrices[channel] @ flight.error_responses.impulse[channel]
             share = np.sqrt(weight[:, channel])[:, None]
             slopes = share[..., None] * np.matmul(through, drive)  # (w, q, D)
             for one in np.unique(g):
@@ -375,18 +391,20 @@ def _fit(problem, left: Residual, target: str, name: str, features, block_of, kn
             if known is not None:
                 error = error - slopes @ known
             np.add.at(b, k, np.einsum("wqd,wq->wd", slopes, error, optimize=True))
-    # Expected as large as what is taken for a disturbance.
-    expected = max(float(left.size[list(channels)].max()), LEAST[UNITS_OF[channels[0]]])
+    # Prior of the weights N(0, size^2), size that of the disturbance:  ridge = 1 / size^2
+    expected = max(float(residual.size[list(channels)].max()), EXPECTED_SIZE[UNITS_OF[channels[0]]])
     ridge = 1.0 / expected**2
     fold_of = np.array([problem.group_of[np.argmax(block_of == k)] for k in range(len(b))])
-    return _Function(target, name, a, b, fold_of, ridge, form_of(a, b, fold_of, ridge))
+    return _RidgeRegression(target, name, a, b, fold_of, ridge, gain_matrix(a, b, fold_of, ridge))
 
 
-def form_of(a: np.ndarray, b: np.ndarray, fold_of: np.ndarray, ridge: float) -> np.ndarray:
-    """Return the quadratic form Q (k, k): s'Qs is the cross-validated gain under sign flips s.
+def gain_matrix(a: np.ndarray, b: np.ndarray, fold_of: np.ndarray, ridge: float) -> np.ndarray:
+    """Return the matrix Q (k, k) of the cross-validated gain s'Qs under sign flips s (k,) of the blocks.
 
-    a (g, D, D) of every flight, b (k, D) of every block, s (k,) the signs of the blocks.
+    a (g, D, D) of every group of windows, b (k, D) of every block.
     """
+    # Fits of fold g from the blocks outside it:  F_g = (sum_(h != g) a_h + ridge)^-1 b_i  (0 inside), and
+    #   Q = sum_g [2 b_g F_g' - F_g a_g F_g']
     total, form = a.sum(axis=0), np.zeros((len(b), len(b)))
     for g in range(len(a)):
         own = fold_of == g
@@ -408,8 +426,8 @@ def _blocks(problem: Problem) -> np.ndarray:
     return result
 
 
-def _signs(blocks: int, seed: int) -> np.ndarray:
-    """Return random signs (FLIPS, blocks), the first row all positive."""
+def _sign_flips(blocks: int, seed: int) -> np.ndarray:
+    """Return random signs (FLIPS, blocks), the first row all positive (the data)."""
     signs = np.random.default_rng(seed).choice((-1.0, 1.0), (FLIPS, blocks))
     signs[0] = 1.0
     return signs

@@ -1,7 +1,7 @@
-"""Open-loop simulation from measured states: the gap in metres, in both plants.
+"""Open-loop simulation from measured states: the prediction error in metres, in both plants.
 
-A window starts at the smoothed measured state (the thrust lag from the commands before it) and is driven
-by the commands alone, attitude included. Delays shift the commands, averaged exactly over each step.
+A window starts at the smoothed measured state (the thrust lag from the commands before it) and is driven by
+the commands alone, attitude included. Delayed commands are averaged exactly over each step.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from inclined_landing.eval.gap.flights.windows import SMOOTHING, Measured, level, prepare
+from inclined_landing.eval.gap.flights.windows import SMOOTHING, MeasuredFlight, prepare, remove_tilt
 from inclined_landing.eval.gap.result import PlantGap
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.models import equations
@@ -26,24 +26,24 @@ from inclined_landing.models.perturbation import neutral
 from inclined_landing.models.plants import PLANTS, MujocoPlant
 
 HORIZON = 1.0  # s
-ENGINE_STEP = 0.004  # s at most
-FAR_UP = 50.0  # m
+LARGEST_STEP = 0.004  # s at most
+CLEAR_HEIGHT = 50.0  # m, at which no surface is near
 ANGLE_SMOOTHING = 0.05  # s to either side, for start attitudes and their rates
 
 
 @dataclasses.dataclass
-class Starts:
+class RolloutWindows:
     """Windows of several flights to simulate together; all have the same number of rows."""
 
-    flights: list[Measured]
+    flights: list[MeasuredFlight]
     flight_of: np.ndarray  # (n,)
     first: np.ndarray  # (n,) row in the flight
     rows: int  # steps of the horizon
     dt: float
 
     @staticmethod
-    def of(flights: Sequence[Measured], horizon: float = HORIZON, every: float = 1.0) -> Starts:
-        """A window every `every` seconds wherever all of it is usable.
+    def of(flights: Sequence[MeasuredFlight], horizon: float = HORIZON, every: float = 1.0) -> RolloutWindows:
+        """Return a window every `every` seconds wherever all of it is usable.
 
         Raises UserError when the flights have different rates, and where no stretch is long enough.
         """
@@ -62,25 +62,31 @@ class Starts:
         if not first:
             names = ", ".join(f.name for f in flights)
             raise UserError(f"no stretch of {horizon:g} s in free flight in {names}")
-        return Starts(list(flights), np.array(flight_of, int), np.array(first, int), rows, dt)
+        return RolloutWindows(list(flights), np.array(flight_of, int), np.array(first, int), rows, dt)
 
     def __len__(self) -> int:
         return len(self.first)
 
     def gather(self, values: Sequence[np.ndarray], rows: int | None = None) -> np.ndarray:
-        """Rows (n, rows, ...) of one array for each flight, from each window's first on."""
+        """Return the rows (n, rows, ...) of every window from one array for each flight."""
         rows = self.rows if rows is None else rows
         return np.stack([values[f][a : a + rows] for f, a in zip(self.flight_of, self.first)])
 
     def measured(self) -> np.ndarray:
-        """Measured pose (n, rows + 1, 6)."""
+        """Return the measured pose (n, rows + 1, 6)."""
         return self.gather([f.measured for f in self.flights], self.rows + 1)
 
 
-def smoothed_states(flight: Measured) -> np.ndarray:
-    """States (m, 13) from smoothed measurements; lag zero."""
-    dt = flight.dt
+def _filter_lengths(dt: float) -> tuple[int, int]:
+    """Return the rows of the smoothing filters of position and of attitude."""
     wide, narrow = (2 * max(2, round(x / dt)) + 1 for x in (SMOOTHING, ANGLE_SMOOTHING))
+    return wide, narrow
+
+
+def smoothed_states(flight: MeasuredFlight) -> np.ndarray:
+    """Return the states (m, 13) from smoothed measurements (Savitzky-Golay, second order); lag zero."""
+    dt = flight.dt
+    wide, narrow = _filter_lengths(dt)
     state = np.zeros((flight.samples, STATE_SIZE))
     state[:, :3] = savgol_filter(flight.position, wide, 2, axis=0)
     state[:, VX : VX + 3] = flight.velocity
@@ -91,10 +97,11 @@ def smoothed_states(flight: Measured) -> np.ndarray:
     return state
 
 
-def start_noise(flight: Measured) -> np.ndarray:
-    """Standard deviations (12,) of a smoothed state's noise: position, velocity, attitude, rates."""
+def start_state_noise(flight: MeasuredFlight) -> np.ndarray:
+    """Return the standard deviations (12,) of a smoothed state: position, velocity, attitude, rates."""
+    # White noise sigma through the filter coefficients c:  sigma |c|
     dt = flight.dt
-    wide, narrow = (2 * max(2, round(x / dt)) + 1 for x in (SMOOTHING, ANGLE_SMOOTHING))
+    wide, narrow = _filter_lengths(dt)
     factor = [
         np.linalg.norm(savgol_coeffs(n, 2, deriv=d, delta=dt))
         for n, d in ((wide, 0), (wide, 1), (narrow, 0), (narrow, 1))
@@ -103,38 +110,38 @@ def start_noise(flight: Measured) -> np.ndarray:
     return np.concatenate([factor[0] * p, factor[1] * p, factor[2] * a, factor[3] * a])
 
 
-def drive(command: np.ndarray, dt: float, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
-    """Commands (m, 4) as delayed means (m - 1, 4) over each step, and the thrust lag (m,) they lead to."""
+def delayed_commands(command: np.ndarray, dt: float, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
+    """Return commands (m, 4) as delayed means (m - 1, 4) over each step, and the thrust lag state (m,)."""
     late = vehicle.effects_mocap_delay
     delays = [vehicle.effects_thrust_delay + late] + [vehicle.effects_attitude_delay + late] * 3
     commands = np.stack([averages(command[:, k], dt, d) for k, d in enumerate(delays)], axis=1)
     return commands, equations.lags(commands[:, PWM], dt, equations.pack(vehicle))
 
 
-def undelayed(vehicle: Vehicle) -> Vehicle:
-    """The vehicle for commands that `drive` has delayed."""
+def without_delays(vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle without delays, for commands that `delayed_commands` has delayed."""
     return dataclasses.replace(
         vehicle, effects_thrust_delay=0.0, effects_attitude_delay=0.0, effects_mocap_delay=0.0
     )
 
 
 def simulate(
-    starts: Starts, vehicle: Vehicle, plant: str = "analytic", disturbance: np.ndarray | None = None
+    starts: RolloutWindows, vehicle: Vehicle, plant: str = "analytic", perturbation: np.ndarray | None = None
 ) -> np.ndarray:
-    """Simulated pose (n, rows + 1, 6) of every window.
+    """Return the simulated pose (n, rows + 1, 6) of every window.
 
     disturbance: (n, 12) added to position, velocity, attitude and body rates of the start states.
     """
-    driven = [drive(f.command, f.dt, vehicle) for f in starts.flights]
+    driven = [delayed_commands(f.command, f.dt, vehicle) for f in starts.flights]
     commands = starts.gather([c for c, _ in driven])
     state = starts.gather([smoothed_states(f) for f in starts.flights], 1)[:, 0]
     tilt = vehicle.effects_mocap_tilt
     if any(tilt):
-        state[:, ROLL : ROLL + 3] = level(state[:, ROLL : ROLL + 3].copy(), tilt)
+        state[:, ROLL : ROLL + 3] = remove_tilt(state[:, ROLL : ROLL + 3].copy(), tilt)
     lag = starts.gather([lag for _, lag in driven])
     state[:, LAG] = lag[:, 0]
-    if disturbance is not None:
-        state[:, :LAG] += disturbance
+    if perturbation is not None:
+        state[:, :LAG] += perturbation
     ambient = starts.gather([f.ambient for f in starts.flights])
     if plant not in PLANTS:
         raise UserError(f"unknown plant {plant!r}; known are {', '.join(PLANTS)}")
@@ -152,12 +159,12 @@ def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
     n = len(starts)
     pose = np.empty((n, starts.rows + 1, 6))
     pose[:, 0] = state[:, _POSE]
-    substeps = max(1, math.ceil(starts.dt / ENGINE_STEP))
-    around = ambient[:, 0].copy()
-    around[:, 0] -= 0.5 * starts.dt
-    conditions = equations.Conditions(equations.pack(vehicle), neutral(n), around)
+    substeps = max(1, math.ceil(starts.dt / LARGEST_STEP))
+    step_ambient = ambient[:, 0].copy()
+    step_ambient[:, 0] -= 0.5 * starts.dt
+    conditions = equations.Conditions(equations.pack(vehicle), neutral(n), step_ambient)
     for k in range(starts.rows):
-        around[:, 1:] = ambient[:, k, 1:]
+        step_ambient[:, 1:] = ambient[:, k, 1:]
         command, dt = np.ascontiguousarray(commands[:, k]), starts.dt / substeps
         equations.advance(state, command, conditions, True, dt, substeps)
         pose[:, k + 1] = state[:, _POSE]
@@ -167,14 +174,16 @@ def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
 def _mujoco(starts, vehicle, state, commands, ambient, lag) -> np.ndarray:
     """As `_analytic`; what depends on flight time and measured voltage enters as a scale of the thrust."""
     n = len(starts)
-    plain = dataclasses.replace(undelayed(vehicle), effects_thrust_fade=0.0, effects_voltage_sensitivity=0.0)
-    scale = _scales(ambient, lag, equations.pack(vehicle))
+    plain = dataclasses.replace(
+        without_delays(vehicle), effects_thrust_fade=0.0, effects_voltage_sensitivity=0.0
+    )
+    scale = _thrust_scales(ambient, lag, equations.pack(vehicle))
     varies = bool((scale != 1.0).any())
-    step = starts.dt / math.ceil(starts.dt / ENGINE_STEP - 1e-9)
+    step = starts.dt / math.ceil(starts.dt / LARGEST_STEP - 1e-9)
     plant = MujocoPlant(n, plain, control_period=starts.dt, timestep=step)
     plant.set_platform(np.arange(n), vehicle.platform_inclination, ambient[:, 0, 3] > 0.0)
     # Free flight meets nothing: without surfaces that matter it is flown high above the floor.
-    lift = 0.0 if vehicle.effects_ground_effect or ambient[:, 0, 3].any() else FAR_UP
+    lift = 0.0 if vehicle.effects_ground_effect or ambient[:, 0, 3].any() else CLEAR_HEIGHT
     state[:, 2] += lift
     plant.reset(np.arange(n), state)
     pose = np.empty((n, starts.rows + 1, 6))
@@ -189,8 +198,8 @@ def _mujoco(starts, vehicle, state, commands, ambient, lag) -> np.ndarray:
 
 
 @numba.njit(cache=True)
-def _scales(ambient, lag, vehicle):
-    """What flight time and battery voltage multiply the thrust by, (n, rows)."""
+def _thrust_scales(ambient, lag, vehicle):
+    """Return the thrust scale (n, rows) by flight time and battery voltage."""
     v, out = vehicle[0], np.empty(lag.shape)
     for i in range(out.shape[0]):
         for k in range(out.shape[1]):
@@ -203,26 +212,25 @@ _POSE = [0, 1, 2, 6, 7, 8]
 
 
 def position_error(simulated: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Root mean square distance (rows,) [m] over windows, after every step."""
+    """Return the root mean square distance (rows,) [m] over windows, after every step."""
     return np.sqrt(((simulated - measured)[:, 1:, :3] ** 2).sum(axis=2).mean(axis=0))
 
 
-def noise_floor(starts: Starts, vehicle: Vehicle, seed: int = 0) -> np.ndarray:
-    """Error (rows,) [m] that a perfect model would show: noise of start state and of the comparison.
+def noise_floor(starts: RolloutWindows, vehicle: Vehicle, seed: int = 0) -> np.ndarray:
+    """Return the error (rows,) [m] of a perfect model: noise of the start state and of the measurement.
 
-    By simulation of `vehicle` from start states with and without the noise that smoothing leaves, plus
-    the measurement noise at the end.
+    By simulation of `vehicle` from start states with and without the noise that smoothing leaves.
     """
     rng = np.random.default_rng(seed)
-    scale = np.stack([start_noise(f) for f in starts.flights])[starts.flight_of]
+    scale = np.stack([start_state_noise(f) for f in starts.flights])[starts.flight_of]
     a = simulate(starts, vehicle)
-    b = simulate(starts, vehicle, disturbance=scale * rng.standard_normal(scale.shape))
+    b = simulate(starts, vehicle, perturbation=scale * rng.standard_normal(scale.shape))
     end = np.stack([f.noise[:3] for f in starts.flights])[starts.flight_of]
     return np.sqrt(position_error(a, b) ** 2 + (end**2).sum(axis=1).mean())
 
 
-def translation_error(starts: Starts, vehicle: Vehicle) -> np.ndarray:
-    """As `position_error` with the measured attitude in place of the simulated one."""
+def translation_error(starts: RolloutWindows, vehicle: Vehicle) -> np.ndarray:
+    """Return the position error (rows,) [m] with the measured attitude in place of the simulated one."""
     squares = np.zeros((len(starts), starts.rows))
     time = np.arange(1, starts.rows + 1) * starts.dt
     for k, flight in enumerate(starts.flights):
@@ -241,25 +249,27 @@ def translation_error(starts: Starts, vehicle: Vehicle) -> np.ndarray:
 
 
 def plant_gap(
-    starts: Starts, before: Vehicle, after: Vehicle | Sequence[Vehicle], plant: str, floor: np.ndarray
+    starts: RolloutWindows, before: Vehicle, after: Vehicle | Sequence[Vehicle], plant: str, floor: np.ndarray
 ) -> PlantGap:
-    """Gap at the end of the horizon; `after`: one vehicle, or one for each flight of `starts`."""
-    first, second = (errors_by_flight(starts, vehicle, plant) for vehicle in (before, after))
+    """Return the errors at the end of the horizon; `after`: one vehicle, or one per flight of `starts`."""
+    (first, first_translation), (second, second_translation) = (
+        errors_by_flight(starts, vehicle, plant) for vehicle in (before, after)
+    )
     return PlantGap(
-        before=float(first[0][-1]),
-        after=float(second[0][-1]),
+        before=float(first[-1]),
+        after=float(second[-1]),
         floor=float(floor[-1]),
-        translation_before=float(first[1][-1]),
-        translation_after=float(second[1][-1]),
+        translation_before=float(first_translation[-1]),
+        translation_after=float(second_translation[-1]),
         windows=len(starts),
         horizon=starts.rows * starts.dt,
     )
 
 
 def errors_by_flight(
-    starts: Starts, vehicle: Vehicle | Sequence[Vehicle], plant: str = "analytic"
+    starts: RolloutWindows, vehicle: Vehicle | Sequence[Vehicle], plant: str = "analytic"
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`position_error` and `translation_error` (rows,), where each flight may have a vehicle of its own."""
+    """Return `position_error` and `translation_error` (rows,); each flight may have its own vehicle."""
     if isinstance(vehicle, Vehicle):
         return (
             position_error(simulate(starts, vehicle, plant), starts.measured()),
@@ -283,15 +293,17 @@ def errors_by_flight(
 def measure_gap(
     vehicle: Vehicle, flights: Sequence, horizon: float = HORIZON, plant: str = "analytic", *, platform=False
 ) -> dict:
-    """Open-loop position error of a vehicle on measured flights.
+    """Return the open-loop position error of a vehicle on measured flights (`FlightLog`s).
 
-    flights: `FlightLog`s. Returns {error, floor, translation, windows, horizon, curve}: root mean square
-    distance [m] after `horizon` seconds, what noise alone gives, the error with the measured attitude in
-    place of the simulated one, how many windows, and {t, error, floor} against the horizon.
+    {error, floor, translation, windows, horizon, curve}: root mean square distance [m] after `horizon`
+    seconds, that of noise alone, the error with the measured attitude in place of the simulated one, the
+    number of windows, and {t, error, floor} against the horizon.
     Raises UserError when no flight has a usable stretch of that length.
     """
-    prepared = [f if isinstance(f, Measured) else prepare(f, vehicle, platform=platform) for f in flights]
-    starts = Starts.of(prepared, horizon)
+    prepared = [
+        f if isinstance(f, MeasuredFlight) else prepare(f, vehicle, platform=platform) for f in flights
+    ]
+    starts = RolloutWindows.of(prepared, horizon)
     error, translation = errors_by_flight(starts, vehicle, plant)
     floor = noise_floor(starts, vehicle)
     return {

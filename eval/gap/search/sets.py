@@ -17,102 +17,104 @@ import numpy as np
 from scipy.special import ndtr
 
 from inclined_landing.eval.gap.flights.noise_model import NoiseModel, estimate
-from inclined_landing.eval.gap.search.evidence import BASE, Linear, Problem, Values
-from inclined_landing.eval.gap.search.fit import Fitted, refit
+from inclined_landing.eval.gap.search.evidence import BASE, FittedValues, Linearisation, Problem, Values
+from inclined_landing.eval.gap.search.fit import LeastSquaresFit, fit_least_squares
 from inclined_landing.eval.gap.search.posterior import (
+    EffectSet,
     Evidence,
-    Local,
-    Set,
+    LinearGaussian,
     confounding,
-    estimate_between_flights,
+    estimate_between_flight_deviations,
     excitation,
     flight_weights,
-    slabs,
+    slab_deviations,
 )
 
-NOTHING = 0.5  # prior probability that nothing is missing
-MOST = 16  # effects of a set
-PLACES = 2  # others that are fitted in the place of every effect of the best set
-FITTED = 12  # sets that are fitted through the simulator, at most
-WORTH = 6.0  # log probability behind the best within which a neighbour is worth a fit
-STEPS = 3  # of Newton for a set, at most
-SMALL = 0.5  # negligible sizes within which a step is linear
-BEHIND = 7.0  # log probability behind the best beyond which a set is not worth telling
-FAR = 20.0  # beyond which it is not worth fitting well
-FORMS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # shares of the motion by which it may be off
-SETTLED = 4  # rounds in which effects and disturbance are fitted in turn, at most
-LEAST = 1e-3  # probability of a set that is worth telling
-POINTS = 3  # linearisations in which sets are compared
-CLEAR = 0.03  # above which it is fitted through the simulator
+PRIOR_EMPTY = 0.5  # prior probability of the empty set
+MOST_EFFECTS = 16  # of a set
+EXCHANGES = 2  # fits with another effect in the place of each one of the best set
+MOST_FITS = 12  # sets fitted through the simulator
+# Differences of log posterior odds from the best set:
+FIT_WITHIN = 6.0  # a neighbour predicted to be this close is fitted through the simulator
+COMPARE_WITHIN = 7.0  # one this close is given a probability
+ROUGH_BEYOND = 20.0  # one further off gets a single Newton step
+NEWTON_STEPS = 3
+STEP_TOLERANCE = 0.5  # negligible sizes: a smaller Newton step ends the iteration
+MODEL_ERRORS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # f, multiplicative model errors that are tried
+ALTERNATIONS = 4  # rounds of fitting effects and noise model in turn
+LEAST_PROBABILITY = 1e-3  # of a set that is reported
+LINEARISATIONS = 3  # points whose log evidences are averaged
+REFIT_ABOVE = 0.03  # probability of a neighbour above which it is fitted through the simulator
+LAGS = 4  # windows over which autocorrelations are summed
 
 
 @dataclasses.dataclass
-class Node:
-    """A set fitted through the simulator."""
+class FittedSet:
+    """A set of effects fitted through the simulator, and its linearisation."""
 
-    names: Set
-    at: dict[str, dict[str, float]]  # where it was linearised
-    values: dict[str, dict[str, float]]  # a step on, beside the small errors of all other effects
-    local: Local
-    screen: Evidence
-    score: float  # log probability, up to a constant
+    names: EffectSet
+    at: FittedValues  # the linearisation point
+    values: FittedValues  # posterior mode: one Newton step further
+    local: LinearGaussian  # the model linearised at `at`
+    screen: Evidence  # log marginal likelihoods of other sets, predicted from this linearisation
+    score: float  # log posterior probability, up to a constant
 
 
 @dataclasses.dataclass(frozen=True)
-class Scored:
-    """A set with its probability."""
+class SetProbability:
+    """Posterior probability and mode of a set of effects."""
 
-    names: Set
+    names: EffectSet
     probability: float
-    values: dict[str, dict[str, float]]
+    values: FittedValues
 
 
 @dataclasses.dataclass
-class Search:
-    """The outcome of `search`."""
+class SetPosterior:
+    """Posterior distribution over sets of effects, with the most probable one and the noise model."""
 
-    names: Set  # the most probable set, what scales the thrust counted as one
-    values: dict[str, dict[str, float]]  # of the most probable set
-    at: dict[str, dict[str, float]]  # effect values near it
-    local: Local  # the flights at these
-    sets: tuple[Scored, ...]  # most probable first
+    names: EffectSet  # the most probable set, all that scales the thrust counted as one
+    values: FittedValues  # its posterior mode
+    at: FittedValues  # its linearisation point
+    local: LinearGaussian  # the model linearised there
+    sets: tuple[SetProbability, ...]  # most probable first
     noise_model: NoiseModel
-    joint: dict[str, dict[str, float]]  # fit of all effects
-    linear: Linear  # the flights linearised there
-    inflation: np.ndarray  # (6,)
+    joint: FittedValues  # joint fit of all effects
+    linear: Linearisation  # at the joint fit
+    inflation: np.ndarray  # (6,) variance inflation by autocorrelation
 
     def probability(self, *names: str) -> float:
-        """That one of some effects is part of what is missing."""
+        """Return the marginal probability that at least one of some effects is missing."""
         return sum(s.probability for s in self.sets if s.names & set(names))
 
 
-def search(problem: Problem) -> Search:
+def search(problem: Problem) -> SetPosterior:
     """Return the posterior over sets of effects; the noise model of `problem` is estimated on the way."""
     joint, noise_model = fit_jointly(problem, list(problem.library))
     inflation = autocorrelation_inflation(problem, joint.values)
     columns = problem.columns([*problem.library, BASE])
     linear = problem.linearise(joint.values, columns, inflation)
     problem.confounded = confounding(linear)
-    problem.between = estimate_between_flights(problem, linear)
+    problem.between = estimate_between_flight_deviations(problem, linear)
     problem.excitation = excitation(problem, linear)
-    likely = backward_eliminate(problem, Local.of(problem, linear, joint.values).evidence())
-    nodes = _explore(problem, inflation, likely, joint.values)
+    eliminated = backward_eliminate(problem, LinearGaussian.of(problem, linear, joint.values).evidence())
+    nodes = _greedy_search(problem, inflation, eliminated, joint.values)
     best = max(nodes.values(), key=lambda node: node.score)
-    scored = _distribution(problem, nodes, best, inflation)
-    names = _best(problem, scored)
+    scored = _bagged_posterior(problem, nodes, best, inflation)
+    names = _most_probable(problem, scored)
     if names not in nodes:
-        nodes[names] = _visit(problem, names, _start(problem, best, names), inflation)
+        nodes[names] = _fit_set(problem, names, _linear_estimate(problem, best, names), inflation)
     chosen = nodes[names]
-    return Search(
+    return SetPosterior(
         names, chosen.values, chosen.at, chosen.local, scored, noise_model, joint.values, linear, inflation
     )
 
 
-def _best(problem: Problem, scored: Sequence[Scored]) -> Set:
-    """Return the most probable set; mass, thrust scale and bias count as one (only their ratio shows)."""
-    together: dict[Set, float] = {}
+def _most_probable(problem: Problem, scored: Sequence[SetProbability]) -> EffectSet:
+    """Return the most probable set; mass, thrust scale and bias are confounded and count as one."""
+    together: dict[EffectSet, float] = {}
 
-    def merged(names: Set) -> Set:
+    def merged(names: EffectSet) -> EffectSet:
         return frozenset("thrust over mass" if problem.library[n].scales_thrust else n for n in names)
 
     for one in scored:
@@ -122,12 +124,15 @@ def _best(problem: Problem, scored: Sequence[Scored]) -> Set:
     return next(one.names for one in scored if merged(one.names) == most)
 
 
-def fit_jointly(problem: Problem, names: Sequence[str]) -> tuple[Fitted, NoiseModel]:
+def fit_jointly(problem: Problem, names: Sequence[str]) -> tuple[LeastSquaresFit, NoiseModel]:
     """Fit effects jointly, alternating with the noise model: measurement noise and disturbance level."""
-    values: dict[str, dict[str, float]] = {name: {} for name in (*names, BASE)}
-    still, noise_model = np.ones(6), NoiseModel.none()
-    for _ in range(SETTLED):
-        before, fit = noise_model, refit(problem, values, still, iterations=3, tolerance=5.0, prior=_wide)
+    values: FittedValues = {name: {} for name in (*names, BASE)}
+    noise_model = NoiseModel.none()
+    for _ in range(ALTERNATIONS):
+        before = noise_model
+        fit = fit_least_squares(
+            problem, values, np.ones(6), iterations=3, tolerance=5.0, prior=_joint_fit_prior
+        )
         values, vehicle = fit.values, problem.corrected(fit.values)
         predicted = [problem.predicted(f, values) for f in problem.flights]
         errors = [f.measured - p for f, p in zip(problem.flights, predicted)]
@@ -135,97 +140,106 @@ def fit_jointly(problem: Problem, names: Sequence[str]) -> tuple[Fitted, NoiseMo
         noise_model = estimate(problem.flights, errors, np.split(problem.weight, ends))
         problem.rewhiten(noise_model, vehicle)
         if not problem.identified:
-            problem.reform(vehicle)
-        set_model_error_weights(problem, predicted, errors)
+            problem.compute_form_jacobians(vehicle)
+        model_error_weights(problem, predicted, errors)
         if np.allclose(noise_model.size, before.size, rtol=0.15, atol=1e-3):
             break
     return fit, noise_model
 
 
-def _wide(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Prior standard deviation (P,) of the joint fit; model errors are tight without reference flights."""
-    width = slabs(problem, columns)
+def _joint_fit_prior(problem: Problem, columns: Sequence) -> np.ndarray:
+    """Return the prior standard deviations (P,) of the joint fit; without a reference, tight model errors."""
+    width = slab_deviations(problem, columns)
     if problem.identified:
         return width
-    known = np.sqrt(problem.known(columns)[1].diagonal())
+    known = np.sqrt(problem.vehicle_prior(columns)[1].diagonal())
     return np.where([c.effect == BASE for c in columns], known, width)
 
 
-def set_model_error_weights(
+def model_error_weights(
     problem: Problem, predicted: Sequence[np.ndarray], errors: Sequence[np.ndarray]
 ) -> None:
-    """Set every window's weight from a multiplicative model error, maximum likelihood per channel.
+    """Set every window's weight, the inverse variance by a multiplicative model error (maximum likelihood).
 
-    Variance of a white error in a window with predicted energy E:  1 + f^2 E,  f one of FORMS.
     predicted, errors: (m, 6) of every flight.
     """
 
-    def energy(values: Sequence[np.ndarray]) -> np.ndarray:
+    def mean_square(values: Sequence[np.ndarray]) -> np.ndarray:
         white = [f.whitening(f.cut(v)) for f, v in zip(problem.flights, values)]
         return np.concatenate([(x**2).mean(axis=2) for x in white])
 
-    moved, left = energy(predicted), energy(errors)  # (w, 6)
-    variance = 1.0 + FORMS[:, None, None] ** 2 * moved
-    unlikely = (problem.rows[:, None] * problem.logged * (np.log(variance) + left / variance)).sum(axis=1)
-    best = np.argmin(unlikely, axis=0)
+    # Heteroscedastic normal errors: in a window of q white numbers with predicted mean square E,
+    #   var = 1 + f^2 E,   -2 log p = sum_w q [log var + e^2 / var];   f of every channel minimises it.
+    signal, error = mean_square(predicted), mean_square(errors)  # (w, 6)
+    variance = 1.0 + MODEL_ERRORS[:, None, None] ** 2 * signal
+    deviance = (problem.rows[:, None] * problem.logged * (np.log(variance) + error / variance)).sum(axis=1)
+    best = np.argmin(deviance, axis=0)
     problem.weight = problem.logged / np.take_along_axis(variance, best[None, None], axis=0)[0]
 
 
-def autocorrelation_inflation(problem: Problem, values) -> np.ndarray:
-    """Return the variance inflation (6,) of correlated windows: 1 + 2 sum of their autocorrelations."""
-    white = problem.white_at(values)
-    scale = np.ones(6)
+def autocorrelation_inflation(problem: Problem, values: Values) -> np.ndarray:
+    """Return the variance inflation (6,) by the autocorrelation of successive windows."""
+    # Effective sample size n_eff = n / (1 + 2 sum_k rho_k) (Gelman et al., BDA3, 11.5), with the
+    # autocorrelation rho_k = sum_w x_w x_(w+k) / sum_w x_w^2 of the windows' standardised amplitudes x.
+    white = problem.white_errors_at(values)
+    inflation = np.ones(6)
     for channel in range(6):
-        total, apart = 0.0, np.zeros(4)
+        total, lagged = 0.0, np.zeros(LAGS)
         for flight, errors in zip(problem.flights, white):
-            size = flight.whitening.sizes(errors)[:, channel]
-            size = size * np.sqrt(flight.whitening.power[channel])
-            total += float(size @ size)
-            apart += [float(size[lag:] @ size[:-lag]) if len(size) > lag else 0.0 for lag in range(1, 5)]
+            x = flight.whitening.amplitudes(errors)[:, channel] * np.sqrt(flight.whitening.power[channel])
+            total += float(x @ x)
+            lagged += [float(x[k:] @ x[:-k]) if len(x) > k else 0.0 for k in range(1, LAGS + 1)]
         if total > 0.0:
-            scale[channel] = np.clip(1.0 + 2.0 * (apart / total).sum(), 1.0, 10.0)
-    return scale
+            inflation[channel] = np.clip(1.0 + 2.0 * (lagged / total).sum(), 1.0, 10.0)
+    return inflation
 
 
-def log_prior(problem: Problem, names: Set) -> float:
-    """Return the log prior of a set: independent effects of equal odds, the empty set with NOTHING."""
-    share = 1.0 - NOTHING ** (1.0 / max(1, len(problem.library)))
+def log_prior(problem: Problem, names: EffectSet) -> float:
+    """Return the log prior of a set, up to a constant: independent Bernoulli effects of equal odds."""
+    # p(S) = s^|S| (1 - s)^(n - |S|),  with s such that the empty set has (1 - s)^n = PRIOR_EMPTY.
+    share = 1.0 - PRIOR_EMPTY ** (1.0 / max(1, len(problem.library)))
     return len(names) * math.log(share / (1.0 - share))
 
 
-def _visit(problem: Problem, names: Set, start, inflation: np.ndarray, worth: float = -math.inf) -> Node:
-    """Fit a set from `start` by Newton's method and linearise the simulator there.
+def _fit_set(
+    problem: Problem, names: EffectSet, start: Values, inflation: np.ndarray, rough_below: float = -math.inf
+) -> FittedSet:
+    """Return the posterior mode of a set by Newton's method from `start`, with its linearisation.
 
-    worth: score below which one iteration is enough.
+    rough_below: log posterior probability below which a single step is enough.
     """
-    new = {n: problem.library[n].neutral | start.get(n, {}) for n in problem.library if n in names}
-    for _ in range(STEPS):
+    new = {n: {**problem.library[n].neutral, **start.get(n, {})} for n in problem.library if n in names}
+    for _ in range(NEWTON_STEPS):
         values = new
         columns = problem.columns([*problem.library, BASE]) + problem.form_columns(values)
         linear = problem.linearise(values, columns, inflation)
-        local = Local.of(problem, linear, values)
-        new = stepped(problem, local, names)
+        local = LinearGaussian.of(problem, linear, values)
+        new = posterior_mode(problem, local, names)
         step = problem.coordinates(new, columns) - problem.coordinates(values, columns)
         least = np.array([problem.parameter(c).negligible for c in columns])
         screen = local.evidence()
-        score = screen(names) + log_prior(problem, names) if _has_sizes(problem, names, new) else -np.inf
-        if np.abs(step / least).max() < SMALL or score < worth:
+        score = screen(names) + log_prior(problem, names) if _all_nonzero(problem, names, new) else -np.inf
+        if np.abs(step / least).max() < STEP_TOLERANCE or score < rough_below:
             break
-    return Node(names, values, new, local, screen, score)
+    return FittedSet(names, values, new, local, screen, score)
 
 
-def _has_sizes(problem: Problem, names: Set, values) -> bool:
-    """Tell whether every effect of a set is non-zero; with one at zero it is a smaller set."""
+def _all_nonzero(problem: Problem, names: EffectSet, values: Values) -> bool:
+    """Return whether every effect of a set is non-zero; with one at zero it is a smaller set."""
     return all(np.any(problem.sizes(name, values)) for name in names)
 
 
-def stepped(problem: Problem, local: Local, names: Set, weights=None) -> dict:
-    """Return the posterior mode of a set's effects, within bounds, the others' spikes integrated out."""
+def posterior_mode(
+    problem: Problem, local: LinearGaussian, names: EffectSet, weights: np.ndarray | None = None
+) -> FittedValues:
+    """Return the posterior mode of a set's effects within bounds, the others' spikes marginalised."""
     return problem.values_at(names, local.columns, local.within(names, weights) * local.unit)
 
 
-def leave_one_out(problem: Problem, local: Local, names: Set, values: Values) -> list[dict]:
-    """Return, for every flight, the effects' values fitted to the other flights only (linearised)."""
+def leave_one_out(
+    problem: Problem, local: LinearGaussian, names: EffectSet, values: Values
+) -> list[FittedValues]:
+    """Return the leave-one-out estimates: for every flight, the values fitted to the others (linearised)."""
     result, full = [], local.within(frozenset(names))
     at = problem.coordinates(values, local.columns)
     for k in range(len(problem.flights)):
@@ -237,125 +251,135 @@ def leave_one_out(problem: Problem, local: Local, names: Set, values: Values) ->
     return result
 
 
-def _start(problem: Problem, node: Node, names: Set) -> dict:
-    """Return the linear estimate of a neighbouring set, where its fit starts."""
-    start = stepped(problem, node.local, names)
+def _linear_estimate(problem: Problem, node: FittedSet, names: EffectSet) -> FittedValues:
+    """Return the linear estimate of a neighbouring set, the initial guess of its fit."""
+    start = posterior_mode(problem, node.local, names)
     return start | {n: dict(v) for n, v in node.values.items() if n in names}
 
 
-def _neighbours(problem: Problem, node: Node) -> list[Set]:
+def _neighbours(problem: Problem, node: FittedSet) -> list[EffectSet]:
     """Return the sets that differ by one effect added, removed or exchanged, or by two added."""
     names = list(problem.library)
     others = [n for n in names if n not in node.names]
     result = [node.names - {n} for n in node.names]
-    if len(node.names) < MOST:
-        more = [node.names | {n} for n in others]
-        result += more
+    if len(node.names) < MOST_EFFECTS:
+        result += [node.names | {n} for n in others]
     result += [(node.names - {n}) | {m} for n in node.names for m in others]
-    if len(node.names) + 2 <= MOST:
-        pairs = list(itertools.combinations(others, 2))
-        result += [node.names | set(pair) for pair in pairs]
-    return [frozenset(s) for s in result]
+    if len(node.names) + 2 <= MOST_EFFECTS:
+        result += [node.names | set(pair) for pair in itertools.combinations(others, 2)]
+    return result
 
 
-def backward_eliminate(problem: Problem, evidence: Evidence) -> Set:
-    """Return the set that backward elimination by marginal likelihood ends at."""
+def backward_eliminate(problem: Problem, evidence: Evidence) -> EffectSet:
+    """Return the set at which backward elimination by posterior probability stops."""
     kept = frozenset(problem.library)
 
-    def score(names: Set) -> float:
+    def score(names: EffectSet) -> float:
         return evidence(names) + log_prior(problem, names)
 
     while kept:
         fewer = max((kept - {n} for n in sorted(kept)), key=score)
-        if score(fewer) < score(kept) and len(kept) <= MOST:
+        if score(fewer) < score(kept) and len(kept) <= MOST_EFFECTS:
             break
         kept = fewer
     return kept
 
 
-def _explore(problem: Problem, inflation: np.ndarray, likely: Set, values: Values) -> dict[Set, Node]:
-    """Search greedily from the empty set and from `likely`, started at `values`; return the fitted sets."""
-    nodes = {names: _visit(problem, names, values, inflation) for names in (frozenset[str](), likely)}
-    promised: dict[Set, tuple[float, Node]] = {}
-    expanded: set[Set] = set()
-    while len(nodes) < FITTED:
+def _greedy_search(
+    problem: Problem, inflation: np.ndarray, eliminated: EffectSet, values: Values
+) -> dict[EffectSet, FittedSet]:
+    """Return the sets fitted by a greedy search from the empty set and from `eliminated`."""
+    nodes = {names: _fit_set(problem, names, values, inflation) for names in (frozenset[str](), eliminated)}
+    predicted: dict[EffectSet, tuple[float, FittedSet]] = {}
+    expanded: set[EffectSet] = set()
+    while len(nodes) < MOST_FITS:
         best = max(nodes.values(), key=lambda node: node.score)
         if best.names not in expanded:
             expanded.add(best.names)
             for names in _neighbours(problem, best):
-                promised[names] = (best.screen(names) + log_prior(problem, names), best)
-        left = [(score, names) for names, (score, _) in promised.items() if names not in nodes]
-        if not left:
+                predicted[names] = (best.screen(names) + log_prior(problem, names), best)
+        unfitted = [(score, names) for names, (score, _) in predicted.items() if names not in nodes]
+        if not unfitted:
             break
-        score, names = max(left, key=lambda item: (item[0], sorted(item[1])))
-        if score < best.score - WORTH:
+        score, names = max(unfitted, key=lambda item: (item[0], sorted(item[1])))
+        if score < best.score - FIT_WITHIN:
             break
-        start = _start(problem, promised[names][1], names)
-        if _has_sizes(problem, names, start):
-            nodes[names] = _visit(problem, names, start, inflation, best.score - FAR)
-        else:  # it promises something beyond its bounds only
-            del promised[names]
+        start = _linear_estimate(problem, predicted[names][1], names)
+        if _all_nonzero(problem, names, start):
+            nodes[names] = _fit_set(problem, names, start, inflation, best.score - ROUGH_BEYOND)
+        else:  # its predicted probability comes from values beyond the bounds
+            del predicted[names]
     best = max(nodes.values(), key=lambda node: node.score)
-    for names in _exchanges(problem, best, nodes):
-        start = _start(problem, best, names)
-        if _has_sizes(problem, names, start):
-            nodes[names] = _visit(problem, names, start, inflation, best.score - FAR)
+    for names in _exchange_candidates(problem, best, nodes):
+        start = _linear_estimate(problem, best, names)
+        if _all_nonzero(problem, names, start):
+            nodes[names] = _fit_set(problem, names, start, inflation, best.score - ROUGH_BEYOND)
     return nodes
 
 
-def _exchanges(problem: Problem, best: Node, nodes: dict[Set, Node]) -> list[Set]:
-    """Return, for every effect of the best set, the best exchanges by another that are not fitted yet."""
+def _exchange_candidates(
+    problem: Problem, best: FittedSet, nodes: dict[EffectSet, FittedSet]
+) -> list[EffectSet]:
+    """Return the most probable sets with one effect of the best set exchanged, not fitted yet."""
     result = []
     for name in sorted(best.names):
         rest = best.names - {name}
-        near = nodes.get(rest, best)  # adding is more nearly linear than exchanging
+        node = nodes.get(rest, best)  # adding is more nearly linear than exchanging
         swaps = [rest | {n} for n in problem.library if n not in best.names]
-        swaps = sorted(swaps, key=lambda names: -near.screen(names))[:PLACES]
+        swaps = sorted(swaps, key=lambda names: -node.screen(names))[:EXCHANGES]
         result += [names for names in swaps if names not in nodes]
     return result
 
 
-def _distribution(problem: Problem, nodes: dict[Set, Node], best: Node, inflation) -> tuple[Scored, ...]:
-    """Return bagged posterior probabilities, log evidence averaged over the best POINTS linearisations.
+def _bagged_posterior(
+    problem: Problem, nodes: dict[EffectSet, FittedSet], best: FittedSet, inflation
+) -> tuple[SetProbability, ...]:
+    """Return the bagged posterior (Huggins and Miller 2023) of fitted sets and neighbours of the best.
 
-    All sets are compared in the same linearisations: the error of linearising cancels in the difference.
+    All sets are compared in the same linearisations: their error cancels in the differences.
     """
     weights = flight_weights(problem.groups)
-    near = {n: best.screen(n) + log_prior(problem, n) for n in _neighbours(problem, best) if n not in nodes}
-    near = {n: x for n, x in near.items() if x > best.score - BEHIND}
-    starts = {n: _start(problem, best, n) for n in near}
-    near = {n: x for n, x in near.items() if _has_sizes(problem, n, starts[n])}
+    scores = {n: best.screen(n) + log_prior(problem, n) for n in _neighbours(problem, best) if n not in nodes}
+    starts = {
+        n: _linear_estimate(problem, best, n) for n, x in scores.items() if x > best.score - COMPARE_WITHIN
+    }
     fitted = {n: node for n, node in nodes.items() if np.isfinite(node.score)}
-    names = [*fitted, *near]
-    points = sorted(fitted.values(), key=lambda node: -node.score)[:POINTS]
+    names = [*fitted, *(n for n, start in starts.items() if _all_nonzero(problem, n, start))]
+    # p(S | data) = mean_b softmax_S [log p(S) + mean_k log p_k(data_b | S)], over bootstrap samples b of the
+    # flights and linearisations k.
+    points = sorted(fitted.values(), key=lambda node: -node.score)[:LINEARISATIONS]
     logs = np.tile([log_prior(problem, n) for n in names], (len(weights), 1)).T
     for node in points:
         for d, w in enumerate(weights):
             evidence = node.local.evidence(w)
             logs[:, d] += np.array([evidence(n) for n in names]) / len(points)
     shares = np.exp(logs - logs.max(axis=0))
-    probability: dict[Set, float] = {}
+    probability: dict[EffectSet, float] = {}
     for one, share in zip(names, (shares / shares.sum(axis=0)).mean(axis=1)):
-        near_it = nodes.get(one, best).local
-        for subset, part in _worth_correcting(problem, near_it, one).items():
+        for subset, part in _relevant_subsets(problem, nodes.get(one, best).local, one).items():
             probability[subset] = probability.get(subset, 0.0) + part * float(share)
-    result: list[Scored] = []
+    result: list[SetProbability] = []
     for one in sorted(probability, key=lambda n: -probability[n]):
-        if probability[one] < LEAST and result:
+        if probability[one] < LEAST_PROBABILITY and result:
             continue
-        if one not in nodes and (probability[one] > CLEAR or not result):
-            start = starts.get(one) or _start(problem, best, one)  # told by the linearisation alone so far
-            nodes[one] = _visit(problem, one, start, inflation)
-        values = nodes[one].values if one in nodes else starts.get(one) or _start(problem, best, one)
-        result.append(Scored(one, probability[one], values))
+        if one in nodes:
+            values = nodes[one].values
+        else:
+            values = starts.get(one) or _linear_estimate(problem, best, one)
+            if probability[one] > REFIT_ABOVE or not result:  # so far from the linearisation alone
+                nodes[one] = _fit_set(problem, one, values, inflation)
+                values = nodes[one].values
+        result.append(SetProbability(one, probability[one], values))
     return tuple(result)
 
 
-def _worth_correcting(problem: Problem, local: Local, names: Set) -> dict[Set, float]:
-    """Return, for every subset, the probability that exactly its effects exceed their negligible size."""
-    at, spread = local.within(names), local.delta(names)[1]
-    errors = np.sqrt(np.maximum(spread.diagonal(), 1e-12))
-    result: dict[Set, float] = {frozenset(): 1.0}
+def _relevant_subsets(problem: Problem, local: LinearGaussian, names: EffectSet) -> dict[EffectSet, float]:
+    """Return, for every subset, the probability that exactly its effects are of practical relevance."""
+    # Region of practical equivalence (Kruschke 2018): an effect counts where a size exceeds `negligible` = r;
+    # P(|x| < r) = Phi((r - m) / s) - Phi((-r - m) / s), effects taken as independent.
+    at, covariance = local.within(names), local.delta(names)[1]
+    errors = np.sqrt(np.maximum(covariance.diagonal(), 1e-12))
+    result: dict[EffectSet, float] = {frozenset(): 1.0}
     for name in names:
         within = 1.0
         for k in local.index([name]):

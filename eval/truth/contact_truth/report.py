@@ -21,7 +21,8 @@ def write(findings: list[Section], out: Path, vehicle: Vehicle) -> None:
         if finding.key in figures.DRAW:
             draw = figures.DRAW[finding.key]
             file = save_figure(draw(finding.data), out / f"{finding.key}.png")
-            finding.figures, images[file.name] = {file.name: inspect.getdoc(draw)}, file.read_bytes()
+            finding.figures = {file.name: inspect.getdoc(draw) or ""}
+            images[file.name] = file.read_bytes()
     versions = runs.versions()
     record = {f.key: {"checks": [_plain(c) for c in f.claims], "data": f.data} for f in findings}
     storage.write_json(out / "contact.json", {"findings": record, "versions": versions})

@@ -80,7 +80,8 @@ def late_commands(v: Vehicle, sequences: Sequences, bandwidth: float) -> tuple[f
     n = len(starts)
     flown = flying.fly(equations(n, "rate_loop", vehicle=vehicle), sequences.commands, starts)
     paper = [flying.fly(equations(n, "kinematic", vehicle=v), u, starts) for u in (sequences.commands, late)]
-    return tuple(float(np.median(position_gap(flown, states).max(axis=0))) for states in paper)
+    now, later = (float(np.median(position_gap(flown, states).max(axis=0))) for states in paper)
+    return now, later
 
 
 def claims(v: Vehicle, gaps: list[Gap]) -> list[Claim]:

@@ -137,13 +137,14 @@ def section(policy: Policy, starts: np.ndarray, tick) -> tuple[Section, dict]:
         rows.append(
             (name, f"{len(landed)} of {len(flights)}", f"{share['count']} of {len(flights)}", *middle)
         )
-    if None in twins or cross is None:
+    found_twins = [c for c in twins if c is not None]
+    if len(found_twins) < len(twins) or cross is None:
         fewest = min(sum(f.success for f in fs) for fs in flown.values())
         found, tables = [WORDS.claim("closed_loop", "few", fewest)], []
         remarks = ["Too few landings for a comparison."]
     else:
-        found = claims(flown, twins)
-        remarks = [c.statement() for c in (*twins, cross)]
+        found = claims(flown, found_twins)
+        remarks = [c.statement() for c in (*found_twins, cross)]
         early, middle, late = cross.first_to_second()
         remarks.append(
             f"From the same start, {cross.second} lands {middle:+.2f} s later than {cross.first} (median; "
@@ -151,9 +152,10 @@ def section(policy: Policy, starts: np.ndarray, tick) -> tuple[Section, dict]:
             "flight: both reach the goal, by ways that differ."
         )
         tests = [
-            (q, *(f"{number(c.distance[q])} ({number(c.p[q])})" for c in (*twins, cross))) for q in QUANTITIES
+            (q, *(f"{number(c.distance[q])} ({number(c.p[q])})" for c in (*found_twins, cross)))
+            for q in QUANTITIES
         ]
-        heads = tuple(f"{c.second} – {c.first}" for c in (*twins, cross))
+        heads = tuple(f"{c.second} – {c.first}" for c in (*found_twins, cross))
         tables = [
             Table("Two-sample distance D (and p) of Kolmogorov and Smirnov", ("quantity", *heads), tests)
         ]

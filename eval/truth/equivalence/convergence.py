@@ -10,6 +10,7 @@ from inclined_landing.eval.base.claims import Claim, Section, Table
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import ATTITUDES, WORDS, engine, equations
 from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.plants import Attitude
 
 STEPS_MS = (10.0, 5.0, 2.5, 1.25)
 ORDERS = {"RK4": 4, "implicitfast": 1, "Euler": 1}
@@ -24,7 +25,7 @@ class Convergence:
     """Errors of one integrator and one attitude mode."""
 
     integrator: str
-    attitude: str
+    attitude: Attitude
     order: int
     errors: np.ndarray  # (steps,) m, largest at the end of the flights
 

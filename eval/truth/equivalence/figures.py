@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from inclined_landing.eval.base.style import (
     BLUE,
@@ -23,14 +26,14 @@ from inclined_landing.eval.truth.equivalence.motor import quoted
 from inclined_landing.eval.truth.equivalence.sequences import FAMILIES
 from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM
 from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.plants import Attitude
 
 _COLOURS = dict(zip(FAMILIES, (BLUE, GREEN, ORANGE, PURPLE)))
 _MODES = {"kinematic": "Kinematic – paper's equations", "rate_loop": "Rate loop – extended equations"}
 
 
 def _figure(columns: int, height: float = 3.6) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(9.2, height), layout="constrained")
-    figure.get_layout_engine().set(wspace=0.06)
+    figure = Figure(figsize=(9.2, height), layout=ConstrainedLayoutEngine(wspace=0.06))
     axes = figure.subplots(1, columns, squeeze=False)[0]
     for axis in axes:
         axis.grid(True)
@@ -41,7 +44,7 @@ def _name(axis: Axes, title: str, x: str, y: str = "", **limits) -> None:
     axis.set(title=title, xlabel=x, ylabel=y, **limits)
 
 
-def levels(vehicle: Vehicle, drawn: dict[str, tuple[Gaps, Gaps]]) -> Figure:
+def levels(vehicle: Vehicle, drawn: dict[Attitude, tuple[Gaps, Gaps]]) -> Figure:
     """Growth of the position difference over 6 s, and the differences of single steps."""
     with styled():
         figure, axes = _figure(3, 4.0)
@@ -63,7 +66,7 @@ def levels(vehicle: Vehicle, drawn: dict[str, tuple[Gaps, Gaps]]) -> Figure:
         edges = np.logspace(-15, -7, 49)
         for (attitude, (step, _)), colour in zip(drawn.items(), (BLUE, ORANGE)):
             sizes = np.clip(step.position.ravel(), 1.1e-15, None)
-            look = {"color": colour, "alpha": 0.65, "label": attitude.replace("_", " ")}
+            look: dict[str, Any] = {"color": colour, "alpha": 0.65, "label": attitude.replace("_", " ")}
             axes[2].hist(sizes, edges, weights=np.full(sizes.size, 100 / sizes.size), **look)
         _name(axes[2], "One control step", "position difference [m]", "share of states [%]", xscale="log")
         legend_below(axes[2])
@@ -161,7 +164,7 @@ def closed_loop_figure(flown: dict) -> Figure:
                 continue
             q = closed_loop.quantities(landed)
             share = 100 * np.arange(1, len(q) + 1) / len(q)
-            look = {"color": colour, "ls": line, "lw": width, "where": "post", "label": name}
+            look: dict[str, Any] = {"color": colour, "ls": line, "lw": width, "where": "post", "label": name}
             for axis, column in ((axes[0], 0), (axes[3], 5)):
                 axis.step(np.sort(q[:, column]), share, **look)
             if name in (closed_loop.PAPER, closed_loop.VEHICLE):
@@ -186,7 +189,7 @@ def inconsistencies_figure(v: Vehicle, drawn: dict) -> Figure:
         weight = v.body_mass * v.environment_gravity
         left.axhline(weight, color=INK, lw=1, ls=":")
         left.annotate("weight", (1, weight), va="bottom", fontsize=8)
-        beside = {"textcoords": "offset points", "fontsize": 8}
+        beside: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8}
         for x, colour, side, shift in (
             (v.hover_pwm, BLUE, "right", (-5, 5)),
             (v.static_hover_pwm, ORANGE, "left", (2, -12)),

@@ -7,20 +7,22 @@ import numpy as np
 from inclined_landing.eval.base.claims import Words
 from inclined_landing.models.attitude import LAG, ROLL, YAW, Z
 from inclined_landing.models.parameters import Vehicle, load_vehicle
-from inclined_landing.models.plants import AnalyticPlant, MujocoPlant
+from inclined_landing.models.plants import AnalyticPlant, Attitude, MujocoPlant
 
 WORDS = Words(__package__)  # of the report, with the tolerances
 HEIGHT = 500.0  # m; full thrust up or none at all moves 6 s x up to 60 m/s
 FINE = 20  # RK4 steps in a control period, 1 ms each: the equations solved to 1e-8 m
-ATTITUDES = ("kinematic", "rate_loop")
+ATTITUDES: tuple[Attitude, ...] = ("kinematic", "rate_loop")
 
 
-def engine(n: int, attitude: str, vehicle: Vehicle | None = None, **options) -> MujocoPlant:
+def engine(n: int, attitude: Attitude, vehicle: Vehicle | None = None, **options) -> MujocoPlant:
     """The MuJoCo vehicle without torque limit, which the equations do not have."""
     return MujocoPlant(n, vehicle, attitude=attitude, **({"torque_limit": False} | options))
 
 
-def equations(n: int, attitude: str, substeps: int = FINE, vehicle: Vehicle | None = None) -> AnalyticPlant:
+def equations(
+    n: int, attitude: Attitude, substeps: int = FINE, vehicle: Vehicle | None = None
+) -> AnalyticPlant:
     """The paper's equations (kinematic), or those extended with the rate loop."""
     return AnalyticPlant(n, vehicle, attitude=attitude, substeps=substeps)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -30,6 +31,7 @@ from inclined_landing.models.attitude import (
     quaternion,
 )
 from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.plants import Attitude
 
 STEPS = 100  # control steps, 2 s
 SPEED = 3.0  # m/s at the start of the drag tests
@@ -61,7 +63,7 @@ def drag_errors(v: Vehicle) -> dict[str, float]:
              "x, turned": (0, math.pi / 2, (0, 1, 0)), "y, turned": (1, math.pi / 2, (-1, 0, 0))}  # fmt: skip
     errors = {}
     for name, (axis, yaw, direction) in cases.items():
-        only = tuple(c if k == axis else 0.0 for k, c in enumerate(v.drag_coefficients))
+        only: Any = tuple(c if k == axis else 0.0 for k, c in enumerate(v.drag_coefficients))
         plant = engine(1, "kinematic", dataclasses.replace(v, drag_coefficients=only))
         start = flying.start_states(1, yaw, v)
         start[:, VX : VZ + 1] = SPEED * np.array(direction)
@@ -89,7 +91,7 @@ def lag_errors(v: Vehicle, integrator: str, pwm: float = 50_000.0) -> tuple[floa
     return float(np.abs(flown[:, LAG] / lag - 1).max()), float(np.abs(flown[:, Z] - height).max())
 
 
-def angle_errors(v: Vehicle, attitude: str, commanded: tuple[str, ...]) -> dict[str, float]:
+def angle_errors(v: Vehicle, attitude: Attitude, commanded: tuple[str, ...]) -> dict[str, float]:
     """Largest error [deg] of each Euler angle after a full step of the named commands ("yaw" included).
 
     Kinematic: k c (1 - exp(-t/tau)); rate loop: with two exponentials, poles -1/tau and -B; yaw: the

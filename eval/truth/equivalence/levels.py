@@ -22,6 +22,7 @@ from inclined_landing.eval.truth.equivalence.sequences import Sequences
 from inclined_landing.models.attitude import LAG, ROLL, VX, VZ, WX, WZ, YAW, X, Z, body_rates, quaternion
 from inclined_landing.models.equations import derivative
 from inclined_landing.models.parameters import Vehicle, constants
+from inclined_landing.models.plants import Attitude
 
 PAPER_SUBSTEPS = 1  # RK4 at the control period, as the paper integrates
 FLIGHT_LIMITS = {
@@ -50,7 +51,7 @@ class Gaps:
         return [(s, float(self.position[:, k].max()), float(self.angle[:, k].max())) for s, k in parts]
 
 
-def accelerations(vehicle: Vehicle, attitude: str, count: int, seed: int) -> dict[str, float]:
+def accelerations(vehicle: Vehicle, attitude: Attitude, count: int, seed: int) -> dict[str, float]:
     """`count` random states: one mj_forward, plugins included, against one evaluation of the equations.
 
     Largest differences: linear [m/s2], angular [rad/s2, body axes], lag [PWM, relative to the largest rate].
@@ -111,7 +112,7 @@ def body_accelerations(roll, pitch, rates, second) -> np.ndarray:
     )
 
 
-def reference(vehicle: Vehicle, attitude: str, sequences: list[Sequences], substeps: int = flying.FINE):
+def reference(vehicle: Vehicle, attitude: Attitude, sequences: list[Sequences], substeps: int = flying.FINE):
     """States (steps, n, 13) of the equations over all the sequences side by side."""
     commands, starts, _ = stack(vehicle, sequences)
     return flying.fly(equations(commands.shape[1], attitude, substeps, vehicle), commands, starts)
@@ -125,7 +126,7 @@ def stack(vehicle: Vehicle, sequences: list[Sequences]):
     return commands, flying.start_states(len(yaw), yaw, vehicle), group
 
 
-def one_step(vehicle: Vehicle, attitude: str, sequences: list[Sequences], flown: np.ndarray) -> Gaps:
+def one_step(vehicle: Vehicle, attitude: Attitude, sequences: list[Sequences], flown: np.ndarray) -> Gaps:
     """One control step of the engine from every state of the flights `flown` (steps, n, 13)."""
     commands, starts, group = stack(vehicle, sequences)
     plant = engine(len(group), attitude, vehicle)
@@ -139,7 +140,7 @@ def one_step(vehicle: Vehicle, attitude: str, sequences: list[Sequences], flown:
     return _gaps(sequences, group, landed, flown)
 
 
-def rollouts(vehicle: Vehicle, attitude: str, sequences: list[Sequences], flown: np.ndarray) -> Gaps:
+def rollouts(vehicle: Vehicle, attitude: Attitude, sequences: list[Sequences], flown: np.ndarray) -> Gaps:
     """Flights of 6 s in the engine against `flown` (steps, n, 13), commands only."""
     commands, starts, group = stack(vehicle, sequences)
     landed = flying.fly(engine(len(group), attitude, vehicle), commands, starts)
@@ -150,13 +151,13 @@ def _gaps(sequences, group, a, b) -> Gaps:
     return Gaps([s.label for s in sequences], group, position_gap(a, b), angle_gap(a, b))
 
 
-def acceleration_claims(attitude: str, found: dict[str, float], count: int) -> list[Claim]:
+def acceleration_claims(attitude: Attitude, found: dict[str, float], count: int) -> list[Claim]:
     """Level 1."""
     where = f"{_PLAIN[attitude]}, {count} random states"
     return [WORDS.claim("levels", key, value, where=where) for key, value in found.items()]
 
 
-def gap_claims(attitude: str, step: Gaps, flight: Gaps) -> list[Claim]:
+def gap_claims(attitude: Attitude, step: Gaps, flight: Gaps) -> list[Claim]:
     """Levels 2 and 3, every family."""
     claims = []
     for level, label, *gaps in [("step", "", *step.largest()), *(("flight", *g) for g in flight.by_group())]:
@@ -190,7 +191,8 @@ def section(
             largest, _ = rollouts(vehicle, attitude, sequences, coarse).largest()
             claims.append(WORDS.claim("levels", "paper_step", largest))
             commands, starts, _ = stack(vehicle, sequences)
-            uncertain = next(c.uncertainty for c in constants() if (c.section, c.name) == ("body", "mass"))
+            mass = next(c for c in constants() if (c.section, c.name) == ("body", "mass"))
+            uncertain = float(np.asarray(mass.uncertainty))
             heavier = flying.fly(
                 equations(commands.shape[1], attitude, flying.FINE, vehicle), commands, starts,
                 mass_scale=1 + uncertain / vehicle.body_mass,

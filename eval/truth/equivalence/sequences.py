@@ -36,11 +36,11 @@ def all_sequences(vehicle: Vehicle, n: int, seed: int, policy: Policy | None = N
     """n sequences of every family in both dimensions; `recorded` only with a landing policy."""
     result = []
     for k, family in enumerate(FAMILIES):
-        if family == "recorded" and policy is None:
-            continue
         for planar in (True, False):
             rng = np.random.default_rng([seed, k, planar])
             if family == "recorded":
+                if policy is None:
+                    continue
                 commands = _recorded(vehicle, n, rng, policy, planar)
             else:
                 make = {"full steps": full_steps, "smooth": smooth, "landing-like": landing_like}[family]

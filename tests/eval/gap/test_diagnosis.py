@@ -7,9 +7,9 @@ import pytest
 
 from inclined_landing.eval.gap import diagnose, measure_gap
 from inclined_landing.eval.gap.answer.identify import identify
-from inclined_landing.eval.gap.flights.windows import _on_the_ground, measurement_noise, prepare
+from inclined_landing.eval.gap.flights.windows import _on_ground, measurement_noise, prepare
 from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.fit import bounded_step, refit, spread_between
+from inclined_landing.eval.gap.search.fit import active_set_step, dersimonian_laird, fit_least_squares
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import effects, equations
 from inclined_landing.models.effects import LIBRARY
@@ -91,7 +91,7 @@ def test_errors_of_the_true_model_are_white(matched):
     """Unit variance in every channel within 10 %: 5 flights of 16 windows and 58 numbers scatter by 2 %."""
     prepared = [prepare(log, VEHICLE) for log in matched]
     problem = Problem(prepared, VEHICLE, LIBRARY)
-    white = np.concatenate(problem.white([VEHICLE] * len(prepared)))
+    white = np.concatenate(problem.white_errors([VEHICLE] * len(prepared)))
     assert (white**2).mean(axis=(0, 2)) == pytest.approx(1.0, abs=0.1)
 
 
@@ -180,9 +180,9 @@ def test_unknown_cause_is_not_given_a_name():
 
     d = quick(flights(distort=dead_zone, seed=5))
     assert d.verdict == "unknown"
-    assert d.remainder.unexplained
-    assert {"tilt", "commands", "tilt commands and their past"} & {x.on for x in d.remainder.depends_on}
-    assert {"roll", "pitch"} & {x.channel for x in d.remainder.depends_on}
+    assert d.residual.unexplained
+    assert {"tilt", "commands", "tilt commands and their past"} & {x.on for x in d.residual.depends_on}
+    assert {"roll", "pitch"} & {x.channel for x in d.residual.depends_on}
 
 
 def test_what_differs_between_flights_is_not_named():
@@ -192,8 +192,8 @@ def test_what_differs_between_flights_is_not_named():
 
 
 def test_spread_between_flights():
-    assert spread_between(np.array([1.0, 1.1, 0.9]), np.full(3, 0.1)) == pytest.approx(0.0, abs=1e-6)
-    assert spread_between(np.array([1.0, 2.0, 3.0]), np.full(3, 0.1)) == pytest.approx(1.0, rel=0.02)
+    assert dersimonian_laird(np.array([1.0, 1.1, 0.9]), np.full(3, 0.1)) == pytest.approx(0.0, abs=1e-6)
+    assert dersimonian_laird(np.array([1.0, 2.0, 3.0]), np.full(3, 0.1)) == pytest.approx(1.0, rel=0.02)
 
 
 def test_one_flight_only_is_used_with_a_stated_limit(weak):
@@ -209,9 +209,9 @@ def test_what_is_known_beforehand_holds_a_fit():
 
     def fitted(width):
         prior = None if width is None else lambda problem, columns: np.full(len(columns), width)
-        return refit(problem, {"wind": {}}, np.ones(6), prior=prior).values["wind"]["x"]
+        return fit_least_squares(problem, {"wind": {}}, np.ones(6), prior=prior).values["wind"]["x"]
 
-    free, error = fitted(None), refit(problem, {"wind": {}}, np.ones(6))
+    free, error = fitted(None), fit_least_squares(problem, {"wind": {}}, np.ones(6))
     deviation = float(np.sqrt(error.linear.covariance()[0, 0]))
     assert fitted(1e3) == pytest.approx(free, abs=0.05 * deviation)
     assert abs(fitted(1e-4)) < 0.01 < abs(free)
@@ -344,14 +344,14 @@ def test_weak_effects_beside_a_grossly_wrong_thrust():
 
 def test_rows_on_the_ground_are_no_free_flight():
     height = np.concatenate([np.full(20, 0.054), np.linspace(0.06, 1.0, 100), np.full(300, 1.0)])
-    assert _on_the_ground(height)[:20].all()
-    assert not _on_the_ground(height)[30:].any()
-    assert not _on_the_ground(np.full(100, 1.0) + 1e-3).any()
+    assert _on_ground(height)[:20].all()
+    assert not _on_ground(height)[30:].any()
+    assert not _on_ground(np.full(100, 1.0) + 1e-3).any()
 
 
 def test_what_would_leave_its_bounds_is_held_and_the_others_solved():
     a, b = np.array([[1.0, 0.9], [0.9, 1.0]]), np.array([1.0, 0.0])
     bounds = np.array([[-10.0, -1.0], [10.0, 1.0]])
-    step = bounded_step(a, a, b, np.zeros(2), bounds, np.ones(2, bool))
+    step = active_set_step(a, a, b, np.zeros(2), bounds, np.ones(2, bool))
     assert step == pytest.approx([1.9, -1.0])
-    assert bounded_step(a, a, b, np.zeros(2), bounds, np.array([True, False])) == pytest.approx([1.0, 0.0])
+    assert active_set_step(a, a, b, np.zeros(2), bounds, np.array([True, False])) == pytest.approx([1.0, 0.0])

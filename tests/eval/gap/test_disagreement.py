@@ -7,11 +7,11 @@ import pytest
 
 from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.gap.report import words
-from inclined_landing.eval.gap.result import Contradiction, Difference
-from inclined_landing.eval.gap.search.disagreement import contradictions
-from inclined_landing.eval.gap.search.evidence import BASE, Column, Linear, Problem
-from inclined_landing.eval.gap.search.fit import refit
-from inclined_landing.eval.gap.search.posterior import slabs
+from inclined_landing.eval.gap.result import Difference, InconsistentFlights
+from inclined_landing.eval.gap.search.evidence import BASE, Column, Linearisation, Problem
+from inclined_landing.eval.gap.search.fit import fit_least_squares
+from inclined_landing.eval.gap.search.heterogeneity import inconsistent_flights
+from inclined_landing.eval.gap.search.posterior import slab_deviations
 from inclined_landing.eval.gap.search.sets import autocorrelation_inflation
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
@@ -40,11 +40,13 @@ def found(flown, kinds):
     flights = [prepare(flown[kind][k], vehicle) for k, kind in enumerate(kinds)]
     problem = Problem(flights, vehicle, {name: LIBRARY[name] for name in NAMES})
     names = (*NAMES, BASE)
-    fit = refit(problem, {name: {} for name in names}, np.ones(6), iterations=3, tolerance=5.0, prior=slabs)
+    fit = fit_least_squares(
+        problem, {name: {} for name in names}, np.ones(6), iterations=3, tolerance=5.0, prior=slab_deviations
+    )
     near = problem.linearise(
         fit.values, problem.columns(names), autocorrelation_inflation(problem, fit.values)
     )
-    return contradictions(problem, near, {name: fit.values[name] for name in NAMES})
+    return inconsistent_flights(problem, near, {name: fit.values[name] for name in NAMES})
 
 
 def test_flights_of_one_vehicle_and_day_do_not_contradict_each_other(flown):
@@ -58,7 +60,7 @@ def test_one_flight_of_another_vehicle(flown):
     assert {"attitude_gain"} < set(differs) and {"thrust_scale", "mass"} & set(differs)
     low, high = differs["attitude_gain"].ci95["scale"]
     assert low < 1.15 < high and high - low < 0.1
-    text = " ".join(words.against(one))
+    text = " ".join(words.inconsistency(one))
     assert text.startswith(
         "flight_07 contradicts the other 9 flights. Beside a model of the others, in flight_07"
     )
@@ -74,7 +76,7 @@ def test_two_groups_of_flights(flown, other, effects):
     groups = {one.flights, one.others}
     assert groups == {tuple(f"flight_{k:02d}" for k in g) for g in (range(5), range(5, 10))}
     assert effects & {d.effect for d in one.differences}
-    assert words.against(one)[0].startswith("Two groups of flights contradict each other: flight_0")
+    assert words.inconsistency(one)[0].startswith("Two groups of flights contradict each other: flight_0")
 
 
 def test_another_calibration_has_its_tilt(flown):
@@ -102,15 +104,15 @@ def test_false_alarms_are_as_rare_as_stated():
         slopes = rng.standard_normal((8, 40, len(columns))) / (0.2 * unit)
         noise = rng.standard_normal((8, 40))
         a, b = slopes.swapaxes(1, 2) @ slopes, np.einsum("fnp,fn->fp", slopes, noise)
-        near = Linear(columns, a, b, np.zeros(8), problem)
-        alarms += bool(contradictions(problem, near, {}))
+        near = Linearisation(columns, a, b, np.zeros(8), problem)
+        alarms += bool(inconsistent_flights(problem, near, {}))
     assert alarms <= 10
 
 
 def test_what_was_said_is_judged_by_flights_and_intervals():
     """The half that differs may be told from either side; other flights are false alarms."""
     tilts = Difference("attitude_gain", (), False, {"scale": 0.87}, {"scale": (0.85, 0.89)})
-    one = Contradiction(("a", "b"), ("c", "d"), (tilts,), 1e-4, 0.01)
+    one = InconsistentFlights(("a", "b"), ("c", "d"), (tilts,), 1e-4, 0.01)
     truth = {("attitude_gain", "scale"): 1.15}
     right = gap_agreement.judged((one,), frozenset("cd"), truth)
     assert right == {"found": True, "other": 0, "effects": ["attitude_gain"], "inside": [True]}  # 1/1.15

@@ -9,16 +9,22 @@ import pytest
 from scipy import optimize, stats
 from scipy.signal import lfilter
 
-from inclined_landing.eval.gap.answer.named import confounded_with_it
+from inclined_landing.eval.gap.answer.named import confounded_with
 from inclined_landing.eval.gap.flights.noise_model import estimate
-from inclined_landing.eval.gap.flights.windows import level, prepare
+from inclined_landing.eval.gap.flights.windows import prepare, remove_tilt
 from inclined_landing.eval.gap.search import form
 from inclined_landing.eval.gap.search.evidence import BASE, Column
-from inclined_landing.eval.gap.search.posterior import SHAPE, Bounds, Local
+from inclined_landing.eval.gap.search.posterior import SHAPE_COVARIANCE, Bounds, LinearGaussian
 from inclined_landing.eval.gap.search.prediction import predict
-from inclined_landing.eval.gap.search.reference import Reference, beside, read_reference
-from inclined_landing.eval.gap.search.residual import Basis, Repeating, _Function, _signs, form_of
-from inclined_landing.eval.gap.search.sets import Scored, _worth_correcting, set_model_error_weights
+from inclined_landing.eval.gap.search.reference import Reference, posterior_path, read_reference
+from inclined_landing.eval.gap.search.residual import (
+    Basis,
+    ReferenceResidual,
+    _RidgeRegression,
+    _sign_flips,
+    gain_matrix,
+)
+from inclined_landing.eval.gap.search.sets import SetProbability, _relevant_subsets, model_error_weights
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import rotation, tilted
@@ -74,7 +80,7 @@ def local():
     errors = slopes @ np.array([3.0, 0, 0, 0, 1.0, 0, 0, 0]) + rng.standard_normal((8, 30))
     columns = tuple(Column(name, p) for name in "abcd" for p in ("one", "two"))
     root = 0.3 * rng.standard_normal((8, 8))
-    one = Local(
+    one = LinearGaussian(
         problem=types.SimpleNamespace(library=dict.fromkeys("abcd")),
         columns=columns,
         at=rng.standard_normal(8),
@@ -87,8 +93,8 @@ def local():
         off=0.3 * rng.standard_normal(8),
         known=root @ root.T,
         between=np.ones(8),
-        own_a=np.zeros((8, 8, 8)),
-        own_b=np.zeros((8, 8)),
+        flight_a=np.zeros((8, 8, 8)),
+        flight_b=np.zeros((8, 8)),
     )
     return one, slopes, errors
 
@@ -120,7 +126,7 @@ def test_what_is_new_in_the_flights_is_told_from_what_was_uncertain(local):
     """delta given the errors, from the joint normal law of theta, delta and the errors."""
     one, slopes, errors = local
     names = frozenset("ab")
-    slopes, fresh = slopes.reshape(-1, 8), one.fresh(names)
+    slopes, fresh = slopes.reshape(-1, 8), one.change_covariance(names)
     covariance = np.eye(len(slopes)) + slopes @ (fresh + one.known) @ slopes.T
     gain = np.linalg.solve(covariance, slopes @ fresh).T
     at, spread = one.delta(names)
@@ -162,10 +168,10 @@ def test_a_shape_is_no_more_probable_than_its_normal_prior_says(local):
     columns = tuple(
         dataclasses.replace(c, parameter="one", fixed=ends[k % 2]) for k, c in enumerate(one.columns)
     )
-    slab = np.kron(np.eye(4), 10.0 * SHAPE)
+    slab = np.kron(np.eye(4), 10.0 * SHAPE_COVARIANCE)
     evidence = dataclasses.replace(one, columns=columns, slab=slab).evidence()
     assert [name for name, _ in evidence.ends] == list("abcd")
-    assert evidence._shape("a", 4.0, -3.5) < evidence._shape("a", 0.2, 0.3) <= 0.0
+    assert evidence._shape_log_prior("a", 4.0, -3.5) < evidence._shape_log_prior("a", 0.2, 0.3) <= 0.0
 
 
 def test_flips_of_signs_raise_few_false_alarms():
@@ -173,7 +179,7 @@ def test_flips_of_signs_raise_few_false_alarms():
     rng = np.random.default_rng(3)
     blocks, rows, width, ridge = 12, 20, 5, 1.0
     flight_of = np.arange(blocks) // 2
-    signs, alarms = _signs(blocks, 0), 0
+    signs, alarms = _sign_flips(blocks, 0), 0
     for _ in range(300):
         errors = rng.standard_normal((blocks, rows))
         scores = []
@@ -182,8 +188,8 @@ def test_flips_of_signs_raise_few_false_alarms():
             b = np.einsum("kni,kn->ki", slopes, errors)
             grams = np.einsum("kni,knj->kij", slopes, slopes)
             a = np.stack([grams[flight_of == f].sum(axis=0) for f in range(6)])
-            form = form_of(a, b, flight_of, ridge)
-            scores.append(_Function("x", "noise", a, b, flight_of, ridge, form).scores(signs))
+            form = gain_matrix(a, b, flight_of, ridge)
+            scores.append(_RidgeRegression("x", "noise", a, b, flight_of, ridge, form).scores(signs))
         most = np.max(scores, axis=0)
         alarms += most[0] > np.quantile(most[1:], 0.95)
     assert 7 <= alarms <= 25
@@ -199,7 +205,7 @@ def test_gain_of_a_function_is_what_fits_to_the_other_flights_take_away():
         others = np.arange(4) != k
         fit = np.linalg.solve(a[others].sum(axis=0) + np.eye(3), b[others].sum(axis=0))
         closed += (errors[k] ** 2).sum() - ((errors[k] - slopes[k] @ fit) ** 2).sum()
-    form = form_of(a, b, np.arange(4), 1.0)
+    form = gain_matrix(a, b, np.arange(4), 1.0)
     assert form.sum() == pytest.approx(closed, rel=1e-9)
 
 
@@ -210,13 +216,13 @@ def test_a_function_is_fitted_to_the_flights_or_to_all_but_one():
     fold_of = np.array([0, 0, 1, 1, 2, 2])
     grams, b = np.einsum("kni,knj->kij", slopes, slopes), np.einsum("kni,kn->ki", slopes, errors)
     a = np.stack([grams[fold_of == g].sum(axis=0) for g in range(3)])
-    function = _Function("x", "noise", a, b, fold_of, 1.0, form_of(a, b, fold_of, 1.0))
+    function = _RidgeRegression("x", "noise", a, b, fold_of, 1.0, gain_matrix(a, b, fold_of, 1.0))
     for without in (None, 1):
         use = fold_of != (-1 if without is None else without)
         x, y = slopes[use].reshape(-1, 3), errors[use].ravel()
         wanted = np.linalg.solve(x.T @ x + np.eye(3), x.T @ y)
         np.testing.assert_allclose(function.weights(without), wanted, rtol=1e-9)
-    assert function.trusted()[0].sum() == pytest.approx(function.gain, rel=1e-9)
+    assert function.cross_validated_gain()[0].sum() == pytest.approx(function.gain, rel=1e-9)
 
 
 def test_bumps_and_random_features_follow_a_bent_function():
@@ -237,16 +243,16 @@ def test_attitudes_are_levelled_and_tilted_back():
     attitude = rng.uniform([-0.5, -0.5, -3.0], [0.5, 0.5, 3.0], (50, 3))
     measured = np.empty_like(attitude)
     tilted(attitude, 0.05, -0.03, measured)
-    assert level(measured, (0.05, -0.03)) == pytest.approx(attitude, abs=1e-12)
+    assert remove_tilt(measured, (0.05, -0.03)) == pytest.approx(attitude, abs=1e-12)
 
 
 def test_what_takes_the_place_of_an_effect_stands_in_sets_without_it():
     """b for a, in the sets that hold 95 %; neither what comes in addition nor what is too rare."""
     shares = {("a", "c"): 0.6, ("b", "c"): 0.25, ("c",): 0.05, ("a", "c", "d"): 0.06, ("e", "c"): 0.03}
-    sets = tuple(Scored(frozenset(names), p, {}) for names, p in shares.items())
+    sets = tuple(SetProbability(frozenset(names), p, {}) for names, p in shares.items())
     found = types.SimpleNamespace(sets=sets, names=sets[0].names)
-    assert confounded_with_it(found, "a") == ("b",)
-    assert confounded_with_it(found, "c") == ()
+    assert confounded_with(found, "a") == ("b",)
+    assert confounded_with(found, "c") == ()
 
 
 def test_the_form_of_the_model_errs_by_a_share_of_the_motion():
@@ -259,7 +265,7 @@ def test_the_form_of_the_model_errs_by_a_share_of_the_motion():
     count = sum(len(f.starts) for f in flights)
     rows = np.concatenate([np.full(len(f.starts), f.rows - 2) for f in flights])
     problem = types.SimpleNamespace(flights=flights, rows=rows, logged=np.ones((count, 6)), weight=None)
-    set_model_error_weights(problem, moved, wrong)
+    model_error_weights(problem, moved, wrong)
     rests = np.arange(count) < count // 2
     white = [f.whitening(f.cut(e)) for f, e in zip(flights, wrong)]
     left = np.concatenate([(x**2).mean(axis=2) for x in white])
@@ -281,7 +287,7 @@ def test_an_effect_too_small_to_matter_is_part_of_the_set_without_it(local):
         negligible = edge if (column.effect, column.parameter) == ("a", "one") else 100.0
         return Parameter(column.parameter, "1", 0.0, (-900.0, 900.0), 5.0, negligible)
 
-    parts = _worth_correcting(types.SimpleNamespace(parameter=parameter), one, frozenset("ab"))
+    parts = _relevant_subsets(types.SimpleNamespace(parameter=parameter), one, frozenset("ab"))
     assert sum(parts.values()) == pytest.approx(1.0)
     assert parts[frozenset("a")] == pytest.approx(stats.norm.cdf(2.0), abs=1e-6)
     assert sum(share for names, share in parts.items() if "b" in names) < 1e-6
@@ -396,7 +402,7 @@ def reference():
     root = rng.standard_normal((4, 4))
     basis = Basis.of(rng.standard_normal((50, 2)), ("velocity x", "velocity y"))
     width = basis(np.zeros((1, 2))).shape[1]
-    repeating = Repeating({"velocity": basis}, {("z", "velocity"): rng.standard_normal(width)})
+    repeating = ReferenceResidual({"velocity": basis}, {("z", "velocity"): rng.standard_normal(width)})
     return Reference(columns, rng.standard_normal(4), root @ root.T, repeating)
 
 
@@ -414,12 +420,12 @@ def test_a_posterior_is_read_as_it_was_written(reference, tmp_path):
     # Beside its vehicle's file it is found, beside another's not, and damaged it is refused.
     file = tmp_path / "mine.toml"
     write_vehicle(file, VEHICLE)
-    beside(file).write_text(text)
+    posterior_path(file).write_text(text)
     found, said = read_reference(file, VEHICLE)
     assert not said and found.columns == reference.columns
     other, said = read_reference(file, VEHICLE.changed(body_mass=0.05))
     assert "another vehicle" in said and not other.mean.any()
-    beside(file).write_text(text.replace('"mean"', '"means"'))
+    posterior_path(file).write_text(text.replace('"mean"', '"means"'))
     with pytest.raises(UserError, match="posterior"):
         read_reference(file, VEHICLE)
 

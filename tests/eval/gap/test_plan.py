@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.gap.plan import Hypothesis, Quiet, design, pieces, safety, words
-from inclined_landing.eval.gap.plan.breadth import Breadth
+from inclined_landing.eval.gap.plan import Hypothesis, NoiseLevels, design, pieces, safety, words
 from inclined_landing.eval.gap.plan.command import csv
-from inclined_landing.eval.gap.plan.information import Question
+from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
+from inclined_landing.eval.gap.plan.information import ModelDiscrimination
 from inclined_landing.eval.gap.plan.reading import read_report
 from inclined_landing.eval.gap.plan.setpoints import setpoints
 from inclined_landing.eval.logs import read_log
@@ -29,20 +29,20 @@ MASS = Hypothesis(("mass",), 0.5, {"mass": {"scale": 1.05}})
 THRUST = Hypothesis(("thrust_scale",), 0.5, {"thrust_scale": {"scale": 0.95}})
 
 
-def gram(question, setpoints):
+def gram(discrimination, setpoints):
     """The matrix of a question on a flight."""
-    return question.gram(question.flight(setpoints))
+    return discrimination.gram(discrimination.flight(setpoints))
 
 
 def points(*kinds, space=FREE):
     """Set-points of the middle pieces of some kinds."""
-    return setpoints(pieces.joined([pieces.middle(k) for k in kinds], space), VEHICLE)
+    return setpoints(pieces.joined_path([pieces.midpoint(k) for k in kinds], space), VEHICLE)
 
 
 @pytest.mark.parametrize("kind", pieces.KINDS)
 def test_a_piece_is_smooth_from_rest_to_rest_and_safe(kind):
-    alone = setpoints(pieces.alone(pieces.middle(kind), SLAB), VEHICLE)
-    assert safety.planned(alone, SLAB) is None
+    alone = setpoints(pieces.single_path(pieces.midpoint(kind), SLAB), VEHICLE)
+    assert safety.plan_violation(alone, SLAB) is None
     assert np.abs(alone.velocity[[0, -1]]).max() < 1e-6
     assert np.abs(np.diff(alone.path.position, axis=0)).max() * pieces.RATE < safety.SPEED
     # Commands jump no more in one row than the smoothed doublets do: an eighth of their range.
@@ -70,16 +70,17 @@ def test_the_commands_fly_the_path():
 
 
 def test_headings_turn_the_short_way():
-    plan = pieces.joined([pieces.Piece("hover", (0.99, 0.0)), pieces.Piece("hover", (0.01, 0.0))], FREE)
+    plan = pieces.joined_path([pieces.Piece("hover", (0.99, 0.0)), pieces.Piece("hover", (0.01, 0.0))], FREE)
     assert np.ptp(plan.yaw) < math.pi + 0.2
     assert abs(plan.yaw[-1] - 0.99 * math.pi) < 0.2
 
 
 def test_matrices_add_up_over_pieces():
-    question = Question([DRAG, BODY], VEHICLE, Quiet.usual())
-    both = gram(question, points("run", "circle"))
+    discrimination = ModelDiscrimination([DRAG, BODY], VEHICLE, NoiseLevels.typical())
+    both = gram(discrimination, points("run", "circle"))
     parts = [
-        gram(question, setpoints(pieces.alone(pieces.middle(k), FREE), VEHICLE)) for k in ("run", "circle")
+        gram(discrimination, setpoints(pieces.single_path(pieces.midpoint(k), FREE), VEHICLE))
+        for k in ("run", "circle")
     ]
     # Windows are cut elsewhere and the way between the pieces counts too.
     ratio = np.diag(both)[1] / np.diag(sum(parts))[1]  # the first set is where it is linearised
@@ -88,61 +89,63 @@ def test_matrices_add_up_over_pieces():
 
 def test_expected_probability_of_two_points_is_that_of_a_logistic_of_a_normal():
     """Nothing free: the log odds are normal with mean d^2/2 and variance d^2."""
-    question = Question([DRAG, BODY], VEHICLE, Quiet.usual())
-    question.free[:] = 0.0
-    d, seen = 2.0, np.zeros((question.free.shape[1],) * 2)
+    discrimination = ModelDiscrimination([DRAG, BODY], VEHICLE, NoiseLevels.typical())
+    discrimination.free[:] = 0.0
+    d, seen = 2.0, np.zeros((discrimination.free.shape[1],) * 2)
     seen[0, 0] = d * d
     odds = d * d / 2 + d * np.random.default_rng(0).standard_normal(100_000)
-    expected = question.expected(seen)
+    expected = discrimination.expected(seen)
     # 20 draws of a number of deviation 0.25 at most.
     assert np.diag(expected).mean() == pytest.approx((1 / (1 + np.exp(-odds))).mean(), abs=0.08)
     assert expected.sum(axis=1) == pytest.approx(1.0)
 
 
 def test_what_predicts_the_same_stays_in_doubt():
-    question = Question([DRAG, dataclasses.replace(DRAG, probability=0.2)], VEHICLE, Quiet.usual())
-    seen = gram(question, points("run"))
-    assert question.gain(seen) == pytest.approx(0.0, abs=1e-6)
-    assert np.diag(question.expected(seen)) == pytest.approx([5 / 7, 2 / 7], abs=1e-6)
+    discrimination = ModelDiscrimination(
+        [DRAG, dataclasses.replace(DRAG, probability=0.2)], VEHICLE, NoiseLevels.typical()
+    )
+    seen = gram(discrimination, points("run"))
+    assert discrimination.gain(seen) == pytest.approx(0.0, abs=1e-6)
+    assert np.diag(discrimination.expected(seen)) == pytest.approx([5 / 7, 2 / 7], abs=1e-6)
 
 
 def test_moving_tells_drag_and_hovering_does_not():
-    question = Question([DRAG, BODY], VEHICLE, Quiet.usual())
-    gains = {k: question.gain(gram(question, points(k))) for k in ("run", "hover", "turn")}
+    discrimination = ModelDiscrimination([DRAG, BODY], VEHICLE, NoiseLevels.typical())
+    gains = {k: discrimination.gain(gram(discrimination, points(k))) for k in ("run", "hover", "turn")}
     assert gains["run"] > 0.1 > 0.01 > max(gains["hover"], gains["turn"])
 
 
 def test_more_noise_tells_less():
-    usual = Quiet.usual()
+    usual = NoiseLevels.typical()
     loud = dataclasses.replace(usual, noise=10 * usual.noise, unrest=10 * usual.unrest)
-    questions = [Question([DRAG, BODY], VEHICLE, q) for q in (usual, loud)]
-    quiet, noisy = (q.gain(gram(q, points("run"))) for q in questions)
-    assert quiet > 1.5 * noisy
+    questions = [ModelDiscrimination([DRAG, BODY], VEHICLE, q) for q in (usual, loud)]
+    noise_levels, noisy = (q.gain(gram(q, points("run"))) for q in questions)
+    assert noise_levels > 1.5 * noisy
 
 
 def test_a_plan_through_the_slab_or_a_wall_is_refused():
     through = dataclasses.replace(SLAB, home=FREE.home)
-    run = setpoints(pieces.joined([pieces.middle("run")], through), VEHICLE)
-    assert "surface" in safety.planned(run, through).text
+    run = setpoints(pieces.joined_path([pieces.midpoint("run")], through), VEHICLE)
+    assert "surface" in safety.plan_violation(run, through).text
     aside = dataclasses.replace(FREE, home=FREE.home + [0.0, 1.0, 0.0])
     run = pieces.Piece("run", (0.5, 0.5, 0.75, 0.5))  # towards +y
-    assert "space" in safety.planned(setpoints(pieces.joined([run], aside), VEHICLE), aside).text
+    assert "space" in safety.plan_violation(setpoints(pieces.joined_path([run], aside), VEHICLE), aside).text
 
 
 def test_a_vehicle_that_cannot_hold_its_height_is_not_safe():
     weak = dataclasses.replace(VEHICLE, thrust_state_gain=0.5 * VEHICLE.thrust_state_gain)
-    plan, quiet = points("low_hover"), Quiet.usual()
-    assert safety.simulated(plan, [VEHICLE], FREE, quiet)[0] is None
-    wrong, _ = safety.simulated(plan, [VEHICLE, weak], FREE, quiet)
+    plan, noise_levels = points("low_hover"), NoiseLevels.typical()
+    assert safety.simulate_plan(plan, [VEHICLE], FREE, noise_levels)[0] is None
+    wrong, _ = safety.simulate_plan(plan, [VEHICLE, weak], FREE, noise_levels)
     assert "touches" in wrong.text or "surface" in wrong.text
 
 
 def test_simulated_flights_follow_the_plan():
     plan = points("tilts", "run", "low_hover")
-    states = safety.fly(plan, VEHICLE, FREE, Quiet.usual(), 0)
+    states = safety.fly(plan, VEHICLE, FREE, NoiseLevels.typical(), 0)
     assert states.shape == (safety.COPIES, len(plan.path.yaw[::2]), 13)
     assert np.abs(states[..., :3] - plan.path.position[::2]).max() < 0.15
-    again = safety.fly(plan, VEHICLE, FREE, Quiet.usual(), 0)
+    again = safety.fly(plan, VEHICLE, FREE, NoiseLevels.typical(), 0)
     assert np.array_equal(states, again)
 
 
@@ -153,16 +156,16 @@ def plan():
 
 def test_the_design_is_safe_repeatable_and_tells(plan):
     assert plan.path.seconds == 10.0
-    assert safety.planned(plan.points, FREE) is None
-    assert plan.right > 0.9
+    assert safety.plan_violation(plan.points, FREE) is None
+    assert plan.expected_accuracy > 0.9
     kinds = {span.piece.kind for span in plan.path.spans}
     assert kinds & {"run", "circle"}
 
 
 def test_the_scale_tells_mass_from_thrust():
-    question = Question([MASS, THRUST], VEHICLE, Quiet.usual())
-    expected = question.expected(gram(question, points("climb", "thrusts")))
-    assert "Weigh the vehicle" in " ".join(words.alike(question, expected))
+    discrimination = ModelDiscrimination([MASS, THRUST], VEHICLE, NoiseLevels.typical())
+    expected = discrimination.expected(gram(discrimination, points("climb", "thrusts")))
+    assert "Weigh the vehicle" in " ".join(words.indistinguishable(discrimination, expected))
 
 
 def report(tmp_path, *hypotheses, **more):
@@ -198,8 +201,8 @@ def test_what_flights_could_not_show_is_sought_too(tmp_path):
     folder = report(tmp_path, Hypothesis((), 0.9, {}), unseen=[row])
     doubt = read_report(folder)
     assert [h.text for h in doubt.hypotheses] == ["nothing", "ground_effect"]
-    question = Question(doubt.hypotheses, VEHICLE, doubt.quiet)
-    gains = {k: question.gain(gram(question, points(k))) for k in ("low_hover", "run")}
+    discrimination = ModelDiscrimination(doubt.hypotheses, VEHICLE, doubt.noise_levels)
+    gains = {k: discrimination.gain(gram(discrimination, points(k))) for k in ("low_hover", "run")}
     assert gains["low_hover"] > 3 * abs(gains["run"])
 
 
@@ -248,18 +251,23 @@ def test_no_report_and_no_room_are_refused(tmp_path, capsys):
 
 def test_an_unknown_remainder_is_excited_broadly():
     """Heights are told by flights that change them, wherever the sets stand."""
-    noise = Quiet.usual().noise
-    breadth = Breadth(["position z"], FREE, noise)
-    question = Question([DRAG], VEHICLE, Quiet.usual())
-    told = {k: breadth.gain(breadth.gram(question.flight(points(k)))) for k in ("climb", "hover", "low_pass")}
+    noise = NoiseLevels.typical().noise
+    coverage = RegressorCoverage(["position z"], FREE, noise)
+    discrimination = ModelDiscrimination([DRAG], VEHICLE, NoiseLevels.typical())
+    told = {
+        k: coverage.gain(coverage.gram(discrimination.flight(points(k))))
+        for k in ("climb", "hover", "low_pass")
+    }
     assert told["climb"] > told["hover"] < told["low_pass"]
     with pytest.raises(ValueError, match="no quantity is called 'colour'"):
-        design([DRAG], VEHICLE, broadly=["colour"])
+        design([DRAG], VEHICLE, vary=["colour"])
 
 
 def test_the_short_text_names_a_piece_the_scale_or_nothing():
     def said(*hypotheses):
-        return words.short(Question(hypotheses, VEHICLE, Quiet.usual()), platform=False)
+        return words.discrimination_text(
+            ModelDiscrimination(hypotheses, VEHICLE, NoiseLevels.typical()), platform=False
+        )
 
     assert "again and again: after 20 s the right one" in said(DRAG, BODY)
     assert said(MASS, THRUST).startswith("No flight") and "Weigh the vehicle" in said(MASS, THRUST)

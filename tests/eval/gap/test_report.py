@@ -13,18 +13,18 @@ from inclined_landing.eval.gap.report import figures, model, terminal, words
 from inclined_landing.eval.gap.report.page import page
 from inclined_landing.eval.gap.report.tracks import Track
 from inclined_landing.eval.gap.result import (
-    Contradiction,
     Dependence,
     Diagnosis,
     Difference,
     Disturbance,
     Estimate,
     HorizonCurve,
+    InconsistentFlights,
     NamedEffect,
     PlantGap,
-    Remainder,
+    RegimeError,
+    ResidualAnalysis,
     ScoredSet,
-    WhereRow,
     WindowCurves,
 )
 from inclined_landing.models import effects, storage
@@ -77,7 +77,7 @@ def example(verdict="effects"):
         corrected=effects.apply(load_vehicle(), {e.name: e.values() for e in said}),
         separating_manoeuvre="Weigh the vehicle. To tell thrust_scale from mass: weigh." if said else None,
         where=tuple(
-            WhereRow(r, c, 1.0, 0.1, 0.05, "m/s2" if c == "z" else "rad", 12)
+            RegimeError(r, c, 1.0, 0.1, 0.05, "m/s2" if c == "z" else "rad", 12)
             for r in ("hover", "all")
             for c in ("z", "roll")
         ),
@@ -91,7 +91,7 @@ def example(verdict="effects"):
             HorizonCurve("+ thrust_scale", ("thrust_scale",), t, 0.04 * t, 0.01 * t),
         ),
         windows=(WindowCurves("a", "hover", 3.0, t, shape, shape + t[:, None] ** 2, shape),),
-        remainder=Remainder(0.002, {"z": 0.2}, (left,) if verdict == "unknown" else (), 0.1),
+        residual=ResidualAnalysis(0.002, {"z": 0.2}, (left,) if verdict == "unknown" else (), 0.1),
         gap={
             "analytic": PlantGap(0.487, 0.04, 0.01, 0.5, 0.05, 30, 1.0),
             "mujoco": PlantGap(0.486, 0.041, 0.01, 0.5, 0.05, 30, 1.0),
@@ -115,7 +115,7 @@ def track():
 
 def test_what_repeats_matters_by_the_second_that_it_moves():
     """A share of the squared error a second ahead; where that was not measured, all but the heading."""
-    left = example("unknown").remainder
+    left = example("unknown").residual
     (one,) = left.depends_on
     assert left.unexplained and not dataclasses.replace(left, error=1.0).unexplained
     assert dataclasses.replace(left, error=float("nan")).unexplained
@@ -133,9 +133,9 @@ def test_what_was_not_named_is_possible_from_some_probability_on():
 
 def test_every_effect_is_said_in_words_with_its_numbers():
     for name, effect in LIBRARY.items():
-        text = words.says(named(name, effect.plausible))
+        text = words.meaning(named(name, effect.plausible))
         assert len(re.findall(r"-?\d[\d.]*", text)) == len(effect.parameters) and "_" not in text
-    late = words.says(named("thrust_delay", {"delay": 0.012}))
+    late = words.meaning(named("thrust_delay", {"delay": 0.012}))
     assert late == "thrust commands act 12.0 ms after they were sent"
 
 
@@ -194,7 +194,7 @@ def test_the_page_escapes_names_of_flights_and_notes(track):
 def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
     d = dataclasses.replace(
         example("nothing"), where=(), sets=(), unrest={}, horizon=(), windows=(), gap={}, heldout=FLIGHTS,
-        remainder=Remainder(1.0, {}, ()),
+        residual=ResidualAnalysis(1.0, {}, ()),
     )  # fmt: skip
     assert "in turn" in page(d, None, versions={})
     figures.overview(example("nothing"), None)
@@ -215,7 +215,7 @@ def test_flights_that_contradict_the_others_are_said_first(capsys):
         Difference("thrust_delay", (), True, {"delay": 0.01}, {"delay": (0.008, 0.012)}),
     )
     d = dataclasses.replace(
-        example(), contradictions=(Contradiction(("b",), ("a", "c"), differences, 1e-4, 0.01),)
+        example(), inconsistent_flights=(InconsistentFlights(("b",), ("a", "c"), differences, 1e-4, 0.01),)
     )
     terminal.show(d)
     out = " ".join(capsys.readouterr().out.split())

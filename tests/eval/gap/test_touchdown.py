@@ -4,11 +4,16 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.answer.named import confounded_with_it, with_touched
-from inclined_landing.eval.gap.flights.landings import ideal, landings_of
+from inclined_landing.eval.gap.answer.named import confounded_with, joint_sets
+from inclined_landing.eval.gap.flights.landings import contact_model_covariance, landings_of
 from inclined_landing.eval.gap.result import ScoredSet
-from inclined_landing.eval.gap.search.after_touch import TouchdownProblem, sag
-from inclined_landing.eval.gap.search.contact import FEWEST, inflation, name_contact, repeated
+from inclined_landing.eval.gap.search.contact import (
+    LEAST_LANDINGS,
+    common_residual_p_value,
+    contact_posterior,
+    inflation,
+)
+from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem, static_deflection
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from tests.proof.gap_blind.generate import landings, logs
@@ -49,17 +54,19 @@ def test_errors_of_known_covariance_come_out_white(higher):
 
 def test_softer_feet_give_way_under_the_weight():
     soft = LIBRARY["contact_stiffness"].apply(VEHICLE, {"scale": 0.5})
-    assert np.array(sag(soft, 0.018)) == pytest.approx(2.0 * np.array(sag(VEHICLE, 0.018)))
-    assert sag(VEHICLE, 0.018)[0] == pytest.approx(9.81 * VEHICLE.contact_solref[0] ** 2)
+    assert np.array(static_deflection(soft, 0.018)) == pytest.approx(
+        2.0 * np.array(static_deflection(VEHICLE, 0.018))
+    )
+    assert static_deflection(VEHICLE, 0.018)[0] == pytest.approx(9.81 * VEHICLE.contact_solref[0] ** 2)
 
 
 def test_a_contact_effect_is_named_among_few(higher):
     """From as few landings as are taken: the offset within the 3 mm that start states leave open."""
     flights, offset = higher
     few = {name: LIBRARY[name] for name in ("friction", "platform_height")}
-    problem, found = name_contact(landings_of(flights[:FEWEST], VEHICLE), VEHICLE, few)
+    problem, found = contact_posterior(landings_of(flights[:LEAST_LANDINGS], VEHICLE), VEHICLE, few)
     assert list(problem.library) == list(few) and found.names == {"platform_height"}
-    assert found.probability("platform_height") > 0.9 and confounded_with_it(found, "platform_height") == ()
+    assert found.probability("platform_height") > 0.9 and confounded_with(found, "platform_height") == ()
     assert found.values["platform_height"]["offset"] == pytest.approx(offset, abs=0.003)
     low, high = found.sizes["platform_height"].ends
     assert low < found.values["platform_height"]["offset"] < high and high - low < 0.006
@@ -88,8 +95,8 @@ def made_up(monkeypatch, landings, hidden, noise=1.0, seed=0):
         return white + sum(slopes[n] * (hidden.get(n, 0.0) - now[n]) / (4.0 * unit[n]) for n in few)
 
     monkeypatch.setattr(TouchdownProblem, "errors", errors)
-    monkeypatch.setattr("inclined_landing.eval.gap.search.contact.repeated", lambda *_: 1.0)
-    return name_contact(landings, VEHICLE, few)[1]
+    monkeypatch.setattr("inclined_landing.eval.gap.search.contact.common_residual_p_value", lambda *_: 1.0)
+    return contact_posterior(landings, VEHICLE, few)[1]
 
 
 def test_probabilities_of_sets_of_linear_landings(higher, monkeypatch):
@@ -119,18 +126,20 @@ def test_false_alarms_of_what_landings_have_in_common(higher):
     """With errors that idealised contacts may have in common the p-value is even; a shift of 2 cm is seen."""
     landings = landings_of(higher[0], VEHICLE)
     t = landings[0].compared * landings[0].dt - 0.1
-    spread = np.linalg.cholesky(ideal(t) + 1e-12 * np.eye(len(t)))
+    spread = np.linalg.cholesky(contact_model_covariance(t) + 1e-12 * np.eye(len(t)))
     rng, values = np.random.default_rng(4), []
     whiten = np.stack([x.whiten for x in landings])
     for _ in range(100):
         common = [np.einsum("cij,cj->ci", spread, rng.standard_normal((6, len(t)))) for _ in range(2)]
         shared = np.stack([common[x.on_platform] for x in landings])
         left = np.einsum("icab,icb->ica", whiten, shared) + rng.standard_normal((len(landings), 6, len(t)))
-        values.append(repeated(landings, left, np.ones(6)))
+        values.append(common_residual_p_value(landings, left, np.ones(6)))
     assert np.mean(np.array(values) < 0.05) < 0.12  # 5 of 100, and what chance makes of it
     shift = np.zeros((6, len(t)))
     shift[1] = 0.02 * (t > 0.1)
-    assert repeated(landings, left + np.einsum("icab,cb->ica", whiten, shift), np.ones(6)) < 1e-3
+    assert (
+        common_residual_p_value(landings, left + np.einsum("icab,cb->ica", whiten, shift), np.ones(6)) < 1e-3
+    )
 
 
 def test_sets_of_flight_and_of_contact_are_told_together(higher, monkeypatch):
@@ -139,7 +148,7 @@ def test_sets_of_flight_and_of_contact_are_told_together(higher, monkeypatch):
         ScoredSet(("wind",), 0.8, {"wind": {"x": 0.3, "y": 0.0}}, {}),
         ScoredSet((), 0.2, {}, {}),
     )
-    sets = with_touched(flown, found)
+    sets = joint_sets(flown, found)
     assert sets[0].effects == ("wind", "contact_stiffness") and set(sets[0].values) == set(sets[0].effects)
     assert sets[0].probability == pytest.approx(0.8 * found.sets[0].probability)
     assert sum(s.probability for s in sets) == pytest.approx(1.0, abs=0.02)
@@ -149,7 +158,7 @@ def test_sets_of_flight_and_of_contact_are_told_together(higher, monkeypatch):
 @pytest.mark.parametrize("cause", ["contact_stiffness", "contact_damping"])
 def test_springs_and_dampers_are_told_apart(cause):
     recordings, _ = landings(cause, "strong", seed=403)
-    _, found = name_contact(landings_of(logs(recordings, contact=True), VEHICLE), VEHICLE, LIBRARY)
+    _, found = contact_posterior(landings_of(logs(recordings, contact=True), VEHICLE), VEHICLE, LIBRARY)
     assert found.names == {cause}
 
 
@@ -157,7 +166,7 @@ def test_springs_and_dampers_are_told_apart(cause):
 def test_where_nothing_is_hidden_no_effect_of_contact_is_sure():
     """Two contact models are not alike: a false name may be the likeliest set, but is no certainty."""
     recordings, _ = landings(None, None, seed=415)
-    _, found = name_contact(landings_of(logs(recordings, contact=True), VEHICLE), VEHICLE, LIBRARY)
+    _, found = contact_posterior(landings_of(logs(recordings, contact=True), VEHICLE), VEHICLE, LIBRARY)
     assert max(found.probability(name) for name in LIBRARY) < 0.8 and not found.unexplained
 
 

@@ -22,9 +22,9 @@ from scipy import stats
 from scipy.signal import lfilter, savgol_filter
 
 from inclined_landing.eval.gap import measure_gap
-from inclined_landing.eval.gap.flights.windows import flying, prepare_all
+from inclined_landing.eval.gap.flights.windows import in_free_flight, prepare_all
 from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.fit import refit
+from inclined_landing.eval.gap.search.fit import fit_least_squares
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import rotation
 from inclined_landing.models.effects import LIBRARY
@@ -79,7 +79,7 @@ def tune(flights: Sequence[FlightLog], vehicle: Vehicle) -> dict[str, dict[str, 
     """Effect -> parameter -> value for TUNED, those that differ from nominal."""
     problem = Problem(prepare_all(flights, vehicle, False, []), vehicle, LIBRARY)
     names = [name for name in TUNED if name in problem.library]
-    fit = refit(problem, {name: {} for name in names}, np.ones(6), iterations=15)
+    fit = fit_least_squares(problem, {name: {} for name in names}, np.ones(6), iterations=15)
     error = np.sqrt(np.diag(fit.linear.covariance()))
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     found: dict[str, dict[str, float]] = {}
@@ -132,7 +132,7 @@ def _terms(log: FlightLog, vehicle: Vehicle) -> dict[str, tuple[np.ndarray, dict
     """Channel -> (residual (n,), {(effect, parameter): term (n,)}) of the free flight of one log."""
     v, packed, dt = vehicle, pack(vehicle), 1.0 / log.rate
     window = 2 * round(_SMOOTH / dt) + 1
-    rows = flying(log, vehicle)
+    rows = in_free_flight(log, vehicle)
     rows[: max(window, round(0.3 / dt))] = rows[-window:] = False
 
     def smooth(x, derivative=0):

@@ -14,8 +14,8 @@ from inclined_landing.eval.gap.flights.windows import prepare_all
 from inclined_landing.eval.gap.result import Diagnosis, PlantGap
 from inclined_landing.eval.gap.search import rollout
 from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.fit import Fitted, refit
-from inclined_landing.eval.gap.search.posterior import slabs
+from inclined_landing.eval.gap.search.fit import LeastSquaresFit, fit_least_squares
+from inclined_landing.eval.gap.search.posterior import slab_deviations
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import Vehicle
@@ -73,34 +73,38 @@ def judged(logs, vehicle: Vehicle, values, heldout: Sequence[FlightLog] = ()) ->
     problem = Problem(prepare_all(logs, vehicle, False, []), vehicle, LIBRARY)
     fit = _refit(problem, values)
     corrected = problem.corrected(fit.values)
-    starts = rollout.Starts.of(prepare_all(heldout, vehicle, False, []) if heldout else problem.flights)
+    starts = rollout.RolloutWindows.of(
+        prepare_all(heldout, vehicle, False, []) if heldout else problem.flights
+    )
     floor = rollout.noise_floor(starts, corrected)
     after = corrected if heldout else _left_out(problem, fit)
     return rollout.plant_gap(starts, vehicle, after, "analytic", floor), corrected
 
 
-def _refit(problem: Problem, values, prior=None) -> Fitted:
+def _refit(problem: Problem, values, prior=None) -> LeastSquaresFit:
     """Fitted twice, the second time with every channel divided by the squared error that the first leaves."""
-    first = refit(problem, values, np.ones(6), prior=prior)
-    squares = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in problem.white_at(first.values)])
+    first = fit_least_squares(problem, values, np.ones(6), prior=prior)
+    squares = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in problem.white_errors_at(first.values)])
     freedom = np.maximum(1.0, (problem.weight * problem.rows[:, None]).sum(axis=0))
     inflation = np.maximum(1.0, (problem.weight * squares).sum(axis=0) / freedom)
-    return refit(problem, first.values, inflation, prior=prior)
+    return fit_least_squares(problem, first.values, inflation, prior=prior)
 
 
-def _left_out(problem: Problem, fit: Fitted) -> list[Vehicle]:
+def _left_out(problem: Problem, fit: LeastSquaresFit) -> list[Vehicle]:
     """For every flight, the vehicle with the effects fitted to the other flights."""
     vehicles = []
     for flight in problem.flights:
         others = [f for f in problem.flights if f is not flight] or problem.flights
-        rest = refit(Problem(others, problem.vehicle, LIBRARY), fit.values, fit.inflation)
+        rest = fit_least_squares(Problem(others, problem.vehicle, LIBRARY), fit.values, fit.inflation)
         vehicles.append(problem.corrected(rest.values))
     return vehicles
 
 
 def _fit(logs, vehicle: Vehicle, values) -> dict[tuple[str, str], tuple[float, float]]:
     problem = Problem(prepare_all(logs, vehicle, False, []), vehicle, LIBRARY)
-    fit = _refit(problem, values, prior=slabs)  # effects that are nearly alike would not move without
+    fit = _refit(
+        problem, values, prior=slab_deviations
+    )  # effects that are nearly alike would not move without
     # A reference is where another parameter acts about: at another one that and others are as good.
     linear = fit.linear
     own = [k for k, c in enumerate(linear.columns) if not problem.parameter(c).is_reference]

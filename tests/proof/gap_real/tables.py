@@ -42,7 +42,7 @@ def fleet(s: Fleet) -> str:
     lines += ["", *disturbances(d), "", *sets(d), ""]
     lines += ["Named on all flights: " + named(d)]
     lines += ["Named on first halves: " + named(s.first), "Named on second halves: " + named(s.second), ""]
-    return "\n".join([*lines, d.remainder.text, ""])
+    return "\n".join([*lines, d.residual.text, ""])
 
 
 def disturbances(d: Diagnosis) -> list[str]:

@@ -1,11 +1,10 @@
-"""Landings simulated in MuJoCo and compared with the measured motion, for the effects of contact.
+"""Landings simulated in MuJoCo and compared with the measured motion after contact.
 
-Contact has no equations of its own here: every landing is simulated in the MuJoCo plant from the measured
-state shortly before the touch, under the commands that were sent, and the motion that follows is compared
-in the axes of the surface. Errors are weighed by what they can come from at each moment: noise of the
-measurement and of the start state, and what two idealised contacts differ in. The resting pose counts
-little therefore, and the tenth of a second after the touch, in which stiff and soft, springy and damped
-differ, counts most.
+Every landing is simulated in the MuJoCo plant from the measured state shortly before contact, under the
+commands that were sent, and the motion that follows is compared in the surface frame. Errors are whitened by
+their covariance at each moment: measurement noise, start state noise, and the difference between two
+idealised contact models. So the resting pose counts little, and the tenth of a second after contact, in
+which stiffness and damping differ, counts most.
 """
 
 from __future__ import annotations
@@ -15,9 +14,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.flights.landings import BEFORE, FLEETING, Landing
-from inclined_landing.eval.gap.search.evidence import Suspects
-from inclined_landing.eval.gap.search.rollout import drive, undelayed
+from inclined_landing.eval.gap.flights.landings import BEFORE, TRANSIENT, Landing
+from inclined_landing.eval.gap.search.evidence import Candidates
+from inclined_landing.eval.gap.search.rollout import delayed_commands, without_delays
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, X, Y, Z
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.effects.contact import spring_of
@@ -27,11 +26,11 @@ from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import fly
 from inclined_landing.models.scene import compile_scene
 
-STEP = 0.00125  # s at most, of the engine: damping times 3 is unstable at twice as much
+STEP = 0.00125  # s, largest step of the engine: three times the damping is unstable at twice as much
 
 
-class TouchdownProblem(Suspects):
-    """Landings, and the effects of contact that may explain them.
+class TouchdownProblem(Candidates):
+    """Landings and candidate contact effects: a nonlinear regression problem.
 
     Channels: along and across the slope, along its normal, roll, pitch, yaw.
     """
@@ -44,18 +43,22 @@ class TouchdownProblem(Suspects):
         self.samples = min(len(x.compared) for x in self.flights)
 
     def errors(self, vehicle: Vehicle) -> np.ndarray:
-        """Errors (n, 6, samples) in standard deviations."""
+        """Return the white errors (n, 6, samples), in standard deviations."""
         simulated = simulate(self.flights, vehicle)
         result = np.empty((len(self.flights), 6, self.samples))
         si, ci = math.sin(self.vehicle.platform_inclination), math.cos(self.vehicle.platform_inclination)
-        lower, leaning = np.subtract(sag(vehicle, self.reach), sag(self.vehicle, self.reach))
+        # MuJoCo's contact has no static deflection: the difference to the nominal one is added, exponentially
+        # settled after contact.
+        lower, leaning = np.subtract(
+            static_deflection(vehicle, self.reach), static_deflection(self.vehicle, self.reach)
+        )
         for k, landing in enumerate(self.flights):
             error = (landing.measured - simulated[k][landing.compared])[: self.samples]
             if landing.on_platform:
                 x, z = error[:, 0].copy(), error[:, 2].copy()
                 error[:, 0], error[:, 2] = ci * x - si * z, si * x + ci * z
             t = landing.compared[: self.samples] * landing.dt - BEFORE
-            settled = 1.0 - np.exp(-np.maximum(t, 0.0) / FLEETING)
+            settled = 1.0 - np.exp(-np.maximum(t, 0.0) / TRANSIENT)
             error[:, 2] += lower * settled
             if landing.on_platform:
                 error[:, 4] -= leaning * settled
@@ -64,35 +67,41 @@ class TouchdownProblem(Suspects):
         return result
 
 
-def sag(vehicle: Vehicle, reach: float) -> tuple[float, float]:
-    """How feet of the vehicle's contact stiffness give way at rest: distance [m], pitch on the slope [rad].
+def static_deflection(vehicle: Vehicle, reach: float) -> tuple[float, float]:
+    """Return the static deflection of the feet under the weight [m], and the pitch on the slope by it [rad].
 
-    reach: of the feet below the centre of mass [m].
-
-    MuJoCo's contact acts on accelerations and carries the weight without giving way; feet do give way, and
-    more on the side where friction below the centre of mass tips the vehicle.
+    reach: of the feet below the centre of mass [m]. MuJoCo's contact is a constraint on accelerations (see
+    "solref" in its manual) and carries the weight without deflection; feet deflect, and more on the side
+    towards which the friction below the centre of mass tilts the vehicle.
     """
+    # With the stiffness k per mass and the feet at +-arm:  z = g / k,  pitch = g sin(alpha) reach / (k arm^2)
     stiffness, g = spring_of(vehicle)[0], vehicle.environment_gravity
     along = g * math.sin(vehicle.platform_inclination)
     return g / stiffness, along * reach / (stiffness * vehicle.rotor_arm**2)
 
 
 def simulate(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
-    """Simulated pose (n, rows + 1, 6) of every landing, in the MuJoCo plant."""
+    """Return the simulated pose (n, rows + 1, 6) of every landing, in the MuJoCo plant."""
     dt = landings[0].dt
     rows = max(x.rows for x in landings)
     n = len(landings)
     state = np.stack([x.start for x in landings])
     commands = np.zeros((n, rows, 4))
     for k, x in enumerate(landings):
-        driven, lag = drive(x.command, dt, vehicle)
+        driven, lag = delayed_commands(x.command, dt, vehicle)
         part = driven[x.first : x.first + rows]
         commands[k, : len(part)] = part
         commands[k, len(part) :] = part[-1]
         state[k, LAG] = lag[x.first]
     step = dt / math.ceil(dt / STEP - 1e-9)
-    options = {"integrator": "implicitfast", "torque_needs_motors": True}
-    plant = MujocoPlant(n, undelayed(vehicle), control_period=dt, timestep=step, **options)
+    plant = MujocoPlant(
+        n,
+        without_delays(vehicle),
+        control_period=dt,
+        timestep=step,
+        integrator="implicitfast",
+        torque_needs_motors=True,
+    )
     plant.set_platform(np.arange(n), vehicle.platform_inclination)
     plant.reset(np.arange(n), state)
     pose = fly(plant, commands.swapaxes(0, 1))[..., [X, Y, Z, ROLL, PITCH, PITCH + 1]].swapaxes(0, 1)
@@ -101,8 +110,8 @@ def simulate(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
 
 
 def position_errors(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
-    """Distance (n, samples) [m] between simulated and measured position of every landing."""
+    """Return the distance (n, samples) [m] between simulated and measured position of every landing."""
     simulated = simulate(landings, vehicle)
     samples = min(len(x.compared) for x in landings)
-    apart = [(x.measured - s[x.compared])[:samples, :3] for x, s in zip(landings, simulated)]
-    return np.linalg.norm(apart, axis=2)
+    error = [(x.measured - s[x.compared])[:samples, :3] for x, s in zip(landings, simulated)]
+    return np.linalg.norm(error, axis=2)
