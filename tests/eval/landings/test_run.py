@@ -112,7 +112,7 @@ def test_an_interrupted_study_goes_on(study, tmp_path, reference, monkeypatch):
     assert flown == [1, 2]
     assert bits(tmp_path / "run") == bits(reference)
     assert not (tmp_path / "run" / "parts").exists()
-    assert cli.main(["contact", str(study), "--out", str(tmp_path / "run"), "--resume"]) == 0
+    assert cli.main(["landings", str(study), "--out", str(tmp_path / "run"), "--resume"]) == 0
 
 
 def check(part, written):
@@ -141,7 +141,7 @@ def test_kill_9_and_resume(study, tmp_path, reference):
         os.kill(process.pid, signal.SIGKILL)
         process.wait()
     assert not (out / "results.parquet").exists()
-    assert cli.main(["contact", str(study), "--out", str(out), "--resume"]) == 0
+    assert cli.main(["landings", str(study), "--out", str(out), "--resume"]) == 0
     assert bits(out) == bits(reference)
 
 
@@ -174,7 +174,7 @@ def test_a_wrong_study_is_one_sentence(tmp_path, capsys, old, new, sentence):
     path = tmp_path / "bad.toml"
     assert old in STUDY
     path.write_text(STUDY.replace(old, new), "utf-8")
-    assert cli.main(["contact", str(path), "--out", str(tmp_path / "out")]) == 2
+    assert cli.main(["landings", str(path), "--out", str(tmp_path / "out")]) == 2
     refused(capsys, tmp_path, sentence, ["bad.toml"])
 
 
@@ -199,21 +199,21 @@ def test_wrong_arguments(study, tmp_path, capsys, words, sentence):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "x").touch()
     places = {"out": tmp_path / "out", "full": tmp_path / "full", "study": study}
-    assert cli.main(["contact", *(word.format(**places) for word in words)]) == 2
+    assert cli.main(["landings", *(word.format(**places) for word in words)]) == 2
     refused(capsys, tmp_path, sentence, ["full", "small.toml", "x"])
 
 
 def test_a_policy_that_is_not_there(tmp_path, capsys):
     text = 'sampling = "factorial"\n[start]\npolicy = "none.zip"\n[parameters]\n'
     (tmp_path / "p.toml").write_text(text + 'friction = { values = [0.5, 1], unit = "1" }', "utf-8")
-    assert cli.main(["contact", str(tmp_path / "p.toml"), "--out", str(tmp_path / "out")]) == 2
+    assert cli.main(["landings", str(tmp_path / "p.toml"), "--out", str(tmp_path / "out")]) == 2
     refused(capsys, tmp_path, "policy none.zip does not exist", ["p.toml"])
 
 
 def test_without_ray_there_is_a_remedy(study, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     out = str(tmp_path / "out")
-    assert cli.main(["contact", str(study), "--out", out, "--engine", "ray"]) == 2
+    assert cli.main(["landings", str(study), "--out", out, "--engine", "ray"]) == 2
     refused(capsys, tmp_path, "pip install 'inclined-landing[ray]'", ["small.toml"])
 
 
@@ -224,7 +224,7 @@ def test_without_ray_there_is_a_remedy(study, tmp_path, capsys, monkeypatch):
 def test_a_cluster_that_is_not_there(study, tmp_path, capsys, monkeypatch, address, sentence):
     monkeypatch.setattr(cluster, "import_ray", lambda option: None)
     words = ["--out", str(tmp_path / "out"), "--engine", "ray", "--address", address]
-    assert cli.main(["contact", str(study), *words]) == 2
+    assert cli.main(["landings", str(study), *words]) == 2
     refused(capsys, tmp_path, sentence, ["small.toml"])
 
 
@@ -240,7 +240,7 @@ def test_a_full_disk_at_the_start_leaves_nothing(study, tmp_path, capsys, monkey
         raise UserError(f"cannot write {path}: no space left on device")
 
     monkeypatch.setattr(storage, "write_bytes", full)
-    assert cli.main(["contact", str(study), "--out", str(tmp_path / "out")]) == 2
+    assert cli.main(["landings", str(study), "--out", str(tmp_path / "out")]) == 2
     refused(capsys, tmp_path, "no space left on device", ["small.toml"])
 
 
@@ -269,6 +269,6 @@ def test_a_full_disk_on_the_way_keeps_what_is_finished(study, tmp_path, referenc
 def test_resume_refuses_another_study(study, tmp_path, reference, capsys):
     study.write_text(STUDY.replace("seed = 5", "seed = 6"), "utf-8")
     before = bits(reference)
-    assert cli.main(["contact", str(study), "--out", str(reference), "--resume"]) == 2
+    assert cli.main(["landings", str(study), "--out", str(reference), "--resume"]) == 2
     assert "was begun with another study" in capsys.readouterr().err
     assert bits(reference) == before
