@@ -4,36 +4,25 @@ import contextlib
 import dataclasses
 import unittest.mock
 
+import hypothesis.strategies as st
 import numpy as np
+from hypothesis import given
 
 from inclined_landing.envs import tasks
 from inclined_landing.envs.tasks import Judgement, Start, Task, Training
 from inclined_landing.train import run
 from inclined_landing.train.cli import main
-from tests.campaign.judge import EVIL, Case, command, judge, parametrised, write
-from tests.campaign.test_training import TINY
+from tests.campaign.judge import EVIL, Case, command, examples, judged, write
+from tests.campaign.test_folders import TINY
+from tests.test_own_task import CODE as HOP
 
-CODE = """
+CODE = f"""{HOP}
 import dataclasses
-import numpy as np
+from inclined_landing.envs.tasks import Training
 from tests.campaign.test_own_tasks import VALUES
-from inclined_landing.envs.tasks import Judgement, Task, Training, hover_states
 
-class Plain(Task):
-    name = "plain"
-    observation_names = ("z", "vz")
-    observation_scale = np.array([1.0, 2.0])
-    action_names = ("thrust",)
+class Own(Hop):
     max_steps = 10
-
-    def sample(self, rng, k):
-        return self.start(hover_states(rng.uniform([-1, -1, 0.5], [1, 1, 1.4], (k, 3)), self.vehicle))
-
-    def judge(self, moment):
-        up = moment.state[:, 2] > 1.5
-        return Judgement({"up": 1.0 * up}, up, up, np.zeros_like(up))
-
-class Own(Plain):
     """
 # Besides the evil values: arrays of all kinds, and other things.
 VALUES = EVIL | {
@@ -78,58 +67,53 @@ def case(name: str, body: str, named: str | None = None) -> Case:
     return Case(name, lambda folder: write(folder / "own.py", f"{CODE}{body}\n"), tried, named=named)
 
 
-def returned():
-    """Every method and property that returns every value."""
-    for name in (*METHODS, *PROPERTIES):
-        head = "@property\n    " if name in PROPERTIES else ""
-        for kind in VALUES:
-            body = f"{head}def {name}(self, *given, **named): return VALUES[{kind!r}]"
-            yield case(f"{name} {kind}", body)
+def method(name: str, body: str, title: str) -> Case:
+    """A method, or a property, with another body."""
+    head = "@property\n    " if name in PROPERTIES else ""
+    return case(f"{name} {title}", f"{head}def {name}(self, *given, **named): {body}")
 
 
-def raised():
-    """Every method and property that raises."""
-    for name in (*METHODS, *PROPERTIES):
-        head = "@property\n    " if name in PROPERTIES else ""
-        for error in RAISED:
-            yield case(f"{name} raises {error}", f"{head}def {name}(self, *given, **named): raise {error}")
+def field(where: tuple[str, str], value: str) -> Case:
+    """A start or a judgement with one field wrong, or with one more term."""
+    name, field = where
+    new = f"VALUES[{value!r}]"
+    if field == "more":
+        field, new = "terms", f"super().judge(*given).terms | {{'more': {new}}}"
+    return method(
+        name, f"return dataclasses.replace(super().{name}(*given), {field}={new})", f"{field} {value}"
+    )
 
 
-def fields():
-    """Starts and judgements with one field wrong, or with one entry of it."""
-    for name, kind in (("sample", Start), ("evaluation_starts", Start), ("judge", Judgement)):
-        for field in dataclasses.fields(kind):
-            for value in VALUES:
-                yield case(
-                    f"{name} {field.name} {value}",
-                    f"def {name}(self, *given): return dataclasses.replace("
-                    f"super().{name}(*given), {field.name}=VALUES[{value!r}])",
-                )
-    for value in VALUES:
-        changed = f"super().judge(moment).terms | {{'more': VALUES[{value!r}]}}"
-        body = f"def judge(self, moment): return dataclasses.replace(super().judge(moment), terms={changed})"
-        yield case(f"term {value}", body)
+def attribute(name: str, value: str, own: bool) -> Case:
+    """An attribute of the class, or of a task, with another value."""
+    if not own:
+        return case(f"attribute {name} {value}", f"{name} = VALUES[{value!r}]")
+    return method("__init__", f"super().__init__(*given, **named); self.{name} = VALUES[{value!r}]", name)
 
 
-def attributes():
-    """Every attribute of the class, and every default of its training, with every value."""
-    for name in ATTRIBUTES:
-        for value in VALUES:
-            yield case(f"attribute {name} {value}", f"{name} = VALUES[{value!r}]")
-            yield case(
-                f"own {name} {value}",
-                f"def __init__(self, *given, **named): super().__init__(*given, **named); "
-                f"self.{name} = VALUES[{value!r}]",
-            )
-    for field in dataclasses.fields(Training):
-        for value in VALUES:
-            yield case(
-                f"training {field.name} {value}",
-                f"training = Training({field.name}=VALUES[{value!r}])",
-                named="own.py" if field.name != "start_from" else "policy",
-            )
+def training(field: str, value: str) -> Case:
+    """A default of the training with another value."""
+    named = "own.py" if field != "start_from" else "policy"
+    return case(f"training {field} {value}", f"training = Training({field}=VALUES[{value!r}])", named)
 
 
-@parametrised(returned, raised, fields, attributes, each=3)
-def test_own_tasks_are_trained_or_refused(case, tmp_path):
-    judge(case, tmp_path)
+RETURNED = {"sample": Start, "evaluation_starts": Start, "judge": Judgement}
+FIELDS = [(name, field.name) for name, kind in RETURNED.items() for field in dataclasses.fields(kind)]
+OVERRIDDEN, EVILS = st.sampled_from([*METHODS, *PROPERTIES]), st.sampled_from(list(VALUES))
+CASES = st.one_of(
+    st.builds(lambda name, v: method(name, f"return VALUES[{v!r}]", f"returns {v}"), OVERRIDDEN, EVILS),
+    st.builds(
+        lambda name, error: method(name, f"raise {error}", f"raises {error}"),
+        OVERRIDDEN,
+        st.sampled_from(RAISED),
+    ),
+    st.builds(field, st.sampled_from([*FIELDS, ("judge", "more")]), EVILS),
+    st.builds(attribute, st.sampled_from(ATTRIBUTES), EVILS, st.booleans()),
+    st.builds(training, st.sampled_from([f.name for f in dataclasses.fields(Training)]), EVILS),
+)
+
+
+@examples(12)
+@given(case=CASES)
+def test_own_tasks_are_trained_or_refused(case):
+    judged(case)
