@@ -23,7 +23,7 @@ import psutil
 import pytest
 import tomlkit
 
-from tests.campaign.training import assert_same_policy
+from tests.training import assert_same_policy
 
 pytestmark = pytest.mark.slow
 if not hasattr(pytest.importorskip("ray", reason="Ray is not installed (extra `ray`)"), "init"):

@@ -12,7 +12,7 @@ from inclined_landing.envs.policy import load_policy
 from inclined_landing.eval.cli import main as evaluate
 from inclined_landing.models.errors import UserError
 from inclined_landing.train.cli import main as train
-from tests.campaign.training import assert_same_policy
+from tests.training import assert_same_policy
 
 CODE = '''
 import numpy as np

@@ -8,28 +8,22 @@ exit code 2, nothing new on disk, nothing changed, within bounded time and memor
 To add a kind of input:
 
 - a TOML file: an entry of `READERS` in `test_toml.py`, a good file and what reads it. Nothing else.
+- a folder that something goes on in: an entry of `FOLDERS` in `test_folders.py`.
 - a command or an option: its words in `NEEDED` of `commands.py`, where it cannot begin without any.
-- anything else: a module `test_<kind>.py` beside this one, with generators of `Case`s (loops over fields
-  and `EVIL` values, over `spoilt` tables or over `mutations` of a good file; never a list written by hand)
-  and one test over them:
+- anything else: a module `test_<kind>.py` beside this one, with a strategy of `Case`s made of `spoilt`
+  tables, `contents` of files, `places` or tables of evil things, and one test over it:
 
-        def evil_cells():
-            for name, value in EVIL.items():
-                yield Case(
-                    f"cell {name}",
-                    make=lambda folder, value=value: write(folder / "a.csv", f"x\n{value}\n"),
-                    take=read_log,
-                    works=fly,
-                )
+        def cells(name: str) -> Case:
+            return Case(name, lambda folder: write(folder / "a.csv", f"x\n{EVIL[name]}\n"), read_log, fly)
 
-        @parametrised(evil_cells, packed_tables, each=3)
-        def test_logs_are_used_or_refused(case, tmp_path):
-            judge(case, tmp_path)
+        @examples(10)
+        @given(case=st.sampled_from(list(EVIL)).map(cells))
+        def test_logs_are_used_or_refused(case):
+            judged(case)
 
-By default `each` cases of every generator run, with `-m slow` MOST more, with CAMPAIGN=all before it all. To
-choose them, all are named in every process: generators must be cheap, so whatever takes time is done in
-`make`, which writes the input, or in `take`. Loop variables are bound by default arguments (`value=value`) or
-`functools.partial`.
+By default as many cases are drawn as `examples` says, where slow tests are wanted MORE times as many, with
+CAMPAIGN=N in the environment N times. What takes time is done in `make`, which writes the input, or in
+`take`.
 
 `take` calls the reader itself where it can (fast); `command(main, [...])` runs a whole command and turns exit
 code 2 with its sentence into a UserError, everything else into an error.
@@ -51,19 +45,21 @@ import os
 import random
 import re
 import resource
+import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import pytest
+import hypothesis
+import hypothesis.strategies as st
 
 from inclined_landing.models.errors import UserError
 
-whole = True  # are slow cases wanted; `conftest.py` knows
-MOST = 200  # slow cases of a generator
+whole = True  # are slow tests wanted; `conftest.py` knows
+MORE = 30
 LONGEST_SENTENCE = 300  # characters, the path of the case not counted
 LEAKS = re.compile(
-    r"Traceback|invalid literal|could not convert|instantiated|<class|NoneType|object at 0x|\[Errno|: None$"
+    r"Traceback|literal for|could not convert|instantiated|<class|NoneType|object at 0x|\[Errno|: None$"
 )
 SECONDS = 20.0  # of processor time for taking a case, at most; first calls compile
 MEMORY = 3 * 2**30  # bytes of address space on top of what the test process has
@@ -160,25 +156,21 @@ def judge(case: Case, folder: Path) -> str:
     return sentence
 
 
-def parametrised(*generators: Callable[[], Iterable[Case]], each: int):
-    """The mark for a test over `case`: by default `each` cases of every generator, MOST of them marked slow.
-
-    Which ones is decided by their names alone: a new case displaces one other at most. Where no slow test is
-    asked for, the slow ones are left out; CAMPAIGN=all in the environment makes all of them, some 45 000.
-    """
-    most = each if not whole else None if os.environ.get("CAMPAIGN") == "all" else max(each, MOST)
-    every, names = [], set()
-    for generator in generators:
-        ranked = sorted(generator(), key=_rank)
-        for k, case in enumerate(ranked[:most]):
-            assert case.name not in names, f"two cases are called {case.name}"
-            names.add(case.name)
-            every.append(pytest.param(case, marks=() if k < each else pytest.mark.slow, id=case.name))
-    return pytest.mark.parametrize("case", every)
+def judged(case: Case) -> str:
+    """Run one case in a folder of its own, as `judge`."""
+    with tempfile.TemporaryDirectory() as folder:
+        return judge(case, Path(folder))
 
 
-def _rank(case: Case) -> bytes:
-    return hashlib.blake2b(case.name.encode("utf-8", "surrogateescape"), digest_size=8).digest()
+def examples(few: int) -> hypothesis.settings:
+    """Return settings of a test over drawn cases: by default so many, the same ones each time."""
+    times = int(os.environ.get("CAMPAIGN", MORE if whole else 1))
+    return hypothesis.settings(
+        max_examples=few * times,
+        phases=(hypothesis.Phase.generate,),
+        database=None,
+        suppress_health_check=list(hypothesis.HealthCheck),
+    )
 
 
 def command(main: Callable[[list[str]], int], arguments: list[str]) -> str:
@@ -197,11 +189,21 @@ def command(main: Callable[[list[str]], int], arguments: list[str]) -> str:
     raise Wrong(f"exit code {code}: {said[-1500:]}")
 
 
-def mutations(content: bytes, number: int) -> Iterator[tuple[str, Callable[[], bytes]]]:
-    """Damages of a file's bytes, (name, what makes them): parts cut, flipped, doubled, dropped, swapped."""
-    for k in range(number):
-        kind = ("cut", "flip", "double", "drop", "noise", "swap", "zeros")[k % 7]
-        yield f"{kind} {k}", functools.partial(_damaged, content, kind, k)
+def damaged(content: bytes | Callable[[], bytes]) -> st.SearchStrategy[tuple[str, Callable[[], bytes]]]:
+    """Draw (name, what makes the bytes) of a file of which a part is cut, flipped, doubled ..."""
+
+    def damage(kind: str, seed: int) -> tuple[str, Callable[[], bytes]]:
+        made = lambda: _damaged(content() if callable(content) else content, kind, seed)  # noqa: E731
+        return f"{kind} {seed}", made
+
+    kinds = st.sampled_from(["cut", "flip", "double", "drop", "noise", "swap", "zeros"])
+    return st.builds(damage, kinds, st.integers(0, 9999))
+
+
+def contents(good: bytes | Callable[[], bytes], more: dict | None = None):
+    """Draw (name, what makes the bytes) of a file: other texts, `more` of them, and a good file damaged."""
+    texts = {name: (lambda text=text: text) for name, text in TEXTS.items()} | (more or {})
+    return st.sampled_from(list(texts.items())) | damaged(good)
 
 
 def _damaged(content: bytes, kind: str, seed: int) -> bytes:
@@ -221,18 +223,31 @@ def _damaged(content: bytes, kind: str, seed: int) -> bytes:
 
 def spoilt(
     good: dict | list, where: Callable[[tuple], bool] = lambda keys: True
-) -> Iterator[tuple[str, Callable[[dict], dict]]]:
-    """Ways to spoil one entry of tables that are like `good`, (name, what returns a spoilt copy).
+) -> st.SearchStrategy[tuple[str, Callable[[dict], dict]]]:
+    """Draw a way to spoil one entry of tables that are like `good`, (name, what returns a spoilt copy).
 
-    Each entry at any depth, of lists the first one, and one more in each table gets every evil value; and
-    each entry is left out. where: of the keys that lead to an entry, whether it is one of them.
+    An entry at any depth, of lists the first one, gets an evil value, is left out or gets another name; or a
+    table gets one more. where: of the keys that lead to an entry, whether it may be this one.
     """
-    for keys in filter(where, _entries(good)):
-        name = ".".join(map(str, keys))
-        for evil, value in EVIL.items():
-            yield f"{name} {evil}", functools.partial(changed, keys=keys, value=value)
-        if keys[-1] != "unknown":
-            yield f"{name} missing", functools.partial(changed, keys=keys, value=...)
+    ways = [
+        (keys, way)
+        for keys in filter(where, _entries(good))
+        for way in (*EVIL, *(("missing", "misspelt") if keys[-1] != "unknown" else ()))
+    ]
+
+    def change(chosen: tuple[tuple, str]) -> tuple[str, Callable[[dict], dict]]:
+        keys, way = chosen
+        name = f"{'.'.join(map(str, keys))} {way}"
+        if way != "misspelt" or not isinstance(keys[-1], str):
+            return name, functools.partial(changed, keys=keys, value=EVIL.get(way, ...))
+
+        def renamed(tables: dict) -> dict:
+            value = functools.reduce(lambda inner, key: inner[key], keys, tables)
+            return changed(changed(tables, keys, ...), (*keys[:-1], keys[-1] + keys[-1][-1]), value)
+
+        return name, renamed
+
+    return st.sampled_from(ways).map(change)
 
 
 def _entries(table: dict | list) -> Iterator[tuple]:
@@ -261,28 +276,29 @@ def respelt(old: bytes, change: Callable[[dict], dict]) -> bytes:
     return json.dumps(change(json.loads(old)), default=str).encode()
 
 
-def places(name: str, take: Callable[[Path], object]) -> Iterator[Case]:
-    """Cases of what a path may lead to instead of a file called `name`."""
-
-    def there(title, make):
-        def made(folder):
-            make(folder / name)
-            return folder / name
-
-        return Case(title, made, take)
-
-    yield there("nothing there", lambda path: None)
-    yield there("a folder", lambda path: path.mkdir())
-    yield there("a pipe", os.mkfifo)
-    yield there("endless", lambda path: path.symlink_to("/dev/zero"))
-    yield there("a loop", lambda path: path.symlink_to(path))
-    yield there("a process's memory", lambda path: path.symlink_to("/proc/self/mem"))
-    yield there("gigabytes", lambda path: (write(path, ""), os.truncate(path, 2**34)))
-    yield there("nothing in it", lambda path: write(path, ""))
-    yield Case("below a file", lambda folder: write(folder / "x", "") / name, take)
-    yield Case("NUL in the name", lambda folder: folder / "a\0b", take, named="a\\x00b")
-    yield Case("long name", lambda folder: folder / ("x" * 300), take, named="x" * 50)
-    yield Case("no UTF-8 in the name", lambda folder: folder / os.fsdecode(b"v\xff.x"), take, named="v\\xff")
+def places(name: str, take: Callable[[Path], object]) -> st.SearchStrategy[Case]:
+    """Draw a case of what a path may lead to instead of a file called `name`."""
+    there = {
+        "nothing there": lambda path: None,
+        "a folder": lambda path: path.mkdir(),
+        "a pipe": os.mkfifo,
+        "endless": lambda path: path.symlink_to("/dev/zero"),
+        "a loop": lambda path: path.symlink_to(path),
+        "a process's memory": lambda path: path.symlink_to("/proc/self/mem"),
+        "gigabytes": lambda path: (write(path, ""), os.truncate(path, 2**34)),
+        "nothing in it": lambda path: write(path, ""),
+    }
+    cases = [
+        Case(title, lambda folder, make=make: (make(folder / name), folder / name)[1], take)
+        for title, make in there.items()
+    ]
+    cases += [
+        Case("below a file", lambda folder: write(folder / "x", "") / name, take),
+        Case("NUL in the name", lambda folder: folder / "a\0b", take, named="a\\x00b"),
+        Case("long name", lambda folder: folder / ("x" * 300), take, named="x" * 50),
+        Case("no UTF-8 in the name", lambda folder: folder / os.fsdecode(b"v\xff.x"), take, named="v\\xff"),
+    ]
+    return st.sampled_from(cases)
 
 
 def toml(value) -> str:
@@ -306,6 +322,7 @@ def write(path: Path, content: str | bytes) -> Path:
 
 def _check_sentence(sentence: str, case: Case, path: Path, folder: Path) -> None:
     plain = sentence.replace(str(folder), "").replace(path.name, "")
+    plain = re.sub("x{50,}", "", plain)  # of a long name
     if not sentence.isprintable() or not sentence.strip():
         raise Wrong(f"{case.name}: not one printable line: {sentence[:500]!r}")
     if len(plain) > LONGEST_SENTENCE:

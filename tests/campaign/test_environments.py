@@ -4,7 +4,10 @@ import functools
 import inspect
 from functools import partial
 
+import hypothesis.strategies as st
 import numpy as np
+import pytest
+from hypothesis import given
 
 from inclined_landing.envs import gym_env
 from inclined_landing.envs.batch import BatchEnv
@@ -14,7 +17,7 @@ from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval.moving.controllers import _Told
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
-from tests.campaign.judge import EVIL, Case, Wrong, judge, parametrised
+from tests.campaign.judge import EVIL, Case, Wrong, examples, judged
 
 STATE = hover_states(np.array([[1.0, 0.0, 1.8]]), load_vehicle())[0]
 ARRAYS = {"object array": np.array([None]), "complex": 1j, "bytes": b"x", "none in a list": [None]}
@@ -43,27 +46,18 @@ def case(name, take, works=lambda result: None, named=""):
     return Case(name, lambda folder: folder, lambda folder: take(), works, named=named)
 
 
-def options():
-    """Every option of the faces, tasks and plants times every evil value."""
-    face = gym_env.SetpointEnv
-    for evil, value in EVERY.items():
-        for task in TASKS.values():
-            own = getattr(gym_env, f"{task.__name__}Env")
-            for option in keywords(task):
-                given = {option: value}
-                yield case(f"{task.name} {option} {evil}", partial(own, **given), flies, option)
-        for option in keywords(face):
-            if (option, evil) != ("vehicle", "long text"):  # a path, which is repeated as it is
-                make = partial(face, **SMALL | {option: value})
-                yield case(f"face {option} {evil}", make, flies, CALLED.get(option, option))
-        for plant, kind in PLANTS.items():
-            for option in keywords(kind):
-                make = partial(face, plant=plant, plant_options={option: value})
-                yield case(f"{plant} {option} {evil}", make, flies, option.split("_")[0])
-        many = partial(gym_env.InclinedLandingVectorEnv, value, plant="analytic")
-        yield case(f"num_envs {evil}", many, flies, "num_envs")
-        scaled = lambda v=value: BatchVecEnv(landings(), reward_scale=v)  # noqa: E731
-        yield case(f"reward_scale {evil}", scaled, named="reward_scale")
+def option(of: str, option: str, evil: str) -> Case:
+    """An option of a task, of the environments or of a plant."""
+    given = {option: EVERY[evil]}
+    if of in TASKS:
+        make = partial(getattr(gym_env, f"{TASKS[of].__name__}Env"), **given)
+    elif of in PLANTS:
+        make, option = partial(FACE, plant=of, plant_options=given), option.split("_")[0]
+    else:
+        make, option = partial(FACE, **SMALL | given), CALLED.get(option, option)
+    # A path is repeated as it is.
+    named = "" if (option, evil) == ("vehicle", "long text") else option
+    return case(f"{of} {option} {evil}", make, flies, named)
 
 
 @functools.cache
@@ -77,29 +71,27 @@ def env(kind: str):
     return gym_env.InclinedLandingEnv() if kind == "Env" else gym_env.InclinedLandingVectorEnv(2)
 
 
-def inputs():
-    """Resets, seeds and actions."""
-    for evil, value in EVERY.items():
-        for kind in ("Env", "VectorEnv"):
-            for named, given in {
-                "seed": {"seed": value},
-                "reset": {"options": value},
-                "state": {"options": {"state": value}},
-            }.items():
-                take = lambda kind=kind, given=given: env(kind).reset(**given)  # noqa: E731
-                yield case(f"{kind} {named} {evil}", take, named=named)
-            yield case(f"{kind} action {evil}", partial(acted, kind, value), named="action")
-        mask = {"options": {"reset_mask": value}}
-        yield case(f"mask {evil}", lambda mask=mask: env("VectorEnv").reset(**mask), named="reset_mask")
-        for column in range(len(STATE)) if isinstance(value, (int, float, complex)) else ():
-            state = STATE.astype(object)
-            state[column] = value
+def entered(kind: str, named: str, evil: str) -> Case:
+    """A reset, seed, state, mask or action."""
+    value = EVERY[evil]
+    if named == "action":
+        return case(f"{kind} action {evil}", partial(acted, kind, value), named="action")
+    if named == "reset_mask":
+        kind = "VectorEnv"
+    given = {"seed": value} if named == "seed" else {"options": value if named == "reset" else {named: value}}
+    return case(f"{kind} {named} {evil}", lambda: env(kind).reset(**given), named=named)
 
-            def flown(state=state):
-                env("Env").reset(options={"state": state})
-                acted("Env", [0.0, 0.0])
 
-            yield case(f"state {column} {evil}", flown, named="state")
+def state(column: int, evil: str) -> Case:
+    """A state with one wrong number."""
+
+    def flown() -> None:
+        state = STATE.astype(object)
+        state[column] = EVERY[evil]
+        env("Env").reset(options={"state": state})
+        acted("Env", [0.0, 0.0])
+
+    return case(f"state {column} {evil}", flown, named="state")
 
 
 ANSWERS = {
@@ -111,12 +103,6 @@ ANSWERS = {
     "rows of dates": np.full((2, 4), "2020-01-01", "datetime64[D]"),
     "rows of nan": np.full((2, 4), np.nan),
 }
-
-
-def answers():
-    """What a controller of others answers with."""
-    for evil, value in (EVERY | ANSWERS).items():
-        yield case(f"answer {evil}", partial(answered, value), named="controller mine at 0.00 s")
 
 
 def answered(value):
@@ -132,6 +118,45 @@ def acted(kind, action):
         raise Wrong("an observation is not finite")
 
 
-@parametrised(options, inputs, answers, each=4)
-def test_environments_fly_or_refuse(case, tmp_path):
-    judge(case, tmp_path)
+FACE = gym_env.SetpointEnv
+OPTIONS = [
+    (of, option)
+    for of, kind in [*TASKS.items(), *PLANTS.items(), ("face", FACE)]
+    for option in keywords(kind)
+]
+EVILS = st.sampled_from(list(EVERY))
+NUMBERS = st.sampled_from([e for e, value in EVERY.items() if isinstance(value, (int, float, complex))])
+ENTRIES = st.sampled_from(("seed", "reset", "state", "reset_mask", "action"))
+KINDS = {
+    "options": st.builds(lambda o, evil: option(*o, evil), st.sampled_from(OPTIONS), EVILS),
+    "vectors": EVILS.map(
+        lambda evil: case(
+            f"num_envs {evil}",
+            partial(gym_env.InclinedLandingVectorEnv, EVERY[evil], plant="analytic"),
+            *(flies, "num_envs"),
+        )
+    )
+    | EVILS.map(
+        lambda evil: case(
+            f"reward_scale {evil}",
+            lambda: BatchVecEnv(landings(), reward_scale=EVERY[evil]),
+            named="reward_scale",
+        )
+    ),
+    "inputs": st.builds(entered, st.sampled_from(("Env", "VectorEnv")), ENTRIES, EVILS)
+    | st.builds(state, st.integers(0, len(STATE) - 1), NUMBERS),
+    "answers": st.sampled_from(list(EVERY | ANSWERS)).map(
+        lambda evil: case(
+            f"answer {evil}",
+            partial(answered, (EVERY | ANSWERS)[evil]),
+            named="controller mine at 0.00 s",
+        )
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@examples(5)
+@given(data=st.data())
+def test_environments_fly_or_refuse(kind, data):
+    judged(data.draw(KINDS[kind]))

@@ -1,24 +1,24 @@
-"""Flight logs with evil columns, clocks, bytes, sizes and names; what mapping files alone have."""
+"""Flight logs with evil columns, clocks, bytes, sizes and names; mapping files are in `test_toml.py`."""
 
-import dataclasses
 import functools
 import gzip
-import io
-import os
 import re
 import tempfile
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
+import hypothesis.strategies as st
 import numpy as np
+import pytest
+from hypothesis import given
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.logs import FlightLog, read_log
 from inclined_landing.models.errors import UserError, shown
 from tests.campaign.commands import NAMES
 from tests.campaign.flights import COLUMNS, ROWS, a_flight, fly, text
-from tests.campaign.judge import TEXTS, Case, Wrong, command, judge, mutations, parametrised, places, write
-from tests.campaign.test_toml import case as mapping_case
+from tests.campaign.judge import Case, Wrong, command, contents, damaged, examples, judged, places, write
 from tests.log_files import a_log, firmware_values, sd_card, write_bag
 
 CELLS = (
@@ -76,58 +76,52 @@ def without_doubt_about_units(path: Path) -> FlightLog:
         raise
 
 
-def columns_with_evil_cells():
-    for column in COLUMNS:
-        for k, cell in enumerate(CELLS):
-            for where, rows in (("one", 200), ("all", slice(None)), ("last", -1)):
-                if where == "all" and len(cell) > 500:
-                    continue
-                take = without_doubt_about_units if where == "one" and column != "t" else read_log
-                make = lambda _, c=column, r=rows, cell=cell: changed(c, r, cell)  # noqa: E731
-                yield case(f"{column} {where} {k} {cell[:8]}", make, take=take)
-        yield table(f"without {column}", **{column: None})
-        yield table(f"{column} alone", **{other: None for other in COLUMNS if other != column})
+def cells(column: str, cell: str, where: str) -> Case:
+    """A log with an evil cell in one row, the last or all rows of a column."""
+    rows = {"one": 200, "all": slice(None), "last": -1}[where if len(cell) < 500 else "one"]
+    take = without_doubt_about_units if where == "one" and column != "t" else read_log
+    return case(f"{column} {where} {cell[:8]!r}", lambda _: changed(column, rows, cell), take=take)
 
 
-def evil_clocks():
-    for name, clock in {
-        "epoch seconds": lambda t: t + 1.7e9,
-        "epoch ms": lambda t: 1e3 * (t + 1.7e9),
-        "epoch ns": lambda t: 1e9 * (t + 1.7e9),
-        "ns": lambda t: 1e9 * t,
-        "1e300": lambda t: 1e300 * t,
-        "to 1e300": lambda t: np.r_[t[:-1], 1e300],
-        "gap": lambda t: np.where(t > 2, t + 1e6, t),
-        "gaps": lambda t: 1e6 * t,
-        "ten gaps": lambda t: t + 1e3 * np.floor(3 * t),
-        "hours": lambda t: 3600 * t,
-        "constant": lambda t: 0 * t,
-        "back": lambda t: t[::-1],
-        "twice": lambda t: np.r_[t[:200], t[:200]],
-        "one back": lambda t: np.r_[t[:200], 0.0, t[201:]],
-        "one ahead": lambda t: np.r_[t[:200], 1e3, t[201:]],
-        "duplicates": lambda t: np.repeat(t[::2], 2),
-        "one duplicate": lambda t: np.r_[t[:200], t[199:-1]],
-        "tiny": lambda t: 1e-12 * t,
-        "denormal": lambda t: np.arange(ROWS) * 5e-324,
-        "negative": lambda t: t - 1e6,
-        "slow": lambda t: 10 * t,
-        "very slow": lambda t: 100 * t,
-        "jitter": lambda t: np.sort(np.random.default_rng(0).uniform(0, 4, ROWS)),
-    }.items():
-        yield table(f"clock {name}", t=clock)
-    for rows in (0, 1, 2, 3, 20):
-        short = lambda _, n=rows: text({key: value[:n] for key, value in a_flight().items()})  # noqa: E731
-        yield case(f"{rows} rows", short)
+def columns(column: str, alone: bool) -> Case:
+    """A log without a column, or of one alone."""
+    return table(f"{column} {alone}", **{other: None for other in COLUMNS if (other != column) == alone})
 
 
-def evil_tables():
+CLOCKS = {
+    "epoch seconds": lambda t: t + 1.7e9,
+    "epoch ms": lambda t: 1e3 * (t + 1.7e9),
+    "epoch ns": lambda t: 1e9 * (t + 1.7e9),
+    "ns": lambda t: 1e9 * t,
+    "1e300": lambda t: 1e300 * t,
+    "to 1e300": lambda t: np.r_[t[:-1], 1e300],
+    "gap": lambda t: np.where(t > 2, t + 1e6, t),
+    "gaps": lambda t: 1e6 * t,
+    "ten gaps": lambda t: t + 1e3 * np.floor(3 * t),
+    "hours": lambda t: 3600 * t,
+    "constant": lambda t: 0 * t,
+    "back": lambda t: t[::-1],
+    "twice": lambda t: np.r_[t[:200], t[:200]],
+    "one back": lambda t: np.r_[t[:200], 0.0, t[201:]],
+    "one ahead": lambda t: np.r_[t[:200], 1e3, t[201:]],
+    "duplicates": lambda t: np.repeat(t[::2], 2),
+    "one duplicate": lambda t: np.r_[t[:200], t[199:-1]],
+    "tiny": lambda t: 1e-12 * t,
+    "denormal": lambda t: np.arange(ROWS) * 5e-324,
+    "negative": lambda t: t - 1e6,
+    "slow": lambda t: 10 * t,
+    "very slow": lambda t: 100 * t,
+    "jitter": lambda t: np.sort(np.random.default_rng(0).uniform(0, 4, ROWS)),
+}
+
+
+def evil_tables() -> dict[str, object]:
+    """Texts that are no good log, or odd ones, by name."""
     good = text(a_flight())
     head, body = good.split("\n", 1)
-    yield case("good", good)
-    for name, content in TEXTS.items():
-        yield case(f"text {name}", content)
-    for name, content in {
+    return {
+        "good": good,
+        **{f"{n} rows": text({c: v[:n] for c, v in a_flight().items()}) for n in (0, 1, 2, 3, 20)},
         "header of megabytes": lambda _: "a" * 5_000_000 + "\n" + body,
         "many columns": lambda _: ",".join(f"c{k}" for k in range(300_000)) + "\n" + body,
         "same column often": lambda _: ",".join(["t"] * 200_000) + "\n" + body,
@@ -171,14 +165,14 @@ def evil_tables():
         "noise of text": lambda _: bytes(np.random.default_rng(0).integers(32, 127, 50_000, np.uint8)),
         "million cells of quotes": lambda _: '"' * 1_000_001,
         "million commas": lambda _: "," * 1_000_000 + "\n" + "," * 1_000_000,
-    }.items():  # fmt: skip
-        yield case(name, content)
+    }  # fmt: skip
 
 
-def packed_tables():
+def packed_tables() -> dict[str, object]:
+    """Packed logs, those that are none, and bombs."""
     good = text(a_flight())
     packed = gzip.compress(good.encode())
-    for name, content in {
+    return {
         "good": packed,
         "not packed": good,
         "cut": packed[:-20],
@@ -190,30 +184,29 @@ def packed_tables():
         "bomb of rows": lambda path: pack(path, b"0,0,0\n" * 2**18, 1000),
         "bomb of a line": lambda path: pack(path, b"1" * 2**20, 4000),
         "empty": b"",
-    }.items():
-        yield case(name, content, ".csv.gz")
-    zipped = io.BytesIO()
-    with zipfile.ZipFile(zipped, "w") as archive:
-        archive.writestr("log.csv", good)
-    yield case("zip", zipped.getvalue(), ".zip")
-    yield case("zip named", zipped.getvalue(), ".csv")
+    }
 
 
-def elsewhere():
-    yield from places("log.csv", read_log)
-    for name, target in {"null": "/dev/null", "random": "/dev/urandom", "terminal": "/dev/tty"}.items():
-        yield case(name, lambda path, target=target: path.symlink_to(target))
-    yield case("pipe", lambda path: os.mkfifo(path), ".bag")
-    yield case("zero", lambda path: path.symlink_to("/dev/zero"), ".mcap")
-    for joined in ("+", "log.csv+", "+log.csv", "log.csv+none.csv", "log.csv+log.csv", "a+" * 2000 + "b"):
-        yield Case(
-            f"joined {joined[:30]}",
-            lambda folder: write(folder / "log.csv", text(a_flight())).parent,
-            lambda folder, joined=joined: read_log(
-                "+".join(part and f"{folder}/{part}" for part in joined.split("+"))
-            ),
-            named="",
-        )
+def zipped(path: Path) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("log.csv", text(a_flight()))
+
+
+LINKS = {"null": "/dev/null", "random": "/dev/urandom", "terminal": "/dev/tty", "zero": "/dev/zero"}
+JOINED = ("+", "log.csv+", "+log.csv", "log.csv+none.csv", "log.csv+log.csv", "a+" * 2000 + "b")
+
+
+def joined(names: str) -> Case:
+    """Several logs of one flight, of which some are not there."""
+
+    def take(folder: Path) -> FlightLog:
+        return read_log("+".join(part and f"{folder}/{part}" for part in names.split("+")))
+
+    return Case(f"joined {names[:30]}", flight, take, named="")
+
+
+def flight(folder: Path, name: str = "log.csv") -> Path:
+    return write(folder / name, text(a_flight())).parent
 
 
 @functools.cache
@@ -222,17 +215,17 @@ def a_card() -> bytes:
     return sd_card(firmware_values(log), log.t, 2, {"pm.state": 1.0})
 
 
-def binary_logs():
-    card = a_card()
-    yield case("card", card, "", named="log")
-    for name, make in mutations(card, 40):
-        yield case(f"card {name}", lambda _, make=make: make(), "", named="log")
-    for name, make in mutations(card[:400], 60):
-        yield case(f"card header {name}", lambda _, make=make: make() + card[400:], "", named="log")
-    for count in (0, 1, 65535):
-        bad = card[:3] + count.to_bytes(2, "little")
-        for name, rest in {"": card[5:], " cut": b"", " empty": b"\1\0a\0\0\0" * count}.items():
-            yield case(f"card of {count} events{name}", bad + rest, "", named="log")
+def card(part: int, damage) -> Case:
+    """A micro-SD card's log of which the first `part` bytes are damaged."""
+    name, make = damage
+    return case(f"card {part} {name}", lambda _: make() + a_card()[part:], "", named="log")
+
+
+def events(count: int, rest: int) -> Case:
+    """A card's log that says it has so many kinds of events."""
+    more = (a_card()[5:], b"", b"\1\0a\0\0\0" * count)[rest]
+    content = lambda _: a_card()[:3] + count.to_bytes(2, "little") + more  # noqa: E731
+    return case(f"card of {count} events {rest}", content, "", named="log")
 
 
 @functools.cache
@@ -243,93 +236,71 @@ def a_bag(ros: int) -> dict[str | None, bytes]:
         return {None: path.read_bytes()} if ros == 1 else {p.name: p.read_bytes() for p in path.iterdir()}
 
 
-def bags():
-    for ros, suffix, files in ((1, ".bag", (None,)), (2, "", ("metadata.yaml", "log.db3"))):
-        for file in files:
-            damages = [
-                functools.partial(lambda k, old: list(mutations(old, k + 1))[k][1](), k) for k in range(35)
-            ]
-            damages += [lambda old, content=content: content for content in TEXTS.values()]
-            for k, damage in enumerate(damages):
+def bag(ros: int, file: str | None, damage) -> Case:
+    """A bag of ROS 1 or 2 with one of its files damaged."""
+    name, make = damage
 
-                def make(path: Path, ros=ros, file=file, damage=damage) -> None:
-                    for name, content in a_bag(ros).items():
-                        if name:
-                            path.mkdir(exist_ok=True)
-                        write(path / name if name else path, damage(content) if name == file else content)
+    def made(path: Path) -> None:
+        for other, content in a_bag(ros).items():
+            if other:
+                path.mkdir(exist_ok=True)
+            write(path / other if other else path, make() if other == file else content)
 
-                yield case(f"ros{ros} {file} {k}", make, suffix, named="log")
+    return case(f"ros{ros} {file} {name}", made, ".bag" if ros == 1 else "", named="log")
 
 
-def mappings():
-    """What no other file of TOML has: inheritance, and patterns of names."""
-    good = "[columns]\n" + "".join(
-        f'{c} = "{c}"\n' for c in ("t", "y", "z", "roll", "pitch", "cmd_thrust_pwm")
-    )
-    for name, content in {
-        "itself": 'inherit = "{self}"\n',
-        "none": 'inherit = "/none/such.toml"\n' + good,
-        "inherits a folder": 'inherit = "/"\n' + good,
-        "device": 'inherit = "/dev/zero"\n' + good,
-        "shipped": 'inherit = "documented"\n',
-        "refuses": f'refuse = "{"x" * 100}"\n' + good,
-        "twice": good + 't = "t"',
-        "stars": good + f'x = "{"*" * 5000}"',
-        "brackets": good + f'x = "*{"[" * 5000}"',
-        "long": good + f'x = "{"x" * 100_000}"',
-    }.items():
-
-        def make(folder: Path, content=content) -> Path:
-            path = folder / "mapping.toml"
-            return write(path, content.replace("{self}", str(path)))
-
-        yield dataclasses.replace(mapping_case("mapping", name, str), make=make)
-
-    def loop(folder: Path) -> Path:
-        for k in range(30):
-            write(folder / f"m{k}.toml", f'inherit = "{folder}/m{(k + 1) % 30}.toml"\n')
-        return folder / "m0.toml"
-
-    yield dataclasses.replace(mapping_case("mapping", "loop", str), make=loop)
+def bags(part: tuple[int, str | None]) -> st.SearchStrategy[Case]:
+    return contents(lambda: a_bag(part[0])[part[1]]).map(lambda damage: bag(*part, damage))
 
 
-def names_and_units():
-    for k, name in enumerate(NAMES):
-        for json in ((), ("--json",)):
-            yield Case(
-                f"name {k} {json}",
-                lambda folder, name=name: write(folder / f"{name}.csv", text(a_flight())),
-                lambda path, json=json: command(cli.main, ["logs", *json, str(path)]),
-                named="",
-            )
-            yield Case(
-                f"name of nothing {k} {json}",
-                lambda folder, name=name: folder / name,
-                lambda path, json=json: command(cli.main, ["logs", *json, str(path)]),
-                named="" if "+" in name else shown(name[:30]),
-            )
-    for k, unit in enumerate(
-        [*NAMES, "roll", "roll=", "=deg", "roll=deg", "roll=roll=deg", "x=deg", "q=1", "x=" * 5000]
-    ):
-        yield Case(
-            f"unit {k}",
-            lambda folder: write(folder / "log.csv", text(a_flight())),
-            lambda path, unit=unit: command(cli.main, ["logs", str(path), f"--unit={unit}"]),
-            named="",
-        )
+def called(name: str, there: bool, json: bool) -> Case:
+    """`landing-eval logs` of a log with an evil name, or of none."""
+    words = ["logs", "--json"] if json else ["logs"]
+    make = lambda folder: flight(folder, f"{name}.csv") / f"{name}.csv" if there else folder / name  # noqa: E731
+    named = "" if there or "+" in name else shown(name[:30])
+    return Case(f"name {name!r}", make, lambda path: command(cli.main, [*words, str(path)]), named=named)
 
 
-@parametrised(
-    columns_with_evil_cells,
-    evil_clocks,
-    evil_tables,
-    packed_tables,
-    elsewhere,
-    binary_logs,
-    bags,
-    mappings,
-    names_and_units,
-    each=2,
-)
-def test_logs_and_mappings_are_used_or_refused(case, tmp_path):
-    judge(case, tmp_path)
+def unit(words: str) -> Case:
+    take = lambda folder: command(cli.main, ["logs", f"{folder}/log.csv", f"--unit={words}"])  # noqa: E731
+    return Case(f"unit {words[:30]!r}", flight, take, named="")
+
+
+UNITS = (*NAMES, "roll", "roll=", "=deg", "roll=deg", "roll=roll=deg", "x=deg", "q=1", "x=" * 5000)
+PARTS = ((1, None), (2, "metadata.yaml"), (2, "log.db3"))
+
+
+def named(found: Callable[[], dict], suffix: str = ".csv") -> st.SearchStrategy[Case]:
+    """Draw one of the contents that a function has by name."""
+    found = functools.cache(found)
+    return st.deferred(lambda: st.sampled_from(list(found()))).map(lambda n: case(n, found()[n], suffix))
+
+
+KINDS = {
+    "cells": st.builds(
+        *(cells, st.sampled_from(COLUMNS), st.sampled_from(CELLS)), st.sampled_from(("one", "all", "last"))
+    ),
+    "columns": st.builds(columns, st.sampled_from(COLUMNS), st.booleans()),
+    "clocks": st.sampled_from(list(CLOCKS)).map(lambda name: table(f"clock {name}", t=CLOCKS[name])),
+    "texts": named(evil_tables)
+    | contents(lambda: text(a_flight()).encode()).map(lambda s: case(f"text {s[0]}", s[1]())),
+    "packed": named(packed_tables, ".csv.gz")
+    | st.sampled_from([".zip", ".csv"]).map(lambda suffix: case("zip", zipped, suffix)),
+    "elsewhere": st.one_of(
+        places("log.csv", read_log),
+        st.sampled_from(list(LINKS)).map(lambda to: case(to, lambda path: path.symlink_to(LINKS[to]))),
+        st.sampled_from(JOINED).map(joined),
+    ),
+    "cards": st.builds(card, st.sampled_from((400, 10**9)), damaged(lambda: a_card()[:400]))
+    | st.builds(events, st.sampled_from((0, 1, 65535)), st.integers(0, 2)),
+    "bags": st.sampled_from(PARTS).flatmap(bags),
+    "names": st.builds(called, st.sampled_from(NAMES), st.booleans(), st.booleans())
+    | st.sampled_from(UNITS).map(unit),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@examples(3)
+@given(data=st.data())
+def test_logs_are_used_or_refused(kind, data):
+    judged(data.draw(KINDS[kind]))

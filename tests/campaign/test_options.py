@@ -4,15 +4,33 @@ import contextlib
 import functools
 import shutil
 import tomllib
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
+import hypothesis.strategies as st
+import pytest
+from hypothesis import given
+
 from inclined_landing.eval import cli
-from tests.campaign.commands import NAMES, NEEDED, POLICIES, SUFFIX, accepted, called, options, place, refused
+from inclined_landing.models.parameters import load_vehicle
+from tests.campaign.commands import (
+    NAMES,
+    NEEDED,
+    POLICIES,
+    SUFFIX,
+    Option,
+    accepted,
+    called,
+    options,
+    place,
+    refused,
+)
 from tests.campaign.flights import a_flight, text
-from tests.campaign.judge import EVIL, Case, changed, command, judge, parametrised, write
-from tests.campaign.test_policies import pickles, tensors, zips
-from tests.campaign.test_toml import STUDY, VEHICLE, case, elsewhere, spelt, texts
+from tests.campaign.judge import EVIL, Case, changed, command, examples, judged, places, write
+from tests.campaign.test_policies import FILES, PICKLED, PICKLES, case, inner, tensor
+from tests.campaign.test_toml import STUDY, VEHICLE, spelt
+from tests.campaign.test_toml import case as toml_case
 
 # Never right for any number, or for any name of something that is there.
 NUMBERS = (
@@ -52,100 +70,122 @@ NO_NAMES = (
 FOLDERS = ("here", "above", "everything", "a full folder")  # that files may be put into
 
 
-def evil_numbers():
-    """Every numeric option with what no number, or no possible one, is spelt like: it is named."""
-    for name in NEEDED:
-        for option, about in options(name).items():
-            for k, value in enumerate(NUMBERS if about.number else ()):
-                down = option == "inclination" or (about.range and -1 in about.range)
-                if value != "-1" or not down:
-                    # What is a number, the command itself may refuse, and name it in other words.
-                    named = option.split("-")[-1] if value in ("-1", "1e300") else f"--{option}"
-                    yield refused(f"{name} {option} number {k}", name, [f"--{option}={value}"], named)
+known = functools.cache(options)
 
 
-def bounds():
-    """Every numeric option with a range, beyond its ends, and at them where they are open."""
-    for name in NEEDED:
-        for option, about in options(name).items():
-            if about.range is None:
-                continue
-            low, high = about.range.low, about.range.high
-            beyond = (low, high) if about.range.open else (low - 1, high + 1)
-            for value in beyond:
-                # What landing-train has for other tasks and algorithms is refused as such first.
-                sentence = f"--{option}" if name == "train" else f"--{option} must lie {about.range}, not "
-                yield refused(f"{name} {option} beyond {value}", name, [f"--{option}={value:.15g}"], sentence)
+def options_that(keep: Callable[[str, Option], bool]) -> st.SearchStrategy[tuple[str, str]]:
+    """Draw (command, option) of which something holds; commands are imported when it is drawn."""
+
+    def found() -> list[tuple[str, str]]:
+        return [
+            (name, option) for name in NEEDED for option, about in known(name).items() if keep(option, about)
+        ]
+
+    return st.deferred(lambda: st.sampled_from(found()))
 
 
-def evil_texts():
-    """Every other option with names of nothing that is there."""
-    for name in NEEDED:
-        for option, about in options(name).items():
-            if about.kind is bool or about.number or option in ("out", "site", "gamma"):
-                continue
-            for k, value in enumerate(TEXTS):
-                yield refused(f"{name} {option} text {k}", name, [f"--{option}={value}"])
+def is_text(option: str, about: Option) -> bool:
+    return about.kind is not bool and not about.number and option not in ("out", "site", "gamma")
 
 
-def evil_commands():
-    """Commands that there are not."""
-    for k, name in enumerate((*NAMES, "x" * 5000, "")):
-        yield Case(f"command {k}", place, lambda _, name=name: command(cli.main, [name]), named="")
+def number(where: tuple[str, str], value: str) -> Case:
+    """A numeric option with what no number, or no possible one, is spelt like: it is named."""
+    name, option = where
+    reach = known(name)[option].range
+    if value == "-1" and (option == "inclination" or (reach and -1 in reach)):
+        value = "nan"
+    # What is a number, the command itself may refuse, and name it in other words.
+    named = option.split("-")[-1] if value in ("-1", "1e300") else f"--{option}"
+    return refused(f"{name} {option} {value[:20]!r}", name, [f"--{option}={value}"], named)
 
 
-def idle_options():
-    """Names of nothing, while another option makes that they are not needed."""
-    for name in NEEDED:
-        known = options(name)
-        idle = [f"--{option}" for option, about in known.items() if about.kind is bool]
-        idle += [f"--{o}=0" for o, about in known.items() if about.range and about.range.low == 0]
-        for option, about in known.items():
-            if about.kind is bool or about.number or option in ("out", "site", "gamma"):
-                continue
-            for other in idle:
-                yield refused(f"{name} {option} {other}", name, [other, f"--{option}=none-such"])
+def bound(where: tuple[str, str], upper: bool) -> Case:
+    """A numeric option beyond an end of its range, or at it where it is open."""
+    name, option = where
+    reach = known(name)[option].range
+    value = (reach.high if upper else reach.low) + (0 if reach.open else 1 if upper else -1)
+    # What landing-train has for other tasks and algorithms is refused as such first.
+    sentence = f"--{option}" if name == "train" else f"--{option} must lie {reach}, not "
+    return refused(f"{name} {option} beyond {value}", name, [f"--{option}={value:.15g}"], sentence)
 
 
-def evil_outputs():
-    """Whatever a command writes into, where nothing can be written: it is said before any work."""
-    for name in NEEDED:
-        for option in [o for o in options(name) if o in ("out", "site")]:
-            for what, out in OUTPUTS.items():
-                if what in FOLDERS and (name == "figure" or option == "site"):
-                    continue
-                suffix = "" if what in NO_NAMES else SUFFIX.get(name, "")
-                yield refused(f"{name} {option} {what}", name, [f"--{option}={out}{suffix}"])
+def idle(where: tuple[str, str], data) -> Case:
+    """A name of nothing, while another option makes that it is not needed."""
+    name, option = where
+    others = [f"--{other}" for other, about in known(name).items() if about.kind is bool]
+    others += [f"--{o}=0" for o, about in known(name).items() if about.range and about.range.low == 0]
+    other = data.draw(st.sampled_from([*others, f"--{option}=none-such"]))
+    return refused(f"{name} {option} {other}", name, [other, f"--{option}=none-such"])
 
 
-def wrong_files():
-    """Every command that takes a policy or a vehicle, with a file that is none."""
-    wrong = {"zip without policy.pth", "zip bomb", "tensor action_net.bias complex", "pickle runs code"}
-    policies = [bad for bad in (*zips(), *tensors(), *pickles()) if bad.name in wrong]
-    wrong = {"vehicle UTF-16", "vehicle nothing there", "vehicle a pipe", "vehicle a folder"}
-    vehicles = [bad for bad in (*texts("vehicle"), *elsewhere("vehicle")) if bad.name in wrong]
-    for evil in ("nan", "minus one"):
-        tables = changed(tomllib.loads(VEHICLE), ("body", "mass", "value"), EVIL[evil])
-        vehicles.append(case("vehicle", f"mass {evil}", functools.partial(spelt, tables)))
-    for name, words in NEEDED.items():
-        known = options(name)
-        for bad in policies:
-            if "policy" in known:
-                yield given(name, bad, ["--policy={wrong}"])
-            elif words[:1] and words[0] in POLICIES:
-                yield given(name, bad, ["{wrong}", *words[1:]], needed=False)
-        for bad in vehicles if "vehicle" in known else ():
-            yield given(name, bad, ["--vehicle={wrong}"])
+def output(where: tuple[str, str], what: str) -> Case:
+    """What a command writes into, where nothing can be written: it is said before any work."""
+    name, option = where
+    if what in FOLDERS and (name == "figure" or option == "site"):
+        what = "under a file"
+    suffix = "" if what in NO_NAMES else SUFFIX.get(name, "")
+    return refused(f"{name} {option} {what}", name, [f"--{option}={OUTPUTS[what]}{suffix}"])
 
 
-def given(name: str, bad: Case, words: list[str], needed: bool = True) -> Case:
+ZIPS = [case(name, FILES[name]) for name in ("none", "bomb", "a pickle")] + [
+    inner(name, PICKLED, lambda name=name: PICKLES[name]) for name in ("runs code", "empty")
+]
+ZIPS.append(tensor("action_net.bias", "complex"))
+TABLES = tomllib.loads(VEHICLE)
+MASSES = [changed(TABLES, ("body", "mass", "value"), EVIL[evil]) for evil in ("nan", "minus one")]
+VEHICLES = st.sampled_from(MASSES).map(lambda tables: toml_case("vehicle", "mass", lambda: spelt(tables)))
+WITH_VEHICLE = options_that(lambda option, _: option == "vehicle").map(
+    lambda where: (where[0], ["--vehicle={wrong}"], True)
+)
+WITH_POLICY = options_that(lambda option, _: option == "policy").map(
+    lambda where: (where[0], ["--policy={wrong}"], True)
+) | st.sampled_from(
+    [(name, ["{wrong}", *words[1:]], False) for name, words in NEEDED.items() if {*words[:1]} & {*POLICIES}]
+)
+
+
+def given_file(bad: Case, where: tuple[str, list[str], bool]) -> Case:
     """A command that is given the wrong file of a case, and refuses it."""
+    name, words, needed = where
 
     def take(path: Path) -> str:
         filled = [word.replace("{wrong}", str(path)) for word in words]
         return called(name, filled, path.parent, needed)
 
-    return Case(f"{name} with {bad.name}", lambda folder: bad.make(place(folder)), take, accepted)
+    return Case(f"{name} with {bad.name}", lambda folder: bad.make(place(folder)), take, accepted, bad.named)
+
+
+def command_of(name: str) -> Case:
+    """A command that there is not."""
+    return Case(f"command {name[:20]!r}", place, lambda _: command(cli.main, [name]), named="")
+
+
+KINDS = {
+    "numbers": st.builds(number, options_that(lambda _, about: about.number), st.sampled_from(NUMBERS)),
+    "bounds": st.builds(bound, options_that(lambda _, about: about.range is not None), st.booleans()),
+    "texts": st.builds(
+        lambda where, text: refused(f"{where} {text[:20]!r}", where[0], [f"--{where[1]}={text}"]),
+        *(options_that(is_text), st.sampled_from(TEXTS)),
+    ),
+    "idle": st.builds(idle, options_that(is_text), st.data()),
+    "commands": st.sampled_from((*NAMES, "x" * 5000, "")).map(command_of),
+    "outputs": st.builds(
+        output, options_that(lambda option, _: option in ("out", "site")), st.sampled_from(list(OUTPUTS))
+    ),
+    "files": st.builds(given_file, st.sampled_from(ZIPS), WITH_POLICY)
+    | st.builds(
+        given_file,
+        VEHICLES | places("vehicle.toml", load_vehicle),
+        WITH_VEHICLE,
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@examples(5)
+@given(data=st.data())
+def test_evil_options_are_refused_before_any_work(kind, data):
+    judged(data.draw(KINDS[kind]))
 
 
 def policy(folder: Path, name: str) -> str:
@@ -175,45 +215,37 @@ JOBS = {
 }
 
 
-def evil_names():
+def job(name: str, called: str) -> Case:
     """Everything is called by an evil name, and all of it works."""
-    for k, name in enumerate(name.removesuffix("x" * 20) for name in NAMES):
-        for job, words in JOBS.items():
 
-            def take(folder: Path, job=job, words=words, name=name) -> str:
-                return command(
-                    cli.main,
-                    [job.split()[0], *words(folder, name), f"--out={folder}/{name}{SUFFIX.get(job, '')}"],
-                )
+    def take(folder: Path) -> str:
+        out = f"--out={folder}/{called}{SUFFIX.get(name, '')}"
+        return command(cli.main, [name.split()[0], *JOBS[name](folder, called), out])
 
-            yield Case(f"{job} called {k}", lambda folder: folder, take, seconds=90, named="")
+    return Case(f"{name} called {called!r}", lambda folder: folder, take, seconds=90, named="")
 
 
-def in_empty_folders():
+def into_empty(name: str) -> Case:
     """--out names an empty folder, the one that the shell is in: it gets the files."""
-    for job, words in JOBS.items():
-        if job in SUFFIX:
-            continue
 
-        def take(folder: Path, job=job, words=words) -> list[Path]:
-            (folder / "empty").mkdir()
-            with contextlib.chdir(folder / "empty"):
-                command(cli.main, [job.split()[0], *words(folder, "a"), "--out=."])
-                return list(Path().iterdir())
+    def take(folder: Path) -> list[Path]:
+        (folder / "empty").mkdir()
+        with contextlib.chdir(folder / "empty"):
+            command(cli.main, [name.split()[0], *JOBS[name](folder, "a"), "--out=."])
+            return list(Path().iterdir())
 
-        def works(files: list[Path]) -> None:
-            assert files and not any(file.name.startswith(".") for file in files)
+    def works(files: list[Path]) -> None:
+        assert files and not any(file.name.startswith(".") for file in files)
 
-        yield Case(f"{job} into an empty folder", lambda folder: folder, take, works, seconds=90, named="")
+    return Case(f"{name} into an empty folder", lambda folder: folder, take, works, seconds=90, named="")
 
 
-@parametrised(
-    evil_numbers, bounds, evil_texts, idle_options, evil_commands, evil_outputs, wrong_files, each=3
+@examples(2)
+@given(
+    case=st.builds(
+        job, st.sampled_from(list(JOBS)), st.sampled_from([name.removesuffix("x" * 20) for name in NAMES])
+    )
+    | st.sampled_from([name for name in JOBS if name not in SUFFIX]).map(into_empty)
 )
-def test_evil_options_are_refused_before_any_work(case, tmp_path):
-    judge(case, tmp_path)
-
-
-@parametrised(evil_names, in_empty_folders, each=1)
-def test_evil_names_and_empty_folders_work(case, tmp_path):
-    assert judge(case, tmp_path) == "works"
+def test_evil_names_and_empty_folders_work(case):
+    assert judged(case) == "works"

@@ -5,36 +5,25 @@ import dataclasses
 import inspect
 import unittest.mock
 
+import hypothesis.strategies as st
 import numpy as np
+from hypothesis import given
 
 from inclined_landing.envs import tasks
 from inclined_landing.envs.tasks import Judgement, Task, Training
 from inclined_landing.train import run
 from inclined_landing.train.cli import main
-from tests.campaign.judge import EVIL, Case, command, judge, parametrised, write
-from tests.campaign.test_training import TINY
+from tests.campaign.judge import EVIL, Case, command, examples, judged, write
+from tests.campaign.test_folders import TINY
+from tests.test_own_task import CODE as HOP
 
-CODE = """
+CODE = f"""{HOP}
 import dataclasses
-import numpy as np
+from inclined_landing.envs.tasks import Training
 from tests.campaign.test_own_tasks import VALUES
-from inclined_landing.envs.tasks import Judgement, Task, Training, hover_states
 
-class Plain(Task):
-    name = "plain"
-    observation_names = ("z", "vz")
-    observation_scale = np.array([1.0, 2.0])
-    action_names = ("thrust",)
+class Own(Hop):
     max_steps = 10
-
-    def sample(self, rng, k):
-        return self.start(hover_states(rng.uniform([-1, -1, 0.5], [1, 1, 1.4], (k, 3)), self.vehicle))
-
-    def judge(self, moment):
-        up = moment.state[:, 2] > 1.5
-        return Judgement({"up": 1.0 * up}, up, up, np.zeros_like(up))
-
-class Own(Plain):
     """
 # Besides the evil values: arrays of all kinds, and other things.
 VALUES = EVIL | {
@@ -77,54 +66,55 @@ def case(name: str, body: str, named: str | None = None) -> Case:
     return Case(name, lambda folder: write(folder / "own.py", f"{CODE}{body}\n"), tried, named=named)
 
 
-def returned():
-    """What is checked returns every value."""
-    for name in CHECKED:
-        for kind in VALUES:
-            yield case(f"{name} {kind}", f"def {name}(self, *given, **named): return VALUES[{kind!r}]")
+def method(name: str, body: str, title: str) -> Case:
+    """A method with another body."""
+    return case(f"{name} {title}", f"def {name}(self, *given, **named): {body}")
 
 
-def raised():
-    """Every method raises."""
-    for name in (*METHODS, "__init__"):
-        for error in RAISED:
-            yield case(f"{name} raises {error}", f"def {name}(self, *given, **named): raise {error}")
+def field(where: tuple[str, str], value: str) -> Case:
+    """A start or a judgement with one field wrong, or with one more term."""
+    name, field = where
+    new = f"VALUES[{value!r}]"
+    if field == "more":
+        field, new = "terms", f"super().judge(*given).terms | {{'more': {new}}}"
+    return method(
+        name, f"return dataclasses.replace(super().{name}(*given), {field}={new})", f"{field} {value}"
+    )
 
 
-def fields():
-    """Starts and judgements with one field wrong, or with one entry of it."""
-    start = ("state", "inclination", "present", "goal_size")
-    for name, names in (
-        ("sample", start),
-        ("judge", [field.name for field in dataclasses.fields(Judgement)]),
-    ):
-        for field in names:
-            for value in VALUES:
-                yield case(
-                    f"{name} {field} {value}",
-                    f"def {name}(self, *given): return dataclasses.replace("
-                    f"super().{name}(*given), {field}=VALUES[{value!r}])",
-                )
-    for value in VALUES:
-        changed = f"super().judge(moment).terms | {{'more': VALUES[{value!r}]}}"
-        body = f"def judge(self, moment): return dataclasses.replace(super().judge(moment), terms={changed})"
-        yield case(f"term {value}", body)
+def attribute(name: str, value: str) -> Case:
+    """An attribute of the class with another value."""
+    return case(f"attribute {name} {value}", f"{name} = VALUES[{value!r}]")
 
 
-def attributes():
-    """Every attribute that is checked, and every default of the training, with every value."""
-    for name in ATTRIBUTES:
-        for value in VALUES:
-            yield case(f"attribute {name} {value}", f"{name} = VALUES[{value!r}]")
-    for field in dataclasses.fields(Training):
-        for value in VALUES:
-            yield case(
-                f"training {field.name} {value}",
-                f"training = Training({field.name}=VALUES[{value!r}])",
-                named="own.py" if field.name != "start_from" else "",
-            )
+def training(field: str, value: str) -> Case:
+    """A default of the training with another value."""
+    named = "own.py" if field != "start_from" else ""
+    return case(f"training {field} {value}", f"training = Training({field}=VALUES[{value!r}])", named)
 
 
-@parametrised(returned, raised, fields, attributes, each=3)
-def test_own_tasks_are_trained_or_refused(case, tmp_path):
-    judge(case, tmp_path)
+FIELDS = [
+    *(("sample", name) for name in ("state", "inclination", "present", "goal_size")),
+    *(("judge", field.name) for field in dataclasses.fields(Judgement)),
+    ("judge", "more"),
+]
+EVILS = st.sampled_from(list(VALUES))
+CASES = st.one_of(
+    st.builds(
+        lambda name, v: method(name, f"return VALUES[{v!r}]", f"returns {v}"), st.sampled_from(CHECKED), EVILS
+    ),
+    st.builds(
+        lambda name, error: method(name, f"raise {error}", f"raises {error}"),
+        st.sampled_from([*METHODS, "__init__"]),
+        st.sampled_from(RAISED),
+    ),
+    st.builds(field, st.sampled_from(FIELDS), EVILS),
+    st.builds(attribute, st.sampled_from(ATTRIBUTES), EVILS),
+    st.builds(training, st.sampled_from([f.name for f in dataclasses.fields(Training)]), EVILS),
+)
+
+
+@examples(12)
+@given(case=CASES)
+def test_own_tasks_are_trained_or_refused(case):
+    judged(case)

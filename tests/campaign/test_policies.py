@@ -1,7 +1,6 @@
 """Policy files: refused in one sentence, or flown; nothing in them is run, and torch is not needed."""
 
 import base64
-import functools
 import io
 import json
 import os
@@ -13,26 +12,31 @@ import subprocess
 import sys
 import warnings
 import zipfile
+from collections.abc import Callable
 from importlib import resources
-from pathlib import Path
 
+import hypothesis
+import hypothesis.strategies as st
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import STAMP, load_policy
 from inclined_landing.envs.policy import tensors as tensors_of
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval.machine import benchmark
+from tests import ROOT
 from tests.campaign.judge import (
-    TEXTS,
     Case,
     Wrong,
-    judge,
-    mutations,
-    parametrised,
+    contents,
+    damaged,
+    examples,
+    judged,
     places,
+    respelt,
     spoilt,
     write,
 )
@@ -56,13 +60,9 @@ def flies(policy):
         raise Wrong("the flight is not finite")
 
 
-def case(name, content):
-    """A policy file of these bytes, or of those that `content` makes."""
-
-    def make(folder):
-        return write(folder / "p.zip", content() if callable(content) else content)
-
-    return Case(name, make, load_policy, flies)
+def case(name: str, content: Callable[[], bytes]) -> Case:
+    """A policy file of the bytes that `content` makes."""
+    return Case(name, lambda folder: write(folder / "p.zip", content()), load_policy, flies)
 
 
 def zipped(members, kind=zipfile.ZIP_STORED) -> bytes:
@@ -75,27 +75,25 @@ def zipped(members, kind=zipfile.ZIP_STORED) -> bytes:
     return out.getvalue()
 
 
-def with_member(name, content) -> bytes:
+def with_member(name: str, content: bytes) -> bytes:
     return zipped(MEMBERS | {name: content})
 
 
-def headers(member, table):
-    """Every entry of the stamp or of SB3's header with every evil value; and another text in its place."""
-    for name, change in spoilt(table):
-        text = lambda change=change: json.dumps(change(table), default=str)  # noqa: E731
-        yield case(f"{member} {name}", lambda text=text: with_member(member, text()))
-    for name, text in {
-        **TEXTS,
-        "cut": json.dumps(table).encode()[:-1],
+def headers(member: str) -> st.SearchStrategy[Case]:
+    """The stamp or SB3's header with an entry wrong, or another text in its place."""
+    good = MEMBERS[member]
+    deep = b', "x": ' + b"[" * 500 + b"]" * 500 + b"}"
+    more = {
         "options nested": b'{"task_options": ' + b'{"a":' * 20_000 + b"1" + b"}" * 20_001,
-        "lists nested": json.dumps(table).encode()[:-1] + b', "x": ' + b"[" * 500 + b"]" * 500 + b"}",
+        "lists nested": good.rstrip()[:-1] + deep,
         "many digits": b'{"task": ' + b"9" * 5000 + b"}",
-        "UTF-16": json.dumps(table).encode("utf-16"),
+        "UTF-16": good.decode().encode("utf-16"),
         "Latin 1": b'{"task": "\xe9"}',
-    }.items():
-        yield case(f"{member} is {name}", lambda text=text: with_member(member, text))
-    huge = lambda: with_member(member, json.dumps(table | {"x": "y" * 20_000_000}))  # noqa: E731
-    yield case(f"{member} is huge", huge)
+        "huge": good.rstrip()[:-1] + b', "x": "' + b"y" * 20_000_000 + b'"}',
+    }
+    texts = contents(good, {name: lambda text=text: text for name, text in more.items()})
+    entries = spoilt(json.loads(good)).map(lambda s: (s[0], lambda: respelt(good, s[1])))
+    return (entries | texts).map(lambda s: case(f"{member} {s[0]}", lambda: with_member(member, s[1]())))
 
 
 # What a tensor of the network may be replaced with.
@@ -137,45 +135,45 @@ SHAPES = {
 }
 
 
-def saved(tensors) -> bytes:
-    out = io.BytesIO()
-    torch.save(tensors, out)
-    return out.getvalue()
+HIDDEN = "mlp_extractor.policy_net."
+MANY = {f"{HIDDEN}{2 * k}.weight": torch.eye(64) for k in range(100)}
+MANY |= {f"{HIDDEN}{2 * k}.bias": torch.zeros(64) for k in range(100)}
+TABLES = {  # what may stand in the place of all tensors
+    **{
+        f"layer {k[:3]!r}": TENSORS | {f"{HIDDEN}{k}.weight": torch.eye(64)}
+        for k in ("-1", "x", "٣", "9" * 400, "")
+    },
+    "a hundred layers": MANY | TENSORS,
+    "a list": list(TENSORS.values()),
+    "a tensor": TENSORS["log_std"],
+    "a module": torch.nn.Linear(5, 2),
+    "empty": {},
+    "numbers as names": dict(enumerate(TENSORS.values())),
+}
 
 
-def tensors():
-    """Every tensor times every shape, type and value; missing, renamed; and other things than a table."""
-    for name, tensor in TENSORS.items():
-        for evil, change in SHAPES.items():
-            yield lazy(f"{name} {evil}", lambda n=name, t=tensor, c=change: TENSORS | {n: c(t)})
-        rest = {n: t for n, t in TENSORS.items() if n != name}
-        yield lazy(f"{name} missing", lambda rest=rest: rest)
-        yield lazy(f"{name} renamed", lambda rest=rest, n=name, t=tensor: rest | {n.replace(".", ".x."): t})
-    hidden = "mlp_extractor.policy_net."
-    for k in ("-1", "x", "٣", "9" * 400, "00", ""):
-        yield lazy(f"layer {k[:3]!r}", lambda k=k: TENSORS | {f"{hidden}{k}.weight": torch.eye(64)})
-    many = {
-        f"{hidden}{2 * k}.{part}": value
-        for k in range(100)
-        for part, value in (("weight", torch.eye(64)), ("bias", torch.zeros(64)))
-    }
-    yield lazy("a hundred layers", lambda: TENSORS | {n: t for n, t in many.items() if n not in TENSORS})
-    yield lazy("a list", lambda: list(TENSORS.values()))
-    yield lazy("a tensor", lambda: TENSORS["log_std"])
-    yield lazy("a module", lambda: torch.nn.Linear(5, 2))
-    yield lazy("empty", dict)
-    yield lazy("numbers as names", lambda: dict(enumerate(TENSORS.values())))
+def network(name: str, tensors: Callable[[], object]) -> Case:
+    """A policy with other tensors; none where torch has no such one."""
 
-
-def lazy(name, make):
-    def made(folder):
+    def content() -> bytes:
+        out = io.BytesIO()
         try:
-            content = saved(make())
-        except (RuntimeError, NotImplementedError, TypeError, ValueError) as error:
-            pytest.skip(f"torch has no such tensor: {error}")
-        return write(folder / "p.zip", with_member(WEIGHTS, content))
+            torch.save(tensors(), out)
+        except (RuntimeError, NotImplementedError, TypeError, ValueError):
+            hypothesis.reject()
+        return with_member(WEIGHTS, out.getvalue())
 
-    return Case(f"tensor {name}", made, load_policy, flies)
+    return case(f"tensor {name}", content)
+
+
+def tensor(name: str, way: str) -> Case:
+    """A tensor with another shape, type or value, missing or renamed."""
+    rest = {other: t for other, t in TENSORS.items() if other != name}
+    if way == "missing":
+        return network(f"{name} missing", lambda: rest)
+    if way == "renamed":
+        return network(f"{name} renamed", lambda: rest | {name.replace(".", ".x."): TENSORS[name]})
+    return network(f"{name} {way}", lambda: rest | {name: SHAPES[way](TENSORS[name])})
 
 
 class Runs:
@@ -210,120 +208,53 @@ def test_nothing_is_called_that_executes_what_a_file_holds():
         r"\b(PPO|SAC|TD3|torch|joblib|cloudpickle|pickle|marshal|shelve)\.(load|loads|open)\("
         r"|allow_pickle=True|read_pickle|yaml\.(unsafe_|full_)?load\(|shell=True"
     )
-    floors = Path(__file__).parents[2]
     found = [
-        f"{file.relative_to(floors)}: {match[0]}"
-        for floor in ("models", "envs", "eval", "train")
-        for file in (floors / floor).rglob("*.py")
+        f"{file.relative_to(ROOT)}: {match[0]}"
+        for package in ("models", "envs", "eval", "train")
+        for file in (ROOT / package).rglob("*.py")
         for match in wrong.finditer(file.read_text("utf-8"))
     ]
     assert not found
     assert wrong.search("PPO.load(path)") and wrong.search("torch.load(path)")
 
 
-@functools.cache
-def pickled() -> bytes:
-    """The pickle in the weights."""
-    with zipfile.ZipFile(io.BytesIO(MEMBERS[WEIGHTS])) as source:
-        return source.read("archive/data.pkl")
+# Instructions that torch never writes.
+PICKLES = {
+    "runs code": pickle.dumps(Runs(), 2),
+    "runs code inside": pickle.dumps({"a": Runs()}, 2),
+    "protocol 0": pickle.dumps({"a": [1]}, 0),
+    "protocol 5": pickle.dumps({"a": [1]}, 5),
+    "a table": pickle.dumps({"a": 1}, 2),
+    "memo at 2^31": b"\x80\x02}r\xff\xff\xff\x7f.",
+    "a text of gigabytes": b"\x80\x02X\xff\xff\xff\x7fabc.",
+    "a number of megabytes": b"\x80\x02\x8b\xff\xff\xff\x7f1.",
+    "digits": b"I" + b"9" * 900_000 + b"\n.",
+    "nested": b"\x80\x02" + b")" + b"\x85" * 900_000 + b".",
+    "doubling": b"\x80\x02)q\x00" + b"h\x00h\x00\x86q\x00" * 100 + b".",
+    "marks": b"\x80\x02" + b"(" * 900_000 + b".",
+    "too long": b"\x80\x02" + b"N0" * 2_000_000 + b".",
+    "its own element": b"\x80\x02}q\x00X\x01\x00\x00\x00ah\x00s.",
+    "empty": b"",
+    "stop": b".",
+    "extension": b"\x80\x02\x82\x01.",
+    "persistent text": b"Pabc\n.",
+}
+with zipfile.ZipFile(io.BytesIO(MEMBERS[WEIGHTS])) as source:
+    INNER = {name: source.read(name) for name in source.namelist()}
+PICKLED = "archive/data.pkl"
 
 
-def inner(name: str, content: bytes) -> bytes:
-    """The weights with one of the members that torch wrote replaced."""
-    with zipfile.ZipFile(io.BytesIO(MEMBERS[WEIGHTS])) as source:
-        members = {n: source.read(n) for n in source.namelist()}
-    assert name in members
-    return with_member(WEIGHTS, zipped(members | {name: content}))
+def inner(title: str, name: str, content: Callable[[], bytes]) -> Case:
+    """A policy in whose weights one of the members that torch wrote is replaced."""
+    return case(f"{name} {title}", lambda: with_member(WEIGHTS, zipped(INNER | {name: content()})))
 
 
-def pickles():
-    """Instructions that torch never writes, and those that it writes in any order."""
-    written = {
-        "runs code": pickle.dumps(Runs(), 2),
-        "runs code inside": pickle.dumps({"a": Runs()}, 2),
-        "protocol 0": pickle.dumps({"a": [1]}, 0),
-        "protocol 5": pickle.dumps({"a": [1]}, 5),
-        "a table": pickle.dumps({"a": 1}, 2),
-        "memo at 2^31": b"\x80\x02}r\xff\xff\xff\x7f.",
-        "a text of gigabytes": b"\x80\x02X\xff\xff\xff\x7fabc.",
-        "a number of megabytes": b"\x80\x02\x8b\xff\xff\xff\x7f1.",
-        "digits": b"I" + b"9" * 900_000 + b"\n.",
-        "nested": b"\x80\x02" + b")" + b"\x85" * 900_000 + b".",
-        "doubling": b"\x80\x02)q\x00" + b"h\x00h\x00\x86q\x00" * 100 + b".",
-        "marks": b"\x80\x02" + b"(" * 900_000 + b".",
-        "too long": b"\x80\x02" + b"N0" * 2_000_000 + b".",
-        "its own element": b"\x80\x02}q\x00X\x01\x00\x00\x00ah\x00s.",
-        "empty": b"",
-        "stop": b".",
-        "extension": b"\x80\x02\x82\x01.",
-        "persistent text": b"Pabc\n.",
-    }
-    for name, content in written.items():
-        yield case(f"pickle {name}", lambda c=content: inner("archive/data.pkl", c))
-    for name, make in mutations(pickled(), 150):
-        yield case(f"pickle {name}", lambda make=make: inner("archive/data.pkl", make()))
-    for k in range(60):
-
-        def other(k=k) -> bytes:
-            rng, good = random.Random(k), pickled()
-            cut = rng.randrange(2, len(good))
-            codes = b"()}]Nt\x85\x86\x87RQsub0.\x88\x89"
-            noise = bytes(rng.choice(codes) for _ in range(rng.randrange(1, 30)))
-            return inner("archive/data.pkl", good[:cut] + noise + good[cut:])
-
-        yield case(f"pickle with other instructions {k}", other)
-    for other in (b"big", b"", b"x" * 1000):
-        yield case(f"byte order {other[:3]}", lambda other=other: inner("archive/byteorder", other))
-    for k in range(3, 15):
-        name = f"archive/data/{k}"
-        for title, size in {"empty": 0, "short": 6, "long": 1_000_000}.items():
-            yield case(f"storage {k} {title}", lambda name=name, size=size: inner(name, bytes(size)))
-
-
-def zips():
-    """The zip itself: its members, their headers and its bytes."""
-    pairs = list(MEMBERS.items())
-    for name, content in pairs:
-        half, noise = content[: len(content) // 2], random.Random(7).randbytes(5000)
-        for title, members in {
-            f"without {name}": [pair for pair in pairs if pair[0] != name],
-            f"with {name} twice": [*pairs, (name, content)],
-            f"with an empty {name}": MEMBERS | {name: b""},
-            f"with half of {name}": MEMBERS | {name: half},
-            f"with noise as {name}": MEMBERS | {name: noise},
-        }.items():
-            yield case(f"zip {title}", lambda members=members: zipped(members))
-        for title, offset, value in (
-            ("encrypted", 8, b"\x01\x00"),
-            ("compressed in another way", 10, b"\x63\x00"),
-            ("of gigabytes", 24, struct.pack("<I", 2**32 - 2)),
-            ("packed in gigabytes", 20, struct.pack("<I", 2**32 - 2)),
-            ("of no size", 24, bytes(4)),
-            ("with another sum", 16, bytes(4)),
-            ("somewhere else", 42, struct.pack("<I", 40)),
-        ):
-            spoil = functools.partial(in_directory, GOOD, name, offset, value)
-            yield case(f"zip with {name} {title}", spoil)
-    for name, kind in {"deflated": 8, "bzip2": 12, "lzma": 14}.items():
-        yield case(f"zip {name}", lambda kind=kind: zipped(MEMBERS, kind))
-
-    def bomb() -> bytes:
-        return zipped(MEMBERS | {WEIGHTS: bytes(300_000_000)}, zipfile.ZIP_DEFLATED)
-
-    small = struct.pack("<I", 1000)
-    yield case("zip bomb", bomb)
-    yield case("zip bomb that says it is small", lambda: in_directory(bomb(), WEIGHTS, 24, small))
-    many = [(f"x{k}", b"") for k in range(20_000)]
-    yield case("zip with many members", lambda: zipped([*pairs, *many]))
-    yield case("zip behind something", b"#!/bin/sh\n" * 100 + GOOD)
-    yield case("zip before something", GOOD + b"x" * 1000)
-    yield case("zip in a zip", lambda: zipped({"p.zip": GOOD}))
-    yield case("no zip", b"PK" * 1000)
-    yield case("a pickle", pickle.dumps(Runs()))
-    for name, make in mutations(GOOD, 150):
-        yield case(f"zip {name}", make)
-    for name, make in mutations(MEMBERS[WEIGHTS], 150):
-        yield case(f"weights {name}", lambda make=make: with_member(WEIGHTS, make()))
+def reordered(seed: int) -> bytes:
+    """The pickle with more of the instructions that torch writes, in any order."""
+    rng, good = random.Random(seed), INNER[PICKLED]
+    cut = rng.randrange(2, len(good))
+    noise = bytes(rng.choice(b"()}]Nt\x85\x86\x87RQsub0.\x88\x89") for _ in range(rng.randrange(1, 30)))
+    return good[:cut] + noise + good[cut:]
 
 
 def in_directory(content: bytes, name: str, offset: int, value: bytes) -> bytes:
@@ -332,17 +263,83 @@ def in_directory(content: bytes, name: str, offset: int, value: bytes) -> bytes:
     return content[: begin + offset] + value + content[begin + offset + len(value) :]
 
 
-def elsewhere():
-    yield from places("p.zip", load_policy)
+def bomb() -> bytes:
+    return zipped(MEMBERS | {WEIGHTS: bytes(300_000_000)}, zipfile.ZIP_DEFLATED)
 
 
-stamp = functools.partial(headers, STAMP, STAMPED)
-header = functools.partial(headers, "data", DATA)
+PAIRS = list(MEMBERS.items())
+CHANGED = {  # what may become of a member
+    "left out": lambda name: [pair for pair in PAIRS if pair[0] != name],
+    "twice": lambda name: [*PAIRS, (name, MEMBERS[name])],
+    "empty": lambda name: MEMBERS | {name: b""},
+    "halved": lambda name: MEMBERS | {name: MEMBERS[name][: len(MEMBERS[name]) // 2]},
+    "noise": lambda name: MEMBERS | {name: random.Random(7).randbytes(5000)},
+}
+ENTRIES = {  # of the central directory: offset and other bytes
+    "encrypted": (8, b"\x01\x00"),
+    "compressed in another way": (10, b"\x63\x00"),
+    "of gigabytes": (24, struct.pack("<I", 2**32 - 2)),
+    "packed in gigabytes": (20, struct.pack("<I", 2**32 - 2)),
+    "of no size": (24, bytes(4)),
+    "with another sum": (16, bytes(4)),
+    "somewhere else": (42, struct.pack("<I", 40)),
+}
+FILES = {
+    "deflated": lambda: zipped(MEMBERS, 8),
+    "bzip2": lambda: zipped(MEMBERS, 12),
+    "lzma": lambda: zipped(MEMBERS, 14),
+    "bomb": bomb,
+    "bomb that says it is small": lambda: in_directory(bomb(), WEIGHTS, 24, struct.pack("<I", 1000)),
+    "of many members": lambda: zipped([*PAIRS, *((f"x{k}", b"") for k in range(20_000))]),
+    "behind something": lambda: b"#!/bin/sh\n" * 100 + GOOD,
+    "before something": lambda: GOOD + b"x" * 1000,
+    "in a zip": lambda: zipped({"p.zip": GOOD}),
+    "none": lambda: b"PK" * 1000,
+    "a pickle": lambda: pickle.dumps(Runs()),
+}
 
 
-@parametrised(stamp, header, tensors, pickles, zips, elsewhere, each=4)
-def test_policies_are_flown_or_refused(case, tmp_path):
-    judge(case, tmp_path)
+def member(name: str, way: str) -> Case:
+    """A member of the zip, or its entry in the directory, changed."""
+    if way in CHANGED:
+        return case(f"{name} {way}", lambda: zipped(CHANGED[way](name)))
+    return case(f"{name} {way}", lambda: in_directory(GOOD, name, *ENTRIES[way]))
+
+
+STORAGES = st.tuples(st.integers(3, 14), st.sampled_from((0, 6, 1_000_000)))
+KINDS = {
+    "stamp": headers(STAMP),
+    "header": headers("data"),
+    "tensors": st.builds(
+        tensor, st.sampled_from(list(TENSORS)), st.sampled_from([*SHAPES, "missing", "renamed"])
+    )
+    | st.sampled_from(list(TABLES)).map(lambda name: network(name, lambda: TABLES[name])),
+    "pickles": st.one_of(
+        st.sampled_from(list(PICKLES)).map(lambda name: inner(name, PICKLED, lambda: PICKLES[name])),
+        damaged(INNER[PICKLED]).map(lambda s: inner(s[0], PICKLED, s[1])),
+        st.integers(0, 9999).map(lambda seed: inner(f"order {seed}", PICKLED, lambda: reordered(seed))),
+        st.sampled_from((b"big", b"", b"x" * 1000)).map(
+            lambda b: inner(f"{b[:3]}", "archive/byteorder", lambda: b)
+        ),
+        STORAGES.map(lambda s: inner(f"{s[1]} bytes", f"archive/data/{s[0]}", lambda: bytes(s[1]))),
+    ),
+    "zips": st.one_of(
+        st.builds(member, st.sampled_from(list(MEMBERS)), st.sampled_from([*CHANGED, *ENTRIES])),
+        st.sampled_from(list(FILES)).map(lambda name: case(f"zip {name}", FILES[name])),
+        damaged(GOOD).map(lambda s: case(f"zip {s[0]}", s[1])),
+        damaged(MEMBERS[WEIGHTS]).map(
+            lambda s: case(f"weights {s[0]}", lambda: with_member(WEIGHTS, s[1]()))
+        ),
+        places("p.zip", load_policy),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@examples(5)
+@given(data=st.data())
+def test_policies_are_flown_or_refused(kind, data):
+    judged(data.draw(KINDS[kind]))
 
 
 def test_policies_are_read_without_torch():

@@ -1,17 +1,21 @@
 """Recipes that would do what no recipe may, and recipes with one entry wrong: checked, never run."""
 
 import contextlib
-import functools
 import tomllib
 from pathlib import Path
 
+import hypothesis
+import hypothesis.strategies as st
+import pytest
+from hypothesis import given
+
 from inclined_landing.eval import cli
-from inclined_landing.eval.sweeps import beyond
 from inclined_landing.eval.sweeps.recipe import COMMANDS, OLD_COMMANDS, read_recipe
 from inclined_landing.train.sweep import jobs
 from inclined_landing.train.sweep.check import check
+from tests import ROOT
 from tests.campaign.commands import NEEDED, options
-from tests.campaign.judge import TEXTS, Case, Wrong, command, judge, mutations, parametrised, spoilt, write
+from tests.campaign.judge import Case, Wrong, command, contents, examples, judged, spoilt, write
 from tests.campaign.test_toml import spelt
 
 GOOD = """
@@ -36,6 +40,7 @@ bar = 98
 over = "worst"
 bar_for = ["short"]
 """
+GOOD_TABLES = tomllib.loads(GOOD)
 # Imported, it would leave a file.
 FOREIGN = "from pathlib import Path\nPath(__file__).with_name('imported').touch()\n"
 PYTHON = (
@@ -95,23 +100,7 @@ def case(name: str, make, works=runs, named: str | None = None) -> Case:
 
 
 def changed(**changes) -> str:
-    return spelt(tomllib.loads(GOOD) | changes)
-
-
-def entries():
-    """Every entry times every evil value."""
-    good = tomllib.loads(GOOD)
-    yield case("good", lambda: spelt(good))
-    for name, change in spoilt(good):
-        yield case(f"entry {name}", lambda change=change: spelt(change(good)), named="")
-
-
-def texts():
-    """Files of other kinds, and the bytes of a good one damaged."""
-    for name, content in TEXTS.items():
-        yield case(name, lambda content=content: content)
-    for name, make in mutations(GOOD.encode(), 200):
-        yield case(f"mutation {name}", make, named="")
+    return spelt(GOOD_TABLES | changes)
 
 
 def words(name: str) -> list[str]:
@@ -123,96 +112,107 @@ def words(name: str) -> list[str]:
     return [name, *(word.replace("{place}", "{run}") for word in given)]
 
 
-def foreign():
-    """Python in place of every word and in every option that is text; and of everything that is trained."""
-    for name in COMMANDS:
-        given = words(name)
-        out = ["--out", "{run}/s"]
-        places = [
-            [*given[:k], None, *given[k + 1 :], *out]
-            for k in range(1, len(given))
-            if given[k][0] != "-" and name != "curves"  # whose words are folders
-        ]
-        places += [
-            [*given, f"--{o}", None, *out] for o, about in options(name).items() if "str" in str(about.kind)
-        ]
-        for place in places:
-            for path in PYTHON:
-                filled = [path if word is None else word for word in place]
-                yield case(
-                    f"{' '.join(filled)}",
-                    lambda filled=filled: changed(evaluate=[filled]),
-                    accepted,
-                    named="",
-                )
-    for option, about in options("train").items():
-        if "str" in str(about.kind):
-            for path in PYTHON[:2]:
-                train = ["landing", f"--{option}={path}"]
-                yield case(f"train {option} {path}", lambda train=train: changed(train=train), accepted, "")
-    for path in (*PYTHON[:2], "foreign:Fly"):
-        yield case(f"task {path}", lambda path=path: changed(train=[path]), accepted, "")
+def refused(title: str, named: str = "", **changes) -> Case:
+    """A recipe that is refused with other entries."""
+    return case(title[:80], lambda: changed(**changes), accepted, named)
 
 
-def outputs():
-    """Every command that would write where it may not."""
-    for name in COMMANDS:
-        for kind, out in ELSEWHERE.items():
-            for where in ("evaluate", "together"):
-                for form in (["--out", out], [f"--out={out}"]):
-                    if kind == "the run's link" and where == "together":
-                        continue
-                    filled = [[*words(name), *form]]
-                    yield case(
-                        f"{name} {where} {kind} {len(form)}",
-                        lambda where=where, filled=filled: changed(**{where: filled}),
-                        accepted,
-                        named="",
-                    )
+def foreign(name: str, path: str, data) -> Case:
+    """Python in place of a word or of an option that is text."""
+    given = words(name)
+    places = [
+        [*given[:k], path, *given[k + 1 :]]
+        for k in range(1, len(given))
+        if given[k][0] != "-" and name != "curves"  # whose words are folders
+    ]
+    places += [[*given, f"--{o}", path] for o, about in options(name).items() if "str" in str(about.kind)]
+    if not places:
+        hypothesis.reject()
+    filled = [*data.draw(st.sampled_from(places)), "--out", "{run}/s"]
+    return refused(" ".join(filled), evaluate=[filled])
 
 
-def others():
-    """Commands that fly vehicles, open ports, or are about something else, and options that no recipe has."""
-    for name in [*cli.COMMANDS, *cli.OLD_NAMES, "sweep", "", "--help"]:
-        if name not in (*COMMANDS, *OLD_COMMANDS):
-            for where in ("evaluate", "together"):
-                filled = {where: [[name, *words(name)[1:]] if name in NEEDED else [name or "{run}"]]}
-                yield case(f"{where} {name}", lambda filled=filled: changed(**filled), accepted, named=where)
-    for word in ("--out", "--seed", "--resume", "--report", "--no-report", "--threads", "--no_report"):
-        for form in ([word], [f"{word}=1"], [word, "1"]):
-            for filled in ({"train": ["landing", *form]}, {"variants": {"short": form}}):
-                title = f"{next(iter(filled))} {' '.join(form)}"
-                yield case(title, lambda filled=filled: changed(**filled), accepted, named="")
-    for word in ("--help", "--version", "--tyro-write-completion", "--print-completion"):
-        filled = [word, "bash", "written"][: 1 if word in ("--help", "--version") else 3]
-        yield case(f"train {word}", lambda filled=filled: changed(train=filled), accepted, named="")
-        for name in COMMANDS:
-            make = functools.partial(changed, evaluate=[[name, *filled]])
-            yield case(f"{name} {word}", make, accepted, named="")
+def output(name: str, kind: str, where: str, joined: bool) -> Case:
+    """A command that would write where it may not."""
+    if kind == "through the run's link" and where == "together":
+        kind = "home"
+    out = ELSEWHERE[kind]
+    filled = [*words(name), *([f"--out={out}"] if joined else ["--out", out])]
+    return refused(f"{name} {where} {kind} {joined}", **{where: [filled]})
 
 
-@parametrised(entries, texts, foreign, outputs, others, each=3)
-def test_recipes_are_taken_or_refused_and_nothing_is_run(case, tmp_path):
-    judge(case, tmp_path)
+def other(name: str, where: str) -> Case:
+    """A command that flies vehicles, opens ports, or is about something else."""
+    filled = [name, *words(name)[1:]] if name in NEEDED else [name or "{run}"]
+    return refused(f"{where} {name}", where, **{where: [filled]})
 
 
-def results():
+def trained(train: list[str]) -> Case:
+    return refused(f"train {train}", train=train)
+
+
+PROGRAMS = ("--help", "--version", "--tyro-write-completion", "--print-completion")
+IDLE = ("--out", "--seed", "--resume", "--report", "--no-report", "--threads", "--no_report")
+FORMS = [form for word in IDLE for form in ([word], [f"{word}=1"], [word, "1"])]
+KNOWN = (*COMMANDS, *OLD_COMMANDS)
+OTHERS = [n for n in (*cli.COMMANDS, *cli.OLD_NAMES, "sweep", "", "--help") if n not in KNOWN]
+    n for n in (*cli.COMMANDS, *cli.OLD_NAMES, "sweep", "", "--help") if n not in (*COMMANDS, *OLD_COMMANDS)
+]
+LISTS = st.sampled_from(("evaluate", "together"))
+TEXTUAL = st.deferred(
+    lambda: st.sampled_from([o for o, about in options("train").items() if "str" in str(about.kind)])
+)
+NAMES = st.sampled_from(list(COMMANDS))
+KINDS = {
+    "entries": spoilt(GOOD_TABLES).map(
+        lambda s: case(f"entry {s[0]}", lambda: spelt(s[1](GOOD_TABLES)), named="")
+    ),
+    "texts": contents(GOOD.encode()).map(lambda s: case(*s, named="")),
+    "foreign": st.one_of(
+        st.builds(foreign, NAMES, st.sampled_from(PYTHON), st.data()),
+        st.builds(
+            lambda o, path: trained(["landing", f"--{o}={path}"]), TEXTUAL, st.sampled_from(PYTHON[:2])
+        ),
+        st.sampled_from((*PYTHON[:2], "foreign:Fly")).map(lambda path: trained([path])),
+    ),
+    "outputs": st.builds(output, NAMES, st.sampled_from(list(ELSEWHERE)), LISTS, st.booleans()),
+    "others": st.one_of(
+        st.builds(other, st.sampled_from(OTHERS), LISTS),
+        st.sampled_from(FORMS).map(lambda form: trained(["landing", *form])),
+        st.sampled_from(FORMS).map(lambda form: refused(f"variant {form}", variants={"short": form})),
+        st.sampled_from(PROGRAMS).map(lambda word: trained([word, "bash", "written"])),
+        st.builds(
+            lambda name, word: refused(f"{name} {word}", evaluate=[[name, word, "bash"]]),
+            *(NAMES, st.sampled_from(PROGRAMS)),
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@examples(4)
+@given(data=st.data())
+def test_recipes_are_taken_or_refused_and_nothing_is_run(kind, data):
+    judged(data.draw(KINDS[kind]))
+
+
+def test_a_good_recipe_is_taken():
+    assert judged(case("good", changed)) == "works"
+
+
+RECORDED = tomllib.loads((ROOT / "train" / "recipes" / "landing.toml").read_text("utf-8"))
+
+
+@examples(3)
+@given(spoilt=spoilt(RECORDED["result"]))
+def test_results_are_shown_or_refused(spoilt):
     """A recorded result with one entry wrong, on a page."""
-    recipe = Path(beyond.__file__).parents[2] / "train" / "recipes" / "landing.toml"
-    good = tomllib.loads(recipe.read_text("utf-8"))
-    for name, change in spoilt(good["result"]):
+    name, change = spoilt
 
-        def made(folder, change=change):
-            return write(folder / "landing.toml", spelt(good | {"result": change(good["result"])}))
+    def make(folder: Path) -> Path:
+        return write(folder / "landing.toml", spelt(RECORDED | {"result": change(RECORDED["result"])}))
 
-        yield Case(
-            f"result {name}",
-            made,
-            lambda path: command(cli.main, ["beyond", str(path), "--out", str(path.parent / "page")]),
-            named="",
-        )
+    def take(path: Path) -> str:
+        return command(cli.main, ["beyond", str(path), "--out", str(path.parent / "page")])
 
-
-@parametrised(results, each=3)
-def test_results_are_shown_or_refused(case, tmp_path):
-    judge(case, tmp_path)
+    judged(Case(f"result {name}", make, take, named=""))

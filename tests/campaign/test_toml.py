@@ -5,13 +5,17 @@ An entry of `READERS` is all that a new kind of file needs.
 
 import dataclasses
 import functools
+import itertools
 import tempfile
 import tomllib
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
+import hypothesis.strategies as st
 import numpy as np
+import pytest
+from hypothesis import given
 
 from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.tasks.base import hover_states
@@ -23,12 +27,11 @@ from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
 from tests.campaign.flights import a_flight, fly, text
 from tests.campaign.judge import (
-    TEXTS,
     Case,
     Wrong,
-    judge,
-    mutations,
-    parametrised,
+    contents,
+    examples,
+    judged,
     places,
     spoilt,
     toml,
@@ -47,6 +50,7 @@ class Reader:
     works: Callable[[object], None] = lambda result: None
     named: str | None = None  # what sentences name; None: the file
     where: Callable[[tuple], bool] = lambda keys: True  # which entries are spoilt
+    more: dict[str, Callable[[], str]] = dataclasses.field(default_factory=dict)  # other contents, by name
 
 
 def flies(vehicle: Vehicle) -> None:
@@ -141,8 +145,8 @@ sampling = "factorial"
 policy = "landing"
 
 [parameters]
-inclination = { from = 10, to = 40, count = 3, unit = "deg" }
-friction = { value = 0.5, unit = "1" }
+friction = { from = 0.2, to = 1.0, count = 3, unit = "1" }
+mass = { value = 33, unit = "g" }
 """
 MAPPING = """
 description = "a lab"
@@ -158,21 +162,74 @@ roll = { sum = ["roll", "roll"] }
 pitch = "pitch"
 cmd_thrust_pwm = "cmd_thrust_pwm"
 """
-READERS = {
-    "vehicle": Reader(VEHICLE, load_vehicle, flies, where=is_value_or_of_mass),
-    "ranges": Reader(RANGES, ranges_drawn),
-    "study": Reader(STUDY, read_study, can_be_simulated),
-    "factorial": Reader(FACTORIAL, read_study, can_be_simulated),
-    "scenario": Reader(shipped()["ship_5_bow"].read_text("utf-8"), read_scenario, can_be_landed_on),
-    "mapping": Reader(MAPPING, mapped, fly, named=""),  # the log is what lacks a column that is mapped
-}
 
 
 def spelt(tables: dict) -> str:
+    """Tables as TOML."""
     return "\n".join(f"{toml(key)} = {toml(value)}" for key, value in tables.items())
 
 
+def units_and_bounds() -> dict[str, Callable[[], str]]:
+    """Every parameter of a study in every unit, between bounds that are none."""
+    bounds = ((-1e300, 1e300), (0, 5e-324), (1, 1), (2, 1), (1e-300, 1))
+    found = {}
+    for name, unit, (low, high) in itertools.product(
+        known_parameters(), ("1", "m", "deg", "s", "kg", "parsec"), bounds
+    ):
+        entry = {"from": low, "to": high, "unit": unit}
+        content = {"sampling": "latin-hypercube", "samples": 3, "parameters": {name: entry}}
+        found[f"{name} {unit} {low} {high}"] = functools.partial(spelt, content)
+    return found
+
+
+def instead(good: str, old: str, *new: str) -> dict[str, Callable[[], str]]:
+    """A good file with other words in place of some."""
+    return {f"{word[:30]}": functools.partial(good.replace, old, word) for word in new}
+
+
+COUNTS = (1, 10**6, 10**7, 10**12, 10**30)
+MANY = f"values = {[30 + k / 1e4 for k in range(40_000)]}"
+PAIR = '["inclination", "mass"]'
+COLUMNS = "[columns]\n" + "".join(f'{c} = "{c}"\n' for c in ("t", "y", "z", "roll", "cmd_thrust_pwm"))
+INHERITED = {  # what no other file of TOML has: inheritance, and patterns of names
+    "itself": 'inherit = "mapping.toml"\n',
+    "none": 'inherit = "/none/such.toml"\n' + COLUMNS,
+    "a folder": 'inherit = "/"\n' + COLUMNS,
+    "a device": 'inherit = "/dev/zero"\n' + COLUMNS,
+    "shipped": 'inherit = "documented"\n',
+    "refuses": f'refuse = "{"x" * 100}"\n' + COLUMNS,
+    "twice": COLUMNS + 't = "t"',
+    "stars": COLUMNS + f'x = "{"*" * 5000}"',
+    "brackets": COLUMNS + f'x = "*{"[" * 5000}"',
+    "long": COLUMNS + f'x = "{"x" * 100_000}"',
+}
+READERS = {
+    "vehicle": Reader(VEHICLE, load_vehicle, flies, where=is_value_or_of_mass),
+    "ranges": Reader(RANGES, ranges_drawn),
+    "study": Reader(
+        STUDY,
+        read_study,
+        can_be_simulated,
+        more=units_and_bounds()
+        | instead(STUDY, "samples = 12", *(f"samples = {count}" for count in COUNTS))
+        | instead(STUDY, PAIR, f"{PAIR}," * 5000),
+    ),
+    "factorial": Reader(
+        FACTORIAL,
+        read_study,
+        can_be_simulated,
+        more=instead(FACTORIAL, "count = 3", *(f"count = {count}" for count in COUNTS))
+        | instead(FACTORIAL, "value = 33", MANY),
+    ),
+    "scenario": Reader(shipped()["ship_5_bow"].read_text("utf-8"), read_scenario, can_be_landed_on),
+    "mapping": Reader(  # the log is what lacks a column that is mapped
+        MAPPING, mapped, fly, named="", more={name: lambda c=c: c for name, c in INHERITED.items()}
+    ),
+}
+
+
 def case(kind: str, name: str, make: Callable[[], str | bytes]) -> Case:
+    """A file of a kind."""
     reader = READERS[kind]
 
     def made(folder: Path) -> Path:
@@ -181,82 +238,62 @@ def case(kind: str, name: str, make: Callable[[], str | bytes]) -> Case:
     return Case(f"{kind} {name}", made, reader.take, reader.works, named=reader.named)
 
 
-def entries(kind: str):
-    """Every entry times every evil value."""
-    good = tomllib.loads(READERS[kind].good)
-    yield case(kind, "good", lambda: spelt(good))
-    for name, change in spoilt(good, READERS[kind].where):
-        yield case(kind, name, lambda change=change: spelt(change(good)))
-
-
-def texts(kind: str):
-    """Files of other kinds, and the bytes of a good one damaged."""
-    good = READERS[kind].good.encode()
-    for name, content in TEXTS.items():
-        yield case(kind, name, lambda content=content: content)
-    for name, more in {
+def odd(good: bytes) -> dict[str, Callable[[], bytes]]:
+    """Good files in other encodings, deep, long and large ones."""
+    lines = good.splitlines(keepends=True)
+    begun = good + b"[x]\n"
+    return {
         "byte order mark": lambda: good.decode().encode("utf-8-sig"),
         "UTF-16": lambda: good.decode().encode("utf-16"),
         "Latin 1": lambda: b"# \xe9\n" + good,
         "NUL bytes": lambda: good + bytes(100),
         "CR LF": lambda: good.replace(b"\n", b"\r\n"),
         "twice": lambda: good + good,
+        "a line twice": lambda: good + lines[-1],
         "nested lists": lambda: b"x = " + b"[" * 100_000,
         "nested over lines": lambda: b"x = " + b"[\n" * 100_000,
         "nested in tables": lambda: b"x = " + b"{a=" * 10_000,
         "long key": lambda: good + b"[" + b"a." * 10_000 + b"a]\n",
-        "dotted key": lambda: good + b"[x]\n" + b"a." * 200_000 + b"a = 1\n",
+        "dotted key": lambda: begun + b"a." * 200_000 + b"a = 1\n",
         "many dotted keys": lambda: (
-            good + b"[x]\n" + b"".join(b"a%d." % k + b"a." * 300 + b"a = 1\n" for k in range(1000))
+            begun + b"".join(b"a%d." % k + b"a." * 300 + b"a = 1\n" for k in range(1000))
         ),
-        "many entries": lambda: good + b"[x]\n" + b"".join(b"x%d = 1\n" % k for k in range(50_000)),
+        "many entries": lambda: begun + b"".join(b"x%d = 1\n" % k for k in range(50_000)),
         "many tables": lambda: good + b"".join(b"[x%d]\n" % k for k in range(50_000)),
         "a million digits": lambda: b"x = " + b"9" * 900_000 + b"\n" + good,
         "long number": lambda: b"x = 0.0" + b"3" * 900_000 + b"\n" + good,
         "too long": lambda: good + b"#" * 30_000_000,
-    }.items():
-        yield case(kind, name, more)
-    for name, make in mutations(good, 210):
-        yield case(kind, f"mutation {name}", make)
-    lines = good.splitlines(keepends=True)
-    for k, line in enumerate(lines):
-        if b"=" in line and not line.startswith(b"#"):
-            yield case(kind, f"line {k} twice", lambda k=k: b"".join(lines[: k + 1] + lines[k:]))
+    }
 
 
-def elsewhere(kind: str):
-    """What is no file."""
-    for other in places(f"{kind}.toml", READERS[kind].take):
-        yield dataclasses.replace(other, name=f"{kind} {other.name}")
+@functools.cache
+def files(kind: str) -> st.SearchStrategy[Case]:
+    """Draw a good file with one entry wrong, one with other contents, or what is no file."""
+    reader = READERS[kind]
+    tables, good = tomllib.loads(reader.good), reader.good.encode()
+    entries = spoilt(tables, reader.where).map(lambda s: (s[0], lambda: spelt(s[1](tables))))
+    texts = [entries, contents(good, odd(good))]
+    texts += [st.sampled_from(list(reader.more.items()))] if reader.more else []
+    return st.one_of(texts).map(lambda s: case(kind, *s)) | places(f"{kind}.toml", reader.take)
 
 
-def unit_and_bounds():
-    """Every parameter of a study in every unit, between bounds that are none."""
-    for name in known_parameters():
-        for unit in ("1", "m", "deg", "s", "kg", "parsec"):
-            for low, high in ((-1e300, 1e300), (0, 5e-324), (1, 1), (2, 1), (1e-300, 1)):
-                entry = {"from": low, "to": high, "unit": unit}
-                content = {"sampling": "latin-hypercube", "samples": 3, "parameters": {name: entry}}
-                yield case("study", f"{name} {unit} {low} {high}", lambda content=content: spelt(content))
+@pytest.mark.parametrize("kind", READERS)
+@examples(8)
+@given(data=st.data())
+def test_files_are_used_or_refused(kind, data):
+    judged(data.draw(files(kind)))
 
 
-def sizes():
-    """Studies of too many landings."""
-    for count in (1, 10**6, 10**7, 10**12, 10**30):
-        more = STUDY.replace("samples = 12", f"samples = {count}")
-        yield case("study", f"samples {count}", lambda more=more: more)
-        more = FACTORIAL.replace("count = 3", f"count = {count}")
-        yield case("factorial", f"count {count}", lambda more=more: more)
-    many = [k / 1e4 for k in range(40_000)]
-    yield case("factorial", "many values", lambda: FACTORIAL.replace("value = 0.5", f"values = {many}"))
-    pair = '["inclination", "mass"]'
-    yield case("study", "many maps", lambda: STUDY.replace(pair, f"{pair}," * 5000))
+@pytest.mark.parametrize("kind", READERS)
+def test_good_files_are_used(kind):
+    good = READERS[kind].good
+    assert judged(case(kind, "good", lambda: spelt(tomllib.loads(good)))) == "works"
 
 
-def of_all(generator) -> list:
-    return [functools.partial(generator, kind) for kind in READERS]
+def test_mappings_that_inherit_from_each_other_are_refused():
+    def loop(folder: Path) -> Path:
+        for k in range(30):
+            write(folder / f"m{k}.toml", f'inherit = "{folder}/m{(k + 1) % 30}.toml"\n')
+        return folder / "m0.toml"
 
-
-@parametrised(*of_all(entries), *of_all(texts), *of_all(elsewhere), unit_and_bounds, sizes, each=2)
-def test_files_are_used_or_refused(case, tmp_path):
-    judge(case, tmp_path)
+    assert judged(Case("loop", loop, mapped, named="")) != "works"

@@ -2,53 +2,28 @@
 
 import functools
 import io
+import json
 import os
-import shutil
-import tempfile
 import typing
 import unittest.mock
 import zipfile
 from pathlib import Path
 
+import hypothesis.strategies as st
 import numpy as np
 import torch
+from hypothesis import given
 
 from inclined_landing.train import run
 from inclined_landing.train.checkpoint import read
 from inclined_landing.train.checkpoint import write as write_checkpoint
 from inclined_landing.train.cli import main
 from inclined_landing.train.config import ENDING, TrainConfig
-from inclined_landing.train.run import CHECKPOINT, RECORD, Run
-from tests.campaign.judge import (
-    EVIL,
-    TEXTS,
-    Case,
-    command,
-    judge,
-    mutations,
-    parametrised,
-    respelt,
-    spoilt,
-    write,
-)
+from inclined_landing.train.run import CHECKPOINT, Run
+from tests.campaign.judge import EVIL, Case, command, examples, judge, judged, spoilt, write
+from tests.campaign.test_folders import TINY, a_training
 
-TINY = {"environments": 2, "rollout": 4, "batch_size": 8, "steps": 16, "epochs": 1, "threads": 1,
-        "evaluate_every": 1, "video_every": 0}  # fmt: skip
-NUMBERS = {name: value for name, value in EVIL.items() if type(value) in (int, float)}
-
-
-def numbers():
-    """Every numeric option with every evil number; texts are in `test_options.py`."""
-    for name, kind in typing.get_type_hints(TrainConfig).items():
-        if kind not in (int, float, int | None, float | None):
-            continue
-        for evil, value in NUMBERS.items():
-            yield Case(
-                f"{name} {evil}",
-                make=lambda folder: folder,
-                take=lambda folder, name=name, value=value: try_option(folder, name, value),
-                named=name.replace("_", "-"),
-            )
+NUMBERS = [name for name, value in EVIL.items() if type(value) in (int, float)]
 
 
 def try_option(folder, name, value):
@@ -69,35 +44,16 @@ def trained(arguments):
     return 0 if code == run.NOT_REACHED else code
 
 
-@functools.cache
-def template() -> tempfile.TemporaryDirectory:
-    """A run folder as a kill after the first checkpoints leaves it."""
-    holder = tempfile.TemporaryDirectory()
-    starts, run.EVALUATION_STARTS = run.EVALUATION_STARTS, 2
-    try:
-        run.train(TrainConfig(out=Path(holder.name, "run"), **TINY))
-    finally:
-        run.EVALUATION_STARTS = starts
-    return holder
-
-
 def copied(folder: Path) -> Path:
-    return Path(shutil.copytree(Path(template().name, "run"), folder / "run"))
+    """A folder with a run as a kill after the first checkpoints leaves it."""
+    for name, content in a_training().items():
+        (folder / "run" / name).parent.mkdir(parents=True, exist_ok=True)
+        write(folder / "run" / name, content)
+    return folder / "run"
 
 
 def resume(path):
     return Run(TrainConfig(out=path.parent, resume=True))
-
-
-def folder_case(name, file, change):
-    """`change(path)` is done to one file of a run folder that is then resumed."""
-
-    def make(folder):
-        path = copied(folder) / file
-        change(path)
-        return path
-
-    return Case(name, make=make, take=resume)
 
 
 def with_state(path, change):
@@ -131,64 +87,69 @@ class Harmful:
         return os.mkdir, ("harm",)
 
 
-def records():
-    """The record of a run with a wrong entry."""
-    names = [name for name in TrainConfig.__dataclass_fields__ if name not in ("out", "max_seconds")]
-    for name, change in spoilt({"config": dict.fromkeys(names)}):
-
-        def spoil(path, change=change):
-            write(path, respelt(path.read_bytes(), change))
-
-        yield folder_case(f"{RECORD} {name}", RECORD, spoil)
+def option(name: str, evil: str) -> Case:
+    """A numeric option with an evil number; texts are in `test_options.py`."""
+    take = functools.partial(try_option, name=name, value=EVIL[evil])
+    return Case(f"{name} {evil}", lambda folder: folder, take, named=name.replace("_", "-"))
 
 
-def checkpoints():
-    """A checkpoint with a wrong entry of its state, or a wrong array."""
-    for name, change in spoilt(dict.fromkeys(run._STATE)):
-        if name.endswith("date"):  # JSON has none
-            continue
+def checkpoint(name: str, change) -> Case:
+    """A run that goes on from a checkpoint after `change(path)`."""
 
-        def spoil(state, change=change):
-            new = change(state)
-            state.clear()
-            state.update(new)
+    def make(folder: Path) -> Path:
+        path = copied(folder) / CHECKPOINT
+        change(path)
+        return path
 
-        yield folder_case(f"state {name}", CHECKPOINT, functools.partial(with_state, change=spoil))
-    for kind, value in (EVIL | {"date": ""}).items():
-        for name in ("history", "evaluations", "numpy_rng", "ended"):
-
-            def first(state, name=name, value=value):
-                state[name] = [value, *state[name][1:]]
-
-            yield folder_case(
-                f"first of {name} {kind}", CHECKPOINT, functools.partial(with_state, change=first)
-            )
-    for name in ARRAYS:
-        for kind, change in EVIL_ARRAYS.items():
-            spoil = functools.partial(with_array, name=name, change=change)
-            yield folder_case(f"array {name} {kind}", CHECKPOINT, spoil)
+    return Case(name, make, resume)
 
 
-def other_files():
-    """Other texts and damaged bytes in place of record and checkpoint."""
-    for file in (RECORD, CHECKPOINT):
-        for kind, content in TEXTS.items():
-            yield folder_case(f"{file} is {kind}", file, functools.partial(write, content=content))
-        pickled = lambda path: torch.save({"command": print}, path)  # noqa: E731
-        yield folder_case(f"{file} is a pickle", file, pickled)
-        yield folder_case(f"{file} is a folder", file, lambda path: (path.unlink(), path.mkdir()))
-        yield folder_case(f"{file} is a pipe", file, lambda path: (path.unlink(), os.mkfifo(path)))
-        for k in range(40):
-            yield folder_case(f"{file} damage {k}", file, functools.partial(damage, number=k))
+def state(chosen) -> Case:
+    """A checkpoint with a wrong entry of its state."""
+    name, change = chosen
+
+    def spoil(state):
+        new = json.loads(json.dumps(change(state), default=str))
+        state.clear()
+        state.update(new)
+
+    return checkpoint(f"state {name}", functools.partial(with_state, change=spoil))
 
 
-def damage(path, number):
-    write(path, list(mutations(path.read_bytes(), number + 1))[number][1]())
+def first(name: str, evil: str) -> Case:
+    """A checkpoint with a wrong first element of a list of its state."""
+
+    def spoil(state):
+        state[name] = [str(EVIL[evil]) if evil == "date" else EVIL[evil], *state[name][1:]]
+
+    return checkpoint(f"first of {name} {evil}", functools.partial(with_state, change=spoil))
 
 
-@parametrised(numbers, records, checkpoints, other_files, each=3)
-def test_training_begins_and_goes_on_or_says_why_not(case, tmp_path):
-    judge(case, tmp_path)
+def array(name: str, kind: str) -> Case:
+    """A checkpoint with a wrong array."""
+    spoil = functools.partial(with_array, name=name, change=EVIL_ARRAYS[kind])
+    return checkpoint(f"array {name} {kind}", spoil)
+
+
+NUMERIC = [
+    name
+    for name, kind in typing.get_type_hints(TrainConfig).items()
+    if kind in (int, float, int | None, float | None)
+]
+LISTS = ("history", "evaluations", "numpy_rng", "ended")
+CASES = st.one_of(
+    st.builds(option, st.sampled_from(NUMERIC), st.sampled_from(NUMBERS)),
+    st.builds(option, st.sampled_from(NUMERIC), st.sampled_from(NUMBERS)),
+    spoilt(dict.fromkeys(run._STATE)).map(state),
+    st.builds(first, st.sampled_from(LISTS), st.sampled_from(list(EVIL))),
+    st.builds(array, st.sampled_from(ARRAYS), st.sampled_from(list(EVIL_ARRAYS))),
+)
+
+
+@examples(16)
+@given(case=CASES)
+def test_training_begins_and_goes_on_or_says_why_not(case):
+    judged(case)
 
 
 def test_nothing_in_a_checkpoint_is_executed(tmp_path, monkeypatch):

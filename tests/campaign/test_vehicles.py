@@ -7,11 +7,13 @@ import dataclasses
 import random
 import tomllib
 
+import hypothesis.strategies as st
 import pytest
+from hypothesis import given
 
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import check_vehicle, constants, load_vehicle
-from tests.campaign.judge import EVIL, Case, changed, judge, parametrised
+from tests.campaign.judge import EVIL, Case, changed, examples, judged
 from tests.campaign.test_toml import VEHICLE, case, spelt
 
 TABLES = tomllib.loads(VEHICLE)
@@ -34,56 +36,64 @@ def numbers(c) -> tuple:
     return c.value if isinstance(c.value, tuple) else (c.value,)
 
 
-def edges():
-    """Every number of every entry at the ends of its range, beyond them, and with the other sign."""
-    for c in constants():
-        for k, (value, (low, high)) in enumerate(zip(numbers(c), c.range)):
-            beyond = 1e-6 * (high - low)
-            for name, new in {
-                "lowest": low,
-                "highest": high,
-                "below": low - beyond,
-                "above": high + beyond,
-                "negative": -value,
-                "times 1000": 1000.0 * value,
-                "thousandth": value / 1000.0,
-            }.items():
-                row = [*numbers(c)[:k], new, *numbers(c)[k + 1 :]]
-                yield spoilt(f"{c.label} {k} {name}", (c, row if isinstance(c.value, tuple) else new))
+def edge(c, k: int, kind: str) -> Case:
+    """One number of an entry at an end of its range, beyond it, or of another sign or size."""
+    (low, high), value = c.range[k], numbers(c)[k]
+    beyond = 1e-6 * (high - low)
+    new = {
+        "lowest": low,
+        "highest": high,
+        "below": low - beyond,
+        "above": high + beyond,
+        "negative": -value,
+        "times 1000": 1000.0 * value,
+        "thousandth": value / 1000.0,
+    }[kind]
+    row = [*numbers(c)[:k], new, *numbers(c)[k + 1 :]]
+    return spoilt(f"{c.label} {k} {kind}", (c, row if isinstance(c.value, tuple) else new))
 
 
-def corners():
+def corner(seed: int) -> Case:
     """Three entries at a time anywhere within their ranges, near to the shipped value or at an end."""
-    for k in range(300):
-        rng, values = random.Random(k), []
-        for c in rng.sample(constants(), 3):
-            row = [
-                rng.choice([low, high, rng.uniform(low, high), x * 10 ** rng.uniform(-1, 1)])
-                for x, (low, high) in zip(numbers(c), c.range)
-            ]
-            values.append((c, row if isinstance(c.value, tuple) else row[0]))
-        yield spoilt(f"corner {k}", *values)
+    rng, values = random.Random(seed), []
+    for c in rng.sample(constants(), 3):
+        row = [
+            rng.choice([low, high, rng.uniform(low, high), x * 10 ** rng.uniform(-1, 1)])
+            for x, (low, high) in zip(numbers(c), c.range)
+        ]
+        values.append((c, row if isinstance(c.value, tuple) else row[0]))
+    return spoilt(f"corner {seed}", *values)
 
 
-def tables():
-    """Tables that stand there twice, or in a list, and entries of another name."""
-    for section, table in TABLES.items():
-        rest = {name: other for name, other in TABLES.items() if name != section}
-        for name, head in {"": "[{}]\n", "twice": "[{0}]\n[{0}]\n", "in a list": "[[{}]]\n"}.items():
-            text = f"{spelt(rest)}\n{head.format(section)}{spelt(table)}"
-            yield case("vehicle", f"table {section} {name}", lambda text=text: text)
-    for c in constants():
-
-        def renamed(c=c) -> str:
-            rest = changed(TABLES, (c.section, c.name), ...)
-            return spelt(changed(rest, (c.section, f"{c.name}\n" * 100), TABLES[c.section][c.name]))
-
-        yield case("vehicle", f"{c.label} renamed", renamed)
+def headed(section: str, head: str) -> Case:
+    """A table that stands there last, twice, or in a list."""
+    rest = {name: other for name, other in TABLES.items() if name != section}
+    text = f"{spelt(rest)}\n{head.format(section)}{spelt(TABLES[section])}"
+    return case("vehicle", f"table {head.format(section)!r}", lambda: text)
 
 
-@parametrised(edges, corners, tables, each=4)
-def test_vehicles_are_flown_or_refused(case, tmp_path):
-    judge(case, tmp_path)
+def renamed(c) -> Case:
+    """An entry of another, very long name."""
+    rest = changed(TABLES, (c.section, c.name), ...)
+    tables = changed(rest, (c.section, f"{c.name}\n" * 100), TABLES[c.section][c.name])
+    return case("vehicle", f"{c.label} renamed", lambda: spelt(tables))
+
+
+KINDS = ("lowest", "highest", "below", "above", "negative", "times 1000", "thousandth")
+EDGES = [(c, k, kind) for c in constants() for k in range(len(numbers(c))) for kind in KINDS]
+HEADS = ("[{}]\n", "[{0}]\n[{0}]\n", "[[{}]]\n")
+VEHICLES = st.one_of(
+    st.sampled_from(EDGES).map(lambda e: edge(*e)),
+    st.integers(0, 9999).map(corner),
+    st.builds(headed, st.sampled_from(list(TABLES)), st.sampled_from(HEADS)),
+    st.sampled_from(constants()).map(renamed),
+)
+
+
+@examples(12)
+@given(case=VEHICLES)
+def test_vehicles_are_flown_or_refused(case):
+    judged(case)
 
 
 @pytest.mark.parametrize("evil", EVIL)

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from inclined_landing.train.run import RECORD
-from tests.campaign.training import assert_same_policy, train
+from tests.training import assert_same_policy, train
 
 OPTIONS = {
     "landing": "landing --steps 4096 --video-every 3",

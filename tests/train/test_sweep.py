@@ -21,8 +21,8 @@ from inclined_landing.train import cli
 from inclined_landing.train.sweep import children, command, jobs, record
 from inclined_landing.train.sweep.check import check
 from inclined_landing.train.sweep.children import Children, Stopped
-from tests.campaign.training import assert_same_policy
 from tests.test_own_task import CODE as OWN_TASK
+from tests.training import assert_same_policy
 
 # In place of landing-train and landing-eval: notes its words, writes what the recipe looks for.
 PRETENDED = """

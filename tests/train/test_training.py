@@ -25,7 +25,7 @@ from inclined_landing.train import cli, run, warm_start
 from inclined_landing.train.config import ALGORITHMS, CARRIED_ON, ENDING, Range, TrainConfig
 from inclined_landing.train.curriculum import SETTLING
 from inclined_landing.train.run import CHECKPOINT, Run, train
-from tests.campaign.training import assert_same_policy, weights
+from tests.training import assert_same_policy, weights
 
 TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "steps": 512, "threads": 1,
         "evaluate_every": 0, "video_every": 0, "checkpoint_every": 2}  # fmt: skip
