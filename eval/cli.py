@@ -53,7 +53,7 @@ COMMANDS = {
     "logs": ("", "What flight logs hold and whether they can be believed, in words."),
     "identify": ("gap", "Thrust, lags, delays, attitude loops and drag from flights: a vehicle file."),
     "gap": ("", "Where simulation and flights disagree, which effect is missing, the corrected model."),
-    "plan": ("gap", "The safe flight that tells best which of the sets of effects of a report is right."),
+    "plan": ("gap", "Plan the safe flight that discriminates best between the probable sets of a report."),
     "effects": ("gap", "The physical effects that a model may lack: formula, size, what to do about them."),
     "gap-example": ("gap", "Twenty flights with hidden effects, of an independent simulator, to try gap."),
     "fly": (

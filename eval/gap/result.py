@@ -1,4 +1,4 @@
-"""What a diagnosis says, as plain data: the report and `report.json` are written from it alone."""
+"""The results of a diagnosis as plain records: the report and `report.json` are made from these alone."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from inclined_landing.models import effects
 from inclined_landing.models.parameters import Vehicle
 
 Verdict = Literal["effects", "nothing", "unknown"]
-SURE = 0.9  # probability from which on a name is sure; from development families
-POSSIBLE = 0.05  # and from which on one that was not named is told as possible
-# Share of the squared one-second error from which on what repeats is said to be unknown: on development
-# families it is at most 0.036 where nothing, or one effect of the library, is hidden.
+SURE = 0.9  # probability of a sure name; from development families
+POSSIBLE = 0.05  # probability of an effect that is listed as possible though not named
+# Share of the squared one-second error of a residual function that makes the verdict `unknown`: on
+# development families at most 0.036 where nothing, or one effect of the library, is hidden.
 MATERIAL = 0.05
 
 
@@ -55,11 +55,11 @@ class Estimate:
 
 @dataclasses.dataclass(frozen=True)
 class NamedEffect:
-    """An effect the diagnosis names."""
+    """An effect that the diagnosis names."""
 
     name: str
-    members: tuple[str, ...]  # itself first, then the names that take its place in other probable sets
-    probability: float  # that it, or one of these, is part of what is missing
+    members: tuple[str, ...]  # its equivalence class: itself, then the effects confounded with it
+    probability: float  # marginal probability of the class
     parameters: dict[str, Estimate]
     gain: float  # share of the closable squared error that is lost without it, 0..1
     remedy: str
@@ -68,11 +68,11 @@ class NamedEffect:
 
     @property
     def sure(self) -> bool:
-        """Whether the name may be relied on: of such names on realities left out, few were wrong."""
+        """Return whether the probability is at least SURE: few such names were wrong on held-out families."""
         return self.probability >= SURE
 
     def values(self) -> dict[str, float]:
-        """Fitted parameter values."""
+        """Return the fitted parameter values."""
         return {name: p.value for name, p in self.parameters.items()}
 
 
@@ -102,53 +102,50 @@ class WindowCurves:
 
 @dataclasses.dataclass(frozen=True)
 class Dependence:
-    """A disturbance of one channel that goes with something known: predicted on flights left out."""
+    """A function of logged quantities that predicts the residual of one channel on held-out flights."""
 
     channel: str  # x, y, z, roll, pitch, yaw, forward, left (of the heading)
     on: str  # place, velocity, commands, ...: the inputs of the function
     size: float  # its root mean square over the flights
     unit: str  # m/s2, rad/s2
-    share: float  # of the squared error that it takes away on flights left out
-    score: float  # standard deviations over flips of signs
-    displacement: float  # m, root mean square of what it does to the position within a second
+    share: float  # of the squared error that it explains on held-out flights
+    score: float  # gain in standard deviations over random sign flips
+    displacement: float  # m, root mean square displacement by it within a second
     displacement_ci95: tuple[float, float]
     regimes: dict[str, float]  # regime -> root mean square there
-    against: str  # the one input it goes with most
+    against: str  # the input that explains most of it
     x: np.ndarray  # (b,) bin centres of that input
     y: np.ndarray  # (b,) its mean there
 
 
 @dataclasses.dataclass(frozen=True)
 class ResidualAnalysis:
-    """What is left after the most probable set."""
+    """The residual beside the most probable set: its size and its dependence on logged quantities."""
 
-    p_value: float  # of the largest gain of all functions, if nothing repeated
+    p_value: float  # of the largest gain of all functions (permutation test)
     size: dict[str, float]  # channel -> root mean square beyond noise and disturbance (m/s2 for x, y, z; rad)
-    depends_on: tuple[Dependence, ...]  # what repeats, one for each channel, surest first
-    error: float = math.nan  # m, position error one second ahead that is left, root mean square
+    depends_on: tuple[Dependence, ...]  # significant functions, one per channel, most significant first
+    error: float = math.nan  # m, remaining position error one second ahead, root mean square
 
     def material(self, one: Dependence) -> bool:
-        """Whether predicting it would take away a share of the squared error that a person would care for.
-
-        The heading is compared on its own and moves nothing else.
-        """
+        """Return whether a function explains a share MATERIAL of the squared error; yaw never does."""
         if one.channel == "yaw" or not math.isfinite(self.error):
             return one.channel != "yaw"
         return one.displacement**2 >= MATERIAL * self.error**2
 
     @property
     def unexplained(self) -> bool:
-        """Whether something material repeats that no effect explains."""
+        """Return whether a material function of the residual is significant."""
         return any(map(self.material, self.depends_on))
 
 
 @dataclasses.dataclass(frozen=True)
 class Touchdowns:
-    """What is left of the motion after touching, beside the most probable set."""
+    """The residual of the motion after contact, beside the most probable set."""
 
     landings: int
-    unexplained: bool  # landings have more in common than what idealised contacts differ by
-    p_value: float  # of what they have in common
+    unexplained: bool  # whether the landings' common residual is significant
+    p_value: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -165,12 +162,17 @@ class Disturbance:
 
 @dataclasses.dataclass(frozen=True)
 class ScoredSet:
-    """A set of effects with its probability."""
+    """A set of effects with its posterior probability; the empty set: nothing is missing."""
 
     effects: tuple[str, ...]
     probability: float
     values: Mapping[str, Mapping[str, float]]
-    standard_errors: Mapping[str, Mapping[str, float]]  # of the values, where they are known
+    standard_errors: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
+
+    @property
+    def text(self) -> str:
+        """Return the names of the effects as part of a sentence."""
+        return " with ".join(self.effects) if self.effects else "nothing"
 
     def to_json(self) -> dict:
         """Return the entry of report.json."""
@@ -179,10 +181,10 @@ class ScoredSet:
 
 @dataclasses.dataclass(frozen=True)
 class Difference:
-    """An effect by which flights differ from the others: its values in a model of the others."""
+    """Contrast of an effect between groups of flights: its values in a model of the others."""
 
     effect: str
-    alike: tuple[str, ...]  # what may be meant as well
+    alike: tuple[str, ...]  # effects confounded with it (a key of report.json)
     swapped: bool  # the values are those of the others in a model of the flights
     values: dict[str, float]
     ci95: dict[str, tuple[float, float]]  # of the values that differ
@@ -190,13 +192,13 @@ class Difference:
 
 @dataclasses.dataclass(frozen=True)
 class InconsistentFlights:
-    """Flights that contradict the others."""
+    """A group of flights that is inconsistent with the others."""
 
     flights: tuple[str, ...]
     others: tuple[str, ...]
     differences: tuple[Difference, ...]  # the surest first
-    p_value: float  # of the surest difference, by chance anywhere
-    false_alarms: float  # share of diagnoses without contradiction in which one is said
+    p_value: float  # of the most significant difference, corrected for multiple testing
+    false_alarms: float  # familywise false alarm rate
 
     def to_json(self) -> dict:
         """Return the entry of report.json."""
@@ -217,7 +219,7 @@ class PlantGap:
 
     @property
     def closed(self) -> float:
-        """Share of the closable gap that is closed: 1 when `after` reached the floor."""
+        """Return the share of the closable gap that is closed: 1 where `after` is at the floor."""
         closable = self.before - self.floor
         return float("nan") if closable <= 0 else (self.before - self.after) / closable
 
@@ -249,17 +251,17 @@ class Diagnosis:
     inconsistent_flights: tuple[InconsistentFlights, ...] = ()  # flights that contradict the others
 
     def values(self) -> dict[str, dict[str, float]]:
-        """Fitted parameter values: effect -> parameter -> value."""
+        """Return the fitted parameter values: effect -> parameter -> value."""
         return {e.name: e.values() for e in self.effects}
 
     @property
     def nothing(self) -> float:
-        """Probability that nothing of the library is missing."""
+        """Return the probability of the empty set."""
         return sum(s.probability for s in self.sets if not s.effects)
 
     @property
     def possible(self) -> dict[str, float]:
-        """Effects that were not named, with their probabilities, most probable first."""
+        """Return the effects that were not named, with their probabilities, most probable first."""
         named = {name for effect in self.effects for name in effect.members}
         found: dict[str, float] = {}
         for one in self.sets:
@@ -269,11 +271,11 @@ class Diagnosis:
         return {name: part for name, part in likely if part >= POSSIBLE}
 
     def apply(self, vehicle: Vehicle) -> Vehicle:
-        """`vehicle` with the named effects added."""
+        """Return `vehicle` with the named effects added."""
         return effects.apply(vehicle, self.values())
 
     def to_json(self) -> dict:
-        """The contents of report.json: plain dicts, sequences, strings and numbers."""
+        """Return the contents of report.json: plain dicts, sequences, strings and numbers."""
         named = [
             {
                 **_some(e, "name", "probability", "sure", "cost", "gain", "remedy", "note"),
@@ -322,5 +324,5 @@ class Diagnosis:
 
 
 def _some(one, *names: str) -> dict:
-    """Some fields of a dataclass."""
+    """Return some fields of a dataclass by name."""
     return {name: getattr(one, name) for name in names}

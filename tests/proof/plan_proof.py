@@ -20,7 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Folder, Range, Seed
 from inclined_landing.eval.gap.flights.windows import prepare_all
-from inclined_landing.eval.gap.plan import Hypothesis, NoiseLevels, design
+from inclined_landing.eval.gap.plan import NoiseLevels, ScoredSet, design
 from inclined_landing.eval.gap.plan.information import set_hypotheses, unidentifiable_sets
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
 from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
@@ -120,7 +120,7 @@ def race(family: str, seed: tuple[int, ...]) -> dict:
 
 def _searched(
     flights: Sequence[FlightLog], vehicle: Vehicle, known: Reference
-) -> tuple[list[Hypothesis], list[Hypothesis], NoiseLevels]:
+) -> tuple[list[ScoredSet], list[ScoredSet], NoiseLevels]:
     """What the flights leave in doubt, as `landing-eval gap` finds it, and what they could not have shown."""
     measured = prepare_all(flights, vehicle, False, [])
     library, _ = identifiable_effects({n: e for n, e in LIBRARY.items() if not e.contact}, measured)
@@ -130,7 +130,7 @@ def _searched(
     return hypotheses, unidentifiable_sets(problem, found), noise_levels
 
 
-def _named(cause: str, hypotheses: Sequence[Hypothesis]) -> tuple[float, float]:
+def _named(cause: str, hypotheses: Sequence[ScoredSet]) -> tuple[float, float]:
     """Probability of the right name, and the largest of a wrong one: that it belongs to what is missing."""
     options = accepted(cause)
     welcome = set().union(*options) | entailed(cause)

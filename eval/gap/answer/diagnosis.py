@@ -1,4 +1,4 @@
-"""`diagnose`: where the model is wrong, what is missing, and what the correction brings."""
+"""`diagnose`: prediction errors by regime, the missing effects, and the error of the corrected model."""
 
 from __future__ import annotations
 
@@ -15,12 +15,10 @@ from inclined_landing.eval.gap.answer.named import (
     joint_sets,
     named_effects,
     probable_effects,
-    scored_sets,
-    unseen_sets,
-    values_with,
 )
 from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE, Landing, landings_of
 from inclined_landing.eval.gap.flights.windows import REGIMES, prepare_all
+from inclined_landing.eval.gap.plan.information import set_hypotheses, unidentifiable_sets
 from inclined_landing.eval.gap.plan.words import discriminating_manoeuvre
 from inclined_landing.eval.gap.result import (
     Diagnosis,
@@ -65,13 +63,12 @@ def diagnose(
     plants: Sequence[str] = ("analytic",),
     curves: bool = True,
 ) -> Diagnosis:
-    """Name the effects that `vehicle` lacks to explain `flights`.
+    """Return the missing effects that explain `flights` best, and the errors with and without them.
 
-    reference: what the flights that the vehicle was identified from leave uncertain of it; None: its
-    constants are exact, its formulas nearly.
-    heldout: flights only judged on; without them every flight is judged with the effects fitted to the
-    others. platform: the slab of the vehicle file stands in the arena (None: where a log has contacts).
-    plants: measure the gap in these. curves: also error against horizon and single windows.
+    reference: posterior of the vehicle's identification; None: its constants are exact, its formulas nearly.
+    heldout: flights for evaluation only; without them every flight is evaluated with the effects fitted to
+    the others (leave-one-out). platform: the slab of the vehicle file stands in the arena (None: where a log
+    has contacts). plants: measure the gap in these. curves: also error against horizon and single windows.
 
     Raises UserError when no flight can be used.
     """
@@ -89,8 +86,8 @@ def diagnose(
     clock("name")
     inconsistent = heterogeneity.inconsistent_flights(problem, found.linear, found.joint)
     notes[:0] = map(heterogeneity.summary_line, inconsistent)
-    values = values_with(problem, found, probable_effects(found))
-    if not problem.identified:  # far from the vehicle file, small errors of all else would stand in for names
+    values = sets.posterior_mode(problem, found.local, probable_effects(found))
+    if not problem.identified:  # far from the nominal vehicle, spikes of other effects would take a share
         values = fit_least_squares(problem, values, found.inflation, prior=slab_deviations).values
     effects, corrected = named_effects(problem, found, values), problem.corrected(values)
     residuals = residual.Residual.by(
@@ -147,8 +144,8 @@ def diagnose(
         corrected=contact_result.vehicle,
         separating_manoeuvre=manoeuvre or None,
         where=where + contact_result.where,
-        sets=contact_result.sets(scored_sets(problem, found)),
-        unidentifiable_sets=unseen_sets(problem, found),
+        sets=contact_result.sets(tuple(set_hypotheses(problem, found)[0])),
+        unidentifiable_sets=tuple(unidentifiable_sets(problem, found)),
         touchdowns=contact_result.remaining,
         unrest=disturbances(problem, found.noise_model),
         horizon=horizon,
@@ -165,7 +162,7 @@ def diagnose(
 
 @dataclasses.dataclass(frozen=True)
 class _ContactResult:
-    """Result on contact effects; `landings` is empty where landings are too few."""
+    """Posterior of contact effects; `landings` is empty where there are too few."""
 
     vehicle: Vehicle  # corrected for contact too
     landings: list[Landing] = dataclasses.field(default_factory=list)  # those judged on
@@ -175,14 +172,14 @@ class _ContactResult:
     remaining: Touchdowns | None = None
 
     def sets(self, flown: tuple[ScoredSet, ...]) -> tuple[ScoredSet, ...]:
-        """The sets of free flight with those of contact."""
+        """Return the joint sets of free flight and contact."""
         return joint_sets(flown, self.named) if self.named else flown
 
 
 def _contact_result(
     flights, heldout, vehicle: Vehicle, corrected: Vehicle, library, notes: list[str]
 ) -> _ContactResult:
-    """Name contact effects from the landings of the flights."""
+    """Return the contact effects found from the landings of the flights."""
     landings = landings_of(flights, corrected)
     if len(landings) < contact.LEAST_LANDINGS or not any(e.contact for e in library.values()):
         if landings:
@@ -202,6 +199,8 @@ def _contact_result(
 
 
 class _Clock:
+    """Wall time by stage."""
+
     def __init__(self):
         self.spent: dict[str, float] = {}
         self._last = time.perf_counter()
@@ -229,6 +228,7 @@ def _data_notes(problem: Problem) -> list[str]:
 
 
 def _regime_errors(problem: Problem, before, after) -> tuple[RegimeError, ...]:
+    """Return the root mean square errors by regime and channel, from white errors before and after."""
     first, variance = residual.equivalent_sizes(problem, before)
     second, _ = residual.equivalent_sizes(problem, after)
     regimes = np.concatenate([f.regimes for f in problem.flights])
@@ -266,7 +266,7 @@ def _landing_gap(landings, before: Vehicle, after: Vehicle) -> PlantGap:
 
 
 def _starts(problem: Problem, notes: list[str]) -> rollout.RolloutWindows | None:
-    """Return the windows for the gap, from flights of the most common rate."""
+    """Return the windows for open-loop prediction; None, with a note, where there are none."""
     try:
         return rollout.RolloutWindows.of(problem.flights)
     except UserError as error:
@@ -290,7 +290,8 @@ def _horizon(problem, starts, effects: Sequence[NamedEffect], after, floor) -> t
 
 
 def _with_cost(problem, starts, effects: Sequence[NamedEffect], one: NamedEffect) -> NamedEffect:
-    """Return the effect with its cost: root of the increase in squared 1-s error without it."""
+    """Return the effect with its cost: the error after one second that it accounts for."""
+    # cost^2 = e_without^2 - e_with^2
     measured, vehicles = starts.measured(), []
     for kept in ([e for e in effects if e is not one], effects):
         vehicles.append(problem.corrected({e.name: e.values() for e in kept}))

@@ -1,8 +1,8 @@
 """Grey-box identification of what the model already has, from flights.
 
-Every effect that free flight shows is fitted together with the others, beside what belongs to the place and
-is not kept. Nothing is selected: what the flights leave uncertain, and what effects make up for in one
-another, is the posterior that `gap` takes together with the vehicle.
+All effects that free flight excites are fitted jointly, with those of the place as nuisance parameters. No
+model selection: uncertainties and correlations are in the posterior that `gap` takes together with the
+vehicle.
 """
 
 from __future__ import annotations
@@ -37,11 +37,10 @@ from inclined_landing.models.parameters import Vehicle, load_vehicle
 # What the paper reports of the attitude loops: gain, time constant [s] and fit [%].
 PAPER = {name: getattr(load_vehicle(), name) for name in ("attitude_gain", "attitude_time_constant")}
 PAPER["fit"] = 85.3
-FIT_HORIZON = 1.0  # s, of the velocity changes that the fit of x, y and z is about
-# A parameter is not identified when the flights leave its uncertainty above this share of what it was.
-UNIDENTIFIABLE = 0.7
-ROUGH = 0.2  # share above which an effect is known roughly only
-CONFOUNDED = 0.8  # correlation of errors above which two effects cannot be told apart
+FIT_HORIZON = 1.0  # s, of the velocity changes in the fit of x, y and z
+UNIDENTIFIABLE = 0.7  # posterior over prior standard deviation above which an effect is not identifiable
+ROUGH = 0.2  # above which it is poorly identified
+CONFOUNDED = 0.8  # posterior correlation above which two effects are confounded
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,9 +63,9 @@ class Identifiable:
     """Identifiability of an effect from the flights."""
 
     effect: str
-    share: float  # standard error over what real vehicles differ by: 1, and the flights tell nothing
-    confounded: tuple[str, ...]  # effects that it cannot be told from
-    regimes: tuple[str, ...]  # in which it shows
+    share: float  # posterior over prior standard deviation; 1: not excited at all
+    confounded: tuple[str, ...]  # effects that it is confounded with
+    regimes: tuple[str, ...]  # that excite it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,18 +73,18 @@ class Identification:
     """The answer of `identify`."""
 
     vehicle: Vehicle
-    reference: Reference  # what the flights leave uncertain of it
+    reference: Reference  # its posterior
     parameters: tuple[Identified, ...]
-    identifiable: tuple[Identifiable, ...]  # best known first
+    identifiable: tuple[Identifiable, ...]  # best identified first
     fit: dict[str, dict[str, float]]  # channel -> {"before", "after"}: NRMSE fit [%] on flights left out
     unrest: dict[str, Disturbance]  # channel -> noise and disturbance
     fields: dict[str, tuple[float, ...] | float]  # changed Vehicle field -> half-width of its interval
     flights: tuple[str, ...]
     notes: tuple[str, ...]
-    inconsistent_flights: tuple[InconsistentFlights, ...] = ()  # flights that contradict the others
+    inconsistent_flights: tuple[InconsistentFlights, ...] = ()
 
     def to_json(self) -> dict:
-        """Plain dicts, lists, strings and numbers."""
+        """Return the contents of report.json: plain dicts, lists, strings and numbers."""
         return {
             "vehicle": {f: getattr(self.vehicle, f) for f in self.fields},
             "parameters": [dataclasses.asdict(p) for p in self.parameters],
@@ -108,9 +107,9 @@ def identify(
     heldout: Sequence[FlightLog] = (),
     platform: bool = False,
 ) -> Identification:
-    """Fit the vehicle's own constants to flights.
+    """Return the vehicle's constants fitted to flights, with their posterior and identifiability.
 
-    heldout: flights for the fit in percent; without them each flight is judged with the others' fit.
+    heldout: flights for the fit in percent; without them each flight is evaluated with the others' fit.
     Raises UserError when no flight can be used.
     """
     notes: list[str] = []
@@ -125,7 +124,7 @@ def identify(
     places = [name for name in problem.library if LIBRARY[name].of_the_place]
     fit, noise_model = fit_jointly(problem, list(problem.library))
     inflation = autocorrelation_inflation(problem, fit.values)
-    # The vehicle is the best one without the errors of the formulas: no vehicle file can hold these.
+    # The vehicle is the best fit without model errors, which a vehicle file cannot represent.
     values = fit_least_squares(
         problem, {n: fit.values[n] for n in problem.library}, inflation, prior=slab_deviations
     ).values
@@ -216,6 +215,7 @@ def _half_width(problem: Problem, known: ParameterEstimate) -> float:
 
 
 def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tuple[Identified, ...]:
+    """Return the identified constants, effects of the place left out."""
     result = []
     for (effect, parameter), known in sized.items():
         p, value = problem.library[effect].parameter(parameter), values[effect][parameter]

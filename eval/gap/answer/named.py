@@ -1,16 +1,14 @@
-"""The effects of the most probable set: their sizes, what takes their place, and what they bring."""
+"""The named effects: estimates, confounded effects, and shares of the decrease in squared error."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable
 
 import numpy as np
 from scipy import stats
 
 from inclined_landing.eval.gap.flights.noise_model import NoiseModel
-from inclined_landing.eval.gap.plan.information import Hypothesis, set_hypotheses, unidentifiable_sets
 from inclined_landing.eval.gap.result import (
     Disturbance,
     Estimate,
@@ -22,12 +20,12 @@ from inclined_landing.eval.gap.search.evidence import Problem, Values
 from inclined_landing.eval.gap.search.fit import dersimonian_laird
 from inclined_landing.eval.gap.search.posterior import EffectSet
 from inclined_landing.eval.gap.search.prediction import CHANNELS
-from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, SetPosterior, posterior_mode
+from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, SetPosterior
 from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
 
-NAMED = 0.75  # probability from which on an effect is named: on development families, fewer are mostly wrong
-LIKELY = 0.03  # probability of a name from which on it may take another's place
-CREDIBLE = 0.95  # of the probability, by the sets that what takes an effect's place is looked for in
+NAMED = 0.75  # probability of an effect that is named; calibrated on development families
+LIKELY = 0.03  # probability of an effect that counts as confounded with another
+CREDIBLE = 0.95  # probability of the sets in which confounded effects are searched
 
 
 def named_effects(problem: Problem, found: SetPosterior, values: Values) -> tuple[NamedEffect, ...]:
@@ -55,9 +53,9 @@ def probable_effects(found: SetPosterior) -> EffectSet:
 
 
 def confounded_with(found: SetPosterior | ContactPosterior, name: str) -> tuple[str, ...]:
-    """Return the effects that replace `name` in probable sets without it, most probable first.
+    """Return the effects that replace `name` in probable sets, most probable first.
 
-    What stands beside it more probably than without it does not take its place.
+    An effect that is more probable together with `name` than without it is not confounded with it.
     """
     alone: dict[str, float] = defaultdict(float)  # probability of sets without `name`
     beside: dict[str, float] = defaultdict(float)  # and of sets with it
@@ -84,13 +82,6 @@ def squared_error_increase(problem: Problem, found: SetPosterior, values: Values
     after = squares_by_channel(problem, found, values)
     rest = {name: {n: v for n, v in values.items() if n != name} for name in values}
     return {name: squares_by_channel(problem, found, rest[name]) - after for name in values}
-
-
-def values_with(
-    problem: Problem, found: SetPosterior, names: EffectSet, weights=None
-) -> dict[str, dict[str, float]]:
-    """Return the posterior mode of the effects `names`; weights (g,): of the groups of windows."""
-    return posterior_mode(problem, found.local, frozenset(names), weights)
 
 
 def _estimates(problem: Problem, found: SetPosterior, values: Values) -> dict[str, dict[str, Estimate]]:
@@ -121,20 +112,6 @@ def _estimates(problem: Problem, found: SetPosterior, values: Values) -> dict[st
                 spread=known.between,
             )
     return result
-
-
-def scored_sets(problem: Problem, found: SetPosterior) -> tuple[ScoredSet, ...]:
-    """Return the sets with probabilities and standard errors."""
-    return _scored(set_hypotheses(problem, found)[0])
-
-
-def unseen_sets(problem: Problem, found: SetPosterior) -> tuple[ScoredSet, ...]:
-    """Return the best set extended by each unidentifiable effect, at prior odds."""
-    return _scored(unidentifiable_sets(problem, found))
-
-
-def _scored(hypotheses: Iterable[Hypothesis]) -> tuple[ScoredSet, ...]:
-    return tuple(ScoredSet(h.effects, h.probability, h.values, h.standard_errors) for h in hypotheses)
 
 
 def disturbances(problem: Problem, noise_model: NoiseModel) -> dict[str, Disturbance]:

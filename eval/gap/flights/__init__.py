@@ -1,1 +1,1 @@
-"""Measured flights as the search wants them."""
+"""Measured flights: windows, landings, noise model, whitening."""

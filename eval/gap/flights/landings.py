@@ -1,4 +1,4 @@
-"""Touchdowns cut out of flights: start state before the touch, and the motion after it that is compared."""
+"""Touchdowns cut out of flights: start state before contact, and the motion after it with its covariance."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ REST_ERROR = (0.0030, 0.0008, 0.0004, 0.008, 0.005, 0.012)
 
 @dataclasses.dataclass
 class Landing:
-    """One touchdown: what is needed to simulate and compare it."""
+    """One touchdown: start state, commands, measured motion and its covariance."""
 
     name: str
     dt: float
@@ -39,13 +39,13 @@ class Landing:
     measured: np.ndarray  # (k, 6) pose at the compared rows
     compared: np.ndarray  # (k,) steps after the start
     deviation: np.ndarray  # (k, 6) standard deviation of measured minus simulated
-    whiten: np.ndarray  # (6, k, k) what makes their errors independent, each of unit variance
+    whiten: np.ndarray  # (6, k, k) inverse Cholesky factors of the covariance
     command: np.ndarray  # (m, 4) of the whole log
     on_platform: bool
 
 
 def landings_of(logs: Sequence[FlightLog], vehicle: Vehicle) -> list[Landing]:
-    """The touchdowns of flights with a contact channel: the first touch after at least 0.3 s of flight."""
+    """Return the touchdowns of flights with a contact channel: first contacts after 0.3 s of flight."""
     found = []
     for log in logs:
         if log.contact is None or not log.contact.any():
@@ -63,11 +63,13 @@ def landings_of(logs: Sequence[FlightLog], vehicle: Vehicle) -> list[Landing]:
 
 
 def _landing(log: FlightLog, touch: int, dt: float, vehicle: Vehicle) -> Landing:
+    """Return the landing whose first contact is the row `touch`."""
     first = touch - round(BEFORE / dt)
     back = round(FIT_BEFORE / dt)
     pose = np.hstack([log.position, np.unwrap(log.attitude, axis=0)])
     noise = measurement_noise(pose)
-    # A parabola through the samples up to the start, and half as many after it, all before the touch.
+    # Start state: a local parabola (Savitzky-Golay) up to the start and half as far beyond it, before
+    # contact.
     ahead = min(back // 2, touch - first - 2)
     length = back + ahead + 1
     length -= 1 - length % 2
@@ -103,11 +105,13 @@ def _landing(log: FlightLog, touch: int, dt: float, vehicle: Vehicle) -> Landing
 
 
 def _covariance(t: np.ndarray, noise: np.ndarray, gain: Sequence[float]) -> np.ndarray:
-    """Covariance (6, k, k) of measured minus simulated pose at t (k,) [s] after the touch.
+    """Return the covariance (6, k, k) of measured minus simulated pose at t (k,) [s] after contact.
 
-    noise (6,) of the measurement; gain: what start pose and rates make of it. Errors of the start grow while
-    things move; the surface ends them along its normal, in roll and in pitch.
+    noise (6,) of the measurement; gain: noise gains of the start pose and rates. Start errors grow during the
+    motion; along the normal, in roll and in pitch they decay after contact.
     """
+    # C = sigma^2 [1 + (g_0^2 + g_1^2 t t') d d'] + contact model error,  d = exp(-t / TRANSIENT) in z, roll,
+    # pitch
     moving = np.clip(t, -BEFORE, 0.15) + BEFORE
     held = np.exp(-np.maximum(t, 0.0) / TRANSIENT)
     result = contact_model_covariance(t)
@@ -120,7 +124,8 @@ def _covariance(t: np.ndarray, noise: np.ndarray, gain: Sequence[float]) -> np.n
 
 
 def contact_model_covariance(t: np.ndarray) -> np.ndarray:
-    """Covariance (6, k, k) of what two idealised contacts differ by at t (k,) [s] after the touch."""
+    """Return the covariance (6, k, k) between two idealised contact models at t (k,) [s] after contact."""
+    # a^2 exp(-|t - t'| / TRANSIENT) f f' + b^2 s s',  f the transient's envelope, s = 1 - exp(-t / TRANSIENT)
     touched = np.clip(t / TRANSIENT, 0.0, 1.0)
     settled = 1.0 - np.exp(-np.maximum(t, 0.0) / TRANSIENT)
     fleeting = touched * np.exp(-np.maximum(t - 0.1, 0.0) / TRANSIENT)

@@ -1,8 +1,8 @@
 """Noise model: measurement noise and disturbance (process noise), by maximum likelihood from window errors.
 
-An Ornstein-Uhlenbeck acceleration in every channel, of some standard deviation and correlation time, on top
-of the measurement noise: both by maximum likelihood over all windows of all flights, intervals by flights
-drawn with replacement.
+The disturbance is an Ornstein-Uhlenbeck acceleration in every channel. Its standard deviation and correlation
+time and the variance of the measurement noise maximise the likelihood of all windows of all flights;
+intervals are from a bootstrap over flights.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 
 UNITS = ("m/s2",) * 3 + ("rad/s2",) * 3
 TIMES = np.geomspace(0.05, 1.6, 6)  # s
-# Sizes are sought between these shares of what the errors alone would ask for.
+# Grid of sizes, as shares of the size at which the disturbance alone would explain the errors.
 SIZE_FACTORS = np.geomspace(0.02, 3.0, 36)
-NOISE_VARIANCES = np.geomspace(0.5, 8.0, 13)  # variance of the noise over that seen in the log
+NOISE_VARIANCES = np.geomspace(0.5, 8.0, 13)  # grid of noise variances over those estimated from the log
 BOOTSTRAP_SAMPLES = 200
 
 
@@ -31,11 +31,11 @@ class NoiseModel:
     size_ci95: np.ndarray  # (2, 6)
     time: np.ndarray  # (6,) s, correlation time
     time_ci95: np.ndarray  # (2, 6)
-    noise: np.ndarray  # (6,) of the measurement over what every log shows by itself, at least 0.7
+    noise: np.ndarray  # (6,) measurement noise over that estimated from each log, at least 0.7
 
     @staticmethod
     def none() -> NoiseModel:
-        """Return zero disturbance and the noise seen in the logs."""
+        """Return zero disturbance and the noise estimated from the logs."""
         zero = np.zeros(6)
         return NoiseModel(zero, np.zeros((2, 6)), np.full(6, 0.3), np.full((2, 6), 0.3), np.ones(6))
 
@@ -48,8 +48,7 @@ def estimate(
 ) -> NoiseModel:
     """Return the maximum-likelihood noise model of errors (m, 6), measured minus predicted, of flights.
 
-    weights (w, 6) of the windows of every flight: the variance of their errors over what it would be beside
-    noise and disturbance alone, inverted; None: nothing else adds to the errors.
+    weights (w, 6) of the windows of every flight: inverse variance ratio by other errors; None: 1.
     """
     windows = [f.cut(e) for f, e in zip(flights, errors)]
     if weights is not None:
@@ -64,7 +63,7 @@ def _fit_channel(flights, windows, channel: int, seed: int):
     if channel == 5 and not any(f.has_yaw for f in flights):
         return 0.0, (0.0, 0.0), 0.3, (0.3, 0.3), 1.0
     parts = [_simultaneous_modes(f, w, channel) for f, w in zip(flights, windows)]
-    # The size at which disturbance alone, of middling correlation time, would explain the errors.
+    # The size at which the disturbance alone, of a medium correlation time, would explain the errors.
     middle = len(TIMES) // 2
     typical = np.median([z.mean() / v.mean() for v, z, _ in (p[middle] for p in parts)])
     sizes = SIZE_FACTORS * np.sqrt(max(typical, 1e-12))
@@ -79,7 +78,7 @@ def _fit_channel(flights, windows, channel: int, seed: int):
     total = table.sum(axis=0)
     size = _parabola_vertex(np.log(sizes), total[best[0], best[1]], best[2])
     time = _parabola_vertex(np.log(TIMES), total[:, best[1], best[2]], best[0])
-    if best[2] == 0:  # no more than the least that was tried
+    if best[2] == 0:  # the smallest size of the grid: no disturbance
         return (
             0.0,
             (0.0, float(size_ends[1])),
@@ -95,8 +94,9 @@ def _fit_channel(flights, windows, channel: int, seed: int):
 def _simultaneous_modes(flight: MeasuredFlight, windows: np.ndarray, channel: int):
     """Return, for every correlation time, (variances (q,) by unit disturbance, mean squares (q,), windows w).
 
-    In the directions in which noise has unit variance and disturbance is uncorrelated.
+    In the generalised eigenvectors that diagonalise the covariances of noise and disturbance together.
     """
+    # D v = lambda N v,  v'N v = 1:  a mode has the variance  noise + size^2 lambda
     error_responses = flight.error_responses
     noise = error_responses.noise(channel, flight.noise, flight.acceleration_noise)
     free = windows[..., channel] @ error_responses.projection[channel]
@@ -117,6 +117,7 @@ def _mean_squares(values: np.ndarray) -> np.ndarray:
 
 def _log_likelihood(part, sizes: np.ndarray) -> np.ndarray:
     """Return the log-likelihood (times, noise, sizes) of one flight."""
+    # log p = -1/2 w sum_q [log(n + s^2 lambda_q) + m_q / (n + s^2 lambda_q)],  m_q the mean square of mode q
     likelihoods = []
     for variance, squares, count in part:
         total = NOISE_VARIANCES[:, None, None] + sizes[None, :, None] ** 2 * variance

@@ -20,7 +20,7 @@ def read_flights(
     units: Sequence[str] = (),
     tick: Callable[[str], None] = lambda name: None,
 ) -> tuple[list[FlightLog], list[FlightLog], tuple[str, ...]]:
-    """Flights to fit, flights left out, and sentences on what limits them together.
+    """Return the flights to fit, the held-out flights, and notes on their common limits.
 
     units: as `roll=deg`. tick: called with the name of each file before it is read.
     Raises UserError, naming the file, for a log that cannot be used, one given twice, and flights of
@@ -51,10 +51,10 @@ def check_apart(*groups: Sequence[str]) -> None:
 
 
 def _names(files: Sequence[str]) -> list[str]:
-    """File names without suffix; with their folder where two are alike."""
+    """Return the file names without suffix; with their folder where two are equal."""
 
     def stem(file: str) -> str:
         return shown(Path(file).name).removesuffix(".gz").removesuffix(".csv")
 
-    alike = Counter(map(stem, files))
-    return [stem(f) if alike[stem(f)] == 1 else f"{shown(Path(f).parent.name)}/{stem(f)}" for f in files]
+    count = Counter(map(stem, files))
+    return [stem(f) if count[stem(f)] == 1 else f"{shown(Path(f).parent.name)}/{stem(f)}" for f in files]

@@ -1,9 +1,10 @@
-"""Window errors made white: start state projected out, noise and disturbance of known shape divided out.
+"""Whitening of window errors: the start state is projected out, and the Cholesky factor of the covariance
+applied.
 
-The error of a perfect model over a window is a line in time (unknown start position and velocity) plus
-position noise plus the double integral of an acceleration: white, fed in by the noise of the measured
-attitude, and the disturbance of the air, an Ornstein-Uhlenbeck process. Roll, pitch and yaw errors carry
-white noise, the free response of their loop, and its response to a disturbance in angular acceleration.
+The error of a perfect model over a window is a line in time (unknown start position and velocity), plus
+position noise, plus the double integral of an acceleration: white noise fed in through the measured attitude,
+and the disturbance, an Ornstein-Uhlenbeck process. Errors in roll, pitch and yaw are white noise, the free
+response of their loop, and its response to a disturbance in angular acceleration.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ class ErrorResponses:
     @staticmethod
     def of(rows: int, dt: float, vehicle: Vehicle) -> ErrorResponses:
         """Return the responses for windows of `rows` samples dt apart, attitude loops as of `vehicle`."""
+        # Responses to an acceleration held over a step dt, h(t) - h(t - dt), with the step responses h:
+        #   position t^2/2;  tilt (1 - m_0(t)) / (a b);  yaw [t - (1 - exp(-B t)) / B] / B
         t = np.arange(rows) * dt
         since = t[:, None] - t[None, :]
         modes, stiffness = _of_loop(vehicle)
@@ -53,6 +56,7 @@ class ErrorResponses:
 
     def noise(self, channel: int, noise: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         """Return the covariance (q, q) of a channel's error by measurement noise (see `Whitening.of`)."""
+        # N' (sigma^2 1 + s^2 H H') N,  N the projection, H the impulse responses
         free = self.projection[channel]
         covariance = noise[channel] ** 2 * np.eye(free.shape[1])
         if channel < 3:
@@ -62,6 +66,7 @@ class ErrorResponses:
 
     def unrest(self, channel: int, time: float) -> np.ndarray:
         """Return the error covariance (q, q) of a channel by a unit disturbance of a correlation time [s]."""
+        # N' H R H' N,  R_ij = exp(-|t_i - t_j| / T)
         fed = self.projection[channel].T @ self.impulse[channel]
         steps = np.arange(fed.shape[1]) * self.dt
         return fed @ np.exp(-np.abs(steps[:, None] - steps) / time) @ fed.T
@@ -69,6 +74,7 @@ class ErrorResponses:
 
 def _of_loop(vehicle: Vehicle):
     """Return the attitude loop's free responses to an initial angle and rate; its stiffness [1/s2]."""
+    # x'' + zeta (a + b) x' + a b x = 0,  a = 1 / tau:  poles -m +- h,  m = zeta (a + b) / 2,  h^2 = m^2 - a b
     a, b = 1.0 / vehicle.attitude_time_constant, vehicle.attitude_bandwidth
     mean = 0.5 * vehicle.attitude_damping * (a + b)
     half = np.sqrt(complex(mean * mean - a * b))
@@ -97,10 +103,11 @@ class Whitening:
         size: np.ndarray | None = None,
         time: np.ndarray | None = None,
     ) -> Whitening:
-        """Of noise (6,) of the measured pose [m, rad], acceleration (3,) noise per sample [m/s2].
+        """Return the whitening for noise (6,) of the pose [m, rad] and (3,) of the acceleration [m/s2].
 
-        size, time (6,): of the disturbance in every channel [m/s2, rad/s2], [s]; None: the air is still.
+        size, time (6,): of the disturbance in every channel [m/s2, rad/s2], [s]; None: no disturbance.
         """
+        # C = L L';  W = L^-1 N',  so that W e is white with unit variance
         factors = []
         for channel, free in enumerate(error_responses.projection):
             covariance = error_responses.noise(channel, noise, acceleration)
@@ -120,6 +127,7 @@ class Whitening:
 
     def amplitudes(self, white: np.ndarray) -> np.ndarray:
         """Return the constant acceleration [m/s2] or angle [rad] (w, 6) that fits each window's error."""
+        # Generalised least squares with the white unit response r:  x = r'e / r'r,  var x = 1 / r'r
         return np.einsum("wcq,cq->wc", white, self.unit_response) / self.power
 
     @property

@@ -1,7 +1,7 @@
-"""Measured flights cut into short windows: even time, noise from the data itself, regimes.
+"""Measured flights cut into short windows: resampling, smoothing, noise estimate, regimes.
 
-Windows of 0.6 s: long enough for a millimetre of position noise to tell an acceleration of a few cm/s2,
-short enough for the start state to be the only thing that a wrong model does not spoil.
+Windows of 0.6 s are long enough to resolve an acceleration of a few cm/s2 in a millimetre of position noise,
+and short enough for errors of a wrong model to stay small.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from inclined_landing.models.parameters import Vehicle
 WINDOW = 0.6  # s
 RATE = 100.0  # rows per second, at most, that the windows are made of
 SMOOTHING = 0.1  # s to either side of a sample, for velocities
-SKIP_AT_START = 0.25  # s at a log's start, for the thrust lag that nobody knows there
+SKIP_AT_START = 0.25  # s of a log, for the unknown thrust lag to decay
 NEAR = 0.15  # m above a surface that counts as near
 LOW_BATTERY = 3.4  # V under load
 REGIMES = ("hover", "climb", "lateral", "attitude_step", "near_surface", "low_battery")
@@ -31,7 +31,7 @@ REGIMES = ("hover", "climb", "lateral", "attitude_step", "near_surface", "low_ba
 IDLE = 0.3
 # Without contacts in the log, rows no higher than this above its lowest one, at its ends, may touch [m].
 GROUND_HEIGHT = 0.02
-# Least noise believed, where a log is so smooth that its noise cannot be seen: m, rad.
+# Lower bounds of the noise estimate, for smoothed logs: m, rad.
 LEAST_POSITION_NOISE, LEAST_ANGLE_NOISE = 1e-4, 3e-4
 
 
@@ -67,7 +67,7 @@ class MeasuredFlight:
 
     @property
     def samples(self) -> int:
-        """Rows m."""
+        """Return the number of rows m."""
         return len(self.t)
 
     @property
@@ -77,7 +77,7 @@ class MeasuredFlight:
 
     @property
     def measured(self) -> np.ndarray:
-        """Measured pose (m, 6)."""
+        """Return the measured pose (m, 6)."""
         return np.hstack([self.position, self.attitude])
 
     def rewhiten(self, error_responses: ErrorResponses, noise_model) -> None:
@@ -89,7 +89,7 @@ class MeasuredFlight:
         )
 
     def without_tilt(self, tilt: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Attitudes in the middle of every step, their rotations, and the first one, without a tilt [rad]."""
+        """Return mid-step attitudes, their rotations, and the first attitude, with a tilt [rad] removed."""
         cached = self._without_tilt.get(tilt)
         if cached is None:
             attitude = remove_tilt(self.middle_attitude, tilt)
@@ -100,12 +100,12 @@ class MeasuredFlight:
         return cached
 
     def cut(self, values: np.ndarray) -> np.ndarray:
-        """Windows (w, rows, ...) of the rows of `values` (m, ...)."""
+        """Return the windows (w, rows, ...) of `values` (m, ...)."""
         return values[self.starts[:, None] + np.arange(self.rows)]
 
 
 def remove_tilt(attitude: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
-    """Attitudes (m, 3) of the vehicle whose measured ones are `attitude`, by a tilt (roll, pitch) [rad]."""
+    """Return the attitudes (m, 3) of a vehicle measured with a tilt (roll, pitch) [rad] of motion capture."""
     # Ry(-pitch) Rx(-roll) undoes Rx(roll) Ry(pitch).
     out = np.empty_like(attitude)
     tilted(attitude, 0.0, -tilt[1], out)
@@ -190,7 +190,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
 
 
 def _resampled(log: FlightLog) -> FlightLog:
-    """The log on an even grid of at most RATE."""
+    """Return the log on an even time grid of at most RATE."""
     step = np.diff(log.t)
     dt = float(np.median(step))
     if np.abs(step - dt).max() > 0.02 * dt or 1.0 / dt > 1.05 * RATE:
@@ -201,7 +201,7 @@ def _resampled(log: FlightLog) -> FlightLog:
 def prepare_all(
     logs: Sequence[FlightLog], vehicle: Vehicle, platform: bool, notes: list[str]
 ) -> list[MeasuredFlight]:
-    """Those of `logs` that can be used; the others, and what the logs note, are added to `notes`.
+    """Return the usable `logs`; the reasons for the others, and notes of the logs, are added to `notes`.
 
     Raises UserError when none can be used.
     """
@@ -222,17 +222,16 @@ def prepare_all(
 
 
 def measurement_noise(values: np.ndarray) -> np.ndarray:
-    """Standard deviation of the white noise in every column of `values` (m, k), robustly.
-
-    From the residual of a cubic fitted to seven neighbouring rows, scaled by what the fit absorbs.
-    """
+    """Return the standard deviation (k,) of the white noise in `values` (m, k), by a robust estimate."""
+    # Residual r of a local cubic over seven rows (Savitzky-Golay), whose own weight in the fit is c:
+    #   sigma = 1.4826 median |r| / sqrt(1 - c)
     residual = (values - savgol_filter(values, 7, 3, axis=0))[3:-3]
     centre = savgol_filter(np.eye(7)[3], 7, 3)[3]
     return 1.4826 * np.median(np.abs(residual), axis=0) / math.sqrt(1.0 - centre)
 
 
 def in_free_flight(log: FlightLog, vehicle: Vehicle) -> np.ndarray:
-    """Which rows (m,) of a log are free flight: thrust commanded, nothing touched, not on the ground."""
+    """Return which rows (m,) are in free flight: thrust commanded, no contact, not on the ground."""
     dt = float(np.median(np.diff(log.t)))
     bad = np.isnan(log.position).any(axis=1) | np.isnan(log.attitude[:, :2]).any(axis=1)
     bad |= np.isnan(log.command[:, :3]).any(axis=1)
@@ -247,7 +246,7 @@ def in_free_flight(log: FlightLog, vehicle: Vehicle) -> np.ndarray:
     lead = len(resting) if resting.all() else int(np.argmin(resting))
     if lead * dt > 1.0 and height[0] < np.nanquantile(height, 0.02) + 0.01 < np.nanmedian(height) - 0.1:
         bad[:lead] = True
-    # The wake of what was touched or idle: 0.1 s after, 0.05 s before.
+    # Margins around contact and idling: 0.05 s before, 0.1 s after.
     wide = bad.copy()
     for k in np.flatnonzero(bad[1:] != bad[:-1]):
         wide[max(0, k - round(0.05 / dt)) : k + 2 + round(0.1 / dt)] = True
@@ -255,7 +254,7 @@ def in_free_flight(log: FlightLog, vehicle: Vehicle) -> np.ndarray:
 
 
 def _on_ground(height: np.ndarray) -> np.ndarray:
-    """Rows (m,) next to the lowest height as the record begins or ends, when it leads well above that."""
+    """Return the rows (m,) on the ground at a log's ends, in a log that climbs well above that."""
     low = ~(height > np.nanmin(height) + GROUND_HEIGHT)
     result = np.zeros(len(low), bool)
     if np.nanmedian(height) > np.nanmin(height) + 0.1 and not low.all():
@@ -265,6 +264,7 @@ def _on_ground(height: np.ndarray) -> np.ndarray:
 
 
 def _window_starts(usable: np.ndarray, rows: int) -> np.ndarray:
+    """Return the first rows (w,) of consecutive windows that are usable throughout."""
     starts, k = [], 0
     blocked = np.concatenate([[0], np.cumsum(~usable)])
     while k + rows <= len(usable):
@@ -277,7 +277,8 @@ def _window_starts(usable: np.ndarray, rows: int) -> np.ndarray:
 
 
 def _acceleration_noise(noise: np.ndarray, attitude: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """Noise (3,) of the predicted acceleration [m/s2] that the attitude noise makes."""
+    """Return the noise (3,) of the predicted acceleration [m/s2] by the attitude noise."""
+    # Thrust g tilted by the attitude error:  horizontal g sigma,  vertical g sigma sin(tilt)
     g = vehicle.environment_gravity
     tilt = math.sqrt(np.mean(attitude[:, :2] ** 2)) if len(attitude) else 0.0
     horizontal = g * math.sqrt(0.5 * (noise[3] ** 2 + noise[4] ** 2))
@@ -285,6 +286,7 @@ def _acceleration_noise(noise: np.ndarray, attitude: np.ndarray, vehicle: Vehicl
 
 
 def _regimes(flight: MeasuredFlight, vehicle: Vehicle, platform: bool) -> np.ndarray:
+    """Return the regimes (w, len(REGIMES)) of the windows."""
     speed = flight.cut(flight.velocity)
     horizontal = np.hypot(speed[..., 0], speed[..., 1]).mean(axis=1)
     vertical = np.abs(speed[..., 2]).mean(axis=1)

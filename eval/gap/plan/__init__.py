@@ -1,9 +1,10 @@
-"""The flight that tells: a safe flight that separates what a diagnosis holds for possible.
+"""Experiment design: the safe flight that discriminates best between the probable sets of a diagnosis.
 
-`design` chooses smooth pieces of flight by the information that they are expected to bring.
+`design` chooses smooth manoeuvres by their expected information gain.
 """
 
 from inclined_landing.eval.gap.plan.design import Plan, design
-from inclined_landing.eval.gap.plan.information import Hypothesis, NoiseLevels
+from inclined_landing.eval.gap.plan.information import NoiseLevels
+from inclined_landing.eval.gap.result import ScoredSet
 
-__all__ = ["Hypothesis", "NoiseLevels", "Plan", "design"]
+__all__ = ["NoiseLevels", "Plan", "ScoredSet", "design"]

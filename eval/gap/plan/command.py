@@ -1,4 +1,4 @@
-"""`landing-eval plan`: a report in; set-points, commands and a picture of the flight that tells out."""
+"""`landing-eval plan`: from a report to set-points, commands and a figure of the most informative flight."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ def command(
     vehicle: VehicleFile = None,
     seed: Seed = 0,
 ) -> None:
-    """The safe flight that tells best which of the sets of effects of a report is right.
+    """Plan the safe flight that discriminates best between the probable sets of a report.
 
-    Takes half a minute. Where no flight tells, it says what does and writes nothing.
+    Takes half a minute. Where no flight discriminates, it prints what would and writes nothing.
 
     Args:
         report: folder that landing-eval gap wrote.
         out: new folder for flight.csv, plan.json and plan.png.
-        seconds: of the flight.
-        vehicle: vehicle file (TOML) that the report was made with, where it is not where it was.
+        seconds: duration of the flight.
+        vehicle: vehicle file (TOML) of the report, where it has been moved.
         seed: of the search.
     """
     runs.check_new_run(out)
@@ -69,6 +69,7 @@ def command(
 
 
 def _designed(plan_input: PlanInput, seconds: float, seed: int) -> Plan:
+    """Return the plan, with a progress bar on a terminal."""
     console = Console(stderr=True)
     columns = (SpinnerColumn(), TextColumn("{task.description:22}"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
@@ -86,13 +87,13 @@ def _designed(plan_input: PlanInput, seconds: float, seed: int) -> Plan:
 
 
 def csv(plan: Plan) -> str:
-    """The flight as documented log columns, velocity and acceleration: micrometres, microradians."""
+    """Return the flight as documented log columns, velocity and acceleration: micrometres, microradians."""
     rows = [",".join(f"{x:.6f}" for x in row) for row in plan.points.table()]
     return "\n".join([",".join(COLUMNS), *rows]) + "\n"
 
 
 def to_json(plan: Plan, report: Path, seed: int) -> dict:
-    """The contents of plan.json."""
+    """Return the contents of plan.json."""
     states = np.concatenate([s.reshape(-1, s.shape[-1]) for s in plan.trajectories])
     sets = [
         {

@@ -28,7 +28,7 @@ class _RandomFeatures:
         k = samples.shape[1]
         self.mean, scale = samples.mean(axis=0), samples.std(axis=0)
         self.scale = np.where(scale > 0.0, scale, 1.0)
-        rng = np.random.RandomState(0)
+        rng = np.random.RandomState(0)  # legacy generator: keeps plans reproducible
         self.weights = np.sqrt(1.0 / k) * rng.normal(size=(k, FEATURES))
         self.phases = rng.uniform(0.0, 2.0 * np.pi, FEATURES)
 

@@ -1,4 +1,4 @@
-"""The choice of a flight: pieces drawn at random, put together by what they tell, and refined one by one."""
+"""Bayesian experiment design: random pieces of flight, chosen greedily by information gain, then refined."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from inclined_landing.eval.gap.plan import pieces, safety
 from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
-from inclined_landing.eval.gap.plan.information import Hypothesis, ModelDiscrimination, NoiseLevels
+from inclined_landing.eval.gap.plan.information import ModelDiscrimination, NoiseLevels, ScoredSet
 from inclined_landing.eval.gap.plan.pieces import Path, Piece, Space
 from inclined_landing.eval.gap.plan.safety import Violation
 from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
@@ -20,45 +20,41 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
 SECONDS = 20.0
-PIECES_PER_KIND = 8  # safe pieces of every kind
-DRAWS_PER_PIECE = 40  # draws for one that is safe
-REFINEMENT_ROUNDS = 3  # of refinement, each piece moved so often in each, by steps that shrink
-MOVES = 4
-STEPS = (0.25, 0.12, 0.06)
+PIECES_PER_KIND = 8  # random safe pieces of every kind
+DRAWS_PER_PIECE = 40  # at most, for one that is safe
+MOVES = 4  # random perturbations of a piece in each round of refinement
+STEPS = (0.25, 0.12, 0.06)  # their size in each round, shares of the bounds
 ATTEMPTS = 6  # flights simulated before giving up
-MOST_OF_A_KIND = (
-    3  # pieces of a kind, at most: what else may be missing shows in flights that are not all alike
-)
-MOST_SETS = 12  # the most probable sets that are told apart,
-LEAST_SHARE = 0.01  # none of them less probable than this share of the first
-SIMULATED = 6  # the most probable of these that the flight is simulated under
+MOST_OF_A_KIND = 3  # pieces of a kind: varied flights also excite what is not in the library
+MOST_SETS = 12  # most probable sets that are discriminated between
+LEAST_SHARE = 0.01  # of the first one's probability, for the others
+SIMULATED = 6  # most probable sets under which the flight is simulated
 
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """A safe flight and what it is expected to tell."""
+    """A safe flight and its expected information."""
 
     points: Setpoints
     discrimination: ModelDiscrimination
-    coverage: RegressorCoverage
-    expected: np.ndarray  # (K, K) probability of every set j after the flight where the set i is true
-    gain: float  # nat, expected decrease of the entropy of the sets
+    expected: np.ndarray  # (K, K) expected posterior probability of every set j where the set i is true
+    gain: float  # nat, expected information gain: decrease of the entropy of the sets
     trajectories: list[np.ndarray]  # states (copies, m, 13) of the simulated flights, by set
     refused: tuple[Violation, ...]  # of flights that were simulated before and not safe
 
     @property
     def path(self) -> Path:
-        """Where it goes."""
+        """Return the flight's path."""
         return self.points.path
 
     @property
     def expected_accuracy(self) -> float:
-        """Expected probability of the right set afterwards."""
+        """Return the expected posterior probability of the true set."""
         return float(self.discrimination.probabilities @ np.diag(self.expected))
 
 
 def design(
-    hypotheses: Sequence[Hypothesis],
+    hypotheses: Sequence[ScoredSet],
     vehicle: Vehicle,
     *,
     noise_levels: NoiseLevels | None = None,
@@ -69,17 +65,18 @@ def design(
     seed: int = 0,
     tick: Callable[[str], None] = lambda what: None,
 ) -> Plan:
-    """The flight of `seconds` that is expected to tell most about which set of effects `vehicle` lacks.
+    """Return the safe flight with the largest expected information about which set of effects is missing.
 
-    quiet: noise and disturbance of the flights at hand. broadly: what an unexplained residual depends on,
-    which the flight varies too (see `RegressorCoverage`). platform: the vehicle file's slab is there.
-    tick: called as the work goes on. The same arguments give the same plan.
+    noise_levels: of the flights at hand. vary: regressors of an unexplained residual, which the flight varies
+    too (see `RegressorCoverage`). platform: the slab of the vehicle file stands there. tick: called with
+    every stage. The same arguments give the same plan.
     Raises UserError when there is no room, the battery does not last, or no safe flight is found.
     """
     space = Space.of(vehicle, platform)
     if (voltage := safety.battery_voltage(vehicle, seconds)) < safety.LEAST_VOLTAGE:
         raise UserError(
-            f"after {seconds:g} s the vehicle file's battery is at {voltage:.2f} V; plan a shorter flight"
+            f"after {seconds:g} s the battery of the vehicle file is at {voltage:.2f} V; "
+            "plan a shorter flight"
         )
     known = probable_sets(hypotheses)
     discrimination = ModelDiscrimination(known, vehicle, noise_levels or NoiseLevels.typical(), library)
@@ -98,7 +95,7 @@ def design(
         if violation is None:
             gram = discrimination.gram(discrimination.flight(points, platform=platform))
             expected, gain = discrimination.expected(gram), discrimination.gain(gram)
-            return Plan(points, discrimination, coverage, expected, gain, trajectories, tuple(refused))
+            return Plan(points, discrimination, expected, gain, trajectories, tuple(refused))
         refused.append(violation)
         search.exclude(path, violation.time)
     raise UserError(
@@ -107,8 +104,8 @@ def design(
     )
 
 
-def probable_sets(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The sets that a flight is planned for, most probable first."""
+def probable_sets(hypotheses: Sequence[ScoredSet]) -> list[ScoredSet]:
+    """Return the sets that a flight discriminates between, most probable first."""
     ranked = sorted(hypotheses, key=lambda h: -h.probability)[:MOST_SETS]
     return [h for h in ranked if h.probability >= LEAST_SHARE * ranked[0].probability]
 
@@ -116,9 +113,9 @@ def probable_sets(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
 def most_informative_piece(
     discrimination: ModelDiscrimination, space: Space, seconds: float = SECONDS
 ) -> tuple[Piece, np.ndarray]:
-    """The one kind of piece that tells most when repeated for so long, and (K, K) what is expected of it.
+    """Return the piece of the largest information gain when repeated, and the expected posterior (K, K).
 
-    Each kind is looked at once, halfway within its bounds: half a second for all of them.
+    One piece of each kind is tried, at the middle of its bounds: half a second for all of them.
     """
     none = RegressorCoverage((), space, discrimination.noise_levels.noise)
     search = _Search(discrimination, none, space, seconds, np.random.default_rng(0), drawn=0)
@@ -127,7 +124,7 @@ def most_informative_piece(
 
 
 class _Search:
-    """Pieces with their matrices, and how a flight is put together from them."""
+    """Greedy search over sequences of pieces with their Gram matrices."""
 
     def __init__(
         self, discrimination, coverage, space: Space, seconds: float, rng, drawn: int = PIECES_PER_KIND
@@ -139,7 +136,7 @@ class _Search:
         self._add_information(self.pool)
 
     def _safe_pieces(self, kind: str, drawn: int) -> list[Piece]:
-        """Safe pieces of a kind: that halfway within its bounds, and so many drawn; fewer where few are."""
+        """Return safe pieces of a kind: the midpoint of its bounds, and up to `drawn` random ones."""
         found = [pieces.midpoint(kind)] if self._safe_setpoints(pieces.midpoint(kind)) is not None else []
         for _ in range(DRAWS_PER_PIECE * drawn):
             if len(found) > drawn:
@@ -150,16 +147,18 @@ class _Search:
         return found
 
     def _safe_setpoints(self, piece: Piece) -> Setpoints | None:
+        """Return the set-points of a piece flown alone; None where it is not safe."""
         points = setpoints(pieces.single_path(piece, self.space), self.space.vehicle)
         return points if safety.plan_violation(points, self.space) is None else None
 
     def _add_information(self, candidates: Sequence[Piece]) -> None:
-        """Matrices of pieces not seen before; None where they are not safe."""
+        """Compute the Gram matrices of new pieces; None where they are not safe."""
         new = [p for p in dict.fromkeys(candidates) if p not in self._information]
         with ThreadPoolExecutor(2) as pool:
             self._information |= dict(zip(new, pool.map(self._gram, new)))
 
     def _gram(self, piece: Piece) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the Gram matrices of a piece for the sets and for unknown functions."""
         points = self._safe_setpoints(piece)
         if points is None:
             return None
@@ -167,22 +166,22 @@ class _Search:
         return self.discrimination.gram(flight), self.coverage.gram(flight)
 
     def gain(self, chosen: Sequence[Piece]) -> float:
-        """What the pieces tell together [nat], of the sets and of the rest; -1 where one is not safe."""
+        """Return the information gain [nat] of pieces about sets and functions; -1 where one is not safe."""
         grams = [g for p in chosen if (g := self._information[p]) is not None]
         if len(grams) < len(chosen):
             return -1.0
-        of_sets, of_rest = (np.sum(g, axis=0) for g in zip(*grams))
-        return self.discrimination.gain(of_sets) + self.coverage.gain(of_rest)
+        of_sets, of_functions = (np.sum(g, axis=0) for g in zip(*grams))  # information is additive
+        return self.discrimination.gain(of_sets) + self.coverage.gain(of_functions)
 
     def repeated(self, piece: Piece) -> np.ndarray:
-        """Matrix (P, P) of a piece of the pool flown again and again until time is up."""
+        """Return the Gram matrix (P, P) of a piece of the pool repeated until time is up."""
         times = self.seconds / pieces.single_path(piece, self.space).seconds
         grams = self._information[piece]
         assert grams is not None  # pieces of the pool are safe
         return times * grams[0]
 
     def best(self) -> Path:
-        """The pieces of the pool that tell most together, refined, as one flight."""
+        """Return the flight of the largest information gain: greedy choice, then random local search."""
         chosen = self._greedy_choice()
         for step in STEPS:
             for k in range(len(chosen)):
@@ -195,10 +194,9 @@ class _Search:
         return pieces.joined_path(chosen, self.space, self.seconds)
 
     def _greedy_choice(self) -> list[Piece]:
-        """One piece after the other, that which gains most for its time, until time is up.
+        """Return pieces added by their gain per second until time is up (lazy greedy, Minoux 1978).
 
-        Beside more others a piece hardly ever gains more: those that gained too little before are not looked
-        at again (lazy greedy choice, Minoux 1978).
+        The gain is nearly submodular: a piece's earlier rate bounds its present one.
         """
         chosen: list[Piece] = []
         gain, taken = 0.0, pieces.joined_path([], self.space).seconds
@@ -223,19 +221,18 @@ class _Search:
             _, gain, taken, chosen = best
 
     def _feasible(self, chosen: Sequence[Piece]) -> bool:
-        """Whether the pieces fit in the time and are safe with the ways between them."""
+        """Return whether the pieces fit in the time and are safe with the moves between them."""
         path = pieces.joined_path(chosen, self.space)
         if path.seconds > self.seconds:
             return False
         return safety.plan_violation(setpoints(path, self.space.vehicle), self.space) is None
 
     def exclude(self, path: Path, time: float) -> None:
-        """Leave out, from now on, the piece flown at a time, or the next one."""
+        """Exclude the piece flown at a time (or the next one) and similar ones from the pool."""
         for span in path.spans:
             if time < span.stop + 0.5:
                 kind = span.piece.kind
                 own = np.array(span.piece.shares)
-                # Those like it too.
                 self.pool = [
                     p for p in self.pool if p.kind != kind or np.abs(np.array(p.shares) - own).max() > 0.25
                 ]

@@ -1,9 +1,8 @@
-"""What a flight is expected to tell: how far the probabilities of sets of effects move.
+"""Expected information gain of a flight about which set of effects is missing.
 
-Every set predicts the flight with its own values; how well these are known, and what nobody needs to correct
-of all other effects, are Gaussian. The prediction is linear in both, so that a flight is known by one matrix
-of scalar products of predictions, whitened by noise and disturbance. Such matrices add up over pieces of
-flight.
+Every set predicts the flight at its own values; their uncertainties, and negligible sizes of all other
+effects, are normal. The prediction is linear in both, so that the Gram matrix of white predictions is a
+sufficient statistic of a flight. Gram matrices are additive over pieces of flight.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import numpy as np
 from inclined_landing.eval.gap.flights.whitening import Whitening
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
+from inclined_landing.eval.gap.result import ScoredSet
 from inclined_landing.eval.gap.search.evidence import Candidates, Column, Problem, Values
 from inclined_landing.eval.gap.search.posterior import BETWEEN, SPIKE
 from inclined_landing.eval.gap.search.prediction import predict
@@ -25,40 +25,23 @@ from inclined_landing.eval.gap.search.sets import PRIOR_EMPTY, SetPosterior
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import Vehicle
 
-# A real flight tells less than a linear, perfectly flown one: gains are averaged over these shares.
+# Shares of the linear model's information over which gains are averaged: a real flight has less.
 INFORMATION_SHARES = (1.0, 0.1, 0.01)
-UNIDENTIFIABLE = (
-    0.7  # share of its prior width that flights leave of an effect which they could not have shown
-)
-DRAWS = 20  # of values and noise, for every set
-
-
-@dataclasses.dataclass(frozen=True)
-class Hypothesis:
-    """A set of effects that a diagnosis holds for possible; the empty set: nothing is missing."""
-
-    effects: tuple[str, ...]
-    probability: float
-    values: Values
-    standard_errors: Values = dataclasses.field(default_factory=dict)  # of the values, where they are known
-
-    @property
-    def text(self) -> str:
-        """Its names, as part of a sentence."""
-        return " with ".join(self.effects) if self.effects else "nothing"
+UNIDENTIFIABLE = 0.7  # posterior over prior standard deviation above which flights do not excite an effect
+DRAWS = 20  # Monte Carlo samples of every set
 
 
 @dataclasses.dataclass(frozen=True)
 class NoiseLevels:
-    """What a flight holds besides what any vehicle explains, of x, y, z, roll, pitch, yaw."""
+    """Measurement noise and disturbance of x, y, z, roll, pitch, yaw."""
 
     noise: np.ndarray  # (6,) standard deviation of the measured pose [m, rad]
     unrest: np.ndarray  # (6,) standard deviation of the disturbance [m/s2, rad/s2]
     time: np.ndarray  # (6,) its correlation time [s]
-    inflation: np.ndarray  # (6,) how much less a window tells than if it were independent of the next
+    inflation: np.ndarray  # (6,) variance inflation by the autocorrelation of windows
 
     def disturbed(self, vehicle: Vehicle) -> Vehicle:
-        """The vehicle in air of this unrest."""
+        """Return the vehicle with this disturbance."""
         size, time = (tuple(map(float, x)) for x in (self.unrest, self.time))
         fields: dict[str, Any] = {
             "unrest_acceleration": size[:3],
@@ -70,13 +53,13 @@ class NoiseLevels:
 
     @staticmethod
     def typical() -> NoiseLevels:
-        """A millimetre and 0.3 deg of noise in air that is never quite still."""
+        """Return typical levels: noise of a millimetre and 0.3 deg, and a small disturbance."""
         noise, unrest = [0.001] * 3 + [0.00524] * 3, [0.05] * 3 + [1.0] * 3
         return NoiseLevels(np.array(noise), np.array(unrest), np.full(6, 0.3), np.ones(6))
 
 
-def set_hypotheses(problem: Problem, found: SetPosterior) -> tuple[list[Hypothesis], NoiseLevels]:
-    """What a search holds for possible, with the noise and disturbance it found."""
+def set_hypotheses(problem: Problem, found: SetPosterior) -> tuple[list[ScoredSet], NoiseLevels]:
+    """Return the sets of a posterior as hypotheses, and its noise and disturbance levels."""
     hypotheses = []
     for scored in found.sets:
         names = tuple(n for n in problem.library if n in scored.names)
@@ -85,15 +68,15 @@ def set_hypotheses(problem: Problem, found: SetPosterior) -> tuple[list[Hypothes
         standard_errors: dict[str, dict[str, float]] = {n: {} for n in names}
         for (name, parameter), known in sized.items():
             standard_errors[name][parameter] = known.error
-        hypotheses.append(Hypothesis(names, scored.probability, values, standard_errors))
+        hypotheses.append(ScoredSet(names, scored.probability, values, standard_errors))
     noise = np.median([f.noise for f in problem.flights], axis=0) * found.noise_model.noise
     return hypotheses, NoiseLevels(noise, found.noise_model.size, found.noise_model.time, found.inflation)
 
 
-def unidentifiable_sets(problem: Problem, found: SetPosterior) -> list[Hypothesis]:
-    """The most probable set with each effect that the flights could not have shown, were it there.
+def unidentifiable_sets(problem: Problem, found: SetPosterior) -> list[ScoredSet]:
+    """Return the most probable set extended by each effect that the flights do not excite.
 
-    What nothing speaks against keeps its prior odds, at a size that is plausible.
+    Such an effect keeps its prior odds and a plausible size.
     """
     local, best = found.local, found.sets[0]
     share = 1.0 - PRIOR_EMPTY ** (1.0 / len(problem.library))
@@ -110,20 +93,21 @@ def unidentifiable_sets(problem: Problem, found: SetPosterior) -> list[Hypothesi
         values = {n: dict(best.values[n]) for n in best.names} | {name: effect.plausible}
         ordered = tuple(n for n in problem.library if n in names)
         odds = best.probability * share / (1.0 - share)
-        result.append(Hypothesis(ordered, odds, values, {name: width}))
+        result.append(ScoredSet(ordered, odds, values, {name: width}))
     return result
 
 
 class ModelDiscrimination(Candidates):
-    """Sets of effects on a vehicle, and the directions in which predictions may differ.
+    """Bayesian discrimination between sets of effects (Box and Hill 1967), in a linear-Gaussian model.
 
-    Directions are first the K sets, each at its values, then what is free: small sizes of all effects of the
-    library, and the parameters of each set. free (K, P): their standard deviations under every set.
+    The P directions of a prediction are the K sets, each at its values, then free parameters: negligible
+    sizes of all effects of the library, and the parameters of each set. free (K, P): their standard
+    deviations under every set.
     """
 
     def __init__(
         self,
-        hypotheses: Sequence[Hypothesis],
+        hypotheses: Sequence[ScoredSet],
         vehicle: Vehicle,
         noise_levels: NoiseLevels,
         library: Mapping[str, Effect] = LIBRARY,
@@ -158,16 +142,17 @@ class ModelDiscrimination(Candidates):
 
     @property
     def probabilities(self) -> np.ndarray:
-        """(K,) of the sets, before the flight."""
+        """Return the prior probabilities (K,) of the sets, before the flight."""
         return np.array([h.probability for h in self.hypotheses])
 
     def _add(self, values: Values, column: Column) -> None:
+        """Add a direction: the central difference along a column."""
         (low, high), step = self.central_difference(values, column, 1.0)
         self._pairs.append((low, high, step))
 
     @staticmethod
-    def _deviation(h: Hypothesis, name: str, p) -> float:
-        """How well a set's value is known; a quarter of its size where the diagnosis does not say."""
+    def _deviation(h: ScoredSet, name: str, p) -> float:
+        """Return the standard error of a set's value; a quarter of its size where the diagnosis has none."""
         known = h.standard_errors.get(name, {}).get(p.name)
         if known is None:
             known = 0.25 * abs(p.size(h.values[name].get(p.name, p.neutral)))
@@ -175,11 +160,11 @@ class ModelDiscrimination(Candidates):
         return float(min(max(known, SPIKE * p.negligible), 0.25 * (high - low)))
 
     def flight(self, points: Setpoints, *, platform: bool = False) -> MeasuredFlight:
-        """Set-points as a flight of the vehicle, flown perfectly and measured."""
+        """Return set-points as a measured flight of the vehicle, tracked perfectly."""
         return prepare(points.log("planned", self.noise_levels.noise), self.vehicle, platform=platform)
 
     def gram(self, flight: MeasuredFlight) -> np.ndarray:
-        """Scalar products (P, P) of the directions on a flight."""
+        """Return the Gram matrix (P, P) of the white directions on a flight."""
         noise_levels = self.noise_levels
         white_by = Whitening.of(
             flight.error_responses,
@@ -196,11 +181,12 @@ class ModelDiscrimination(Candidates):
         return white @ white.T
 
     def expected(self, gram: np.ndarray, seed: int = 0) -> np.ndarray:
-        """(K, K) expected probability of every set j after the flight where the set i is true."""
+        """Return (K, K): the expected posterior probability of every set j where the set i is true."""
         return self._simulated_posteriors(gram, _matrix_root(gram), seed).mean(axis=1)
 
     def gain(self, gram: np.ndarray, seed: int = 0) -> float:
-        """Expected decrease of the entropy of the sets [nat], averaged over TRUST."""
+        """Return the expected information gain [nat], averaged over INFORMATION_SHARES."""
+        # I = H(p) - E H(p | data),  H(p) = -sum_j p_j log p_j  (Lindley 1956)
         root, p = _matrix_root(gram), self.probabilities
         after = [
             p @ _entropy(self._simulated_posteriors(share * gram, math.sqrt(share) * root, seed)).mean(axis=1)
@@ -209,7 +195,9 @@ class ModelDiscrimination(Candidates):
         return float(_entropy(p) - np.mean(after))
 
     def _simulated_posteriors(self, gram: np.ndarray, root: np.ndarray, seed: int) -> np.ndarray:
-        """Probabilities (K, DRAWS, K) of the sets after flights drawn with each; root: of the matrix."""
+        """Return posterior probabilities (K, DRAWS, K) after flights simulated with each set."""
+        # Data enter as their scalar products with the directions: y = G x + N(0, G), x the direction of the
+        # true set i with its parameters drawn. Posterior p_j ~ p_j p(y | j), parameters of j marginalised.
         rng = np.random.default_rng(seed)
         x = rng.standard_normal((len(self), DRAWS, len(gram))) * self.free[:, None]
         x[np.arange(len(self)), :, np.arange(len(self))] += 1.0
@@ -224,7 +212,9 @@ class ModelDiscrimination(Candidates):
         return p / p.sum(axis=-1, keepdims=True)
 
     def _marginal_likelihood(self, gram: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray, float]:
-        """Of the log-likelihood of a set, what is free integrated out: its directions, factor, constant."""
+        """Return free directions, factor W and constant c of the marginal log-likelihood of a set."""
+        # log p(y | k) = y_k + 1/2 |W (y - G_k)|^2 + c,  L L' = 1 + D G D,  W = L^-1 D,
+        # c = -1/2 G_kk - log det L,  over the free directions with standard deviations D
         live = np.flatnonzero(self.free[k])
         d = self.free[k, live]
         lower = np.linalg.cholesky(np.eye(len(live)) + d[:, None] * gram[np.ix_(live, live)] * d)
@@ -233,11 +223,11 @@ class ModelDiscrimination(Candidates):
 
 
 def _matrix_root(gram: np.ndarray) -> np.ndarray:
-    """A matrix whose product with its transpose is `gram`."""
+    """Return a square root R of a positive semidefinite matrix: R R' = gram."""
     size, vectors = np.linalg.eigh(gram)
     return vectors * np.sqrt(np.maximum(size, 0.0))
 
 
 def _entropy(p: np.ndarray) -> np.ndarray:
-    """Entropy (...,) [nat] of probabilities (..., K)."""
+    """Return the entropy (...,) [nat] of probabilities (..., K)."""
     return -(p * np.log(np.maximum(p, 1e-300))).sum(axis=-1)

@@ -1,4 +1,4 @@
-"""The picture of a plan: the way through the arena, the pieces in time, the probabilities now and after."""
+"""The figure of a plan: its path in the arena, its pieces in time, and the probabilities before and after."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LETTERS = 34  # in a line of the names of a set
 
 
 def picture(plan: Plan, platform: bool) -> Figure:
-    """The whole figure; platform: the slab stands in the arena."""
+    """Return the figure; platform: the slab stands in the arena."""
     vehicle = plan.discrimination.vehicle
     with styled():
         figure = Figure(figsize=(WIDTH, HEIGHT))
@@ -42,14 +42,14 @@ def picture(plan: Plan, platform: bool) -> Figure:
         _way(above, plan, vehicle, platform, 1)
         _way(side, plan, vehicle, platform, 2)
         above.set_xlabel("")
-        above.set_title("The way set, from dark to light in time; simulated flights in grey", loc="left")
+        above.set_title("Planned path, from dark to light in time; simulated flights in grey", loc="left")
         _probabilities(panel(figure, 8.2, 3.2, 2.6, 4.1), plan)
         _timeline(panel(figure, 0.7, 0.5, 9.55, 1.5), plan)
     return figure
 
 
 def _way(axes: Axes, plan: Plan, v: Vehicle, platform: bool, across: int) -> None:
-    """Seen from above (across 1: y over x) or from the side (2: z over x)."""
+    """Draw the path from above (across 1: y over x) or from the side (2: z over x)."""
     ends = (v.arena_y, v.arena_z)[across - 1]
     axes.set_facecolor(AIR)
     axes.grid(True)
@@ -90,15 +90,15 @@ def _probabilities(axes: Axes, plan: Plan) -> None:
     sets = plan.discrimination.hypotheses
     y = np.arange(len(sets))
     after = np.diag(plan.expected)
-    axes.barh(y - 0.19, [h.probability for h in sets], 0.36, color=MUTED, label="now")
-    axes.barh(y + 0.19, after, 0.36, color=GREEN, label="expected afterwards, if it is right")
+    axes.barh(y - 0.19, [h.probability for h in sets], 0.36, color=MUTED, label="before the flight")
+    axes.barh(y + 0.19, after, 0.36, color=GREEN, label="expected after it, if true")
     for k, (h, a) in enumerate(zip(sets, after)):
         for at, x in ((k - 0.19, h.probability), (k + 0.19, a)):
             axes.text(min(x, 1.0) + 0.02, at, f"{x:.2f}", va="center", fontsize=7.5)
     names = [" + ".join(h.effects).replace("_", " ") or "nothing" for h in sets]
     axes.set_yticks(y, [textwrap.fill(name, _LETTERS) for name in names], fontsize=7.5)
     axes.set(xlim=(0, 1.15), ylim=(len(sets) - 0.45, -0.55), xticks=[0, 0.5, 1], xlabel="probability")
-    axes.set_title("Which effects are missing", loc="left")
+    axes.set_title("Probability of the sets of missing effects", loc="left")
     axes.legend(loc="upper right", bbox_to_anchor=(1.0, -0.11))
 
 

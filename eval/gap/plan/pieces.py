@@ -1,7 +1,7 @@
-"""Pieces of flight: hover, turns, doublets, runs, climbs, low passes ... each smooth, from rest to rest.
+"""Manoeuvres ("pieces"): hover, turns, doublets, runs, climbs, low passes ... each smooth, from rest to rest.
 
-A piece is a kind with a number for each of its parameters, within bounds. Pieces are joined by moves from
-rest to rest; the whole is a `Path`.
+A piece is a kind with a value for each of its parameters, within bounds. Pieces are joined by moves from rest
+to rest; the whole is a `Path`.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from inclined_landing.models.scene import compile_scene
 
 RATE = 100.0  # rows per second
 LEAD_IN = 1.0  # s of hover before the first piece
-MARGIN = 0.3  # m to the walls, floor, ceiling and slab, of paths
-SMOOTHING = 0.02  # s, of steps of a command
+MARGIN = 0.3  # m, clearance of paths to walls, floor, ceiling and slab
+SMOOTHING = 0.02  # s, standard deviation of the filter over steps of a command
 MOVE_SPEED, MOVE_ACCELERATION, TURN_RATE = 1.2, 3.0, 1.0  # m/s, m/s2, rad/s, at most, between pieces
 # Peak speed and acceleration of `_minimum_snap` over unit length in unit time.
 _PEAK_SPEED, _PEAK_ACCELERATION = 35.0 / 16.0, 84.0 / (5.0 * math.sqrt(5.0))
@@ -32,7 +32,7 @@ Trajectory = tuple[np.ndarray, np.ndarray]  # position (m, 3) [m], heading (m,) 
 
 @dataclasses.dataclass(frozen=True)
 class Space:
-    """Where may be flown: the arena within margins [m], and what is in it."""
+    """Free space: the arena within margins [m], and what stands in it."""
 
     low: np.ndarray  # (3,)
     high: np.ndarray  # (3,)
@@ -43,7 +43,7 @@ class Space:
 
     @staticmethod
     def of(vehicle: Vehicle, platform: bool) -> Space:
-        """The arena of the vehicle file. Raises UserError when there is no room."""
+        """Return the free space in the vehicle file's arena. Raises UserError when there is no room."""
         ends = np.array([vehicle.arena_x, vehicle.arena_y, vehicle.arena_z], float)
         low, high = ends[:, 0] + MARGIN, ends[:, 1] - MARGIN
         free_low, free_high = low.copy(), high.copy()
@@ -63,7 +63,7 @@ class Space:
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """A kind of piece."""
+    """A kind of piece: its parameters and trajectory."""
 
     template: str  # {parameter} stands for its value, angles in degrees
     bounds: Mapping[str, tuple[float, float]]
@@ -73,20 +73,20 @@ class Kind:
 
 @dataclasses.dataclass(frozen=True)
 class Piece:
-    """A kind with its parameters, as shares of their bounds: (k,) within 0 and 1."""
+    """A kind with its parameters, as shares (k,) of their bounds, 0 to 1."""
 
     kind: str
     shares: tuple[float, ...]
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Parameter values, SI units."""
+        """Return the parameter values, SI units."""
         bounds = KINDS[self.kind].bounds
         return {n: a + u * (b - a) for (n, (a, b)), u in zip(bounds.items(), self.shares)}
 
     @property
     def text(self) -> str:
-        """What is flown, as part of a sentence."""
+        """Return a description of the piece as part of a sentence."""
         angles = ("heading", "direction", "angle", "tilt", "rate")
         shown = {
             n: f"{math.degrees(x):.0f}" if n in angles else f"{x:.2g}" for n, x in self.parameters.items()
@@ -94,29 +94,29 @@ class Piece:
         return KINDS[self.kind].template.format(**shown)
 
     def trajectory(self, space: Space) -> Trajectory:
-        """The piece alone."""
+        """Return the trajectory of the piece."""
         return KINDS[self.kind].make(space, **self.parameters)
 
 
 def midpoint(kind: str) -> Piece:
-    """The piece of a kind with every parameter halfway within its bounds."""
+    """Return the piece of a kind with every parameter at the middle of its bounds."""
     return Piece(kind, (0.5,) * len(KINDS[kind].bounds))
 
 
 def draw(kind: str, rng: np.random.Generator) -> Piece:
-    """A piece of a kind with parameters drawn evenly within their bounds."""
+    """Return a random piece of a kind, parameters uniform within their bounds."""
     return Piece(kind, tuple(rng.random(len(KINDS[kind].bounds))))
 
 
 def perturbed(piece: Piece, rng: np.random.Generator, step: float) -> Piece:
-    """The piece with every parameter moved by a normal step, of this share of its bounds, and kept within."""
+    """Return the piece with every parameter perturbed by a normal step [share of its bounds], clipped."""
     shares = np.array(piece.shares) + step * rng.standard_normal(len(piece.shares))
     return Piece(piece.kind, tuple(np.clip(shares, 0.0, 1.0)))
 
 
 @dataclasses.dataclass(frozen=True)
 class Span:
-    """When a piece is flown, [s] of the path."""
+    """The time interval [s] of a piece in a path."""
 
     piece: Piece
     start: float
@@ -125,7 +125,7 @@ class Span:
 
 @dataclasses.dataclass(frozen=True)
 class Path:
-    """A whole flight, every 1/RATE s."""
+    """A reference path, sampled at RATE."""
 
     position: np.ndarray  # (m, 3) m
     yaw: np.ndarray  # (m,) rad, continuous
@@ -133,17 +133,17 @@ class Path:
 
     @property
     def t(self) -> np.ndarray:
-        """Time (m,) [s] from the start."""
+        """Return the time (m,) [s] from the start."""
         return np.arange(len(self.yaw)) / RATE
 
     @property
     def seconds(self) -> float:
-        """How long it takes."""
+        """Return the duration."""
         return len(self.yaw) / RATE
 
     @property
     def near(self) -> np.ndarray:
-        """(m,) bool: rows of a piece that goes close to a surface."""
+        """Return (m,) bool: rows of pieces close to a surface."""
         result = np.zeros(len(self.yaw), bool)
         for span in self.spans:
             if KINDS[span.piece.kind].near:
@@ -152,13 +152,13 @@ class Path:
 
 
 def joined_path(pieces: Sequence[Piece], space: Space, seconds: float | None = None) -> Path:
-    """The pieces one after the other from a hover at home, held to `seconds` if it is shorter."""
+    """Return the pieces in sequence from a hover at home, extended by a hover to `seconds`."""
     ways, spans, rows = [_hold(space.home, 0.0, LEAD_IN)], [], 0
     rows = len(ways[0][1])
     for piece in pieces:
         position, yaw = piece.trajectory(space)
         before = ways[-1]
-        # The same heading, whole turns apart, that is nearest.
+        # The equivalent heading nearest to the one before, whole turns apart.
         yaw = yaw + 2.0 * math.pi * round((before[1][-1] - yaw[0]) / (2.0 * math.pi))
         ways.append(_line(before[0][-1], position[0], before[1][-1], yaw[0]))
         rows += len(ways[-1][1])
@@ -173,7 +173,7 @@ def joined_path(pieces: Sequence[Piece], space: Space, seconds: float | None = N
 
 
 def single_path(piece: Piece, space: Space) -> Path:
-    """A piece with a short hover before and after it."""
+    """Return a path of one piece with a short hover before and after it."""
     position, yaw = piece.trajectory(space)
     ways = [_hold(position[0], yaw[0], 0.3), (position, yaw), _hold(position[-1], yaw[-1], 0.3)]
     position, yaw = (np.concatenate(x) for x in zip(*ways))
@@ -185,7 +185,8 @@ def _rows(seconds: float) -> int:
 
 
 def _minimum_snap(seconds: float) -> np.ndarray:
-    """From 0 to 1, from rest to rest, acceleration and jerk zero at both ends."""
+    """Return the minimum-snap polynomial (n,) from 0 to 1, at rest at both ends."""
+    # s(u) = 35 u^4 - 84 u^5 + 70 u^6 - 20 u^7
     u = (np.arange(_rows(seconds)) + 1) / _rows(seconds)
     return u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3)
 
@@ -196,7 +197,7 @@ def _hold(position, yaw: float, seconds: float) -> Trajectory:
 
 
 def _line(a, b, yaw: float = 0.0, turned: float | None = None, speed: float = MOVE_SPEED) -> Trajectory:
-    """From a to b, with a peak speed [m/s] where that takes no more than MOVE_ACCELERATION."""
+    """Return a straight minimum-snap move from a to b within a peak speed [m/s] and MOVE_ACCELERATION."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     turned = yaw if turned is None else turned
     length, turn = float(np.linalg.norm(b - a)), abs(turned - yaw)
@@ -221,9 +222,9 @@ def _horizontal(direction: float) -> np.ndarray:
 
 
 def _doublet(seconds: float, *lags: float) -> np.ndarray:
-    """One way, twice as long the other, the one way again, behind first-order lags [s].
+    """Return a 1-2-1 doublet (n,) of unit size through first-order lags [s].
 
-    An acceleration of this form leaves speed and place as they were.
+    An acceleration of this form leaves velocity and position unchanged.
     """
     rest = 5.0 * max(lags)
     parts = [(0.0, 0.1), (1.0, seconds), (-1.0, 2 * seconds), (1.0, seconds), (0.0, rest)]
@@ -236,7 +237,7 @@ def _doublet(seconds: float, *lags: float) -> np.ndarray:
 
 
 def _integrated(start, acceleration: np.ndarray, yaw: float) -> Trajectory:
-    """From rest at `start` under an acceleration (m, 3) whose first integral ends at zero."""
+    """Return the trajectory from rest at `start` under an acceleration (m, 3) whose integral ends at zero."""
     speed = np.cumsum(acceleration, axis=0) / RATE
     speed = speed - np.linspace(0.0, 1.0, len(speed))[:, None] * speed[-1]  # rounding of the durations
     return start + np.cumsum(speed, axis=0) / RATE, np.full(len(speed), yaw)
@@ -270,7 +271,7 @@ def _climb(space: Space, height: float, speed: float) -> Trajectory:
 
 
 def _heave(space: Space, height: float, frequency: float) -> Trajectory:
-    """Two and a half swings; smooth at both ends."""
+    """Return two and a half vertical oscillations, tapered at both ends."""
     t = np.arange(_rows(2.5 / frequency)) / RATE
     fade = np.sin(np.pi * np.clip(np.minimum(t, t[-1] - t) * frequency, 0.0, 0.5)) ** 2
     z = 0.5 * height * fade * np.sin(2 * np.pi * frequency * t)
@@ -284,7 +285,7 @@ def _run(space: Space, distance: float, speed: float, direction: float, heading:
 
 
 def _circle(space: Space, radius: float, speed: float, seconds: float, nose: float) -> Trajectory:
-    """Round home from rest to rest; nose 0: one heading, 1: it turns with the path."""
+    """Return a circle around home from rest to rest; nose 0: constant heading, 1: tangential heading."""
     rate = np.convolve(np.ones(_rows(seconds)), np.diff(_minimum_snap(1.0), prepend=0.0))
     angle = np.cumsum(rate) / RATE * speed / radius
     around = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
@@ -294,7 +295,7 @@ def _circle(space: Space, radius: float, speed: float, seconds: float, nose: flo
 def _low_manoeuvre(
     above: np.ndarray, low: np.ndarray, over: np.ndarray, heading: float, seconds: float
 ) -> Trajectory:
-    """From `above` to `low`, from there over to another low point, and up again."""
+    """Return a descent from `above` to `low`, a low move to `over`, and a climb."""
     up = over + (above - low)
     return _concatenated(
         _line(above, low, heading, speed=0.5),
@@ -322,8 +323,8 @@ def _slope_hover(space: Space, height: float, seconds: float, heading: float) ->
 
 
 _TURN = (-math.pi, math.pi)
-# Bounds are those of ordinary flights: what every model leaves out grows faster with the excitation than what
-# the sets differ in.
+# Bounds are those of ordinary flights: unmodelled dynamics grow faster with the excitation than the
+# differences between the sets.
 KINDS: dict[str, Kind] = {
     "hover": Kind("hover for {seconds} s at a heading of {heading} deg",
         {"heading": _TURN, "seconds": (1.2, 3.0)}, _hover),
@@ -353,5 +354,5 @@ KINDS: dict[str, Kind] = {
 
 
 def kinds(space: Space) -> tuple[str, ...]:
-    """The kinds of pieces that can be flown here."""
+    """Return the kinds of pieces that are possible in a space."""
     return tuple(name for name in KINDS if space.platform or name != "slope_hover")

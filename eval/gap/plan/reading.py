@@ -1,4 +1,4 @@
-"""What a plan needs of a report folder of `landing-eval gap`."""
+"""Reader of a report folder of `landing-eval gap` for experiment design."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.eval.gap.plan.information import Hypothesis, NoiseLevels
+from inclined_landing.eval.gap.plan.information import NoiseLevels, ScoredSet
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, shown
@@ -22,13 +22,13 @@ CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 @dataclasses.dataclass(frozen=True)
 class PlanInput:
-    """What a report holds for possible, and the flights it comes from."""
+    """The sets of a report, its vehicle, and noise and disturbance of its flights."""
 
-    hypotheses: list[Hypothesis]  # of effects that show in flight, most probable first
+    hypotheses: list[ScoredSet]  # of effects that show in flight, most probable first
     vehicle: Vehicle  # the one diagnosed
     noise_levels: NoiseLevels
     platform: bool  # the slab stood in the arena
-    vary: tuple[str, ...]  # what an unexplained remainder depends on
+    vary: tuple[str, ...]  # regressors of an unexplained residual
 
 
 def read_report(folder: Path, vehicle: Path | None = None) -> PlanInput:
@@ -49,7 +49,7 @@ def read_report(folder: Path, vehicle: Path | None = None) -> PlanInput:
 
 
 def plan_input(report: Mapping, vehicle: Vehicle, name: str = "report") -> PlanInput:
-    """What a plan needs of the contents of `report.json`; vehicle: the one diagnosed.
+    """Return the input of a plan from the contents of `report.json`; vehicle: the one diagnosed.
 
     Raises UserError that begins with `name`.
     """
@@ -62,9 +62,9 @@ def plan_input(report: Mapping, vehicle: Vehicle, name: str = "report") -> PlanI
     return PlanInput(sets, vehicle, noise_levels, platform, _read_dependences(report, name))
 
 
-def _read_hypotheses(report: Mapping, name: str) -> list[Hypothesis]:
-    """The sets of a report and those its flights could not have shown, without what touchdowns show."""
-    found: dict[tuple[str, ...], Hypothesis] = {}
+def _read_hypotheses(report: Mapping, name: str) -> list[ScoredSet]:
+    """Return the sets of a report, the unidentifiable ones included, without effects of contact."""
+    found: dict[tuple[str, ...], ScoredSet] = {}
     for what, row in [*_rows(report, "sets", name), *_rows(report, "unseen", name)]:
         names = row.get("effects")
         if not isinstance(names, (list, tuple)) or not all(isinstance(n, str) for n in names):
@@ -82,14 +82,14 @@ def _read_hypotheses(report: Mapping, name: str) -> list[Hypothesis]:
             probability += found[free_flight].probability
             found[free_flight] = dataclasses.replace(found[free_flight], probability=probability)
         else:
-            found[free_flight] = Hypothesis(free_flight, probability, values, standard_errors)
+            found[free_flight] = ScoredSet(free_flight, probability, values, standard_errors)
     if sum(h.probability for h in found.values()) <= 0.0:
         raise UserError(f"{name}: no set has a probability above 0")
     return sorted(found.values(), key=lambda h: -h.probability)
 
 
 def _rows(report: Mapping, key: str, name: str) -> list[tuple[str, dict]]:
-    """The tables of a list in a report, each with how sentences call it."""
+    """Return the tables of a list in a report, each with its name in error messages."""
     rows = report.get(key, ())
     if not isinstance(rows, (list, tuple)) or (key == "sets" and not rows):
         raise UserError(f"{name}: {key} must be a list of sets of effects")
@@ -97,7 +97,7 @@ def _rows(report: Mapping, key: str, name: str) -> list[tuple[str, dict]]:
 
 
 def _values(row: Mapping, key: str, name: str, what: str, *, needed: bool) -> dict[str, float]:
-    """Numbers of the parameters of an effect in a set."""
+    """Return the numbers of the parameters of an effect in a set."""
     where = f"{what}.{key}.{name}"
     table = _table(row.get(key, {}), f"{what}.{key}")
     if name not in table and needed:
@@ -121,7 +121,7 @@ def _values(row: Mapping, key: str, name: str, what: str, *, needed: bool) -> di
 
 
 def _read_dependences(report: Mapping, name: str) -> tuple[str, ...]:
-    """What the remainder of an `unknown` verdict depends on."""
+    """Return the regressors that the residual of an `unknown` verdict depends on."""
     if report.get("verdict") != "unknown":
         return ()
     residual = _table(report.get("remainder", {}), f"{name}: remainder")
@@ -138,7 +138,7 @@ def _read_dependences(report: Mapping, name: str) -> tuple[str, ...]:
 
 
 def _read_noise_levels(report: Mapping, name: str) -> NoiseLevels:
-    """Noise and disturbance of the flights, channel by channel; what is usual where the report has none."""
+    """Return noise and disturbance of the flights by channel; typical levels where the report has none."""
     usual = NoiseLevels.typical()
     noise = _table(report.get("noise", {}), f"{name}: noise")
     unrest = _table(report.get("unrest", {}), f"{name}: unrest")

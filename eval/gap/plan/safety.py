@@ -1,7 +1,7 @@
-"""Is a planned flight safe? Set-points within limits, and flights simulated under every set of effects.
+"""Safety of a planned flight: set-points within limits, and flights simulated under every set of effects.
 
-The simulated pilot follows the set-points as simply as can be: proportional, rate and integral feedback of
-the measured position beside the commands of the plan, which know nothing of the hidden effects.
+The simulated pilot tracks the set-points with PID feedback of the measured position beside the feed-forward
+commands of the plan, which are those of the nominal vehicle.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from inclined_landing.models.surface import normal_of
 
 SPEED = 3.0  # m/s, at most
 TILT = 0.8  # of the attitude limit, at most, in a plan; simulated flights may use all of it
-THRUST_MARGIN = 0.05  # of the range of the PWM, at either end, in a plan
-CLEAR, CLEAR_NEAR = 0.15, 0.02  # m from any part to any surface in simulated flights; in pieces near one
+THRUST_MARGIN = 0.05  # of the PWM range, kept at both ends in a plan
+CLEAR, CLEAR_NEAR = 0.15, 0.02  # m, least clearance in simulated flights; in pieces near a surface
 LEAST_VOLTAGE = 3.0  # V under load, at the end
-# The vehicle's own uncertainty beside the hidden effects: every simulated copy has another draw.
+# Parameter uncertainty of the vehicle beside the effects: every simulated copy has another sample.
 COPIES = 4
 UNCERTAINTY = {"thrust_scale": 0.03, "lag_scale": 0.2, "drag_change": 0.3, "gain_scale": 0.05,
     "time_constant_scale": 0.15, "mass_scale": 0.01}  # fmt: skip
-# Of the pilot: proportional, rate, integral; heading: proportional.
+# Gains of the pilot: proportional, derivative, integral; of the heading proportional.
 SIDEWAYS, UPWARD, HEADING = (4.0, 3.2, 1.0), (8.0, 5.0, 3.0), 1.5  # 1/s2, 1/s, 1/s3; 1/s
 
 
 @dataclasses.dataclass(frozen=True)
 class Violation:
-    """What is not safe, first where."""
+    """The first violation of a safety limit."""
 
     time: float  # s
     text: str
 
 
 def plan_violation(points: Setpoints, space: Space) -> Violation | None:
-    """What a plan itself breaks, the first of it; None if nothing."""
+    """Return the first safety limit that the set-points violate; None if none."""
     v, path = space.vehicle, points.path
     speed = np.linalg.norm(points.velocity, axis=1)
     inside = np.minimum(path.position - space.low, space.high - path.position)
@@ -68,7 +68,7 @@ def plan_violation(points: Setpoints, space: Space) -> Violation | None:
 
 
 def battery_voltage(vehicle: Vehicle, seconds: float) -> float:
-    """Voltage under hover load [V] that the vehicle file's battery has left after so many seconds."""
+    """Return the voltage under hover load [V] of the vehicle file's battery after so many seconds."""
     v = vehicle
     drop = v.effects_voltage_drop * v.hover_pwm
     return v.effects_voltage_open - drop - v.effects_voltage_discharge * seconds
@@ -77,10 +77,10 @@ def battery_voltage(vehicle: Vehicle, seconds: float) -> float:
 def simulate_plan(
     points: Setpoints, vehicles: Sequence[Vehicle], space: Space, noise_levels: NoiseLevels, seed: int = 0
 ) -> tuple[Violation | None, list[np.ndarray]]:
-    """The first thing that goes wrong when each of `vehicles`, as uncertain as it is, flies the plan.
+    """Return the first violation when each of `vehicles`, with its uncertainty, flies the plan.
 
-    Also the states (COPIES, m, 13) of every one at the control rate. quiet: noise of what the pilot sees, and
-    disturbance of the air.
+    Also the states (COPIES, m, 13) of every one at the control rate. noise_levels: measurement noise of the
+    pilot's feedback, and disturbance.
     """
     with ThreadPoolExecutor(2) as pool:
         states_of_all = list(
@@ -93,7 +93,7 @@ def simulate_plan(
 
 
 def fly(points: Setpoints, vehicle: Vehicle, space: Space, noise_levels: NoiseLevels, seed) -> np.ndarray:
-    """States (COPIES, m, 13) of a vehicle that the pilot flies along the plan in MuJoCo; NaN from a crash."""
+    """Return the states (COPIES, m, 13) of a vehicle flown along the plan in MuJoCo; NaN after a contact."""
     rng = np.random.default_rng(seed)
     plant = MujocoPlant(COPIES, noise_levels.disturbed(vehicle), threads=1, unrest=rng)
     drawn = {n: rng.uniform(-s, s, COPIES) * (np.arange(COPIES) > 0) for n, s in UNCERTAINTY.items()}
@@ -118,7 +118,8 @@ def fly(points: Setpoints, vehicle: Vehicle, space: Space, noise_levels: NoiseLe
 
 
 def _pilot(points: Setpoints, row: int, measured: np.ndarray, integral: np.ndarray, dt: float, v: Vehicle):
-    """Commands (n, 4) from what is seen (n, 13); integral (n, 3) is changed in place."""
+    """Return the commands (n, 4) for measured states (n, 13); integral (n, 3) is updated in place."""
+    # a = a_d + Kp (x_d - x) + Kd (v_d - v) + Ki int (x_d - x) dt,  inverted to thrust, roll and pitch
     error = points.path.position[row] - measured[:, X : Z + 1]
     integral += dt * np.clip(error, -0.5, 0.5)
     gains = np.array([SIDEWAYS, SIDEWAYS, UPWARD]).T
@@ -141,6 +142,7 @@ def _pilot(points: Setpoints, row: int, measured: np.ndarray, integral: np.ndarr
 
 
 def _simulation_violation(states: np.ndarray, points: Setpoints, space: Space) -> Violation | None:
+    """Return the first safety limit that simulated states (COPIES, m, 13) violate; None if none."""
     v = space.vehicle
     stride = max(1, round(len(points.path.yaw) / states.shape[1]))
     near = points.path.near[::stride][: states.shape[1]]
@@ -165,7 +167,7 @@ def _simulation_violation(states: np.ndarray, points: Setpoints, space: Space) -
 
 
 def clearance(position: np.ndarray, attitude: np.ndarray, space: Space) -> np.ndarray:
-    """Distance (...,) [m], not more than that, from a vehicle to the floor and, where it stands, the slab.
+    """Return a lower bound (...,) [m] of the clearance to the floor and, where it stands, the slab.
 
     position (..., 3) of its centre, attitude (..., 3): roll, pitch, yaw.
     """
@@ -182,7 +184,7 @@ def clearance(position: np.ndarray, attitude: np.ndarray, space: Space) -> np.nd
 
 
 def _first(*checks: tuple[str, np.ndarray], step: float = 1.0 / RATE) -> Violation | None:
-    """The earliest row that a check (text, (m,) bool) finds wrong."""
+    """Return the earliest row at which one of the checks (text, (m,) bool) is violated."""
     found = [
         Violation(float(np.argmax(violations)) * step, text)
         for text, violations in checks

@@ -1,4 +1,4 @@
-"""A path as set-points and as the commands that a vehicle needs to fly it perfectly."""
+"""Set-points of a path and the feed-forward commands of a vehicle (differential flatness)."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ COLUMNS = (
 
 @dataclasses.dataclass(frozen=True)
 class Setpoints:
-    """Where a vehicle is to be, and the commands that bring a vehicle there that flies as modelled."""
+    """A reference trajectory and the feed-forward commands that track it with the nominal vehicle."""
 
     path: Path
     velocity: np.ndarray  # (m, 3) m/s
     acceleration: np.ndarray  # (m, 3) m/s2
     attitude: np.ndarray  # (m, 3) rad: roll, pitch, yaw
     command: np.ndarray  # (m, 4) PWM, roll, pitch [rad], yaw rate [rad/s]
-    lead: np.ndarray  # (m, 3) the part of PWM, roll and pitch that makes up for lags
+    lead: np.ndarray  # (m, 3) the part of PWM, roll and pitch that compensates lags and delays
 
     def table(self) -> np.ndarray:
-        """The numbers of COLUMNS (m, 17): the documented log with velocity and acceleration."""
+        """Return the numbers of COLUMNS (m, 17): the documented log with velocity and acceleration."""
         p = self.path
         return np.column_stack(
             [p.t, p.position, self.attitude, self.command, self.velocity, self.acceleration]
         )
 
     def log(self, name: str, noise: np.ndarray) -> FlightLog:
-        """The flight as if flown perfectly and measured with noise (6,) [m, rad], seed 0."""
+        """Return the flight as tracked perfectly and measured with noise (6,) [m, rad], seed 0."""
         rng = np.random.default_rng(0)
         measured = np.hstack([self.path.position, self.attitude])
         measured = measured + noise * rng.standard_normal(measured.shape)
@@ -45,7 +45,7 @@ class Setpoints:
 
 
 def thrust_and_angles(acceleration: np.ndarray, yaw: np.ndarray, gravity: float) -> tuple:
-    """Thrust per mass (...,) [m/s2], roll and pitch (..., 2) [rad] that give an acceleration (..., 3)."""
+    """Return thrust per mass (...,) [m/s2], roll and pitch (..., 2) [rad] for an acceleration (..., 3)."""
     thrust = acceleration + np.array([0.0, 0.0, gravity])
     size = np.linalg.norm(thrust, axis=-1)
     d = thrust / size[..., None]
@@ -58,7 +58,9 @@ def thrust_and_angles(acceleration: np.ndarray, yaw: np.ndarray, gravity: float)
 
 
 def setpoints(path: Path, vehicle: Vehicle) -> Setpoints:
-    """The path with the commands that `vehicle` needs, lags and delays made up for, drag left to feedback."""
+    """Return the path with the feed-forward commands of `vehicle`: lags and delays inverted, drag ignored."""
+    # Thrust lag (first order):  u = PWM + dPWM/dt / rate.  Attitude loop (second order, gain k):
+    #   u = [angle + 2 zeta (tau + 1/B) / 2 d(angle)/dt + tau/B d2(angle)/dt2] / k
     v, dt = vehicle, 1.0 / RATE
     velocity = np.gradient(path.position, dt, axis=0)
     acceleration = np.gradient(velocity, dt, axis=0)
@@ -87,6 +89,6 @@ def setpoints(path: Path, vehicle: Vehicle) -> Setpoints:
 
 
 def _ahead(values: np.ndarray, delay: float) -> np.ndarray:
-    """Rows (m, ...) as they come `delay` s later, the last ones held."""
+    """Return rows (m, ...) advanced by `delay` s, the last ones held."""
     rows = round(delay * RATE)
     return values[np.minimum(np.arange(len(values)) + rows, len(values) - 1)]

@@ -1,4 +1,4 @@
-"""What a plan says: of sets that are in doubt, of the flight, of what is expected afterwards."""
+"""Sentences on a plan: sets in doubt, manoeuvres, expected probabilities."""
 
 from __future__ import annotations
 
@@ -14,16 +14,14 @@ from inclined_landing.eval.gap.search.evidence import Problem
 from inclined_landing.eval.gap.search.sets import SetPosterior
 from inclined_landing.models.effects import LIBRARY
 
-DECIDED = 0.95  # probability at which a set stands alone
-LEAST_GAIN = 0.05  # nat, least gain of a flight that is worth flying
-SHOWN_ABOVE = 0.02  # probability from which a set is worth a word
-LEFT_IN_DOUBT = (
-    0.5  # share of the doubt between two sets that is left where a flight does not tell them apart
-)
+DECIDED = 0.95  # probability of a set from which on no flight is needed
+LEAST_GAIN = 0.05  # nat, information gain of a flight that is worth flying
+SHOWN_ABOVE = 0.02  # probability of a set that is mentioned
+LEFT_IN_DOUBT = 0.5  # share of the doubt above which two sets stay indistinguishable after a flight
 
 
 def discriminating_manoeuvre(problem: Problem, found: SetPosterior, platform: bool) -> str:
-    """What tells apart what a search holds for possible, in words (see `discrimination_text`)."""
+    """Return sentences on the manoeuvre that discriminates between the probable sets of a posterior."""
     hypotheses, noise_levels = set_hypotheses(problem, found)
     discrimination = ModelDiscrimination(
         probable_sets(hypotheses), problem.vehicle, noise_levels, problem.library
@@ -32,7 +30,7 @@ def discriminating_manoeuvre(problem: Problem, found: SetPosterior, platform: bo
 
 
 def discrimination_text(discrimination: ModelDiscrimination, platform: bool) -> str:
-    """What tells the sets in doubt apart, in words: one kind of piece, or no flight; "": nothing is in doubt.
+    """Return sentences on the manoeuvre that discriminates best between the sets; "": nothing is in doubt.
 
     platform: the slab of the vehicle file stands in the arena.
     """
@@ -48,7 +46,7 @@ def discrimination_text(discrimination: ModelDiscrimination, platform: bool) -> 
 
 
 def _shown(discrimination: ModelDiscrimination) -> tuple[str, dict[int, str]]:
-    """A sentence on what all sets worth telling share, and what else is in each, by its place."""
+    """Return a sentence on the effects common to the probable sets, and the rest of each by its index."""
     shown = {k: h.effects for k, h in enumerate(discrimination.hypotheses) if h.probability >= SHOWN_ABOVE}
     shared = [n for n in next(iter(shown.values())) if all(n in names for names in shown.values())]
     rest = {k: [n for n in names if n not in shared] for k, names in shown.items()}
@@ -57,14 +55,14 @@ def _shown(discrimination: ModelDiscrimination) -> tuple[str, dict[int, str]]:
 
 
 def competing_sets(discrimination: ModelDiscrimination) -> str:
-    """What is held for possible, in a sentence or two."""
+    """Return a sentence or two on the sets in doubt."""
     shared, texts = _shown(discrimination)
     rows = [f"{text} ({discrimination.probabilities[k]:.2f})" for k, text in texts.items()]
     return f"{shared}In doubt: {_joined(rows, 'or')}."
 
 
 def outcome(discrimination: ModelDiscrimination, expected: np.ndarray) -> str:
-    """Expected probabilities after a flight, in one sentence."""
+    """Return a sentence on the expected probabilities after a flight."""
     before, after = discrimination.probabilities, np.diag(expected)
     rows = [f"{text} from {before[k]:.2f} to {after[k]:.2f}" for k, text in _shown(discrimination)[1].items()]
     return (
@@ -74,7 +72,7 @@ def outcome(discrimination: ModelDiscrimination, expected: np.ndarray) -> str:
 
 
 def indistinguishable(discrimination: ModelDiscrimination, expected: np.ndarray) -> list[str]:
-    """A sentence for every group of sets that the flight does not tell apart, with what would tell them."""
+    """Return a sentence for every group of sets that stays indistinguishable, with a remedy."""
     p, lines, texts = discrimination.probabilities, [], _shown(discrimination)[1]
     remaining = expected / (expected + np.diag(expected)[:, None])  # of the doubt between two, after
     pairs = remaining > LEFT_IN_DOUBT * p / (p + p[:, None])
@@ -93,13 +91,13 @@ def indistinguishable(discrimination: ModelDiscrimination, expected: np.ndarray)
 
 
 def variation(names: Sequence[str]) -> str:
-    """What the flight varies for the sake of what nothing explains, in one sentence."""
+    """Return a sentence on the regressors that the flight varies."""
     what = _joined(list(dict.fromkeys(names)), "and")
-    return f"Something unknown goes with {what}: the flight varies that as broadly as it can."
+    return f"The residual depends on {what}: the flight varies that as broadly as it can."
 
 
 def flight(plan: Plan) -> list[str]:
-    """The pieces of a flight, with their times."""
+    """Return a line for every piece of a flight, with its time."""
     return [f"{s.start:5.1f} s  {s.piece.text}" for s in plan.path.spans]
 
 

@@ -1,4 +1,4 @@
-"""The figures of a diagnosis. Each `draw_*` fills axes it is given; the others make a whole figure."""
+"""The figures of a diagnosis. Each `draw_*` draws on given axes; the others return a whole figure."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _STEPS = (PURPLE, BLUE, "#56b4e9", "#8a8f98", "#c9b458")  # between before and a
 
 
 def svg(figure: Figure) -> str:
-    """The figure as the address of an SVG picture, to stand in a page."""
+    """Return the figure as the data address of an SVG image for a page."""
     file = io.BytesIO()
     with styled(), matplotlib.rc_context({"svg.hashsalt": "gap", "svg.fonttype": "path"}):
         figure.savefig(file, format="svg", metadata={"Date": None})
@@ -63,7 +63,7 @@ def svg(figure: Figure) -> str:
 
 
 def where_map(rows: Sequence[RegimeError]) -> Figure | None:
-    """Maps regime by channel: before, after, and what noise and disturbance alone give."""
+    """Return maps of the error by regime and channel: before, after, and by noise and disturbance alone."""
     if not rows:
         return None
     height = 0.34 * len(_axes_of(rows)[0])
@@ -82,7 +82,7 @@ def where_map(rows: Sequence[RegimeError]) -> Figure | None:
 def draw_where(
     axis: Axes, rows: Sequence[RegimeError], what: str, *, size: float = 7.5, named: bool = True
 ) -> None:
-    """One map: `what` is before, after or floor; colours are times the floor; named: with its regimes."""
+    """Draw one map; what: before, after or floor; colour: error over floor; named: with labels of regimes."""
     regimes, channels = _axes_of(rows)
     cells = {(row.regime, row.channel): row for row in rows}
     norm, end = _where_norm(rows)
@@ -155,19 +155,19 @@ def _number(value: float) -> str:
 
 
 def horizon(curves: Sequence[HorizonCurve], gap: dict[str, PlantGap]) -> Figure:
-    """Error against the horizon as the effects are added, over the noise floor."""
+    """Return the position error against the horizon as the effects are added, with the noise floor."""
     figure = Figure(figsize=(WIDTH, 3.9))
     draw_horizon(panel(figure, 0.75, 0.55, 6.4, 3.05), curves, gap)
     return figure
 
 
 def draw_horizon(axis: Axes, curves: Sequence[HorizonCurve], gap: dict[str, PlantGap]) -> None:
-    """Curves with their names at the right end."""
+    """Draw the curves with their names at the right end."""
     ends = []
     for k, curve in enumerate(curves):
         colour = BEFORE if k == 0 else AFTER if k == len(curves) - 1 else _STEPS[(k - 1) % len(_STEPS)]
         axis.plot(curve.horizon, 100 * curve.error, color=colour, linewidth=2.2, zorder=3 + k)
-        name = "model as it was" if k == 0 else curve.label.replace("_", " ")
+        name = "nominal model" if k == 0 else curve.label.replace("_", " ")
         ends.append((100 * curve.error[-1], f"{name}  {100 * curve.error[-1]:.1f} cm", colour))
     if curves:
         last = curves[-1]
@@ -189,7 +189,7 @@ def draw_horizon(axis: Axes, curves: Sequence[HorizonCurve], gap: dict[str, Plan
 
 
 def _name_ends(axis: Axes, ends, top: float) -> None:
-    """Names right of the axes at the height of their curves, moved apart where they would overlap."""
+    """Write names right of the axes at the height of their curves, without overlaps."""
     figure = axis.get_figure(root=True)
     assert figure is not None
     inches = axis.get_position().height * figure.get_figheight()
@@ -208,7 +208,7 @@ def _name_ends(axis: Axes, ends, top: float) -> None:
 
 
 def track(one: Track) -> Figure:
-    """A held-out flight with the predictions from every second of it, before and after."""
+    """Return a held-out flight with the predictions from every second of it, before and after."""
     figure = Figure(figsize=(WIDTH, 4.6))
     low = panel(figure, 0.75, 0.5, WIDTH - 0.9, 1.75)
     high = panel(figure, 0.75, 2.45, WIDTH - 0.9, 1.75)
@@ -227,7 +227,7 @@ def _flown(one: Track) -> str:
 
 
 def draw_track(axis: Axes, one: Track, k: int) -> None:
-    """One coordinate (0, 1, 2: x, y, z) of a flight and its predictions."""
+    """Draw one coordinate (0, 1, 2: x, y, z) of a flight and its predictions."""
     drawn = [("measured", [(one.t, one.position)], INK, 3.4)]
     for word, which, colour in (("before", one.before, BEFORE), ("after", one.after, AFTER)):
         pieces = list(zip(one.times, which))
@@ -249,7 +249,7 @@ def draw_track(axis: Axes, one: Track, k: int) -> None:
 
 
 def window_curves(windows: Sequence[WindowCurves]) -> Figure | None:
-    """In the worst windows: the coordinate and the angle that the model missed most."""
+    """Return the coordinate and the angle of the largest error in the worst windows."""
     if not windows:
         return None
     worst = sorted(windows, key=lambda w: -np.max(np.abs(w.before[:, :3] - w.measured[:, :3])))
@@ -272,7 +272,7 @@ def window_curves(windows: Sequence[WindowCurves]) -> Figure | None:
 
 
 def _draw_window(axis: Axes, w: WindowCurves, channels: Sequence[int], factor: float, unit: str) -> None:
-    """The one of `channels` that the nominal vehicle missed most."""
+    """Draw the one of `channels` with the largest error of the nominal vehicle."""
     k = max(channels, key=lambda c: np.max(np.abs(w.before[:, c] - w.measured[:, c])))
     start = w.measured[0, k] if k < 3 else 0.0
     wide = 2.8 if k < 3 else 1.1  # angles are noisy
@@ -286,7 +286,7 @@ def _draw_window(axis: Axes, w: WindowCurves, channels: Sequence[int], factor: f
 
 
 def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> Figure | None:
-    """Values in single flights with their 95 % intervals, over the interval of all."""
+    """Return the estimates in single flights with 95 % intervals, over the interval of all flights."""
     parts = [(e, name, p) for e in effects for name, p in e.parameters.items()]
     if not parts or not flights:
         return None
@@ -312,19 +312,19 @@ def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> Figure 
         axis.grid(axis="y")
         what = label(effect.name) + (f": {label(name)}" if len(effect.parameters) > 1 else "")
         axis.set_title(what + (" (at its bound)" if p.at_bound else ""), fontsize=9, loc="left", pad=14)
-        axis.set_xlabel(unit, fontsize=8, labelpad=1)
+        axis.set_xlabel(f"{label(name)} [{unit or 1}]", fontsize=8, labelpad=1)
     return figure
 
 
 def _mark_neutral(axis: Axes, neutral: float, unit: str) -> None:
-    """A dashed line at the model as it was; a note at the edge when that is far off."""
+    """Draw a dashed line at the nominal value; a note at the edge where that is far off."""
     low, high = axis.get_xlim()
     span = high - low
     if low - span < neutral < high + span:
         axis.axvline(neutral, color=MUTED, linewidth=1.0, linestyle=(0, (2, 2)))
         return
     right = neutral > high
-    text = f"model as it was: {neutral:.3g} {unit}".rstrip()
+    text = f"nominal: {neutral:.3g} {unit}".rstrip()
     x, text, side = (0.99, f"{text} →", "right") if right else (0.01, f"← {text}", "left")
     style: dict[str, Any] = {"ha": side, "va": "bottom", "fontsize": 7.5, "color": MUTED}
     axis.text(x, 1.02, text, transform=axis.transAxes, **style)
@@ -332,14 +332,14 @@ def _mark_neutral(axis: Axes, neutral: float, unit: str) -> None:
 
 
 def name_rows(axis: Axes, names: Sequence[str], size: float = 9.0) -> None:
-    """One row for each name, the first at the top."""
+    """Label one row for each name, the first at the top."""
     axis.set_ylim(len(names) - 0.4, -0.6)
     axis.set_yticks(range(len(names)), names, fontsize=size)
     axis.tick_params(axis="y", length=0)
 
 
 def residual(left: ResidualAnalysis) -> Figure | None:
-    """What repeats without being explained, over the input that it goes with most."""
+    """Return the functions of the residual over the input that explains most of each."""
     drawn = [d for d in left.depends_on if len(d.x)][:4]
     if not drawn:
         return None
@@ -362,7 +362,7 @@ def residual(left: ResidualAnalysis) -> Figure | None:
 
 
 def overview(d: Diagnosis, one: Track | None) -> Figure:
-    """One picture of the whole: error against horizon, where it was, a held-out flight."""
+    """Return the overview: error against horizon, errors by regime and channel, a held-out flight."""
     below = 3.0 if one is not None else 0.0
     figure = Figure(figsize=(11.6, 3.9 + below))
     low = below + 0.62
@@ -376,7 +376,7 @@ def overview(d: Diagnosis, one: Track | None) -> Figure:
     _where_scale(figure, rows, 7.3, low - 0.34, 2 * width + 0.14)
     h = figure.get_figheight()
     figure.text(5.75 / 11.6, (low + 2.79) / h, _where_units(rows), fontsize=8, color=MUTED)
-    for x, text in ((0.75, "Adding what was named"), (5.75, "Where the model was wrong")):
+    for x, text in ((0.75, "Position error as effects are added"), (5.75, "Errors by regime and channel")):
         figure.text(x / 11.6, (low + 2.98) / h, text, fontsize=11, fontweight="bold", va="bottom")
     if one is not None:
         axis = panel(figure, 0.75, 0.5, 10.7, 2.0)

@@ -1,4 +1,4 @@
-"""What identification found: page, terminal table and vehicle file."""
+"""The results of an identification: page, terminal table and vehicle file."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from inclined_landing.eval.gap.search.reference import posterior_path
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 
-_HEADS = ("constant", "model as it was", "identified", "95 % interval", "between flights", "the paper")
+_HEADS = ("constant", "nominal", "identified", "95 % interval", "between flights", "the paper")
 
 
 def headline(found: Identification) -> str:
-    """How well the identified vehicle follows the flights, in one sentence."""
+    """Return the fit of the identified vehicle in one sentence."""
     text = ", ".join(f"{channel} {_percent(fit['after'])}" for channel, fit in found.fit.items())
     return f"The identified model follows the flights it was not fitted to by {text}."
 
 
 def sentences(found: Identification) -> list[str]:
-    """What the headline leaves out."""
+    """Return the fit of the nominal vehicle, and the definition of the fit."""
     before = ", ".join(f"{channel} {_percent(fit['before'])}" for channel, fit in found.fit.items())
     lines = [
-        f"The model as it was: {before}. The paper reports {PAPER['fit']:g} % for the attitude. Fit is "
+        f"The nominal model: {before}. The paper reports {PAPER['fit']:g} % for the attitude. Fit is "
         "100 % minus the error as a share of the signal's own variation; x, y and z: velocity changes over "
         "1 s, angles: open loop.",
     ]
@@ -45,7 +45,7 @@ IDENTIFIABLE = ("effect", "standard error", "confounded with", "excited by")
 
 
 def identifiable_rows(found: Identification) -> list[tuple[str, str, str, str]]:
-    """One row of text for each effect: how well it is identified, and which flight would help."""
+    """Return one row of text for each effect: standard error, confounded effects, exciting regimes."""
     rows = []
     for one in found.identifiable:
         confounded = [words.label(name) for name in one.confounded[: words.NAMED]]
@@ -58,7 +58,7 @@ def identifiable_rows(found: Identification) -> list[tuple[str, str, str, str]]:
 
 
 def identifiability(found: Identification) -> Figure:
-    """Standard errors of all effects, as shares of what real vehicles differ by."""
+    """Return the figure of the standard errors of all effects, over their prior standard deviations."""
     n = len(found.identifiable)
     figure = Figure(figsize=(WIDTH, 0.22 * n + 0.7))
     axis = panel(figure, 2.0, 0.5, WIDTH - 2.3, 0.22 * n)
@@ -67,7 +67,7 @@ def identifiability(found: Identification) -> Figure:
         axis.barh(k, min(one.share, 1.0), color=colour, height=0.62)
     axis.axvline(ROUGH, color=MUTED, linewidth=0.8, linestyle=(0, (2, 2)))
     axis.set_xlim(0.0, 1.0)
-    axis.set_xlabel("standard error / what real vehicles differ by [1]")
+    axis.set_xlabel("standard error / prior standard deviation [1]")
     name_rows(axis, [words.label(one.effect) for one in found.identifiable], 8.5)
     axis.grid(axis="x")
     axis.set_axisbelow(True)
@@ -82,7 +82,7 @@ def page(
     versions: dict,
     notes: Sequence[str] = (),
 ) -> str:
-    """The HTML page; heldout: names of the flights kept for the fit in percent."""
+    """Return the HTML page; heldout: names of the flights held out for the fit in percent."""
     return render(
         "identify.html.j2",
         command="identify",
@@ -110,7 +110,7 @@ def page(
 
 
 def rows(found: Identification) -> list[tuple[str, ...]]:
-    """One row of text for each constant."""
+    """Return one row of text for each constant."""
     return [
         (
             p.name + (f" ({p.note})" if p.note else ""),

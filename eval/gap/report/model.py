@@ -45,7 +45,7 @@ def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = N
 
 
 def provenance(d: Diagnosis, vehicle: Vehicle) -> tuple[dict[str, str], dict[str, Uncertainty]]:
-    """Source and half-width of the 95 % interval of every vehicle field that the effects change."""
+    """Return source and half-width of the 95 % interval of every vehicle field that the effects change."""
     sources: dict[str, str] = {}
     squares: dict[str, np.ndarray] = {}
     for effect in d.effects:
@@ -57,9 +57,9 @@ def provenance(d: Diagnosis, vehicle: Vehicle) -> tuple[dict[str, str], dict[str
 
 
 def unrest_fields(unrest: Mapping[str, Disturbance]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Fields of the vehicle's table of disturbance, and the half-widths of their 95 % intervals.
+    """Return the fields of the vehicle's disturbance, and the half-widths of their 95 % intervals.
 
-    A channel without disturbance, or not logged, is still.
+    A channel without disturbance, or not logged, has zero.
     """
     fields: dict[str, Any] = {}
     widths: dict[str, Any] = {}
@@ -85,7 +85,7 @@ def _source(effect: NamedEffect) -> str:
 
 
 def _squared_half_widths(effect: NamedEffect, vehicle: Vehicle) -> dict[str, np.ndarray]:
-    """Squared half-width of every field that the effect changes, from the ends of its intervals."""
+    """Return the squared half-width of every field that the effect changes, from the ends of its intervals."""
 
     def fields(values) -> dict[str, np.ndarray]:
         changed = LIBRARY[effect.name].apply(vehicle, values)

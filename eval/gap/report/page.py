@@ -1,4 +1,4 @@
-"""The page: one HTML file with everything inside."""
+"""The report page: one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from inclined_landing.models.effects import LIBRARY
 
 
 def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[str] = ()) -> str:
-    """The HTML page of a diagnosis.
+    """Return the HTML page of a diagnosis.
 
     track: one flight with predictions along it. notes: sentences on the logs.
     """
@@ -60,7 +60,7 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
 
 
 def render(template: str, *, notes: Sequence[str], **content) -> str:
-    """A template of this room filled in; notes: sentences, said once each."""
+    """Return a template of this package filled in; notes: sentences, repetitions removed."""
     lines = [words.plain(note) for note in dict.fromkeys(notes)]
     text = base_page.render(__package__, template, notes=lines, **content)
     return text.replace(" %", "\u00a0%")  # no line ends between a number and its percent

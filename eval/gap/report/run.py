@@ -22,10 +22,9 @@ _COLUMNS = (TextColumn("{task.description:22}"), BarColumn(), TimeElapsedColumn(
 
 @contextlib.contextmanager
 def read_run(source: FlightSource, parts: int, reference_files: Sequence[str] = ()) -> Iterator[tuple]:
-    """Flights to fit, flights left out, sentences on them, what names the next of some parts, more flights.
+    """Yield flights to fit, held-out flights, notes, the tick of a progress bar, and reference flights.
 
-    more: files of flights of another state of the vehicle.
-    A bar shows how far the reading, and then the work on these parts, has come.
+    parts: stages of the work after reading, each announced by the tick.
     """
     console = Console(stderr=True)
     with Progress(*_COLUMNS, console=console, transient=True, disable=not console.is_terminal) as bar:
@@ -47,7 +46,7 @@ def read_run(source: FlightSource, parts: int, reference_files: Sequence[str] = 
 def write(
     folder: Path, command: str, page: str, answer: dict, source: FlightSource, began: float, versions: dict
 ) -> None:
-    """report.html and report.json; run.json: the command, its options, what it took, the versions."""
+    """Write report.html, report.json and run.json: the command, its options, its time, the versions."""
     storage.write_text(folder / "report.html", page)
     storage.write_json(folder / "report.json", answer)
     statistics = {"seconds": round(time.monotonic() - began, 1), "versions": versions}

@@ -35,7 +35,7 @@ def say(
     inconsistent_flights: Sequence[InconsistentFlights],
     answer: Table | None = None,
 ) -> None:
-    """Print an answer, flights that contradict the others first; notes are said once each."""
+    """Print an answer, inconsistent flights first; repeated notes are removed."""
     console = printer()
     for one in inconsistent_flights:
         who, *more = words.inconsistency(one)

@@ -1,4 +1,4 @@
-"""A held-out flight, predicted from every second of it."""
+"""A held-out flight with open-loop predictions from every second of it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Track:
     after: tuple[np.ndarray, ...]  # (k, 3) m, corrected vehicle
 
     def worst_axes(self) -> tuple[int, int]:
-        """The coordinate (0, 1, 2) that the nominal vehicle missed most, and the next."""
+        """Return the coordinates (0, 1, 2) of the largest and the second largest error of the nominal vehicle."""
         missed = np.zeros(3)
         for t, p in zip(self.times, self.before):
             end = [np.interp(t[-1], self.t, self.position[:, k]) for k in range(3)]
@@ -42,7 +42,7 @@ class Track:
 def of(
     log: FlightLog, before: Vehicle, after: Vehicle, *, held_out: bool, platform: bool = False
 ) -> Track | None:
-    """Predictions along a flight; None when no stretch of it is long enough.
+    """Return predictions along a flight; None when no stretch of it is long enough.
 
     Raises UserError when the flight cannot be used at all.
     """
@@ -66,7 +66,7 @@ def of(
 
 
 def most_varied_flight(logs: Sequence[FlightLog]) -> FlightLog:
-    """The flight with the largest range of heights, of those that come near the floor if any does."""
+    """Return the flight with the largest range of heights, of those near the floor if there are any."""
 
     def key(log: FlightLog) -> tuple[bool, float]:
         height = log.position[:, 2]

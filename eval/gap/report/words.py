@@ -1,4 +1,4 @@
-"""A diagnosis in plain words, the same on the page and in the terminal."""
+"""Sentences on a diagnosis, the same on the page and in the terminal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from inclined_landing.eval.gap.result import (
 )
 from inclined_landing.models.effects import LIBRARY
 
-# Factor and name of the unit a person reads, by the unit of the number.
+# Unit -> factor to the displayed unit, and its name.
 SHOWN = {
     "1": (1.0, ""),
     "rad": (180.0 / math.pi, "deg"),
@@ -34,10 +34,9 @@ SHOWN = {
     "rad/s2": (180.0 / math.pi, "deg/s²"),
     "s2/m2": (1.0, "s²/m²"),
 }
-# Named effects that close less than this share are left to the cards.
-HEADLINE_GAIN = 0.01
-SETS = 7  # rows of sets of effects
-NAMED = 3  # names of a class that a headline lists
+HEADLINE_GAIN = 0.01  # least gain of an effect in the headline
+SETS = 7  # rows of the table of sets
+NAMED = 3  # names of an equivalence class in the headline
 PLANTS = {"analytic": "the equations", "mujoco": "MuJoCo"}
 REGIMES = {
     "hover": "hover",
@@ -52,22 +51,22 @@ REGIMES = {
 
 
 def label(name: str) -> str:
-    """The name of an effect as a person writes it."""
+    """Return the name of an effect with spaces."""
     return name.replace("_", " ")
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
-    """`a, b and c`."""
+    """Return names as a list in a sentence: `a, b and c`."""
     return ", ".join(names[:-1]) + f" {last} {names[-1]}" if len(names) > 1 else "".join(names)
 
 
 def shown(unit: str) -> tuple[float, str]:
-    """Factor to the unit a person reads, and its name."""
+    """Return the factor to the displayed unit, and its name."""
     return SHOWN.get(unit, (1.0, unit))
 
 
 def quantity(value: float, unit: str) -> str:
-    """A number with the unit a person reads: 0.012 s is 12 ms."""
+    """Return a number with three digits in the displayed unit: 0.012 s is 12 ms."""
     factor, name = shown(unit)
     value *= factor
     text = f"{value:.0f}" if abs(value) >= 1000 else f"{value:#.3g}".rstrip(".")
@@ -75,14 +74,14 @@ def quantity(value: float, unit: str) -> str:
 
 
 def exact(value: float, unit: str) -> str:
-    """A number of the model as it stands there, with the unit a person reads."""
+    """Return a number of the model with four digits in the displayed unit."""
     factor, name = shown(unit)
     value *= factor
     return f"{value:.0f} {name}".rstrip() if abs(value) >= 1e4 else f"{value:.4g} {name}".rstrip()
 
 
 def interval(ends: Sequence[float], unit: str) -> str:
-    """An interval with as many digits as its width can bear, `0.876 to 0.884`."""
+    """Return an interval with the significant digits of its width, `0.876 to 0.884`."""
     factor, name = shown(unit)
     low, high = (factor * x for x in ends)
     if not (math.isfinite(low) and math.isfinite(high)):
@@ -94,7 +93,7 @@ def interval(ends: Sequence[float], unit: str) -> str:
 
 
 def rounded(value: float, ends: Sequence[float], unit: str) -> str:
-    """A number with one digit more than its interval has."""
+    """Return a number with one digit more than its interval."""
     factor, name = shown(unit)
     width = factor * (ends[1] - ends[0])
     if not math.isfinite(width):
@@ -104,7 +103,7 @@ def rounded(value: float, ends: Sequence[float], unit: str) -> str:
 
 
 def _places(width: float) -> int:
-    """Decimal places that show two digits of a width; below zero: tens, hundreds."""
+    """Return the decimal places that show two digits of a width; negative: tens, hundreds."""
     return min(6, 1 - math.floor(math.log10(abs(width)))) if width else 3
 
 
@@ -113,24 +112,24 @@ def _fixed_point(value: float, places: int) -> str:
 
 
 def meaning(effect: NamedEffect) -> str:
-    """What a named effect means with its values, as part of a sentence."""
+    """Return the physical meaning of a named effect with its values, as part of a sentence."""
     values = {name: _value_text(p) for name, p in effect.parameters.items()}
     return LIBRARY[effect.name].says.format(**values)
 
 
 def _value_text(p: Estimate) -> str:
-    """A value with three digits, or as few as its interval can bear."""
+    """Return a value with three digits, or the significant ones of its interval."""
     return min(quantity(p.value, p.unit), rounded(p.value, p.ci95, p.unit), key=len)
 
 
 def sentence(effect: NamedEffect) -> str:
-    """The same as a sentence of its own."""
+    """Return the physical meaning of a named effect as a sentence."""
     text = meaning(effect)
     return text[0].upper() + text[1:] + "."
 
 
 def confounding_sentence(effect: NamedEffect) -> str:
-    """What may take a named effect's place, as a sentence; empty where nothing does."""
+    """Return a sentence on the effects confounded with a named one; empty where there are none."""
     others = [label(name) for name in effect.members if name != effect.name]
     if not others:
         return ""
@@ -142,31 +141,32 @@ def confounding_sentence(effect: NamedEffect) -> str:
 
 
 def _only_the_ratio(names: Sequence[str]) -> bool:
+    """Return whether all effects scale the thrust: only the ratio of thrust to mass is identifiable."""
     return all(LIBRARY[name].scales_thrust for name in names if name in LIBRARY)
 
 
 def probability(part: float) -> str:
-    """A probability in percent, never quite certain."""
+    """Return a probability in percent, 1 % to 99 %."""
     if part > 0.99:
         return "over 99 %"
     return "under 1 %" if part < 0.01 else f"{100 * part:.0f} %"
 
 
 def _shortened(names: Sequence[str]) -> list[str]:
-    """The first names, and how many more there are."""
+    """Return the first names, and the number of the others."""
     more = len(names) - NAMED
     return list(names) if more < 2 else [*names[:NAMED], f"{more} others"]
 
 
 def _headline_entry(effect: NamedEffect) -> str:
-    """A named effect in the headline: `rotor drag (98 %)`, `mass or thrust scale (99 %: ...)`."""
+    """Return a named effect for the headline: `rotor drag (98 %)`, `mass or thrust scale (99 %: ...)`."""
     names = listed(_shortened([label(name) for name in effect.members]), "or")
     why = ": only their ratio shows" if len(effect.members) > 1 and _only_the_ratio(effect.members) else ""
     return f"{names} ({probability(effect.probability)}{why})"
 
 
 def headline(d: Diagnosis) -> str:
-    """The verdict in one sentence."""
+    """Return the verdict in one sentence."""
     if d.verdict == "nothing":
         lines = f" ({probability(d.nothing)})" if d.sets else ""
         if d.inconsistent_flights:
@@ -192,7 +192,7 @@ ANSWER_HEADS = ("what is wrong", "how sure", "costs after 1 s", "what to do")
 
 
 def answer_rows(d: Diagnosis) -> list[tuple[str, str, str, str]]:
-    """What is wrong, how sure that is, what it costs, what to do: the named effects, then what repeats."""
+    """Return the rows under ANSWER_HEADS: the named effects, then the functions of the residual."""
     rows = []
     for e in d.effects:
         names = listed(_shortened([label(name) for name in e.members]), "or")
@@ -205,17 +205,17 @@ def answer_rows(d: Diagnosis) -> list[tuple[str, str, str, str]]:
             cost = f"{centimetres(one.displacement)} ({100 * low:.1f} to {100 * high:.1f})"
             rows.append(
                 (
-                    f"unknown, {axis(one)}: goes with {one.on}",
-                    "repeats on flights left out",
+                    f"unknown, {axis(one)}: depends on {one.on}",
+                    "repeats on held-out flights",
                     cost,
-                    "landing-eval plan designs the flight that tells more.",
+                    "landing-eval plan designs a more informative flight.",
                 )
             )
     return rows
 
 
 def possible_sentence(d: Diagnosis) -> str:
-    """What was not named and may yet be, as a sentence; empty where nothing may."""
+    """Return a sentence on the effects that are possible though not named; empty for none."""
     if not d.possible:
         return ""
     names = [f"{label(name)} ({probability(part)})" for name, part in d.possible.items()]
@@ -223,7 +223,7 @@ def possible_sentence(d: Diagnosis) -> str:
 
 
 def inconsistency(c: InconsistentFlights) -> list[str]:
-    """Flights that contradict the others: who, in what, and what to do; a sentence or two each."""
+    """Return sentences on inconsistent flights: which, in which effects, and a remedy."""
     these, n = listed(c.flights), len(c.others)
     if len(c.flights) == n:
         subject = f"Two groups of flights contradict each other: {these}; and {listed(c.others)}."
@@ -242,6 +242,7 @@ def inconsistency(c: InconsistentFlights) -> list[str]:
 
 
 def _difference_sentence(c: InconsistentFlights, one: Difference) -> str:
+    """Return a sentence on one effect by which groups of flights differ."""
     effect = LIBRARY[one.effect]
     if len(c.flights) == len(c.others):
         there, model = "the first group", "the second"
@@ -266,10 +267,7 @@ def _difference_sentence(c: InconsistentFlights, one: Difference) -> str:
 
 
 def set_rows(d: Diagnosis) -> list[tuple[str, float, str, bool]]:
-    """(effects, probability, their sizes, whether it is the most probable) of the likeliest sets.
-
-    The last row sums up the others.
-    """
+    """Return (effects, probability, sizes, whether most probable) of the most probable sets, others summed."""
     rows = [
         (" + ".join(map(label, one.effects)) or "nothing", one.probability, _sizes(one), k == 0)
         for k, one in enumerate(d.sets[:SETS])
@@ -291,7 +289,7 @@ NOISE_HEADS = ("channel", "noise", "disturbance", "95 % interval", "correlation 
 
 
 def noise_rows(unrest: Mapping[str, Disturbance]) -> list[tuple[str, ...]]:
-    """Noise and disturbance of every channel under the heads QUIET."""
+    """Return the noise and disturbance of every channel under NOISE_HEADS."""
     rows: list[tuple[str, ...]] = []
     for channel, q in unrest.items():
         size, time = ("none", ""), ("", "")
@@ -299,93 +297,87 @@ def noise_rows(unrest: Mapping[str, Disturbance]) -> list[tuple[str, ...]]:
             size = rounded(q.size, q.size_ci95, q.unit), interval(q.size_ci95, q.unit)
             if not any(digit in size[0].split()[0] for digit in "123456789"):
                 size = "none", size[1]
-        if q.size_ci95[0] > 0.0:  # where nothing is sure to be there, its time tells nothing
+        if q.size_ci95[0] > 0.0:  # else its correlation time is not identifiable
             time = quantity(q.time, "s"), interval(q.time_ci95, "s")
         rows.append((channel, quantity(q.noise, "m" if channel in "xyz" else "rad"), *size, *time))
     return rows
 
 
 def axis(d: Dependence) -> str:
-    """Along what something repeats."""
+    """Return the direction of a residual function as part of a sentence."""
     return {"forward": "along the heading", "left": "across the heading"}.get(d.channel, f"in {d.channel}")
 
 
 def dependence_sentence(d: Dependence) -> str:
-    """One thing that repeats and that no effect explains, as a sentence."""
-    cost = f"it moves the vehicle by {centimetres(d.displacement)} within a second"
+    """Return a sentence on a function of the residual."""
+    cost = f"it displaces the vehicle by {centimetres(d.displacement)} within a second"
     most = max(d.regimes, key=d.regimes.__getitem__, default="")
     where = ""
     if most:
         where = f", most in {REGIMES.get(most, label(most))} ({quantity(d.regimes[most], d.unit)})"
-    return f"{quantity(d.size, d.unit)} {axis(d)} goes with {d.on}{where}; {cost}, on flights left out."
+    return f"{quantity(d.size, d.unit)} {axis(d)} depends on {d.on}{where}; {cost}, on held-out flights."
 
 
 def gap(plant: str, g: PlantGap) -> str:
-    """How the gap shrank in one plant, as a sentence."""
+    """Return a sentence on the gap before and after in one plant."""
     before, after = centimetres(g.before), centimetres(g.after)
     worth_closing = math.isfinite(g.closed) and g.before > 1.2 * g.floor and before != after
     closed = f" ({share(g.closed)} of the gap closed)" if worth_closing else ""
     change = f"goes from {before} to {after}{closed}" if before != after else f"is {before}"
     return (
-        f"{g.horizon:g} s ahead, on flights left out of the fit, the position error in "
+        f"{g.horizon:g} s ahead, on held-out flights, the position error in "
         f"{PLANTS[plant]} {change}; "
         f"the measurement noise alone makes {centimetres(g.floor)}."
     )
 
 
 def centimetres(metres: float) -> str:
-    """A length as `6.2 cm`."""
+    """Return a length as `6.2 cm`."""
     return f"{100 * metres:.1f} cm" if abs(metres) < 0.1 else f"{100 * metres:.0f} cm"
 
 
 def share(part: float) -> str:
-    """A share in percent."""
+    """Return a share in percent."""
     whole = 0.0995 <= part < 0.995 or part in (0.0, 1.0)
     return f"{100 * part:.0f} %" if whole else f"{100 * part:.1f} %"
 
 
 def manoeuvre(d: Diagnosis) -> str:
-    """The flight that would tell ties apart; what several ties share is said once."""
+    """Return the sentences on the discriminating manoeuvre, repetitions removed."""
     parts = re.split(r"(?<=[.!?])\s+", plain(d.separating_manoeuvre or ""))
     return " ".join(dict.fromkeys(parts))
 
 
 def sentences(d: Diagnosis) -> list[str]:
-    """The first lines of the report, after the headline and its table."""
+    """Return the first sentences of the report, after the headline and its table."""
     lines = []
     for effect in d.effects:
         lines += [s for s in (sentence(effect), confounding_sentence(effect), plain(effect.note)) if s]
     if d.separating_manoeuvre:
-        lines.append(f"To tell them apart: {manoeuvre(d)}")
+        lines.append(f"To discriminate: {manoeuvre(d)}")
     lines += [gap(plant, g) for plant, g in d.gap.items()]
     return lines + residual_sentences(d)
 
 
 def residual_sentences(d: Diagnosis) -> list[str]:
-    """What is left after the effects, in sentences: what is possible, what repeats, large and small."""
+    """Return sentences on possible effects and on the residual's functions, large and small."""
     residual, lines = d.residual, [possible_sentence(d)] if d.possible else []
     lines += [dependence_sentence(one) for one in residual.depends_on if residual.material(one)]
     small = [one for one in residual.depends_on if not residual.material(one) and one.displacement > 0.0]
     if small:
         most = max(small, key=lambda one: one.displacement)
         lines.append(
-            f"Below the line: {len(small)} small thing{'s repeat' if len(small) > 1 else ' repeats'} too, at "
-            f"most {centimetres(most.displacement)} within a second ({axis(most)}, with {most.on})"
-            + (
-                f", of the {centimetres(residual.error)} that are left."
-                if math.isfinite(residual.error)
-                else "."
-            )
+            f"{len(small)} smaller dependence{'s are' if len(small) > 1 else ' is'} significant too, at most "
+            f"{centimetres(most.displacement)} within a second ({axis(most)}, on {most.on})"
+            + (f", of a remaining {centimetres(residual.error)}." if math.isfinite(residual.error) else ".")
         )
     if not (residual.depends_on or d.inconsistent_flights):
-        lines.append(
-            "What remains cannot be predicted from anything that was logged: it is noise and disturbances."
-        )
+        lines.append("The residual does not depend on any logged quantity: it is noise and disturbances.")
     return lines
 
 
 def plain(text: str) -> str:
-    """A sentence of the diagnosis with effects and units as a person writes them."""
+    """Return a sentence of the diagnosis with displayed names of effects and units."""
     for name in LIBRARY:
         text = text.replace(name, label(name))
     text = text.replace("m/s2", "m/s²")

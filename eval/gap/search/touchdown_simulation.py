@@ -2,9 +2,9 @@
 
 Every landing is simulated in the MuJoCo plant from the measured state shortly before contact, under the
 commands that were sent, and the motion that follows is compared in the surface frame. Errors are whitened by
-their covariance at each moment: measurement noise, start state noise, and the difference between two
-idealised contact models. So the resting pose counts little, and the tenth of a second after contact, in
-which stiffness and damping differ, counts most.
+their covariance at each moment: noise of measurement and start state, and the difference between two
+idealised contact models. So the resting pose counts little, and the tenth of a second after contact, in which
+stiffness and damping differ, counts most.
 """
 
 from __future__ import annotations

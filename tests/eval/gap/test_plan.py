@@ -1,4 +1,4 @@
-"""The flight that tells: pieces, what they tell, safety, the choice, and the command."""
+"""Experiment design: pieces, information gain, safety, the choice, and the command."""
 
 import dataclasses
 import json
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.gap.plan import Hypothesis, NoiseLevels, design, pieces, safety, words
+from inclined_landing.eval.gap.plan import NoiseLevels, ScoredSet, design, pieces, safety, words
 from inclined_landing.eval.gap.plan.command import csv
 from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination
@@ -22,11 +22,11 @@ from tests.proof import plan_proof
 
 VEHICLE = load_vehicle()
 FREE, SLAB = (pieces.Space.of(VEHICLE, platform) for platform in (False, True))
-WIND = Hypothesis(("wind",), 0.5, {"wind": {"x": 0.5, "y": -0.3}})
-DRAG = Hypothesis(("rotor_drag",), 0.5, {"rotor_drag": {"lateral": 1.6, "axial": 1.6}})
-BODY = Hypothesis(("body_drag",), 0.5, {"body_drag": {"coefficient": 0.005}})
-MASS = Hypothesis(("mass",), 0.5, {"mass": {"scale": 1.05}})
-THRUST = Hypothesis(("thrust_scale",), 0.5, {"thrust_scale": {"scale": 0.95}})
+WIND = ScoredSet(("wind",), 0.5, {"wind": {"x": 0.5, "y": -0.3}})
+DRAG = ScoredSet(("rotor_drag",), 0.5, {"rotor_drag": {"lateral": 1.6, "axial": 1.6}})
+BODY = ScoredSet(("body_drag",), 0.5, {"body_drag": {"coefficient": 0.005}})
+MASS = ScoredSet(("mass",), 0.5, {"mass": {"scale": 1.05}})
+THRUST = ScoredSet(("thrust_scale",), 0.5, {"thrust_scale": {"scale": 0.95}})
 
 
 def gram(discrimination, setpoints):
@@ -196,9 +196,9 @@ def test_the_command_writes_the_same_flight_and_it_reads_as_a_log(plan, tmp_path
 
 def test_what_flights_could_not_show_is_sought_too(tmp_path):
     """Nothing but an effect near the floor is open: the flight goes there."""
-    ground = Hypothesis(("ground_effect",), 0.03, {"ground_effect": LIBRARY["ground_effect"].plausible})
+    ground = ScoredSet(("ground_effect",), 0.03, {"ground_effect": LIBRARY["ground_effect"].plausible})
     row = {"effects": ["ground_effect"], "probability": 0.03, "values": ground.values}
-    folder = report(tmp_path, Hypothesis((), 0.9, {}), unseen=[row])
+    folder = report(tmp_path, ScoredSet((), 0.9, {}), unseen=[row])
     doubt = read_report(folder)
     assert [h.text for h in doubt.hypotheses] == ["nothing", "ground_effect"]
     discrimination = ModelDiscrimination(doubt.hypotheses, VEHICLE, doubt.noise_levels)

@@ -177,7 +177,7 @@ def test_the_page_stands_alone(verdict, track):
     assert text.count("data:image/svg+xml") == {"effects": 5, "unknown": 6, "nothing": 4}[verdict]
     assert "17 %" in text if d.effects else "10 %" in text  # the second set
     assert "0.20 to 0.40 m/s²" in text and "250 ms" in text  # the unrest
-    assert ("0.300 m/s² in z goes with place, most in hover" in text) == (verdict == "unknown")
+    assert ("0.300 m/s² in z depends on place, most in hover" in text) == (verdict == "unknown")
 
 
 def test_the_page_escapes_names_of_flights_and_notes(track):
