@@ -85,7 +85,7 @@ def _source(effect: NamedEffect) -> str:
 
 
 def _squared_half_widths(effect: NamedEffect, vehicle: Vehicle) -> dict[str, np.ndarray]:
-    """Return the squared half-width of every field that the effect changes, from the ends of its intervals."""
+    """Return the squared half-width of every field that the effect changes, from its intervals."""
 
     def fields(values) -> dict[str, np.ndarray]:
         changed = LIBRARY[effect.name].apply(vehicle, values)

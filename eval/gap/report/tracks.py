@@ -30,7 +30,7 @@ class Track:
     after: tuple[np.ndarray, ...]  # (k, 3) m, corrected vehicle
 
     def worst_axes(self) -> tuple[int, int]:
-        """Return the coordinates (0, 1, 2) of the largest and the second largest error of the nominal vehicle."""
+        """Return the two coordinates (0, 1, 2) of the largest errors of the nominal vehicle."""
         missed = np.zeros(3)
         for t, p in zip(self.times, self.before):
             end = [np.interp(t[-1], self.t, self.position[:, k]) for k in range(3)]

@@ -267,7 +267,7 @@ def _difference_sentence(c: InconsistentFlights, one: Difference) -> str:
 
 
 def set_rows(d: Diagnosis) -> list[tuple[str, float, str, bool]]:
-    """Return (effects, probability, sizes, whether most probable) of the most probable sets, others summed."""
+    """Return (effects, probability, sizes, whether most probable) of the most probable sets."""
     rows = [
         (" + ".join(map(label, one.effects)) or "nothing", one.probability, _sizes(one), k == 0)
         for k, one in enumerate(d.sets[:SETS])
