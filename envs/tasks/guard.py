@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.envs.tasks.base import ACTIONS, FARTHEST, Judgement, Moment, Start, Task
+from inclined_landing.envs.tasks.base import ACTIONS, FARTHEST, Judgement, Moment, Start, Task, Training
 from inclined_landing.models.attitude import STATE_NAMES, STATE_SIZE
 from inclined_landing.models.errors import UserError, shown
 
@@ -67,6 +67,8 @@ def _complaint(kind: type[Task]) -> str | None:
             return f"has {what} {shown(repr(names), 40)}; it takes a tuple of different names"
     if not set(kind.action_names) <= set(ACTIONS):
         return f"has action_names {shown(repr(kind.action_names), 40)}; it takes some of {', '.join(ACTIONS)}"
+    if not isinstance(kind.training, Training):
+        return f"has training {shown(repr(kind.training), 40)}; it takes a Training"
     if isinstance(kind.observation_scale, property):
         return None
     scale = np.asarray(kind.observation_scale)

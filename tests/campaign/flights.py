@@ -32,4 +32,4 @@ def fly(log: FlightLog) -> None:
     """What is read is a flight: finite where it was logged, with an even grid of bounded size."""
     assert np.isfinite(log.position).all() and len(log) < 10_000
     for part in motion.motion(log):
-        assert np.isfinite(part.pushed).all() and len(part.pushed) < 100_000
+        assert np.isfinite(part.force).all() and len(part.force) < 100_000
