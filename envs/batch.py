@@ -104,8 +104,8 @@ class BatchEnv:
     def draw_from(self, rng: np.random.Generator) -> None:
         """Use `rng` for random starts, and for the disturbance where the plant has it."""
         self.rng = rng
-        if self.plant.unrest:
-            self.plant.unrest.seed(rng)
+        if self.plant.disturbance:
+            self.plant.disturbance.seed(rng)
 
     def episode_state(self) -> dict[str, np.ndarray]:
         """Return copies of the per-vehicle records, for `restore_episodes`."""

@@ -276,7 +276,7 @@ probability = 0.5
 delay = [0, 0.03]
 [body]
 mass = [0.03, 0.04]
-[unrest]
+[disturbance]
 acceleration = [[0, 0.1], [0, 0.1], [0, 0.1]]
 acceleration_time = [[0.3, 0.3], [0.3, 0.3], [0.3, 0.3]]
 """

@@ -150,7 +150,7 @@ def diagnose(
         sets=contact_result.sets(scored_sets(problem, found)),
         unidentifiable_sets=unseen_sets(problem, found),
         touchdowns=contact_result.remaining,
-        unrest=disturbances(problem, found.noise_model),
+        disturbance=disturbances(problem, found.noise_model),
         horizon=horizon,
         windows=windows,
         residual=remaining,

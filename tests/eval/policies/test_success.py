@@ -215,19 +215,19 @@ def test_landing_report_of_a_policy_that_hovers(landing):
     storage.to_json(report)
 
 
-def test_the_unrest_of_the_vehicle_is_flown_where_asked_for(capsys):
+def test_the_disturbance_of_the_vehicle_is_flown_where_asked_for(capsys):
     """Hovering without feedback, the vehicle is blown from where it starts; still air is refused."""
-    sizes = {"unrest_acceleration": (2.0, 2.0, 2.0), "unrest_acceleration_time": (1.0, 1.0, 1.0)}
+    sizes = {"disturbance_acceleration": (2.0, 2.0, 2.0), "disturbance_acceleration_time": (1.0, 1.0, 1.0)}
     task = make_task("landing", dataclasses.replace(load_vehicle(), **sizes), pwm_centre="hover")
     still, restless = (
-        success.evaluate(Constant(task, 0.0, 0.0), plant="analytic", unrest=unrest)
-        for unrest in (False, True)
+        success.evaluate(Constant(task, 0.0, 0.0), plant="analytic", disturbance=disturbance)
+        for disturbance in (False, True)
     )
     touched = [report["conditions"][0]["grid"]["touched"]["count"] for report in (still, restless)]
     assert touched[0] == 0 and touched[1] > 10
-    assert restless["unrest"] and "unrest" not in still
-    assert cli.main(["success", "landing", "--unrest"]) == 2
-    assert "--unrest needs a --vehicle whose table [unrest] is not all 0" in capsys.readouterr().err
+    assert restless["disturbance"] and "disturbance" not in still
+    assert cli.main(["success", "landing", "--disturbance"]) == 2
+    assert "--disturbance needs a --vehicle whose table [disturbance] is not all 0" in capsys.readouterr().err
 
 
 def test_entry_statistics(landing):
