@@ -36,7 +36,7 @@ from inclined_landing.eval.base.conditions import fly_all
 from inclined_landing.eval.base.options import Flag, Flat, Flown, NewFolder, Seed
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.policies import success_table
-from inclined_landing.eval.policies.judges import judge_of, report_of
+from inclined_landing.eval.policies.evaluators import evaluator_of, report_of
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
@@ -119,8 +119,8 @@ def _evaluate(
     policy: Policy, plant: str, thrust_scales: Sequence[float], disturbance: bool, seed: int
 ) -> tuple[dict[str, Any], list[tuple[float, str, Flight]]]:
     """Return the report, and every flight with its thrust scale and group of starts."""
-    task, judge = policy.task, judge_of(policy.task)
-    groups = judge.groups(task, seed)
+    task, evaluator = policy.task, evaluator_of(policy.task)
+    groups = evaluator.groups(task, seed)
     names = np.repeat(list(groups), [len(starts) for starts in groups.values()]).tolist()
     starts = joined(list(groups.values()))
 
@@ -135,9 +135,9 @@ def _evaluate(
     for scale in thrust_scales:
         flights = found[f"thrust scale {scale}",]
         flown = {name: [f for f, group in zip(flights, names) if group == name] for name in groups}
-        conditions.append({"thrust_scale": float(scale), **judge.condition(task, flown, scale)})
+        conditions.append({"thrust_scale": float(scale), **evaluator.condition(task, flown, scale)})
         rows += [(scale, name, flight) for name, flight in zip(names, flights)]
-    report = report_of("success", policy, plant, seed) | {"paper": judge.paper, "conditions": conditions}
+    report = report_of("success", policy, plant, seed) | {"paper": evaluator.paper, "conditions": conditions}
     return report | ({"disturbance": True} if disturbance else {}), rows
 
 
@@ -148,11 +148,11 @@ def evaluate_effects(policy: Policy, *, plant: str = "mujoco", seed: int = 0) ->
     know nothing of it. Landing policies fly from the frozen grid, and where they arrive their motors are cut;
     others fly from random starts. plant: "mujoco", "hybrid" or "analytic". seed: of the random starts.
     """
-    task, judge = policy.task, judge_of(policy.task)
-    starts = judge.groups(task, seed)[judge.frozen]
+    task, evaluator = policy.task, evaluator_of(policy.task)
+    starts = evaluator.groups(task, seed)[evaluator.frozen]
 
     def count(vehicle: Vehicle) -> dict[str, Any]:
-        return judge.effect(task, fly(policy, plant, vehicle, starts), vehicle)
+        return evaluator.effect(task, fly(policy, plant, vehicle, starts), vehicle)
 
     vehicles = {"none": task.vehicle}
     vehicles |= {name: effect.apply(task.vehicle, effect.plausible) for name, effect in LIBRARY.items()}

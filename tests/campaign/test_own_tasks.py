@@ -8,7 +8,7 @@ import unittest.mock
 import numpy as np
 
 from inclined_landing.envs import tasks
-from inclined_landing.envs.tasks import Judgement, Task, Training
+from inclined_landing.envs.tasks import Evaluation, Task, Training
 from inclined_landing.train import run
 from inclined_landing.train.cli import main
 from tests.campaign.judge import EVIL, Case, command, judge, parametrised, write
@@ -18,7 +18,7 @@ CODE = """
 import dataclasses
 import numpy as np
 from tests.campaign.test_own_tasks import VALUES
-from inclined_landing.envs.tasks import Judgement, Task, Training, hover_states
+from inclined_landing.envs.tasks import Evaluation, Task, Training, hover_states
 
 class Plain(Task):
     name = "plain"
@@ -30,9 +30,9 @@ class Plain(Task):
     def sample(self, rng, k):
         return self.start(hover_states(rng.uniform([-1, -1, 0.5], [1, 1, 1.4], (k, 3)), self.vehicle))
 
-    def judge(self, moment):
-        up = moment.state[:, 2] > 1.5
-        return Judgement({"up": 1.0 * up}, up, up, np.zeros_like(up))
+    def evaluate(self, context):
+        up = context.state[:, 2] > 1.5
+        return Evaluation({"up": 1.0 * up}, up, up, np.zeros_like(up))
 
 class Own(Plain):
     """
@@ -57,7 +57,7 @@ VALUES = EVIL | {
 }  # fmt: skip
 RAISED = ("ValueError('x')", "KeyError('x\\n')", "SystemExit(3)", "RecursionError()", "ZeroDivisionError",
           "OSError(28, 'full')", "StopIteration", "UnicodeDecodeError('utf-8', b'', 0, 1, 'x')")  # fmt: skip
-CHECKED = ("sample", "observe", "judge")
+CHECKED = ("sample", "observe", "evaluate")
 METHODS = [name for name, value in vars(Task).items() if inspect.isfunction(value) and name[0] != "_"]
 ATTRIBUTES = ("name", "observation_names", "observation_scale", "action_names", "training")
 
@@ -96,7 +96,7 @@ def fields():
     start = ("state", "inclination", "present", "goal_size")
     for name, names in (
         ("sample", start),
-        ("judge", [field.name for field in dataclasses.fields(Judgement)]),
+        ("evaluate", [field.name for field in dataclasses.fields(Evaluation)]),
     ):
         for field in names:
             for value in VALUES:
@@ -106,8 +106,9 @@ def fields():
                     f"super().{name}(*given), {field}=VALUES[{value!r}])",
                 )
     for value in VALUES:
-        changed = f"super().judge(moment).terms | {{'more': VALUES[{value!r}]}}"
-        body = f"def judge(self, moment): return dataclasses.replace(super().judge(moment), terms={changed})"
+        changed = f"super().evaluate(context).terms | {{'more': VALUES[{value!r}]}}"
+        replaced = f"dataclasses.replace(super().evaluate(context), terms={changed})"
+        body = f"def evaluate(self, context): return {replaced}"
         yield case(f"term {value}", body)
 
 
