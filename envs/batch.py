@@ -11,7 +11,7 @@ import numpy as np
 
 from inclined_landing.envs.history import History
 from inclined_landing.envs.tasks import Task
-from inclined_landing.envs.tasks.base import FARTHEST, Judgement, Moment, Start
+from inclined_landing.envs.tasks.base import FARTHEST, Evaluation, Start, StepContext
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.equations import settled_hover
@@ -104,8 +104,8 @@ class BatchEnv:
     def draw_from(self, rng: np.random.Generator) -> None:
         """Use `rng` for random starts, and for the disturbance where the plant has it."""
         self.rng = rng
-        if self.plant.unrest:
-            self.plant.unrest.seed(rng)
+        if self.plant.disturbance:
+            self.plant.disturbance.seed(rng)
 
     def episode_state(self) -> dict[str, np.ndarray]:
         """Return copies of the per-vehicle records, for `restore_episodes`."""
@@ -129,7 +129,9 @@ class BatchEnv:
 
     def _present(self, ids=slice(None)) -> np.ndarray:
         plant = self.plant
-        return self.task.observe(Moment(plant.measurement[ids], plant.contacts[ids], deck=plant.deck[ids]))
+        return self.task.observe(
+            StepContext(plant.measurement[ids], plant.contacts[ids], deck=plant.deck[ids])
+        )
 
     def reset(self, ids=None, state: np.ndarray | None = None, start: Start | None = None) -> np.ndarray:
         """Begin new episodes for the vehicles `ids` (all by default); return their observations.
@@ -238,8 +240,8 @@ class BatchEnv:
         self.contact_steps += contacts.platform_near
         self.touched |= contacts.platform
         records = self._start, self.length, self.contact_steps, self.held
-        moment = Moment(self.plant.state, contacts, self.actions, *records, deck=self.plant.deck)
-        verdict: Judgement = self.task.judge(moment)
+        context = StepContext(self.plant.state, contacts, self.actions, *records, deck=self.plant.deck)
+        verdict: Evaluation = self.task.evaluate(context)
         if verdict.holding is not None:
             self.held = np.where(verdict.holding, self.held + 1, 0)
         reward = verdict.reward

@@ -9,7 +9,7 @@ reward. Options of both, which are the keyword arguments of `gymnasium.make` and
 | option | default | meaning |
 |---|---|---|
 | `plant` | "mujoco" | "mujoco", "hybrid" or "analytic" |
-| `plant_options` | {} | arguments of the plant: `{"integrator": "implicitfast"}`, `{"unrest": 0}` ... |
+| `plant_options` | {} | arguments of the plant: `{"integrator": "implicitfast"}`, `{"disturbance": 0}` ... |
 | `vehicle` | shipped | a `Vehicle`, the path of a vehicle file, or the name of a shipped vehicle |
 | others | | arguments of the task: `inclination` [rad], `pwm_centre`, `history`, `observe_vehicle` ... |
 

@@ -26,7 +26,13 @@ from inclined_landing.envs.flights import Track
 from inclined_landing.envs.history import History
 from inclined_landing.envs.hover import CLEAR, HAND_OVER_SPEED, HAND_OVER_TIME, YAW_GAIN, Trim
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.tasks import InclinedLanding, InclinedTouchdown, Moment, Setpoint, hover_states
+from inclined_landing.envs.tasks import (
+    InclinedLanding,
+    InclinedTouchdown,
+    Setpoint,
+    StepContext,
+    hover_states,
+)
 from inclined_landing.envs.tasks.setpoint import START_BOX, TOLERANCE
 from inclined_landing.models.attitude import ROLL_COMMAND, VX, VZ, YAW, YAW_RATE_COMMAND, X, Y, Z
 from inclined_landing.models.errors import UserError
@@ -291,7 +297,7 @@ class _MissionBatch:
         """
         state, trim = self.plant.measurement, self.trim.offset
         target, across = self.hover.shifted(state, self.target + trim), self.hover.across(state, trim[:, Y])
-        return self.hover.observe(Moment(np.where(self.leg[:, None] <= APPROACH, target, across)))
+        return self.hover.observe(StepContext(np.where(self.leg[:, None] <= APPROACH, target, across)))
 
     def _advance_legs(self) -> None:
         """Evaluate the step: vehicles enter the next leg or end their mission."""

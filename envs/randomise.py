@@ -152,7 +152,11 @@ def read_ranges(name: str | Path) -> Ranges:
     """
     what = f"randomise file {name}"
     given = storage.read_toml(locate(name), "randomise file")
-    tables = {key: value for key, value in given.items() if key not in ("nominal", "probability", "vehicles")}
+    tables = {
+        "disturbance" if key == "unrest" else key: value  # unrest: the old name
+        for key, value in given.items()
+        if key not in ("nominal", "probability", "vehicles")
+    }
     vehicles = _vehicles(given["vehicles"], what) if "vehicles" in given else ()
     usual = _share(given.get("probability", 1), "probability", what)
     entries = {constant.field: constant for constant in constants()}

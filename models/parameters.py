@@ -24,7 +24,8 @@ from inclined_landing.models import plausible, schema, storage
 from inclined_landing.models.errors import UserError, shown
 
 # Tables and entries that a vehicle file may leave out, whole or in part: the shipped entries are taken.
-_LATER = {"effects", "rotor", "unrest", "attitude.yaw_gain", "attitude.damping"}
+_LATER = {"effects", "rotor", "disturbance", "attitude.yaw_gain", "attitude.damping"}
+_OLD_TABLES = {"disturbance": "unrest"}  # still read
 _SHIPPED = "crazyflie.toml"
 Size = Annotated[float, Meta(ge=0, le=1e300)]
 _BASE, _BASED_ON = "crazyflie-2.1", "based_on"  # what a vehicle file that holds only what differs begins with
@@ -109,10 +110,10 @@ class Vehicle:
     platform_max_inclination: float
     contact_friction: float
     contact_solref: tuple[float, float]
-    unrest_acceleration: tuple[float, float, float]
-    unrest_acceleration_time: tuple[float, float, float]
-    unrest_angular: tuple[float, float, float]
-    unrest_angular_time: tuple[float, float, float]
+    disturbance_acceleration: tuple[float, float, float]
+    disturbance_acceleration_time: tuple[float, float, float]
+    disturbance_angular: tuple[float, float, float]
+    disturbance_angular_time: tuple[float, float, float]
     effects_thrust_bias: float
     effects_thrust_fade: float
     effects_battery_sag: float
@@ -209,6 +210,9 @@ def constants(path: str | Path | None = None) -> list[Constant]:
         return list(_shipped().values())
     shipped, what = _shipped(), f"vehicle file {path}"
     tables = storage.read_toml(locate_vehicle(path), "vehicle file")
+    for now, before in _OLD_TABLES.items():
+        if before in tables:
+            tables.setdefault(now, tables.pop(before))
     based_on = tables.pop(_BASED_ON, None)
     if based_on not in (None, _BASE):
         raise UserError(f'{what}: {_BASED_ON} can only be "{_BASE}", not {shown(repr(based_on), 40)}')

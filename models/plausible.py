@@ -36,7 +36,7 @@ def contradictions(v: Vehicle) -> Iterator[str]:
     yield from _commands(v)
     yield from _arena(v)
     yield from _contact(v)
-    yield from _unrest(v)
+    yield from _disturbance(v)
     yield from _steps(v)
 
 
@@ -156,11 +156,11 @@ def _contact(v: Vehicle) -> Iterator[str]:
         yield f"contact.solref has a stiffness of {-first:g} 1/s2; it must be at least {_STIFFNESS:g} 1/s2"
 
 
-def _unrest(v: Vehicle) -> Iterator[str]:
+def _disturbance(v: Vehicle) -> Iterator[str]:
     for name in ("acceleration", "angular"):
-        sizes, times = getattr(v, f"unrest_{name}"), getattr(v, f"unrest_{name}_time")
+        sizes, times = getattr(v, f"disturbance_{name}"), getattr(v, f"disturbance_{name}_time")
         if any(size > 0.0 and time == 0.0 for size, time in zip(sizes, times)):
-            yield f"unrest.{name}_time must be above 0 s where unrest.{name} is above 0"
+            yield f"disturbance.{name}_time must be above 0 s where disturbance.{name} is above 0"
 
 
 def _steps(v: Vehicle) -> Iterator[str]:

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from inclined_landing.envs.tasks import TASKS
-from inclined_landing.envs.tasks.base import Judgement, Task, hover_states
+from inclined_landing.envs.tasks.base import Evaluation, Task, hover_states
 from inclined_landing.eval.cli import main as evaluate
 from inclined_landing.train.cli import main as train
 
@@ -22,10 +22,10 @@ class Climb(Task):
         """Starts anywhere below."""
         return self.start(hover_states(rng.uniform([-1, -1, 0.5], [1, 1, 1.4], (k, 3)), self.vehicle))
 
-    def judge(self, moment):
+    def evaluate(self, context):
         """One for every step up there; the first one ends the episode."""
-        up = moment.state[:, 2] > 1.5
-        return Judgement({"up": 1.0 * up}, up, up, np.zeros_like(up))
+        up = context.state[:, 2] > 1.5
+        return Evaluation({"up": 1.0 * up}, up, up, np.zeros_like(up))
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from tests.training import assert_same_policy
 
 CODE = '''
 import numpy as np
-from inclined_landing.envs.tasks import Judgement, Task, hover_states
+from inclined_landing.envs.tasks import Evaluation, Task, hover_states
 
 class Hop(Task):
     """Be higher than 1.5 m."""
@@ -29,9 +29,9 @@ class Hop(Task):
     def sample(self, rng, k):
         return self.start(hover_states(rng.uniform([-1, -1, 0.5], [1, 1, 1.4], (k, 3)), self.vehicle))
 
-    def judge(self, moment):
-        up = moment.state[:, 2] > 1.5
-        return Judgement({"up": 1.0 * up}, up, up, np.zeros_like(up))
+    def evaluate(self, context):
+        up = context.state[:, 2] > 1.5
+        return Evaluation({"up": 1.0 * up}, up, up, np.zeros_like(up))
 '''
 SIZE = [*"--environments 4 --rollout 32 --batch-size 64 --steps 256 --threads 1 --evaluate-every 2".split(),
         *"--video-every 0 --checkpoint-every 1 --no-report".split()]  # fmt: skip
@@ -50,6 +50,18 @@ def own(tmp_path, monkeypatch):
 
     yield forget
     forget()
+
+
+def test_a_task_in_the_old_words_works(own, tmp_path):
+    """`judge` and `Judgement` were the names of `evaluate` and `Evaluation`."""
+    old = CODE.replace("evaluate(self", "judge(self").replace("Evaluation", "Judgement")
+    older = "\nclass Higher(Hop):\n    def judge(self, moment):\n        return super().judge(moment)\n"
+    (tmp_path / "hopping.py").write_text(old + older, "utf-8")
+    for name in ("Hop", "Higher"):
+        task = tasks.make_task(tasks.import_task(f"hopping.py:{name}").name)
+        high = task.evaluate(tasks.StepContext(np.full((2, 13), 2.0)))
+        assert high.success.all() and high.reward.tolist() == [1.0, 1.0]
+        own()
 
 
 @pytest.mark.parametrize("path", ["hopping:Hop", "hopping.py:Hop"])
@@ -100,7 +112,7 @@ def test_all_the_way(path, own, tmp_path, capsys):
         ("hopping.py:Hop", "Hop.observation_names = ('z', 'z')", "it takes a tuple of different names"),
         ("hopping.py:Hop", "Hop.observation_names = ('z',)", "has not one observation_scale for each"),
         ("hopping.py:Hop", "Hop.observation_scale[0] = 0", "has an observation_scale that is not a finite"),
-        ("hopping.py:Bare", "class Bare(Task): pass", "lacks judge and sample"),
+        ("hopping.py:Bare", "class Bare(Task): pass", "lacks evaluate and sample"),
         ("hopping.py:Hop", "1 / 0", "cannot be imported: ZeroDivisionError: division by zero"),
         ("hopping.py:Hop", "raise SystemExit", "cannot be imported: SystemExit"),
     ],
@@ -113,22 +125,28 @@ def test_what_is_no_task_is_refused_in_a_sentence(path, code, sentence, own, tmp
     assert not (tmp_path / "run").exists()
 
 
-JUDGED = "up = moment.state[:, 2] > 1.5; return Judgement({'up': 1.0 * up}, up, up, np.zeros_like(up))"
+JUDGED = "up = context.state[:, 2] > 1.5; return Evaluation({'up': 1.0 * up}, up, up, np.zeros_like(up))"
 
 
 @pytest.mark.parametrize(
     ("method", "sentence"),
     [
-        ("judge(self, moment): return 1 / 0", "judge raised ZeroDivisionError: division by zero (line 20)"),
-        ("judge(self, moment): raise SystemExit", "judge raised SystemExit (line 20)"),
-        ("judge(self, moment): return None", "judge returned nothing, not a Judgement"),
-        (f"judge(self, moment): {JUDGED.replace('1.0 * up', '1.0')}", "the term up of shape (), not (2,)"),
         (
-            f"judge(self, moment): {JUDGED.replace('1.0 * up', 'np.nan * up')}",
-            "judge returned NaN in the term up",
+            "evaluate(self, context): return 1 / 0",
+            "evaluate raised ZeroDivisionError: division by zero (line 20)",
+        ),
+        ("evaluate(self, context): raise SystemExit", "evaluate raised SystemExit (line 20)"),
+        ("evaluate(self, context): return None", "evaluate returned nothing, not an Evaluation"),
+        (
+            f"evaluate(self, context): {JUDGED.replace('1.0 * up', '1.0')}",
+            "the term up of shape (), not (2,)",
         ),
         (
-            f"judge(self, moment): {JUDGED.replace('up, up, np', '1.0 * up, up, np')}",
+            f"evaluate(self, context): {JUDGED.replace('1.0 * up', 'np.nan * up')}",
+            "evaluate returned NaN in the term up",
+        ),
+        (
+            f"evaluate(self, context): {JUDGED.replace('up, up, np', '1.0 * up, up, np')}",
             "success of float64, not",
         ),
         ("sample(self, rng, k): return 3", "sample returned 3, not a Start"),
@@ -140,13 +158,13 @@ JUDGED = "up = moment.state[:, 2] > 1.5; return Judgement({'up': 1.0 * up}, up, 
             "sample(self, rng, k): return self.start(np.zeros((1, 13)))",
             "states of shape (1, 13), not (2, 13)",
         ),
-        ("observe(self, moment): return moment.state[:, :1]", "observations of shape (2, 1), not (2, 2)"),
+        ("observe(self, context): return context.state[:, :1]", "observations of shape (2, 1), not (2, 2)"),
         (
-            "observe(self, moment): return moment.state[:, :2] + [0, np.inf]",
+            "observe(self, context): return context.state[:, :2] + [0, np.inf]",
             "observe returned inf in observations for vz",
         ),
         (
-            "observe(self, moment): return [['a', 'b']] * 2",
+            "observe(self, context): return [['a', 'b']] * 2",
             "observe returned observations of <U1, not of numbers",
         ),
         ("score(self, flights): return 1 / 0", "score raised ZeroDivisionError: division by zero (line 20)"),
@@ -162,12 +180,12 @@ def test_what_is_wrong_with_its_code_is_said_before_the_training(method, sentenc
 
 
 def test_what_goes_wrong_in_the_midst_of_it_leaves_a_run_that_goes_on(own, tmp_path, capsys):
-    late = "Hop.n += 1; return Judgement({'up': up * [1, np.nan][Hop.n > 100]}, up, up, up & False)"
-    wrong = f"    n = 0\n    def judge(self, moment): up = moment.state[:, 2] > 1.5; {late}\n"
+    late = "Hop.n += 1; return Evaluation({'up': up * [1, np.nan][Hop.n > 100]}, up, up, up & False)"
+    wrong = f"    n = 0\n    def evaluate(self, context): up = context.state[:, 2] > 1.5; {late}\n"
     (tmp_path / "hopping.py").write_text(f"{CODE}\n{wrong}", "utf-8")
     assert train(["hopping.py:Hop", "--out", "cut", *SIZE]) == 2
     error = capsys.readouterr().err
-    assert "task hopping.py:Hop: judge returned NaN in the term up; after " in error
+    assert "task hopping.py:Hop: evaluate returned NaN in the term up; after " in error
     assert "cut has a checkpoint: with the task corrected, --resume goes on" in error
     (tmp_path / "hopping.py").write_text(CODE, "utf-8")
     own()
@@ -178,10 +196,10 @@ def test_what_goes_wrong_in_the_midst_of_it_leaves_a_run_that_goes_on(own, tmp_p
 def test_commands_say_it_too(own, tmp_path, capsys):
     assert train(["hopping.py:Hop", "--out", "run", *SIZE]) == 0
     own()
-    (tmp_path / "hopping.py").write_text(f"{CODE}\n    def judge(self, moment): return 1 / 0\n", "utf-8")
+    (tmp_path / "hopping.py").write_text(f"{CODE}\n    def evaluate(self, context): return 1 / 0\n", "utf-8")
     capsys.readouterr()
     assert evaluate(["success", "run/final.zip", "--plant", "analytic", "--task", "hopping.py:Hop"]) == 2
-    assert capsys.readouterr().err.endswith("judge raised ZeroDivisionError: division by zero (line 20)\n")
+    assert capsys.readouterr().err.endswith("evaluate raised ZeroDivisionError: division by zero (line 20)\n")
 
 
 def test_a_guarded_task_is_the_task(own):
@@ -190,7 +208,7 @@ def test_a_guarded_task_is_the_task(own):
     assert inspect.signature(kind) == inspect.signature(sys.modules["hopping"].Hop)
     task = tasks.make_task("hop", history=2)
     assert task.history == 2 and task.goal is None and len(task.sample(np.random.default_rng(0), k=3)) == 3
-    moment = tasks.Moment(np.full((2, 13), 2.0))
-    verdict = task.judge(moment)
+    context = tasks.StepContext(np.full((2, 13), 2.0))
+    verdict = task.evaluate(context)
     assert verdict.reward.tolist() == [1.0, 1.0] and verdict.terminated.all()
-    assert task.observe(moment).dtype == np.float32
+    assert task.observe(context).dtype == np.float32

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from inclined_landing.envs.tasks import Moment, Task
+from inclined_landing.envs.tasks import StepContext, Task
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import VX, VZ, X, Y, Z
 from inclined_landing.models.equations import settled_hover
@@ -32,14 +32,14 @@ class Descent:
         turning = v.motor_count * (slope * self._hover + least)  # rad/s, of all rotors
         self._drag = -v.drag_coefficients[0] * turning / v.body_mass  # 1/s
 
-    def __call__(self, moment: Moment, idle: float) -> np.ndarray:
+    def __call__(self, context: StepContext, idle: float) -> np.ndarray:
         """Actions (n, a) in n states, over their decks; idle: that of stopped motors."""
-        seen = surface.heading_frame(moment.state, moment.deck)
+        seen = surface.heading_frame(context.state, context.deck)
         beside = np.hypot(seen[:, X], seen[:, Y])
         place = seen[:, : Z + 1].copy()
         place[:, Z] -= np.clip(FUNNEL * (beside - CENTRE), 0.0, HIGHEST)
         push = np.clip(-STIFFNESS * place - DAMPING * seen[:, VX : VZ + 1], -LARGEST, LARGEST)
-        push[:, :Z] += self._drag * surface.deck_motion(moment.deck)[:, :Z]
+        push[:, :Z] += self._drag * surface.deck_motion(context.deck)[:, :Z]
         wanted = {
             "thrust": self._hover * (1.0 + push[:, Z] / self._gravity),
             "roll": -push[:, Y] / self._gravity,

@@ -67,8 +67,8 @@ def drawn(config: TrainConfig, vehicle: Vehicle, seed: int, count: int = POOL) -
     if config.randomise is None:
         return {}
     pool = read_ranges(config.randomise).draw(vehicle, seed, count)
-    moved = any(any(v.unrest_acceleration) or any(v.unrest_angular) for v in pool)
-    return {"pool": pool} | ({"unrest": seed} if moved else {})
+    moved = any(any(v.disturbance_acceleration) or any(v.disturbance_angular) for v in pool)
+    return {"pool": pool} | ({"disturbance": seed} if moved else {})
 
 
 def build_task(config: TrainConfig) -> Task:

@@ -21,7 +21,7 @@ from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import strobe, write_picture, write_video
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.policies import success, success_table, touchdown
-from inclined_landing.eval.policies.judges import judge_of
+from inclined_landing.eval.policies.evaluators import evaluator_of
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.train.curriculum import make_curriculum
@@ -78,15 +78,15 @@ def _draw(folder: Path, config: dict, policy: Policy) -> list[Path]:
 def _success(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
     """success.json of `final.zip`; what is returned prints it."""
     final = load(folder / "final.zip")
-    judge = judge_of(final.task)
-    table = success.evaluate(final, thrust_scales=judge.report_scales)
+    evaluator = evaluator_of(final.task)
+    table = success.evaluate(final, thrust_scales=evaluator.report_scales)
     storage.write_json(folder / "success.json", table)
-    metrics["success"] = {"final": [judge.headline(c) for c in table["conditions"]]}
+    metrics["success"] = {"final": [evaluator.headline(c) for c in table["conditions"]]}
     if (folder / "best.zip").exists():
         best = load(folder / "best.zip")
         flown = table if _same_network(best, final) else success.evaluate(best)
         plain = [c for c in flown["conditions"] if c["thrust_scale"] == 1.0]
-        metrics["success"]["best"] = [judge.headline(c) for c in plain]
+        metrics["success"]["best"] = [evaluator.headline(c) for c in plain]
     return lambda: success_table.show(table)
 
 

@@ -21,7 +21,7 @@ from stable_baselines3 import PPO
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.history import input_centre, input_scale
 from inclined_landing.envs.policy import Policy, load_policy, tensors, trained_task
-from inclined_landing.envs.tasks import Moment, Task
+from inclined_landing.envs.tasks import StepContext, Task
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.touchdown import (
     FRICTION,
@@ -122,11 +122,11 @@ def take_over(model: PPO, policy: Policy) -> None:
             model.policy.log_std[row] += np.log(gain)
 
 
-def lesson(moment: Moment, landing: Policy) -> np.ndarray:
+def lesson(context: StepContext, landing: Policy) -> np.ndarray:
     """Actions (n, a) to imitate in n states, over their decks."""
     task = landing.task
-    v, state, deck = task.vehicle, moment.state, moment.deck
-    action = landing.predict(task.observe(moment)).astype(float)
+    v, state, deck = task.vehicle, context.state, context.deck
+    action = landing.predict(task.observe(context)).astype(float)
     action[:, 0] = np.maximum(action[:, 0], _LOWEST)
     place = surface.on_deck(state, deck)
     over = (place[:, Z] < CUT_HEIGHT) & (np.abs(place[:, X]) < v.slab_half_length)
@@ -145,13 +145,13 @@ def lesson(moment: Moment, landing: Policy) -> np.ndarray:
 def teach(model: PPO, env: BatchEnv, teacher: Policy | Descent, seed: int) -> None:
     """What a task needs besides the teacher's weights: in touchdown, cutting the motors; or the whole law."""
     if isinstance(teacher, Descent):
-        teach_law(model, env, lambda moment: teacher(moment, _IDLE), seed, _ROUNDS_OF_LAW)
+        teach_law(model, env, lambda context: teacher(context, _IDLE), seed, _ROUNDS_OF_LAW)
     elif isinstance(env.task, InclinedTouchdown) and teacher.task.name != env.task.name:
-        teach_law(model, env, lambda moment: lesson(moment, teacher), seed)
+        teach_law(model, env, lambda context: lesson(context, teacher), seed)
 
 
 def teach_law(
-    model: PPO, env: BatchEnv, law: Callable[[Moment], np.ndarray], seed: int, rounds: int = _ROUNDS
+    model: PPO, env: BatchEnv, law: Callable[[StepContext], np.ndarray], seed: int, rounds: int = _ROUNDS
 ) -> None:
     """Teach the model's actor a law on the states it meets in `env`, whose conditions are set back."""
     rng, shuffle = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
@@ -167,7 +167,7 @@ def teach_law(
     for lap in range(rounds):
         for _ in range(_STEPS):
             seen.append(env.observe())
-            taught.append(law(Moment(env.plant.state, deck=env.plant.deck)))
+            taught.append(law(StepContext(env.plant.state, deck=env.plant.deck)))
             action = taught[-1] if lap == 0 else _mean(actor, torch.as_tensor(seen[-1])).detach().numpy()
             step = env.step(action + rng.normal(0.0, _NOISE, action.shape))
             done = step.terminated | step.truncated

@@ -4,7 +4,16 @@ import sys
 from importlib import import_module
 
 from inclined_landing.envs.ids import TASK_CLASSES
-from inclined_landing.envs.tasks.base import Judgement, Moment, Start, Task, Training, hover_states
+from inclined_landing.envs.tasks.base import (
+    Evaluation,
+    Judgement,
+    Moment,
+    Start,
+    StepContext,
+    Task,
+    Training,
+    hover_states,
+)
 from inclined_landing.envs.tasks.landing import InclinedLanding
 from inclined_landing.envs.tasks.options import TaskOptions, option
 from inclined_landing.envs.tasks.own import import_class, is_path
@@ -20,12 +29,14 @@ _OWN: dict[str, type[Task]] = {}  # imported with `import_task`, by path and by 
 
 __all__ = [
     "TASKS",
+    "Evaluation",
     "InclinedLanding",
     "InclinedTouchdown",
     "Judgement",
     "Moment",
     "Setpoint",
     "Start",
+    "StepContext",
     "Task",
     "TaskOptions",
     "Training",

@@ -5,8 +5,8 @@ the task; every function here takes and returns arrays whose first axis is the v
 
 A new task is a class derived from `Task`: in a file beside this one with its entry in `TASK_CLASSES`
 (`envs/ids.py`), or anywhere and named as `module:Class` or `file.py:Class` (`envs.tasks.own`). It must have
-`name`, the names and scale of its observations, `action_names`, `sample` and `judge`; everything else has a
-default: it can then be trained, evaluated, filmed and pictured.
+`name`, the names and scale of its observations, `action_names`, `sample` and `evaluate`; everything else has
+a default: it can then be trained, evaluated, filmed and pictured.
 """
 
 from __future__ import annotations
@@ -104,10 +104,10 @@ def joined(starts: Sequence[Start]) -> Start:
 
 
 @dataclasses.dataclass(frozen=True)
-class Moment:
+class StepContext:
     """What observation and reward of n vehicles are computed from, after one control step.
 
-    `observe` is given the state as motion capture reports it, the contacts and the platforms; `judge` is
+    `observe` is given the state as motion capture reports it, the contacts and the platforms; `evaluate` is
     given everything, with the true state.
     """
 
@@ -135,7 +135,7 @@ class Channel:
 
 
 @dataclasses.dataclass
-class Judgement:
+class Evaluation:
     """Reward terms and end of one step; the reward is the sum of the terms."""
 
     terms: dict[str, np.ndarray]  # name -> (n,)
@@ -160,6 +160,10 @@ class ScoreCurve:
     limits: tuple[float, float] | None = (-3.0, 108.0)
     reference: tuple[float, str] | None = None  # value and what it is
     logarithmic: bool = False
+
+
+# The old names, which tasks of one's own may import.
+Moment, Judgement = StepContext, Evaluation
 
 
 class Task(abc.ABC):
@@ -209,6 +213,15 @@ class Task(abc.ABC):
         added = [parameter.name for parameter in keywords if parameter.kind is parameter.KEYWORD_ONLY]
         return [*added, *(field.name for field in dataclasses.fields(cls.options_type))]
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Let tasks that call `evaluate` by its old name, `judge`, go on working."""
+        super().__init_subclass__(**options)
+        own = vars(cls)
+        if "judge" in own and "evaluate" not in own:
+            cls.evaluate = own["judge"]  # type: ignore[method-assign]
+        elif "evaluate" in own:
+            cls.judge = own["evaluate"]  # type: ignore[attr-defined]
+
     def __init__(self, vehicle: Vehicle | None = None, **options: Any):
         given = self.options_type(**options)
         self.vehicle = limited(vehicle or load_vehicle(), given.angle_limit)
@@ -233,7 +246,7 @@ class Task(abc.ABC):
         """Return k random starts."""
 
     @abc.abstractmethod
-    def judge(self, moment: Moment) -> Judgement:
+    def evaluate(self, context: StepContext) -> Evaluation:
         """Return reward terms, success and end of the step that led to this moment."""
 
     # --- what an environment asks ----------------------------------------------------------------
@@ -293,10 +306,10 @@ class Task(abc.ABC):
         """Return gain and offset that map a thrust action of `other` to the one with the same PWM here."""
         return other.pwm_span / self.pwm_span, (other.pwm_centre - self.pwm_centre) / self.pwm_span
 
-    def observe(self, moment: Moment) -> np.ndarray:
+    def observe(self, context: StepContext) -> np.ndarray:
         """Return observations (n, o), float32: those of `observation_names` that the state has."""
         columns = [COLUMNS[name] for name in self.observation_names if name in COLUMNS]
-        return moment.state[:, columns].astype(np.float32)
+        return context.state[:, columns].astype(np.float32)
 
     # --- what training and evaluation ask --------------------------------------------------------
 

@@ -1,8 +1,8 @@
 """Tasks of one's own, guarded: what their code does wrong is one sentence that names the method.
 
 `guarded` derives a class whose methods call those of the task. Whatever one of them raises becomes a sentence
-with its line; what `sample`, `observe` and `judge` return is checked for shapes, types and NaN. The package's
-own tasks have tests instead.
+with its line; what `sample`, `observe` and `evaluate` return is checked for shapes, types and NaN. The
+package's own tasks have tests instead.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.envs.tasks.base import ACTIONS, FARTHEST, Judgement, Moment, Start, Task, Training
+from inclined_landing.envs.tasks.base import ACTIONS, FARTHEST, Evaluation, Start, StepContext, Task, Training
 from inclined_landing.models.attitude import STATE_NAMES, STATE_SIZE
 from inclined_landing.models.errors import UserError, shown
 
@@ -133,7 +133,8 @@ def _numbers(value, shape: tuple[int, ...], what: str, names=(), kind=float, mos
 def _is(value: Any, kind: type, hint: str = "") -> None:
     if not isinstance(value, kind):
         said = "nothing" if value is None else shown(repr(value), 40)
-        raise _Wrong(f"returned {said}, not a {kind.__name__}{hint}")
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise _Wrong(f"returned {said}, not {article} {kind.__name__}{hint}")
 
 
 def _start(task: Task, value: Any, rng: np.random.Generator, k: int) -> Start:
@@ -147,15 +148,15 @@ def _start(task: Task, value: Any, rng: np.random.Generator, k: int) -> Start:
     )
 
 
-def _observation(task: Task, value: Any, moment: Moment) -> np.ndarray:
+def _observation(task: Task, value: Any, context: StepContext) -> np.ndarray:
     names = task.observation_names
-    return _numbers(value, (len(moment.state), len(names)), "observations", names, np.float32)
+    return _numbers(value, (len(context.state), len(names)), "observations", names, np.float32)
 
 
-def _judgement(task: Task, value: Any, moment: Moment) -> Judgement:
-    _is(value, Judgement)
+def _evaluation(task: Task, value: Any, context: StepContext) -> Evaluation:
+    _is(value, Evaluation)
     _is(value.terms, dict, " of terms")
-    shape = (len(moment.state),)
+    shape = (len(context.state),)
     terms = {name: _numbers(term, shape, f"the term {shown(name, 40)}") for name, term in value.terms.items()}
     flags = ("success", "terminated", "cut", *(["holding"] if value.holding is not None else []))
     return dataclasses.replace(
@@ -163,4 +164,4 @@ def _judgement(task: Task, value: Any, moment: Moment) -> Judgement:
     )
 
 
-_CHECKS: dict[str, Callable] = {"sample": _start, "observe": _observation, "judge": _judgement}
+_CHECKS: dict[str, Callable] = {"sample": _start, "observe": _observation, "evaluate": _evaluation}

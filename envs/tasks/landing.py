@@ -47,10 +47,10 @@ import numpy as np
 
 from inclined_landing.envs.tasks.base import (
     COLUMNS,
-    Judgement,
-    Moment,
+    Evaluation,
     ScoreCurve,
     Start,
+    StepContext,
     Task,
     Training,
     hover_states,
@@ -286,16 +286,16 @@ class InclinedLanding(Task):
             near |= (state[:, axis] < low + margin) | (state[:, axis] > high - margin)
         return near
 
-    def in_arena(self, moment: Moment) -> np.ndarray:
+    def in_arena(self, context: StepContext) -> np.ndarray:
         """Return states (n, 13) relative to the arena, which here stands still."""
-        return moment.state
+        return context.state
 
-    def judge(self, moment: Moment) -> Judgement:
+    def evaluate(self, context: StepContext) -> Evaluation:
         """See the module's docstring."""
-        c, start = self.conditions, moment.start
-        state = self.in_arena(moment)
-        goal = self.in_goal(moment.state, start.goal_size, moment.deck, start.inclination)
-        obstacle = moment.contacts.platform_near
+        c, start = self.conditions, context.start
+        state = self.in_arena(context)
+        goal = self.in_goal(context.state, start.goal_size, context.deck, start.inclination)
+        obstacle = context.contacts.platform_near
         if not c.goal_while_touching:
             goal &= ~obstacle
         paid = ~goal
@@ -306,14 +306,14 @@ class InclinedLanding(Task):
         }
         outside, cut = np.zeros_like(goal), np.zeros_like(goal)
         if c.leave_limit < math.inf:
-            outside = self.near_bounds(state, -c.leave_limit) | moment.contacts.touch[:, 2].any(axis=1)
+            outside = self.near_bounds(state, -c.leave_limit) | context.contacts.touch[:, 2].any(axis=1)
             outside &= ~goal
         if c.contact_limit:
-            cut = moment.in_contact >= c.contact_limit
+            cut = context.in_contact >= c.contact_limit
         if c.out_of_bounds_penalty:
             terms["out_of_bounds"] = -c.out_of_bounds_penalty * outside
-            return Judgement(terms, goal, goal | outside, cut & ~goal & ~outside)
-        return Judgement(terms, goal, goal, (cut | outside) & ~goal)
+            return Evaluation(terms, goal, goal | outside, cut & ~goal & ~outside)
+        return Evaluation(terms, goal, goal, (cut | outside) & ~goal)
 
     def score(self, flights: Sequence) -> dict[str, float]:
         """Return the shares of the flights that reach the goal box without a touch before, and at all."""

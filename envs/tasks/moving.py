@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.envs import swell as swells
-from inclined_landing.envs.tasks.base import Moment, Start
+from inclined_landing.envs.tasks.base import Start, StepContext
 from inclined_landing.envs.tasks.slopes import SEEN, SEEN_SCALE
 from inclined_landing.envs.tasks.space import SpaceLanding
 from inclined_landing.models import surface
@@ -47,15 +47,15 @@ class MovingLanding(SpaceLanding):
         """A plant with moving platforms."""
         return {"moving": True}
 
-    def observe(self, moment: Moment) -> np.ndarray:
+    def observe(self, context: StepContext) -> np.ndarray:
         """Return observations (n, o), float32: over the slope, and the platforms' own motion."""
-        seen = super().observe(moment)
-        return np.concatenate([seen, surface.deck_motion(moment.deck).astype(np.float32)], axis=1)
+        seen = super().observe(context)
+        return np.concatenate([seen, surface.deck_motion(context.deck).astype(np.float32)], axis=1)
 
-    def in_arena(self, moment: Moment) -> np.ndarray:
+    def in_arena(self, context: StepContext) -> np.ndarray:
         """Return states (n, 13) relative to an arena that is carried along with the platforms' centres."""
-        state = moment.state.copy()
-        state[:, : Y + 1] -= moment.deck[:, : Y + 1]
+        state = context.state.copy()
+        state[:, : Y + 1] -= context.deck[:, : Y + 1]
         return state
 
     def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:

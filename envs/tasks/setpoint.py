@@ -32,10 +32,10 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.envs.tasks.base import (
-    Judgement,
-    Moment,
+    Evaluation,
     ScoreCurve,
     Start,
+    StepContext,
     Task,
     Training,
     hover_states,
@@ -119,11 +119,11 @@ class Setpoint(Task):
         goal[:, Y] = y
         return self.shifted(shown, goal)
 
-    def judge(self, moment: Moment) -> Judgement:
+    def evaluate(self, context: StepContext) -> Evaluation:
         """See the module's docstring."""
-        state, c = moment.state, self.conditions
+        state, c = context.state, self.conditions
         e_p = self.position_error(state)
-        effort = (moment.actions[:, 1:] ** 2).sum(axis=1)
+        effort = (context.actions[:, 1:] ** 2).sum(axis=1)
         terms = {
             "position": -e_p,
             "velocity": -0.2 * np.linalg.norm(state[:, VX : VZ + 1], axis=1),
@@ -131,7 +131,7 @@ class Setpoint(Task):
             "effort": -0.1 * effort / np.maximum(e_p, c.effort_floor),
         }
         never = np.zeros(len(state), bool)
-        return Judgement(terms, e_p < TOLERANCE, never, moment.length >= c.episode_limit)
+        return Evaluation(terms, e_p < TOLERANCE, never, context.length >= c.episode_limit)
 
     def score(self, flights: Sequence) -> dict[str, float]:
         """Return the share of the flights that end within 5 cm of the goal, and their mean distance [m]."""

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.envs.tasks.base import Moment, Start, hover_states
+from inclined_landing.envs.tasks.base import Start, StepContext, hover_states
 from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, InclinedLanding, goal_box
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Z, rotation
@@ -79,11 +79,11 @@ class SlopeLanding(InclinedLanding):
         """The goal over a level platform: (o,)."""
         return np.where(np.array(self.observation_names) == "z", GOAL_HEIGHT, 0.0)
 
-    def observe(self, moment: Moment) -> np.ndarray:
+    def observe(self, context: StepContext) -> np.ndarray:
         """Return observations (n, o), float32; the platforms of the moment are needed."""
-        if moment.deck is None:
+        if context.deck is None:
             raise UserError(f"this {self.name} task observes the slope; give observe the deck")
-        seen = surface.heading_frame(moment.state, moment.deck)[:, self.columns]
+        seen = surface.heading_frame(context.state, context.deck)[:, self.columns]
         return seen.astype(np.float32)
 
     def in_goal(self, state, goal_size, deck=None, inclination=None) -> np.ndarray:

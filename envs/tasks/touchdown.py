@@ -44,10 +44,10 @@ import numpy as np
 
 from inclined_landing.envs.tasks import touchdown_starts
 from inclined_landing.envs.tasks.base import (
-    Judgement,
-    Moment,
+    Evaluation,
     ScoreCurve,
     Start,
+    StepContext,
     Task,
     Training,
 )
@@ -176,20 +176,20 @@ class InclinedTouchdown(InclinedLanding):
             )
         return 1.0, 0.0
 
-    def observe(self, moment: Moment) -> np.ndarray:
+    def observe(self, context: StepContext) -> np.ndarray:
         """Return the landing task's observations, float32, and the feet's contact where it is observed."""
-        observation = super().observe(moment)
+        observation = super().observe(context)
         if not self.observe_contact:
             return observation
-        if moment.contacts is None:
+        if context.contacts is None:
             raise UserError("this touchdown task observes the feet's contact; give it to observe")
-        return np.column_stack([observation, moment.contacts.touch[:, 0, 0].astype(np.float32)])
+        return np.column_stack([observation, context.contacts.touch[:, 0, 0].astype(np.float32)])
 
-    def judge(self, moment: Moment) -> Judgement:
+    def evaluate(self, context: StepContext) -> Evaluation:
         """See the module's docstring."""
-        c, state, contacts = self.conditions, moment.state, moment.contacts
-        wrong, in_arena = wrong_contact(contacts), self.in_arena(moment)
-        holding = resting(state, moment.deck, moment.actions[:, 0] <= IDLE_ACTION, contacts)
+        c, state, contacts = self.conditions, context.state, context.contacts
+        wrong, in_arena = wrong_contact(contacts), self.in_arena(context)
+        holding = resting(state, context.deck, context.actions[:, 0] <= IDLE_ACTION, contacts)
         excess = np.maximum(contacts.force[:, 0, 0] / self._weight - GENTLE_FORCE, 0.0)
         terms = {
             "time": -1.0 * ~holding,
@@ -197,17 +197,17 @@ class InclinedTouchdown(InclinedLanding):
             "obstacle": -6.0 * wrong,
             "impact": -c.impact * excess,
         }
-        success = holding & (moment.held + 1 >= HOLD_STEPS)
+        success = holding & (context.held + 1 >= HOLD_STEPS)
         cut = np.zeros_like(success)
         if c.leave_limit < math.inf:
             cut |= self.near_bounds(in_arena, -c.leave_limit) | contacts.touch[:, 2].any(axis=1)
         if c.contact_limit:
-            cut |= wrong & (moment.in_contact >= c.contact_limit)
+            cut |= wrong & (context.in_contact >= c.contact_limit)
         cut &= ~success
         if c.out_of_bounds_penalty:
             terms["out_of_bounds"] = -c.out_of_bounds_penalty * cut
-            return Judgement(terms, success, success | cut, np.zeros_like(cut), holding)
-        return Judgement(terms, success, success, cut, holding)
+            return Evaluation(terms, success, success | cut, np.zeros_like(cut), holding)
+        return Evaluation(terms, success, success, cut, holding)
 
     def evaluation_starts(self, rng: np.random.Generator, k: int) -> Start:
         """Return k random starts of the task itself, each with friction and restitution drawn."""

@@ -7,7 +7,7 @@ import numpy as np
 from inclined_landing.envs.history import History
 from inclined_landing.envs.hover import Trim
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.tasks import Moment, Setpoint
+from inclined_landing.envs.tasks import Setpoint, StepContext
 from inclined_landing.models.attitude import ROLL_COMMAND, X, Y, Z
 
 
@@ -36,7 +36,7 @@ class PolicyRunner:
 
         Raises BadAction when the action is NaN or infinite.
         """
-        observation = self.task.observe(Moment(state[None]))
+        observation = self.task.observe(StepContext(state[None]))
         if not self._begun:
             self._past.reset([0], observation)
             self._begun = True

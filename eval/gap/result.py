@@ -234,7 +234,7 @@ class Diagnosis:
     separating_manoeuvre: str | None
     where: tuple[RegimeError, ...]
     sets: tuple[ScoredSet, ...]  # most probable first; with effects of contact where there are landings
-    unrest: dict[str, Disturbance]  # channel -> noise and disturbance
+    disturbance: dict[str, Disturbance]  # channel -> noise and disturbance
     horizon: tuple[HorizonCurve, ...]
     windows: tuple[WindowCurves, ...]
     residual: ResidualAnalysis
@@ -306,10 +306,10 @@ class Diagnosis:
             "possible": self.possible,
             "sets": [one.to_json() for one in self.sets],
             "unseen": [one.to_json() for one in self.unidentifiable_sets],
-            "noise": {channel: d.noise for channel, d in self.unrest.items()},
-            "unrest": {
+            "noise": {channel: d.noise for channel, d in self.disturbance.items()},
+            "disturbance": {
                 channel: _some(d, "size", "size_ci95", "time", "time_ci95", "unit")
-                for channel, d in self.unrest.items()
+                for channel, d in self.disturbance.items()
             },
             "where": [dataclasses.asdict(row) for row in self.where],
             "gap": {plant: dataclasses.asdict(gap) for plant, gap in self.gap.items()},

@@ -125,8 +125,8 @@ class Study:
         )
         if "vehicle" in data:
             fields: dict[str, Any] = {
-                name: tuple(value) if isinstance(value, list) else value
-                for name, value in data["vehicle"].items()
+                name.replace("unrest_", "disturbance_"): tuple(value) if isinstance(value, list) else value
+                for name, value in data["vehicle"].items()  # unrest: the old name
             }
             data["vehicle"] = Vehicle(**fields)
         return Study(**data)

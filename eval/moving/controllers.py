@@ -20,7 +20,7 @@ import numpy as np
 from inclined_landing.envs.batch import as_floats
 from inclined_landing.envs.history import History
 from inclined_landing.envs.policy import Policy, load_policy
-from inclined_landing.envs.tasks import Moment, is_path
+from inclined_landing.envs.tasks import StepContext, is_path
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.own import import_named
 from inclined_landing.eval.moving.planner import Planner
@@ -42,7 +42,7 @@ def vehicle_flown() -> Vehicle:
 class Pilot(Protocol):
     """A controller of n vehicles through one scenario."""
 
-    def __call__(self, t: float, moment: Moment) -> np.ndarray:
+    def __call__(self, t: float, context: StepContext) -> np.ndarray:
         """Commands (n, 4) at time t [s], for states, contacts and decks of now."""
 
 
@@ -81,15 +81,15 @@ class _PolicyPilot:
         self._past = History(self._task, n)
         self._cut = np.zeros(n, bool)
 
-    def __call__(self, t: float, moment: Moment) -> np.ndarray:
-        observation = self._task.observe(moment)
+    def __call__(self, t: float, context: StepContext) -> np.ndarray:
+        observation = self._task.observe(context)
         if t == 0.0:
             self._past.reset(slice(None), observation)
         actions = self._policy.predict(self._past.stack(observation)).astype(float)
         self._past.record(observation, actions)
-        commands = self._task.body_commands(self._task.commands(actions), moment.state, moment.deck)
+        commands = self._task.body_commands(self._task.commands(actions), context.state, context.deck)
         if self._task.cut_at_success:
-            self._cut |= self._task.in_goal(moment.state, GOAL_SIZE, moment.deck)
+            self._cut |= self._task.in_goal(context.state, GOAL_SIZE, context.deck)
             commands[self._cut, PWM] = 0.0
         return commands
 
@@ -103,8 +103,8 @@ class _Told:
         self._low = np.array([vehicle.command_pwm_range[0], -angle, -angle, -yaw])
         self._high = np.array([vehicle.command_pwm_range[1], angle, angle, yaw])
 
-    def __call__(self, t: float, moment: Moment) -> np.ndarray:
-        given = moment.state[:, :_SEEN].copy(), moment.deck.copy()
+    def __call__(self, t: float, context: StepContext) -> np.ndarray:
+        given = context.state[:, :_SEEN].copy(), context.deck.copy()
         where = f"controller {self._name} at {t:.2f} s"
         try:
             answer = self._answer(t, *given)
@@ -116,7 +116,7 @@ class _Told:
             commands = as_floats(answer, where)
         except UserError:
             raise UserError(f"{where} must answer with real numbers, not {shown(repr(answer), 60)}") from None
-        wanted = (len(moment.state), COMMAND_SIZE)
+        wanted = (len(context.state), COMMAND_SIZE)
         if commands.shape != wanted:
             raise UserError(f"{where} must answer with commands of shape {wanted}, not {commands.shape}")
         if not np.isfinite(commands).all():

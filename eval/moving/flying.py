@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from inclined_landing.envs.flights import Flight
-from inclined_landing.envs.tasks import Moment, make_task
+from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.touchdown import resting
 from inclined_landing.eval.moving.controllers import Controller
 from inclined_landing.eval.moving.scenario import Drawn, Scenario
@@ -59,7 +59,7 @@ def fly(scenario: Scenario, controller: Controller, flights: int | None = None) 
     time, off_centre = np.full(n, np.nan), np.full(n, np.nan)
     for tick in range(round(rest.within / period)):
         commands = _asked(
-            pilot, tick * period, Moment(plant.state, plant.contacts, deck=plant.deck), scenario
+            pilot, tick * period, StepContext(plant.state, plant.contacts, deck=plant.deck), scenario
         )
         recorder.step(commands, np.flatnonzero(~ended))
         held = np.where(_rests(scenario, plant, commands), held + 1, 0)
@@ -94,7 +94,7 @@ def ride(scenario: Scenario, controller: Controller) -> Ride:
     rows = [(plant.state[0].copy(), plant.deck[0].copy())]
     given: list[np.ndarray] = []
     while len(given) * period < scenario.success.within and left > 0:
-        commands = pilot(len(given) * period, Moment(plant.state, plant.contacts, deck=plant.deck))
+        commands = pilot(len(given) * period, StepContext(plant.state, plant.contacts, deck=plant.deck))
         plant.step(commands)
         given.append(commands[0])
         rows.append((plant.state[0].copy(), plant.deck[0].copy()))
@@ -132,8 +132,8 @@ def _begun(controller: Controller, scenario: Scenario, n: int):
     return _named(lambda: controller.pilot(n), scenario)
 
 
-def _asked(pilot, t: float, moment: Moment, scenario: Scenario) -> np.ndarray:
-    return _named(lambda: pilot(t, moment), scenario)
+def _asked(pilot, t: float, context: StepContext, scenario: Scenario) -> np.ndarray:
+    return _named(lambda: pilot(t, context), scenario)
 
 
 def _named(work, scenario: Scenario):

@@ -36,7 +36,7 @@ from inclined_landing.eval.base.conditions import fly_all
 from inclined_landing.eval.base.options import Flag, Flat, Flown, NewFolder, Seed
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.policies import success_table
-from inclined_landing.eval.policies.judges import judge_of, report_of
+from inclined_landing.eval.policies.evaluators import evaluator_of, report_of
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
@@ -53,15 +53,15 @@ def evaluate(
     *,
     plant: str = "mujoco",
     thrust_scales: Sequence[float] = (1.0,),
-    unrest: bool = False,
+    disturbance: bool = False,
     seed: int = 0,
 ) -> dict[str, Any]:
     """Return the success report of a policy as plain numbers; one entry of `conditions` per thrust scale.
 
     plant: "mujoco", "hybrid" or "analytic", always the plain one (no keep-out zone, RK4 at 4 ms).
-    unrest: fly in that of the task's vehicle, always the same. seed: of the random starts.
+    disturbance: fly in that of the task's vehicle, always the same. seed: of the random starts.
     """
-    return _evaluate(policy, plant, thrust_scales, unrest, seed)[0]
+    return _evaluate(policy, plant, thrust_scales, disturbance, seed)[0]
 
 
 def command(
@@ -71,7 +71,7 @@ def command(
     flown: Flat[Flown] = Flown(),
     thrust_scale: Scales = (),
     effects: Flag = False,
-    unrest: Flag = False,
+    disturbance: Annotated[Flag, tyro.conf.arg(aliases=["--unrest"])] = False,
     seed: Seed = 0,
     json: Flag = False,
     out: NewFolder = None,
@@ -83,7 +83,7 @@ def command(
         thrust_scale: total thrust times this, one row for each value (default: 1).
         effects: one row for every physical effect of the library at a plausible size, which the policy
             knows nothing of; from the frozen grid only (four minutes).
-        unrest: with the unrest of the air that the vehicle file has, as landing-eval gap writes it.
+        disturbance: with the disturbance of the air that the vehicle file has, as landing-eval gap writes it.
         seed: of the random starts.
         json: print JSON, and nothing else, on standard output.
         out: new folder for success.json and (without effects) flights.csv.
@@ -94,38 +94,38 @@ def command(
             raise UserError(f"--thrust-scale must be above 0 and at most 3, not {scale:g}")
     if effects and scales != (1.0,):
         raise UserError("give either --effects or --thrust-scale: an effect of the library scales the thrust")
-    if effects and unrest:
-        raise UserError("give either --effects or --unrest: effects are flown in still air")
+    if effects and disturbance:
+        raise UserError("give either --effects or --disturbance: effects are flown in still air")
     if out is not None:
         runs.check_new_run(out)
     loaded = flown.load(policy)
     vehicle = loaded.task.vehicle
-    if unrest and not any((*vehicle.unrest_acceleration, *vehicle.unrest_angular)):
+    if disturbance and not any((*vehicle.disturbance_acceleration, *vehicle.disturbance_angular)):
         raise UserError(
-            "--unrest needs a --vehicle whose table [unrest] is not all 0; this one's air is still"
+            "--disturbance needs a --vehicle whose table [disturbance] is not all 0; this one's air is still"
         )
     report: dict[str, Any]
     flights: list[tuple[float, str, Flight]] | None = None
     if effects:
         report = evaluate_effects(loaded, plant=flown.plant, seed=seed)
     else:
-        report, flights = _evaluate(loaded, flown.plant, scales, unrest, seed)
+        report, flights = _evaluate(loaded, flown.plant, scales, disturbance, seed)
     report["vehicle"] = str(flown.vehicle) if flown.vehicle is not None else "crazyflie.toml"
     files = None if flights is None else {"flights.csv": _flights_csv(flights)}
     runs.hand_over(report, success_table.show, json, out, files)
 
 
 def _evaluate(
-    policy: Policy, plant: str, thrust_scales: Sequence[float], unrest: bool, seed: int
+    policy: Policy, plant: str, thrust_scales: Sequence[float], disturbance: bool, seed: int
 ) -> tuple[dict[str, Any], list[tuple[float, str, Flight]]]:
     """Return the report, and every flight with its thrust scale and group of starts."""
-    task, judge = policy.task, judge_of(policy.task)
-    groups = judge.groups(task, seed)
+    task, evaluator = policy.task, evaluator_of(policy.task)
+    groups = evaluator.groups(task, seed)
     names = np.repeat(list(groups), [len(starts) for starts in groups.values()]).tolist()
     starts = joined(list(groups.values()))
 
     def fly_scaled(scale: float) -> list[Flight]:
-        fleet = make_plant(plant, len(starts), task.vehicle, unrest=0 if unrest else None)
+        fleet = make_plant(plant, len(starts), task.vehicle, disturbance=0 if disturbance else None)
         if scale != 1.0:
             fleet.perturb(thrust_scale=scale)
         return record_flights(policy, fleet, starts, steps=task.judged_steps)
@@ -135,10 +135,10 @@ def _evaluate(
     for scale in thrust_scales:
         flights = found[f"thrust scale {scale}",]
         flown = {name: [f for f, group in zip(flights, names) if group == name] for name in groups}
-        conditions.append({"thrust_scale": float(scale), **judge.condition(task, flown, scale)})
+        conditions.append({"thrust_scale": float(scale), **evaluator.condition(task, flown, scale)})
         rows += [(scale, name, flight) for name, flight in zip(names, flights)]
-    report = report_of("success", policy, plant, seed) | {"paper": judge.paper, "conditions": conditions}
-    return report | ({"unrest": True} if unrest else {}), rows
+    report = report_of("success", policy, plant, seed) | {"paper": evaluator.paper, "conditions": conditions}
+    return report | ({"disturbance": True} if disturbance else {}), rows
 
 
 def evaluate_effects(policy: Policy, *, plant: str = "mujoco", seed: int = 0) -> dict[str, Any]:
@@ -148,11 +148,11 @@ def evaluate_effects(policy: Policy, *, plant: str = "mujoco", seed: int = 0) ->
     know nothing of it. Landing policies fly from the frozen grid, and where they arrive their motors are cut;
     others fly from random starts. plant: "mujoco", "hybrid" or "analytic". seed: of the random starts.
     """
-    task, judge = policy.task, judge_of(policy.task)
-    starts = judge.groups(task, seed)[judge.frozen]
+    task, evaluator = policy.task, evaluator_of(policy.task)
+    starts = evaluator.groups(task, seed)[evaluator.frozen]
 
     def count(vehicle: Vehicle) -> dict[str, Any]:
-        return judge.effect(task, fly(policy, plant, vehicle, starts), vehicle)
+        return evaluator.effect(task, fly(policy, plant, vehicle, starts), vehicle)
 
     vehicles = {"none": task.vehicle}
     vehicles |= {name: effect.apply(task.vehicle, effect.plausible) for name, effect in LIBRARY.items()}

@@ -29,7 +29,7 @@ from rich.progress import track
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.history import History
 from inclined_landing.envs.policy import Policy, load_policy
-from inclined_landing.envs.tasks import Moment
+from inclined_landing.envs.tasks import StepContext
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, InclinedTouchdown, resting
 from inclined_landing.eval.base import runs
@@ -57,20 +57,20 @@ def land(policy: Policy, states: np.ndarray, friction: float, restitution: float
     along it [m/s]; `peak_normal_force` on the feet [N]; `time` [s] until 0.3 s were held. NaN where none was.
     """
     task, n = policy.task, len(states)
-    judge, cutting = task, task.cut_at_success
+    evaluated, cutting = task, task.cut_at_success
     if cutting:
-        judge = InclinedTouchdown(task.vehicle, inclination=task.inclination)
+        evaluated = InclinedTouchdown(task.vehicle, inclination=task.inclination)
     plant = MujocoPlant(n, task.vehicle, timestep=STEP)
-    judge.prepare(plant)
+    evaluated.prepare(plant)
     plant.set_platform(np.arange(n), task.inclination)
     plant.set_contact(np.arange(n), friction=friction, restitution=restitution, contact_time=CONTACT_TIME)
     recorder = Recorder(plant, states)
     cut, ended = np.zeros(n, bool), np.zeros(n, bool)
     past = History(task, n)
-    past.reset(slice(None), task.observe(Moment(plant.state, plant.contacts)))
+    past.reset(slice(None), task.observe(StepContext(plant.state, plant.contacts)))
     held, last, time = np.zeros(n, int), np.full(n, task.max_steps), np.full(n, np.nan)
     for tick in range(1, task.max_steps + SETTLING + 1):
-        observation = task.observe(Moment(plant.state, plant.contacts))
+        observation = task.observe(StepContext(plant.state, plant.contacts))
         actions = policy.predict(past.stack(observation)).astype(float)
         past.record(observation, actions)
         commands = task.commands(actions)

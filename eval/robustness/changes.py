@@ -20,7 +20,7 @@ from inclined_landing.envs.tasks import Start
 from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.conditions import fly_all
 from inclined_landing.eval.base.statistics import mean
-from inclined_landing.eval.policies.judges import judge_of
+from inclined_landing.eval.policies.evaluators import evaluator_of
 from inclined_landing.eval.policies.success import fly, sizes
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
@@ -97,8 +97,8 @@ def evaluate(
             )
         if not math.isclose(policy.task.inclination, first.inclination):
             raise UserError(f"policies {names[0]} and {name} are for platforms of different inclination")
-    judge = judge_of(first)
-    starts = judge.groups(first, 0)[judge.frozen][::every]
+    evaluator = evaluator_of(first)
+    starts = evaluator.groups(first, 0)[evaluator.frozen][::every]
     cases = conditions(thrusts, effects)
     vehicles = {case.words: case.vehicle(first.vehicle) for case in cases}
     flown = fly_all(
@@ -139,7 +139,7 @@ def evaluate(
 def _count(policy: Policy, plant: str, vehicle: Vehicle, starts: Start) -> tuple[dict, list[bool]]:
     """Return the outcome of the policy's flights, and which of them are strict successes."""
     flights = fly(policy, plant, vehicle, starts)
-    return judge_of(policy.task).effect(policy.task, flights, vehicle), [f.strict for f in flights]
+    return evaluator_of(policy.task).effect(policy.task, flights, vehicle), [f.strict for f in flights]
 
 
 def _differences(cases: Sequence[Condition], landed: np.ndarray) -> list[dict[str, Any]]:

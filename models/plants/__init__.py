@@ -13,8 +13,8 @@ unless another is given), and shows
 With `pool=VEHICLES` single vehicles may be others than the plant's own: `assign(ids, choice)` says which, and
 they fly as in a plant of their own, bit for bit.
 
-With `unrest=SEED` all meet the vehicle file's unrest of the air, the same under the same seed (`unrest.py`);
-without it the air is still.
+With `disturbance=SEED` all meet the vehicle file's disturbance of the air, the same under the same seed
+(`disturbance.py`); without it the air is still.
 
 The hybrid plant is the MuJoCo vehicle while a surface is within its reach, and flies by the equations
 elsewhere: the same flights to 3.4e-5 m in 6 s, the same contacts, at a fraction of the time (`hybrid.py`).
@@ -57,4 +57,6 @@ def make_plant(kind: str, n: int, vehicle: Vehicle | None = None, **options):
         raise UserError(f"unknown plant {kind!r}; known are {', '.join(PLANTS)}")
     if kind == "analytic" and options.pop("moving", False):
         raise UserError("the analytic plant's platforms stand still: take the mujoco or hybrid plant")
+    if "unrest" in options:  # the old name of the option
+        options["disturbance"] = options.pop("unrest")
     return PLANTS[kind](n, vehicle, **options)

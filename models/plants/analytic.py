@@ -7,18 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from inclined_landing.models import equations, geometry
+from inclined_landing.models.disturbance import Seed
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.base import Attitude, Plant, sizes_differ
 from inclined_landing.models.scene import build_spec, compile_scene
-from inclined_landing.models.unrest import Seed
 
 
 class AnalyticPlant(Plant):
     """The equations of `equations.py`; obstacles are detected geometrically, never felt.
 
     substeps: RK4 steps per control period. The default of one is the paper's 0.02 s.
-    unrest: seed of the vehicle's unrest of the air; None for still air.
+    disturbance: seed of the vehicle's disturbance of the air; None for still air.
     pool: vehicles that `assign` chooses from.
     """
 
@@ -33,10 +33,10 @@ class AnalyticPlant(Plant):
         keep_out: float = 0.0,
         control_period: float | None = None,
         substeps: int = 1,
-        unrest: Seed | None = None,
+        disturbance: Seed | None = None,
         pool: Sequence[Vehicle] = (),
     ):
-        super().__init__(n, vehicle, attitude, keep_out, control_period, unrest, pool)
+        super().__init__(n, vehicle, attitude, keep_out, control_period, disturbance, pool)
         if substeps < 1:
             raise UserError(f"substeps must be at least 1, not {substeps}")
         self.substeps = substeps
@@ -47,7 +47,7 @@ class AnalyticPlant(Plant):
         self._distance = np.empty((n, 3, 3))
         self._ambient = equations.free_air(n)
         self._ambient[:, equations.INCLINATION], self._ambient[:, equations.PRESENT] = self.inclination, True
-        push = equations.STILL if self.unrest is None else self.unrest.held
+        push = equations.STILL if self.disturbance is None else self.disturbance.held
         self._conditions = equations.Conditions(self._constants, self.perturbation, self._ambient, push)
         self.reset(np.arange(n), self.state)
 
@@ -76,16 +76,16 @@ class AnalyticPlant(Plant):
         """Advance every vehicle by one control period under commands (n, 4), whichever are wanted."""
         commands = np.ascontiguousarray(commands, dtype=float)
         dt = self.control_period / self.substeps
-        if self.unrest is not None:
-            self.unrest.push(self.state, self.attitude == "rate_loop")
+        if self.disturbance is not None:
+            self.disturbance.push(self.state, self.attitude == "rate_loop")
         self.delays.push_commands(commands)
         if self.delays.of_commands:
             for k in range(self.substeps):
                 self._advance(self.delays.acting(k * dt, dt), dt, 1)
         else:
             self._advance(commands, dt, self.substeps)
-        if self.unrest:
-            self.unrest.step()
+        if self.disturbance:
+            self.disturbance.step()
         self.delays.push_state(self.state)
         where = self.inclination, self._position, self.fleet
         geometry.clearances(self.state, *where, self._distance, self.azimuth, self.size)

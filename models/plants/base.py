@@ -12,10 +12,10 @@ import numpy as np
 from inclined_landing.models import equations, geometry, perturbation
 from inclined_landing.models.attitude import PITCH, STATE_SIZE, WZ, YAW, Z
 from inclined_landing.models.delays import Delays
+from inclined_landing.models.disturbance import Disturbance, Seed
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle, check_vehicle, load_vehicle
-from inclined_landing.models.unrest import Seed, Unrest
 
 Attitude = Literal["rate_loop", "kinematic"]
 DECK_SIZE = WZ + 1  # columns of a vehicle's state but for the lag
@@ -75,15 +75,15 @@ def sizes_differ(vehicles: Sequence[Vehicle]) -> bool:
 
 
 class Plant:
-    """What both plants share: platform poses, perturbations, unrest of the air, snapshots.
+    """What both plants share: platform poses, perturbations, disturbance of the air, snapshots.
 
     shapes, fleet: the collision shapes of the plant's own vehicle, and of all that it has.
 
     pool: vehicles that `assign` may give to single ones instead of the plant's own, which all are at first.
         They have its platform and commands; their own rotors and arms may be others.
 
-    unrest: seed of the vehicle file's unrest, None for still air. It acts on every control period as
-    acceleration and torque (`unrest.py`); with kinematic attitude the torque has no effect.
+    disturbance: seed of the vehicle file's disturbance, None for still air. It acts on every control period
+    as acceleration and torque (`disturbance.py`); with kinematic attitude the torque has no effect.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class Plant:
         attitude: Attitude,
         keep_out: float,
         control_period: float | None,
-        unrest: Seed | None,
+        disturbance: Seed | None,
         pool: Sequence[Vehicle] = (),
     ):
         if attitude not in ("rate_loop", "kinematic"):
@@ -138,9 +138,9 @@ class Plant:
         self._height = np.full(n, self.vehicle.platform_surface_height)
         self.hover_share = np.ones(n)  # lag of each vehicle in hover over that of the plant's own
         self.tilt = np.zeros(n)  # by which a vehicle's platform is inclined more than the plant's own, rad
-        self.unrest = None
-        if unrest is not None:
-            self.unrest = Unrest(n, self._vehicles, self.control_period, unrest)
+        self.disturbance = None
+        if disturbance is not None:
+            self.disturbance = Disturbance(n, self._vehicles, self.control_period, disturbance)
 
     def _arrays(self) -> dict[str, np.ndarray]:
         c = self.contacts
@@ -154,7 +154,7 @@ class Plant:
             "perturbation": self.perturbation,
             **({"choice": self.choice} if self.pool else {}),
             **self.delays.arrays(),
-            **(self.unrest.arrays() if self.unrest else {}),
+            **(self.disturbance.arrays() if self.disturbance else {}),
         }
 
     @property
@@ -174,8 +174,8 @@ class Plant:
         self._make_room(snapshot.arrays)
         for name, array in self._arrays().items():
             array[:] = snapshot.arrays[name]
-        if self.unrest:
-            self.unrest.resume()
+        if self.disturbance:
+            self.disturbance.resume()
         if self.pool:
             if not ((self.choice >= 0) & (self.choice <= len(self.pool))).all():
                 raise UserError("the snapshot belongs to a plant with another pool of vehicles")
@@ -206,8 +206,8 @@ class Plant:
         self.tilt[ids] = own["inclination"] - self.vehicle.platform_inclination
         self.hover_share[ids] = self._hover_shares[choice]
         self.delays.assign(ids, choice)
-        if self.unrest:
-            self.unrest.assign(ids, choice)
+        if self.disturbance:
+            self.disturbance.assign(ids, choice)
 
     @property
     def inclination(self) -> np.ndarray:
@@ -284,8 +284,8 @@ class Plant:
         """Everything of a new episode of the vehicles `ids`, from `state` (k, 13), that both plants have."""
         self.state[ids] = state
         self.delays.reset(ids, state)
-        if self.unrest:
-            self.unrest.reset(ids)
+        if self.disturbance:
+            self.disturbance.reset(ids)
         self._clear_contacts(ids)
 
     def _clear_contacts(self, ids) -> None:

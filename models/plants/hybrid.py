@@ -15,8 +15,8 @@ and contacts, forces and the zone are always the engine's own.
 
 The equations fly only attitudes and rates for which they are as exact as the engine: roll short of the
 Euler angles' singularity at 90 deg, turns in a time step of less than `_TURN`. Torque limits, clamped
-commands, motors that are off, perturbations, unrest and all effects are in the equations; delayed commands
-are written into the engine's history as the engine would write them. The engine flies everything with
+commands, motors that are off, perturbations, disturbance and all effects are in the equations; delayed
+commands are written into the engine's history as the engine would write them. The engine flies all with
 kinematic attitude, the mode for exact comparison, and while its steps are recorded (`advance(record=...)`).
 It also flies vehicles with a ground effect over decks that can move, because the equations know the ground
 effect of a platform at rest only. The engine's delayed motion capture sensors, which nothing reads, are as

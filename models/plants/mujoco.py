@@ -26,6 +26,7 @@ from inclined_landing.models.attitude import (
     euler_angles,
     quaternion,
 )
+from inclined_landing.models.disturbance import Disturbance, Seed
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle
@@ -33,7 +34,6 @@ from inclined_landing.models.plants.base import Attitude, Plant, Snapshot, sizes
 from inclined_landing.models.plants.decks import Decks
 from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.scene import build_spec, compile_scene
-from inclined_landing.models.unrest import Seed, Unrest
 
 # The engine's warnings on which it silently resets a simulation.
 _DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
@@ -51,7 +51,7 @@ class MujocoPlant(Plant):
     keep_out: sensor-only zone around the platform [m] in which contacts count as `near`.
     threads: 0 takes all cores.
     torque_needs_motors: a vehicle under PWM 0 has no attitude torque, as motors make it.
-    unrest: seed of the vehicle's unrest of the air (`xfrc_applied`); None for still air.
+    disturbance: seed of the vehicle's disturbance of the air (`xfrc_applied`); None for still air.
     pool: vehicles that `assign` chooses from; each is compiled once.
     moving: the platforms can move (`set_motion`); they have no base then, and steps take longer.
     """
@@ -71,11 +71,11 @@ class MujocoPlant(Plant):
         threads: int = 0,
         torque_limit: bool = True,
         torque_needs_motors: bool = False,
-        unrest: Seed | None = None,
+        disturbance: Seed | None = None,
         pool: Sequence[Vehicle] = (),
         moving: bool = False,
     ):
-        super().__init__(n, vehicle, attitude, keep_out, control_period, unrest, pool)
+        super().__init__(n, vehicle, attitude, keep_out, control_period, disturbance, pool)
         if not (math.isfinite(timestep) and timestep > 0):
             raise UserError(f"timestep must be positive, not {timestep!r}")
         self.substeps = round(self.control_period / timestep)
@@ -251,13 +251,13 @@ class MujocoPlant(Plant):
     def step(self, commands: np.ndarray, wanted: np.ndarray | None = None) -> None:
         """Advance every vehicle by one control period under commands (n, 4).
 
-        wanted: (n,) bool, vehicles that somebody looks at; the others stand still, unless there is unrest, of
-        which all draw from one stream.
+        wanted: (n,) bool, vehicles that somebody looks at; the others stand still, unless there is a
+        disturbance, of which all draw from one stream.
 
         Contacts are the maximum over the control step's substeps, each seen at its beginning.
         Raises FloatingPointError, naming the vehicles, when the engine diverges; reset them to go on.
         """
-        some = wanted is not None and not self.unrest and not wanted.all()
+        some = wanted is not None and not self.disturbance and not wanted.all()
         self.advance(commands, np.flatnonzero(wanted) if some else None)
         self.check()
 
@@ -292,9 +292,9 @@ class MujocoPlant(Plant):
         return seen
 
     def _give(self, commands: np.ndarray, own) -> np.ndarray:
-        """What holds for the control period that begins for the vehicles `own`: commands (n, 4), unrest.
+        """What holds for the control period that begins for the vehicles `own`: commands (n, 4), disturbance.
 
-        Returns the unrest's push (n, 6), see `Unrest.push`, or `equations.STILL`.
+        Returns the disturbance's push (n, 6), see `Disturbance.push`, or `equations.STILL`.
         """
         self._ctrl[:] = commands
         if self._history is not None and self._held is not None and self.delays.fresh.any():
@@ -303,7 +303,7 @@ class MujocoPlant(Plant):
             self._history[fresh] = empty + commands[fresh] @ held
         self.delays.push_commands(commands, own)
         self.allow_torque(commands)
-        return self._disturb(self.unrest, own) if self.unrest else equations.STILL
+        return self._disturb(self.disturbance, own) if self.disturbance else equations.STILL
 
     def _synchronise(self, own) -> None:
         """Give the vehicles `own` that touch nothing the body rates of the first-order loops."""
@@ -330,14 +330,14 @@ class MujocoPlant(Plant):
         _read_state(stepped, self._qpos, self._qvel, self._act, self.state)
         return seen if record else {}
 
-    def _disturb(self, unrest: Unrest, own) -> np.ndarray:
-        """Force and torque of the unrest on the vehicles `own` for one control period, which then goes on."""
+    def _disturb(self, disturbance: Disturbance, own) -> np.ndarray:
+        """Apply force and torque of the disturbance to the vehicles `own`, and advance it by one period."""
         body, masses = self.model.body("crazyflie").id, self.batch.expanded("body_mass")
         mass = self.model.body_mass[body] if masses is None else masses[:, body, None]
-        push = unrest.push(self.state, self.attitude == "rate_loop")
+        push = disturbance.push(self.state, self.attitude == "rate_loop")
         self._applied[own, :3] = (push[:, :3] * mass)[own]
         self._applied[own, 3:] = push[own, 3:]
-        unrest.step(own)
+        disturbance.step(own)
         return push
 
     def allow_torque(self, commands: np.ndarray) -> None:

@@ -12,7 +12,7 @@ from hypothesis import given
 from inclined_landing.envs import gym_env
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.sb3 import BatchVecEnv
-from inclined_landing.envs.tasks import TASKS, Moment, make_task
+from inclined_landing.envs.tasks import TASKS, StepContext, make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval.moving.controllers import _Told
 from inclined_landing.models.parameters import load_vehicle
@@ -107,7 +107,7 @@ ANSWERS = {
 
 def answered(value):
     controller = _Told(lambda t, state, deck: value, "mine", load_vehicle())
-    commands = controller(0.0, Moment(np.stack([STATE, STATE]), None, deck=np.zeros((2, 12))))
+    commands = controller(0.0, StepContext(np.stack([STATE, STATE]), None, deck=np.zeros((2, 12))))
     assert commands.shape == (2, 4) and np.isfinite(commands).all()
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from hypothesis import given
 
 from inclined_landing.envs import tasks
-from inclined_landing.envs.tasks import Judgement, Task, Training
+from inclined_landing.envs.tasks import Evaluation, Task, Training
 from inclined_landing.train import run
 from inclined_landing.train.cli import main
 from tests.campaign.judge import EVIL, Case, command, examples, judged, write
@@ -46,7 +46,7 @@ VALUES = EVIL | {
 }  # fmt: skip
 RAISED = ("ValueError('x')", "KeyError('x\\n')", "SystemExit(3)", "RecursionError()", "ZeroDivisionError",
           "OSError(28, 'full')", "StopIteration", "UnicodeDecodeError('utf-8', b'', 0, 1, 'x')")  # fmt: skip
-CHECKED = ("sample", "observe", "judge")
+CHECKED = ("sample", "observe", "evaluate")
 METHODS = [name for name, value in vars(Task).items() if inspect.isfunction(value) and name[0] != "_"]
 ATTRIBUTES = ("name", "observation_names", "observation_scale", "action_names", "training")
 
@@ -76,7 +76,7 @@ def field(where: tuple[str, str], value: str) -> Case:
     name, field = where
     new = f"VALUES[{value!r}]"
     if field == "more":
-        field, new = "terms", f"super().judge(*given).terms | {{'more': {new}}}"
+        field, new = "terms", f"super().evaluate(*given).terms | {{'more': {new}}}"
     return method(
         name, f"return dataclasses.replace(super().{name}(*given), {field}={new})", f"{field} {value}"
     )
@@ -95,8 +95,8 @@ def training(field: str, value: str) -> Case:
 
 FIELDS = [
     *(("sample", name) for name in ("state", "inclination", "present", "goal_size")),
-    *(("judge", field.name) for field in dataclasses.fields(Judgement)),
-    ("judge", "more"),
+    *(("evaluate", field.name) for field in dataclasses.fields(Evaluation)),
+    ("evaluate", "more"),
 ]
 EVILS = st.sampled_from(list(VALUES))
 CASES = st.one_of(

@@ -156,8 +156,6 @@ IDLE = ("--out", "--seed", "--resume", "--report", "--no-report", "--threads", "
 FORMS = [form for word in IDLE for form in ([word], [f"{word}=1"], [word, "1"])]
 KNOWN = (*COMMANDS, *OLD_COMMANDS)
 OTHERS = [n for n in (*cli.COMMANDS, *cli.OLD_NAMES, "sweep", "", "--help") if n not in KNOWN]
-    n for n in (*cli.COMMANDS, *cli.OLD_NAMES, "sweep", "", "--help") if n not in (*COMMANDS, *OLD_COMMANDS)
-]
 LISTS = st.sampled_from(("evaluate", "together"))
 TEXTUAL = st.deferred(
     lambda: st.sampled_from([o for o, about in options("train").items() if "str" in str(about.kind)])

@@ -21,7 +21,7 @@ from inclined_landing.envs.gym_env import (
     TaskVectorEnv,
 )
 from inclined_landing.envs.sb3 import BatchVecEnv
-from inclined_landing.envs.tasks import TASKS, Moment, make_task
+from inclined_landing.envs.tasks import TASKS, StepContext, make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -279,7 +279,7 @@ def test_finished_episodes_restart_in_the_same_step():
     # Returned are the new episodes, at rest somewhere else.
     assert not np.array_equal(observation[1], final) and not observation[1:, 2:].any()
     np.testing.assert_array_equal(
-        observation, env.unwrapped.task.observe(Moment(env.unwrapped.batch.plant.state))
+        observation, env.unwrapped.task.observe(StepContext(env.unwrapped.batch.plant.state))
     )
     assert env.unwrapped.batch.length.tolist() == [1, 0, 0]
     assert "final_obs" not in env.step(np.zeros((3, 2)))[-1]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inclined_landing.envs.tasks import InclinedLanding, Moment, landing, make_task
+from inclined_landing.envs.tasks import InclinedLanding, StepContext, landing, make_task
 from inclined_landing.envs.tasks.base import Start, hover_states
 from inclined_landing.envs.tasks.landing import AIDED, Conditions
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, X, Z
@@ -39,8 +39,8 @@ def judge(*states, near=False, touch=None, surface=0, conditions=None, in_contac
     state = np.array(states)
     n = len(state)
     met = contacts(np.full(n, near), None if touch is None else np.full(n, touch), surface)
-    return task.judge(
-        Moment(
+    return task.evaluate(
+        StepContext(
             state,
             met,
             np.zeros((n, 2)),
@@ -139,7 +139,7 @@ def test_terms_sum_to_the_reward_and_take_the_papers_values(rows, near, touching
 
 def test_observation_is_the_planar_state():
     state = np.arange(13.0)[None]
-    observation = TASK.observe(Moment(state))
+    observation = TASK.observe(StepContext(state))
     assert observation.dtype == np.float32
     assert observation.tolist() == [[0, 2, 3, 5, 7]]
     assert len(TASK.observation_names) == 5 == len(TASK.observation_scale) == len(TASK.observation_centre)

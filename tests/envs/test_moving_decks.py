@@ -12,7 +12,7 @@ from inclined_landing.envs import swell
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.envs.tasks import Moment, make_task
+from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.touchdown import Conditions, resting
 from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, WX, WZ, YAW, Z, rotation
 from inclined_landing.models.errors import UserError
@@ -46,7 +46,7 @@ def test_rest_and_what_is_seen_are_the_same_in_a_moving_room(speed, seed):
     idle = np.ones(len(state), bool)
     slow = resting(state, deck, idle, on_feet(8), speed=0.5, rate=2.0)
     assert (slow == resting(faster, faster_deck, idle, on_feet(8), speed=0.5, rate=2.0)).all()
-    seen, again = (TASK.observe(Moment(s, deck=d)) for s, d in ((state, deck), (faster, faster_deck)))
+    seen, again = (TASK.observe(StepContext(s, deck=d)) for s, d in ((state, deck), (faster, faster_deck)))
     own = TASK.observation_names.index("deck vx")
     np.testing.assert_allclose(seen[:, :own], again[:, :own], atol=1e-5)  # float32 at 3 m/s
     np.testing.assert_allclose(seen[:, own + 3 :], again[:, own + 3 :], atol=1e-6)
@@ -121,10 +121,10 @@ def test_the_arena_is_carried_along():
     """A vehicle over a deck 20 m away is in the middle of its arena; the room itself ends at 3.4 m."""
     state, deck = np.zeros((1, 13)), np.zeros((1, 12))
     state[0, :3], deck[0, :3] = (20.0, -8.0, 1.5), (20.0, -8.0, 1.15)
-    assert not TASK.near_bounds(TASK.in_arena(Moment(state, deck=deck)))[0]
+    assert not TASK.near_bounds(TASK.in_arena(StepContext(state, deck=deck)))[0]
     assert TASK.near_bounds(state)[0]
     still = make_task("touchdown", dimensions=3)
-    assert still.near_bounds(still.in_arena(Moment(state, deck=deck)))[0]
+    assert still.near_bounds(still.in_arena(StepContext(state, deck=deck)))[0]
 
 
 def test_the_law_that_training_begins_with_lands():
@@ -135,7 +135,7 @@ def test_the_law_that_training_begins_with_lands():
     law, success = Descent(env.task), np.zeros(32, bool)
     env.reset()
     for _ in range(250):
-        step = env.step(law(Moment(env.plant.state, deck=env.plant.deck), -1.0), ~success)
+        step = env.step(law(StepContext(env.plant.state, deck=env.plant.deck), -1.0), ~success)
         success |= step.success
     assert success.mean() > 0.8  # 256 others: 1.00, and 1.00 at 2 m/s in a swell of 1
 

@@ -213,7 +213,7 @@ def test_every_entry_is_taken_or_cannot_differ(tmp_path):
         assert pool == [V, V]
     assert taken == {
         *("body", "environment", "thrust", "motor", "drag", "attitude", "platform", "contact"),
-        *("unrest", "effects"),
+        *("disturbance", "effects"),
     }
 
 

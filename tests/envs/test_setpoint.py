@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inclined_landing.envs.tasks import Moment, Setpoint, make_task, setpoint
+from inclined_landing.envs.tasks import Setpoint, StepContext, make_task, setpoint
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -18,7 +18,9 @@ TASK = Setpoint()
 
 def judge(state, action, task=TASK, length=1):
     state, action = np.asarray(state, float)[None], np.asarray(action, float)[None]
-    return task.judge(Moment(state, actions=action, start=task.start(state), length=np.array([length])))
+    return task.evaluate(
+        StepContext(state, actions=action, start=task.start(state), length=np.array([length]))
+    )
 
 
 def state(position=setpoint.GOAL, velocity=(0, 0, 0), roll=0.0, pitch=0.0):
@@ -60,8 +62,8 @@ def test_success_is_within_five_centimetres(distance, success):
 
 
 def test_observation():
-    assert TASK.observe(Moment(np.arange(13.0)[None])).tolist() == [[0, 1, 2, 3, 4, 5, 6, 7]]
-    assert TASK.observe(Moment(np.zeros((2, 13)))).dtype == np.float32
+    assert TASK.observe(StepContext(np.arange(13.0)[None])).tolist() == [[0, 1, 2, 3, 4, 5, 6, 7]]
+    assert TASK.observe(StepContext(np.zeros((2, 13)))).dtype == np.float32
     assert len(TASK.observation_names) == 8 == len(TASK.observation_scale) == len(TASK.observation_centre)
 
 
@@ -120,5 +122,5 @@ def test_across_shows_what_moves_along_y_and_the_goal_otherwise():
     shown = TASK.across(states, 0.25)
     np.testing.assert_allclose(shown[:, 1], states[:, 1] - 0.25, atol=1e-15)
     np.testing.assert_array_equal(shown[:, [4, ROLL, LAG]], states[:, [4, ROLL, LAG]])
-    seen = TASK.observe(Moment(shown))[:, [0, 2, 3, 5, 7]]
+    seen = TASK.observe(StepContext(shown))[:, [0, 2, 3, 5, 7]]
     np.testing.assert_array_equal(seen, np.tile(TASK.goal[[0, 2, 3, 5, 7]].astype(np.float32), (5, 1)))

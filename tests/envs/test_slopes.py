@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import inclined_landing  # noqa: F401 (registers the environments)
 from inclined_landing.envs import load_policy, make_batch, starts
 from inclined_landing.envs.policy import locate, stamp
-from inclined_landing.envs.tasks import Moment, make_task
+from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, START_CLEARANCE, Conditions
 from inclined_landing.models.attitude import PITCH, ROLL, VX, YAW, X, Y, Z
 from inclined_landing.models.errors import UserError
@@ -67,8 +67,8 @@ def test_what_is_seen_and_judged_does_not_depend_on_where_the_slope_faces(slope,
     state[0] = goal
     deck, other = decks([slope] * 8, [0.0] * 8), decks([slope] * 8, [azimuth] * 8)
     moved = turned(state, np.full(8, azimuth))
-    seen = SPACE.observe(Moment(state, deck=deck))
-    np.testing.assert_allclose(SPACE.observe(Moment(moved, deck=other)), seen, atol=1e-5)  # float32
+    seen = SPACE.observe(StepContext(state, deck=deck))
+    np.testing.assert_allclose(SPACE.observe(StepContext(moved, deck=other)), seen, atol=1e-5)  # float32
     inside = SPACE.in_goal(state, 0.1, deck)
     assert inside[0] and (SPACE.in_goal(moved, 0.1, other) == inside).all()
 

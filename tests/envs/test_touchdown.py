@@ -9,7 +9,7 @@ import pytest
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.starts import at_rest
-from inclined_landing.envs.tasks import InclinedTouchdown, Moment, make_task
+from inclined_landing.envs.tasks import InclinedTouchdown, StepContext, make_task
 from inclined_landing.envs.tasks.landing import LOWEST_START, START_CLEARANCE
 from inclined_landing.envs.tasks.touchdown import GENTLE_FORCE, HOLD_STEPS, IMPACT, Conditions
 from inclined_landing.models.attitude import PITCH, PWM, STATE_SIZE, VX, WY, X, Z
@@ -32,7 +32,7 @@ def resting() -> np.ndarray:
 
 
 def judge(state=None, action=IDLE, touching=((0, 0),), force=WEIGHT, held=0, conditions=None):
-    """Judgement of one moment; touching: (surface, part) pairs."""
+    """Evaluation of one moment; touching: (surface, part) pairs."""
     state = resting() if state is None else state
     task = InclinedTouchdown(pwm_centre="hover")
     task.conditions = conditions or Conditions()
@@ -42,11 +42,11 @@ def judge(state=None, action=IDLE, touching=((0, 0),), force=WEIGHT, held=0, con
         contacts.force[0][pair] = force
     count, start = np.ones(1, int), task.start(state)
     records = start, count, 9 * count, np.array([held])
-    return task.judge(Moment(state, contacts, action[None], *records, deck=start.decks(task.vehicle)))
+    return task.evaluate(StepContext(state, contacts, action[None], *records, deck=start.decks(task.vehicle)))
 
 
-def terms(judgement) -> dict:
-    return {name: float(term[0]) for name, term in judgement.terms.items() if term[0]}
+def terms(evaluation) -> dict:
+    return {name: float(term[0]) for name, term in evaluation.terms.items() if term[0]}
 
 
 def test_at_rest_on_the_feet_with_idle_motors_is_held_and_free():
@@ -150,9 +150,9 @@ def test_contact_can_be_observed():
     env = BatchEnv(task, MujocoPlant(1, threads=1))
     assert env.reset(state=resting()).shape == (1, 6)
     assert env.step(IDLE[None]).observation[0, 5] == 1.0
-    assert make_task("touchdown").observe(Moment(resting())).shape == (1, 5)
+    assert make_task("touchdown").observe(StepContext(resting())).shape == (1, 5)
     with pytest.raises(UserError, match="observes the feet's contact"):
-        task.observe(Moment(resting()))
+        task.observe(StepContext(resting()))
 
 
 def test_training_starts_draw_contact_and_closeness():

@@ -66,8 +66,8 @@ def many_effects(delays: bool):
     for name in ("battery_sag", "wind", "com_offset", "ground_effect", "spin_down", "axial_inflow"):
         vehicle = LIBRARY[name].apply(vehicle, LIBRARY[name].plausible)
     late = {"effects_thrust_delay": 0.013, "effects_attitude_delay": 0.05, "effects_mocap_delay": 0.03}
-    shaken = {"unrest_acceleration": (0.3,) * 3, "unrest_acceleration_time": (0.3,) * 3}
-    shaken |= {"unrest_angular": (20.0,) * 3, "unrest_angular_time": (0.1,) * 3}
+    shaken = {"disturbance_acceleration": (0.3,) * 3, "disturbance_acceleration_time": (0.3,) * 3}
+    shaken |= {"disturbance_angular": (20.0,) * 3, "disturbance_angular_time": (0.1,) * 3}
     return dataclasses.replace(vehicle, **shaken, **(late if delays else {}))
 
 
@@ -86,9 +86,9 @@ CASES = {
     "zone": {"keep_out": 0.04},
     "no platform": {"present": 0.0},
     "perturbed": {"perturb": True},
-    "effects": {"vehicle": many_effects(delays=False), "unrest": 5},
-    "delays": {"vehicle": many_effects(delays=True), "unrest": 5},
-    "pool": {"pool": [many_effects(delays=False), many_effects(delays=True)], "unrest": 5},
+    "effects": {"vehicle": many_effects(delays=False), "disturbance": 5},
+    "delays": {"vehicle": many_effects(delays=True), "disturbance": 5},
+    "pool": {"pool": [many_effects(delays=False), many_effects(delays=True)], "disturbance": 5},
     "motors off": {"torque_needs_motors": True, "off": 0.3},
     "low feet": {"foot_height": 0.03},
     "implicitfast": {"integrator": "implicitfast"},

@@ -23,7 +23,9 @@ FIELDS = {
     "bandwidth": V.changed(attitude_bandwidth=30.0, attitude_yaw_bandwidth=5.0),
     "motor maps": V.changed(motor_pwm_to_force=(1e-11, 2e-6, 1e-4), motor_pwm_to_speed=(0.05, 300.0)),
     "drag": V.changed(drag_coefficients=(-2e-6, -1e-6, -3e-6)),
-    "unrest": V.changed(unrest_acceleration=(0.5, 0.1, 0.2), unrest_acceleration_time=(0.3, 0.3, 0.3)),
+    "disturbance": V.changed(
+        disturbance_acceleration=(0.5, 0.1, 0.2), disturbance_acceleration_time=(0.3, 0.3, 0.3)
+    ),
     "two delays": V.changed(effects_thrust_delay=0.013, effects_attitude_delay=0.047),
     "all at once": functools.reduce(lambda v, e: e.apply(v, e.plausible), LIBRARY.values(), V),
 }
@@ -116,7 +118,7 @@ def test_others_fly_on_while_some_become_another(kind, options):
 @pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO, HYBRID])
 def test_restore_replays_bit_for_bit(kind, options):
     pool, n = list(POOL.values()), 8
-    plant = begin(make_plant(kind, n, V, pool=pool, unrest=3, **options), np.arange(n) * 5)
+    plant = begin(make_plant(kind, n, V, pool=pool, disturbance=3, **options), np.arange(n) * 5)
     plant.perturb(mass_scale=1.1, thrust_scale=0.9)
     if kind != "analytic":
         plant.set_contact(np.arange(0, n, 2), friction=0.3)
@@ -127,7 +129,7 @@ def test_restore_replays_bit_for_bit(kind, options):
     begin(plant, np.arange(n)[::-1])
     plant.restore(snapshot)
     np.testing.assert_array_equal(flight(plant, commands(20, seed=1)), first)
-    other = make_plant(kind, n, V, pool=pool, unrest=0, **options)
+    other = make_plant(kind, n, V, pool=pool, disturbance=0, **options)
     other.restore(snapshot)
     np.testing.assert_array_equal(flight(other, commands(20, seed=1)), first)
 

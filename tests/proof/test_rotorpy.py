@@ -14,7 +14,7 @@ reality = pytest.importorskip(
     "tests.proof.gap_blind.rotorpy_reality", exc_type=ImportError, reason="needs rotorpy"
 )
 VEHICLE = reality.draw(np.random.default_rng(3))
-CALM = VEHICLE.build._replace(unrest=(0.0,) * 3, unrest_torque=(0.0,) * 3, log_ticks=2.0)
+CALM = VEHICLE.build._replace(disturbance=(0.0,) * 3, disturbance_torque=(0.0,) * 3, log_ticks=2.0)
 CLEAN = VEHICLE.constants._replace(position_noise=0.0, attitude_noise=0.0)
 STILL = Reality(CLEAN, CALM, "rotorpy")
 

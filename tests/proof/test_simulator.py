@@ -312,7 +312,7 @@ def test_members_of_a_family_fly_and_obey(family):
         assert np.abs(log.truth[:, 9:11]).max() < 6.0 and log.truth[:, 2].min() > 0.1
         still = Reality(
             reality.constants._replace(**SILENT),
-            reality.build._replace(unrest=(0.0,) * 3, unrest_torque=(0.0,) * 3, rotor=(1.0,) * 4),
+            reality.build._replace(disturbance=(0.0,) * 3, disturbance_torque=(0.0,) * 3, rotor=(1.0,) * 4),
         )
         log = fly(steps(control.REF_PITCH, 0.1, 0.65), World(), rng, still, warm_up=0.5)
         asked = log.command[-1, 2] * reality.constants.attitude_gain
@@ -326,11 +326,11 @@ def test_a_family_is_its_seed_and_no_two_members_are_alike():
         assert first == again and first.constants != other.constants and first.build != other.build
 
 
-def test_unrest_has_its_size_and_correlation_time():
-    b = Build(unrest=(0.1, 0.05, 0.02), unrest_time=0.3)
+def test_disturbance_has_its_size_and_correlation_time():
+    b = Build(disturbance=(0.1, 0.05, 0.02), disturbance_time=0.3)
     air = simulator.flight._air(np.random.default_rng(0), 500 * 600, b, World(gust=0.5))
     # Ten minutes hold 1000 correlation times: 3 % of the deviation.
-    assert air[:, 2:5].std(axis=0) == pytest.approx(b.unrest, rel=0.1)
+    assert air[:, 2:5].std(axis=0) == pytest.approx(b.disturbance, rel=0.1)
     assert air[:, :2].std(axis=0) == pytest.approx([0.5, 0.5], rel=0.15) and not air[:, 5:].any()
     later = round(0.3 * 500)
     assert np.corrcoef(air[:-later, 2], air[later:, 2])[0, 1] == pytest.approx(np.exp(-1), abs=0.1)

@@ -5,7 +5,7 @@ import pytest
 
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.starts import at_rest
-from inclined_landing.envs.tasks import Moment
+from inclined_landing.envs.tasks import StepContext
 from inclined_landing.envs.tasks.touchdown import IDLE_ACTION, IMPACT
 from inclined_landing.models.attitude import PITCH
 from inclined_landing.models.errors import UserError
@@ -34,8 +34,8 @@ def test_the_lesson_is_the_motor_cut():
     task = landing.task
     over = at_rest(task, np.array([task.goal_position, (0.0, 1.20), (1.5, 1.8)]))
     over[0, PITCH] = task.inclination
-    moment = Moment(over, deck=task.start(over).decks(task.vehicle))
-    lesson = warm_start.lesson(moment, landing)
+    context = StepContext(over, deck=task.start(over).decks(task.vehicle))
+    lesson = warm_start.lesson(context, landing)
     assert (lesson[:2, 0] < IDLE_ACTION).all() and lesson[2, 0] > IDLE_ACTION
     held = lesson[0, 1] * landing.task.vehicle.command_angle_limit * landing.task.vehicle.attitude_gain
     assert held == pytest.approx(task.inclination)

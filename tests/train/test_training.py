@@ -17,7 +17,7 @@ import pytest
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy, tensors
 from inclined_landing.envs.randomise import POOL, locate
-from inclined_landing.envs.tasks import TASKS, Moment
+from inclined_landing.envs.tasks import TASKS, StepContext
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
@@ -276,7 +276,7 @@ probability = 0.5
 delay = [0, 0.03]
 [body]
 mass = [0.03, 0.04]
-[unrest]
+[disturbance]
 acceleration = [[0, 0.1], [0, 0.1], [0, 0.1]]
 acceleration_time = [[0.3, 0.3], [0.3, 0.3], [0.3, 0.3]]
 """
@@ -350,7 +350,7 @@ def test_a_policy_is_carried_over_to_another_action_map(tmp_path):
     for task in (own, carried.task):
         assert (task.pwm_centre, task.pwm_span) == (40_000, 24_000)
     start = own.sample(np.random.default_rng(0), 400)
-    seen = own.observe(Moment(start.state))
+    seen = own.observe(StepContext(start.state))
     before, after = shipped.predict(seen), carried.predict(seen)
     within = (np.abs(before[:, 0]) < 1.0) & (np.abs(after[:, 0]) < 1.0)
     assert within.sum() > 50

@@ -30,7 +30,7 @@ class Body:
     """One simulated vehicle beside the platform, at first on the floor with its motors off.
 
     start: x, y [m] on the floor; heading [rad]; inclination of the platform [rad], None for the vehicle
-    file's; seed of the unrest of the air.
+    file's; seed of the disturbance of the air.
     Raises UserError for a start outside the arena or under the platform.
     """
 
@@ -47,12 +47,12 @@ class Body:
         self._constants = equations.pack(vehicle)[0]
         self.step_length = ENGINE_STEP
         self.time = 0.0
-        restless = any((*vehicle.unrest_acceleration, *vehicle.unrest_angular))
+        restless = any((*vehicle.disturbance_acceleration, *vehicle.disturbance_angular))
         self.plant = MujocoPlant(
             *(1, vehicle),
             control_period=ENGINE_STEP,
             torque_needs_motors=True,
-            unrest=seed if restless else None,
+            disturbance=seed if restless else None,
             threads=1,
         )
         if inclination is not None:

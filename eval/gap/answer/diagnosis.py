@@ -147,7 +147,7 @@ def diagnose(
         sets=contact_result.sets(tuple(set_hypotheses(problem, found)[0])),
         unidentifiable_sets=tuple(unidentifiable_sets(problem, found)),
         touchdowns=contact_result.remaining,
-        unrest=disturbances(problem, found.noise_model),
+        disturbance=disturbances(problem, found.noise_model),
         horizon=horizon,
         windows=windows,
         residual=remaining,

@@ -77,7 +77,7 @@ class Identification:
     parameters: tuple[Identified, ...]
     identifiable: tuple[Identifiable, ...]  # best identified first
     fit: dict[str, dict[str, float]]  # channel -> {"before", "after"}: NRMSE fit [%] on flights left out
-    unrest: dict[str, Disturbance]  # channel -> noise and disturbance
+    disturbance: dict[str, Disturbance]  # channel -> noise and disturbance
     fields: dict[str, tuple[float, ...] | float]  # changed Vehicle field -> half-width of its interval
     flights: tuple[str, ...]
     notes: tuple[str, ...]
@@ -90,7 +90,7 @@ class Identification:
             "parameters": [dataclasses.asdict(p) for p in self.parameters],
             "identifiable": [dataclasses.asdict(one) for one in self.identifiable],
             "fit": self.fit,
-            "unrest": {channel: dataclasses.asdict(d) for channel, d in self.unrest.items()},
+            "disturbance": {channel: dataclasses.asdict(d) for channel, d in self.disturbance.items()},
             "fields": self.fields,
             "flights": self.flights,
             "notes": self.notes,
@@ -153,7 +153,7 @@ def identify(
         parameters=_parameters(problem, values, sized, vehicle),
         identifiable=identifiable,
         fit=channels,
-        unrest=disturbances(problem, noise_model),
+        disturbance=disturbances(problem, noise_model),
         fields=_field_half_widths(problem, values, sized, vehicle, result),
         flights=tuple(f.name for f in fitted),
         notes=tuple(notes),

@@ -102,7 +102,7 @@ def _simultaneous_modes(flight: MeasuredFlight, windows: np.ndarray, channel: in
     free = windows[..., channel] @ error_responses.projection[channel]
     result = []
     for time in TIMES:
-        variance, modes = eigh(error_responses.unrest(channel, float(time)), noise)
+        variance, modes = eigh(error_responses.disturbance(channel, float(time)), noise)
         result.append((np.maximum(variance, 0.0), _mean_squares(free @ modes), len(windows)))
     return result
 

@@ -64,7 +64,7 @@ class ErrorResponses:
             covariance += fed @ fed.T
         return covariance
 
-    def unrest(self, channel: int, time: float) -> np.ndarray:
+    def disturbance(self, channel: int, time: float) -> np.ndarray:
         """Return the error covariance (q, q) of a channel by a unit disturbance of a correlation time [s]."""
         # N' H R H' N,  R_ij = exp(-|t_i - t_j| / T)
         fed = self.projection[channel].T @ self.impulse[channel]
@@ -112,7 +112,9 @@ class Whitening:
         for channel, free in enumerate(error_responses.projection):
             covariance = error_responses.noise(channel, noise, acceleration)
             if size is not None and time is not None and size[channel] > 0.0:
-                covariance = covariance + size[channel] ** 2 * error_responses.unrest(channel, time[channel])
+                covariance = covariance + size[channel] ** 2 * error_responses.disturbance(
+                    channel, time[channel]
+                )
             factor = cholesky(covariance, lower=True)
             factors.append(solve_triangular(factor, free.T, lower=True))
         rows = factors[0].shape[1]

@@ -36,26 +36,26 @@ class NoiseLevels:
     """Measurement noise and disturbance of x, y, z, roll, pitch, yaw."""
 
     noise: np.ndarray  # (6,) standard deviation of the measured pose [m, rad]
-    unrest: np.ndarray  # (6,) standard deviation of the disturbance [m/s2, rad/s2]
+    disturbance: np.ndarray  # (6,) standard deviation of the disturbance [m/s2, rad/s2]
     time: np.ndarray  # (6,) its correlation time [s]
     inflation: np.ndarray  # (6,) variance inflation by the autocorrelation of windows
 
     def disturbed(self, vehicle: Vehicle) -> Vehicle:
         """Return the vehicle with this disturbance."""
-        size, time = (tuple(map(float, x)) for x in (self.unrest, self.time))
+        size, time = (tuple(map(float, x)) for x in (self.disturbance, self.time))
         fields: dict[str, Any] = {
-            "unrest_acceleration": size[:3],
-            "unrest_acceleration_time": time[:3],
-            "unrest_angular": size[3:],
-            "unrest_angular_time": time[3:],
+            "disturbance_acceleration": size[:3],
+            "disturbance_acceleration_time": time[:3],
+            "disturbance_angular": size[3:],
+            "disturbance_angular_time": time[3:],
         }
         return dataclasses.replace(vehicle, **fields)
 
     @staticmethod
     def typical() -> NoiseLevels:
         """Return typical levels: noise of a millimetre and 0.3 deg, and a small disturbance."""
-        noise, unrest = [0.001] * 3 + [0.00524] * 3, [0.05] * 3 + [1.0] * 3
-        return NoiseLevels(np.array(noise), np.array(unrest), np.full(6, 0.3), np.ones(6))
+        noise, disturbance = [0.001] * 3 + [0.00524] * 3, [0.05] * 3 + [1.0] * 3
+        return NoiseLevels(np.array(noise), np.array(disturbance), np.full(6, 0.3), np.ones(6))
 
 
 def set_hypotheses(problem: Problem, found: SetPosterior) -> tuple[list[ScoredSet], NoiseLevels]:
@@ -170,7 +170,7 @@ class ModelDiscrimination(Candidates):
             flight.error_responses,
             noise_levels.noise,
             flight.acceleration_noise,
-            noise_levels.unrest,
+            noise_levels.disturbance,
             noise_levels.time,
         )
         base = predict(flight, self.base)

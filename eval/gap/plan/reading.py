@@ -141,21 +141,21 @@ def _read_noise_levels(report: Mapping, name: str) -> NoiseLevels:
     """Return noise and disturbance of the flights by channel; typical levels where the report has none."""
     usual = NoiseLevels.typical()
     noise = _table(report.get("noise", {}), f"{name}: noise")
-    unrest = _table(report.get("unrest", {}), f"{name}: unrest")
-    found = np.array([usual.noise, usual.unrest, usual.time])
+    levels = _table(report.get("disturbance", report.get("unrest", {})), f"{name}: disturbance")
+    found = np.array([usual.noise, usual.disturbance, usual.time])
     for k, channel in enumerate(CHANNELS):
-        disturbance = _table(unrest.get(channel, {}), f"{name}: unrest.{channel}")
+        disturbance = _table(levels.get(channel, {}), f"{name}: disturbance.{channel}")
         for j, (given, key, where, least) in enumerate(
             (
                 (noise, channel, f"noise.{channel}", 1e-9),
-                (disturbance, "size", f"unrest.{channel}.size", 0.0),
-                (disturbance, "time", f"unrest.{channel}.time", 1e-3),
+                (disturbance, "size", f"disturbance.{channel}.size", 0.0),
+                (disturbance, "time", f"disturbance.{channel}.time", 1e-3),
             )
         ):
             found[j, k] = _number(given.get(key, found[j, k]), f"{name}: {where}")
             if found[j, k] < least:
                 raise UserError(f"{name}: {where} is {found[j, k]:g}; it must be at least {least:g}")
-    return dataclasses.replace(usual, noise=found[0], unrest=found[1], time=found[2])
+    return dataclasses.replace(usual, noise=found[0], disturbance=found[1], time=found[2])
 
 
 def _table(value: Any, what: str) -> dict:

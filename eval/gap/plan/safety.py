@@ -95,7 +95,7 @@ def simulate_plan(
 def fly(points: Setpoints, vehicle: Vehicle, space: Space, noise_levels: NoiseLevels, seed) -> np.ndarray:
     """Return the states (COPIES, m, 13) of a vehicle flown along the plan in MuJoCo; NaN after a contact."""
     rng = np.random.default_rng(seed)
-    plant = MujocoPlant(COPIES, noise_levels.disturbed(vehicle), threads=1, unrest=rng)
+    plant = MujocoPlant(COPIES, noise_levels.disturbed(vehicle), threads=1, disturbance=rng)
     drawn = {n: rng.uniform(-s, s, COPIES) * (np.arange(COPIES) > 0) for n, s in UNCERTAINTY.items()}
     plant.perturb(**{n: x if n == "drag_change" else 1.0 + x for n, x in drawn.items()})
     plant.set_platform(np.arange(COPIES), vehicle.platform_inclination, space.platform)

@@ -14,7 +14,7 @@ from inclined_landing.eval.base.tables import new_table
 from inclined_landing.eval.gap.answer.identify import PAPER, ROUGH, UNIDENTIFIABLE, Identification, Identified
 from inclined_landing.eval.gap.report import figures, words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, WIDTH, name_rows
-from inclined_landing.eval.gap.report.model import VEHICLE, unrest_fields
+from inclined_landing.eval.gap.report.model import VEHICLE, disturbance_fields
 from inclined_landing.eval.gap.report.page import render
 from inclined_landing.eval.gap.report.terminal import say
 from inclined_landing.eval.gap.search.reference import posterior_path
@@ -98,7 +98,7 @@ def page(
         colours=(BEFORE, AFTER),
         heads=_HEADS,
         rows=rows(found),
-        noise_rows=words.noise_rows(found.unrest),
+        noise_rows=words.noise_rows(found.disturbance),
         words=words,
         vehicle=VEHICLE,
         flights=found.flights,
@@ -144,7 +144,7 @@ def write(found: Identification, folder: Path, *, base: Path | None = None) -> N
         )
         for field in found.fields
     }
-    disturbance, widths = unrest_fields(found.unrest)
+    disturbance, widths = disturbance_fields(found.disturbance)
     lines = f"estimated by landing-eval identify from {len(found.flights)} flights"
     write_vehicle(
         folder / VEHICLE,

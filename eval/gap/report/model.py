@@ -26,7 +26,7 @@ def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = N
     from inclined_landing.models.scene import build_spec
 
     sources, uncertainties = provenance(d, vehicle)
-    disturbance, widths = unrest_fields(d.unrest)
+    disturbance, widths = disturbance_fields(d.disturbance)
     estimated = f"estimated by landing-eval gap from {len(d.flights)} flight{'s' * (len(d.flights) != 1)}"
     sources |= dict.fromkeys(disturbance, estimated)
     uncertainties |= widths
@@ -56,7 +56,7 @@ def provenance(d: Diagnosis, vehicle: Vehicle) -> tuple[dict[str, str], dict[str
     return sources, {field: _half_width(squared) for field, squared in squares.items()}
 
 
-def unrest_fields(unrest: Mapping[str, Disturbance]) -> tuple[dict[str, Any], dict[str, Any]]:
+def disturbance_fields(disturbance: Mapping[str, Disturbance]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the fields of the vehicle's disturbance, and the half-widths of their 95 % intervals.
 
     A channel without disturbance, or not logged, has zero.
@@ -64,8 +64,10 @@ def unrest_fields(unrest: Mapping[str, Disturbance]) -> tuple[dict[str, Any], di
     fields: dict[str, Any] = {}
     widths: dict[str, Any] = {}
     for name, channels in (("acceleration", "x y z"), ("angular", "roll pitch yaw")):
-        channels_ = [unrest[c] if c in unrest and unrest[c].size else None for c in channels.split()]
-        for field, of in ((f"unrest_{name}", "size"), (f"unrest_{name}_time", "time")):
+        channels_ = [
+            disturbance[c] if c in disturbance and disturbance[c].size else None for c in channels.split()
+        ]
+        for field, of in ((f"disturbance_{name}", "size"), (f"disturbance_{name}_time", "time")):
             ends = [getattr(d, f"{of}_ci95") if d else (0.0, 0.0) for d in channels_]
             fields[field] = tuple(_three_digits(getattr(d, of)) if d else 0.0 for d in channels_)
             widths[field] = tuple(_three_digits(round(0.5 * (high - low), 9)) for low, high in ends)

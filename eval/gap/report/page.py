@@ -45,7 +45,7 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
         rows=rows,
         answer=words.answer_rows(d),
         sets=words.set_rows(d),
-        noise_rows=words.noise_rows(d.unrest),
+        noise_rows=words.noise_rows(d.disturbance),
         figures={name: figure and figures.svg(figure) for name, figure in drawn.items()},
         colours=(figures.BEFORE, figures.AFTER),
         every=EVERY,

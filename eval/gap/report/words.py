@@ -288,10 +288,10 @@ def _sizes(one: ScoredSet) -> str:
 NOISE_HEADS = ("channel", "noise", "disturbance", "95 % interval", "correlation time", "95 % interval")
 
 
-def noise_rows(unrest: Mapping[str, Disturbance]) -> list[tuple[str, ...]]:
+def noise_rows(disturbance: Mapping[str, Disturbance]) -> list[tuple[str, ...]]:
     """Return the noise and disturbance of every channel under NOISE_HEADS."""
     rows: list[tuple[str, ...]] = []
-    for channel, q in unrest.items():
+    for channel, q in disturbance.items():
         size, time = ("none", ""), ("", "")
         if q.size_ci95[1] > 0.0:
             size = rounded(q.size, q.size_ci95, q.unit), interval(q.size_ci95, q.unit)

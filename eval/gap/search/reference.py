@@ -140,7 +140,7 @@ class Reference:
 def digest(vehicle: Vehicle) -> str:
     """Return a hash of all constants of a vehicle but its disturbance."""
     values = {f.name: getattr(vehicle, f.name) for f in dataclasses.fields(vehicle)}
-    text = repr(sorted((n, v) for n, v in values.items() if not n.startswith("unrest")))
+    text = repr(sorted((n, v) for n, v in values.items() if not n.startswith("disturbance")))
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 

@@ -89,7 +89,7 @@ def test_the_page_of_identification():
         parameters=(row,),
         identifiable=(),
         fit={"x": {"before": 50.0, "after": 90.0}},
-        unrest={},
+        disturbance={},
         fields={},
         flights=(f"{EVIL} flight",),
         notes=(f"{EVIL} note",),

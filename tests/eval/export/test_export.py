@@ -415,7 +415,7 @@ class AnyTask(Task):
     def sample(self, rng, k) -> Start:
         raise NotImplementedError
 
-    def judge(self, moment):
+    def evaluate(self, context):
         raise NotImplementedError
 
 

@@ -87,7 +87,7 @@ def test_identification_recovers_a_weak_thrust(logs, tmp_path, capsys):
     record = json.loads((out / "report.json").read_text("utf-8"))
     gain = next(p for p in record["parameters"] if p["name"] == "thrust gain")
     assert gain["ci95"][0] < 0.88 < gain["ci95"][1]
-    assert set(record["unrest"]) >= {"x", "y", "z", "roll", "pitch"}
+    assert set(record["disturbance"]) >= {"x", "y", "z", "roll", "pitch"}
     assert record["fit"]["z"]["after"] > 95 > 0 > record["fit"]["z"]["before"]
     vehicle = load_vehicle(out / "vehicle.toml")
     known, said = read_reference(out / "vehicle.toml", vehicle)

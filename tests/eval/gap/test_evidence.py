@@ -53,7 +53,7 @@ def stirred(rng, m, size, time):
     return np.cumsum(np.cumsum(acceleration)) * DT**2
 
 
-def test_unrest_is_recovered_from_what_it_moved():
+def test_disturbance_is_recovered_from_what_it_moved():
     """0.4 m/s2 of 0.25 s along x; none along y and in the angles: a share of the noise at most."""
     rng = np.random.default_rng(0)
     flights = [prepare(still(rng), VEHICLE) for _ in range(8)]

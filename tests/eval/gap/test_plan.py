@@ -117,7 +117,7 @@ def test_moving_tells_drag_and_hovering_does_not():
 
 def test_more_noise_tells_less():
     usual = NoiseLevels.typical()
-    loud = dataclasses.replace(usual, noise=10 * usual.noise, unrest=10 * usual.unrest)
+    loud = dataclasses.replace(usual, noise=10 * usual.noise, disturbance=10 * usual.disturbance)
     questions = [ModelDiscrimination([DRAG, BODY], VEHICLE, q) for q in (usual, loud)]
     noise_levels, noisy = (q.gain(gram(q, points("run"))) for q in questions)
     assert noise_levels > 1.5 * noisy
@@ -226,7 +226,7 @@ def test_no_flight_where_none_is_needed_or_none_tells(tmp_path, capsys):
             "sets[0].values.wind.x is 90 m/s; it must be from -4 to 4",
         ),
         ({"noise": {"x": -1.0}}, "noise.x is -1; it must be at least 1e-09"),
-        ({"unrest": {"y": {"size": -1.0}}}, "unrest.y.size is -1; it must be at least 0"),
+        ({"disturbance": {"y": {"size": -1.0}}}, "disturbance.y.size is -1; it must be at least 0"),
         ({"platform": 3}, "platform must be true or false, not 3"),
     ],
 )

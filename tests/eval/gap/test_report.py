@@ -82,7 +82,7 @@ def example(verdict="effects"):
             for c in ("z", "roll")
         ),
         sets=scored["nothing" if verdict == "nothing" else "effects"],
-        unrest={
+        disturbance={
             "z": Disturbance(0.001, 0.3, (0.2, 0.4), 0.25, (0.1, 0.4), "m/s2"),
             "roll": Disturbance(0.005, 0.0, (0.0, 0.0), 0.3, (0.3, 0.3), "rad/s2"),
         },
@@ -176,7 +176,7 @@ def test_the_page_stands_alone(verdict, track):
     assert not re.search(r"(src|href)=\"(?!data:)", text) and "nan" not in text.lower().split("base64")[0]
     assert text.count("data:image/svg+xml") == {"effects": 5, "unknown": 6, "nothing": 4}[verdict]
     assert "17 %" in text if d.effects else "10 %" in text  # the second set
-    assert "0.20 to 0.40 m/s²" in text and "250 ms" in text  # the unrest
+    assert "0.20 to 0.40 m/s²" in text and "250 ms" in text  # the disturbance
     assert ("0.300 m/s² in z depends on place, most in hover" in text) == (verdict == "unknown")
 
 
@@ -193,7 +193,8 @@ def test_the_page_escapes_names_of_flights_and_notes(track):
 
 def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
     d = dataclasses.replace(
-        example("nothing"), where=(), sets=(), unrest={}, horizon=(), windows=(), gap={}, heldout=FLIGHTS,
+        example("nothing"), where=(), sets=(), disturbance={}, horizon=(), windows=(), gap={},
+        heldout=FLIGHTS,
         residual=ResidualAnalysis(1.0, {}, ()),
     )  # fmt: skip
     assert "in turn" in page(d, None, versions={})
@@ -236,7 +237,10 @@ def test_flights_that_contradict_the_others_are_said_first(capsys):
 def test_the_corrected_model_is_a_vehicle_file_with_provenance(tmp_path):
     d = example()
     model.write(d, load_vehicle(), tmp_path)
-    disturbance = {"unrest_acceleration": (0.0, 0.0, 0.3), "unrest_acceleration_time": (0.0, 0.0, 0.25)}
+    disturbance = {
+        "disturbance_acceleration": (0.0, 0.0, 0.3),
+        "disturbance_acceleration_time": (0.0, 0.0, 0.25),
+    }
     assert load_vehicle(tmp_path / "vehicle.toml") == dataclasses.replace(d.corrected, **disturbance)
     entries = {f"{c.section}_{c.name}": c for c in constants(tmp_path / "vehicle.toml")}
     gain = entries["thrust_state_gain"]
@@ -245,7 +249,7 @@ def test_the_corrected_model_is_a_vehicle_file_with_provenance(tmp_path):
     )
     # Half the width of the interval, of the scale, times the nominal gain.
     assert gain.uncertainty == pytest.approx(0.012 * load_vehicle().thrust_state_gain, rel=1e-2)
-    assert entries["unrest_acceleration"].uncertainty == (0.0, 0.0, 0.1)
+    assert entries["disturbance_acceleration"].uncertainty == (0.0, 0.0, 0.1)
     assert entries["effects_attitude_trim"].uncertainty == (0.002, 0.001)
     assert entries["body_mass"] in constants()
 
@@ -267,6 +271,6 @@ def test_the_json_has_the_promised_keys():
     assert set(record["effects"][0]) >= {"name", "class", "parameters", "gain"}
     assert set(record["effects"][0]["parameters"]["scale"]) >= {"value", "unit", "ci95"}
     assert record["nothing"] == 0.0 and record["sets"][1]["effects"] == ["mass", "attitude_trim"]
-    assert record["noise"]["z"] == 0.001 and record["unrest"]["z"]["size"] == 0.3 and record["platform"]
+    assert record["noise"]["z"] == 0.001 and record["disturbance"]["z"]["size"] == 0.3 and record["platform"]
     assert set(record["where"][0]) >= {"regime", "channel", "before", "after", "floor", "unit"}
     assert set(record["gap"]["mujoco"]) >= {"before", "after", "floor"}

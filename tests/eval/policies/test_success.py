@@ -9,11 +9,11 @@ import pytest
 
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import record_flight, record_flights
-from inclined_landing.envs.tasks import Moment, make_task
+from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
 from inclined_landing.eval.base import statistics
-from inclined_landing.eval.policies import judges, motors_cut, success, success_table
+from inclined_landing.eval.policies import evaluators, motors_cut, success, success_table
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ
 from inclined_landing.models.effects import LIBRARY
@@ -113,7 +113,7 @@ def test_a_flight_that_touches_first_is_not_strict(landing, plant):
     assert [f.success for f in flights] == [True, True]
     assert [f.touched for f in flights] == [False, True]
     assert [f.strict for f in flights] == [True, False]
-    summary = judges.JUDGES["goal_box"].summary(landing, flights)
+    summary = evaluators.EVALUATORS["goal_box"].summary(landing, flights)
     assert summary["success"]["count"] == 2
     assert summary["strict"]["count"] == 1
     assert summary["touched"]["count"] == 1
@@ -215,26 +215,26 @@ def test_landing_report_of_a_policy_that_hovers(landing):
     storage.to_json(report)
 
 
-def test_the_unrest_of_the_vehicle_is_flown_where_asked_for(capsys):
+def test_the_disturbance_of_the_vehicle_is_flown_where_asked_for(capsys):
     """Hovering without feedback, the vehicle is blown from where it starts; still air is refused."""
-    sizes = {"unrest_acceleration": (2.0, 2.0, 2.0), "unrest_acceleration_time": (1.0, 1.0, 1.0)}
+    sizes = {"disturbance_acceleration": (2.0, 2.0, 2.0), "disturbance_acceleration_time": (1.0, 1.0, 1.0)}
     task = make_task("landing", dataclasses.replace(load_vehicle(), **sizes), pwm_centre="hover")
     still, restless = (
-        success.evaluate(Constant(task, 0.0, 0.0), plant="analytic", unrest=unrest)
-        for unrest in (False, True)
+        success.evaluate(Constant(task, 0.0, 0.0), plant="analytic", disturbance=disturbance)
+        for disturbance in (False, True)
     )
     touched = [report["conditions"][0]["grid"]["touched"]["count"] for report in (still, restless)]
     assert touched[0] == 0 and touched[1] > 10
-    assert restless["unrest"] and "unrest" not in still
-    assert cli.main(["success", "landing", "--unrest"]) == 2
-    assert "--unrest needs a --vehicle whose table [unrest] is not all 0" in capsys.readouterr().err
+    assert restless["disturbance"] and "disturbance" not in still
+    assert cli.main(["success", "landing", "--disturbance"]) == 2
+    assert "--disturbance needs a --vehicle whose table [disturbance] is not all 0" in capsys.readouterr().err
 
 
 def test_entry_statistics(landing):
     policy = Constant(landing, 0.0, ALPHA / load_vehicle().command_angle_limit)
     states = np.concatenate([pose(landing.goal_position[1])] * 4)
     states[:, VX], states[:, VZ] = [0.5, -0.5, 0.0, 0.0], [0.0, 0.0, 0.5, -0.5]
-    entry = judges._entry(record_flights(policy, "mujoco", states))
+    entry = evaluators._entry(record_flights(policy, "mujoco", states))
     # normal (-0.434, 0, 0.901): only the second and the third move away
     assert entry["moving_away"]["count"] == 2 and entry["moving_away"]["of"] == 4
     assert entry["speed"]["median"] == pytest.approx(0.5, abs=0.1)  # 20 ms later
@@ -318,5 +318,5 @@ def test_the_policy_sees_what_motion_capture_shows(landing):
 
     plant = make_plant("analytic", 1, vehicle)
     flight = record_flight(Watching(landing, 0.0, 0.3), plant, pose(2.0)[0], steps=12)
-    expected = landing.observe(Moment(flight.state[:-1]))
+    expected = landing.observe(StepContext(flight.state[:-1]))
     np.testing.assert_array_equal(np.concatenate(seen)[2:], expected[:-2])

@@ -45,10 +45,10 @@ def forces(q: np.ndarray, time: float, c: Constants, w: World) -> np.ndarray:
 
 def disturbance(rng, shape: tuple[int, int, int], b: Build) -> np.ndarray:
     """Ornstein-Uhlenbeck accelerations [m/s2] and angular accelerations [rad/s2] (ticks, n, 6)."""
-    keep = math.exp(-1.0 / (b.unrest_time * RATE))
+    keep = math.exp(-1.0 / (b.disturbance_time * RATE))
     start, white = rng.standard_normal((1, *shape[1:])), rng.standard_normal(shape)
     path = lfilter([math.sqrt(1 - keep**2)], [1, -keep], white, axis=0, zi=keep * start)[0]
-    return np.array([*b.unrest, *b.unrest_torque]) * path
+    return np.array([*b.disturbance, *b.disturbance_torque]) * path
 
 
 def gusts(rng, ticks: int, w: World) -> np.ndarray:

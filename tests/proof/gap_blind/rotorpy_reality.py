@@ -81,9 +81,9 @@ def draw(rng: np.random.Generator) -> Reality:
             attitude_noise=math.radians(_between(rng, 0.05, 0.5)),
         ),
         Build(
-            unrest=tuple(_between(rng, 0.02, 0.15) for _ in range(3)),
-            unrest_time=_between(rng, 0.1, 1.0),
-            unrest_torque=tuple(_between(rng, 0.1, 1.0) * np.array([1.0, 1.0, 0.3])),
+            disturbance=tuple(_between(rng, 0.02, 0.15) for _ in range(3)),
+            disturbance_time=_between(rng, 0.1, 1.0),
+            disturbance_torque=tuple(_between(rng, 0.1, 1.0) * np.array([1.0, 1.0, 0.3])),
             log_ticks=float(rng.choice([2, 4, 6, 8, 10])),  # of 2 ms: 250 to 50 rows per second
         ),
         "rotorpy",

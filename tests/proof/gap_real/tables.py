@@ -48,7 +48,7 @@ def fleet(s: Fleet) -> str:
 def disturbances(d: Diagnosis) -> list[str]:
     """Noise and disturbance of every channel."""
     lines = ["| channel | noise | disturbance | correlation time |", "|---|---|---|---|"]
-    for channel, x in d.unrest.items():
+    for channel, x in d.disturbance.items():
         size = f"{x.size:.3g} [{x.size_ci95[0]:.3g}, {x.size_ci95[1]:.3g}] {x.unit}".replace("s2", "s²")
         time = f"{x.time:.2g} [{x.time_ci95[0]:.2g}, {x.time_ci95[1]:.2g}] s"
         lines.append(f"| {channel} | {x.noise:.2g} | {size} | {time} |")

@@ -77,10 +77,10 @@ def voltage(s, time, c, w):
 def derivative(s, target, air, anchor, time, c, b, w, r, contact, ds):
     """ds/dt of state s (23,).
 
-    target (4,) rotor speeds [rad/s] asked of the motors, air (8,): wind (2,) [m/s], unrest of acceleration
-    (3,) [m/s2] and of angular acceleration (3,) [rad/s2]; anchor (4, 3) points of the surface where the feet
-    stick (NaN: not touching), time [s] of the log; r (3, 3) scratch, contact (4,) receives the normal force
-    of each foot [N].
+    target (4,) rotor speeds [rad/s] asked of the motors, air (8,): wind (2,) [m/s], disturbance of the
+    acceleration (3,) [m/s2] and of angular acceleration (3,) [rad/s2]; anchor (4, 3) points of the surface
+    where the feet stick (NaN: not touching), time [s] of the log; r (3, 3) scratch, contact (4,) receives the
+    normal force of each foot [N].
     """
     rotation(s[QUATERNION : QUATERNION + 4], r)
     mass = c.mass * w.mass_scale

@@ -76,16 +76,16 @@ def _constants(rng) -> Constants:
 
 
 def _common(rng) -> dict:
-    """What members of every family differ in: geometry, unrest of the air, log."""
+    """What members of every family differ in: geometry, disturbance of the air, log."""
     size = _between(rng, 0.02, 0.15)
     turn = _between(rng, 0.1, 1.0)
     ticks = float(rng.choice([1, 2, 4, 5, 10], p=[0.1, 0.15, 0.2, 0.35, 0.2]))
     return {
         # Differences of thrust would be causes to be named: a centre of mass that is off, a turning vehicle.
         "rotor": tuple(_about(rng, 0.05) for _ in range(4)),
-        "unrest": tuple(size * _between(rng, 0.6, 1.6) for _ in range(3)),
-        "unrest_time": _between(rng, 0.1, 1.0),
-        "unrest_torque": (turn * _about(rng, 0.3), turn * _about(rng, 0.3), 0.3 * turn),
+        "disturbance": tuple(size * _between(rng, 0.6, 1.6) for _ in range(3)),
+        "disturbance_time": _between(rng, 0.1, 1.0),
+        "disturbance_torque": (turn * _about(rng, 0.3), turn * _about(rng, 0.3), 0.3 * turn),
         "log_ticks": ticks,
         "stamp_jitter": 0.1 * ticks / CONTROL_RATE if rng.uniform() < 0.3 else 0.0,
         "log_estimate": 1.0 if rng.uniform() < 0.3 else 0.0,

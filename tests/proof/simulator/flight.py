@@ -328,13 +328,15 @@ def _wandering(rng: np.random.Generator, shape: tuple[int, int], deviation, seco
 
 
 def _air(rng: np.random.Generator, ticks: int, b: Build, w: World) -> np.ndarray:
-    """Wind, unrest of acceleration and of angular acceleration (ticks, 8) (see `dynamics.derivative`)."""
+    """Wind, disturbance of acceleration, of angular acceleration (ticks, 8) (see `dynamics.derivative`)."""
     gust = _wandering(rng, (ticks, 2), w.gust, w.gust_time)
     if w.gust_calm > 0.0:
         strength = _wandering(rng, (ticks, 1), 1.0, 1.5)
         gust *= strength > np.quantile(strength, w.gust_calm)
-    unrest = _wandering(rng, (ticks, 6), np.array([*b.unrest, *b.unrest_torque]), b.unrest_time)
-    return np.hstack([gust, unrest])
+    disturbance = _wandering(
+        rng, (ticks, 6), np.array([*b.disturbance, *b.disturbance_torque]), b.disturbance_time
+    )
+    return np.hstack([gust, disturbance])
 
 
 def _heard(rng: np.random.Generator, ticks: int, latest: float) -> np.ndarray:

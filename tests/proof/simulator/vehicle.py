@@ -109,9 +109,9 @@ class Build(NamedTuple):
     flapping: float = 0.0  # s/m, by which lateral drag saturates with speed
     ground: float = CHEESEMAN
     ground_range: float = 0.06  # m, of the exponential form
-    unrest: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m/s2, Ornstein-Uhlenbeck
-    unrest_time: float = 0.3  # s
-    unrest_torque: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad/s2
+    disturbance: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m/s2, Ornstein-Uhlenbeck
+    disturbance_time: float = 0.3  # s
+    disturbance_torque: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad/s2
     # Log.
     log_ticks: float = 5.0  # control periods from row to row
     stamp_jitter: float = 0.0  # s, of the time stamps

@@ -1,4 +1,4 @@
-"""The unrest of the air: its statistics, alike in both plants, replayed from snapshots, absent by default."""
+"""The disturbance of the air: its statistics, alike in both plants, replayed from snapshots, off at first."""
 
 import dataclasses
 import math
@@ -20,10 +20,10 @@ V = load_vehicle()
 SIZES, TIMES = np.array([0.3, 0.2, 0.1, 4.0, 2.0, 1.0]), np.array([0.3, 0.5, 0.2, 0.1, 0.2, 0.05])
 RESTLESS = dataclasses.replace(
     V,
-    unrest_acceleration=tuple(SIZES[:3]),
-    unrest_acceleration_time=tuple(TIMES[:3]),
-    unrest_angular=tuple(SIZES[3:]),
-    unrest_angular_time=tuple(TIMES[3:]),
+    disturbance_acceleration=tuple(SIZES[:3]),
+    disturbance_acceleration_time=tuple(TIMES[:3]),
+    disturbance_angular=tuple(SIZES[3:]),
+    disturbance_angular_time=tuple(TIMES[3:]),
 )
 BOTH = ("mujoco", "analytic")
 N = 8
@@ -52,11 +52,11 @@ def fly(plant, commands=COMMANDS):
 def test_it_has_the_size_and_correlation_of_the_table(kind):
     """Four standard errors of n independent vehicles: 1/sqrt(2 n) of a size, 1/sqrt(n) of a correlation."""
     n, steps = 2000, 6
-    plant = plant_of(kind, n, unrest=1)
-    drawn = [plant.unrest.now.copy()]
+    plant = plant_of(kind, n, disturbance=1)
+    drawn = [plant.disturbance.now.copy()]
     for _ in range(steps):
         plant.step(np.tile([V.hover_pwm, 0.0, 0.0, 0.0], (n, 1)))
-        drawn.append(plant.unrest.now.copy())
+        drawn.append(plant.disturbance.now.copy())
     for one in (drawn[0], drawn[-1]):
         np.testing.assert_allclose(one.std(axis=0), SIZES, rtol=4 / math.sqrt(2 * n))
         np.testing.assert_allclose(one.mean(axis=0) / SIZES, 0.0, atol=4 / math.sqrt(n))
@@ -85,9 +85,9 @@ def test_it_pushes_along_the_worlds_and_turns_about_the_bodys_axes(kind):
     start[:, Z], start[:, YAW], start[:, LAG] = 5.0, 0.7, V.hover_lag
     states = []
     for seed in (None, 3):
-        plant = plant_of(kind, unrest=seed)
+        plant = plant_of(kind, disturbance=seed)
         plant.reset(np.arange(N), start)
-        push = plant.unrest.now.copy() if seed else None
+        push = plant.disturbance.now.copy() if seed else None
         plant.step(np.tile([V.hover_pwm, 0.0, 0.0, 0.0], (N, 1)))
         states.append(plant.state.copy())
     change = states[1] - states[0]
@@ -97,10 +97,10 @@ def test_it_pushes_along_the_worlds_and_turns_about_the_bodys_axes(kind):
     np.testing.assert_allclose(change[:, WX : WZ + 1], push[:, 3:] * response, rtol=0.01, atol=1e-3)
 
 
-def test_both_plants_fly_the_same_unrest_alike():
+def test_both_plants_fly_the_same_disturbance_alike():
     """The tolerances of the equivalence tests; in still air the flight is another."""
     metres, degrees = FLIGHT_LIMITS["rate_loop"]
-    flights = [fly(plant_of(kind, unrest=7)) for kind in BOTH]
+    flights = [fly(plant_of(kind, disturbance=7)) for kind in BOTH]
     position, angle = largest_gaps(*flights)
     assert position < metres and angle < degrees
     position, angle = largest_gaps(flights[1], fly(plant_of("analytic")))
@@ -109,7 +109,7 @@ def test_both_plants_fly_the_same_unrest_alike():
 
 @pytest.mark.parametrize("kind", BOTH)
 def test_kinematic_attitudes_have_no_torque(kind):
-    plants = [plant_of(kind, unrest=seed, attitude="kinematic") for seed in (7, None)]
+    plants = [plant_of(kind, disturbance=seed, attitude="kinematic") for seed in (7, None)]
     restless, still = (fly(plant) for plant in plants)
     np.testing.assert_allclose(restless[..., ROLL:LAG], still[..., ROLL:LAG], atol=1e-12)
     assert np.linalg.norm((restless - still)[-1, :, :3], axis=1).min() > 0.01
@@ -117,48 +117,48 @@ def test_kinematic_attitudes_have_no_torque(kind):
 
 @pytest.mark.parametrize("kind", BOTH)
 def test_it_is_reset_saved_and_restored(kind):
-    first = fly(plant_of(kind, unrest=7))
-    plant = plant_of(kind, unrest=np.random.default_rng(2))
+    first = fly(plant_of(kind, disturbance=7))
+    plant = plant_of(kind, disturbance=np.random.default_rng(2))
     assert not np.array_equal(fly(plant), first)
-    plant.unrest.seed(7)
+    plant.disturbance.seed(7)
     plant.reset(np.arange(N), start_states(N))
     plant.reset(np.arange(N), start_states(N))  # as a new plant, which resets itself once
     fly(plant, COMMANDS[:10])
     snapshot = plant.save()
     later = fly(plant, COMMANDS[10:])
     np.testing.assert_array_equal(later, first[10:])
-    other = plant_of(kind, unrest=0)
+    other = plant_of(kind, disturbance=0)
     for one in (plant, other):
         one.restore(snapshot)
         np.testing.assert_array_equal(fly(one, COMMANDS[10:]), later)
     with pytest.raises(UserError, match="another kind or size"):
         plant_of(kind).restore(snapshot)
-    before = plant.unrest.now.copy()
+    before = plant.disturbance.now.copy()
     plant.reset(np.array([1, 4]), start_states(2))
-    assert (plant.unrest.now != before).any(axis=1).nonzero()[0].tolist() == [1, 4]
+    assert (plant.disturbance.now != before).any(axis=1).nonzero()[0].tolist() == [1, 4]
 
 
 @pytest.mark.parametrize("kind", BOTH)
 def test_without_it_no_bit_changes(kind):
     plain = fly(plant_of(kind, vehicle=V))
     np.testing.assert_array_equal(fly(plant_of(kind)), plain)  # not asked for
-    np.testing.assert_array_equal(fly(plant_of(kind, vehicle=V, unrest=1)), plain)  # still air
+    np.testing.assert_array_equal(fly(plant_of(kind, vehicle=V, disturbance=1)), plain)  # still air
 
 
 def test_a_few_vehicles_alone_go_on():
-    plant = plant_of("mujoco", unrest=1)
-    before, now = plant.state.copy(), plant.unrest.now.copy()
+    plant = plant_of("mujoco", disturbance=1)
+    before, now = plant.state.copy(), plant.disturbance.now.copy()
     plant.advance(COMMANDS[0], ids=np.array([2, 5]))
     moved = (plant.state != before).any(axis=1)
     assert moved.nonzero()[0].tolist() == [2, 5]
-    np.testing.assert_array_equal((plant.unrest.now != now).any(axis=1), moved)
+    np.testing.assert_array_equal((plant.disturbance.now != now).any(axis=1), moved)
 
 
 def test_heavier_vehicles_are_accelerated_alike():
-    """The unrest is an acceleration: a perturbed mass changes thrust and drag over mass, not that."""
+    """The disturbance is an acceleration: a perturbed mass changes thrust and drag over mass, not that."""
     flights = []
     for kind in BOTH:
-        plant = plant_of(kind, unrest=7)
+        plant = plant_of(kind, disturbance=7)
         plant.perturb(mass_scale=np.linspace(0.8, 1.5, N))
         flights.append(fly(plant))
     metres, degrees = FLIGHT_LIMITS["rate_loop"]
@@ -166,9 +166,9 @@ def test_heavier_vehicles_are_accelerated_alike():
     assert position < metres and angle < degrees
 
 
-def test_an_environment_has_the_unrest_of_its_seed(tmp_path):
+def test_an_environment_has_the_disturbance_of_its_seed(tmp_path):
     write_vehicle(tmp_path / "restless.toml", RESTLESS)
-    options = {"vehicle": str(tmp_path / "restless.toml"), "plant_options": {"unrest": 0}}
+    options = {"vehicle": str(tmp_path / "restless.toml"), "plant_options": {"disturbance": 0}}
     env = gymnasium.make("InclinedLanding-v0", **options)
     seen = []
     for seed in (1, 2, 1):
@@ -178,9 +178,24 @@ def test_an_environment_has_the_unrest_of_its_seed(tmp_path):
     assert not np.array_equal(seen[0], seen[1])
 
 
-def test_what_is_no_unrest_is_refused():
+def test_what_is_no_disturbance_is_refused():
     for seed in (-1, 0.5, True, "gust"):
-        with pytest.raises(UserError, match="unrest must be a seed, a whole number from 0, or a generator"):
-            make_plant("analytic", 1, unrest=seed)
-    with pytest.raises(UserError, match=r"unrest\.angular_time must be above 0 s where unrest\.angular is"):
-        make_plant("analytic", 1, dataclasses.replace(V, unrest_angular=(0.0, 0.1, 0.0)))
+        with pytest.raises(
+            UserError, match="disturbance must be a seed, a whole number from 0, or a generator"
+        ):
+            make_plant("analytic", 1, disturbance=seed)
+    with pytest.raises(
+        UserError, match=r"disturbance\.angular_time must be above 0 s where disturbance\.angular is"
+    ):
+        make_plant("analytic", 1, dataclasses.replace(V, disturbance_angular=(0.0, 0.1, 0.0)))
+
+
+def test_files_and_options_with_the_old_name_are_read(tmp_path):
+    """The table and the option were called `unrest` in files that people have."""
+    write_vehicle(tmp_path / "now.toml", RESTLESS)
+    text = (tmp_path / "now.toml").read_text("utf-8")
+    assert "[disturbance]" in text
+    (tmp_path / "before.toml").write_text(text.replace("[disturbance]", "[unrest]"), "utf-8")
+    assert load_vehicle(tmp_path / "before.toml") == RESTLESS
+    plants = [make_plant("analytic", 1, RESTLESS, **{name: 3}) for name in ("disturbance", "unrest")]
+    assert (plants[0].disturbance.now == plants[1].disturbance.now).all()

@@ -1,6 +1,6 @@
 """The success table of a task: its starts, and what is counted of the flights from there.
 
-A judge is found by the task's `table`. The one of this name, `flights`, fits any task.
+An evaluator is found by the task's `table`. The one of this name, `flights`, fits any task.
 """
 
 from __future__ import annotations
@@ -141,15 +141,15 @@ class Slopes(Landings):
         return {"slopes": landing_starts.over_slopes(task).start}
 
 
-JUDGES = {"flights": Flights(), "error": Errors(), "goal_box": Landings(), "slopes": Slopes()}
+EVALUATORS = {"flights": Flights(), "error": Errors(), "goal_box": Landings(), "slopes": Slopes()}
 
 
-def judge_of(task: Task) -> Flights:
-    """Return the judge of a task; raises UserError for a task that another command evaluates."""
-    if task.table not in JUDGES:
+def evaluator_of(task: Task) -> Flights:
+    """Return the evaluator of a task; raises UserError for a task that another command evaluates."""
+    if task.table not in EVALUATORS:
         other = {"moving": "robustness --over moving"}.get(task.table, task.table)
         raise UserError(f"the task {task.name} has a table of its own: landing-eval {other} evaluates it")
-    return JUDGES[task.table]
+    return EVALUATORS[task.table]
 
 
 def report_of(command: str, policy: Policy, plant: str, seed: int) -> dict:

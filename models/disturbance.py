@@ -1,8 +1,8 @@
-"""Unrest: the disturbance of the air that does not repeat, of n vehicles.
+"""The disturbance of the air that does not repeat, of n vehicles.
 
 Each world axis has an acceleration and each body axis an angular acceleration that is an
 Ornstein-Uhlenbeck process: Gaussian, of a standard deviation and a correlation time, both entries of the
-vehicle file's table `[unrest]` (`landing-eval gap` estimates them from flights). The steps are exact for
+vehicle file's table `[disturbance]` (`landing-eval gap` estimates them from flights). The steps are exact for
 any control period; a value is held for one period, and the axes of an angular one are those of the body at
 the period's beginning. Both plants meet the same numbers under the same seed.
 """
@@ -23,7 +23,7 @@ from inclined_landing.models.parameters import Vehicle
 Seed: TypeAlias = int | np.random.Generator
 
 
-class Unrest:
+class Disturbance:
     """The processes (n, 6) of n vehicles: accelerations along x, y, z of the world, angular ones of the body.
 
     vehicles: one for all, or those that `assign` chooses from; it is the first one until then.
@@ -36,8 +36,8 @@ class Unrest:
         self._random: Any = None
         self.seed(seed)
         self._stream = np.zeros(4, np.uint64)
-        size = np.array([(*v.unrest_acceleration, *v.unrest_angular) for v in vehicles])
-        times = np.array([(*v.unrest_acceleration_time, *v.unrest_angular_time) for v in vehicles])
+        size = np.array([(*v.disturbance_acceleration, *v.disturbance_angular) for v in vehicles])
+        times = np.array([(*v.disturbance_acceleration_time, *v.disturbance_angular_time) for v in vehicles])
         keep = np.exp(-period / np.where(times > 0.0, times, np.inf))
         self._of_each = {
             "_size": size,
@@ -51,7 +51,7 @@ class Unrest:
         self.held = np.zeros((n, 6))  # what `push` returns
 
     def assign(self, ids, choice: np.ndarray) -> None:
-        """Give the vehicles `ids` the unrest of other ones of `vehicles`, by their numbers (k,)."""
+        """Give the vehicles `ids` the disturbance of other ones of `vehicles`, by their numbers (k,)."""
         for name, values in self._of_each.items():
             getattr(self, name)[ids] = values[choice]
 
@@ -61,7 +61,8 @@ class Unrest:
             seed = int(seed.integers(2**63))
         if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
             raise UserError(
-                f"unrest must be a seed, a whole number from 0, or a generator, not {shown(repr(seed), 40)}"
+                "disturbance must be a seed, a whole number from 0, or a generator, "
+                f"not {shown(repr(seed), 40)}"
             )
         self._bits = np.random.SFC64(int(seed))
         self._random = np.random.Generator(self._bits)
@@ -69,7 +70,7 @@ class Unrest:
     def arrays(self) -> dict[str, np.ndarray]:
         """Everything that a replay needs; `resume` when it has been overwritten."""
         self._stream[:] = self._bits.state["state"]["state"]
-        return {"unrest": self.now, "unrest_stream": self._stream}
+        return {"disturbance": self.now, "disturbance_stream": self._stream}
 
     def resume(self) -> None:
         """Go on from the stream that `arrays` holds."""
