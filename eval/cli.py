@@ -14,7 +14,7 @@ import importlib.util
 import sys
 from collections.abc import Callable, Sequence
 
-from inclined_landing.eval.base.command_line import bound, completion, exit_code, parse, shell_of, versions
+from inclined_landing.envs.shared.command_line import bound, completion, exit_code, parse, shell_of, versions
 from inclined_landing.models.errors import UserError
 
 # Command: the package it is in, and the first line of its docstring.

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from inclined_landing.eval.base import command_line
+from inclined_landing.envs.shared import command_line
 from inclined_landing.models.errors import shown
 
 if TYPE_CHECKING:

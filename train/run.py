@@ -34,9 +34,9 @@ from torch.utils.tensorboard import SummaryWriter
 from inclined_landing.envs.flights import record_flight, record_flights
 from inclined_landing.envs.policy import Policy, load_policy, stamp
 from inclined_landing.envs.randomise import read_ranges
+from inclined_landing.envs.shared import runs
 from inclined_landing.envs.tasks import is_path
 from inclined_landing.envs.tasks.guard import TaskError
-from inclined_landing.eval.base import runs
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError, shown

@@ -16,13 +16,13 @@ from typing import Annotated
 
 import tyro
 
-from inclined_landing.eval.base import page, runs
+from inclined_landing.envs.shared import measured, runs
+from inclined_landing.envs.shared.measured import Measured, Result, bar_words
+from inclined_landing.envs.shared.recipe import Number, Recipe, read_recipe, run_name
+from inclined_landing.eval.base import page
 from inclined_landing.eval.base.claims import number as rounded
 from inclined_landing.eval.base.options import NewFolder
-from inclined_landing.eval.sweeps import measured
-from inclined_landing.eval.sweeps.measured import Measured, Result, bar_words
 from inclined_landing.eval.sweeps.picture import variants_figure
-from inclined_landing.eval.sweeps.recipe import Number, Recipe, read_recipe, run_name
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 

@@ -5,9 +5,9 @@ import functools
 import tomllib
 from pathlib import Path
 
+from inclined_landing.envs.shared.recipe import COMMANDS, OLD_COMMANDS, read_recipe
 from inclined_landing.eval import cli
 from inclined_landing.eval.sweeps import beyond
-from inclined_landing.eval.sweeps.recipe import COMMANDS, OLD_COMMANDS, read_recipe
 from inclined_landing.train.sweep import jobs
 from inclined_landing.train.sweep.check import check
 from tests.campaign.commands import NEEDED, options

@@ -16,10 +16,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from inclined_landing.envs.shared.command_line import bound, parse
+from inclined_landing.envs.shared.recipe import Number, Recipe
 from inclined_landing.envs.tasks.own import would_import
 from inclined_landing.eval import cli
-from inclined_landing.eval.base.command_line import bound, parse
-from inclined_landing.eval.sweeps.recipe import Number, Recipe
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.curriculum import make_curriculum

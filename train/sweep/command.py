@@ -14,11 +14,10 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from inclined_landing.eval.base import cluster, runs
-from inclined_landing.eval.base.options import Flag, NewFolder, Range
-from inclined_landing.eval.base.tables import new_table, printer
-from inclined_landing.eval.sweeps import measured
-from inclined_landing.eval.sweeps.recipe import Recipe, read_recipe
+from inclined_landing.envs.shared import cluster, measured, runs
+from inclined_landing.envs.shared.options import Flag, NewFolder, Range
+from inclined_landing.envs.shared.recipe import Recipe, read_recipe
+from inclined_landing.envs.shared.tables import new_table, printer
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.train.sweep import jobs, record

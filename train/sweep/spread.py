@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
-from inclined_landing.eval.base import cluster
+from inclined_landing.envs.shared import cluster
 from inclined_landing.models.errors import UserError
 from inclined_landing.train.sweep import jobs
 from inclined_landing.train.sweep.children import Children

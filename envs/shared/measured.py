@@ -21,9 +21,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType, structs
 
-from inclined_landing.eval.base.claims import number as rounded
-from inclined_landing.eval.base.statistics import bootstrap, proportion
-from inclined_landing.eval.sweeps.recipe import Number, Recipe
+from inclined_landing.envs.shared.recipe import Number, Recipe
+from inclined_landing.envs.shared.statistics import bootstrap, proportion
+from inclined_landing.envs.shared.statistics import number as rounded
 from inclined_landing.models import schema, storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.schema import Real, Table
