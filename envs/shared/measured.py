@@ -30,6 +30,7 @@ from inclined_landing.models.schema import Real, Table
 
 Text = Annotated[str, Meta(max_length=2000)]
 Kind = Literal["number", "share", "flights"]  # what a value is: see above
+VERDICTS = {True: "met", False: "missed", None: ""}  # on a bar
 
 
 @dataclasses.dataclass(frozen=True)
