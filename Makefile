@@ -21,7 +21,7 @@ CPU_BUILDS := https://download.pytorch.org/whl/cpu
 BIN := .venv/bin
 PIP = $(BIN)/pip --disable-pip-version-check install $(PIP_ARGS) -c constraints.txt
 # One file for each group of dependencies (an extra of pyproject.toml) that is installed.
-INSTALLED := .venv/.installed-train
+INSTALLED := .venv/.installed-all
 PYTEST = $(BIN)/pytest -n logical --maxprocesses 8 --dist worksteal
 OLDEST := 3.11.0
 MACHINE := $(shell uname -m)

@@ -14,7 +14,7 @@ import importlib.util
 import sys
 from collections.abc import Callable, Sequence
 
-from inclined_landing.eval.base.command_line import bound, completion, exit_code, parse, shell_of, versions
+from inclined_landing.envs.shared.command_line import bound, completion, exit_code, parse, shell_of, versions
 from inclined_landing.models.errors import UserError
 
 # Command: the package it is in, and the first line of its docstring.
@@ -46,7 +46,7 @@ COMMANDS = {
     "curves": ("pictures", "Learning curves of training runs of one task; seeds with median and range."),
     "beyond": (
         "sweeps",
-        "The results of sweeps on one page: question, answer, numbers with their bars, figure, video.",
+        "The results of sweeps on one page; now landing-train sweep SWEEP [SWEEP ...] --page DIR.",
     ),
     "validate": ("truth", "Is the vehicle the paper's model, and is contact right? A page of claims."),
     "landings": ("", "Landing study: thousands of touchdowns over friction, speeds ..., each classified."),

@@ -12,11 +12,11 @@ import numpy as np
 
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.statistics import proportion
+from inclined_landing.envs.shared.tables import new_table, printer, share_cell
 from inclined_landing.envs.tasks.landing import PAPER_STARTS
-from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Folder, Look, Range, Seed
-from inclined_landing.eval.base.statistics import proportion
-from inclined_landing.eval.base.tables import new_table, printer, share_cell
 from inclined_landing.eval.pictures import picture, video
 from inclined_landing.eval.replay import command as replay
 

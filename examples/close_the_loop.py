@@ -17,7 +17,7 @@ import sys
 import time
 from pathlib import Path
 
-from inclined_landing.eval.base.statistics import proportion
+from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.models.effects import apply
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 

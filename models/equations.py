@@ -20,7 +20,7 @@ import functools
 import math
 from collections.abc import Callable
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -621,7 +621,7 @@ def _derivatives(state, command, conditions, rate_loop):
 
 def derivative(
     state: np.ndarray, command: np.ndarray, vehicle: Vehicle, rate_loop: bool = False
-) -> dict[str, np.ndarray | float]:
+) -> dict[str, Any]:
     """Return the time derivative of one state, for model comparison.
 
     state (13,), command (4,). The dict has `acceleration` (3,) [m/s2], `euler_rates` (3,) [rad/s],
@@ -629,7 +629,7 @@ def derivative(
     """
     conditions = Conditions(pack(vehicle), np.array([NEUTRAL]), free_air(1))
     dy = _derivatives(np.asarray(state, float), np.asarray(command, float), conditions, bool(rate_loop))
-    result: dict[str, np.ndarray | float] = {
+    result: dict[str, Any] = {
         "acceleration": dy[VX : VZ + 1].copy(),
         "euler_rates": dy[_PHI : _PSI + 1].copy(),
         "lag_rate": float(dy[_OMEGA]),

@@ -7,8 +7,12 @@ import difflib
 import re
 from collections.abc import Iterable, Iterator
 
-# Packages by the extra that installs them; all others come with `eval`.
+# Packages by the extra that installs them; others come with `eval` and with `train`.
 _EXTRAS = {
+    "eval": (
+        *("scipy", "sklearn", "threadpoolctl", "pandas", "matplotlib", "PIL", "mediapy", "imageio_ffmpeg"),
+        *("pyarrow", "jinja2", "rosbags"),
+    ),
     "train": ("stable_baselines3", "torch", "tensorboard", "psutil", "tomlkit"),
     "export": ("onnx",),
     "ray": ("ray",),

@@ -14,8 +14,8 @@ from sybil import Document, Region
 from sybil.evaluators.python import PythonEvaluator
 from sybil.parsers.markdown.lexers import RawFencedCodeBlockLexer
 
+from inclined_landing.envs.shared.command_line import bound, grouped_help, help_page, parse
 from inclined_landing.eval import cli
-from inclined_landing.eval.base.command_line import bound, grouped_help, help_page, parse
 from inclined_landing.train.config import HELP, TrainConfig
 from inclined_landing.train.sweep.command import command as sweep
 from tests import ROOT

@@ -9,11 +9,12 @@ import threading
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from inclined_landing.eval.base import command_line
-from inclined_landing.models.errors import shown
+from inclined_landing.envs.shared import command_line
+from inclined_landing.models.errors import UserError, shown
 
 if TYPE_CHECKING:
     from inclined_landing.train.config import TrainConfig
+    from inclined_landing.train.run import Run
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -64,7 +65,6 @@ def _train(arguments: list[str] | None, begun: list[TrainConfig]) -> int:
         print("\nlanding-train --help-all tells all options." * ("--help-all" not in words))
         return 0
     config = command_line.parse(TrainConfig, "landing-train", arguments)
-    from inclined_landing.train.report import report
     from inclined_landing.train.run import NOT_REACHED, Run
 
     run = Run(config)
@@ -74,12 +74,27 @@ def _train(arguments: list[str] | None, begun: list[TrainConfig]) -> int:
         print(f"the run in {shown(run.folder)} is finished{'; its report is missing' if due else ''}")
     metrics = run.execute()
     if due:
-        report(run.folder, metrics)
+        _report(run, metrics)
     if metrics.get("reached") is not False:
         return 0
     more = "" if metrics["finished"] or not run.config.resumable else "; --resume with the same --out goes on"
     print(f"landing-train: {metrics['ended']}{more}", file=sys.stderr)
     return NOT_REACHED
+
+
+def _report(run: Run, metrics: dict) -> None:
+    """Report on a run that has ended, or say why there is no report."""
+    from inclined_landing.train.evaluation import look_up
+    from inclined_landing.train.run import VEHICLE
+
+    try:
+        report = look_up("report")
+    except UserError as error:
+        more = "; the same command with --resume then reports on the run" * run.config.resumable
+        print(f"landing-train: no report, as {error}{more}", file=sys.stderr)
+        return
+    vehicle = run.folder / VEHICLE if run.config.vehicle is not None else None
+    report(run.folder, metrics, vehicle, run.curriculum.stages())
 
 
 @contextlib.contextmanager

@@ -15,9 +15,9 @@ import tyro
 
 from inclined_landing.envs.policy import action_map, history_length, observes_vehicle, trained_task
 from inclined_landing.envs.randomise import locate
+from inclined_landing.envs.shared.options import Range, Seed, check_ranges
 from inclined_landing.envs.tasks import TASKS, Task, import_task, is_path, task_class
 from inclined_landing.envs.tasks.options import Record, TaskOptions, Training, fields_of, option
-from inclined_landing.eval.base.options import Range, Seed, check_ranges
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle, locate_vehicle
 from inclined_landing.models.plants import PLANTS

@@ -14,7 +14,9 @@ metrics.json     what the run reached
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import io
 import itertools
 import json
 import math
@@ -23,10 +25,10 @@ import shlex
 import shutil
 import sys
 import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from torch.utils.tensorboard import SummaryWriter
@@ -34,9 +36,9 @@ from torch.utils.tensorboard import SummaryWriter
 from inclined_landing.envs.flights import record_flight, record_flights
 from inclined_landing.envs.policy import Policy, load_policy, stamp
 from inclined_landing.envs.randomise import read_ranges
+from inclined_landing.envs.shared import runs
 from inclined_landing.envs.tasks import is_path
 from inclined_landing.envs.tasks.guard import TaskError
-from inclined_landing.eval.base import runs
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError, shown
@@ -54,6 +56,7 @@ from inclined_landing.train.callbacks import (
 from inclined_landing.train.checkpoint import Checkpoint
 from inclined_landing.train.config import COPIED, TrainConfig, flag_of
 from inclined_landing.train.curriculum import make_curriculum
+from inclined_landing.train.evaluation import look_up
 from inclined_landing.train.rehearsal import rehearse
 
 RECORD = "run.json"
@@ -95,6 +98,8 @@ class Run:
             _check_new(config.folder)
             self.record = _record(config)
         self.config = config
+        if config.video_every:
+            look_up("film")
         ppo.check_memory(config)
         if is_path(config.task):
             rehearse(config)
@@ -347,15 +352,12 @@ class Run:
 
     def film(self, iteration: int) -> None:
         """A video of one flight."""
-        from inclined_landing.eval.pictures.frames import render_flight, write_video
-
         self.clock.switch("video")
         policy = self._policy()
         plant = make_plant("mujoco", 1, policy.task.vehicle, **policy.task.plant_options)
         flight = record_flight(policy, plant, self._judge.film_start)
         (self.folder / "videos").mkdir(exist_ok=True)
-        frames = render_flight(flight, camera="arena")
-        write_video(self.folder / "videos" / f"iteration_{iteration:04d}.mp4", frames)
+        look_up("film")(flight, self.folder / "videos" / f"iteration_{iteration:04d}.mp4")
         self.clock.switch("training")
 
     def _in_time(self, iteration: int) -> bool:
@@ -392,7 +394,7 @@ class Run:
 
     def _write_histories(self) -> None:
         for name, rows in (("learning", self.history), ("evaluations", self.evaluations)):
-            storage.write_text(self.folder / f"{name}.csv", pd.DataFrame(rows).to_csv(index=False))
+            storage.write_text(self.folder / f"{name}.csv", _csv(rows))
 
     def _read_checkpoint(self) -> Checkpoint | None:
         """The checkpoint of the run to resume; None if it was stopped before the first."""
@@ -561,6 +563,15 @@ class _History(BaseCallback):
                 **self.run.curriculum.log(),
             }
         )
+
+
+def _csv(rows: Sequence[Mapping[str, float]]) -> str:
+    """Return rows as CSV; a number that is missing or NaN is empty."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(dict.fromkeys(itertools.chain(*rows))), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: "" if x != x else x for name, x in row.items()} for row in rows)
+    return text.getvalue()
 
 
 def train(config: TrainConfig) -> tuple[Path, dict]:

@@ -28,9 +28,9 @@ from generated import table  # beside this file
 
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
+from inclined_landing.envs.shared import measured
+from inclined_landing.envs.shared.recipe import Recipe, read_recipe
 from inclined_landing.eval import cli
-from inclined_landing.eval.sweeps import measured
-from inclined_landing.eval.sweeps.recipe import Recipe, read_recipe
 from inclined_landing.models.effects import LIBRARY
 
 HERE = Path(__file__).parent

@@ -10,12 +10,12 @@ from importlib import resources
 import numpy as np
 
 from inclined_landing.envs.history import input_names
+from inclined_landing.envs.shared.command_line import bound, grouped_help, help_page
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import TASKS, Task, make_task
 from inclined_landing.envs.tasks import manual as task_manual
 from inclined_landing.envs.tasks.base import ACTIONS, COLUMNS
 from inclined_landing.eval import cli
-from inclined_landing.eval.base.command_line import bound, grouped_help, help_page
 from inclined_landing.models.attitude import COMMAND_UNITS, STATE_UNITS
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import Constant, constants, load_vehicle

@@ -6,7 +6,11 @@ import dataclasses
 import math
 import numbers
 import tomllib
+from collections.abc import Sequence
 from importlib import resources
+
+from inclined_landing.envs.shared.statistics import number
+from inclined_landing.envs.shared.tables import new_table, printer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,16 +122,19 @@ class Words:
         return Section(key, entry["title"], entry["text"].format(**filling), claims, **said)
 
 
-def number(value: float | None) -> str:
-    """Return a number with three digits, as a person writes it: 0.42, 1.3e-6, 34 100."""
-    if value is None or not math.isfinite(value):
-        return "–"
-    size = abs(value)
-    if size == 0:
-        return "0"
-    if size < 1e-3:
-        mantissa, exponent = f"{value:.1e}".split("e")
-        return f"{mantissa}e{int(exponent)}"
-    if size >= 1e4:
-        return f"{value:,.0f}".replace(",", "\u202f")
-    return f"{value:.3g}" if size < 100 else f"{value:.0f}"
+def show_sections(sections: Sequence[Section]) -> None:
+    """Print the tables of sections, but not those under a caption, which a page folds; and the remarks."""
+    console = printer()
+    for section in sections:
+        for table in section.tables:
+            if table.caption:
+                continue
+            printed = new_table(section.title, *table.heads, left=2)
+            grouped = not all(row[0] for row in table.rows)
+            for row in table.rows:
+                if grouped and row[0]:
+                    printed.add_section()
+                printed.add_row(*row)
+            console.print(printed)
+        for remark in section.remarks:
+            console.print(remark)

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import track
 
 from inclined_landing.envs.flights import Flight
-from inclined_landing.eval.base.statistics import proportion, spread
+from inclined_landing.envs.shared.statistics import proportion, spread
 from inclined_landing.models.errors import UserError
 
 K = TypeVar("K", bound=tuple[str, ...])

@@ -9,11 +9,11 @@ from typing import Annotated
 import tyro
 
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.shared.runs import check_new_run, staged_run
+from inclined_landing.envs.shared.tables import printer
 from inclined_landing.envs.tasks import import_task, is_path
 from inclined_landing.eval.base.options import Folder, TaskName, VehicleFile
 from inclined_landing.eval.base.policies import AnyPolicy
-from inclined_landing.eval.base.runs import check_new_run, staged_run
-from inclined_landing.eval.base.tables import printer
 from inclined_landing.eval.export import c_source, contract, vectors
 from inclined_landing.eval.export.network import Network
 from inclined_landing.models import storage

@@ -17,10 +17,10 @@ import numpy as np
 
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.envs.shared import runs
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import COLUMNS
-from inclined_landing.eval.base import runs
 from inclined_landing.eval.export import cost
 from inclined_landing.eval.export.network import Network
 from inclined_landing.eval.export.templates import render

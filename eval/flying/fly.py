@@ -83,7 +83,7 @@ def command(
         seed: seed of the simulated vehicle.
         out: new folder for the logs and fly.json; default runs/fly-DATE-TIME.
     """
-    from inclined_landing.eval.base.runs import check_new_run, new_run
+    from inclined_landing.envs.shared.runs import check_new_run, new_run
     from inclined_landing.eval.flying.link import check_uri
     from inclined_landing.eval.flying.pilot import Plan
     from inclined_landing.models import storage

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Flat, FlightSource, Folder
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap import diagnose

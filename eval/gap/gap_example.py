@@ -8,7 +8,7 @@ from __future__ import annotations
 import zipfile
 from importlib import resources
 
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Flat, FlightSource, Folder
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.report import identified, model, run

@@ -23,7 +23,8 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from inclined_landing.eval.base import runs, style
+from inclined_landing.envs.shared import runs
+from inclined_landing.eval.base import style
 from inclined_landing.eval.base.options import Flag, Folder, VehicleFile
 from inclined_landing.eval.landings import design, engines, landing
 from inclined_landing.eval.landings.study import MOST_LANDINGS, Study, known_parameters, read_study

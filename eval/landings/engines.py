@@ -7,7 +7,7 @@ from concurrent.futures import as_completed
 
 import pyarrow as pa
 
-from inclined_landing.eval.base import cluster
+from inclined_landing.envs.shared import cluster
 from inclined_landing.eval.landings.design import run_chunk
 from inclined_landing.eval.landings.study import Study
 from inclined_landing.models.errors import UserError, shown

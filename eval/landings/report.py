@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.statistics import proportion, spread
+from inclined_landing.envs.shared.tables import new_table, printer
 from inclined_landing.eval.base.page import embedded, render
-from inclined_landing.eval.base.statistics import proportion, spread
 from inclined_landing.eval.base.style import save_figure
-from inclined_landing.eval.base.tables import new_table, printer
 from inclined_landing.eval.landings import maps, sensitivity
 from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS
 from inclined_landing.eval.landings.study import Study, known_parameters

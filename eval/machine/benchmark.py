@@ -24,10 +24,10 @@ from gymnasium.spaces import Box
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.sb3 import BatchVecEnv
+from inclined_landing.envs.shared.runs import check_new_run, hand_over, versions
+from inclined_landing.envs.shared.statistics import spread
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.base.options import Flag, NewFolder, Seed, VehicleFile
-from inclined_landing.eval.base.runs import check_new_run, hand_over, versions
-from inclined_landing.eval.base.statistics import spread
 from inclined_landing.eval.machine import benchmark_table, exported
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from inclined_landing.eval.base.tables import new_table, printer, spread_cell
+from inclined_landing.envs.shared.tables import new_table, printer, spread_cell
 
 _ENVIRONMENTS = (
     *("plant, options of the task", "environment", "bare stepping", "task, reward, resets [%]"),

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from inclined_landing.envs import policy
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Flag
 from inclined_landing.models import plugins, storage
 from inclined_landing.models.errors import UserError

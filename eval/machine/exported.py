@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.shared.statistics import spread
 from inclined_landing.envs.tasks import Task
-from inclined_landing.eval.base.statistics import spread
 from inclined_landing.eval.export import c_source, compiled, contract, numpy_file, vectors
 from inclined_landing.eval.export.landing_policy import LandingPolicy
 from inclined_landing.eval.export.network import Network

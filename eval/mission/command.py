@@ -16,8 +16,8 @@ from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME
 from inclined_landing.envs.mission import HAND_OVER, Mission, Plan, fly_missions
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.rendering import check_picture_options
+from inclined_landing.envs.shared import runs
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
-from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import (
     Degrees,
     Flag,

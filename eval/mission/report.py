@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.envs.mission import ENDS, LANDING, LEGS, Leg, Mission, Plan
-from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.statistics import proportion, spread
-from inclined_landing.eval.base.tables import new_table, printer, share_cell, spread_cell
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.statistics import proportion, spread
+from inclined_landing.envs.shared.tables import new_table, printer, share_cell, spread_cell
 from inclined_landing.models.attitude import STATE_SIZE, VX, VY, VZ, X, Y, Z
 
 ROLES = ("setpoint", "landing", "touchdown")

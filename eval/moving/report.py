@@ -12,12 +12,12 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.claims import Section, Table
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.statistics import proportion, spread
+from inclined_landing.envs.shared.tables import share_cell
+from inclined_landing.eval.base.claims import Section, Table, show_sections
 from inclined_landing.eval.base.conditions import fly_all
-from inclined_landing.eval.base.statistics import proportion, spread
 from inclined_landing.eval.base.style import MUTED, colour, literal, marker, percent, share_curve, styled
-from inclined_landing.eval.base.tables import share_cell, show_sections
 from inclined_landing.eval.moving.controllers import Controller
 from inclined_landing.eval.moving.flying import FIELDS, fly
 from inclined_landing.eval.moving.scenario import Scenario

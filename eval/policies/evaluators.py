@@ -13,12 +13,12 @@ import numpy as np
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.statistics import mean, proportion, spread
 from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
-from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.conditions import outcome
-from inclined_landing.eval.base.statistics import mean, proportion, spread
 from inclined_landing.eval.policies.motors_cut import cut_motors
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, VX, VZ, YAW

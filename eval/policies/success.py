@@ -29,9 +29,9 @@ import tyro
 
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.shared import runs
 from inclined_landing.envs.tasks import Start
 from inclined_landing.envs.tasks.base import joined
-from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.conditions import fly_all
 from inclined_landing.eval.base.options import Flag, Flat, Flown, NewFolder, Seed
 from inclined_landing.eval.base.policies import AnyPolicy

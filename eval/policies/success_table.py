@@ -6,7 +6,7 @@ import math
 
 from rich.table import Table
 
-from inclined_landing.eval.base.tables import new_table, printer, share_cell, spread_cell
+from inclined_landing.envs.shared.tables import new_table, printer, share_cell, spread_cell
 
 _GROUPS = {
     "paper_starts": "paper's three",

@@ -29,13 +29,13 @@ from rich.progress import track
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.history import History
 from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.statistics import proportion, spread
+from inclined_landing.envs.shared.tables import new_table, printer, share_cell
 from inclined_landing.envs.tasks import StepContext
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, InclinedTouchdown, resting
-from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Flag, NewFolder, PolicyFile, PolicyName, VehicleFile
-from inclined_landing.eval.base.statistics import proportion, spread
-from inclined_landing.eval.base.tables import new_table, printer, share_cell
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import PWM
 from inclined_landing.models.errors import UserError

@@ -14,8 +14,8 @@ import tyro
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import SHIPPED, Policy
+from inclined_landing.envs.shared import runs
 from inclined_landing.envs.tasks import Start
-from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.options import Drawn, Flag, Flat, Flown, Range, Seed, Starts
 from inclined_landing.eval.gap.search.rollout import HORIZON
 from inclined_landing.eval.logs import read_log

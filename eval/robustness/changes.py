@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.statistics import mean
 from inclined_landing.envs.tasks import Start
-from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.conditions import fly_all
-from inclined_landing.eval.base.statistics import mean
 from inclined_landing.eval.policies.evaluators import evaluator_of
 from inclined_landing.eval.policies.success import fly, sizes
 from inclined_landing.models.effects import LIBRARY, Effect

@@ -13,12 +13,11 @@ import tyro
 from matplotlib.figure import Figure
 
 from inclined_landing.envs.policy import SHIPPED, load_policy
-from inclined_landing.eval.base import runs
-from inclined_landing.eval.base.claims import Section
+from inclined_landing.envs.shared import runs
+from inclined_landing.eval.base.claims import Section, show_sections
 from inclined_landing.eval.base.options import COMPARED, AtMost, Flag, Flat, NewFolder, PlantName, Range, Seed
 from inclined_landing.eval.base.page import embedded, png, render
 from inclined_landing.eval.base.style import save_figure
-from inclined_landing.eval.base.tables import show_sections
 from inclined_landing.eval.moving import report as moving
 from inclined_landing.eval.moving.controllers import BASELINES, Controller, vehicle_flown
 from inclined_landing.eval.moving.controllers import find as find_controller

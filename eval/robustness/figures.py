@@ -11,7 +11,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from inclined_landing.eval.base.statistics import proportion
+from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.eval.base.style import (
     INK,
     MUTED,

@@ -18,12 +18,12 @@ import numpy as np
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.statistics import proportion
+from inclined_landing.envs.shared.tables import share_cell, spread_cell
 from inclined_landing.envs.tasks import Start, Task, make_task
-from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.base.conditions import fly_all, outcome
-from inclined_landing.eval.base.statistics import proportion
-from inclined_landing.eval.base.tables import share_cell, spread_cell
 from inclined_landing.eval.policies.success_table import slope_words
 from inclined_landing.models.attitude import YAW
 from inclined_landing.models.errors import UserError

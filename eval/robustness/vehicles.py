@@ -18,13 +18,13 @@ from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.randomise import read_ranges
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.statistics import proportion
+from inclined_landing.envs.shared.tables import share_cell
 from inclined_landing.envs.tasks.landing import START_CLEARANCE
 from inclined_landing.envs.vehicle_parameters import NAMES, vehicle_parameters
-from inclined_landing.eval.base import runs
 from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.base.conditions import fly_all, outcome
-from inclined_landing.eval.base.statistics import proportion
-from inclined_landing.eval.base.tables import share_cell
 from inclined_landing.eval.robustness.entries import Entry
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from inclined_landing.envs.shared.tables import new_table, printer, share_cell
 from inclined_landing.eval.base.claims import Section, Table
-from inclined_landing.eval.base.tables import new_table, printer, share_cell
 from inclined_landing.eval.robustness.changes import SIZES
 from inclined_landing.eval.robustness.figures import matrix
 

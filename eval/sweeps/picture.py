@@ -7,9 +7,9 @@ import textwrap
 import numpy as np
 from matplotlib.figure import Figure
 
+from inclined_landing.envs.shared.measured import Measured, Result
+from inclined_landing.envs.shared.recipe import Number, Recipe
 from inclined_landing.eval.base.style import BLUE, INK, MUTED, ORANGE, styled
-from inclined_landing.eval.sweeps.measured import Measured, Result
-from inclined_landing.eval.sweeps.recipe import Number, Recipe
 
 _ROW, _PANEL = 0.27, 2.1  # inches: of a variant, of a number
 _ACROSS = 6  # panels beside each other at most

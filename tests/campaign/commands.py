@@ -8,8 +8,8 @@ import typing
 from importlib import resources
 from pathlib import Path
 
+from inclined_landing.envs.shared.options import Range
 from inclined_landing.eval import cli
-from inclined_landing.eval.base.options import Range
 from inclined_landing.train import cli as train
 from inclined_landing.train.config import TrainConfig
 from tests.campaign.flights import a_flight, text

@@ -9,8 +9,8 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
+from inclined_landing.envs.shared.recipe import COMMANDS, OLD_COMMANDS, read_recipe
 from inclined_landing.eval import cli
-from inclined_landing.eval.sweeps.recipe import COMMANDS, OLD_COMMANDS, read_recipe
 from inclined_landing.train.sweep import jobs
 from inclined_landing.train.sweep.check import check
 from tests import ROOT

@@ -5,9 +5,9 @@ import typing
 
 import pytest
 
+from inclined_landing.envs.shared.options import Range
 from inclined_landing.envs.tasks import TASKS, InclinedLanding, InclinedTouchdown, make_task, variants
 from inclined_landing.envs.tasks.options import TaskOptions, Training, fields_of, option
-from inclined_landing.eval.base.options import Range
 from inclined_landing.models.errors import UserError
 from inclined_landing.train.config import TrainConfig
 

@@ -12,7 +12,7 @@ import importlib.util
 import sys
 from collections.abc import Callable, Sequence
 
-from inclined_landing.eval.base.command_line import bound, exit_code, parse
+from inclined_landing.envs.shared.command_line import bound, exit_code, parse
 from inclined_landing.models.errors import UserError
 
 PROGRAM = "python -m tests.proof"

@@ -19,9 +19,9 @@ import numpy as np
 import tyro
 
 from inclined_landing.envs import load_policy, record_flights, starts
+from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.eval.base import style
 from inclined_landing.eval.base.options import Folder
-from inclined_landing.eval.base.statistics import proportion
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError

@@ -15,7 +15,7 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Range, Seed
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.result import InconsistentFlights

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Seed
 from tests.proof.gap_blind.causes import Drawn
 from tests.proof.gap_blind.generate import fly_all, write_csv

@@ -17,9 +17,9 @@ import numba
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.tables import new_table, printer
 from inclined_landing.eval.base.options import Flag, LogFiles, NewFolder, Range, VehicleFile
-from inclined_landing.eval.base.tables import new_table, printer
 from inclined_landing.eval.gap.flights.windows import prepare_all, remove_tilt
 from inclined_landing.eval.gap.search import rollout
 from inclined_landing.eval.logs import read_log

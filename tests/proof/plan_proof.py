@@ -17,7 +17,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Range, Seed
 from inclined_landing.eval.gap.flights.windows import prepare_all
 from inclined_landing.eval.gap.plan import NoiseLevels, ScoredSet, design

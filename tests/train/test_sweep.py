@@ -14,8 +14,8 @@ import pytest
 import tomlkit
 
 from inclined_landing.envs import tasks
-from inclined_landing.eval.base import runs
-from inclined_landing.eval.sweeps.recipe import read_recipe
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.recipe import read_recipe
 from inclined_landing.models.errors import UserError
 from inclined_landing.train import cli
 from inclined_landing.train.sweep import children, command, jobs, record

@@ -16,13 +16,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from inclined_landing.envs.shared.command_line import bound, parse
+from inclined_landing.envs.shared.recipe import Number, Recipe
 from inclined_landing.envs.tasks.own import would_import
-from inclined_landing.eval import cli
-from inclined_landing.eval.base.command_line import bound, parse
-from inclined_landing.eval.sweeps.recipe import Number, Recipe
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.curriculum import make_curriculum
+from inclined_landing.train.evaluation import look_up
 from inclined_landing.train.sweep import jobs
 from inclined_landing.train.sweep.jobs import Job
 
@@ -94,8 +94,8 @@ def _calls(job: Job) -> Iterator[_Call]:
                 config = parse(TrainConfig, program, rest)
                 call = _Call(job, words, vars(config), config)
             else:
-                name, *others = cli.renamed(rest)
-                later = parse(bound(cli.find(name)), f"{program} {name}", others)
+                name, *others = look_up("renamed")(rest)
+                later = parse(bound(look_up("find")(name)), f"{program} {name}", others)
                 given = inspect.signature(later.func).bind(*later.args, **later.keywords).arguments
                 call = _Call(job, words, given, None)
         yield call

@@ -50,8 +50,7 @@ class Children:
         """
         # Unbuffered, so that the last line of the log is the last that was said; without the present folder
         # among those that are imported from, as the programs themselves are started.
-        command = [sys.executable, "-u", "-P", "-m", child.__name__, str(os.getpid())]
-        command += [PROGRAMS[words[0]], *words[1:]]
+        command = [sys.executable, "-u", "-P", "-m", child.__name__, PROGRAMS[words[0]], *words[1:]]
         environment = os.environ | dict.fromkeys(_THREADS, str(threads))
         began = time.monotonic()
         with self._lock:
@@ -59,7 +58,7 @@ class Children:
                 raise Stopped
             process = subprocess.Popen(
                 command,
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE,  # ends with this process, and the program with it
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env=environment,
@@ -71,6 +70,8 @@ class Children:
             _, status, used = os.wait4(process.pid, 0)
             self._running.discard(process)
         process.returncode = os.waitstatus_to_exitcode(status)
+        if process.stdin is not None:
+            process.stdin.close()
         seconds = time.monotonic() - began
         return Ended(process.returncode, used.ru_utime + used.ru_stime, seconds, os.getloadavg()[0])
 

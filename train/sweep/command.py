@@ -1,8 +1,9 @@
-"""`landing-train sweep`: the options, the runs side by side, the numbers."""
+"""`landing-train sweep`: the options, the runs side by side, the numbers; or the page of sweeps that are done."""
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 import shlex
 import sys
@@ -14,38 +15,54 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from inclined_landing.eval.base import cluster, runs
-from inclined_landing.eval.base.options import Flag, NewFolder, Range
-from inclined_landing.eval.base.tables import new_table, printer
-from inclined_landing.eval.sweeps import measured
-from inclined_landing.eval.sweeps.recipe import Recipe, read_recipe
+from inclined_landing.envs.shared import cluster, measured
+from inclined_landing.envs.shared import runs as run_folders
+from inclined_landing.envs.shared.options import Flag, NewFolder, Range
+from inclined_landing.envs.shared.recipe import Recipe, read_recipe
+from inclined_landing.envs.shared.tables import new_table, printer
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.train.sweep import jobs, record
+from inclined_landing.train.evaluation import look_up
+from inclined_landing.train.sweep import jobs as steps_of
+from inclined_landing.train.sweep import record as recorded
 from inclined_landing.train.sweep.children import Children
 from inclined_landing.train.sweep.jobs import Job, Step
-from inclined_landing.train.sweep.spread import PLACES, spread
+from inclined_landing.train.sweep.spread import PLACES, Key, Place, spread
 
 FAILED = 1  # exit code
 
 
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """A recipe and where it is run."""
+
+    recipe: Recipe
+    command: str  # that runs it again
+    folder: Path
+    runs: dict[Key, Job]
+    together: Job
+
+
 def command(
-    recipe: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RECIPE.toml")],
+    recipes: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RECIPE.toml")],
     /,
+    *,
     out: NewFolder = None,
     jobs: Annotated[int, Range(0, 1024)] = 0,
     on: Annotated[str, tyro.conf.arg(metavar="{local,ray}")] = "local",
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     record: Flag = False,
     allow: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="FILE.py:NAME")] = (),
+    page: NewFolder = None,
+    site: NewFolder = None,
 ) -> int:
     """Train and judge what a recipe says, for every seed and variant; the numbers over the seeds.
 
     The same command again goes on: finished runs are kept, interrupted ones resumed. Exit code 1 says that a
-    run failed.
+    run failed. With --page or --site nothing is run: the sweeps named, one or more, are shown.
 
     Args:
-        recipe: file, or the name of a shipped one.
+        recipes: file, or the name of a shipped one; with --page folders of sweeps, or recipes with a result.
         out: folder of the sweep, with a run folder for each seed (default: runs/RECIPE).
         jobs: runs side by side (0: one for each core); the cores are shared out among them.
         on: on this machine, or on a Ray cluster whose machines all see the folder.
@@ -53,28 +70,19 @@ def command(
         record: write the result into the recipe, as its table [result].
         allow: Python that the recipe may have imported, a task or a controller, file.py:NAME or module:NAME;
             repeat the option for more. A recipe that names any other is refused.
+        page: new folder for one page of sweeps that are done: question, answer, numbers with their bars,
+            figure and video of each, also as files.
+        site: folder of a documentation: the same as beyond.md there, pictures in its folder beyond; what is
+            there is replaced.
     """
-    return sweep(recipe, out, jobs, on, address, record, allow)
-
-
-def shipped() -> dict[str, Path]:
-    """The recipes that come with the package, by name."""
-    folder = Path(str(resources.files("inclined_landing.train") / "recipes"))
-    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
-
-
-def sweep(
-    name: str,
-    out: Path | None,
-    count: int,
-    on: str,
-    address: str | None,
-    recorded: bool,
-    allowed: tuple[str, ...],
-) -> int:
-    """See `command`."""
-    from inclined_landing.train.sweep.check import check
-
+    if page is not None or site is not None:
+        if out is not None or record or allow or address is not None:
+            raise UserError("--page and --site run nothing; leave out --out, --record, --allow and --address")
+        look_up("write_page")([shipped().get(name, Path(name)) for name in recipes], page, site)
+        return 0
+    if len(recipes) != 1:
+        raise UserError(f"name one RECIPE.toml to run, not {len(recipes)}; --page shows several")
+    (name,) = recipes
     path = shipped().get(name, Path(name))
     if not os.path.lexists(path):
         raise UserError(f"recipe {shown(path, 200)} does not exist (shipped ones: {', '.join(shipped())})")
@@ -85,90 +93,102 @@ def sweep(
         cluster.check(address, "--on ray")
     elif address is not None:
         raise UserError("--address belongs to --on ray")
-    if recorded:
-        record.check(path)
-    folder = Path("runs", recipe.name) if out is None else out
-    folder = folder.absolute() if on == "ray" else folder
-    here = path.parent.absolute() if on == "ray" else path.parent
-    todo = jobs.of_runs(recipe, folder, here)
-    last = jobs.of_all(recipe, folder, here)
-    _check_folder(folder, recipe)
-    for job in (*todo.values(), last):
-        jobs.read(job)
+    if record:
+        recorded.check(path)
+    sweep = _checked(
+        recipe, name, path, Path("runs", recipe.name) if out is None else out, on == "ray", allow
+    )
     try:
-        check(recipe, todo, last, allowed)
+        (sweep.folder / steps_of.STEPS).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot create the folder {sweep.folder}: {storage.reason(error)}") from error
+    with run_folders.held(sweep.folder):
+        storage.write_bytes(sweep.folder / f"{recipe.name}.toml", storage.read_bytes(path, "recipe"))
+        cores = len(os.sched_getaffinity(0))
+        at_once = min(jobs or cores, len(sweep.runs))
+        return _run(sweep, Place(on, address, at_once, max(1, cores // at_once)), path if record else None)
+
+
+def shipped() -> dict[str, Path]:
+    """Return the recipes that come with the package, by name."""
+    folder = Path(str(resources.files("inclined_landing.train") / "recipes"))
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def _checked(
+    recipe: Recipe, name: str, path: Path, folder: Path, whole: bool, allow: tuple[str, ...]
+) -> Sweep:
+    """Return the sweep of a recipe, checked before anything is written.
+
+    name: of the recipe as it was given, path: of its file. whole: folders are named from the root on.
+    """
+    from inclined_landing.train.sweep.check import check
+
+    here = path.parent
+    if whole:
+        folder, here = folder.absolute(), here.absolute()
+    words = ["landing-train", "sweep", name, *(word for python in allow for word in ("--allow", python))]
+    runs, together = steps_of.of_runs(recipe, folder, here), steps_of.of_all(recipe, folder, here)
+    storage.check_folder(folder)
+    if not ((folder / steps_of.STEPS).is_dir() and (folder / f"{recipe.name}.toml").is_file()):
+        run_folders.check_new_run(folder)
+    for job in (*runs.values(), together):
+        steps_of.read(job)
+    try:
+        check(recipe, runs, together, allow)
     except UserError as error:
         raise UserError(f"recipe {shown(path, 200)}: {error}") from error
-    try:
-        (folder / jobs.STEPS).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot create the folder {folder}: {storage.reason(error)}") from error
-    with runs.held(folder):
-        storage.write_bytes(folder / f"{recipe.name}.toml", storage.read_bytes(path, "recipe"))
-        named = [word for python in allowed for word in ("--allow", python)]
-        again = shlex.join(["landing-train", "sweep", name, *named])
-        return _run(recipe, again, path if recorded else None, folder, todo, last, count, on, address)
+    return Sweep(recipe, shlex.join(words), folder, runs, together)
 
 
-def _check_folder(folder: Path, recipe: Recipe) -> None:
-    """Raise UserError for a folder that is there and not of a sweep of this recipe."""
-    storage.check_folder(folder)
-    if not ((folder / jobs.STEPS).is_dir() and (folder / f"{recipe.name}.toml").is_file()):
-        runs.check_new_run(folder)
+def _run(sweep: Sweep, place: Place, path: Path | None) -> int:
+    """Do all jobs, write and print the numbers, and return the exit code.
 
-
-def _run(
-    recipe: Recipe,
-    again: str,
-    path: Path | None,
-    folder: Path,
-    todo: dict[tuple[str, int], Job],
-    last: Job,
-    count: int,
-    on: str,
-    address: str | None,
-) -> int:
-    """Do all jobs; write and print the numbers.
-
-    again: the command. path: of the recipe to write the result into. Raises UserError as soon as a run has
-    ended that lacks a number; it would lack it in the others too.
+    path: of the recipe to write the result into. Raises UserError as soon as a run has ended that lacks a
+    number; it would lack it in the others too.
     """
-    cores = len(os.sched_getaffinity(0))
-    at_once = min(count or cores, len(todo))
-    threads = max(1, cores // at_once)
-    console = printer()
-    children = Children()
-    found: dict[tuple[str, int], list[Step]] = {}
-    done = spread(todo, on, address, children, threads, at_once)
+    console, children = printer(), Children()
+    found: dict[Key, list[Step]] = {}
     columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn())
     try:
         screen = Console(stderr=True)
-        with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as progress:
-            bar = progress.add_task("", total=len(todo))
-            with contextlib.closing(done):
-                for key, steps in done:
-                    found[key] = steps
-                    progress.update(bar, advance=1)
-                    _tell(console, todo[key], steps)
-                    if jobs.failure(todo[key], steps) is None:
-                        _check_numbers(recipe, todo[key])
-        wrong = [text for key, job in todo.items() if (text := jobs.failure(job, found[key]))]
-        if not wrong and last.commands:
-            wrong += filter(None, [jobs.failure(last, jobs.work(last, children, cores))])
+        with (
+            Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as progress,
+            contextlib.closing(spread(sweep.runs, place, children)) as done,
+        ):
+            bar = progress.add_task("", total=len(sweep.runs))
+            for key, steps in done:
+                job, found[key] = sweep.runs[key], steps
+                wrong = steps_of.failure(job, steps)
+                progress.update(bar, advance=1)
+                console.print(
+                    wrong or f"{job.name}: {_sum(steps, 'cpu')} s of CPU in {_sum(steps, 'wall')} s"
+                )
+                if wrong is None:
+                    _check_numbers(sweep.recipe, job)
+        failures = [steps_of.failure(job, found[key]) for key, job in sweep.runs.items()]
+        if not any(failures) and sweep.together.commands:
+            steps = steps_of.work(sweep.together, children, len(os.sched_getaffinity(0)))
+            failures.append(steps_of.failure(sweep.together, steps))
     finally:
         children.stop()
-    for text in wrong:
+    for text in filter(None, failures):
         print(f"landing-train sweep: {text}", file=sys.stderr)
-    if wrong:
+    if any(failures):
         return FAILED
-    result = _result(recipe, again, todo, found)
-    storage.write_json(folder / jobs.RESULT, result.record())
-    _show(console, recipe, result)
+    result = _result(sweep, found)
+    storage.write_json(sweep.folder / steps_of.RESULT, result.record())
+    _show(console, sweep.recipe, result)
     if path is not None:
-        record.write(path, result.record())
+        recorded.write(path, result.record())
         console.print(f"the result is in {path}")
-    console.print(f"everything about this sweep is in {folder}")
+    console.print(f"everything about this sweep is in {sweep.folder}")
     return 0
+
+
+def _sum(steps: list[Step], clock: str) -> str:
+    """Return the seconds that the steps took; clock: cpu or wall."""
+    return f"{sum(getattr(step, f'{clock}_seconds') for step in steps):.1f}"
 
 
 def _check_numbers(recipe: Recipe, job: Job) -> None:
@@ -180,12 +200,12 @@ def _check_numbers(recipe: Recipe, job: Job) -> None:
         raise UserError(f"{error}; the sweep stops: correct the recipe and give the same command") from error
 
 
-def _result(recipe: Recipe, again: str, todo: dict, found: dict) -> measured.Result:
-    """The numbers over the seeds, and what the runs took. again: the command."""
-    numbers = []
+def _result(sweep: Sweep, found: dict[Key, list[Step]]) -> measured.Result:
+    """Return the numbers over the seeds, and what the runs took."""
+    recipe, numbers = sweep.recipe, []
     for variant in recipe.variants:
         for number in recipe.numbers.values():
-            taken = [measured.take(number, todo[variant, seed].run) for seed in recipe.seeds]
+            taken = [measured.take(number, sweep.runs[variant, seed].run) for seed in recipe.seeds]
             numbers.append(measured.sum_up(variant, number, taken))
     done = [step for steps in found.values() for step in steps]
     loads = [step.load for step in done]
@@ -194,7 +214,7 @@ def _result(recipe: Recipe, again: str, todo: dict, found: dict) -> measured.Res
         for name in done[0].versions
     }
     return measured.Result(
-        command=again,
+        command=sweep.command,
         machine=f"{versions.pop('cpu', 'unknown')}, {versions.pop('cores', '?')} cores",
         versions=versions,
         load=(min(loads), max(loads)),
@@ -205,7 +225,7 @@ def _result(recipe: Recipe, again: str, todo: dict, found: dict) -> measured.Res
                 seed=seed,
                 cpu_seconds=sum(step.cpu_seconds for step in found[variant, seed]),
                 wall_seconds=sum(step.wall_seconds for step in found[variant, seed]),
-                ended=_ended(todo[variant, seed], found[variant, seed]),
+                ended=_ended(sweep.runs[variant, seed], found[variant, seed]),
             )
             for variant, seed in recipe.runs()
         ),
@@ -213,26 +233,20 @@ def _result(recipe: Recipe, again: str, todo: dict, found: dict) -> measured.Res
 
 
 def _ended(job: Job, steps: list[Step]) -> str:
-    """How a run ended, in its own words."""
+    """Return how a run ended, in its own words."""
     if steps[0].words[0] != "landing-train":
         return "evaluated"
     metrics = storage.read_json(job.run / "metrics.json", "file")
     return shown(metrics.get("ended", "trained"), 200) if isinstance(metrics, dict) else "trained"
 
 
-def _tell(console: Console, job: Job, steps: list[Step]) -> None:
-    wrong = jobs.failure(job, steps)
-    cpu, wall = (sum(getattr(step, name) for step in steps) for name in ("cpu_seconds", "wall_seconds"))
-    console.print(wrong or f"{job.name}: {cpu:.1f} s of CPU in {wall:.1f} s")
-
-
 def _show(console: Console, recipe: Recipe, result: measured.Result) -> None:
-    verdicts = {True: "met", False: "missed", None: ""}
+    """Print the numbers of every variant as a table."""
     heads = ("number", "median (range)", "mean [95 %]", "bar", "")
     count = len(recipe.seeds)
     table = new_table(f"{recipe.title}, {count} seed{'s' * (count > 1)}", "variant", *heads, left=2)
     for m in result.measured:
-        bar = measured.bar_words(m.number)
-        table.add_row(m.variant, m.number.title, m.words, m.interval_words, bar, verdicts[m.met])
+        bar, verdict = measured.bar_words(m.number), measured.VERDICTS[m.met]
+        table.add_row(m.variant, m.number.title, m.words, m.interval_words, bar, verdict)
     table.caption = result.cost
     console.print(table)

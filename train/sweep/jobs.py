@@ -13,8 +13,8 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from inclined_landing.eval.base import runs
-from inclined_landing.eval.sweeps.recipe import Recipe, filled, run_name
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.recipe import Recipe, filled, run_name
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.train.sweep.children import Children

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
-from inclined_landing.eval.base import cluster
+from inclined_landing.envs.shared import cluster
 from inclined_landing.models.errors import UserError
 from inclined_landing.train.sweep import jobs
 from inclined_landing.train.sweep.children import Children
@@ -21,28 +22,36 @@ _PATIENCE = 600.0
 Key = tuple[str, int]
 
 
-def spread(
-    todo: Mapping[Key, Job],
-    on: str,
-    address: str | None,
-    children: Children,
-    threads: int,
-    at_once: int,
-) -> Iterator[tuple[Key, list[Step]]]:
-    """The jobs with their steps, as they end; those first with which nothing is left to do.
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """Where jobs are done: on this machine, `at_once` with `threads` each, or each on a core of a Ray cluster."""
 
-    on: "local", where `at_once` of them have `threads` each, or "ray", where each has a core of the cluster
-    at the address (see `cluster.connected`). Raises UserError for a job that could not be carried out.
+    on: str  # one of PLACES
+    address: str | None  # of a running cluster, see `cluster.connected`
+    at_once: int
+    threads: int
+
+
+def spread(todo: Mapping[Key, Job], place: Place, children: Children) -> Iterator[tuple[Key, list[Step]]]:
+    """Yield the jobs with their steps, as they end; those first with which nothing is left to do.
+
+    Raises UserError for a job that could not be carried out.
     """
     stands = {key: jobs.read(job) for key, job in todo.items()}
     left = [key for key, steps in stands.items() if not all(step.done for step in steps)]
     yield from ((key, steps) for key, steps in stands.items() if key not in left)
     if not left:
         return
-    work, *more = (jobs.work, children, threads) if on == "local" else (_on_worker, os.getcwd())
-    with ThreadPoolExecutor(at_once) if on == "local" else cluster.connected(address) as pool:
+    local = place.on == "local"
+    executor = ThreadPoolExecutor(place.at_once) if local else cluster.connected(place.address)
+    with executor as pool:
         try:
-            flying = {pool.submit(work, todo[key], *more): key for key in left}
+            flying = {
+                pool.submit(jobs.work, todo[key], children, place.threads)
+                if local
+                else pool.submit(_on_worker, todo[key], os.getcwd()): key
+                for key in left
+            }
             for future in as_completed(flying):
                 yield flying[future], future.result()
         except BaseException:
@@ -52,7 +61,7 @@ def spread(
 
 
 def _on_worker(job: Job, place: str) -> list[Step]:
-    """A job on a machine of the cluster, perhaps for the second time: after the loss of the first machine.
+    """Do a job on a machine of the cluster, perhaps for the second time: after the loss of the first machine.
 
     place: the folder from which the words of the recipe name files.
     """

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from inclined_landing.envs.shared.tables import new_table
 from inclined_landing.eval.base.style import MUTED, panel
-from inclined_landing.eval.base.tables import new_table
 from inclined_landing.eval.gap.answer.identify import PAPER, ROUGH, UNIDENTIFIABLE, Identification, Identified
 from inclined_landing.eval.gap.report import figures, words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, WIDTH, name_rows

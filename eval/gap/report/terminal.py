@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from inclined_landing.eval.base.tables import new_table, printer
+from inclined_landing.envs.shared.tables import new_table, printer
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.result import Diagnosis, InconsistentFlights
 

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.logs.flights.convert import PublicSet, convert, public_sets
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown

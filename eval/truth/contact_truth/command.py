@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.text import Text
 
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.tables import new_table, printer
 from inclined_landing.eval.base.claims import Section
-from inclined_landing.eval.base.tables import new_table, printer
 from inclined_landing.eval.truth.contact_truth import touchdowns
 from inclined_landing.eval.truth.contact_truth.laws import FINDINGS, setting
 from inclined_landing.eval.truth.contact_truth.report import write

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from pathlib import Path
 
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.claims import Claim, Section
 from inclined_landing.eval.base.page import claims_page
 from inclined_landing.eval.base.style import save_figure

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.claims import Claim, number
 from inclined_landing.eval.base.page import png
 from inclined_landing.eval.truth.equivalence import report

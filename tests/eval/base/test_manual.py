@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from inclined_landing.envs.shared import command_line
+from inclined_landing.envs.shared.command_line import bound
 from inclined_landing.eval import cli, demo
-from inclined_landing.eval.base import command_line
-from inclined_landing.eval.base.command_line import bound
 from inclined_landing.train.cli import main as train
 from inclined_landing.train.config import HELP, TrainConfig
 

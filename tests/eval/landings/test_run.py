@@ -12,8 +12,8 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
+from inclined_landing.envs.shared import cluster, runs
 from inclined_landing.eval import cli
-from inclined_landing.eval.base import cluster, runs
 from inclined_landing.eval.landings import command, design, engines, landing
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError

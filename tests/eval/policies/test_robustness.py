@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.shared.statistics import mean, proportion, spread
 from inclined_landing.eval import cli
-from inclined_landing.eval.base.statistics import mean, proportion, spread
 from inclined_landing.eval.policies.success import sizes
 from inclined_landing.eval.robustness import changes, figures, words
 from inclined_landing.models.effects import LIBRARY

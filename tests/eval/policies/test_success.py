@@ -9,10 +9,10 @@ import pytest
 
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import record_flight, record_flights
+from inclined_landing.envs.shared import statistics
 from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
-from inclined_landing.eval.base import statistics
 from inclined_landing.eval.policies import evaluators, motors_cut, success, success_table
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ

@@ -10,7 +10,7 @@ from PIL import Image
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.replay.measured import from_log
 from inclined_landing.eval.replay.page import write

@@ -12,11 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
+from inclined_landing.envs.shared import measured
+from inclined_landing.envs.shared.measured import Ran, Result, sum_up, take
+from inclined_landing.envs.shared.recipe import COMMANDS, Number, Recipe, filled, read_recipe
 from inclined_landing.eval import cli
-from inclined_landing.eval.sweeps import beyond, measured
-from inclined_landing.eval.sweeps.measured import Ran, Result, sum_up, take
+from inclined_landing.eval.sweeps import beyond
 from inclined_landing.eval.sweeps.picture import variants_figure
-from inclined_landing.eval.sweeps.recipe import COMMANDS, Number, Recipe, filled, read_recipe
 from inclined_landing.models.errors import UserError
 
 GOOD = {

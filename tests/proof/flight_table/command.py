@@ -9,7 +9,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from inclined_landing.eval.base import runs, tables
+from inclined_landing.envs.shared import runs, tables
 from inclined_landing.eval.base.options import Flag, NewFolder, Range, Seed
 from inclined_landing.models import storage
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from inclined_landing.envs.policy import Policy
-from inclined_landing.eval.base import tables
+from inclined_landing.envs.shared import tables
 from inclined_landing.eval.flying import safety
 from inclined_landing.eval.flying.interfaces import Clock
 from inclined_landing.eval.flying.pilot import Pilot, Plan

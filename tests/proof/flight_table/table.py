@@ -10,8 +10,8 @@ from typing import TypeAlias
 import numpy as np
 
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.shared import statistics, tables
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
-from inclined_landing.eval.base import statistics, tables
 from inclined_landing.eval.flying.fly import load_policies
 from inclined_landing.eval.flying.pilot import Plan
 from inclined_landing.eval.flying.simulated.vehicles import named_vehicle

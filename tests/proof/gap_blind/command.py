@@ -18,7 +18,8 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from inclined_landing.eval.base import runs, style
+from inclined_landing.envs.shared import runs
+from inclined_landing.eval.base import style
 from inclined_landing.eval.base.options import Folder, Range, Seed
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError

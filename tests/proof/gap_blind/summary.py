@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from inclined_landing.eval.base.statistics import proportion
+from inclined_landing.envs.shared.statistics import proportion
 
 from .cases import CURVES, STRATA
 from .causes import SIZES

@@ -13,7 +13,7 @@ import tyro
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, VehicleFile
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap.flights.reading import read_flights

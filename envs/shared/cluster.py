@@ -12,7 +12,7 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 

@@ -8,7 +8,7 @@ import pathlib
 import numpy as np
 import pytest
 
-from inclined_landing.eval.base import runs
+from inclined_landing.envs.shared import runs
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 

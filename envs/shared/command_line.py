@@ -161,7 +161,7 @@ def shell_of(words: Sequence[str]) -> str:
 
 def versions(prog: str) -> str:
     """Return the line of --version: this package and what decides its results; imports none of them."""
-    from inclined_landing.eval.base.runs import packages
+    from inclined_landing.envs.shared.runs import packages
 
     found = {**packages(), "python": platform.python_version()}
     shown_as = {"mujoco": "MuJoCo", "torch": "PyTorch", "python": "Python"}
@@ -179,7 +179,7 @@ def bound(command: Callable) -> Callable:
 
     @functools.wraps(command)
     def later(*arguments: Any, **options: Any) -> Callable:
-        from inclined_landing.eval.base.options import check_ranges
+        from inclined_landing.envs.shared.options import check_ranges
 
         given = inspect.signature(command).bind(*arguments, **options).arguments
         check_ranges(given, typing.get_type_hints(command, include_extras=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -53,3 +54,18 @@ def bootstrap(values: npt.ArrayLike, seed: int = 0) -> dict[str, Any]:
         drawn = np.random.default_rng(seed).choice(values, (10_000, len(values))).mean(axis=1)
         result["interval"] = [float(end) for end in np.quantile(drawn, [0.025, 0.975])]
     return result
+
+
+def number(value: float | None) -> str:
+    """Return a number with three digits, as a person writes it: 0.42, 1.3e-6, 34 100."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    size = abs(value)
+    if size == 0:
+        return "0"
+    if size < 1e-3:
+        mantissa, exponent = f"{value:.1e}".split("e")
+        return f"{mantissa}e{int(exponent)}"
+    if size >= 1e4:
+        return f"{value:,.0f}".replace(",", "\u202f")
+    return f"{value:.3g}" if size < 100 else f"{value:.0f}"

@@ -21,15 +21,16 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType, structs
 
-from inclined_landing.eval.base.claims import number as rounded
-from inclined_landing.eval.base.statistics import bootstrap, proportion
-from inclined_landing.eval.sweeps.recipe import Number, Recipe
+from inclined_landing.envs.shared.recipe import Number, Recipe
+from inclined_landing.envs.shared.statistics import bootstrap, proportion
+from inclined_landing.envs.shared.statistics import number as rounded
 from inclined_landing.models import schema, storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.schema import Real, Table
 
 Text = Annotated[str, Meta(max_length=2000)]
 Kind = Literal["number", "share", "flights"]  # what a value is: see above
+VERDICTS = {True: "met", False: "missed", None: ""}  # on a bar
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,44 +1,46 @@
-"""After a training run: what the final policy does, as tables, figures and a video."""
+"""What `landing-train` looks up by name: the report after a run, as tables, figures and a video; and films."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.envs.tasks import InclinedLanding
+from inclined_landing.envs.tasks.landing import Conditions
 from inclined_landing.eval.moving import controllers
 from inclined_landing.eval.moving import report as moving
 from inclined_landing.eval.moving.scenario import read_scenario, shipped
 from inclined_landing.eval.pictures import figure, video
 from inclined_landing.eval.pictures.figures import curriculum_figure, learning_curves, save_figure
 from inclined_landing.eval.pictures.flights import fly_from
-from inclined_landing.eval.pictures.frames import strobe, write_picture, write_video
+from inclined_landing.eval.pictures.frames import render_flight, strobe, write_picture, write_video
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.policies import success, success_table, touchdown
 from inclined_landing.eval.policies.evaluators import evaluator_of
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.train.curriculum import make_curriculum
-from inclined_landing.train.run import VEHICLE
 
 _LOOK: dict[str, Any] = {"width": 960, "height": 540}  # of video and picture
 _FILM_FPS = 25.0  # half as many as `landing-eval video` shows
 
 
-def report(folder: Path, metrics: dict) -> None:
+def report(
+    folder: Path, metrics: dict, vehicle: Path | None, stages: Sequence[tuple[str, Conditions]]
+) -> None:
     """Write the table of `final.zip`, figures, a picture and a video of one flight into the run folder.
+
+    vehicle: the run's vehicle file, if it has one. stages: of its curriculum, title and conditions.
 
     The table is flown in the plain MuJoCo plant, for landings from the frozen grid, which training never
     saw; its one number of each condition is added to metrics.json. Everything flies the run's vehicle.
     """
-    config = metrics["config"]
-    vehicle = folder / VEHICLE if config.get("vehicle") is not None else None
 
     def load(policy: str | Path) -> Policy:
         return load_policy(policy, vehicle=None if vehicle is None else load_vehicle(vehicle))
@@ -46,7 +48,7 @@ def report(folder: Path, metrics: dict) -> None:
     final = load(folder / "final.zip")
     task = final.task
     with ThreadPoolExecutor(1) as beside:  # of the table, whose time is the engine's
-        pictures = beside.submit(_draw, folder, config, final)
+        pictures = beside.submit(_draw, folder, final, stages)
         show = _TABLES.get(task.table, _success)(folder, metrics, load)
         for path in pictures.result():
             print(path)
@@ -55,13 +57,15 @@ def report(folder: Path, metrics: dict) -> None:
     print(f"everything about this run is in {folder}")
 
 
-def _draw(folder: Path, config: dict, policy: Policy) -> list[Path]:
-    """Curves, figures, a video and a picture; returns their files."""
+def film(flight: Flight, path: Path) -> None:
+    """Write a video of a flight during a training."""
+    write_video(path, render_flight(flight, camera="arena"))
+
+
+def _draw(folder: Path, policy: Policy, stages: Sequence[tuple[str, Conditions]]) -> list[Path]:
+    """Write curves, figures, a video and a picture, and return their files."""
     task = policy.task
     files = [save_figure(learning_curves([folder]), folder / "learning_curves.png")]
-    stages = make_curriculum(
-        config["curriculum"], task.name, config["gamma"], config["without"] or ""
-    ).stages()
     if stages and isinstance(task, InclinedLanding):
         files.append(save_figure(curriculum_figure(stages, task=task), folder / "curriculum.png"))
     flights = fly_from(policy, list(task.figure_starts.values()), "mujoco", task.judged_steps)
@@ -76,7 +80,7 @@ def _draw(folder: Path, config: dict, policy: Policy) -> list[Path]:
 
 
 def _success(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
-    """success.json of `final.zip`; what is returned prints it."""
+    """Write success.json of `final.zip`, and return what prints it."""
     final = load(folder / "final.zip")
     evaluator = evaluator_of(final.task)
     table = success.evaluate(final, thrust_scales=evaluator.report_scales)
@@ -91,13 +95,13 @@ def _success(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) 
 
 
 def _same_network(one: Policy, other: Policy) -> bool:
-    """Have two policies of the same run the same weights?"""
+    """Return whether two policies of the same run have the same weights."""
     arrays = ((*policy.weights, *policy.biases) for policy in (one, other))
     return all(map(np.array_equal, *arrays))
 
 
 def _touchdown(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
-    """touchdown.json of `final.zip` against the policy that training went on from."""
+    """Write touchdown.json of `final.zip` against the policy that training went on from."""
     final, origin = load(folder / "final.zip"), load(metrics["config"]["start_from"])
     if origin.task.name == final.task.name:  # the comparison is with a motor cut, whatever came in between
         origin = load(final.task.training.start_from)
@@ -108,7 +112,7 @@ def _touchdown(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]
 
 
 def _moving(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
-    """moving.json: `final.zip` on the benchmark of moving decks."""
+    """Write moving.json: `final.zip` on the benchmark of moving platforms."""
     controller = controllers.of_policy(load(folder / "final.zip"), controllers.vehicle_flown())
     table, _ = moving.evaluate([read_scenario(name) for name in shipped()], [controller])
     storage.write_json(folder / "moving.json", table)

@@ -1,14 +1,10 @@
-"""Tables for the terminal, of one look in all rooms."""
+"""Tables for the terminal, of one look in all commands."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 from rich import box
 from rich.console import Console
 from rich.table import Table
-
-from inclined_landing.eval.base.claims import Section
 
 _PIPED_WIDTH = 120  # columns, where the output is no terminal
 
@@ -45,21 +41,3 @@ def spread_cell(
         return "-"
     middle, low, high = (f"{factor * spread[key]:,.{digits}f}" for key in ("median", *ends))
     return f"{middle} ({low} to {high})"
-
-
-def show_sections(sections: Sequence[Section]) -> None:
-    """Print the tables of sections, but not those under a caption, which a page folds; and the remarks."""
-    console = printer()
-    for section in sections:
-        for table in section.tables:
-            if table.caption:
-                continue
-            printed = new_table(section.title, *table.heads, left=2)
-            grouped = not all(row[0] for row in table.rows)
-            for row in table.rows:
-                if grouped and row[0]:
-                    printed.add_section()
-                printed.add_row(*row)
-            console.print(printed)
-        for remark in section.remarks:
-            console.print(remark)

@@ -1,0 +1,1 @@
+"""What `landing-train` and `landing-eval` share: command lines, options, run folders, tables, recipes."""
