@@ -7,9 +7,10 @@ from pathlib import Path
 
 from inclined_landing.envs.shared.recipe import COMMANDS, OLD_COMMANDS, read_recipe
 from inclined_landing.eval import cli
-from inclined_landing.eval.sweeps import beyond
+from inclined_landing.train import cli as train
 from inclined_landing.train.sweep import jobs
 from inclined_landing.train.sweep.check import check
+from inclined_landing.train.sweep.command import shipped
 from tests.campaign.commands import NEEDED, options
 from tests.campaign.judge import TEXTS, Case, Wrong, command, judge, mutations, parametrised, spoilt, write
 from tests.campaign.test_toml import spelt
@@ -198,7 +199,7 @@ def test_recipes_are_taken_or_refused_and_nothing_is_run(case, tmp_path):
 
 def results():
     """A recorded result with one entry wrong, on a page."""
-    recipe = Path(beyond.__file__).parents[2] / "train" / "recipes" / "landing.toml"
+    recipe = shipped()["landing"]
     good = tomllib.loads(recipe.read_text("utf-8"))
     for name, change in spoilt(good["result"]):
 
@@ -208,7 +209,7 @@ def results():
         yield Case(
             f"result {name}",
             made,
-            lambda path: command(cli.main, ["beyond", str(path), "--out", str(path.parent / "page")]),
+            lambda path: command(train.main, ["sweep", str(path), "--page", str(path.parent / "page")]),
             named="",
         )
 
