@@ -23,29 +23,33 @@ INK, MUTED, RULE, ARROW = "#1f2733", "#5f6b7a", "#b9c6d4", "#7a8999"
 COLOURS = {"train": "#fdf1e7", "eval": "#f1f6fc", "envs": "#e9f6f1", "models": "#f8eef4"}
 # Box: its middle, width, and what it is for. y counts rows from the bottom.
 BOXES = {
-    "train": (5.0, 7, 9.2, "PPO in batches, curricula, runs that resume"),
+    "train": (-1.05, 2, 1.8, "PPO, curricula, sweeps"),
     "eval.cli": (4.75, 6, 8.8, "landing-eval: the table of commands"),
     "eval.replay": (6.85, 5, 1.0, "flights to see"),
     "eval.mission": (7.93, 5, 0.98, "whole flights"),
     "eval.robustness": (9.06, 5, 1.1, "other conditions"),
     "eval.gap": (4.85, 4, 1.9, "which effect is missing?"),
-    "eval.landings": (1.35, 4, 1.9, "what happens on touching?"),
+    "eval.landings": (1.47, 4, 1.7, "what happens on touching?"),
     "eval.machine": (3.1, 4, 1.4, "doctor, benchmark"),
     "eval.truth": (6.7, 4, 1.56, "is the simulator right?"),
     "eval.moving": (8.3, 4, 1.3, "moving platforms"),
-    "eval.sweeps": (1.35, 3, 1.9, "recipes, results, their page"),
+    "eval.sweeps": (1.35, 3, 1.9, "the page of sweeps"),
     "eval.export": (3.1, 3, 1.4, "ONNX, C, NumPy"),
     "eval.logs": (5.55, 3, 1.9, "what flights say"),
     "eval.pictures": (7.5, 3, 1.7, "figures, videos"),
     "eval.policies": (9.02, 3, 1.16, "tables of success"),
-    "eval.base": (5.0, 2, 9.2, "options, runs, pages, claims, tables, statistics, style"),
-    "envs": (5.0, 1, 9.2, "tasks, batch, Gymnasium and SB3 faces, policies, flights, rendering"),
-    "models": (5.0, 0, 9.2, "vehicle file, equations, effects, MJCF scene, native plugins, plants"),
+    "eval.base": (5.0, 2, 9.2, "options, pages, claims, conditions, style"),
+    "envs": (
+        3.825,
+        1,
+        11.55,
+        "tasks, batch, Gymnasium and SB3 faces, policies, flights, rendering; shared by both programs",
+    ),
+    "models": (3.825, 0, 11.55, "vehicle file, equations, effects, MJCF scene, native plugins, plants"),
 }
 _PLACES = {  # x at the start and at the end of arrows that go beside other boxes
-    ("train", "eval.pictures"): (8.1, 8.1),
+    ("eval.cli", "eval.sweeps"): (0.5, 0.5),
     ("eval.truth", "eval.logs"): (6.33, 6.33),
-    ("train", "eval.policies"): (9.1, 9.1),
     ("eval.robustness", "eval.policies"): (9.2, 9.2),
     ("eval.robustness", "eval.moving"): (8.8, 8.8),
     ("eval.moving", "eval.pictures"): (8.0, 8.0),
@@ -97,8 +101,8 @@ def draw() -> str:
     """The picture as SVG."""
     options = {"svg.fonttype": "none", "svg.hashsalt": ROOT, "font.family": "sans-serif"}
     with matplotlib.rc_context(options):
-        figure, axes = pyplot.subplots(figsize=(10.0, 8.4))
-        axes.set(xlim=(0, 10), ylim=(-0.5, 7 * _ROW + 0.5), aspect="equal")
+        figure, axes = pyplot.subplots(figsize=(12.1, 7.4))
+        axes.set(xlim=(-2.1, 10), ylim=(-0.5, 6 * _ROW + 0.6), aspect="equal")
         axes.axis("off")
         low, high = 2 * _ROW - 0.5, 6 * _ROW + 0.5
         style = "round,pad=0,rounding_size=0.12"

@@ -1,4 +1,4 @@
-"""What `landing-train` looks up by name: the report after a run, as tables, figures and a video; and films."""
+"""What `landing-train` looks up by name: the report on a run, with tables, figures and a video; films."""
 
 from __future__ import annotations
 
@@ -27,16 +27,15 @@ from inclined_landing.eval.policies.evaluators import evaluator_of
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle
 
+Stages = Sequence[tuple[str, Conditions]]  # titles and conditions
 _LOOK: dict[str, Any] = {"width": 960, "height": 540}  # of video and picture
 _FILM_FPS = 25.0  # half as many as `landing-eval video` shows
 
 
-def report(
-    folder: Path, metrics: dict, vehicle: Path | None, stages: Sequence[tuple[str, Conditions]]
-) -> None:
+def report(folder: Path, metrics: dict, vehicle: Path | None, stages: Stages) -> None:
     """Write the table of `final.zip`, figures, a picture and a video of one flight into the run folder.
 
-    vehicle: the run's vehicle file, if it has one. stages: of its curriculum, title and conditions.
+    vehicle: the run's vehicle file, if it has one. stages: of its curriculum.
 
     The table is flown in the plain MuJoCo plant, for landings from the frozen grid, which training never
     saw; its one number of each condition is added to metrics.json. Everything flies the run's vehicle.
@@ -62,7 +61,7 @@ def film(flight: Flight, path: Path) -> None:
     write_video(path, render_flight(flight, camera="arena"))
 
 
-def _draw(folder: Path, policy: Policy, stages: Sequence[tuple[str, Conditions]]) -> list[Path]:
+def _draw(folder: Path, policy: Policy, stages: Stages) -> list[Path]:
     """Write curves, figures, a video and a picture, and return their files."""
     task = policy.task
     files = [save_figure(learning_curves([folder]), folder / "learning_curves.png")]

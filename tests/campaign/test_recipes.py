@@ -11,6 +11,7 @@ from hypothesis import given
 
 from inclined_landing.envs.shared.recipe import COMMANDS, OLD_COMMANDS, read_recipe
 from inclined_landing.eval import cli
+from inclined_landing.train import cli as training
 from inclined_landing.train.sweep import jobs
 from inclined_landing.train.sweep.check import check
 from tests import ROOT
@@ -211,6 +212,6 @@ def test_results_are_shown_or_refused(spoilt):
         return write(folder / "landing.toml", spelt(RECORDED | {"result": change(RECORDED["result"])}))
 
     def take(path: Path) -> str:
-        return command(cli.main, ["beyond", str(path), "--out", str(path.parent / "page")])
+        return command(training.main, ["sweep", str(path), "--page", str(path.parent / "page")])
 
     judged(Case(f"result {name}", make, take, named=""))

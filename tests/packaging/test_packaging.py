@@ -33,21 +33,31 @@ def python(code: str) -> str:
     return done.stdout
 
 
-def without_extras(code: str) -> str:
-    """Output of `code` where nothing is found that an extra installs."""
+def installed_by(extra: str) -> set[str]:
+    """Modules of the packages that an extra installs; extra: a regular expression."""
     wanted = {re.match("[A-Za-z0-9_.-]+", r).group() for r in importlib.metadata.requires("inclined-landing")
-              if "extra ==" in r} - {"inclined-landing"}  # fmt: skip
+              if re.search(f"extra == .{extra}\\b", r)} - {"inclined-landing"}  # fmt: skip
     found = importlib.metadata.packages_distributions()
-    names = [name for name, owners in found.items() if {o.replace("_", "-").lower() for o in owners} & wanted]
-    assert {"torch", "stable_baselines3", "tyro", "rich", "scipy", "matplotlib", "PIL"} <= set(names)
+    return {name for name, owners in found.items() if {o.replace("_", "-").lower() for o in owners} & wanted}
+
+
+def without(names: set[str], code: str) -> str:
+    """Output of `code` where these modules are not found."""
     return python(
         "import sys\n"
         "class Hidden:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
-        f"        if name.partition('.')[0] in {names!r}:\n"
+        f"        if any(f'{{name}}.'.startswith(f'{{hidden}}.') for hidden in {sorted(names)!r}):\n"
         "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
         f"sys.meta_path.insert(0, Hidden())\n{code}"
     )
+
+
+def without_extras(code: str) -> str:
+    """Output of `code` where nothing is found that an extra installs."""
+    names = installed_by(".*")
+    assert {"torch", "stable_baselines3", "tyro", "rich", "scipy", "matplotlib", "PIL"} <= names
+    return without(names, code)
 
 
 def test_gymnasium_knows_the_tasks_whichever_is_imported_first():
@@ -127,6 +137,34 @@ def test_what_an_extra_installs_is_named_with_the_remedy():
         assert re.fullmatch(rf"landing-eval: {library} {missing}\[[a-z]+\]'", words), words
     assert re.fullmatch(rf"landing-train: {library} {missing}\[train\]'", training)
     assert sb3 == f"stable_baselines3 {missing}[train]'"
+
+
+def test_training_needs_nothing_of_evaluation(tmp_path):
+    evaluation = installed_by("eval") - installed_by("train")
+    assert {"matplotlib", "pandas", "scipy", "rosbags", "PIL"} <= evaluation
+    tiny = "--steps 128 --environments 4 --rollout 16 --batch-size 64 --evaluate-every 1 --threads 1".split()
+    words = ["setpoint", *tiny, "--out", str(tmp_path / "run")]
+    code = (
+        "import contextlib\n"
+        "from inclined_landing.train.cli import main\n"
+        "with contextlib.redirect_stderr(sys.stdout):\n"
+        f"    print('code', main({words!r}))\n"
+        f"    print('code', main([*{words!r}, '--resume']))\n"
+        f"    print('code', main({[*words[:-1], str(tmp_path / 'film'), '--video-every', '1']!r}))\n"
+        f"    print('code', main(['sweep', 'landing', '--out', {str(tmp_path / 'sweep')!r}]))\n"
+    )
+    remedy = r"\w+ is not installed; pip install 'inclined-landing\[eval\]'"
+    said = without(evaluation, code).splitlines()
+    told = f"landing-train: no report, as {remedy}; the same command with --resume then reports on the run"
+    assert [line for line in said if re.fullmatch(told, line)], said
+    assert [line for line in said if line.startswith("code")] == ["code 0", "code 0", "code 2", "code 2"]
+    assert re.fullmatch(f"landing-train: {remedy}", said[-4]) and not (tmp_path / "film").exists()
+    assert re.search(remedy, said[-2]) and not (tmp_path / "sweep").exists()
+    assert {"final.zip", "learning.csv", "metrics.json"} <= {p.name for p in (tmp_path / "run").iterdir()}
+    # Nor of its modules, which come with the package.
+    alone = [*words[:-1], str(tmp_path / "alone"), "--no-report"]
+    without({"inclined_landing.eval"}, f"from inclined_landing.train.cli import main; main({alone!r})")
+    assert (tmp_path / "alone" / "final.zip").exists()
 
 
 def test_import_mujoco_registers_the_plugins():

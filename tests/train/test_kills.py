@@ -28,7 +28,8 @@ TIMES = 20  # of each signal
 def processes():
     """Makes processes that have everything imported, so that a case takes seconds."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["inclined_landing.train.report", "torch._dynamo"])
+    used = ["inclined_landing.train.run", "inclined_landing.eval.after_training", "torch._dynamo"]
+    context.set_forkserver_preload(used)
     return context
 
 

@@ -443,7 +443,7 @@ def test_a_run_does_not_end_before_its_curriculum(tmp_path, scores):
 
 
 def test_its_exit_code_and_its_sentence_say_that_a_run_ended_without(tmp_path, scores, capsys, monkeypatch):
-    monkeypatch.setattr("inclined_landing.train.report.report", lambda folder, metrics: None)
+    monkeypatch.setattr("inclined_landing.train.cli._report", lambda run, metrics: None)
     tiny = "--environments 4 --rollout 16 --batch-size 64 --epochs 1 --threads 1 --video-every 0".split()
     out = ["--out", str(tmp_path / "a")]
     assert (

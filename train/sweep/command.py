@@ -1,4 +1,4 @@
-"""`landing-train sweep`: the options, the runs side by side, the numbers; or the page of sweeps that are done."""
+"""`landing-train sweep`: the options, the runs side by side, the numbers; or the page of finished sweeps."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import dataclasses
 import os
 import shlex
 import sys
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
@@ -78,6 +79,8 @@ def command(
     if page is not None or site is not None:
         if out is not None or record or allow or address is not None:
             raise UserError("--page and --site run nothing; leave out --out, --record, --allow and --address")
+        if not recipes:
+            raise UserError("name at least one sweep: its folder, or a recipe with a result")
         look_up("write_page")([shipped().get(name, Path(name)) for name in recipes], page, site)
         return 0
     if len(recipes) != 1:
@@ -95,9 +98,13 @@ def command(
         raise UserError("--address belongs to --on ray")
     if record:
         recorded.check(path)
-    sweep = _checked(
-        recipe, name, path, Path("runs", recipe.name) if out is None else out, on == "ray", allow
-    )
+    folder, here = Path("runs", recipe.name) if out is None else out, path.parent
+    if on == "ray":
+        folder, here = folder.absolute(), here.absolute()
+    words = ["landing-train", "sweep", name, *(word for python in allow for word in ("--allow", python))]
+    of_runs, of_all = steps_of.of_runs(recipe, folder, here), steps_of.of_all(recipe, folder, here)
+    sweep = Sweep(recipe, shlex.join(words), folder, of_runs, of_all)
+    _check(sweep, path, allow)
     try:
         (sweep.folder / steps_of.STEPS).mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -115,30 +122,20 @@ def shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
-def _checked(
-    recipe: Recipe, name: str, path: Path, folder: Path, whole: bool, allow: tuple[str, ...]
-) -> Sweep:
-    """Return the sweep of a recipe, checked before anything is written.
-
-    name: of the recipe as it was given, path: of its file. whole: folders are named from the root on.
-    """
+def _check(sweep: Sweep, path: Path, allow: Sequence[str]) -> None:
+    """Raise UserError for a sweep that would not begin; path: of its recipe."""
     from inclined_landing.train.sweep.check import check
 
-    here = path.parent
-    if whole:
-        folder, here = folder.absolute(), here.absolute()
-    words = ["landing-train", "sweep", name, *(word for python in allow for word in ("--allow", python))]
-    runs, together = steps_of.of_runs(recipe, folder, here), steps_of.of_all(recipe, folder, here)
+    folder, recipe = sweep.folder, sweep.recipe
     storage.check_folder(folder)
     if not ((folder / steps_of.STEPS).is_dir() and (folder / f"{recipe.name}.toml").is_file()):
         run_folders.check_new_run(folder)
-    for job in (*runs.values(), together):
+    for job in (*sweep.runs.values(), sweep.together):
         steps_of.read(job)
     try:
-        check(recipe, runs, together, allow)
+        check(recipe, sweep.runs, sweep.together, allow)
     except UserError as error:
         raise UserError(f"recipe {shown(path, 200)}: {error}") from error
-    return Sweep(recipe, shlex.join(words), folder, runs, together)
 
 
 def _run(sweep: Sweep, place: Place, path: Path | None) -> int:
@@ -161,9 +158,8 @@ def _run(sweep: Sweep, place: Place, path: Path | None) -> int:
                 job, found[key] = sweep.runs[key], steps
                 wrong = steps_of.failure(job, steps)
                 progress.update(bar, advance=1)
-                console.print(
-                    wrong or f"{job.name}: {_sum(steps, 'cpu')} s of CPU in {_sum(steps, 'wall')} s"
-                )
+                cpu, wall = _seconds(steps)
+                console.print(wrong or f"{job.name}: {cpu:.1f} s of CPU in {wall:.1f} s")
                 if wrong is None:
                     _check_numbers(sweep.recipe, job)
         failures = [steps_of.failure(job, found[key]) for key, job in sweep.runs.items()]
@@ -186,9 +182,9 @@ def _run(sweep: Sweep, place: Place, path: Path | None) -> int:
     return 0
 
 
-def _sum(steps: list[Step], clock: str) -> str:
-    """Return the seconds that the steps took; clock: cpu or wall."""
-    return f"{sum(getattr(step, f'{clock}_seconds') for step in steps):.1f}"
+def _seconds(steps: list[Step]) -> tuple[float, float]:
+    """Return the CPU and the wall time [s] that steps took."""
+    return sum(step.cpu_seconds for step in steps), sum(step.wall_seconds for step in steps)
 
 
 def _check_numbers(recipe: Recipe, job: Job) -> None:
@@ -219,25 +215,17 @@ def _result(sweep: Sweep, found: dict[Key, list[Step]]) -> measured.Result:
         versions=versions,
         load=(min(loads), max(loads)),
         measured=tuple(numbers),
-        runs=tuple(
-            measured.Ran(
-                variant=variant,
-                seed=seed,
-                cpu_seconds=sum(step.cpu_seconds for step in found[variant, seed]),
-                wall_seconds=sum(step.wall_seconds for step in found[variant, seed]),
-                ended=_ended(sweep.runs[variant, seed], found[variant, seed]),
-            )
-            for variant, seed in recipe.runs()
-        ),
+        runs=tuple(_ran(sweep.runs[key], key, found[key]) for key in recipe.runs()),
     )
 
 
-def _ended(job: Job, steps: list[Step]) -> str:
-    """Return how a run ended, in its own words."""
-    if steps[0].words[0] != "landing-train":
-        return "evaluated"
-    metrics = storage.read_json(job.run / "metrics.json", "file")
-    return shown(metrics.get("ended", "trained"), 200) if isinstance(metrics, dict) else "trained"
+def _ran(job: Job, key: Key, steps: list[Step]) -> measured.Ran:
+    """Return what a run took, and how it ended in its own words."""
+    ended, (cpu, wall) = "evaluated", _seconds(steps)
+    if steps[0].words[0] == "landing-train":
+        metrics = storage.read_json(job.run / "metrics.json", "file")
+        ended = shown(metrics.get("ended", "trained"), 200) if isinstance(metrics, dict) else "trained"
+    return measured.Ran(variant=key[0], seed=key[1], cpu_seconds=cpu, wall_seconds=wall, ended=ended)
 
 
 def _show(console: Console, recipe: Recipe, result: measured.Result) -> None:

@@ -24,12 +24,12 @@ Key = tuple[str, int]
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """Where jobs are done: on this machine, `at_once` with `threads` each, or each on a core of a Ray cluster."""
+    """Where jobs are done: on this machine, or each on a core of a Ray cluster."""
 
     on: str  # one of PLACES
     address: str | None  # of a running cluster, see `cluster.connected`
-    at_once: int
-    threads: int
+    at_once: int  # jobs, on this machine
+    threads: int  # of each
 
 
 def spread(todo: Mapping[Key, Job], place: Place, children: Children) -> Iterator[tuple[Key, list[Step]]]:

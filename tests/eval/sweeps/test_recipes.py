@@ -4,7 +4,6 @@ import copy
 import json
 import math
 import re
-from pathlib import Path
 
 import pytest
 import tomlkit
@@ -16,9 +15,11 @@ from inclined_landing.envs.shared import measured
 from inclined_landing.envs.shared.measured import Ran, Result, sum_up, take
 from inclined_landing.envs.shared.recipe import COMMANDS, Number, Recipe, filled, read_recipe
 from inclined_landing.eval import cli
-from inclined_landing.eval.sweeps import beyond
+from inclined_landing.eval.sweeps import page as sweep_page
 from inclined_landing.eval.sweeps.picture import variants_figure
 from inclined_landing.models.errors import UserError
+from inclined_landing.train.cli import main as train
+from inclined_landing.train.sweep.command import shipped
 
 GOOD = {
     "title": "Two ways",
@@ -332,14 +333,13 @@ def test_a_damaged_result_is_refused_in_one_sentence(data, tmp_path_factory):
     except UserError as error:
         assert str(error).isprintable() and len(str(error)) < 400
     else:
-        assert "two" in beyond.markdown([beyond.Found(recipe, result, {})])
+        assert "two" in sweep_page.markdown([sweep_page.Found(recipe, result, {})])
 
 
 def test_the_page_has_question_answer_verdict_and_pictures(folder, tmp_path, capsys):
     (tmp_path / "docs").mkdir()
     assert (
-        cli.main(["beyond", str(folder), "--out", str(tmp_path / "out"), "--site", str(tmp_path / "docs")])
-        == 0
+        train(["sweep", str(folder), "--page", str(tmp_path / "out"), "--site", str(tmp_path / "docs")]) == 0
     )
     page = (tmp_path / "out" / "beyond.html").read_text("utf-8")
     text = (tmp_path / "docs" / "beyond.md").read_text("utf-8")
@@ -359,7 +359,7 @@ def test_many_variants_have_a_row_each(folder, tmp_path):
     data = GOOD | {"variants": GOOD["variants"] | {"c": []}}
     recipe = read_recipe(write(folder, data))
     (folder / "result.json").write_text(json.dumps(result_of(recipe).record()).replace("NaN", "null"))
-    assert cli.main(["beyond", str(folder), "--site", str(tmp_path)]) == 0
+    assert train(["sweep", str(folder), "--site", str(tmp_path)]) == 0
     text = (tmp_path / "beyond.md").read_text("utf-8")
     assert "| variant | share [%]: median (range) [95 % of the mean], worst at least 90 | steps:" in text
     for variant in "abc":
@@ -369,11 +369,11 @@ def test_many_variants_have_a_row_each(folder, tmp_path):
 def test_a_recipe_with_its_result_stands_for_its_sweep(folder, tmp_path):
     docs = tmp_path / "docs"
     docs.mkdir()
-    assert cli.main(["beyond", str(folder), "--site", str(docs)]) == 0
+    assert train(["sweep", str(folder), "--site", str(docs)]) == 0
     before = {path: path.read_bytes() for path in docs.rglob("*") if path.is_file()}
     recipe = read_recipe(folder / "two.toml")
     path = write(tmp_path, GOOD | {"result": result_of(recipe).record()})
-    assert cli.main(["beyond", str(path), "--site", str(docs)]) == 0
+    assert train(["sweep", str(path), "--site", str(docs)]) == 0
     assert {path: path.read_bytes() for path in docs.rglob("*") if path.is_file()} == before
 
 
@@ -413,14 +413,14 @@ def test_panels_of_many_numbers_stand_apart_below_a_long_title(tmp_path):
 
 
 def test_the_manual_names_the_commands_of_recipes():
-    manual = (Path(beyond.__file__).parents[2] / "train" / "recipes" / "README.md").read_text("utf-8")
+    manual = (shipped()["landing"].parent / "README.md").read_text("utf-8")
     (said,) = re.findall(r"of `landing-eval` the commands that judge and draw: (.*?)\. ", manual, re.S)
     assert re.findall(r"`(\w+)`", said) == list(COMMANDS) and set(COMMANDS) < set(cli.COMMANDS)
 
 
 def test_variants_without_a_figure_of_their_own_get_one(folder, tmp_path):
     write(folder, {key: value for key, value in GOOD.items() if key != "figure"})
-    assert cli.main(["beyond", str(folder), "--out", str(tmp_path / "out")]) == 0
+    assert train(["sweep", str(folder), "--page", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "two.png").read_bytes()[:4] == PNG[:4]
     assert len((tmp_path / "out" / "two.png").read_bytes()) > 5000
 
@@ -429,7 +429,7 @@ def test_what_a_recipe_says_is_text_on_the_page(folder, tmp_path):
     (tmp_path / "d").mkdir()
     evil = "<script>alert(1)</script> | `x` ![y](z)"
     write(folder, GOOD | {"title": f"T {evil}", "question": evil, "answer": evil})
-    assert cli.main(["beyond", str(folder), "--out", str(tmp_path / "o"), "--site", str(tmp_path / "d")]) == 0
+    assert train(["sweep", str(folder), "--page", str(tmp_path / "o"), "--site", str(tmp_path / "d")]) == 0
     page, text = (tmp_path / "o" / "beyond.html").read_text(), (tmp_path / "d" / "beyond.md").read_text()
     assert "<script>" not in page and "<script>" not in text and "`x`" not in text
     assert all(line.count("|") in (0, 4, 7) for line in text.splitlines())  # columns of the two tables
@@ -449,16 +449,19 @@ def test_what_a_recipe_says_is_text_on_the_page(folder, tmp_path):
 )
 def test_a_folder_that_is_no_sweep(spoil, sentence, folder, tmp_path, capsys):
     spoil(folder)
-    assert cli.main(["beyond", str(folder), "--out", str(tmp_path / "out")]) == 2
+    assert train(["sweep", str(folder), "--page", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     assert sentence in said and said.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
 def test_the_page_says_where_it_cannot_stand(folder, tmp_path, capsys):
-    assert cli.main(["beyond", str(folder)]) == 2 and "--out" in capsys.readouterr().err
-    assert cli.main(["beyond", str(folder), str(folder), "--out", str(tmp_path / "o")]) == 2
+    assert train(["sweep", "--page", str(tmp_path / "o")]) == 2
+    assert "name at least one sweep" in capsys.readouterr().err
+    assert train(["sweep", str(folder), "--page", str(tmp_path / "o"), "--record"]) == 2
+    assert "--page and --site run nothing" in capsys.readouterr().err
+    assert train(["sweep", str(folder), str(folder), "--page", str(tmp_path / "o")]) == 2
     assert "stands there twice" in capsys.readouterr().err
-    assert cli.main(["beyond", str(folder), "--out", str(folder)]) == 2
+    assert train(["sweep", str(folder), "--page", str(folder)]) == 2
     assert "not empty" in capsys.readouterr().err
 
 
@@ -466,3 +469,12 @@ def test_only_the_variants_that_are_named_have_to_meet_the_bar():
     held = number(bar=97.0, bar_for=("hover",))
     assert held.of("hover").bar == 97.0 and held.of("drift").bar is None
     assert number(bar=97.0).of("drift").bar == 97.0
+
+
+def test_the_old_command_of_the_page_says_the_new_one(folder, tmp_path, capsys):
+    assert cli.main(["beyond", str(folder), "--out", str(tmp_path / "old")]) == 0
+    assert "landing-eval beyond is now: landing-train sweep SWEEP" in capsys.readouterr().err
+    assert train(["sweep", str(folder), "--page", str(tmp_path / "new")]) == 0
+    old, new = ((tmp_path / name / "beyond.html").read_bytes() for name in ("old", "new"))
+    assert old == new
+    assert cli.main(["beyond", str(folder)]) == 2 and "give --out for a page" in capsys.readouterr().err

@@ -6,7 +6,7 @@ import json
 import pytest
 
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.train import report
+from inclined_landing.eval import after_training
 
 
 @pytest.mark.parametrize("other", [False, True])
@@ -22,10 +22,10 @@ def test_the_best_policy_is_flown_only_where_it_is_not_the_final_one(tmp_path, m
         of = {"strict": len(asked), "success": 0}
         return {"conditions": [{"thrust_scale": x, "grid": of, "entry": None} for x in thrust_scales]}
 
-    monkeypatch.setattr(report.success, "evaluate", evaluate)
+    monkeypatch.setattr(after_training.success, "evaluate", evaluate)
     (tmp_path / "best.zip").touch()
     policies, metrics = {"final.zip": final, "best.zip": best}, {}
-    report._success(tmp_path, metrics, lambda path: policies[path.name])
+    after_training._success(tmp_path, metrics, lambda path: policies[path.name])
     assert len(asked) == (2 if other else 1) and asked[0] is final
     (shown,) = metrics["success"]["best"]
     assert shown["thrust_scale"] == 1.0 and shown["strict"] == (2 if other else 1)
