@@ -32,7 +32,7 @@ _LOOPS = ("attitude_", "effects_attitude_", "effects_estimator_lean", "effects_y
 
 
 def same_translation(one: Vehicle, other: Vehicle) -> bool:
-    """Whether two vehicles differ in their attitude loops alone."""
+    """Return whether two vehicles differ in their attitude loops alone."""
     mine, its = vars(one), vars(other)
     return all(name.startswith(_LOOPS) for name, value in mine.items() if value != its[name])
 
@@ -40,7 +40,7 @@ def same_translation(one: Vehicle, other: Vehicle) -> bool:
 def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
     """Return the predicted pose (m, 6) of `vehicle` along a `MeasuredFlight`: x, y, z, roll, pitch, yaw.
 
-    like: positions and angular accelerations of a vehicle that moves alike (see `translated`).
+    like: the result of `translated` for a vehicle with the same translation.
 
     Positions start at zero with velocity zero: compare them up to a line in time. Measurements that are
     late (mocap_delay) meet commands that are early by as much; a tilt of the measured attitude

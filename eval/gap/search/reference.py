@@ -172,6 +172,7 @@ def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[Reference, str]
 
 
 def _numbers(values, dimensions: int) -> np.ndarray:
+    """Return nested lists as an array; raises ValueError where they are not finite numbers."""
     result = np.array(values, float)
     if result.ndim != dimensions or not np.isfinite(result).all():
         raise ValueError("a list of finite numbers")

@@ -250,7 +250,7 @@ def analyse_residual(
 def _functions(
     problem: Problem, residual: Residual, inputs, bases, repeating: ReferenceResidual | None
 ) -> list[_RidgeRegression]:
-    """Fit one function of every quantity along every target."""
+    """Return one ridge regression for every group of inputs along every target."""
     block_of, result = _blocks(problem), []
     for name, (_, arrays) in inputs.items():
         features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, arrays)]

@@ -125,7 +125,7 @@ def _most_probable(problem: Problem, scored: Sequence[SetProbability]) -> Effect
 
 
 def fit_jointly(problem: Problem, names: Sequence[str]) -> tuple[LeastSquaresFit, NoiseModel]:
-    """Fit effects jointly, alternating with the noise model: measurement noise and disturbance level."""
+    """Return the joint fit of effects and the noise model, estimated in alternation."""
     values: FittedValues = {name: {} for name in (*names, BASE)}
     noise_model = NoiseModel.none()
     for _ in range(ALTERNATIONS):
