@@ -63,7 +63,7 @@ class Reference:
         problem.between = estimate_between_flight_deviations(problem, near)
         problem.excitation = excitation(problem, near)
         local = LinearGaussian.of(problem, near, {})
-        change, covariance = local.fit(frozenset(problem.library))
+        change, covariance = local.posterior(frozenset(problem.library))
         left = Residual.by(problem, local, frozenset(problem.library), {}, size, inflation)
         known = covariance * np.outer(local.unit, local.unit)
         return Reference(
