@@ -51,10 +51,10 @@ COMMANDS = {
     "validate": ("truth", "Is the vehicle the paper's model, and is contact right? A page of claims."),
     "landings": ("", "Landing study: thousands of touchdowns over friction, speeds ..., each classified."),
     "logs": ("", "What flight logs hold and whether they can be believed, in words."),
-    "identify": ("gap", "Thrust, lags, delays, attitude loops and drag from flights: a vehicle file."),
-    "gap": ("", "Where simulation and flights disagree, which effect is missing, the corrected model."),
+    "identify": ("gap", "Identify thrust, lags, delays, attitude loops and drag: a vehicle file."),
+    "gap": ("", "Name the effects that the model lacks, from flights, and write the corrected model."),
     "plan": ("gap", "Plan the safe flight that discriminates best between the probable sets of a report."),
-    "effects": ("gap", "The physical effects that a model may lack: formula, size, what to do about them."),
+    "effects": ("gap", "List the physical effects that a model may lack: formula, size, remedy."),
     "gap-example": ("gap", "Twenty flights with hidden effects, of an independent simulator, to try gap."),
     "fly": (
         "flying",

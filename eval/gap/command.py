@@ -23,14 +23,14 @@ def command(
     out: Folder,
     reference: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = (),
 ) -> None:
-    """Where simulation and flights disagree, which effect is missing, the corrected model.
+    """Name the effects that the model lacks, from flights, and write the corrected model.
 
-    Takes seconds. The model's own uncertainty counts: that of identify, whose posterior is found beside the
-    vehicle file, or that of the entries of a vehicle file alone.
+    Takes seconds. The model's uncertainty is taken into account: the posterior of identify, found beside the
+    vehicle file, or the uncertainties in the vehicle file alone.
 
     Args:
-        reference: flights of the vehicle as it should be: it is identified from them first, and what is
-            named is what the others have and these have not.
+        reference: flights of the reference vehicle: it is identified from them first, and the effects named
+            are changes since then.
         out: new folder for report.html, report.json, gap.png, vehicle.toml and landing.xml.
     """
     runs.check_new_run(out)

@@ -15,10 +15,10 @@ from inclined_landing.models.errors import UserError, choices, shown
 def command(
     names: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME ...]")] = (), /
 ) -> None:
-    """The physical effects that a model may lack: formula, size, what to do about them.
+    """List the physical effects that a model may lack: formula, size, remedy.
 
     Args:
-        names: these in detail (default: all in one table).
+        names: effects to show in detail (default: all in one table).
     """
     for name in names:
         if name not in LIBRARY:
@@ -26,16 +26,18 @@ def command(
     console = Console()
     if not names:
         console.print(_overview())
-        console.print("landing-eval effects NAME tells more", highlight=False)
+        console.print("landing-eval effects NAME shows the details of one", highlight=False)
     for name in names:
         console.print(_sheet(LIBRARY[name]))
 
 
 def _numbers(effect: Effect) -> str:
+    """Return the plausible size of every parameter."""
     return "\n".join(f"{p.name} {p.plausible:g} {'' if p.unit == '1' else p.unit}" for p in effect.parameters)
 
 
 def _overview() -> Table:
+    """Return a table of all effects."""
     table = Table(box=None, header_style="bold")
     for title in ("effect", "formula", "a plausible size", "shows in"):
         table.add_column(title, no_wrap=title == "effect")
@@ -45,6 +47,7 @@ def _overview() -> Table:
 
 
 def _sheet(effect: Effect) -> Table:
+    """Return a table of the details of an effect."""
     table = Table(title=effect.name, title_justify="left", show_header=False, box=None)
     parameters = "\n".join(
         f"{p.name} ({p.unit}): neutral {p.neutral:g}, plausible {p.plausible:g}, from {p.bounds[0]:g} to "
@@ -58,7 +61,7 @@ def _sheet(effect: Effect) -> Table:
         "parameters": parameters,
         "shows in": ", ".join(effect.regimes),
         "confused with": ", ".join(effect.confused_with),
-        "told otherwise": effect.told_by,
+        "measured otherwise": effect.told_by,
         "identify fits": ", ".join(p.constant.name for p in effect.parameters if p.constant),
         "remedy": effect.remedy,
         "needs in the log": ", ".join(effect.requires),

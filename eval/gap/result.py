@@ -48,7 +48,7 @@ class Estimate:
     neutral: float
     bounds: tuple[float, float]
     at_bound: bool
-    per_flight: tuple[float, ...]  # in each flight, drawn to the common value; NaN where it does not tell
+    per_flight: tuple[float, ...]  # shrunk towards the common value; NaN where not identifiable
     per_flight_error: tuple[float, ...]  # their standard errors
     spread: float  # standard deviation between flights
 

@@ -81,7 +81,7 @@ def command(
 
 
 def with_starts(study: Study) -> Study:
-    """The study with the states at which its policy enters the goal box, from the frozen grid.
+    """Return the study with the states at which its policy enters the goal box, from the frozen grid.
 
     Raises UserError when the policy is not for landing or never gets there.
     """
@@ -136,7 +136,7 @@ def _begun(out: Path) -> bool:
 
 
 def _resumed(wanted: Study, out: Path) -> tuple[Study, int]:
-    """The study to go on with, start states included, and its chunk size."""
+    """Return the study to continue, start states included, and its chunk size."""
     if not (out / RECORD).is_file():
         raise UserError(f"{out} holds no study that could be resumed ({RECORD} is missing)")
     storage.check_file(out / RESULTS)
@@ -169,7 +169,7 @@ def _table(path: Path) -> pa.Table:
 
 
 def _read(path: Path, landings: range) -> pa.Table | None:
-    """The table in `path` if it is there, undamaged, and holds these landings."""
+    """Return the table in `path` if it is there, undamaged, and holds these landings."""
     try:
         table = _table(path)
         numbers = table["landing"].to_numpy()

@@ -18,7 +18,7 @@ CHUNK = 500  # landings
 
 
 def total(study: Study) -> int:
-    """Number of landings."""
+    """Return the number of landings."""
     if study.sampling == "latin-hypercube":
         return study.samples
     return math.prod(len(p.values) for p in _levels(study)) * max(1, len(study.starts))
@@ -31,7 +31,7 @@ def _levels(study: Study) -> list[Levels]:
 
 @functools.lru_cache(maxsize=2)
 def design(study: Study) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Parameters by name, arrays (n,) [SI], and the index (n,) of the start state.
+    """Return the parameters by name, arrays (n,) [SI], and the index (n,) of the start state.
 
     Parameters that the study does not name have their defaults. A factorial runs through its levels
     in the file's order, the last fastest, and flies every start state at each; a Latin hypercube
@@ -54,7 +54,8 @@ def design(study: Study) -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 
 def _quantile(p: Levels | Range, u: np.ndarray) -> np.ndarray:
-    """Values of a parameter at probabilities u (n,)."""
+    """Return the quantiles of a parameter at probabilities u (n,)."""
+    # Inverse distribution: levels equally likely; truncated normal; log-uniform low (high / low)^u; uniform.
     if isinstance(p, Levels):
         return np.array(p.values)[np.minimum((u * len(p.values)).astype(int), len(p.values) - 1)]
     if p.distribution == "normal":
@@ -66,7 +67,7 @@ def _quantile(p: Levels | Range, u: np.ndarray) -> np.ndarray:
 
 
 def run_chunk(study: Study, chunk: int, size: int = CHUNK, threads: int = 0) -> pa.Table:
-    """Landings chunk * size .. of the study, a function of its arguments alone.
+    """Return the landings of a chunk of the study, a function of the arguments alone.
 
     The number of threads changes nothing; nor does `size`, for the landings that are in it.
     """
@@ -85,7 +86,7 @@ def run_chunk(study: Study, chunk: int, size: int = CHUNK, threads: int = 0) -> 
 
 
 def _table(study: Study, rows: slice, p, start, landings: Landings) -> pa.Table:
-    """Columns: landing, start, every parameter [SI], outcome, RESULTS [SI]; units are in the metadata."""
+    """Return the columns landing, start, parameters, outcome, RESULTS [SI]; units are in the metadata."""
     columns = [
         (
             "landing",

@@ -18,13 +18,13 @@ Chunks = Iterator[tuple[int, pa.Table]]
 
 
 def local(study: Study, chunks: Sequence[int], size: int) -> Chunks:
-    """Chunk after chunk, each on all cores."""
+    """Yield chunk after chunk, each on all cores."""
     for chunk in chunks:
         yield chunk, run_chunk(study, chunk, size)
 
 
 def on_ray(study: Study, chunks: Sequence[int], size: int, address: str | None) -> Chunks:
-    """Chunks on one core of a Ray cluster each, in the order in which they end.
+    """Yield chunks, each on one core of a Ray cluster, as they finish.
 
     address: of a running cluster, on whose machines this package must be installed; None starts Ray
     on this machine.
@@ -47,5 +47,5 @@ def check(engine: str, address: str | None) -> None:
 
 
 def chunks_of(engine: str, study: Study, chunks: Sequence[int], size: int, address: str | None) -> Chunks:
-    """The chunks' tables as they are ready."""
+    """Return the chunks' tables as they finish."""
     return on_ray(study, chunks, size, address) if engine == "ray" else local(study, chunks, size)

@@ -1,10 +1,10 @@
-"""Simulates landings and says what became of each.
+"""Simulation of landings and classification of their outcomes.
 
 A landing starts in a given state over or at the slope and is watched for a fixed time at every engine
 step. The motors stop at the first control tick at which the cut is due, thrust command and attitude
 torque alike (the torques come from the motors too); the thrust decays with its lag.
 
-Outcomes, in the order in which they are asked for:
+Outcomes, in the order of the tests:
 
 - *misses*: the slab is never touched, or something else before it, or it is hit from beside;
 - *rests*: at the end still, on the feet and nothing else, on the slab;
@@ -13,8 +13,8 @@ Outcomes, in the order in which they are asked for:
 - *slides off*: over the slab's edge with the feet down, or still in motion with the feet down at the end;
 - *bounces off*: over the edge through the air, or in the air at the end.
 
-The feet are down when the lowest is less than 2 mm over the surface. Contact itself would be a poor
-witness: a sliding vehicle chatters, and leaves the surface by a tenth of a millimetre over and over.
+The feet are down when the lowest is less than 2 mm over the surface. Contact itself is no criterion: a
+sliding vehicle chatters, and leaves the surface by a tenth of a millimetre over and over.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ RESTS, SLIDES, BOUNCES, TIPS, MISSES, DIVERGES = range(len(OUTCOMES))
 # At rest: velocity and rate averaged over SMOOTHING stay below the recorder's limits. At restitutions above
 # 0.35 the engine's contact spring chatters at some 30 Hz and 2 cm/s under a vehicle that goes nowhere.
 SMOOTHING = 0.02  # s
-TIPPED = math.cos(math.radians(60.0))
-MEMORY = 0.1  # s, time constant of the running share of time with the feet down
-HOP = 0.002  # m of the lowest foot over the surface that count as a flight
+TIPPED_COSINE = math.cos(math.radians(60.0))
+FEET_TIME = 0.1  # s, time constant of the running share of time with the feet down
+HOP_HEIGHT = 0.002  # m of the lowest foot over the surface that count as a flight
 IMPULSE_TIME = 0.1  # s after the first touch over which the impulse is taken
 
 RESULTS = {
@@ -56,8 +56,8 @@ RESULTS = {
 }
 
 
-class Given(NamedTuple):
-    """What n landings happen under."""
+class Conditions(NamedTuple):
+    """The constants of n landings."""
 
     surface: np.ndarray  # (n,) rad, inclination of the platform
     reach: np.ndarray  # (n,) m, of the feet below the centre of mass
@@ -74,8 +74,8 @@ class Given(NamedTuple):
     dt: float  # s
 
 
-class Running(NamedTuple):
-    """Values of n landings that are folded forward, arrays (n,); see RESULTS for the first."""
+class RunningValues(NamedTuple):
+    """Running values of n landings, arrays (n,), updated at every engine step; see RESULTS for the first."""
 
     touch: np.ndarray  # s; NaN until the slab is touched from above, before anything else
     distance: np.ndarray  # m
@@ -83,7 +83,7 @@ class Running(NamedTuple):
     impulse: np.ndarray  # N s
     hops: np.ndarray
     tilt: np.ndarray  # rad
-    spoilt: np.ndarray  # bool: something else was touched first
+    touched_elsewhere: np.ndarray  # bool: something else was touched first
     left: np.ndarray  # s, over the edge; NaN until then
     share: np.ndarray  # of the last MEMORY with the feet down
     last_moved: np.ndarray  # s
@@ -99,7 +99,7 @@ class Running(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Landings:
-    """What became of n landings; columns of `values` are RESULTS."""
+    """Outcomes and results of n landings; columns of `values` are RESULTS."""
 
     outcome: np.ndarray  # (n,) int8, index into OUTCOMES
     values: np.ndarray  # (n, 10)
@@ -127,7 +127,7 @@ def simulate(
     plant.set_platform(np.arange(n), slope)
     configure(plant, p)
     recorder = Recorder(plant, states)
-    given, running = _given(plant, p), _begin(n)
+    conditions, running = _conditions(plant, p), _initial_values(n)
     pwm = held_pwm(p, v)
     hold = np.clip(slope / v.attitude_gain, -v.command_angle_limit, v.command_angle_limit)
     commands, powered = np.zeros((n, 4)), np.ones(n, bool)
@@ -139,18 +139,18 @@ def simulate(
             powered &= ~(now + 1e-9 >= reference + p["motor_cut_delay"])
         commands[:, 0] = np.where(powered, pwm, 0.0)
         commands[:, 2] = np.where(powered, hold, 0.0)
-        _watch(recorder.advance(commands, active), active, commands[:, 0], given, running)
+        _update_period(recorder.advance(commands, active), active, commands[:, 0], conditions, running)
         # Over the edge, or something else touched before the slab: nothing later counts.
-        active = active[~((running.left[active] >= 0.0) | running.spoilt[active])]
+        active = active[~((running.left[active] >= 0.0) | running.touched_elsewhere[active])]
         if not len(active):
             break
-    return _judge(running, recorder.touch, slope, plant.diverged)
+    return _classify(running, recorder.touch, slope, plant.diverged)
 
 
-def _given(plant: MujocoPlant, p: dict[str, np.ndarray]) -> Given:
+def _conditions(plant: MujocoPlant, p: dict[str, np.ndarray]) -> Conditions:
     v, shapes = plant.vehicle, plant.shapes
     feet = shapes.parts == 0
-    return Given(
+    return Conditions(
         *(-p["inclination"], p["foot_height"], p["mass"], plant.contact_sensors),
         *(v.slab_half_length, 0.5 * v.platform_depth, v.platform_surface_height),
         *(float(shapes.centres[feet, 0].max()), float(shapes.radii[feet][0])),
@@ -158,65 +158,69 @@ def _given(plant: MujocoPlant, p: dict[str, np.ndarray]) -> Given:
     )
 
 
-def _begin(n: int) -> Running:
-    running = {name: np.zeros(n) for name in Running._fields}
-    running |= {name: np.zeros(n, bool) for name in ("spoilt", "air", "still")}
+def _initial_values(n: int) -> RunningValues:
+    running = {name: np.zeros(n) for name in RunningValues._fields}
+    running |= {name: np.zeros(n, bool) for name in ("touched_elsewhere", "air", "still")}
     running |= {name: np.full(n, np.nan) for name in ("touch", "left", "s0", "y0")}
-    return Running(**(running | {"mean": np.zeros((n, 6))}))
+    return RunningValues(**(running | {"mean": np.zeros((n, 6))}))
 
 
 @numba.njit(cache=True)
-def _watch(steps, active, pwm, given, running):
+def _update_period(steps, active, pwm, conditions, running):
     """Fold one control period of the active landings into their running values."""
     for i in range(len(active)):
         own = active[i]
-        sin, cos = math.sin(given.surface[own]), math.cos(given.surface[own])
+        sin, cos = math.sin(conditions.surface[own]), math.cos(conditions.surface[own])
         for k in range(len(steps.time)):
             if running.left[own] >= 0.0:
                 break
             q, now = steps.qpos[i, k], steps.time[k]
-            s, out = _over_slab(q, sin, cos, given.height)
-            over = abs(s) <= given.half_length and abs(q[1]) <= given.half_depth and out > -0.01
-            feet, other, elsewhere, force = _contact(steps.sensors[i, k], given.sensors, sin, cos)
-            ahead, left, up = _axes(q, sin, cos)
+            s, out = _over_slab(q, sin, cos, conditions.height)
+            over = abs(s) <= conditions.half_length and abs(q[1]) <= conditions.half_depth and out > -0.01
+            feet, other, elsewhere, force = _contact(steps.sensors[i, k], conditions.sensors, sin, cos)
+            ahead, left, up = _body_axes_along_normal(q, sin, cos)
             lag = 0.5 * (steps.act[i, k, 0] + steps.act[i, k + 1, 0])
-            thrust = (given.state_gain * lag + given.direct_gain * pwm[own]) * up  # along the normal
+            thrust = (
+                conditions.state_gain * lag + conditions.direct_gain * pwm[own]
+            ) * up  # along the normal
             v, w = steps.qvel[i, k], steps.qvel[i, k + 1]
-            mean = _mean_force(v, w, thrust, given.mass[own], sin, cos, given)
+            mean = _mean_force(v, w, thrust, conditions.mass[own], sin, cos, conditions)
             before, running.before[own] = running.before[own], mean
             if not running.touch[own] >= 0.0:
                 if elsewhere or ((feet or other) and not over):
-                    running.spoilt[own] = True
-                if not (feet or other) or running.spoilt[own]:
+                    running.touched_elsewhere[own] = True
+                if not (feet or other) or running.touched_elsewhere[own]:
                     continue
                 running.touch[own] = running.last_moved[own] = now
                 running.s0[own], running.y0[own] = s, q[1]
                 running.share[own] = 1.0
                 running.mean[own] = steps.qvel[i, k]
-                running.impulse[own] = given.dt * before  # its later stages may have met the surface already
+                running.impulse[own] = (
+                    conditions.dt * before
+                )  # its later stages may have met the surface already
             if not over:
                 running.left[own] = now
                 continue
-            lowest = out - given.foot * (abs(ahead) + abs(left))
-            lowest = lowest - (given.reach[own] - given.radius) * up - given.radius
-            _hop(running, own, lowest < HOP, feet or other, given.dt)
+            lowest = out - conditions.foot * (abs(ahead) + abs(left))
+            lowest = lowest - (conditions.reach[own] - conditions.radius) * up - conditions.radius
+            _update_hops(running, own, lowest < HOP_HEIGHT, feet or other, conditions.dt)
             running.peak[own] = max(running.peak[own], force, mean)
-            if now - running.touch[own] < IMPULSE_TIME - 1.5 * given.dt:
-                running.impulse[own] += given.dt * mean
+            if now - running.touch[own] < IMPULSE_TIME - 1.5 * conditions.dt:
+                running.impulse[own] += conditions.dt * mean
             running.tilt[own] = max(running.tilt[own], math.acos(min(1.0, max(-1.0, up))))
             running.distance[own] = math.sqrt((s - running.s0[own]) ** 2 + (q[1] - running.y0[own]) ** 2)
-            _settle(running, own, v, feet, other or elsewhere, now, given.dt)
+            _update_rest(running, own, v, feet, other or elsewhere, now, conditions.dt)
 
 
 @numba.njit(cache=True)
 def _over_slab(q, sin, cos, height):
-    """Downhill and outward position over the slab [m]."""
+    """Return the downhill and outward position over the slab [m]."""
     return -(cos * q[0] - sin * (q[2] - height)), sin * q[0] + cos * (q[2] - height)
 
 
 @numba.njit(cache=True)
 def _contact(row, sensors, sin, cos):
-    """Do the feet, does another part touch the slab, does anything touch elsewhere; force out of the slab."""
+    """Return whether the feet, another part, or anything elsewhere is in contact; normal force."""
     feet, body, rotors = sensors[SLAB]
     elsewhere = False
     for geom in range(len(sensors)):
@@ -228,8 +232,8 @@ def _contact(row, sensors, sin, cos):
 
 
 @numba.njit(cache=True)
-def _axes(q, sin, cos):
-    """The body's axes along the surface's normal; the last is the cosine of the tilt."""
+def _body_axes_along_normal(q, sin, cos):
+    """Return the body's axes along the surface's normal; the last is the cosine of the tilt."""
     ahead = sin * (1.0 - 2.0 * (q[5] ** 2 + q[6] ** 2)) + cos * 2.0 * (q[4] * q[6] - q[3] * q[5])
     left = sin * 2.0 * (q[4] * q[5] - q[3] * q[6]) + cos * 2.0 * (q[5] * q[6] + q[3] * q[4])
     up = sin * 2.0 * (q[4] * q[6] + q[3] * q[5]) + cos * (1.0 - 2.0 * (q[4] ** 2 + q[5] ** 2))
@@ -237,21 +241,21 @@ def _axes(q, sin, cos):
 
 
 @numba.njit(cache=True)
-def _mean_force(v, w, thrust, mass, sin, cos, given):
+def _mean_force(v, w, thrust, mass, sin, cos, conditions):
     """Return the mean normal contact force [N] over a step from velocity v to w (6,).
 
     thrust [N]: its part along the surface's normal.
     """
     # F = m ((w_n - v_n)/dt + g cos(alpha)) - F_t,n
     into = -(sin * v[0] + cos * v[2])
-    gained = (sin * w[0] + cos * w[2] + into) / given.dt + given.gravity * cos
+    gained = (sin * w[0] + cos * w[2] + into) / conditions.dt + conditions.gravity * cos
     return mass * gained - thrust
 
 
 @numba.njit(cache=True)
-def _hop(running, own, down, touching, dt):
-    """Share of the time with the feet down, and flights between touches."""
-    running.share[own] += dt / MEMORY * ((1.0 if down else 0.0) - running.share[own])
+def _update_hops(running, own, down, touching, dt):
+    """Update the running share of time with the feet down, and the count of hops between contacts."""
+    running.share[own] += dt / FEET_TIME * ((1.0 if down else 0.0) - running.share[own])
     if touching:
         running.air[own] = False
     elif not down and not running.air[own]:
@@ -260,8 +264,8 @@ def _hop(running, own, down, touching, dt):
 
 
 @numba.njit(cache=True)
-def _settle(running, own, speeds, feet, other, now, dt):
-    """Smoothed motion and contact; whether the vehicle is still, and since when."""
+def _update_rest(running, own, speeds, feet, other, now, dt):
+    """Update the low-pass filtered motion and contact, whether the vehicle is at rest, and since when."""
     m = running.mean[own]
     for a in range(6):
         m[a] += dt / SMOOTHING * (speeds[a] - m[a])
@@ -275,8 +279,8 @@ def _settle(running, own, speeds, feet, other, now, dt):
 
 
 @numba.njit(cache=True)
-def _at_touch(touch, slope, out):
-    """Speeds into the surface and downhill [m/s], and attitude error [rad], of the first touch; out (n, 3).
+def _contact_state(touch, slope, out):
+    """Compute normal and downhill speed [m/s] and attitude error [rad] at first contact; out (n, 3).
 
     Planar attitude: enough before the touch, where roll and yaw are small.
     """
@@ -288,18 +292,18 @@ def _at_touch(touch, slope, out):
         out[i, 2] = pitch - slope[i]
 
 
-def _judge(r: Running, touch: Touch, slope: np.ndarray, diverged: np.ndarray) -> Landings:
+def _classify(r: RunningValues, touch: Touch, slope: np.ndarray, diverged: np.ndarray) -> Landings:
     touched, left = r.touch >= 0.0, r.left >= 0.0
     on_feet = (r.feet > 0.5) & (r.other < 0.5)
     rests = touched & ~left & r.still & on_feet
-    tipped = (np.cos(r.tilt) < TIPPED) | (~left & (r.other > 0.5))
+    tipped = (np.cos(r.tilt) < TIPPED_COSINE) | (~left & (r.other > 0.5))
     outcome = np.select(
         [diverged, ~touched, rests, tipped, r.share > 0.5],
         [DIVERGES, MISSES, RESTS, TIPS, SLIDES],
         BOUNCES,
     ).astype(np.int8)
     first = np.empty((len(slope), 3))
-    _at_touch(touch, slope, first)
+    _contact_state(touch, slope, first)
     settled = np.where(outcome == RESTS, r.last_moved - r.touch, np.nan)
     values = np.column_stack([r.touch, first, settled, r.distance, r.peak, r.impulse, r.hops, r.tilt])
     values[~touched | diverged] = np.nan

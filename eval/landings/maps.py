@@ -17,7 +17,7 @@ from inclined_landing.eval.base.style import INK, MUTED, halo, styled
 from inclined_landing.eval.landings.landing import OUTCOMES, RESTS
 from inclined_landing.eval.landings.parameters import Parameter
 
-# Told apart with any colour vision and in greys: each is a step darker or lighter than every other.
+# Distinguishable with any colour vision and in greys: each is a step darker or lighter than every other.
 COLOURS = dict(zip(OUTCOMES, ("#0b7a6b", "#ee9b2f", "#a9d6f5", "#6a1b6b", "#f3efe2", "#161616")))
 _PER_CELL = 12  # landings, of a Latin hypercube
 _CELLS = (6, 24)  # least and most in a row
@@ -41,18 +41,18 @@ class Map:
 
     @property
     def centres(self) -> tuple[np.ndarray, np.ndarray]:
-        """Middles of the columns (a,) and rows (b,)."""
+        """Return the middles of the columns (a,) and rows (b,)."""
         return 0.5 * (self.x_edges[1:] + self.x_edges[:-1]), 0.5 * (self.y_edges[1:] + self.y_edges[:-1])
 
     @property
     def rests(self) -> np.ndarray:
-        """Share (b, a) of landings that rest; NaN in empty cells."""
+        """Return the share (b, a) of landings that rest; NaN in empty cells."""
         total = self.counts.sum(axis=2)
         with np.errstate(invalid="ignore"):
             return self.counts[:, :, RESTS] / total
 
     def smooth(self) -> np.ndarray:
-        """`rests` (b, a) as contours are drawn from: bins averaged with their neighbours."""
+        """Return `rests` (b, a) smoothed for contours: bins averaged with their neighbours."""
         if self.levels:
             return self.rests
         total = gaussian_filter(self.counts.sum(axis=2).astype(float), 1.0, mode="nearest")
@@ -71,7 +71,7 @@ def make_map(x: Parameter, y: Parameter, xs: np.ndarray, ys: np.ndarray, outcome
 
 
 def _edges(values: np.ndarray, bins: int) -> tuple[np.ndarray, bool]:
-    """Edges of cells, and whether they enclose one level each."""
+    """Return the edges of cells, and whether they enclose one level each."""
     levels = np.unique(values)
     if len(levels) > _LEVELS:
         return np.linspace(levels[0], levels[-1], bins + 1), False
@@ -83,12 +83,12 @@ def _edges(values: np.ndarray, bins: int) -> tuple[np.ndarray, bool]:
 
 
 def _cells(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """The cell that each value is in."""
+    """Return the cell that each value is in."""
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
 
 
 def quasi_static(one: Map, fixed: dict[str, float]) -> tuple[np.ndarray, np.ndarray] | None:
-    """The line tan(inclination) = friction in the map's units; None where it says nothing.
+    """Return the line tan(inclination) = friction in the map's units; None where it says nothing.
 
     fixed: values [SI] of the parameters that do not vary.
     """
@@ -111,7 +111,7 @@ def quasi_static(one: Map, fixed: dict[str, float]) -> tuple[np.ndarray, np.ndar
 
 
 def boundary(one: Map, along: str) -> list[dict]:
-    """Where half of the landings rest, walking along "x" in each row or along "y" in each column.
+    """Return where half of the landings rest, walking along "x" in each row or along "y" in each column.
 
     One entry for each row or column: its `place` on the other axis and its crossings, each with
     `rests_above`: do more than half rest on the upper side. Report units.
@@ -131,7 +131,7 @@ def boundary(one: Map, along: str) -> list[dict]:
 
 
 def map_words(one: Map, fixed: dict[str, float]) -> str:
-    """How `map_figure` is read."""
+    """Return the caption of `map_figure`."""
     smooth = "" if one.levels else ", cells averaged with their neighbours"
     text = f"On the thick line half of the landings rest{smooth}. "
     if quasi_static(one, fixed):
@@ -140,7 +140,7 @@ def map_words(one: Map, fixed: dict[str, float]) -> str:
 
 
 def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
-    """The most frequent outcome on the left, the share that rests on the right, boundaries on both."""
+    """Return the figure of a map: most frequent outcome, and share at rest, boundaries on both."""
     total = one.counts.sum(axis=2)
     with styled():
         figure = Figure(figsize=(8.6, 4.75), layout="constrained")
@@ -176,7 +176,7 @@ def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
 
 
 def _doubtful(axes: Axes, one: Map) -> list:
-    """Dots in cells where the most frequent outcome is less than half of the landings; its legend handle."""
+    """Draw dots where the most frequent outcome has less than half of the landings; return legend handles."""
     total = one.counts.sum(axis=2)
     row, column = np.nonzero((2 * one.counts.max(axis=2) < total) & (total > 0))
     if not len(row):
@@ -187,7 +187,7 @@ def _doubtful(axes: Axes, one: Map) -> list:
 
 
 def _empty(one: Map, *panels: Axes) -> list:
-    """Hatching where nothing landed; its legend handle."""
+    """Draw hatching in empty cells; return the legend handle."""
     cells = np.argwhere(one.counts.sum(axis=2) == 0)
     for axes in panels:
         for i, j in cells:
@@ -197,14 +197,14 @@ def _empty(one: Map, *panels: Axes) -> list:
 
 
 def _patches(seen: np.ndarray) -> list:
-    """Legend handles of the outcomes that are seen (bool, of each)."""
+    """Return the legend handles of the outcomes that are seen (bool, of each)."""
     return [
         Patch(fc=COLOURS[name], ec=MUTED, lw=0.5, label=name) for name, there in zip(OUTCOMES, seen) if there
     ]
 
 
 def _lines(axes: Axes, one: Map, fixed: dict[str, float], shares: tuple[float, ...]) -> list:
-    """Contours of the share that rests, and the quasi-static prediction; returns legend handles."""
+    """Draw contours of the share at rest and the quasi-static prediction; return the legend handles."""
     handles = []
     x, y = one.centres
     share = one.smooth()
@@ -221,7 +221,7 @@ def _lines(axes: Axes, one: Map, fixed: dict[str, float], shares: tuple[float, .
 
 
 def profile_figure(parameters: list[tuple[Parameter, np.ndarray]], outcome: np.ndarray) -> Figure:
-    """Shares of the outcomes over each varied parameter, stacked, everything else as it varies."""
+    """Return the figure of the stacked shares of outcomes over each varied parameter."""
     columns = min(3, len(parameters))
     rows = -(-len(parameters) // columns)
     present = np.bincount(outcome, minlength=len(OUTCOMES)) > 0

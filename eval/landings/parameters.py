@@ -43,12 +43,12 @@ class Parameter:
 
     @property
     def kind(self) -> str:
-        """The SI unit."""
+        """Return the SI unit."""
         return next(si for si, units in UNITS.items() if self.unit in units)
 
     @property
     def factor(self) -> float:
-        """From the report's unit to SI."""
+        """Return the factor from the report's unit to SI."""
         return UNITS[self.kind][self.unit]
 
     def title(self) -> str:
@@ -57,7 +57,7 @@ class Parameter:
 
 
 def catalogue(vehicle: Vehicle, feet: float) -> dict[str, Parameter]:
-    """Every parameter by name; feet: the model's own foot height [m].
+    """Return every parameter by name; feet: the model's own foot height [m].
 
     A default of NaN is the contact spring of the vehicle file.
 
@@ -86,13 +86,14 @@ def catalogue(vehicle: Vehicle, feet: float) -> dict[str, Parameter]:
 
 
 def touchdown_states(p: dict[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
-    """States (n, 13) just above the surface, from arrays (n,) of the study's parameters [SI].
+    """Return the states (n, 13) just above the surface, from arrays (n,) of the study's parameters [SI].
 
     The lowest point is `start_height` above the surface; speeds are those of the centre of mass.
     """
     slope, error = -p["inclination"], p["attitude_error"]  # the slope rises towards +x
     shapes = shapes_of(compile_scene(vehicle))
     lowered = p["foot_height"] - reach_below(shapes, part="feet")
+    # Lowest point at `start_height` over the surface, velocities v = -v_n n + v_t t (normal n, downhill t).
     up = np.stack([-np.sin(error), np.zeros_like(error), np.cos(error)], axis=1)
     height = p["start_height"] + reach_below(shapes, up, lowered=lowered)
     normal, downhill = surface.normal_of(slope), surface.downhill_of(slope)
@@ -107,13 +108,14 @@ def touchdown_states(p: dict[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
 
 
 def held_pwm(p: dict[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
-    """PWM (n,) whose steady thrust is the given share of the weight."""
+    """Return PWM (n,) whose steady thrust is the given share of the weight."""
+    # PWM = share m g / (thrust per PWM)
     force = p["thrust"] * p["mass"] * vehicle.environment_gravity
     return np.clip(force / vehicle.thrust_per_pwm, 0.0, vehicle.command_pwm_range[1])
 
 
 def configure(plant: MujocoPlant, p: dict[str, np.ndarray]) -> None:
-    """Mass and contact of every vehicle.
+    """Set mass and contact of every vehicle.
 
     Fields are always expanded and derived constants always computed, so that a landing's bits do not
     depend on what the others of its batch vary.

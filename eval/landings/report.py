@@ -69,7 +69,7 @@ def write(study: Study, table: pa.Table, out: Path) -> dict:
 
 
 def boundary_sentence(one: maps.Map, limits: dict[str, list[dict]]) -> str:
-    """Where half of the landings rest, at the ends and in the middle of the map."""
+    """Return sentences on the boundary at which half of the landings rest."""
     text = f"Of all landings in this map {100 * one.counts[:, :, 0].sum() / one.counts.sum():.1f} % rest. "
     # Walk along the axis on which there is one crossing more often.
     single = {axis: [r for r in limits[f"along_{axis}"] if len(r["crossings"]) == 1] for axis in "xy"}
@@ -103,7 +103,7 @@ def boundary_sentence(one: maps.Map, limits: dict[str, list[dict]]) -> str:
 
 
 def discussion(summary: dict) -> list[str]:
-    """Sentences that follow from the numbers."""
+    """Return the sentences that follow from the numbers."""
     known = known_parameters()
     parts = [f"{name} {share:.1f} % [{low:.1f}, {high:.1f}]" for name, _, share, low, high in _seen(summary)]
     said = [f"Of {summary['landings']} landings: {', '.join(parts)} (95 % Wilson intervals)."]
@@ -149,7 +149,7 @@ def discussion(summary: dict) -> list[str]:
 
 
 def _seen(summary: dict) -> list[tuple]:
-    """Name, count, share and interval [%] of the outcomes that occur."""
+    """Return name, count, share and interval [%] of the outcomes that occur."""
     return [
         (name, share["count"], 100 * share["share"], *(100 * x for x in share["interval"]))
         for name, share in summary["outcomes"].items()
@@ -158,7 +158,7 @@ def _seen(summary: dict) -> list[tuple]:
 
 
 def _sensitivities(summary: dict) -> list[tuple[str, ...]]:
-    """Label, log odds and indices, of resting and of `_SENSITIVE`, of every parameter."""
+    """Return label, log odds and sensitivity indices, of resting and of `_SENSITIVE`, of every parameter."""
 
     def text(value: dict) -> str:
         if value["index"] is None:
@@ -175,7 +175,7 @@ def _sensitivities(summary: dict) -> list[tuple[str, ...]]:
 
 
 def page(study: Study, summary: dict, figures: dict[Path, str], fixed: dict[str, float]) -> str:
-    """The HTML page, everything inside; figures: captions by file."""
+    """Return the HTML page, everything inside; figures: captions by file."""
     given = {p.name for p in study.parameters}
     pictures = []
     for file, text in figures.items():

@@ -12,7 +12,7 @@ _PENALTY = 1e-3  # of the logistic fit; keeps coefficients finite where the clas
 
 
 def table(parameters: dict[str, np.ndarray], outputs: dict[str, np.ndarray], rests: np.ndarray, seed: int):
-    """One row for each parameter (n,): what it does to whether the landing rests, and to each output.
+    """Return one row for each parameter (n,): its log odds of resting and first-order indices of each output.
 
     `log_odds`: coefficient of a logistic regression of `rests` (n,) bool on all parameters,
     standardised: change of the log odds for one standard deviation of the parameter.
@@ -33,7 +33,7 @@ def table(parameters: dict[str, np.ndarray], outputs: dict[str, np.ndarray], res
 
 
 def _bins(x: np.ndarray) -> np.ndarray:
-    """Bin number (n,): the level, or one of 20 bins with equally many landings."""
+    """Return the bin number (n,): the level, or one of 20 bins with equally many landings."""
     levels, number = np.unique(x, return_inverse=True)
     if len(levels) <= _LEVELS:
         return number
@@ -42,7 +42,7 @@ def _bins(x: np.ndarray) -> np.ndarray:
 
 
 def _share(bins: np.ndarray, y: np.ndarray) -> float:
-    """Variance of y between bins over its variance, corrected for the number of bins."""
+    """Return the variance of y between bins over its variance, corrected for the number of bins."""
     count = np.bincount(bins)
     used = count > 0
     mean = np.bincount(bins, y)[used] / count[used]
@@ -70,7 +70,7 @@ def _first_order(bins: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> d
 
 
 def _logistic(parameters: dict[str, np.ndarray], rests: np.ndarray) -> list[float | None]:
-    """Standardised coefficients; null when all or no landings rest."""
+    """Return the standardised coefficients; null when all or no landings rest."""
     if not parameters or rests.all() or not rests.any():
         return [None] * len(parameters)
     x = np.column_stack(list(parameters.values()))

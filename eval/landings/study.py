@@ -110,12 +110,12 @@ class Study:
     vehicle: Vehicle = dataclasses.field(default_factory=load_vehicle)
 
     def to_dict(self) -> dict:
-        """Plain data; `from_dict` gives the study back, bit for bit."""
+        """Return the plain data; `from_dict` gives the study back, bit for bit."""
         return dataclasses.asdict(self)
 
     @staticmethod
     def from_dict(data: dict) -> Study:
-        """The study of `to_dict`."""
+        """Return the study of `to_dict`."""
         data = dict(data)
         data["maps"] = tuple(tuple(pair) for pair in data["maps"])
         data["starts"] = tuple(tuple(row) for row in data["starts"])
@@ -132,7 +132,7 @@ class Study:
         return Study(**data)
 
     def fingerprint(self) -> str:
-        """Of everything that decides the results' bits: the study, the vehicle, the engine."""
+        """Return a hash of everything that the results depend on: study, vehicle, engine."""
         data = self.to_dict()
         for words in ("title", "question", "maps"):
             del data[words]
@@ -142,19 +142,19 @@ class Study:
 
     @property
     def varied(self) -> tuple[str, ...]:
-        """Names of the parameters that vary."""
+        """Return the names of the parameters that vary."""
         return tuple(p.name for p in self.parameters if isinstance(p, Range) or len(p.values) > 1)
 
 
 @functools.cache
 def known_parameters(vehicle: Vehicle | None = None) -> dict[str, Parameter]:
-    """What may vary, and the defaults of a vehicle (the shipped one)."""
+    """Return the parameters that may vary, with the defaults of a vehicle (the shipped one)."""
     vehicle = vehicle or load_vehicle()
     return catalogue(vehicle, float(reach_below(shapes_of(compile_scene(vehicle)), part="feet")))
 
 
 def shipped() -> dict[str, Path]:
-    """The studies that come with the package, by name."""
+    """Return the studies that come with the package, by name."""
     folder = Path(str(resources.files("inclined_landing.eval") / "landings"))
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 

@@ -146,7 +146,7 @@ def identify(
     channels = {}
     for channel, (measured, before, after) in _compared_series(test, vehicle, vehicles).items():
         channels[channel] = {"before": nrmse_fit(measured, before), "after": nrmse_fit(measured, after)}
-    sized = local.sized(values)
+    sized = local.estimates(values)
     return Identification(
         vehicle=result,
         reference=reference,

@@ -86,7 +86,7 @@ def squared_error_increase(problem: Problem, found: SetPosterior, values: Values
 
 def _estimates(problem: Problem, found: SetPosterior, values: Values) -> dict[str, dict[str, Estimate]]:
     """Return effect -> parameter -> its estimate, the other effects marginalised."""
-    sized = found.local.sized(values)
+    sized = found.local.estimates(values)
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
     for name in values:

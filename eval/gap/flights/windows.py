@@ -72,7 +72,7 @@ class MeasuredFlight:
 
     @property
     def yaw_rate_command(self) -> np.ndarray | None:
-        """Commanded yaw rate (m,) [rad/s], None where it or the heading was not logged."""
+        """Return the commanded yaw rate (m,) [rad/s], None where it or the heading was not logged."""
         return self.command[:, 3] if self.has_yaw else None
 
     @property
@@ -114,7 +114,7 @@ def remove_tilt(attitude: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
 
 
 def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> MeasuredFlight:
-    """A `MeasuredFlight` flight from a log: the whitening's attitude modes are those of `vehicle`.
+    """Return a `MeasuredFlight` flight from a log: the whitening's attitude modes are those of `vehicle`.
 
     platform: the slab of the vehicle file stands there (for the ground effect); else the floor only.
     Raises UserError, naming the flight, when there is too little to use.

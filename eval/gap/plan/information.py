@@ -64,7 +64,7 @@ def set_hypotheses(problem: Problem, found: SetPosterior) -> tuple[list[ScoredSe
     for scored in found.sets:
         names = tuple(n for n in problem.library if n in scored.names)
         values = {n: dict(scored.values[n]) for n in names}
-        sized = found.local.sized(values)
+        sized = found.local.estimates(values)
         standard_errors: dict[str, dict[str, float]] = {n: {} for n in names}
         for (name, parameter), known in sized.items():
             standard_errors[name][parameter] = known.error
@@ -87,7 +87,7 @@ def unidentifiable_sets(problem: Problem, found: SetPosterior) -> list[ScoredSet
         own = local.index([name])
         if names in scored or effect.told_by or not len(own):
             continue
-        if local.errors(names)[own[0]] < UNIDENTIFIABLE * np.sqrt(local.slab[own[0], own[0]]):
+        if local.standard_errors(names)[own[0]] < UNIDENTIFIABLE * np.sqrt(local.slab[own[0], own[0]]):
             continue
         width = {p.name: abs(p.size(p.plausible)) for p in effect.parameters}
         values = {n: dict(best.values[n]) for n in best.names} | {name: effect.plausible}

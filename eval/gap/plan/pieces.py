@@ -181,6 +181,7 @@ def single_path(piece: Piece, space: Space) -> Path:
 
 
 def _rows(seconds: float) -> int:
+    """Return the number of rows at RATE."""
     return max(1, round(seconds * RATE))
 
 
@@ -192,6 +193,7 @@ def _minimum_snap(seconds: float) -> np.ndarray:
 
 
 def _hold(position, yaw: float, seconds: float) -> Trajectory:
+    """Return a hover."""
     n = _rows(seconds)
     return np.tile(np.asarray(position, float), (n, 1)), np.full(n, yaw)
 
@@ -213,11 +215,13 @@ def _line(a, b, yaw: float = 0.0, turned: float | None = None, speed: float = MO
 
 
 def _concatenated(*ways: Trajectory) -> Trajectory:
+    """Return trajectories in sequence."""
     position, yaw = zip(*ways)
     return np.concatenate(position), np.concatenate(yaw)
 
 
 def _horizontal(direction: float) -> np.ndarray:
+    """Return the horizontal unit vector (3,) of a direction [rad]."""
     return np.array([math.cos(direction), math.sin(direction), 0.0])
 
 

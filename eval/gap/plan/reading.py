@@ -3,28 +3,65 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
-from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct, field
 
-from inclined_landing.eval.gap.plan.information import NoiseLevels, ScoredSet
-from inclined_landing.models import storage
+from inclined_landing.eval.gap.plan.information import NoiseLevels
+from inclined_landing.eval.gap.result import ScoredSet
+from inclined_landing.models import schema, storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.schema import Real, Table
 
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+class _Set(Table, frozen=True):
+    """An entry of `sets` or `unseen`."""
+
+    effects: list[str]
+    probability: Annotated[float, Meta(ge=0, le=1)]
+    values: dict[str, dict[str, Real]] = field(default_factory=dict)
+    deviations: dict[str, dict[str, Real]] = field(default_factory=dict)
+
+
+class _Disturbance(Struct, frozen=True):
+    """An entry of `disturbance`; None: a typical level."""
+
+    size: Annotated[float, Meta(ge=0, le=1e300)] | None = None
+    time: Annotated[float, Meta(ge=1e-3, le=1e300)] | None = None
+
+
+class _Dependence(Struct, frozen=True):
+    on: str = ""
+
+
+class _Residual(Struct, frozen=True):
+    depends_on: list[_Dependence] = []
+
+
+class _Report(Struct, frozen=True):
+    """The entries of report.json that a plan needs; all others are ignored."""
+
+    sets: Annotated[list[_Set], Meta(min_length=1)]
+    unseen: list[_Set] = []
+    platform: bool = False
+    verdict: str = ""
+    remainder: _Residual = _Residual()
+    noise: dict[str, Annotated[float, Meta(ge=1e-9, le=1e300)]] = {}
+    disturbance: dict[str, _Disturbance] = {}
 
 
 @dataclasses.dataclass(frozen=True)
 class PlanInput:
     """The sets of a report, its vehicle, and noise and disturbance of its flights."""
 
-    hypotheses: list[ScoredSet]  # of effects that show in flight, most probable first
+    hypotheses: list[ScoredSet]  # without effects of contact, most probable first
     vehicle: Vehicle  # the one diagnosed
     noise_levels: NoiseLevels
     platform: bool  # the slab stood in the arena
@@ -32,139 +69,73 @@ class PlanInput:
 
 
 def read_report(folder: Path, vehicle: Path | None = None) -> PlanInput:
-    """Read `report.json` and what `run.json` says of the flights; vehicle: file of the vehicle diagnosed.
+    """Return the input of a plan from `report.json` and `run.json`; vehicle: file of the vehicle diagnosed.
 
-    Raises UserError, naming file and entry, for what is missing or not what it should be.
+    Raises UserError, naming file and entry, for what is missing or invalid.
     """
     if not folder.is_dir():
         raise UserError(f"{shown(folder)} is no folder; name the report folder that landing-eval gap wrote")
-    path = folder / "report.json"
-    report = _table(storage.read_json(path, "report"), f"report {path}")
-    run = folder / "run.json"
-    options = _table(storage.read_json(run, "record"), f"record {run}") if run.is_file() else {}
+    path, run = folder / "report.json", folder / "run.json"
+    data = schema.parse(storage.read_json(path, "report"), dict[str, Any], f"report {path}: ")
+    options: dict[str, Any] = {}
+    if run.is_file():
+        options = schema.parse(storage.read_json(run, "record"), dict[str, Any], f"record {run}: ")
     if vehicle is None and isinstance(options.get("vehicle"), str):
         vehicle = Path(options["vehicle"])
-    known = {"platform": options.get("platform", False)} | report
-    return plan_input(known, load_vehicle(vehicle), f"report {path}")
+    if "sets" not in data:
+        raise UserError(f"report {path} has no sets of effects; it is none of landing-eval gap")
+    older = {"platform": options.get("platform", False), "disturbance": data.get("unrest", {})}
+    report = schema.parse(older | data, _Report, f"report {path}: ")
+    return PlanInput(
+        _hypotheses(report, f"report {path}: "),
+        load_vehicle(vehicle),
+        _noise_levels(report),
+        report.platform,
+        tuple(d.on for d in report.remainder.depends_on) if report.verdict == "unknown" else (),
+    )
 
 
-def plan_input(report: Mapping, vehicle: Vehicle, name: str = "report") -> PlanInput:
-    """Return the input of a plan from the contents of `report.json`; vehicle: the one diagnosed.
-
-    Raises UserError that begins with `name`.
-    """
-    if "sets" not in report:
-        raise UserError(f"{name} has no sets of effects; it is none of landing-eval gap")
-    platform = report.get("platform", False)
-    if not isinstance(platform, bool):
-        raise UserError(f"{name}: platform must be true or false, not {shown(repr(platform), 40)}")
-    sets, noise_levels = _read_hypotheses(report, name), _read_noise_levels(report, name)
-    return PlanInput(sets, vehicle, noise_levels, platform, _read_dependences(report, name))
-
-
-def _read_hypotheses(report: Mapping, name: str) -> list[ScoredSet]:
+def _hypotheses(report: _Report, where: str) -> list[ScoredSet]:
     """Return the sets of a report, the unidentifiable ones included, without effects of contact."""
     found: dict[tuple[str, ...], ScoredSet] = {}
-    for what, row in [*_rows(report, "sets", name), *_rows(report, "unseen", name)]:
-        names = row.get("effects")
-        if not isinstance(names, (list, tuple)) or not all(isinstance(n, str) for n in names):
-            raise UserError(f"{what}.effects must be a list of names of effects")
-        unknown = [n for n in names if n not in LIBRARY]
+    rows = [(f"{where}sets[{k}]", row) for k, row in enumerate(report.sets)]
+    for what, row in [*rows, *((f"{where}unseen[{k}]", row) for k, row in enumerate(report.unseen))]:
+        unknown = [n for n in row.effects if n not in LIBRARY]
         if unknown:
             raise UserError(f"{what} has the unknown effect {shown(repr(unknown[0]), 60)}")
-        free_flight = tuple(n for n in names if not LIBRARY[n].contact)
-        probability = _number(row.get("probability"), f"{what}.probability")
-        if not 0.0 <= probability <= 1.0:
-            raise UserError(f"{what}.probability is {probability:g}; it must be from 0 to 1")
-        values = {n: _values(row, "values", n, what, needed=True) for n in free_flight}
-        standard_errors = {n: _values(row, "deviations", n, what, needed=False) for n in free_flight}
-        if free_flight in found:
-            probability += found[free_flight].probability
-            found[free_flight] = dataclasses.replace(found[free_flight], probability=probability)
-        else:
-            found[free_flight] = ScoredSet(free_flight, probability, values, standard_errors)
+        names = tuple(n for n in row.effects if not LIBRARY[n].contact)
+        for name in names:
+            if name not in row.values:
+                raise UserError(f"{what}.values.{name} is missing")
+            _check_parameters(f"{what}.values.{name}", name, row.values[name])
+            _check_parameters(f"{what}.deviations.{name}", name, row.deviations.get(name, {}), bounds=False)
+        probability = row.probability + (found[names].probability if names in found else 0.0)
+        errors = {n: row.deviations.get(n, {}) for n in names}
+        first = found.get(names, ScoredSet(names, 0.0, {n: row.values[n] for n in names}, errors))
+        found[names] = dataclasses.replace(first, probability=probability)
     if sum(h.probability for h in found.values()) <= 0.0:
-        raise UserError(f"{name}: no set has a probability above 0")
+        raise UserError(f"{where}no set has a probability above 0")
     return sorted(found.values(), key=lambda h: -h.probability)
 
 
-def _rows(report: Mapping, key: str, name: str) -> list[tuple[str, dict]]:
-    """Return the tables of a list in a report, each with its name in error messages."""
-    rows = report.get(key, ())
-    if not isinstance(rows, (list, tuple)) or (key == "sets" and not rows):
-        raise UserError(f"{name}: {key} must be a list of sets of effects")
-    return [(f"{name}: {key}[{k}]", _table(row, f"{name}: {key}[{k}]")) for k, row in enumerate(rows)]
+def _check_parameters(where: str, name: str, given: Mapping[str, float], bounds: bool = True) -> None:
+    """Raise UserError for an unknown parameter of an effect, or a value out of bounds."""
+    parameters = {p.name: p for p in LIBRARY[name].parameters}
+    for key, value in given.items():
+        if key not in parameters:
+            raise UserError(f"{where} has the unknown parameter {shown(repr(key), 60)}")
+        low, high = parameters[key].bounds
+        if bounds and not low <= value <= high:
+            unit = parameters[key].unit
+            raise UserError(f"{where}.{key} is {value:g} {unit}; it must be from {low:g} to {high:g}")
 
 
-def _values(row: Mapping, key: str, name: str, what: str, *, needed: bool) -> dict[str, float]:
-    """Return the numbers of the parameters of an effect in a set."""
-    where = f"{what}.{key}.{name}"
-    table = _table(row.get(key, {}), f"{what}.{key}")
-    if name not in table and needed:
-        raise UserError(f"{where} is missing")
-    given = _table(table.get(name, {}), where)
-    result = {}
-    for p in LIBRARY[name].parameters:
-        if p.name in given:
-            result[p.name] = _number(given[p.name], f"{where}.{p.name}")
-    unknown = set(given) - set(result)
-    if unknown:
-        raise UserError(f"{where} has the unknown parameter {shown(repr(min(unknown)), 60)}")
-    if key == "values":
-        for p in LIBRARY[name].parameters:
-            low, high = p.bounds
-            if not low <= result.get(p.name, p.neutral) <= high:
-                raise UserError(
-                    f"{where}.{p.name} is {result[p.name]:g} {p.unit}; it must be from {low:g} to {high:g}"
-                )
-    return result
-
-
-def _read_dependences(report: Mapping, name: str) -> tuple[str, ...]:
-    """Return the regressors that the residual of an `unknown` verdict depends on."""
-    if report.get("verdict") != "unknown":
-        return ()
-    residual = _table(report.get("remainder", {}), f"{name}: remainder")
-    rows = residual.get("depends_on", ())
-    if not isinstance(rows, (list, tuple)):
-        raise UserError(f"{name}: remainder.depends_on must be a list")
-    found = []
-    for k, row in enumerate(rows):
-        on = _table(row, f"{name}: remainder.depends_on[{k}]").get("on")
-        if not isinstance(on, str):
-            raise UserError(f"{name}: remainder.depends_on[{k}].on must be a name of a quantity")
-        found.append(on)
-    return tuple(found)
-
-
-def _read_noise_levels(report: Mapping, name: str) -> NoiseLevels:
+def _noise_levels(report: _Report) -> NoiseLevels:
     """Return noise and disturbance of the flights by channel; typical levels where the report has none."""
-    usual = NoiseLevels.typical()
-    noise = _table(report.get("noise", {}), f"{name}: noise")
-    levels = _table(report.get("disturbance", report.get("unrest", {})), f"{name}: disturbance")
-    found = np.array([usual.noise, usual.disturbance, usual.time])
+    typical = NoiseLevels.typical()
+    found = np.array([typical.noise, typical.disturbance, typical.time])
     for k, channel in enumerate(CHANNELS):
-        disturbance = _table(levels.get(channel, {}), f"{name}: disturbance.{channel}")
-        for j, (given, key, where, least) in enumerate(
-            (
-                (noise, channel, f"noise.{channel}", 1e-9),
-                (disturbance, "size", f"disturbance.{channel}.size", 0.0),
-                (disturbance, "time", f"disturbance.{channel}.time", 1e-3),
-            )
-        ):
-            found[j, k] = _number(given.get(key, found[j, k]), f"{name}: {where}")
-            if found[j, k] < least:
-                raise UserError(f"{name}: {where} is {found[j, k]:g}; it must be at least {least:g}")
-    return dataclasses.replace(usual, noise=found[0], disturbance=found[1], time=found[2])
-
-
-def _table(value: Any, what: str) -> dict:
-    if not isinstance(value, dict):
-        raise UserError(f"{what} must be a table of names and values, not {shown(repr(value), 40)}")
-    return value
-
-
-def _number(value: Any, what: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
-        raise UserError(f"{what} must be a finite number, not {shown(repr(value), 40)}")
-    return float(value)
+        one = report.disturbance.get(channel, _Disturbance())
+        for j, level in enumerate((report.noise.get(channel), one.size, one.time)):
+            found[j, k] = found[j, k] if level is None else level
+    return dataclasses.replace(typical, noise=found[0], disturbance=found[1], time=found[2])

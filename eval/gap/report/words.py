@@ -108,6 +108,7 @@ def _places(width: float) -> int:
 
 
 def _fixed_point(value: float, places: int) -> str:
+    """Return a number rounded to decimal places; negative: tens, hundreds."""
     return f"{round(value, places):.{max(0, places)}f}"
 
 
@@ -277,6 +278,7 @@ def set_rows(d: Diagnosis) -> list[tuple[str, float, str, bool]]:
 
 
 def _sizes(one: ScoredSet) -> str:
+    """Return the parameter values of a set as text."""
     parts = []
     for name, values in one.values.items():
         effect = LIBRARY[name]

@@ -362,7 +362,7 @@ def identifiable_effects(
         }
         if why:
             others = ", ".join(effect.confused_with)
-            notes += [f"{reason}: {name} cannot be told from {others}" for reason in sorted(why)]
+            notes += [f"{reason}: {name} is confounded with {others}" for reason in sorted(why)]
         else:
             kept[name] = effect
     return kept, notes

@@ -122,6 +122,7 @@ def active_set_step(damped, a, b, at, bounds, free) -> np.ndarray:
 
 
 def _predicted_squares(problem: Problem, fit: LeastSquaresFit, trial: Values) -> float:
+    """Return the squared error that the linearisation predicts at trial values."""
     there, here = (problem.coordinates(v, fit.linear.columns) for v in (trial, fit.values))
     return fit.linear.predicted_squares(there - here)
 

@@ -177,7 +177,9 @@ class Bounds:
             result[i], result[j] = size * (1.0 - share), size * share
         return result
 
-    def within(self, at: np.ndarray, covariance: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, float]:
+    def truncated_mode(
+        self, at: np.ndarray, covariance: np.ndarray, own: np.ndarray
+    ) -> tuple[np.ndarray, float]:
         """Return the mode (P,) of a truncated normal distribution and its log density relative to the mean.
 
         at (P,) mean, covariance (P, P); own (k,): the coordinates that have bounds.
@@ -273,7 +275,7 @@ class LinearGaussian:
             self, np.tensordot(w, self.a, axes=1), w @ self.b, float(w @ self.c), mean, covariance
         )
 
-    def fit(self, names: EffectSet, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def posterior(self, names: EffectSet, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the posterior mean (P,) of z, from the linearisation point, and covariance, in spikes."""
         # Posterior of a linear model (Bishop 3.50) with the prior N(m, K):
         #   C = (1 + K a)^-1 K,   z = m + C (b - a m)
@@ -283,36 +285,36 @@ class LinearGaussian:
         covariance = np.linalg.solve(np.eye(len(b)) + prior @ a, prior)
         return mean + covariance @ (b - a @ mean), 0.5 * (covariance + covariance.T)
 
-    def delta(self, names: EffectSet, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def change(self, names: EffectSet, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the posterior mean (P,) and covariance (P, P) of delta, in spikes, without bounds."""
         # z = theta + delta with the prior covariance K = Sigma + V;  given z (Bishop 2.81), with G = V K^-1:
         #   E delta = G (z - m),   Cov delta = V + G (C - K) G'
-        change, covariance = self.fit(names, weights)
+        change, covariance = self.posterior(names, weights)
         mean, prior = self.prior(names)
         slab = self.change_covariance(names)
         gain = slab @ np.linalg.inv(prior)
         return gain @ (change - mean), slab + gain @ (covariance - prior) @ gain.T
 
-    def within(self, names: EffectSet, weights: np.ndarray | None = None) -> np.ndarray:
+    def bounded_mode(self, names: EffectSet, weights: np.ndarray | None = None) -> np.ndarray:
         """Return the posterior mode (P,) of delta within bounds (truncated normal), in spikes."""
-        return self.bounds.within(*self.delta(names, weights), self.index(names))[0]
+        return self.bounds.truncated_mode(*self.change(names, weights), self.index(names))[0]
 
-    def errors(self, names: EffectSet) -> np.ndarray:
+    def standard_errors(self, names: EffectSet) -> np.ndarray:
         """Return the standard errors (P,) of delta, in spikes."""
-        return np.sqrt(np.maximum(self.delta(names)[1].diagonal(), 0.0))
+        return np.sqrt(np.maximum(self.change(names)[1].diagonal(), 0.0))
 
-    def deviation(self, flight: int, change: np.ndarray) -> np.ndarray:
+    def random_effect(self, flight: int, change: np.ndarray) -> np.ndarray:
         """Return the posterior mean (P,) of one flight's random effect (BLUP), in spikes."""
         a, b = self.flight_a[flight], self.flight_b[flight]
         return np.linalg.solve(a + np.diag(1.0 / self.between), b - a @ change)
 
-    def sized(self, values: Values) -> dict[tuple[str, str], ParameterEstimate]:
+    def estimates(self, values: Values) -> dict[tuple[str, str], ParameterEstimate]:
         """Return (effect, parameter) -> its standard errors and random effects, for the set of `values`."""
         names = frozenset(values)
-        change, _ = self.fit(names)
-        _, covariance = self.delta(names)
-        variance = self.errors(names) ** 2
-        deviation = np.array([self.deviation(k, change) for k in range(len(self.flight_a))])
+        change, _ = self.posterior(names)
+        _, covariance = self.change(names)
+        variance = self.standard_errors(names) ** 2
+        deviation = np.array([self.random_effect(k, change) for k in range(len(self.flight_a))])
         alone = np.linalg.inv(self.flight_a + np.diag(1.0 / self.between))
         result = {}
         fitted = [(c.effect, c.parameter) for c in self.columns if c.effect in names and not c.form]
@@ -417,7 +419,7 @@ class Evidence:
             return at, score
         half, covariance = np.linalg.solve(factor, root.T), np.zeros_like(self.a)
         covariance[np.ix_(k, k)] = half.T @ half
-        at, log_ratio = self.bounds.within(at, covariance, k)
+        at, log_ratio = self.bounds.truncated_mode(at, covariance, k)
         return at, score + log_ratio
 
 

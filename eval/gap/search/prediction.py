@@ -32,15 +32,15 @@ _LOOPS = ("attitude_", "effects_attitude_", "effects_estimator_lean", "effects_y
 
 
 def same_translation(one: Vehicle, other: Vehicle) -> bool:
-    """Whether two vehicles differ in their attitude loops alone."""
+    """Return whether two vehicles differ in their attitude loops alone."""
     mine, its = vars(one), vars(other)
     return all(name.startswith(_LOOPS) for name, value in mine.items() if value != its[name])
 
 
 def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
-    """Predicted pose (m, 6) of `vehicle` along a `windows.MeasuredFlight`: x, y, z, roll, pitch, yaw.
+    """Return the predicted pose (m, 6) of `vehicle` along a `MeasuredFlight`: x, y, z, roll, pitch, yaw.
 
-    like: positions and angular accelerations of a vehicle that moves alike (see `translated`).
+    like: the result of `translated` for a vehicle with the same translation.
 
     Positions start at zero with velocity zero: compare them up to a line in time. Measurements that are
     late (mocap_delay) meet commands that are early by as much; a tilt of the measured attitude
@@ -70,7 +70,7 @@ def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None
 
 
 def translated(flight, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (m, 3) from rest at zero, and angular accelerations (m - 1, 3) of roll, pitch and yaw."""
+    """Return positions (m, 3) from rest at zero, and angular accelerations (m - 1, 3) of roll, pitch, yaw."""
     late, dt, tilt = vehicle.effects_mocap_delay, flight.dt, vehicle.effects_mocap_tilt
     pwm = averages(flight.command[:, PWM], dt, vehicle.effects_thrust_delay + late)
     attitude, rotation = flight.middle_attitude, flight.middle_rotation

@@ -63,7 +63,7 @@ class Reference:
         problem.between = estimate_between_flight_deviations(problem, near)
         problem.excitation = excitation(problem, near)
         local = LinearGaussian.of(problem, near, {})
-        change, covariance = local.fit(frozenset(problem.library))
+        change, covariance = local.posterior(frozenset(problem.library))
         left = Residual.by(problem, local, frozenset(problem.library), {}, size, inflation)
         known = covariance * np.outer(local.unit, local.unit)
         return Reference(
@@ -172,6 +172,7 @@ def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[Reference, str]
 
 
 def _numbers(values, dimensions: int) -> np.ndarray:
+    """Return nested lists as an array; raises ValueError where they are not finite numbers."""
     result = np.array(values, float)
     if result.ndim != dimensions or not np.isfinite(result).all():
         raise ValueError("a list of finite numbers")

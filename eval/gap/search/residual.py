@@ -53,10 +53,10 @@ class Residual:
         problem: Problem, local: LinearGaussian, names: EffectSet, at: Values, size: np.ndarray, inflation
     ) -> Residual:
         """Return the residuals at the posterior mean of all columns, random effects of flights included."""
-        change, _ = local.fit(names)
+        change, _ = local.posterior(names)
         errors, slopes_of = [], problem.jacobian(at, local.columns)
         for k, flight in enumerate(problem.flights):
-            step = (change + local.deviation(k, change)) * local.unit  # z + u of this flight
+            step = (change + local.random_effect(k, change)) * local.unit  # z + u of this flight
             here, *slopes = slopes_of(flight)
             error = flight.measured - here - np.tensordot(step, np.array(slopes), axes=1)
             errors.append(flight.whitening(flight.cut(error)))
@@ -250,7 +250,7 @@ def analyse_residual(
 def _functions(
     problem: Problem, residual: Residual, inputs, bases, repeating: ReferenceResidual | None
 ) -> list[_RidgeRegression]:
-    """Fit one function of every quantity along every target."""
+    """Return one ridge regression for every group of inputs along every target."""
     block_of, result = _blocks(problem), []
     for name, (_, arrays) in inputs.items():
         features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, arrays)]

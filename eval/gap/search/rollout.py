@@ -172,7 +172,7 @@ def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
 
 
 def _mujoco(starts, vehicle, state, commands, ambient, lag) -> np.ndarray:
-    """As `_analytic`; what depends on flight time and measured voltage enters as a scale of the thrust."""
+    """Return the poses simulated in MuJoCo; effects of flight time and voltage enter as a thrust scale."""
     n = len(starts)
     plain = dataclasses.replace(
         without_delays(vehicle), effects_thrust_fade=0.0, effects_voltage_sensitivity=0.0

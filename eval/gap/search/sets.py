@@ -125,7 +125,7 @@ def _most_probable(problem: Problem, scored: Sequence[SetProbability]) -> Effect
 
 
 def fit_jointly(problem: Problem, names: Sequence[str]) -> tuple[LeastSquaresFit, NoiseModel]:
-    """Fit effects jointly, alternating with the noise model: measurement noise and disturbance level."""
+    """Return the joint fit of effects and the noise model, estimated in alternation."""
     values: FittedValues = {name: {} for name in (*names, BASE)}
     noise_model = NoiseModel.none()
     for _ in range(ALTERNATIONS):
@@ -233,20 +233,20 @@ def posterior_mode(
     problem: Problem, local: LinearGaussian, names: EffectSet, weights: np.ndarray | None = None
 ) -> FittedValues:
     """Return the posterior mode of a set's effects within bounds, the others' spikes marginalised."""
-    return problem.values_at(names, local.columns, local.within(names, weights) * local.unit)
+    return problem.values_at(names, local.columns, local.bounded_mode(names, weights) * local.unit)
 
 
 def leave_one_out(
     problem: Problem, local: LinearGaussian, names: EffectSet, values: Values
 ) -> list[FittedValues]:
     """Return the leave-one-out estimates: for every flight, the values fitted to the others (linearised)."""
-    result, full = [], local.within(frozenset(names))
+    result, full = [], local.bounded_mode(frozenset(names))
     at = problem.coordinates(values, local.columns)
     for k in range(len(problem.flights)):
         weights = np.ones(problem.groups)
         if len(problem.flights) > 1:
             weights[np.unique(problem.group_of[problem.flight_of == k])] = 0.0
-        change = (local.within(frozenset(names), weights) - full) * local.unit
+        change = (local.bounded_mode(frozenset(names), weights) - full) * local.unit
         result.append(problem.values_at(names, local.columns, at + change))
     return result
 
@@ -377,7 +377,7 @@ def _relevant_subsets(problem: Problem, local: LinearGaussian, names: EffectSet)
     """Return, for every subset, the probability that exactly its effects are of practical relevance."""
     # Region of practical equivalence (Kruschke 2018): an effect counts where a size exceeds `negligible` = r;
     # P(|x| < r) = Phi((r - m) / s) - Phi((-r - m) / s), effects taken as independent.
-    at, covariance = local.within(names), local.delta(names)[1]
+    at, covariance = local.bounded_mode(names), local.change(names)[1]
     errors = np.sqrt(np.maximum(covariance.diagonal(), 1e-12))
     result: dict[EffectSet, float] = {frozenset(): 1.0}
     for name in names:

@@ -56,7 +56,7 @@ def command(
 def measure(
     vehicle: Vehicle, flights: Path | None = None, tick: Callable[[str], None] = lambda name: None
 ) -> list[Section]:
-    """Every finding; `tick` is called with the name of each before it is measured."""
+    """Return every finding; `tick` is called with the name of each before it is measured."""
     findings = []
     for name, measurement in FINDINGS.items():
         tick(name)

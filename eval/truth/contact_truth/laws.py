@@ -1,4 +1,4 @@
-"""Measurements of contact against mechanics, each returned as a `Section`.
+"""Measurements of contact against the laws of mechanics, each returned as a `Section`.
 
 Everything is unpowered and uses the default contact setting unless it says otherwise.
 """
@@ -40,7 +40,7 @@ STEPS = (0.004, 0.002, 0.001, 0.0005)
 
 
 def rest(vehicle: Vehicle) -> Section:
-    """Forces and creep at rest on slopes of 0 to 50 degrees."""
+    """Measure forces and creep at rest on slopes of 0 to 50 degrees."""
     degrees = np.arange(0.0, 51.0, 5.0)
     alpha = np.radians(degrees)
     n = len(alpha)
@@ -50,6 +50,7 @@ def rest(vehicle: Vehicle) -> Section:
     creep = _creep(plant)
     total = np.array([present_forces(plant, k)[1].sum(axis=0) for k in range(n)])
     forces = np.stack(split(total, plant.inclination), axis=1)
+    # At rest on a slope:  N = m g cos(alpha),  T = m g sin(alpha)
     weight = plant.vehicle.body_mass * plant.vehicle.environment_gravity
     expected = weight * np.stack([np.cos(alpha), np.sin(alpha)], axis=1)
     error = np.abs(forces - expected).max() / weight
@@ -83,14 +84,15 @@ def rest(vehicle: Vehicle) -> Section:
 
 
 def _creep(plant: MujocoPlant) -> np.ndarray:
-    """Speed [m/s] of every vehicle over 2 s, after 1 s to settle."""
+    """Return the speed [m/s] of every vehicle over 2 s, after 1 s to settle."""
     advance(plant, 1.0)
     moved = advance(plant, 2.0)
     return np.linalg.norm(moved[-1, :, :3] - moved[0, :, :3], axis=1) / 2.0
 
 
 def slip(vehicle: Vehicle) -> Section:
-    """Inclination at which a vehicle set down on the slope begins to slide."""
+    """Measure the angle of friction: the inclination at which a vehicle at rest begins to slide."""
+    # Coulomb: slip begins at tan(alpha) = mu
     frictions = np.array([0.2, 0.3, 0.5, 0.8, 1.0])
     around = np.radians(np.round(np.arange(-0.6, 1.01, 0.1), 1))
     alpha = (np.arctan(frictions)[:, None] + around).ravel()
@@ -118,7 +120,7 @@ def slip(vehicle: Vehicle) -> Section:
 
 
 def restitution(vehicle: Vehicle) -> Section:
-    """Restitution and contact time that drops show, against what was set."""
+    """Measure restitution and contact time of drops against their settings."""
     gravity = vehicle.environment_gravity
     pairs = np.array([(e, t) for t in CONTACT_TIMES for e in RESTITUTIONS])
     solrefs = contact.solref(pairs[:, 0], pairs[:, 1], gravity)
@@ -128,8 +130,8 @@ def restitution(vehicle: Vehicle) -> Section:
     measured = {speed: d.restitution.mean(axis=1).reshape(shape) for speed, d in drops.items()}
     scatter = drops[1.0].restitution.std(axis=1).reshape(shape)
     pushed = drops[1.0].pushed.mean(axis=1).reshape(shape)
-    wanted = np.array(RESTITUTIONS)
-    off = np.abs(measured[1.0] - wanted)[:, 1:]
+    # Newton: e = v_after / v_before;  a linear spring-damper pushes for its contact time.
+    off = np.abs(measured[1.0] - np.array(RESTITUTIONS))[:, 1:]
     late = np.abs(pushed - np.array(CONTACT_TIMES)[:, None])[:, 1:]
     return WORDS.section(
         "restitution",
@@ -152,8 +154,9 @@ def restitution(vehicle: Vehicle) -> Section:
 
 
 def impulse(vehicle: Vehicle) -> Section:
-    """Impulse of the contact forces, and of their samples, against the change of momentum."""
+    """Measure the impulse of the contact forces, and of their samples, against the change of momentum."""
     gravity = vehicle.environment_gravity
+    # int F dt = m (v_after - v_before) + m g t
     spring = contact.solref([0.0, 0.3, 0.6], STUDY_TIME, gravity)
     rows = []
     for step in STEPS:
@@ -178,7 +181,7 @@ def impulse(vehicle: Vehicle) -> Section:
 
 
 def penetration(vehicle: Vehicle) -> Section:
-    """How deep the feet sink in, over speed and contact time."""
+    """Measure the penetration depth of the feet over speed and contact time."""
     speeds = np.array([0.25, 0.5, 1.0, 1.5, 2.0])
     gravity = vehicle.environment_gravity
     solrefs = contact.solref(0.3, np.array(CONTACT_TIMES), gravity)
@@ -194,7 +197,7 @@ def penetration(vehicle: Vehicle) -> Section:
 
 
 def convergence(vehicle: Vehicle) -> Section:
-    """What halving the step changes: rebound, depth, and where a landing on the slope ends."""
+    """Measure the convergence of rebound and penetration depth with the step."""
     gravity = vehicle.environment_gravity
     solrefs = contact.solref([0.3, 0.6], STUDY_TIME, gravity)
     steps = (*STEPS, 0.00025)
@@ -203,6 +206,7 @@ def convergence(vehicle: Vehicle) -> Section:
     spread = np.array([d.restitution.std(axis=1) for d in drops])
     depth = np.array([drop(vehicle, 1.0, None, step).depth.mean() for step in steps])
     error = np.abs(depth - depth[-1])[:-1]
+    # error ~ h^p:  p is the slope of log(error) over log(h)
     order = float(np.polyfit(np.log(steps[:-2]), np.log(error[:-1]), 1)[0])
     change = float(np.abs(rebound[0] - rebound[-1]).max())
     halving = float((spread[1:] / spread[:-1])[:3].mean())
@@ -214,7 +218,7 @@ def convergence(vehicle: Vehicle) -> Section:
 
 
 def tumbling(vehicle: Vehicle, n: int = 100) -> Section:
-    """Passive drops in random attitudes: energy, and what no surface lets through."""
+    """Measure the energy gain and tunnelling of passive drops in random attitudes."""
     speeds = (0.5, 1.0, 2.0, 4.0)
     settings = (None, 0.3, 0.6)
     growth = np.zeros((len(settings), len(speeds)))
@@ -254,7 +258,7 @@ def tumbling(vehicle: Vehicle, n: int = 100) -> Section:
 def _tumble(
     vehicle: Vehicle, n: int, speed: float, restitution: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Energies (steps + 1, n) [J] and which vehicles passed the slab (n,)."""
+    """Return the energies (steps + 1, n) [J] and which vehicles passed the slab (n,)."""
     plant = unpowered(vehicle, n)
     ids, rng = np.arange(n), np.random.default_rng(0)
     alpha = plant.vehicle.platform_inclination
@@ -275,7 +279,7 @@ def _tumble(
 
 
 def parts(vehicle: Vehicle) -> Section:
-    """Upright, nose down and upside down on slab and floor: which part the log names, and its force."""
+    """Measure the contact part and force of a vehicle upright, nose down and upside down."""
     weight = vehicle.body_mass * vehicle.environment_gravity
     rows, right, loads = [], 0, []
     for surface, name in ((SLAB, "slab"), (FLOOR, "floor")):
@@ -306,10 +310,12 @@ def parts(vehicle: Vehicle) -> Section:
 
 
 def torque(vehicle: Vehicle) -> Section:
-    """Thrust at which a vehicle told to pitch lifts two feet off the floor, against statics."""
+    """Measure the thrust at which a pitch command lifts two feet off the floor, against statics."""
+    # While level, the rate loop demands M = J B k c / tau, within the torque limit. Two feet lift off where
+    # it exceeds the moment of the remaining weight about the other two:  M > (m g - T) lever
     command = vehicle.command_angle_limit
-    wanted = vehicle.attitude_gain * command / vehicle.attitude_time_constant  # rad/s
-    loop = vehicle.body_inertia[1] * vehicle.attitude_bandwidth * wanted  # N m, while it stays level
+    rate = vehicle.attitude_gain * command / vehicle.attitude_time_constant  # rad/s
+    loop = vehicle.body_inertia[1] * vehicle.attitude_bandwidth * rate  # N m
     weight = vehicle.body_mass * vehicle.environment_gravity
     shares = np.round(np.arange(0.6, 1.0, 0.005), 3)
     rows, largest = [], 0.0
@@ -343,7 +349,7 @@ def torque(vehicle: Vehicle) -> Section:
 def setting(
     vehicle: Vehicle, friction: float | None, restitution: float | None, contact_time: float | None
 ) -> Section:
-    """Drops and creep with the user's own contact setting; None is the default.
+    """Measure drops and creep with the user's contact setting; None is the default.
 
     Raises UserError for a setting out of range, before anything is measured.
     """

@@ -15,7 +15,7 @@ from inclined_landing.models.parameters import Vehicle
 
 
 def write(findings: list[Section], out: Path, vehicle: Vehicle) -> None:
-    """contact.html, contact.json and one PNG for each finding that has a figure."""
+    """Write contact.html, contact.json and one PNG for each finding that has a figure."""
     images = {}
     for finding in findings:
         if finding.key in figures.DRAW:
@@ -44,7 +44,7 @@ def write(findings: list[Section], out: Path, vehicle: Vehicle) -> None:
 
 
 def _plain(claim: Claim) -> dict:
-    """The entry of contact.json."""
+    """Return the entry of contact.json."""
     return {
         "name": claim.name,
         "measured": claim.measured,

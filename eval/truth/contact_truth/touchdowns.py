@@ -60,12 +60,12 @@ class Touchdown:
 
     @property
     def restitution(self) -> float:
-        """Rising over falling speed, straight from the data."""
+        """Return the measured restitution: rising over falling speed."""
         return self.up / self.down
 
 
 def read_flights(folder: str | Path) -> dict[str, pd.DataFrame]:
-    """The flights (nb_*.csv.gz) of a folder; raises UserError when it holds none or bad ones."""
+    """Return the flights (nb_*.csv.gz) of a folder; raises UserError when it holds none or bad ones."""
     folder = Path(folder)
     if not folder.is_dir():
         raise UserError(f"the folder of flights {folder} does not exist")
@@ -81,7 +81,7 @@ def read_flights(folder: str | Path) -> dict[str, pd.DataFrame]:
 
 
 def find_touchdowns(flights: dict[str, pd.DataFrame], vehicle: Vehicle | None = None) -> list[Touchdown]:
-    """The first touchdown of each flight, where it has one with running motors and a rebound."""
+    """Return the first touchdown of each flight, where it has one with running motors and a rebound."""
     found = (_first_touchdown(name, table, vehicle or load_vehicle()) for name, table in flights.items())
     return [touchdown for touchdown in found if touchdown is not None]
 
@@ -138,13 +138,14 @@ def _first_touchdown(name: str, table: pd.DataFrame, vehicle: Vehicle) -> Touchd
 
 
 def _static_force(pwm: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """Total force (k,) [N] of the static map for motor PWM (k, 4)."""
+    """Return the total force (k,) [N] of the static map for motor PWM (k, 4)."""
+    # F = a u^2 + b u + c  of every running motor
     a, b, c = vehicle.motor_pwm_to_force
     return np.where(pwm > 0, a * pwm**2 + b * pwm + c, 0.0).sum(axis=1)
 
 
 def _crossing(line: np.ndarray, parabola: np.ndarray) -> float | None:
-    """Time where the falling line meets the rising parabola, nearest to zero; None without one."""
+    """Return the time where the falling line meets the rising parabola, nearest to zero; None without one."""
     roots = np.roots(parabola - np.array([0.0, *line]))
     real = roots.real[np.abs(roots.imag) < 1e-9]
     real = real[np.abs(real) < 0.03]
@@ -152,7 +153,7 @@ def _crossing(line: np.ndarray, parabola: np.ndarray) -> float | None:
 
 
 def _state(table: pd.DataFrame, k: int) -> np.ndarray:
-    """State (13,) measured at row k; rates from the attitude over 40 ms."""
+    """Return the state (13,) measured at row k; rates from the attitude over 40 ms."""
     rows = slice(k - 2, k + 3)
     quaternions = table[["qx", "qy", "qz", "qw"]].to_numpy()[rows]
     rotations = Rotation.from_quat(quaternions)
@@ -179,7 +180,7 @@ class Simulation:
         self.reach = float(reach_below(self.plant.shapes, up, part="feet"))
 
     def heights(self, rows: np.ndarray) -> np.ndarray:
-        """Heights (n, k) [m] at the measured times, in the measurement's terms; rows (n, 4)."""
+        """Return the heights (n, k) [m] at the measured times, in the measurement's terms; rows (n, 4)."""
         n, sent = self.plant.n, self.touchdown.commands
         ids = np.arange(n)
         self.plant.set_contact(
@@ -226,6 +227,7 @@ def fit(touchdown: Touchdown, vehicle: Vehicle | None = None) -> Fit:
     start = np.array([min(max(touchdown.restitution, 0.1), 0.8), 0.02, 0.0, 0.0]) / _SCALE
     low, high = _LOW / _SCALE, _HIGH / _SCALE
     solution = least_squares(residuals, start, jacobian, bounds=(low, high), max_nfev=40)
+    # Covariance of a least-squares fit:  s^2 (J'J)^-1,  s^2 = |r|^2 / (n - 4)
     spread = solution.fun @ solution.fun / max(len(solution.fun) - 4, 1)
     covariance = spread * np.linalg.pinv(solution.jac.T @ solution.jac)
     errors = np.sqrt(np.diag(covariance)) * _SCALE
@@ -245,7 +247,7 @@ def fit(touchdown: Touchdown, vehicle: Vehicle | None = None) -> Fit:
 def rebound(
     touchdown: Touchdown, restitution: float, contact_time: float, vehicle: Vehicle | None = None
 ) -> float:
-    """Rising speed [m/s] of the simulation, read off its heights as from the measurement."""
+    """Return the rising speed [m/s] of the simulation, read off its heights as from the measurement."""
     simulation = Simulation(touchdown, 1, vehicle)
     heights = simulation.heights(np.array([[restitution, contact_time, 0.0, 0.0]]))[0]
     late = touchdown.time > _CLEAR
@@ -254,7 +256,7 @@ def rebound(
 
 
 def _row(f: Fit, predicted_up: float) -> dict:
-    """What the page shows of one touchdown and its fit."""
+    """Return the row of the page for one touchdown and its fit."""
     measured = ("flight", "down", "up", "slide", "thrust", "shock", "time")
     fitted = ("restitution", "contact_time", "rms", "at_bound")
     return {name: getattr(f.touchdown, name) for name in measured} | {
@@ -270,7 +272,7 @@ def _row(f: Fit, predicted_up: float) -> dict:
 
 
 def finding(folder: str | Path, vehicle: Vehicle | None = None, tick=lambda name: None) -> Section:
-    """Touchdowns of the flights in `folder`, fitted and predicted from one another."""
+    """Return the section on the touchdowns in `folder`, each fitted, and predicted from the others."""
     found = find_touchdowns(read_flights(folder), vehicle)
     if len(found) < 2:
         raise UserError(

@@ -1,4 +1,4 @@
-"""The vehicle without motors on a surface, watched at every engine step: what all measurements share."""
+"""The unpowered vehicle on a surface, recorded at every engine step: shared by all measurements."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ FEET, BODY, ROTORS = 0, 1, 2
 
 
 def unpowered(vehicle: Vehicle, n: int, step: float = STEP, **options) -> MujocoPlant:
-    """A plant of n vehicles that is stepped at the engine's step, without attitude torques."""
+    """Return a plant of n vehicles that is stepped at the engine's step, without attitude torques."""
     return MujocoPlant(n, vehicle, control_period=step, timestep=step, torque_needs_motors=True, **options)
 
 
 def advance(plant: MujocoPlant, duration: float) -> np.ndarray:
-    """Motors off for `duration` [s]; returns the states (steps + 1, n, 13)."""
+    """Return the states (steps + 1, n, 13) after `duration` [s] with motors off."""
     return fly(plant, np.zeros((round(duration / plant.control_period), plant.n, 4)))
 
 
@@ -43,7 +43,8 @@ def place(plant: MujocoPlant, inclination, height: float = 0.0) -> None:
 
 
 def energy(state: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """Kinetic and potential energy [J] of states (..., 13), zero at the origin."""
+    """Return the kinetic and potential energy [J] of states (..., 13), zero at the origin."""
+    # E = 1/2 m v^2 + 1/2 w'J w + m g z
     v, w = state[..., VX : VZ + 1], state[..., WX : WZ + 1]
     motion = vehicle.body_mass * (v**2).sum(axis=-1) + (w**2 * np.array(vehicle.body_inertia)).sum(axis=-1)
     return 0.5 * motion + vehicle.body_mass * vehicle.environment_gravity * state[..., Z]

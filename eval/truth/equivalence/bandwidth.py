@@ -30,13 +30,13 @@ class Gap:
 
 
 def with_bandwidth(v: Vehicle, bandwidth: float) -> Vehicle:
-    """The vehicle with this roll and pitch bandwidth [1/s]; the yaw's keeps its share of it."""
+    """Return the vehicle with this roll and pitch bandwidth [1/s]; the yaw's keeps its share of it."""
     share = v.attitude_yaw_bandwidth / v.attitude_bandwidth
     return dataclasses.replace(v, attitude_bandwidth=bandwidth, attitude_yaw_bandwidth=share * bandwidth)
 
 
 def measure(v: Vehicle, sequences: Sequences, bandwidths=BANDWIDTHS, tick=lambda: None) -> list[Gap]:
-    """The gaps over `sequences`, one per bandwidth; the engine's step follows the bandwidth."""
+    """Return the gaps over `sequences`, one per bandwidth; the engine's step follows the bandwidth."""
     commands, starts = sequences.commands, flying.start_states(len(sequences.yaw), sequences.yaw, v)
     n = len(starts)
     paper = flying.fly(equations(n, "kinematic", vehicle=v), commands, starts)
@@ -61,7 +61,7 @@ def measure(v: Vehicle, sequences: Sequences, bandwidths=BANDWIDTHS, tick=lambda
 
 
 def late_commands(v: Vehicle, sequences: Sequences, bandwidth: float) -> tuple[float, float]:
-    """Median gap [m] of the rate loop to the paper's equations, given their commands now and 1/B later.
+    """Return the median gaps [m] of the rate loop to the paper's equations, commands as given and 1/B later.
 
     The delays, 1/B for the angles and 1/B_yaw for the turn, are rounded to control periods.
     """
@@ -85,7 +85,7 @@ def late_commands(v: Vehicle, sequences: Sequences, bandwidth: float) -> tuple[f
 
 
 def claims(v: Vehicle, gaps: list[Gap]) -> list[Claim]:
-    """The gap halves when the bandwidth doubles; the extended equations are met at each bandwidth."""
+    """Return the claims: the gap halves with double the bandwidth; the extended equations are met at each."""
     result = []
     for slow, fast in itertools.pairwise(g for g in gaps if g.bandwidth >= 50):
         margin = 1 / (with_bandwidth(v, slow.bandwidth).attitude_yaw_bandwidth * v.attitude_time_constant)
@@ -106,7 +106,7 @@ def claims(v: Vehicle, gaps: list[Gap]) -> list[Claim]:
 
 
 def section(v: Vehicle, sequences: Sequences, everyday: Sequences, tick) -> tuple[Section, list[Gap]]:
-    """The section and the gaps for its figure; `everyday` are commands as a policy gives them."""
+    """Return the section and the gaps for its figure; `everyday` are commands as a policy gives them."""
     gaps = measure(v, sequences, tick=tick)
     daily = measure(v, everyday, (v.attitude_bandwidth,), tick=tick)[0]
     plain, late = late_commands(v, sequences, v.attitude_bandwidth)

@@ -44,23 +44,23 @@ class Comparison:
     final: float  # m, largest distance of the final positions of flights of equal length
 
     def first_to_second(self) -> np.ndarray:
-        """(3,) 5 % quantile, median and 95 % quantile of the second's time minus the first's [s]."""
+        """Return (3,) 5 % quantile, median and 95 % quantile of the second's time minus the first's [s]."""
         return np.quantile(self.steps * self.period, [0.05, 0.5, 0.95])
 
     def statement(self) -> str:
-        """One sentence on the two samples."""
-        told = [q for q in QUANTITIES if self.p[q] < ALPHA]
-        if not told:
+        """Return one sentence on the two samples."""
+        significant = [q for q in QUANTITIES if self.p[q] < ALPHA]
+        if not significant:
             return (
-                f"{self.second} against {self.first}: no quantity tells the two samples apart at the "
+                f"{self.second} against {self.first}: no quantity differs between the two samples at the "
                 f"{ALPHA:.0%} level (Kolmogorov-Smirnov, smallest p = {number(min(self.p.values()))})."
             )
-        parts = ", ".join(f"{q} (D = {self.distance[q]:.2f}, p = {number(self.p[q])})" for q in told)
-        return f"{self.second} against {self.first}: told apart at the {ALPHA:.0%} level by {parts}."
+        parts = ", ".join(f"{q} (D = {self.distance[q]:.2f}, p = {number(self.p[q])})" for q in significant)
+        return f"{self.second} against {self.first}: the samples differ at the {ALPHA:.0%} level in {parts}."
 
 
 def fly(policy: Policy, starts: np.ndarray, tick=lambda: None) -> dict[str, list[Flight]]:
-    """The policy's flights from `starts` (k, 2), by plant."""
+    """Return the policy's flights from `starts` (k, 2), by plant."""
     states = landing_starts.at_rest(policy.task, starts)
     n, v = len(states), policy.task.vehicle
     flown = {}
@@ -76,14 +76,14 @@ def fly(policy: Policy, starts: np.ndarray, tick=lambda: None) -> dict[str, list
 
 
 def quantities(flights: list[Flight]) -> np.ndarray:
-    """(k, 6) time to land [s] and final x, z, vx, vz, pitch [deg] of the flights."""
+    """Return (k, 6) time to land [s] and final x, z, vx, vz, pitch [deg] of the flights."""
     rows = np.array([[f.duration, *f.state[-1, _COLUMNS]] for f in flights])
     rows[:, -1] = np.degrees(rows[:, -1])
     return rows
 
 
 def compare(flown: dict[str, list[Flight]], first: str, second: str) -> Comparison | None:
-    """Two plants; None when fewer than ten flights succeed in both."""
+    """Return the comparison of two plants; None when fewer than ten flights succeed in both."""
     from scipy.stats import ks_2samp
 
     pairs = [(a, b) for a, b in zip(flown[first], flown[second]) if a.success and b.success]
@@ -109,7 +109,7 @@ def compare(flown: dict[str, list[Flight]], first: str, second: str) -> Comparis
 
 
 def claims(flown: dict[str, list[Flight]], twins: list[Comparison]) -> list[Claim]:
-    """Same model, same flights; and the policy is as successful in either."""
+    """Return the claims: the same model flies the same, and the policy is as successful in both plants."""
     result = []
     for c in twins:
         claim = functools.partial(WORDS.claim, "closed_loop", name=f"{c.second} and {c.first}")
@@ -124,7 +124,7 @@ def claims(flown: dict[str, list[Flight]], twins: list[Comparison]) -> list[Clai
 
 
 def section(policy: Policy, starts: np.ndarray, tick) -> tuple[Section, dict]:
-    """The section, and the flights by plant for its figure."""
+    """Return the section, and the flights by plant for its figure."""
     flown = fly(policy, starts, tick)
     twins = [compare(flown, PAPER, KINEMATIC), compare(flown, EXTENDED, VEHICLE)]
     cross = compare(flown, PAPER, VEHICLE)
@@ -137,14 +137,14 @@ def section(policy: Policy, starts: np.ndarray, tick) -> tuple[Section, dict]:
         rows.append(
             (name, f"{len(landed)} of {len(flights)}", f"{share['count']} of {len(flights)}", *middle)
         )
-    found_twins = [c for c in twins if c is not None]
-    if len(found_twins) < len(twins) or cross is None:
+    compared = [c for c in twins if c is not None]
+    if len(compared) < len(twins) or cross is None:
         fewest = min(sum(f.success for f in fs) for fs in flown.values())
         found, tables = [WORDS.claim("closed_loop", "few", fewest)], []
         remarks = ["Too few landings for a comparison."]
     else:
-        found = claims(flown, found_twins)
-        remarks = [c.statement() for c in (*found_twins, cross)]
+        found = claims(flown, compared)
+        remarks = [c.statement() for c in (*compared, cross)]
         early, middle, late = cross.first_to_second()
         remarks.append(
             f"From the same start, {cross.second} lands {middle:+.2f} s later than {cross.first} (median; "
@@ -152,10 +152,10 @@ def section(policy: Policy, starts: np.ndarray, tick) -> tuple[Section, dict]:
             "flight: both reach the goal, by ways that differ."
         )
         tests = [
-            (q, *(f"{number(c.distance[q])} ({number(c.p[q])})" for c in (*found_twins, cross)))
+            (q, *(f"{number(c.distance[q])} ({number(c.p[q])})" for c in (*compared, cross)))
             for q in QUANTITIES
         ]
-        heads = tuple(f"{c.second} – {c.first}" for c in (*found_twins, cross))
+        heads = tuple(f"{c.second} – {c.first}" for c in (*compared, cross))
         tables = [
             Table("Two-sample distance D (and p) of Kolmogorov and Smirnov", ("quantity", *heads), tests)
         ]

@@ -31,11 +31,11 @@ class Convergence:
 
     @property
     def measured(self) -> np.ndarray:
-        """(steps - 1,) log2 of successive error ratios."""
+        """Return (steps - 1,) log2 of successive error ratios."""
         return np.log2(self.errors[:-1] / self.errors[1:])
 
     def claim(self) -> Claim:
-        """The order between the two finest steps."""
+        """Return the claim on the order between the two finest steps."""
         return Claim(
             f"order of {self.integrator}, {self.attitude.replace('_', ' ')}",
             float(self.measured[-1]),
@@ -50,7 +50,7 @@ class Convergence:
 def measure(
     vehicle: Vehicle, commands: np.ndarray, integrators=tuple(ORDERS), tick=lambda: None
 ) -> list[Convergence]:
-    """Every integrator of the engine in both modes, over the first second of commands (steps, n, 4)."""
+    """Return the convergence of every integrator in both modes over a second of commands (steps, n, 4)."""
     commands = commands[:CONTROL_STEPS]
     n, result = commands.shape[1], []
     for attitude in ATTITUDES:
@@ -72,7 +72,7 @@ def _converge(name, attitude, order, plants, commands, fine) -> Convergence:
 
 
 def section(vehicle: Vehicle, commands: np.ndarray, tick) -> tuple[Section, list[Convergence]]:
-    """The section, and the errors for its figure."""
+    """Return the section, and the errors for its figure."""
     found = measure(vehicle, commands, tick=tick)
     rows = [(c.attitude.replace("_", " "), c.integrator, *c.errors, c.measured[-1]) for c in found]
     heads = ("mode", "integrator", *(f"{h:g} ms [m]" for h in STEPS_MS), "order")

@@ -45,7 +45,7 @@ def _name(axis: Axes, title: str, x: str, y: str = "", **limits) -> None:
 
 
 def levels(vehicle: Vehicle, drawn: dict[Attitude, tuple[Gaps, Gaps]]) -> Figure:
-    """Growth of the position difference over 6 s, and the differences of single steps."""
+    """Return the figure of the position difference over 6 s, and of single steps."""
     with styled():
         figure, axes = _figure(3, 4.0)
         t = vehicle.command_control_period * np.arange(1, len(drawn["kinematic"][1].position) + 1)
@@ -74,7 +74,7 @@ def levels(vehicle: Vehicle, drawn: dict[Attitude, tuple[Gaps, Gaps]]) -> Figure
 
 
 def convergence_figure(found: list[convergence.Convergence]) -> Figure:
-    """Error over step for every integrator and both modes."""
+    """Return the figure of the error over the step for every integrator and both modes."""
     looks = {"RK4": (BLUE, "o", "-"), "implicitfast": (ORANGE, "s", "-"), "Euler": (GREEN, "^", "--")}
     looks["equations, RK4"] = MUTED, "x", "-"
     steps = np.array(convergence.STEPS_MS)
@@ -93,7 +93,7 @@ def convergence_figure(found: list[convergence.Convergence]) -> Figure:
 
 
 def bandwidth_figure(v: Vehicle, gaps: list[bandwidth.Gap]) -> Figure:
-    """Gap over bandwidth, and a pitch step at some bandwidths."""
+    """Return the figure of the gap over the bandwidth, and a pitch step at some bandwidths."""
     b = np.array([g.bandwidth for g in gaps])
     with styled():
         figure, (left, right) = _figure(2, 4.0)
@@ -133,7 +133,7 @@ def bandwidth_figure(v: Vehicle, gaps: list[bandwidth.Gap]) -> Figure:
 
 
 def motor_figure(drawn: dict) -> Figure:
-    """Thrust of the discrete function and of the engine, and their difference."""
+    """Return the figure of the thrust of discrete function and engine, and their difference."""
     with styled():
         figure, (left, right) = _figure(2, 3.3)
         t = np.arange(len(drawn["pwm"])) / quoted("motor_function", "rate")
@@ -149,7 +149,7 @@ def motor_figure(drawn: dict) -> Figure:
 
 
 def closed_loop_figure(flown: dict) -> Figure:
-    """Time to land and final state of the paper's equations and the vehicle."""
+    """Return the figure of time to land and final state of the paper's equations and the vehicle."""
     looks = {
         closed_loop.PAPER: (BLUE, "-", 1.8),
         closed_loop.KINEMATIC: (INK, ":", 1.2),
@@ -179,7 +179,7 @@ def closed_loop_figure(flown: dict) -> Figure:
 
 
 def inconsistencies_figure(v: Vehicle, drawn: dict) -> Figure:
-    """The two thrust maps with their hover points, and the effect of the public code's drag."""
+    """Return the figure of both thrust maps with hover points, and the effect of the public code's drag."""
     with styled():
         figure, (left, right) = _figure(2, 3.6)
         pwm = np.linspace(0, v.command_pwm_range[1], 200)

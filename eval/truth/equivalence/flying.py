@@ -16,19 +16,19 @@ ATTITUDES: tuple[Attitude, ...] = ("kinematic", "rate_loop")
 
 
 def engine(n: int, attitude: Attitude, vehicle: Vehicle | None = None, **options) -> MujocoPlant:
-    """The MuJoCo vehicle without torque limit, which the equations do not have."""
+    """Return the MuJoCo vehicle without torque limit, which the equations do not have."""
     return MujocoPlant(n, vehicle, attitude=attitude, **({"torque_limit": False} | options))
 
 
 def equations(
     n: int, attitude: Attitude, substeps: int = FINE, vehicle: Vehicle | None = None
 ) -> AnalyticPlant:
-    """The paper's equations (kinematic), or those extended with the rate loop."""
+    """Return the paper's equations (kinematic), or those extended with the rate loop."""
     return AnalyticPlant(n, vehicle, attitude=attitude, substeps=substeps)
 
 
 def start_states(n: int, yaw=0.0, vehicle: Vehicle | None = None) -> np.ndarray:
-    """(n, 13) states in hover at HEIGHT, heading `yaw` (n,) [rad]."""
+    """Return (n, 13) states in hover at HEIGHT, heading `yaw` (n,) [rad]."""
     state = np.zeros((n, 13))
     state[:, Z], state[:, YAW] = HEIGHT, yaw
     state[:, LAG] = (vehicle or load_vehicle()).hover_lag
@@ -36,7 +36,7 @@ def start_states(n: int, yaw=0.0, vehicle: Vehicle | None = None) -> np.ndarray:
 
 
 def fly(plant, commands: np.ndarray, starts: np.ndarray | None = None, **changes) -> np.ndarray:
-    """States (steps, n, 13) after each of `commands` (steps, n, 4), without platform.
+    """Return the states (steps, n, 13) after each of `commands` (steps, n, 4), without platform.
 
     starts: (n, 13), by default hovering; changes: perturbations (see `models.perturbation`).
     """
@@ -53,16 +53,16 @@ def fly(plant, commands: np.ndarray, starts: np.ndarray | None = None, **changes
 
 
 def position_gap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Distance [m] between states (..., 13)."""
+    """Return the distance [m] between states (..., 13)."""
     return np.linalg.norm(a[..., :3] - b[..., :3], axis=-1)
 
 
 def angle_gap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Largest difference of the three Euler angles [deg] between states (..., 13)."""
+    """Return the largest difference of the three Euler angles [deg] between states (..., 13)."""
     turns = a[..., ROLL : YAW + 1] - b[..., ROLL : YAW + 1]
     return np.degrees(np.abs(np.arctan2(np.sin(turns), np.cos(turns))).max(axis=-1))
 
 
 def largest_gaps(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-    """(m, deg) largest differences between states (..., 13)."""
+    """Return (m, deg) largest differences between states (..., 13)."""
     return float(position_gap(a, b).max()), float(angle_gap(a, b).max())

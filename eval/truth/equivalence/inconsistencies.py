@@ -23,7 +23,7 @@ _SUBSTEPS = 5
 
 
 def code_rotor_speed(thrust: float, v: Vehicle) -> float:
-    """w_sum [rad/s] as the public code has it: the force map inverted without its factor four at zero PWM."""
+    """Return w_sum [rad/s] of the public code: the force map inverted without its factor four at zero PWM."""
     a, b, c = v.motor_pwm_to_force
     n = v.motor_count
     pwm = (-n * b + np.sqrt((n * b) ** 2 - 4 * n * a * (c - thrust))) / (2 * n * a)
@@ -32,7 +32,7 @@ def code_rotor_speed(thrust: float, v: Vehicle) -> float:
 
 
 def code_planar(y: np.ndarray, u: np.ndarray, v: Vehicle) -> np.ndarray:
-    """The public code's planar motion: d/dt of x, z, vx, vz, pitch, lag (6,) under a PWM and a pitch (2,).
+    """Return the public code's d/dt of x, z, vx, vz, pitch, lag (6,) under PWM and pitch commands (2,).
 
     Drag is in world axes and multiplied, with the thrust, by sin(pitch) in x and cos(pitch) in z.
     """
@@ -53,7 +53,7 @@ def code_planar(y: np.ndarray, u: np.ndarray, v: Vehicle) -> np.ndarray:
 
 
 def fly_code(v: Vehicle, commands: np.ndarray) -> np.ndarray:
-    """(steps, n, 2) x, z [m] of the public code's motion under planar commands (steps, n, 4), from hover."""
+    """Return the public code's x, z (steps, n, 2) [m] under planar commands (steps, n, 4), from hover."""
     steps, n, _ = commands.shape
     h = v.command_control_period / _SUBSTEPS
     history = np.empty((steps, n, 2))
@@ -81,22 +81,22 @@ class Drag:
 
     @property
     def share(self) -> float:
-        """The error as a share of the drag."""
+        """Return the error as a share of the drag."""
         return self.error / self.paper
 
 
 def drag(v: Vehicle, sequences: Sequences) -> Drag:
-    """Along flights of the paper's equations under planar `sequences`."""
+    """Return the drag comparison along flights of the paper's equations under planar `sequences`."""
     commands = sequences.commands
     flown = flying.fly(flying.equations(commands.shape[1], "kinematic", vehicle=v), commands)
     without = dataclasses.replace(v, drag_coefficients=(0.0, 0.0, 0.0))
-    paper, code = [], []
+    papers, codes = [], []
     for state, command in zip(flown[4::5].reshape(-1, 13), commands[4::5].reshape(-1, 4)):
-        free = derivative(state, command, without)["acceleration"][[0, 2]]
-        paper.append(derivative(state, command, v)["acceleration"][[0, 2]] - free)
+        free = np.asarray(derivative(state, command, without)["acceleration"])[[0, 2]]
+        papers.append(np.asarray(derivative(state, command, v)["acceleration"])[[0, 2]] - free)
         y = state[[X, Z, VX, VZ, PITCH, LAG]]
-        code.append(code_planar(y, command[[PWM, PITCH_COMMAND]], v)[2:4] - free)
-    paper, code = np.array(paper), np.array(code)
+        codes.append(code_planar(y, command[[PWM, PITCH_COMMAND]], v)[2:4] - free)
+    paper, code = np.array(papers), np.array(codes)
     return Drag(
         float(np.sqrt((paper**2).sum(axis=1).mean())),
         float(np.sqrt(((code - paper) ** 2).sum(axis=1).mean())),
@@ -105,14 +105,14 @@ def drag(v: Vehicle, sequences: Sequences) -> Drag:
 
 
 def printed_rotation(roll, pitch, yaw) -> np.ndarray:
-    """(3, 3) rotation with the last term of (2,3) positive, as printed; the other misprint is corrected."""
+    """Return the rotation (3, 3), last term of (2,3) positive, as printed, the other misprint corrected."""
     matrix = rotation(roll, pitch, yaw)
     matrix[1, 2] += 2 * np.cos(yaw) * np.sin(roll) * np.cos(pitch)
     return matrix
 
 
 def rotation_defects(v: Vehicle, printed: bool) -> tuple[float, float]:
-    """Largest entry of |R'R - 1| and largest relative change of the thrust, over the commanded attitudes."""
+    """Return the largest entry of |R'R - 1| and relative change of thrust over the commanded attitudes."""
     defect = stretch = 0.0
     angles = np.linspace(-v.command_angle_limit, v.command_angle_limit, 9)
     for roll in angles:
@@ -125,7 +125,7 @@ def rotation_defects(v: Vehicle, printed: bool) -> tuple[float, float]:
 
 
 def section(v: Vehicle, sequences: Sequences) -> tuple[Section, dict]:
-    """The section over planar flights `sequences`, and what its figure draws."""
+    """Return the section over planar flights `sequences`, and what its figure draws."""
     flight, static = quoted("hover", "flight_pwm"), quoted("hover", "static_pwm")
     factor, g = quoted("hover", "force_factor"), v.environment_gravity
     needed = v.hover_pwm / flight

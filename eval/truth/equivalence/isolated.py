@@ -41,7 +41,7 @@ _COLUMNS = {"roll": ROLL, "pitch": PITCH, "yaw": YAW}
 
 
 def _hover(v: Vehicle, n: int = 1) -> np.ndarray:
-    """(STEPS, n, 4) commands of hover."""
+    """Return (STEPS, n, 4) commands of hover."""
     commands = np.zeros((STEPS, n, 4))
     commands[..., PWM] = v.hover_pwm
     return commands
@@ -52,7 +52,7 @@ def _times(v: Vehicle) -> np.ndarray:
 
 
 def drag_errors(v: Vehicle) -> dict[str, float]:
-    """Largest speed error [m/s] of level flight in hover thrust that only one drag term slows down.
+    """Return the largest speed error [m/s] of level flight with a single drag term.
 
     At constant thrust the rotor speeds are constant and v(t) = v0 exp(K_i w_sum t / m). Body axes x and
     y are flown along the world's x and y, and turned by 90 degrees along y and -x.
@@ -68,13 +68,14 @@ def drag_errors(v: Vehicle) -> dict[str, float]:
         start = flying.start_states(1, yaw, v)
         start[:, VX : VZ + 1] = SPEED * np.array(direction)
         flown = flying.fly(plant, _hover(v), start)[:, 0, VX : VZ + 1]
+        # m dv/dt = K_i w_sum v:  v(t) = v0 exp(K_i w_sum t / m)
         decay = np.exp(v.drag_coefficients[axis] * rotors / v.body_mass * _times(v))
         errors[name] = float(np.abs(flown - np.outer(decay, start[0, VX : VZ + 1])).max())
     return errors
 
 
 def lag_errors(v: Vehicle, integrator: str, pwm: float = 50_000.0) -> tuple[float, float]:
-    """Errors of the lag state, relative, and of the height [m], after a step of the PWM from hover, no drag.
+    """Return the errors of the lag state (relative) and height [m] after a PWM step from hover, no drag.
 
     Omega(t) = u/a + (Omega_0 - u/a) exp(-a t); the height is its double integral.
     """
@@ -83,6 +84,7 @@ def lag_errors(v: Vehicle, integrator: str, pwm: float = 50_000.0) -> tuple[floa
     commands[..., PWM] = pwm
     flown = flying.fly(plant, commands)[:, 0]
     a, t = v.thrust_lag_rate, _times(v)
+    # Omega(t) = u/a + (Omega_0 - u/a) exp(-a t);  m z'' = c_s Omega + c_d u - m g, integrated twice
     final, jump = pwm / a, v.hover_lag - pwm / a
     lag = final + jump * np.exp(-a * t)
     steady = (v.thrust_state_gain * final + v.thrust_direct_gain * pwm) / v.body_mass - v.environment_gravity
@@ -92,13 +94,15 @@ def lag_errors(v: Vehicle, integrator: str, pwm: float = 50_000.0) -> tuple[floa
 
 
 def angle_errors(v: Vehicle, attitude: Attitude, commanded: tuple[str, ...]) -> dict[str, float]:
-    """Largest error [deg] of each Euler angle after a full step of the named commands ("yaw" included).
+    """Return the largest error [deg] of each Euler angle after a full step of the named commands ("yaw"
+    included).
 
     Kinematic: k c (1 - exp(-t/tau)); rate loop: with two exponentials, poles -1/tau and -B; yaw: the
     ramp, lagging by 1/B_yaw under the rate loop.
     """
     commands = _hover(v)
     t, a, b = _times(v), 1 / v.attitude_time_constant, v.attitude_bandwidth
+    # First order: 1 - exp(-a t);  with the rate loop: 1 - (b exp(-a t) - a exp(-b t)) / (b - a),  a = 1/tau
     rise = 1 - np.exp(-a * t)
     if attitude == "rate_loop":
         rise = 1 - (b * np.exp(-a * t) - a * np.exp(-b * t)) / (b - a)
@@ -118,7 +122,8 @@ def angle_errors(v: Vehicle, attitude: Attitude, commanded: tuple[str, ...]) -> 
 
 
 def order_errors(v: Vehicle, count: int, seed: int) -> dict[str, float]:
-    """Largest angle [deg] between the engine's thrust direction and that of each order of rotations.
+    """Return the largest angle [deg] between the engine's thrust direction and that of each order of
+    rotations.
 
     `count` random attitudes put into the engine as (roll, pitch, yaw); the direction is that of its
     acceleration without drag.
@@ -146,7 +151,7 @@ def order_errors(v: Vehicle, count: int, seed: int) -> dict[str, float]:
 
 
 def section(v: Vehicle, count: int, seed: int) -> Section:
-    """The section of the report."""
+    """Return the section of the report."""
 
     def claim(key, measured, **filling):
         return WORDS.claim("isolated", key, measured, **filling)

@@ -42,17 +42,18 @@ class Gaps:
     angle: np.ndarray  # (steps, n) deg
 
     def largest(self) -> tuple[float, float]:
-        """(m, deg) over everything."""
+        """Return the largest differences (m, deg)."""
         return float(self.position.max()), float(self.angle.max())
 
     def by_group(self) -> list[tuple[str, float, float]]:
-        """(label, m, deg) largest of each group."""
+        """Return (label, m, deg) largest of each group."""
         parts = [(label, self.group == k) for k, label in enumerate(self.labels)]
         return [(s, float(self.position[:, k].max()), float(self.angle[:, k].max())) for s, k in parts]
 
 
 def accelerations(vehicle: Vehicle, attitude: Attitude, count: int, seed: int) -> dict[str, float]:
-    """`count` random states: one mj_forward, plugins included, against one evaluation of the equations.
+    """Return the largest differences of accelerations at `count` random states, mj_forward against the
+    equations.
 
     Largest differences: linear [m/s2], angular [rad/s2, body axes], lag [PWM, relative to the largest rate].
     Kinematic: the body rates are those of the first-order loops, and the body accelerations must be
@@ -76,20 +77,20 @@ def accelerations(vehicle: Vehicle, attitude: Attitude, count: int, seed: int) -
         data.qvel[:3], data.qvel[3:], data.act[0] = state[VX : VZ + 1], state[WX : WZ + 1], state[LAG]
         data.ctrl[:] = command
         mujoco.mj_forward(model, data)
-        wanted = derivative(state, command, vehicle, rate_loop)
+        expected = derivative(state, command, vehicle, rate_loop)
         if rate_loop:
-            second = wanted["euler_accelerations"]
+            second = expected["euler_accelerations"]
         else:
             second = -rates / vehicle.attitude_time_constant * [1, 1, 0]
         turning = body_accelerations(roll, pitch, rates, second)
-        linear = max(linear, np.abs(data.qacc[:3] - wanted["acceleration"]).max())
+        linear = max(linear, np.abs(data.qacc[:3] - expected["acceleration"]).max())
         angular = max(angular, np.abs(data.qacc[3:] - turning).max())
-        lag = max(lag, abs(data.act_dot[0] - wanted["lag_rate"]) / vehicle.command_pwm_range[1])
+        lag = max(lag, abs(data.act_dot[0] - expected["lag_rate"]) / vehicle.command_pwm_range[1])
     return {"linear": float(linear), "angular": float(angular), "lag": float(lag)}
 
 
 def _random_state(rng) -> np.ndarray:
-    """(13,) far above everything, rolled within 70 deg, pitched and turned at will; rates left 0."""
+    """Return a random state (13,) far above every surface; rates 0."""
     state = np.zeros(13)
     state[X : Z + 1] = rng.uniform(-1, 1, 3) + [0, 0, 50]
     state[VX : VZ + 1] = rng.uniform(-8, 8, 3)
@@ -99,7 +100,8 @@ def _random_state(rng) -> np.ndarray:
 
 
 def body_accelerations(roll, pitch, rates, second) -> np.ndarray:
-    """d(body rates)/dt (3,) [rad/s2] from Euler rates and accelerations: body_rates, differentiated."""
+    """Return d(body rates)/dt (3,) [rad/s2] from Euler rates and accelerations."""
+    # w = E(roll, pitch) d(angles)/dt,  so  dw/dt = E d2(angles)/dt2 + dE/dt d(angles)/dt
     sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
     a, b, c = rates
     da, db, dc = second
@@ -113,13 +115,13 @@ def body_accelerations(roll, pitch, rates, second) -> np.ndarray:
 
 
 def reference(vehicle: Vehicle, attitude: Attitude, sequences: list[Sequences], substeps: int = flying.FINE):
-    """States (steps, n, 13) of the equations over all the sequences side by side."""
+    """Return the states (steps, n, 13) of the equations over all the sequences side by side."""
     commands, starts, _ = stack(vehicle, sequences)
     return flying.fly(equations(commands.shape[1], attitude, substeps, vehicle), commands, starts)
 
 
 def stack(vehicle: Vehicle, sequences: list[Sequences]):
-    """(commands (steps, n, 4), start states (n, 13), group (n,)) of all the sequences together."""
+    """Return (commands (steps, n, 4), start states (n, 13), group (n,)) of all the sequences together."""
     commands = np.concatenate([s.commands for s in sequences], axis=1)
     yaw = np.concatenate([s.yaw for s in sequences])
     group = np.repeat(np.arange(len(sequences)), [s.commands.shape[1] for s in sequences])
@@ -127,7 +129,7 @@ def stack(vehicle: Vehicle, sequences: list[Sequences]):
 
 
 def one_step(vehicle: Vehicle, attitude: Attitude, sequences: list[Sequences], flown: np.ndarray) -> Gaps:
-    """One control step of the engine from every state of the flights `flown` (steps, n, 13)."""
+    """Return one control step of the engine from every state of the flights `flown` (steps, n, 13)."""
     commands, starts, group = stack(vehicle, sequences)
     plant = engine(len(group), attitude, vehicle)
     everyone = np.arange(plant.n)
@@ -141,7 +143,7 @@ def one_step(vehicle: Vehicle, attitude: Attitude, sequences: list[Sequences], f
 
 
 def rollouts(vehicle: Vehicle, attitude: Attitude, sequences: list[Sequences], flown: np.ndarray) -> Gaps:
-    """Flights of 6 s in the engine against `flown` (steps, n, 13), commands only."""
+    """Return the flights of 6 s in the engine against `flown` (steps, n, 13), commands only."""
     commands, starts, group = stack(vehicle, sequences)
     landed = flying.fly(engine(len(group), attitude, vehicle), commands, starts)
     return _gaps(sequences, group, landed, flown)
@@ -152,13 +154,13 @@ def _gaps(sequences, group, a, b) -> Gaps:
 
 
 def acceleration_claims(attitude: Attitude, found: dict[str, float], count: int) -> list[Claim]:
-    """Level 1."""
+    """Return the claims of level 1, accelerations."""
     where = f"{_PLAIN[attitude]}, {count} random states"
     return [WORDS.claim("levels", key, value, where=where) for key, value in found.items()]
 
 
 def gap_claims(attitude: Attitude, step: Gaps, flight: Gaps) -> list[Claim]:
-    """Levels 2 and 3, every family."""
+    """Return the claims of levels 2 and 3, one step and flights, by family."""
     claims = []
     for level, label, *gaps in [("step", "", *step.largest()), *(("flight", *g) for g in flight.by_group())]:
         for quantity, gap in zip(("position", "angle"), gaps):
@@ -170,7 +172,7 @@ def gap_claims(attitude: Attitude, step: Gaps, flight: Gaps) -> list[Claim]:
 def section(
     vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int, tick
 ) -> tuple[Section, dict]:
-    """The section and what its figure draws: {attitude: (step gaps, flight gaps)}."""
+    """Return the section and what its figure draws: {attitude: (step gaps, flight gaps)}."""
     claims, table, drawn = [], [], {}
     for attitude in ATTITUDES:
         claims += acceleration_claims(attitude, accelerations(vehicle, attitude, count, seed), count)

@@ -23,14 +23,15 @@ HOLD = 5  # samples between new commands
 
 
 def quoted(section: str, name: str) -> float:
-    """A number of the paper or its code, from `paper.toml`."""
+    """Return a number of the paper or its code, from `paper.toml`."""
     text = resources.files(__package__).joinpath("paper.toml").read_text("utf-8")
     return float(tomllib.loads(text)[section][name]["value"])
 
 
 def exact(v: Vehicle) -> Vehicle:
-    """The vehicle with the exact continuous coefficients of the discrete function, not rounded."""
+    """Return the vehicle with the exact continuous coefficients of the discrete function, not rounded."""
     gain, pole = v.motor_count * quoted("motor_function", "gain"), quoted("motor_function", "pole")
+    # F[k] = p F[k-1] + g u[k]:  a = -ln(p) / T,  direct gain g,  state gain g p a / (1 - p)
     rate = -math.log(pole) * quoted("motor_function", "rate")
     return dataclasses.replace(
         v,
@@ -41,13 +42,13 @@ def exact(v: Vehicle) -> Vehicle:
 
 
 def commands(v: Vehicle, seed: int) -> np.ndarray:
-    """(SAMPLES,) PWM over the full range, new ones every HOLD samples."""
+    """Return (SAMPLES,) PWM over the full range, new ones every HOLD samples."""
     draws = np.random.default_rng([seed, 30]).uniform(*v.command_pwm_range, SAMPLES // HOLD)
     return np.repeat(draws, HOLD)
 
 
 def discrete(v: Vehicle, pwm: np.ndarray) -> np.ndarray:
-    """(k,) thrust [N] of four discrete motors from rest."""
+    """Return (k,) thrust [N] of four discrete motors from rest."""
     gain, pole = v.motor_count * quoted("motor_function", "gain"), quoted("motor_function", "pole")
     thrust, force = np.empty(len(pwm)), 0.0
     for k, u in enumerate(pwm):
@@ -57,7 +58,7 @@ def discrete(v: Vehicle, pwm: np.ndarray) -> np.ndarray:
 
 
 def continuous(v: Vehicle, pwm: np.ndarray, integrator: str) -> np.ndarray:
-    """(k,) thrust [N] of the engine's actuator from rest, one command per time step of 2 ms."""
+    """Return (k,) thrust [N] of the engine's actuator from rest, one command per time step of 2 ms."""
     period = 1 / quoted("motor_function", "rate")
     model = engine(1, "kinematic", v, integrator=integrator, timestep=period).model
     data = mujoco.MjData(model)
@@ -74,13 +75,13 @@ def continuous(v: Vehicle, pwm: np.ndarray, integrator: str) -> np.ndarray:
 
 
 def section(v: Vehicle, seed: int) -> tuple[Section, dict]:
-    """The section, and the thrust histories (k,) [N] for its figure."""
+    """Return the section, and the thrust histories (k,) [N] for its figure."""
     pwm = commands(v, seed)
-    wanted = discrete(v, pwm)
+    expected = discrete(v, pwm)
     full = v.thrust_per_pwm * v.command_pwm_range[1]
     unrounded = exact(v)
     errors = {
-        name: np.abs(continuous(unrounded, pwm, name) - wanted).max() / full for name in ("RK4", "Euler")
+        name: np.abs(continuous(unrounded, pwm, name) - expected).max() / full for name in ("RK4", "Euler")
     }
     rounded = continuous(v, pwm, "RK4")
     rows = []
@@ -90,8 +91,8 @@ def section(v: Vehicle, seed: int) -> tuple[Section, dict]:
     measured = {
         "exact": errors["Euler"],
         "rk4": errors["RK4"],
-        "rounded": np.abs(rounded - wanted).max() / full,
+        "rounded": np.abs(rounded - expected).max() / full,
     }
     heads = ("coefficient", "exact", "vehicle file", "relative difference")
     part = WORDS.section("motor", measured, tables=[Table("Coefficients", heads, rows)])
-    return part, {"pwm": pwm, "discrete": wanted, "engine": rounded}
+    return part, {"pwm": pwm, "discrete": expected, "engine": rounded}

@@ -34,7 +34,7 @@ TICKS = 30  # of the progress bar
 def measure(
     policy: Policy, *, seed: int = 0, quick: bool = False, tick=lambda text: None
 ) -> tuple[list[Section], dict[str, Figure]]:
-    """All the sections, and the figures by file name. `tick` is called with what comes next."""
+    """Return all the sections, and the figures by file name. `tick` is called with what comes next."""
     v = policy.task.vehicle
     n, states = (QUICK_SEQUENCES, QUICK_STATES) if quick else (SEQUENCES, STATES)
     starts = landing_starts.clear(policy.task, landing_starts.grid())[:: QUICK_STARTS if quick else 1]
@@ -74,7 +74,7 @@ def measure(
 
 
 def headlines(sections: list[Section]) -> list[Claim]:
-    """The claims that say most, in plain words; of several the one closest to its tolerance."""
+    """Return the main claims in plain words; of several the one closest to its tolerance."""
     by = {s.key: s.claims for s in sections}
 
     def worst(key, part, unit):
@@ -100,7 +100,7 @@ def headlines(sections: list[Section]) -> list[Claim]:
 
 
 def as_record(sections: list[Section], **head) -> dict:
-    """The JSON report."""
+    """Return the JSON report."""
     claims = [c for s in sections for c in s.claims]
     return {
         "command": "equivalence",
@@ -122,7 +122,7 @@ def as_record(sections: list[Section], **head) -> dict:
 
 
 def as_page(sections: list[Section], images: dict[str, bytes], record: dict) -> str:
-    """The page, figures inside."""
+    """Return the page, figures inside."""
     command = "landing-eval validate equivalence" + (" --quick" if record["quick"] else "")
     policy, seconds = Path(record["policy"]).name, round(record["seconds"])
     return claims_page(

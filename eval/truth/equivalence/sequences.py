@@ -28,12 +28,12 @@ class Sequences:
 
     @property
     def label(self) -> str:
-        """Family and dimension."""
+        """Return the family and dimension."""
         return f"{self.family}, {'2-D' if self.planar else '3-D'}"
 
 
 def all_sequences(vehicle: Vehicle, n: int, seed: int, policy: Policy | None = None) -> list[Sequences]:
-    """n sequences of every family in both dimensions; `recorded` only with a landing policy."""
+    """Return n sequences of every family in both dimensions; `recorded` only with a landing policy."""
     result = []
     for k, family in enumerate(FAMILIES):
         for planar in (True, False):
@@ -54,19 +54,19 @@ def all_sequences(vehicle: Vehicle, n: int, seed: int, policy: Policy | None = N
 
 
 def bounds(v: Vehicle) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper command bounds (4,)."""
+    """Return the lower and upper command bounds (4,)."""
     high = np.array([v.command_pwm_range[1], v.command_angle_limit, v.command_angle_limit,
                      v.command_yaw_rate_limit])  # fmt: skip
     return np.array([v.command_pwm_range[0], *-high[1:]]), high
 
 
 def full_steps(v: Vehicle, n: int, rng: np.random.Generator, hold: int = 10) -> np.ndarray:
-    """(STEPS, n, 4): new commands anywhere within the bounds every `hold` control steps."""
+    """Return (STEPS, n, 4): new commands anywhere within the bounds every `hold` control steps."""
     return np.repeat(rng.uniform(*bounds(v), (STEPS // hold, n, 4)), hold, axis=0)
 
 
 def smooth(v: Vehicle, n: int, rng: np.random.Generator) -> np.ndarray:
-    """(STEPS, n, 4): three sines of 0.1 to 1.5 Hz on every command, together within the bounds."""
+    """Return (STEPS, n, 4): three sines of 0.1 to 1.5 Hz on every command, together within the bounds."""
     low, high = bounds(v)
     t = v.command_control_period * np.arange(STEPS)[:, None, None, None]
     turns = rng.uniform(0.1, 1.5, (n, 4, 3)) * t + rng.uniform(0, 1, (n, 4, 3))
@@ -75,7 +75,7 @@ def smooth(v: Vehicle, n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def landing_like(v: Vehicle, n: int, rng: np.random.Generator) -> np.ndarray:
-    """(STEPS, n, 4): speed up, brake, flare to the slope, sink, idle; twice, turning slowly."""
+    """Return (STEPS, n, 4): speed up, brake, flare to the slope, sink, idle; twice, turning slowly."""
     low, high = bounds(v)
     commands = np.zeros((STEPS, n, 4))
     commands[..., PWM] = v.hover_pwm
@@ -101,7 +101,7 @@ def landing_like(v: Vehicle, n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _recorded(v: Vehicle, n: int, rng, policy: Policy, planar: bool) -> np.ndarray:
-    """(STEPS, n, 4) commands of the policy from n of the frozen starts, flown on behind the goal.
+    """Return the commands (STEPS, n, 4) of the policy from n of the frozen starts, continued beyond the goal.
 
     In 3-D the pitch commands of another flight go to the roll, with a smooth turn.
     """

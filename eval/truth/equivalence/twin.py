@@ -24,7 +24,7 @@ LIMIT = WORDS.tables["twin"]["position"]["high"]  # m and rad
 
 
 def build(v: Vehicle, timestep: float = 0.004) -> mujoco.MjModel:
-    """The twin; controls are PWM, PWM and pitch command."""
+    """Return the twin; controls are PWM, PWM and pitch command."""
     spec = mujoco.MjSpec()
     spec.option.timestep = timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
@@ -61,7 +61,7 @@ def _actuator(spec, name, kind, target, gain, gear):
 
 
 def fly(v: Vehicle, commands: np.ndarray) -> np.ndarray:
-    """(steps, n, 3) x, z [m] and pitch [rad] of the twin under commands (steps, n, 4), from hover."""
+    """Return (steps, n, 3) x, z [m] and pitch [rad] of the twin under commands (steps, n, 4), from hover."""
     model = build(v)
     substeps = round(v.command_control_period / model.opt.timestep)
     batch = mujoco.batch.Batch(model, commands.shape[1], 1)
@@ -76,7 +76,7 @@ def fly(v: Vehicle, commands: np.ndarray) -> np.ndarray:
 
 
 def errors(v: Vehicle, commands: np.ndarray) -> tuple[float, float]:
-    """(m, rad) largest differences between twin and vehicle under planar commands (steps, n, 4)."""
+    """Return (m, rad) largest differences between twin and vehicle under planar commands (steps, n, 4)."""
     plain = dataclasses.replace(v, drag_coefficients=NO_DRAG)
     flown = flying.fly(flying.engine(commands.shape[1], "rate_loop", plain), commands)
     gap = np.abs(flown[..., [X, Z, PITCH]] - fly(plain, commands))
@@ -84,6 +84,6 @@ def errors(v: Vehicle, commands: np.ndarray) -> tuple[float, float]:
 
 
 def section(v: Vehicle, commands: np.ndarray) -> Section:
-    """The section for planar commands (steps, n, 4)."""
+    """Return the section for planar commands (steps, n, 4)."""
     metres, radians = errors(v, commands)
     return WORDS.section("twin", {"position": metres, "pitch": radians}, {"count": commands.shape[1]})

@@ -129,7 +129,7 @@ def test_what_is_new_in_the_flights_is_told_from_what_was_uncertain(local):
     slopes, fresh = slopes.reshape(-1, 8), one.change_covariance(names)
     covariance = np.eye(len(slopes)) + slopes @ (fresh + one.known) @ slopes.T
     gain = np.linalg.solve(covariance, slopes @ fresh).T
-    at, spread = one.delta(names)
+    at, spread = one.change(names)
     np.testing.assert_allclose(at, gain @ (errors.ravel() - slopes @ (one.off - one.at)), atol=1e-8)
     np.testing.assert_allclose(spread, fresh - gain @ slopes @ fresh, atol=1e-8)
 
@@ -142,7 +142,7 @@ def test_within_bounds_is_the_likeliest_possible_point(seed):
     covariance = root @ root.T + 0.1 * np.eye(4)
     high = np.array([at[0] - 0.5, np.inf, np.inf, np.inf])
     bounds = Bounds(np.full(4, -np.inf), high, ())
-    found, unlikely = bounds.within(at, covariance, np.arange(4))
+    found, unlikely = bounds.truncated_mode(at, covariance, np.arange(4))
     inverse = np.linalg.inv(covariance)
 
     def exponent(x):
@@ -279,7 +279,7 @@ def test_the_form_of_the_model_errs_by_a_share_of_the_motion():
 def test_an_effect_too_small_to_matter_is_part_of_the_set_without_it(local):
     """Two standard deviations of one size are beyond what nobody needs to correct; another lies within."""
     one, *_ = local
-    at, spread = one.delta(frozenset("ab"))
+    at, spread = one.change(frozenset("ab"))
     edge = abs(at[0]) - 2.0 * np.sqrt(spread[0, 0])
     assert edge > 0.0
 

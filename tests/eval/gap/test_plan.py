@@ -217,16 +217,22 @@ def test_no_flight_where_none_is_needed_or_none_tells(tmp_path, capsys):
 @pytest.mark.parametrize(
     "change, sentence",
     [
-        ({"sets": None}, "sets must be a list"),
+        ({"sets": None}, "sets must be a list of at least 1 entries"),
         ({"sets": [{"effects": ["drag"], "probability": 1.0}]}, "sets[0] has the unknown effect 'drag'"),
         ({"sets": [{"effects": ["wind"], "probability": 1.0}]}, "sets[0].values.wind is missing"),
-        ({"sets": [{"effects": [], "probability": 2.0}]}, "sets[0].probability is 2; it must be from 0 to 1"),
+        (
+            {"sets": [{"effects": [], "probability": 2.0}]},
+            "[sets[0]] probability must be a number from 0 to 1, not 2.0",
+        ),
         (
             {"sets": [{"effects": ["wind"], "probability": 1.0, "values": {"wind": {"x": 90.0}}}]},
             "sets[0].values.wind.x is 90 m/s; it must be from -4 to 4",
         ),
-        ({"noise": {"x": -1.0}}, "noise.x is -1; it must be at least 1e-09"),
-        ({"disturbance": {"y": {"size": -1.0}}}, "disturbance.y.size is -1; it must be at least 0"),
+        ({"noise": {"x": -1.0}}, "[noise] x must be a number of at least 1e-09, not -1.0"),
+        (
+            {"disturbance": {"y": {"size": -1.0}}},
+            "[disturbance.y] size must be a number of at least 0, not -1.0",
+        ),
         ({"platform": 3}, "platform must be true or false, not 3"),
     ],
 )
