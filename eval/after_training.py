@@ -1,4 +1,6 @@
-"""What `landing-train` looks up by name: the report after a run, as tables, figures and a video; and films."""
+"""What `landing-train` looks up by name: the report after a run, as tables, figures and a video; and
+films.
+"""
 
 from __future__ import annotations
 

@@ -103,7 +103,8 @@ def write_page(sweeps: Sequence[Path], out: Path | None, site: Path | None) -> N
 
     sweeps: folders of sweeps, or recipes with a result. out: new folder for beyond.html, which holds its
     pictures, and for these as files. site: folder of a documentation: beyond.md there, pictures in its folder
-    beyond; what is there is replaced. Raises UserError for what is no sweep, and where nothing can be written.
+    beyond; what is there is replaced. Raises UserError for what is no sweep, and where nothing can be
+    written.
     """
     if out is not None:
         runs.check_new_run(out)

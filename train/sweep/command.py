@@ -1,4 +1,6 @@
-"""`landing-train sweep`: the options, the runs side by side, the numbers; or the page of sweeps that are done."""
+"""`landing-train sweep`: the options, the runs side by side, the numbers; or the page of sweeps that are
+done.
+"""
 
 from __future__ import annotations
 

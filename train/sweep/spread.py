@@ -24,7 +24,9 @@ Key = tuple[str, int]
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """Where jobs are done: on this machine, `at_once` with `threads` each, or each on a core of a Ray cluster."""
+    """Where jobs are done: on this machine, `at_once` with `threads` each, or each on a core of a Ray
+    cluster.
+    """
 
     on: str  # one of PLACES
     address: str | None  # of a running cluster, see `cluster.connected`
