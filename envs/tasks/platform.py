@@ -46,14 +46,14 @@ class LandingOptions(TaskOptions):
     random_yaw: bool = option(False, "With three dimensions: every episode begins with a heading of its own.")
     fastest: float | None = option(
         None,
-        "With three dimensions: platforms that travel steadily, any way, at up to this speed, which is observed.",
+        "With three dimensions: platforms that travel steadily, any way, at up to this speed (observed).",
         limits=(0, 10),
         more={"metavar": "M/S"},
         trained_with=True,
     )
     swell: float = option(
         0.0,
-        "With --fastest: platforms that heave, roll and pitch too; 1: by up to 0.24 m and 16 deg (default: 0).",
+        "With --fastest: platforms heave, roll and pitch too; 1: by up to 0.24 m and 16 deg (default: 0).",
         limits=(0, 2),
         trained_with=True,
     )
