@@ -130,7 +130,7 @@ class BatchEnv:
     def _present(self, ids=slice(None)) -> np.ndarray:
         plant = self.plant
         return self.task.observe(
-            StepContext(plant.measurement[ids], plant.contacts[ids], deck=plant.deck[ids])
+            StepContext(plant.measurement[ids], plant.contacts[ids], platform=plant.platform[ids])
         )
 
     def reset(self, ids=None, state: np.ndarray | None = None, start: Start | None = None) -> np.ndarray:
@@ -229,7 +229,7 @@ class BatchEnv:
         self.actions = np.clip(actions, -1.0, 1.0)
         centres = None if self._hover_pwm is None else self._hover_pwm[self.plant.choice]
         self.commands = self.task.commands(self.actions, *(() if centres is None else (centres,)))
-        self.commands = self.task.body_commands(self.commands, self.plant.measurement, self.plant.deck)
+        self.commands = self.task.body_commands(self.commands, self.plant.measurement, self.plant.platform)
         if self.task.history:
             self.past.record(self._present(), self.actions)
 
@@ -240,7 +240,9 @@ class BatchEnv:
         self.contact_steps += contacts.platform_near
         self.touched |= contacts.platform
         records = self._start, self.length, self.contact_steps, self.held
-        context = StepContext(self.plant.state, contacts, self.actions, *records, deck=self.plant.deck)
+        context = StepContext(
+            self.plant.state, contacts, self.actions, *records, platform=self.plant.platform
+        )
         verdict: Evaluation = self.task.evaluate(context)
         if verdict.holding is not None:
             self.held = np.where(verdict.holding, self.held + 1, 0)

@@ -15,7 +15,7 @@ from inclined_landing.models.attitude import PITCH, YAW, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.plants import MujocoPlant, Plant, make_plant
-from inclined_landing.models.plants.base import DECK_SIZE
+from inclined_landing.models.plants.base import PLATFORM_SIZE
 from inclined_landing.models.plants.recorder import STEP, present_forces
 
 _FREE = 0.01  # m from every surface, where nothing can touch
@@ -35,21 +35,25 @@ class Track:
     state: np.ndarray  # (T, 13), columns of `models.attitude`
     commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s
     inclination: float | None  # of the platform, rad; None without one
-    # (T, 12), columns as `Plant.deck`: where the platform is. None where it stands still and is not turned.
-    deck: np.ndarray | None = None
+    # (T, 12), columns as `Plant.platform`: where the platform is. None where it stands still and is not
+    # turned.
+    platform: np.ndarray | None = None
     motion: Motion | None = None  # (1) of the platform; None of one that stands on its base
 
     def __post_init__(self):
         if self.inclination is None:
-            self.deck = None
-        elif self.deck is None:
-            self.deck = np.zeros((len(self.t), DECK_SIZE))
-            self.deck[:, Z], self.deck[:, PITCH] = self.task.vehicle.platform_surface_height, self.inclination
+            self.platform = None
+        elif self.platform is None:
+            self.platform = np.zeros((len(self.t), PLATFORM_SIZE))
+            self.platform[:, Z], self.platform[:, PITCH] = (
+                self.task.vehicle.platform_surface_height,
+                self.inclination,
+            )
 
     @property
     def goals(self) -> list[np.ndarray]:
         """Goal states (13,) of the flight."""
-        goal = self.task.goal_on(None if self.deck is None else self.deck[-1])
+        goal = self.task.goal_on(None if self.platform is None else self.platform[-1])
         return [] if goal is None else [goal]
 
 
@@ -107,8 +111,8 @@ def record_flights(
     state = np.empty((limit + 1, n, states.shape[1]))
     actions = np.empty((limit + 1, n, len(policy.task.action_names)))
     commands, reward = np.empty((limit + 1, n, 4)), np.zeros((limit + 1, n))
-    deck = np.empty((limit + 1, n, DECK_SIZE))
-    state[0], deck[0] = plant.state, plant.deck
+    platform = np.empty((limit + 1, n, PLATFORM_SIZE))
+    state[0], platform[0] = plant.state, plant.platform
     ended = np.zeros(n, int)  # index of the last row; 0 while flying
     success, touched = np.zeros(n, bool), np.zeros(n, bool)
     last = 0
@@ -118,7 +122,7 @@ def record_flights(
         observation = step.observation
         commands[last] = env.commands
         last += 1
-        state[last], reward[last], deck[last] = plant.state, step.reward, plant.deck
+        state[last], reward[last], platform[last] = plant.state, step.reward, plant.platform
         now = (ended == 0) & (step.terminated | step.truncated | (last == limit))
         ended[now] = last
         success[now], touched[now] = step.success[now], env.touched[now]
@@ -135,8 +139,8 @@ def record_flights(
             actions=a,
             commands=u,
             reward=reward[rows, i].copy(),
-            inclination=float(deck[0, i, PITCH]) if plant.present[i] else None,
-            deck=deck[rows, i].copy() if plant.present[i] else None,
+            inclination=float(platform[0, i, PITCH]) if plant.present[i] else None,
+            platform=platform[rows, i].copy() if plant.present[i] else None,
             motion=plant.motion[[i]] if plant.motion is not None and plant.present[i] else None,
             success=bool(success[i]),
             touched=bool(touched[i]),
@@ -162,14 +166,14 @@ class Steps:
     commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s
     points: list[np.ndarray]  # T arrays (k, 3) m, contacts that carry force
     forces: list[np.ndarray]  # T arrays (k, 3) N, on the vehicle
-    deck: np.ndarray | None  # (T, 12), as `Track.deck`
+    platform: np.ndarray | None  # (T, 12), as `Track.platform`
 
 
 def place_platform(plant: Plant, flight: Track, time: float = 0.0) -> None:
     """Set the platform of a flight for the one vehicle of a plant, as it is `time` [s] after the start."""
-    if flight.deck is None:
+    if flight.platform is None:
         return plant.set_platform([0], 0.0, False)
-    pitch, yaw = flight.deck[0, [PITCH, YAW]]
+    pitch, yaw = flight.platform[0, [PITCH, YAW]]
     if flight.motion is None:
         return plant.set_platform([0], pitch, azimuth=yaw)
     swing = dict(zip(MODES, flight.motion.at(flight.t[0])[0][0]))
@@ -194,14 +198,14 @@ def resimulate(flight: Flight, cut: float = 0.0) -> Steps:
     place_platform(plant, flight)
     plant.reset([0], flight.state[:1])
     shapes, slope = geometry.shapes_of(plant.model), (plant.inclination, plant.present)
-    platform = geometry.platform_poses(*slope, vehicle, azimuth=plant.azimuth)[0]
+    centres = geometry.platform_poses(*slope, vehicle, azimuth=plant.azimuth)[0]
 
     def seen():
         """Return the present state, platform state, contact points and forces; none far from all surfaces."""
-        to = geometry.clearances(plant.state, plant.inclination, platform, shapes, azimuth=plant.azimuth)
+        to = geometry.clearances(plant.state, plant.inclination, centres, shapes, azimuth=plant.azimuth)
         free = to.min() > _FREE and not moving
         met = (_NONE, _NONE) if free else present_forces(plant, 0)
-        return plant.state[0].copy(), plant.deck[0].copy(), *met
+        return plant.state[0].copy(), plant.platform[0].copy(), *met
 
     off = np.zeros((round(cut / STEP), 4))
     commands = np.concatenate([np.repeat(flight.commands[:-1], held, axis=0), off])
@@ -209,7 +213,7 @@ def resimulate(flight: Flight, cut: float = 0.0) -> Steps:
     for command in commands:
         plant.step(command[None])
         rows.append(seen())
-    states, decks, points, forces = (list(column) for column in zip(*rows))
+    states, platforms, points, forces = (list(column) for column in zip(*rows))
     t = STEP * np.arange(len(rows))
-    deck = None if flight.deck is None else np.array(decks)
-    return Steps(t, np.array(states), np.concatenate([commands, commands[-1:]]), points, forces, deck)
+    platform = None if flight.platform is None else np.array(platforms)
+    return Steps(t, np.array(states), np.concatenate([commands, commands[-1:]]), points, forces, platform)

@@ -153,14 +153,14 @@ class TaskEnv(gym.Env):
             self._renderer = make_renderer(vehicle=self.task.vehicle, backend=self._backend, **self._picture)
         plant = self.batch.plant
         return self._renderer.render(
-            pose_from_state(plant.state[0], self._deck, has_base=plant.motion is None)
+            pose_from_state(plant.state[0], self._platform, has_base=plant.motion is None)
         )
 
     @property
-    def _deck(self) -> np.ndarray | None:
-        """State (12,) of the platform, see `Plant.deck`; None without one."""
+    def _platform(self) -> np.ndarray | None:
+        """State (12,) of the platform, see `Plant.platform`; None without one."""
         plant = self.batch.plant
-        return plant.deck[0].copy() if plant.present[0] else None
+        return plant.platform[0].copy() if plant.present[0] else None
 
     def _show(self, seconds: float) -> None:
         """Show the present state in the window, if there is one, `seconds` after the previous one."""
@@ -170,7 +170,7 @@ class TaskEnv(gym.Env):
             from inclined_landing.envs.rendering.window import Window
 
             self._window = Window(self.task.vehicle)
-        self._window.show(self.batch.plant.state[0], self.batch.commands[0], self._deck, seconds=seconds)
+        self._window.show(self.batch.plant.state[0], self.batch.commands[0], self._platform, seconds=seconds)
 
     def close(self) -> None:
         if self._window is not None:

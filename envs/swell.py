@@ -1,4 +1,4 @@
-"""Decks that move, drawn for training: steady travel any way, and a swell of heave, roll and pitch.
+"""Moving platforms, drawn for training: steady travel any way, and a swell of heave, roll and pitch.
 
 Ships and cars are no part of it: the benchmark's motions have spectra of their own
 (`eval/moving/scenarios`).
@@ -19,7 +19,7 @@ HEAVE_SPEED = 0.35  # m/s
 HEAVE = 0.12  # m, at most
 TILT = math.radians(8.0)  # rad, of roll and of pitch
 TILT_RATE = 0.4  # rad/s, at most
-STEEPEST = WAVES * TILT * math.sqrt(2.0)  # rad: by which a swell of 1 may incline a deck
+STEEPEST = WAVES * TILT * math.sqrt(2.0)  # rad: by which a swell of 1 may incline a platform
 
 
 def draw(rng: np.random.Generator, k: int, fastest: float, swell: float) -> Motion:

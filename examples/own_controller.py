@@ -4,18 +4,18 @@ import numpy as np
 
 
 class Descend:
-    """Stays over the deck, sinks with it in view, and stops the motors just above."""
+    """Stays over the platform, sinks with it in view, and stops the motors just above."""
 
     def __init__(self, vehicle):
         self.g, self.limit = vehicle.environment_gravity, np.radians(30)
         self.hover = 34_100  # PWM
 
-    def __call__(self, t, state, deck):
-        place, speed = state[:, :3] - deck[:, :3], state[:, 3:6] - deck[:, 3:6]
+    def __call__(self, t, state, platform):
+        place, speed = state[:, :3] - platform[:, :3], state[:, 3:6] - platform[:, 3:6]
         beside = np.linalg.norm(place[:, :2], axis=1)
         place[:, 2] -= np.where(beside < 0.1, 0.0, 0.4)  # sink once over the centre
         push = np.clip(-4 * place - 3 * speed, -4, 4)  # m/s2
         pwm = self.hover * (1 + push[:, 2] / self.g)
-        pwm[(state[:, 2] - deck[:, 2] < 0.05) & (beside < 0.2)] = 0
+        pwm[(state[:, 2] - platform[:, 2] < 0.05) & (beside < 0.2)] = 0
         roll, pitch = np.clip([-push[:, 1] / self.g, push[:, 0] / self.g], -self.limit, self.limit)
         return np.column_stack([pwm, roll, pitch, 0 * pwm])

@@ -1,6 +1,6 @@
 """How platforms move: steady travel and a sum of waves, in closed form.
 
-A deck's place is that of its platform at rest (`Plant.set_platform`) plus, at a time t [s],
+A platform's place is that of its platform at rest (`Plant.set_platform`) plus, at a time t [s],
 
     velocity t + sum over its waves of amplitude sin(frequency t + phase),
 
@@ -36,7 +36,7 @@ class Waves(NamedTuple):
 
 @dataclasses.dataclass
 class Motion:
-    """Motions of n decks, each with up to W waves per mode; modes in the order of MODES.
+    """Motions of n platforms, each with up to W waves per mode; modes in the order of MODES.
 
     Raises UserError for arrays of other shapes, numbers that are not finite, and rolls beyond 1.2 rad.
     """
@@ -62,22 +62,22 @@ class Motion:
             if (own := getattr(self, name).shape) != shape:
                 raise UserError(f"a motion's {name} must have shape {shape}, not {own}")
         if (np.abs(self.amplitude[:, 3]).sum(axis=1) > _LARGEST_ROLL).any():
-            raise UserError(f"a deck rolls by {_LARGEST_ROLL} rad at most, its waves together")
+            raise UserError(f"a platform rolls by {_LARGEST_ROLL} rad at most, its waves together")
 
     @classmethod
     def still(cls, n: int, waves: int = 1) -> Motion:
-        """Return the motions of n decks that do not move."""
+        """Return the motions of n platforms that do not move."""
         return cls(np.zeros((n, 3)), *np.zeros((3, n, 6, waves)))
 
     def __len__(self) -> int:
         return len(self.velocity) if self.velocity.ndim else 0
 
     def __getitem__(self, ids) -> Motion:
-        """Return copies of the motions of the decks `ids`, an index array, a mask or a slice."""
+        """Return copies of the motions of the platforms `ids`, an index array, a mask or a slice."""
         return Motion(self.velocity[ids], self.amplitude[ids], self.frequency[ids], self.phase[ids])
 
     def __setitem__(self, ids, motion: Motion) -> None:
-        """Give the decks `ids` (k,) the k motions, however many waves these have."""
+        """Give the platforms `ids` (k,) the k motions, however many waves these have."""
         waves = max(self.amplitude.shape[2], motion.amplitude.shape[2])
         self.velocity[ids] = motion.velocity
         for name in ("amplitude", "frequency", "phase"):
@@ -99,14 +99,14 @@ class Motion:
         _displacements(_times(times, len(self)), self.arrays, out)
         return out[:, 0], out[:, 1], out[:, 2]
 
-    def decks(self, times, rest: np.ndarray) -> np.ndarray:
-        """Return states (n, 12) of decks at times (n,) or one number [s], columns as `Plant.deck`.
+    def platforms(self, times, rest: np.ndarray) -> np.ndarray:
+        """Return states (n, 12) of platforms at times (n,) or one number [s], columns as `Plant.platform`.
 
         rest (n, 12): the platforms' states where they do not move.
         """
-        deck = np.array(rest, float)
-        _decks(_times(times, len(self)), rest, self.arrays, deck)
-        return deck
+        platform = np.array(rest, float)
+        _platforms(_times(times, len(self)), rest, self.arrays, platform)
+        return platform
 
 
 def _widened(array: np.ndarray, waves: int) -> np.ndarray:
@@ -120,7 +120,7 @@ def _times(times, n: int) -> np.ndarray:
 
 @numba.njit(cache=True)
 def displacement(i, t, waves, out):
-    """Write displacement, rate and acceleration of deck i at t [s] in each mode into `out` (3, 6)."""
+    """Write displacement, rate and acceleration of platform i at t [s] in each mode into `out` (3, 6)."""
     for mode in range(6):
         # x = v_0 t + sum A sin(w t + p), v = v_0 + sum A w cos(w t + p), a = -sum A w^2 sin(w t + p)
         x, v, a = 0.0, 0.0, 0.0
@@ -145,18 +145,22 @@ def _displacements(times, waves, out):
 
 
 @numba.njit(cache=True)
-def _decks(times, rest, waves, deck):
+def _platforms(times, rest, waves, platform):
     now = np.empty((3, 6))
-    for i in range(len(deck)):
+    for i in range(len(platform)):
         displacement(i, times[i], waves, now)
-        write_state(now, rest[i], deck[i])
+        write_state(now, rest[i], platform[i])
 
 
 @numba.njit(cache=True)
-def write_state(now, rest, deck):
-    """Write the state (12,) of a deck into `deck`, from its `displacement` and its state at rest (12,)."""
+def write_state(now, rest, platform):
+    """Write the state (12,) of a platform into `platform`, from its `displacement` and its state at rest
+    (12,).
+    """
     for k in range(3):
-        deck[k] = rest[k] + now[0, k]
-        deck[VX + k] = now[1, k]
-        deck[ROLL + k] = rest[ROLL + k] + now[0, 3 + k]
-    deck[WX], deck[WY], deck[WZ] = body_rates(deck[ROLL], deck[PITCH], now[1, 3], now[1, 4], now[1, 5])
+        platform[k] = rest[k] + now[0, k]
+        platform[VX + k] = now[1, k]
+        platform[ROLL + k] = rest[ROLL + k] + now[0, 3 + k]
+    platform[WX], platform[WY], platform[WZ] = body_rates(
+        platform[ROLL], platform[PITCH], now[1, 3], now[1, 4], now[1, 5]
+    )

@@ -58,34 +58,34 @@ def yaw_turned(roll, pitch, turn):
 
 
 @numba.njit(cache=True)
-def _heading_frame(state, deck, out):
+def _heading_frame(state, platform, out):
     for i in range(len(state)):
-        sin, cos = math.sin(deck[i, YAW]), math.cos(deck[i, YAW])
+        sin, cos = math.sin(platform[i, YAW]), math.cos(platform[i, YAW])
         for first in (X, VX):
-            x, y = state[i, first] - deck[i, first], state[i, first + 1] - deck[i, first + 1]
+            x, y = state[i, first] - platform[i, first], state[i, first + 1] - platform[i, first + 1]
             out[i, first], out[i, first + 1] = cos * x + sin * y, cos * y - sin * x
-        out[i, Z], out[i, VZ] = state[i, Z] - deck[i, Z], state[i, VZ] - deck[i, VZ]
-        turn = state[i, YAW] - deck[i, YAW]
+        out[i, Z], out[i, VZ] = state[i, Z] - platform[i, Z], state[i, VZ] - platform[i, VZ]
+        turn = state[i, YAW] - platform[i, YAW]
         out[i, ROLL], out[i, PITCH] = yaw_turned(state[i, ROLL], state[i, PITCH], turn)
-        out[i, SLOPE_ROLL], out[i, SLOPE_PITCH] = deck[i, ROLL], deck[i, PITCH]
+        out[i, SLOPE_ROLL], out[i, SLOPE_PITCH] = platform[i, ROLL], platform[i, PITCH]
     return out
 
 
-def heading_frame(state: np.ndarray, deck: np.ndarray) -> np.ndarray:
+def heading_frame(state: np.ndarray, platform: np.ndarray) -> np.ndarray:
     """Return states (n, 10) relative to the vehicles' surfaces, along level axes with the surfaces' yaw.
 
-    state (n, 13), deck (n, 12): see `Plant.deck`. Columns: position x, y, z [m] from the surface's centre and
-    velocity vx, vy, vz [m/s] relative to it, along axes turned by the deck's yaw about the vertical; the roll
-    and pitch [rad] of a vehicle with this yaw and the same thrust axis; and those of one at rest on the
-    surface. They depend neither on the surface's azimuth nor on the vehicle's yaw.
+    state (n, 13), platform (n, 12): see `Plant.platform`. Columns: position x, y, z [m] from the surface's
+    centre and velocity vx, vy, vz [m/s] relative to it, along axes turned by the platform's yaw about the
+    vertical; the roll and pitch [rad] of a vehicle with this yaw and the same thrust axis; and those of one
+    at rest on the surface. They depend neither on the surface's azimuth nor on the vehicle's yaw.
     """
-    return _heading_frame(state, deck, np.empty((len(state), HEADING_SIZE)))
+    return _heading_frame(state, platform, np.empty((len(state), HEADING_SIZE)))
 
 
 @numba.njit(cache=True)
-def _vehicle_commands(angles, gain, limit, state, deck):
+def _vehicle_commands(angles, gain, limit, state, platform):
     for i in range(len(angles)):
-        turn = deck[i, YAW] - state[i, YAW]
+        turn = platform[i, YAW] - state[i, YAW]
         turned = yaw_turned(gain * angles[i, 0], gain * angles[i, 1], turn)
         for k in range(2):
             angles[i, k] = min(limit, max(-limit, turned[k] / gain))
@@ -93,38 +93,40 @@ def _vehicle_commands(angles, gain, limit, state, deck):
 
 
 def vehicle_commands(
-    angles: np.ndarray, gain: float, limit: float, state: np.ndarray, deck: np.ndarray
+    angles: np.ndarray, gain: float, limit: float, state: np.ndarray, platform: np.ndarray
 ) -> np.ndarray:
     """Return roll and pitch commands (n, 2) [rad] in the vehicles' yaw, of ones in their heading frames.
 
     gain: steady attitude over the command that leads to it; limit [rad]: of each command. state (n, 13),
-    deck (n, 12).
+    platform (n, 12).
     """
-    return _vehicle_commands(np.array(angles, float), gain, limit, state, deck)
+    return _vehicle_commands(np.array(angles, float), gain, limit, state, platform)
 
 
-def deck_motion(deck: np.ndarray) -> np.ndarray:
-    """Return velocity [m/s] and rates [rad/s] (n, 6) of decks (n, 12) along the axes of `heading_frame`."""
+def platform_motion(platform: np.ndarray) -> np.ndarray:
+    """Return velocity [m/s] and rates [rad/s] (n, 6) of platforms (n, 12) along the axes of
+    `heading_frame`.
+    """
     turning = np.einsum(
-        "nij,nj->ni", rotations(np.ascontiguousarray(deck[:, ROLL : YAW + 1])), deck[:, WX : WZ + 1]
+        "nij,nj->ni", rotations(np.ascontiguousarray(platform[:, ROLL : YAW + 1])), platform[:, WX : WZ + 1]
     )
-    moving = np.concatenate([deck[:, VX : VZ + 1], turning], axis=1)
-    cos, sin = np.cos(deck[:, YAW]), np.sin(deck[:, YAW])
+    moving = np.concatenate([platform[:, VX : VZ + 1], turning], axis=1)
+    cos, sin = np.cos(platform[:, YAW]), np.sin(platform[:, YAW])
     for first in (0, 3):
         x, y = moving[:, first].copy(), moving[:, first + 1].copy()
         moving[:, first], moving[:, first + 1] = cos * x + sin * y, cos * y - sin * x
     return moving
 
 
-def on_deck(state: np.ndarray, deck: np.ndarray) -> np.ndarray:
-    """Return positions (n, 3) [m] of vehicles in the frames of decks (n, 12), z along the normal."""
-    frames = rotations(np.ascontiguousarray(deck[:, ROLL : YAW + 1]))
-    return np.einsum("nji,nj->ni", frames, state[:, : Z + 1] - deck[:, : Z + 1])
+def on_platform(state: np.ndarray, platform: np.ndarray) -> np.ndarray:
+    """Return positions (n, 3) [m] of vehicles in the frames of platforms (n, 12), z along the normal."""
+    frames = rotations(np.ascontiguousarray(platform[:, ROLL : YAW + 1]))
+    return np.einsum("nji,nj->ni", frames, state[:, : Z + 1] - platform[:, : Z + 1])
 
 
-def slope_of(deck: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return inclination (n,) and azimuth (n,) [rad] of slopes with the normals of decks (n, 12)."""
-    x, y, z = normals(deck).T
+def slope_of(platform: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return inclination (n,) and azimuth (n,) [rad] of slopes with the normals of platforms (n, 12)."""
+    x, y, z = normals(platform).T
     flat = np.hypot(x, y)
     return np.arctan2(flat, z), np.arctan2(y, x)
 
@@ -147,42 +149,43 @@ def attitude_at_rest(inclination, turn) -> tuple[np.ndarray, np.ndarray]:
     return np.arctan2(-x * np.sin(turn), z), np.arcsin(x * np.cos(turn))
 
 
-def normals(deck: np.ndarray) -> np.ndarray:
-    """Return the unit normals (n, 3) of decks (n, 12), columns as `Plant.deck`."""
-    roll, pitch, yaw = deck[:, ROLL], deck[:, PITCH], deck[:, YAW]
+def normals(platform: np.ndarray) -> np.ndarray:
+    """Return the unit normals (n, 3) of platforms (n, 12), columns as `Plant.platform`."""
+    roll, pitch, yaw = platform[:, ROLL], platform[:, PITCH], platform[:, YAW]
     ahead, left = np.sin(pitch), -np.sin(roll) * np.cos(pitch)
     cos, sin = np.cos(yaw), np.sin(yaw)
     return np.column_stack([cos * ahead - sin * left, sin * ahead + cos * left, np.cos(roll) * np.cos(pitch)])
 
 
-def relative(state: np.ndarray, deck: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return position, velocity and rates of vehicles (n, 12 or more) relative to their decks (n, 12).
+def relative(state: np.ndarray, platform: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return position, velocity and rates of vehicles (n, 12 or more) relative to their platforms (n, 12).
 
-    Positions (n, 3) [m] from the decks' centres and velocities (n, 3) [m/s] relative to the decks' points
-    where the vehicles are, both along the world's axes; rates (n, 3) [rad/s] relative to the decks, about the
-    vehicles' axes. A vehicle that a deck carries along has neither velocity nor rates.
+    Positions (n, 3) [m] from the platforms' centres and velocities (n, 3) [m/s] relative to the platforms'
+    points where the vehicles are, both along the world's axes; rates (n, 3) [rad/s] relative to the
+    platforms, about the vehicles' axes. A vehicle that a platform carries along has neither velocity nor
+    rates.
     """
     position, velocity, rate = np.empty((3, len(state), 3))
-    _relative(np.asarray(state, float), np.asarray(deck, float), position, velocity, rate)
+    _relative(np.asarray(state, float), np.asarray(platform, float), position, velocity, rate)
     return position, velocity, rate
 
 
 @numba.njit(cache=True)
-def _relative(state, deck, position, velocity, rate):
+def _relative(state, platform, position, velocity, rate):
     for i in range(len(state)):
-        s, d, x, v, w = state[i], deck[i], position[i], velocity[i], rate[i]
+        s, d, x, v, w = state[i], platform[i], position[i], velocity[i], rate[i]
         for k in range(3):
             x[k], v[k], w[k] = s[k] - d[k], s[VX + k] - d[VX + k], s[WX + k]
         a, b, c = d[WX], d[WX + 1], d[WX + 2]
         if a != 0.0 or b != 0.0 or c != 0.0:
             r = rotation(d[ROLL], d[PITCH], d[YAW])
-            # The deck's rates along the world's axes.
+            # The platform's rates along the world's axes.
             a, b, c = (
                 r[0, 0] * a + r[0, 1] * b + r[0, 2] * c,
                 r[1, 0] * a + r[1, 1] * b + r[1, 2] * c,
                 r[2, 0] * a + r[2, 1] * b + r[2, 2] * c,
             )
-            # v - omega x r, r the position from the deck's centre
+            # v - omega x r, r the position from the platform's centre
             v[0] -= b * x[2] - c * x[1]
             v[1] -= c * x[0] - a * x[2]
             v[2] -= a * x[1] - b * x[0]

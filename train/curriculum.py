@@ -133,8 +133,8 @@ def _stage(c: Conditions) -> dict[str, float]:
 class AdaptiveCurriculum:
     """One difficulty variable, raised when the measured success of training episodes allows it.
 
-    With level l from 0 to 1: starts spread from 0.5 m to 3.3 m and decks move, where they do, by l = 0.8, the
-    goal tilts by l = 0.6,
+    With level l from 0 to 1: starts spread from 0.5 m to 3.3 m and platforms move, where they do, by l =
+    0.8, the goal tilts by l = 0.6,
     the platform appears in more and more episodes from l = 0.25 to 0.45, the goal box shrinks from
     0.25 to 0.10 from l = 0.4 on.
 

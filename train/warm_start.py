@@ -7,7 +7,7 @@ that motors go to idle in the goal box and close over the slope (the paper's mot
 signal). The states are those that the learner itself comes through (DAgger). What reinforcement learning adds
 is then in the comparison with the landing policy and a motor cut.
 
-Over moving decks touchdown starts from a feedback law instead (`descent`), taught in the same way.
+Over moving platforms touchdown starts from a feedback law instead (`descent`), taught in the same way.
 """
 
 from __future__ import annotations
@@ -123,18 +123,18 @@ def take_over(model: PPO, policy: Policy) -> None:
 
 
 def lesson(context: StepContext, landing: Policy) -> np.ndarray:
-    """Actions (n, a) to imitate in n states, over their decks."""
+    """Actions (n, a) to imitate in n states, over their platforms."""
     task = landing.task
-    v, state, deck = task.vehicle, context.state, context.deck
+    v, state, platform = task.vehicle, context.state, context.platform
     action = landing.predict(task.observe(context)).astype(float)
     action[:, 0] = np.maximum(action[:, 0], _LOWEST)
-    place = surface.on_deck(state, deck)
+    place = surface.on_platform(state, platform)
     over = (place[:, Z] < CUT_HEIGHT) & (np.abs(place[:, X]) < v.slab_half_length)
-    on_slope = deck[:, ROLL : PITCH + 1]  # roll and pitch of a vehicle that stands there
+    on_slope = platform[:, ROLL : PITCH + 1]  # roll and pitch of a vehicle that stands there
     if task.observes_slope:
         over &= np.abs(place[:, Y]) < 0.5 * v.platform_depth
-        on_slope = surface.heading_frame(state, deck)[:, surface.SLOPE_ROLL :]
-    idle = over | task.in_goal(state, GOAL_SIZE, deck)
+        on_slope = surface.heading_frame(state, platform)[:, surface.SLOPE_ROLL :]
+    idle = over | task.in_goal(state, GOAL_SIZE, platform)
     angles = {"roll": on_slope[:, 0], "pitch": on_slope[:, 1]}
     action[idle, 0] = _IDLE
     for column, name in enumerate(task.action_names[1:], 1):
@@ -167,7 +167,7 @@ def teach_law(
     for lap in range(rounds):
         for _ in range(_STEPS):
             seen.append(env.observe())
-            taught.append(law(StepContext(env.plant.state, deck=env.plant.deck)))
+            taught.append(law(StepContext(env.plant.state, platform=env.plant.platform)))
             action = taught[-1] if lap == 0 else _mean(actor, torch.as_tensor(seen[-1])).detach().numpy()
             step = env.step(action + rng.normal(0.0, _NOISE, action.shape))
             done = step.terminated | step.truncated

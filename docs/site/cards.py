@@ -301,7 +301,7 @@ def _task(policy: Policy) -> str:
     if "angle_limit" in options:
         words.append(f"attitudes up to {np.degrees(options['angle_limit']):.3g} deg")
     if "fastest" in options:
-        words.append(f"decks that travel at up to {options['fastest']:g} m/s")
+        words.append(f"platforms that travel at up to {options['fastest']:g} m/s")
     if options.get("swell"):
         words.append(f"swell {options['swell']:g}")
     return ", ".join(words)

@@ -58,13 +58,16 @@ def qpos_of_state(state) -> np.ndarray:
     return np.concatenate([state[..., :3], turned], axis=-1)
 
 
-def pose_from_state(state, deck, has_base: bool = True) -> Pose:
-    """Return the pose of a state (13,) and its platform's state (12,), see `Plant.deck`, or None."""
-    if deck is None:
+def pose_from_state(state, platform, has_base: bool = True) -> Pose:
+    """Return the pose of a state (13,) and its platform's state (12,), see `Plant.platform`, or None."""
+    if platform is None:
         return Pose(qpos_of_state(state), np.array([0.0, 0.0, 10.0 * _PARKED]), np.array([1.0, 0, 0, 0]))
-    deck = np.asarray(deck, float)
+    platform = np.asarray(platform, float)
     return Pose(
-        qpos_of_state(state), deck[: Z + 1].copy(), np.array(quaternion(*deck[ROLL : YAW + 1])), has_base
+        qpos_of_state(state),
+        platform[: Z + 1].copy(),
+        np.array(quaternion(*platform[ROLL : YAW + 1])),
+        has_base,
     )
 
 

@@ -99,25 +99,25 @@ class Window:
         self,
         state: np.ndarray,
         commands: np.ndarray,
-        deck: np.ndarray | None,
+        platform: np.ndarray | None,
         *,
         text: str = "",
         seconds: float = 0.0,
     ) -> None:
         """Show a state (13,) under commands (4,); does nothing once the window is closed.
 
-        deck: the platform's state (12,), see `Plant.deck`; None without one. seconds: since the moment shown
-        before; waits so long that the flight is seen in real time.
+        platform: the platform's state (12,), see `Plant.platform`; None without one. seconds: since the
+        moment shown before; waits so long that the flight is seen in real time.
         """
         if not self.open:
             return
         now = time.monotonic()
         self._due = max(self._due + seconds, now - 0.1)  # what came late is not made up for
         time.sleep(max(0.0, self._due - now))
-        pose = pose_from_state(state, deck)
-        there = np.zeros(WZ + 1) if deck is None else deck
+        pose = pose_from_state(state, platform)
+        there = np.zeros(WZ + 1) if platform is None else platform
         # A moving platform has no base.
-        has_base = deck is not None and not there[[X, Y, VX, VX + 1, VZ, ROLL]].any()
+        has_base = platform is not None and not there[[X, Y, VX, VX + 1, VZ, ROLL]].any()
         places = geometry.platform_poses([there[PITCH]], [has_base], self._vehicle, azimuth=[there[YAW]])
         places[0][0, 0], places[1][0, 0] = pose.platform_pos, pose.platform_quat
         with self._viewer.lock():

@@ -40,7 +40,7 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle, constants, load_vehicle
 from inclined_landing.models.plants import Contacts
-from inclined_landing.models.plants.base import DECK_SIZE
+from inclined_landing.models.plants.base import PLATFORM_SIZE
 
 COLUMNS = {name: column for column, name in enumerate(STATE_NAMES)}  # of the state
 ACTIONS = {"thrust": PWM, "roll": ROLL_COMMAND, "pitch": PITCH_COMMAND, "yaw rate": YAW_RATE_COMMAND}
@@ -59,7 +59,7 @@ class Start:
     goal_size: np.ndarray  # (k,) d of the goal box; NaN for tasks without one
     contact: dict[str, Any] | None = None  # arguments (k,) of the plant's set_contact
     azimuth: np.ndarray | None = None  # (k,) of the slope's direction, rad; None: towards +x everywhere
-    motion: Motion | None = None  # of the k decks; None: they stand still
+    motion: Motion | None = None  # of the k platforms; None: they stand still
 
     def __len__(self) -> int:
         return len(self.state)
@@ -72,12 +72,12 @@ class Start:
         of = self.state[ids], self.inclination[ids], self.present[ids], self.goal_size[ids]
         return Start(*of, contact, azimuth, motion)
 
-    def decks(self, vehicle: Vehicle, t: float = 0.0) -> np.ndarray:
+    def platforms(self, vehicle: Vehicle, t: float = 0.0) -> np.ndarray:
         """Return the states (k, 12) of the platforms t [s] after the starts."""
-        rest = np.zeros((len(self), DECK_SIZE))
+        rest = np.zeros((len(self), PLATFORM_SIZE))
         rest[:, Z], rest[:, PITCH] = vehicle.platform_surface_height, self.inclination
         rest[:, YAW] = 0.0 if self.azimuth is None else self.azimuth
-        return rest if self.motion is None else self.motion.decks(t, rest)
+        return rest if self.motion is None else self.motion.platforms(t, rest)
 
     def put(self, rows: np.ndarray, other: Start) -> None:
         """Overwrite the given rows with the starts of `other`."""
@@ -118,7 +118,12 @@ class StepContext:
     length: np.ndarray = _UNKNOWN  # (n,) steps of the episode so far, the last one included
     in_contact: np.ndarray = _UNKNOWN  # (n,) of them, steps in contact with the platform
     held: np.ndarray = _UNKNOWN  # (n,) consecutive held steps before the last one
-    deck: np.ndarray = _UNKNOWN  # (n, 12) states of the platforms, see `Plant.set_platform`
+    platform: np.ndarray = _UNKNOWN  # (n, 12) states of the platforms, see `Plant.set_platform`
+
+    @property
+    def deck(self) -> np.ndarray:
+        """Return the platforms' states by their old name, for tasks of one's own."""
+        return self.platform
 
 
 @dataclasses.dataclass(frozen=True)
@@ -295,8 +300,8 @@ class Task(abc.ABC):
             u[:, channel.column] = command if channel.idle is None else command * (action > channel.idle)
         return u
 
-    def body_commands(self, commands: np.ndarray, state: np.ndarray, deck: np.ndarray) -> np.ndarray:
-        """Return `commands` (n, 4) along the axes of the vehicles in states (n, 13) over decks (n, 12).
+    def body_commands(self, commands: np.ndarray, state: np.ndarray, platform: np.ndarray) -> np.ndarray:
+        """Return `commands` (n, 4) along the axes of the vehicles in states (n, 13) over platforms (n, 12).
 
         Here they are so already; some tasks have attitude actions along other axes.
         """
@@ -339,16 +344,17 @@ class Task(abc.ABC):
                 state[COLUMNS[name]] = value
         return state
 
-    def goal_on(self, deck: np.ndarray | None) -> np.ndarray | None:
-        """Return the goal as a state (13,) for a platform in state (12,), see `Plant.deck`."""
+    def goal_on(self, platform: np.ndarray | None) -> np.ndarray | None:
+        """Return the goal as a state (13,) for a platform in state (12,), see `Plant.platform`."""
         return self.goal_state
 
     def in_goal(
-        self, state: np.ndarray, goal_size: float | np.ndarray, deck: np.ndarray | None = None
+        self, state: np.ndarray, goal_size: float | np.ndarray, platform: np.ndarray | None = None
     ) -> np.ndarray:
         """Return (n,) bool: which states (n, 13) are in the goal box of size d = goal_size, (n,) or a number.
 
-        deck (n, 12): the platforms, needed where the slope is observed. A task without a goal box has none.
+        platform (n, 12): the platforms, needed where the slope is observed. A task without a goal box has
+        none.
         """
         return np.zeros(len(state), bool)
 

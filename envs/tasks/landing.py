@@ -86,7 +86,7 @@ class Conditions:
     start_reach: float = 3.3  # starts lie within this of the goal in x and y, m
     start_reach_z: float | None = None  # and in z; None: the same
     tilt: float = 1.0  # goal and platform inclination as a share of the task's
-    motion: float = 1.0  # speed and swell of decks as a share of the task's
+    motion: float = 1.0  # speed and swell of platforms as a share of the task's
     goal_size: float = GOAL_SIZE  # d
     platform: float = 1.0  # share of the episodes with a platform
     lowest_start: float = LOWEST_START  # m
@@ -192,7 +192,7 @@ class InclinedLanding(Task):
         """The goal, level: (5,)."""
         return np.array([*self.goal_position, 0.0, 0.0, 0.0])
 
-    def in_goal(self, state, goal_size, deck=None, inclination=None) -> np.ndarray:
+    def in_goal(self, state, goal_size, platform=None, inclination=None) -> np.ndarray:
         """Return (n,) bool: which states (n, 13) are in the paper's goal box of size d = goal_size.
 
         inclination: of the platforms, (n,) or a number [rad], where it is not the task's.
@@ -294,7 +294,7 @@ class InclinedLanding(Task):
         """See the module's docstring."""
         c, start = self.conditions, context.start
         state = self.in_arena(context)
-        goal = self.in_goal(context.state, start.goal_size, context.deck, start.inclination)
+        goal = self.in_goal(context.state, start.goal_size, context.platform, start.inclination)
         obstacle = context.contacts.platform_near
         if not c.goal_while_touching:
             goal &= ~obstacle

@@ -23,7 +23,7 @@ from inclined_landing.models import surface
 from inclined_landing.models.attitude import Y, Z
 from inclined_landing.models.parameters import Vehicle
 
-SEEN_MOVING = ("deck vx", "deck vy", "deck vz", "deck wx", "deck wy", "deck wz")
+SEEN_MOVING = ("platform vx", "platform vy", "platform vz", "platform wx", "platform wy", "platform wz")
 SEEN_MOVING_SCALE = np.array([1.0, 1.0, 0.5, 0.5, 0.5, 0.5])
 CATCHING_UP = 0.5  # s of the fastest platform's way by which the arena is wider
 
@@ -50,12 +50,12 @@ class MovingLanding(SpaceLanding):
     def observe(self, context: StepContext) -> np.ndarray:
         """Return observations (n, o), float32: over the slope, and the platforms' own motion."""
         seen = super().observe(context)
-        return np.concatenate([seen, surface.deck_motion(context.deck).astype(np.float32)], axis=1)
+        return np.concatenate([seen, surface.platform_motion(context.platform).astype(np.float32)], axis=1)
 
     def in_arena(self, context: StepContext) -> np.ndarray:
         """Return states (n, 13) relative to an arena that is carried along with the platforms' centres."""
         state = context.state.copy()
-        state[:, : Y + 1] -= context.deck[:, : Y + 1]
+        state[:, : Y + 1] -= context.platform[:, : Y + 1]
         return state
 
     def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:
@@ -67,9 +67,9 @@ class MovingLanding(SpaceLanding):
         """Return the starts relative to platforms in their usual place, with their slopes of the start."""
         if start.motion is None:
             return start
-        deck = start.decks(self.vehicle)
+        platform = start.platforms(self.vehicle)
         state = start.state.copy()
-        state[:, : Z + 1] -= deck[:, : Z + 1]
+        state[:, : Z + 1] -= platform[:, : Z + 1]
         state[:, Z] += self.vehicle.platform_surface_height
-        slope, azimuth = surface.slope_of(deck)
+        slope, azimuth = surface.slope_of(platform)
         return dataclasses.replace(start, state=state, inclination=slope, azimuth=azimuth, motion=None)

@@ -46,14 +46,14 @@ class LandingOptions(TaskOptions):
     random_yaw: bool = option(False, "With three dimensions: every episode begins with a heading of its own.")
     fastest: float | None = option(
         None,
-        "With three dimensions: decks that travel steadily, any way, at up to this speed, which is observed.",
+        "With three dimensions: platforms that travel steadily, any way, at up to this speed (observed).",
         limits=(0, 10),
         more={"metavar": "M/S"},
         trained_with=True,
     )
     swell: float = option(
         0.0,
-        "With --fastest: decks that heave, roll and pitch too; 1: by up to 0.24 m and 16 deg (default: 0).",
+        "With --fastest: platforms heave, roll and pitch too; 1: by up to 0.24 m and 16 deg (default: 0).",
         limits=(0, 2),
         trained_with=True,
     )
@@ -65,9 +65,9 @@ class LandingOptions(TaskOptions):
             named = "azimuth" if self.azimuth else "random_yaw"
             raise UserError(f"{named} needs dimensions=3: in the plane a vehicle cannot follow it")
         if self.fastest is None and self.swell:
-            raise UserError("swell is of moving decks: give it fastest too, which may be 0")
+            raise UserError("swell is of moving platforms: give it fastest too, which may be 0")
         if self.fastest is not None and self.dimensions == 2:
-            raise UserError("fastest needs dimensions=3: in the plane a vehicle cannot follow a deck")
+            raise UserError("fastest needs dimensions=3: in the plane a vehicle cannot follow a platform")
 
 
 def in_platform(position: np.ndarray, inclination: float, azimuth: float, vehicle: Vehicle) -> bool:

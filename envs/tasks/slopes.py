@@ -65,13 +65,13 @@ class SlopeLanding(InclinedLanding):
         """None, as for the goal."""
         return None
 
-    def goal_on(self, deck: np.ndarray | None) -> np.ndarray | None:
+    def goal_on(self, platform: np.ndarray | None) -> np.ndarray | None:
         """Return the goal as a state (13,) over the slope of a platform (12,), with its heading."""
-        if deck is None:
+        if platform is None:
             return None
         state = np.zeros(STATE_SIZE)
-        state[: len(deck)] = deck
-        state[: Z + 1] += self.goal_height * rotation(*deck[ROLL : YAW + 1])[:, 2]
+        state[: len(platform)] = platform
+        state[: Z + 1] += self.goal_height * rotation(*platform[ROLL : YAW + 1])[:, 2]
         return state
 
     @property
@@ -81,14 +81,16 @@ class SlopeLanding(InclinedLanding):
 
     def observe(self, context: StepContext) -> np.ndarray:
         """Return observations (n, o), float32; the platforms of the moment are needed."""
-        if context.deck is None:
-            raise UserError(f"this {self.name} task observes the slope; give observe the deck")
-        seen = surface.heading_frame(context.state, context.deck)[:, self.columns]
+        if context.platform is None:
+            raise UserError(f"this {self.name} task observes the slope; give observe the platform")
+        seen = surface.heading_frame(context.state, context.platform)[:, self.columns]
         return seen.astype(np.float32)
 
-    def in_goal(self, state, goal_size, deck=None, inclination=None) -> np.ndarray:
-        """Return (n,) bool: which states (n, 13) are in the goal box along the normal of decks (n, 12)."""
-        seen = surface.heading_frame(state, deck)
+    def in_goal(self, state, goal_size, platform=None, inclination=None) -> np.ndarray:
+        """Return (n,) bool: which states (n, 13) are in the goal box along the normal of platforms (n,
+        12).
+        """
+        seen = surface.heading_frame(state, platform)
         on_slope = seen[:, surface.SLOPE_ROLL :]  # roll and pitch of a vehicle that stands there
         seen[:, X : Z + 1] -= GOAL_HEIGHT * surface.normal_at_rest(*on_slope.T)
         seen[:, ROLL : PITCH + 1] -= on_slope

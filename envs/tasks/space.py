@@ -47,11 +47,11 @@ class SpaceLanding(SlopeLanding):
             self.inclination, self.azimuth = -self.inclination, self.azimuth + math.pi
         self._resolve(inclination=self.inclination, azimuth=self.azimuth)
 
-    def body_commands(self, commands: np.ndarray, state: np.ndarray, deck: np.ndarray) -> np.ndarray:
+    def body_commands(self, commands: np.ndarray, state: np.ndarray, platform: np.ndarray) -> np.ndarray:
         """Return `commands` (n, 4) with attitudes turned from the surface's heading to the vehicles'."""
         both, v = [ROLL_COMMAND, PITCH_COMMAND], self.vehicle
         limits = v.attitude_gain, v.command_angle_limit
-        commands[:, both] = surface.vehicle_commands(commands[:, both], *limits, state, deck)
+        commands[:, both] = surface.vehicle_commands(commands[:, both], *limits, state, platform)
         return commands
 
     def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:

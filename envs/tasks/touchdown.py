@@ -189,7 +189,7 @@ class InclinedTouchdown(InclinedLanding):
         """See the module's docstring."""
         c, state, contacts = self.conditions, context.state, context.contacts
         wrong, in_arena = wrong_contact(contacts), self.in_arena(context)
-        holding = resting(state, context.deck, context.actions[:, 0] <= IDLE_ACTION, contacts)
+        holding = resting(state, context.platform, context.actions[:, 0] <= IDLE_ACTION, contacts)
         excess = np.maximum(contacts.force[:, 0, 0] / self._weight - GENTLE_FORCE, 0.0)
         terms = {
             "time": -1.0 * ~holding,
@@ -233,13 +233,14 @@ def wrong_contact(contacts) -> np.ndarray:
 
 
 def resting(
-    state: np.ndarray, deck: np.ndarray, idle: np.ndarray, contacts, speed=REST_SPEED, rate=REST_RATE
+    state: np.ndarray, platform: np.ndarray, idle: np.ndarray, contacts, speed=REST_SPEED, rate=REST_RATE
 ) -> np.ndarray:
     """Return (n,) bool: on the feet alone, slower than `speed` [m/s] and `rate` [rad/s], motors at idle.
 
-    Both are relative to the deck (n, 12) and its point where the vehicle is. idle: (n,) bool, of the motors.
+    Both are relative to the platform (n, 12) and its point where the vehicle is. idle: (n,) bool, of the
+    motors.
     """
-    _, velocity, turning = surface.relative(state, deck)
+    _, velocity, turning = surface.relative(state, platform)
     return (
         idle
         & contacts.touch[:, 0, 0]

@@ -95,9 +95,9 @@ def _with_platforms(state: np.ndarray, start: Start, v: Vehicle, moving: bool = 
     """
     if start.motion is None:
         return state
-    deck = start.decks(v)
-    state[:, : Z + 1] += deck[:, : Z + 1]
+    platform = start.platforms(v)
+    state[:, : Z + 1] += platform[:, : Z + 1]
     state[:, Z] -= v.platform_surface_height
     if moving:
-        state[:, VX : VZ + 1] += deck[:, VX : VZ + 1]
+        state[:, VX : VZ + 1] += platform[:, VX : VZ + 1]
     return state

@@ -1,8 +1,8 @@
 """What may be scored: policies, the planner, and controllers of others.
 
-A controller is called once per control period with t [s], the states of n vehicles (n, 12) and of their decks
-(n, 12), both with the columns x y z, vx vy vz, roll pitch yaw, wx wy wz (m, m/s, rad, rad/s of the body;
-attitude Rz(yaw) Rx(roll) Ry(pitch)), as they are now. It answers with commands (n, 4): PWM, roll, pitch
+A controller is called once per control period with t [s], the states of n vehicles (n, 12) and of their
+platforms (n, 12), both with the columns x y z, vx vy vz, roll pitch yaw, wx wy wz (m, m/s, rad, rad/s of the
+body; attitude Rz(yaw) Rx(roll) Ry(pitch)), as they are now. It answers with commands (n, 4): PWM, roll, pitch
 [rad], yaw rate [rad/s]. PWM 0 or less stops the motors, other commands are cut to what the vehicle takes.
 
 Others' are named `module:function`, `file.py:function`, or a class, which is called with the vehicle and
@@ -43,7 +43,7 @@ class Pilot(Protocol):
     """A controller of n vehicles through one scenario."""
 
     def __call__(self, t: float, context: StepContext) -> np.ndarray:
-        """Commands (n, 4) at time t [s], for states, contacts and decks of now."""
+        """Commands (n, 4) at time t [s], for states, contacts and platforms of now."""
 
 
 class Controller:
@@ -87,9 +87,9 @@ class _PolicyPilot:
             self._past.reset(slice(None), observation)
         actions = self._policy.predict(self._past.stack(observation)).astype(float)
         self._past.record(observation, actions)
-        commands = self._task.body_commands(self._task.commands(actions), context.state, context.deck)
+        commands = self._task.body_commands(self._task.commands(actions), context.state, context.platform)
         if self._task.cut_at_success:
-            self._cut |= self._task.in_goal(context.state, GOAL_SIZE, context.deck)
+            self._cut |= self._task.in_goal(context.state, GOAL_SIZE, context.platform)
             commands[self._cut, PWM] = 0.0
         return commands
 
@@ -104,7 +104,7 @@ class _Told:
         self._high = np.array([vehicle.command_pwm_range[1], angle, angle, yaw])
 
     def __call__(self, t: float, context: StepContext) -> np.ndarray:
-        given = context.state[:, :_SEEN].copy(), context.deck.copy()
+        given = context.state[:, :_SEEN].copy(), context.platform.copy()
         where = f"controller {self._name} at {t:.2f} s"
         try:
             answer = self._answer(t, *given)
@@ -141,7 +141,7 @@ def _own(name: str, vehicle: Vehicle) -> Controller:
         except (Exception, SystemExit) as error:
             raise UserError(f"{what} raised {type(error).__name__}: {shown(error, 120)}") from error
         if not callable(made):
-            raise UserError(f"{what} cannot be called with t, states and decks: it lacks __call__")
+            raise UserError(f"{what} cannot be called with t, states and platforms: it lacks __call__")
         return _Told(made, name, vehicle)
 
     return Controller(name.rpartition(":")[2], "controller", vehicle, pilot)

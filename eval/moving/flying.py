@@ -1,8 +1,8 @@
-"""Flights of a controller through a scenario, judged relative to the deck.
+"""Flights of a controller through a scenario, judged relative to the platform.
 
-All are flown in the MuJoCo plant, RK4 in steps of 4 ms, one vehicle and one deck each, at 50 Hz. A vehicle
-under PWM 0 has no attitude torque. A flight ends with rest on the deck as the scenario says, on the floor,
-or with its time.
+All are flown in the MuJoCo plant, RK4 in steps of 4 ms, one vehicle and one platform each, at 50 Hz. A
+vehicle under PWM 0 has no attitude torque. A flight ends with rest on the platform as the scenario says, on
+the floor, or with its time.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ RIDE = 1.5  # s that a film goes on for after rest
 
 
 def plant_of(scenario: Scenario, drawn: Drawn, vehicle: Vehicle) -> MujocoPlant:
-    """The plant of a scenario's flights, with its decks in motion; the vehicles are not there yet."""
+    """The plant of a scenario's flights, with its platforms in motion; the vehicles are not there yet."""
     ids = np.arange(len(drawn.start))
     plant = MujocoPlant(len(ids), vehicle, timestep=STEP, torque_needs_motors=True, moving=True)
     plant.set_platform(ids, drawn.inclination, azimuth=drawn.azimuth)
@@ -46,9 +46,9 @@ def plant_of(scenario: Scenario, drawn: Drawn, vehicle: Vehicle) -> MujocoPlant:
 def fly(scenario: Scenario, controller: Controller, flights: int | None = None) -> pd.DataFrame:
     """Fly a scenario, or its first flights; one row each.
 
-    at_rest; time [s] until it was held; at the first touch, relative to the deck: normal_speed into it and
-    tangential_speed along it [m/s], tilt [rad] between the vehicle's axis and the deck's normal; off_centre
-    [m]: from the deck's centre at rest. NaN where there was none.
+    at_rest; time [s] until it was held; at the first touch, relative to the platform: normal_speed into it
+    and tangential_speed along it [m/s], tilt [rad] between the vehicle's axis and the platform's normal;
+    off_centre [m]: from the platform's centre at rest. NaN where there was none.
     """
     drawn = scenario.draw(controller.vehicle, flights)
     n, period, rest = len(drawn.start), controller.vehicle.command_control_period, scenario.success
@@ -59,13 +59,13 @@ def fly(scenario: Scenario, controller: Controller, flights: int | None = None) 
     time, off_centre = np.full(n, np.nan), np.full(n, np.nan)
     for tick in range(round(rest.within / period)):
         commands = _asked(
-            pilot, tick * period, StepContext(plant.state, plant.contacts, deck=plant.deck), scenario
+            pilot, tick * period, StepContext(plant.state, plant.contacts, platform=plant.platform), scenario
         )
         recorder.step(commands, np.flatnonzero(~ended))
         held = np.where(_rests(scenario, plant, commands), held + 1, 0)
         rests = ~ended & (held >= math.ceil(rest.hold / period - 1e-9))
         time[rests] = (tick + 1) * period
-        off_centre[rests] = np.linalg.norm(surface.relative(plant.state, plant.deck)[0], axis=1)[rests]
+        off_centre[rests] = np.linalg.norm(surface.relative(plant.state, plant.platform)[0], axis=1)[rests]
         ended |= rests | plant.contacts.touch[:, 2].any(axis=1)
         if ended.all():
             break
@@ -91,19 +91,21 @@ def ride(scenario: Scenario, controller: Controller) -> Ride:
     plant = plant_of(scenario, drawn, controller.vehicle)
     plant.reset([0], drawn.start)
     pilot, held, left, touched = controller.pilot(1), 0, math.inf, False
-    rows = [(plant.state[0].copy(), plant.deck[0].copy())]
+    rows = [(plant.state[0].copy(), plant.platform[0].copy())]
     given: list[np.ndarray] = []
     while len(given) * period < scenario.success.within and left > 0:
-        commands = pilot(len(given) * period, StepContext(plant.state, plant.contacts, deck=plant.deck))
+        commands = pilot(
+            len(given) * period, StepContext(plant.state, plant.contacts, platform=plant.platform)
+        )
         plant.step(commands)
         given.append(commands[0])
-        rows.append((plant.state[0].copy(), plant.deck[0].copy()))
+        rows.append((plant.state[0].copy(), plant.platform[0].copy()))
         touched |= bool(plant.contacts.platform[0])
         held = held + 1 if _rests(scenario, plant, commands)[0] else 0
         if held * period >= scenario.success.hold and math.isinf(left):
             left = RIDE
         left -= period
-    state, deck = map(np.array, zip(*rows))
+    state, platform = map(np.array, zip(*rows))
     task = make_task("touchdown", controller.vehicle, dimensions=3)
     success = not math.isinf(left)
     return Ride(
@@ -117,15 +119,15 @@ def ride(scenario: Scenario, controller: Controller) -> Ride:
         state=state,
         commands=np.array([*given, given[-1]]),
         inclination=scenario.inclination,
-        deck=deck,
+        platform=platform,
         motion=drawn.motion,
     )
 
 
 def _rests(scenario: Scenario, plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
-    """(n,) bool: at rest on the deck now, as the scenario says."""
+    """(n,) bool: at rest on the platform now, as the scenario says."""
     success, idle = scenario.success, commands[:, PWM] == 0.0
-    return resting(plant.state, plant.deck, idle, plant.contacts, success.speed, success.rate)
+    return resting(plant.state, plant.platform, idle, plant.contacts, success.speed, success.rate)
 
 
 def _begun(controller: Controller, scenario: Scenario, n: int):
@@ -150,7 +152,7 @@ def _touch(recorder: Recorder) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     tilt = np.full(len(touch.time), np.nan)
     own = np.flatnonzero(recorder.touched)
     if len(own):
-        normal = surface.normals(recorder.plant.deck_at(np.nan_to_num(touch.time - STEP)))[own]
+        normal = surface.normals(recorder.plant.platform_at(np.nan_to_num(touch.time - STEP)))[own]
         w, x, y, z = touch.qpos[own, 3:7].T
         upright = np.column_stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
         tilt[own] = np.arccos(np.clip((upright * normal).sum(axis=1), -1.0, 1.0))

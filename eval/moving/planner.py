@@ -1,12 +1,12 @@
-"""A planner without learning: hover over the deck, then a jerk-minimal way onto it.
+"""A planner without learning: hover over the platform, then a jerk-minimal way onto it.
 
-Everything is planned in the frame that moves along with the deck's centre. A vehicle first flies to a place
-beside the deck's normal from which the last way is short. From there a polynomial of the fifth degree, the
-way of least squared jerk, leads to the deck: onto its centre, sinking by `SINK`, and with the acceleration
-that a vehicle has whose thrust is along the deck's normal, so that it arrives aligned with it. The way's
-end is planned anew in every control period, as a deck tilts. Commands follow the way by its acceleration, a
-proportional and a derivative term, and the deck's own acceleration, differenced; attitude commands lead by
-the loop's time constant. The motors stop at `CUT` over the height at rest.
+Everything is planned in the frame that moves along with the platform's centre. A vehicle first flies to a
+place beside the platform's normal from which the last way is short. From there a polynomial of the fifth
+degree, the way of least squared jerk, leads to the platform: onto its centre, sinking by `SINK`, and with the
+acceleration that a vehicle has whose thrust is along the platform's normal, so that it arrives aligned with
+it. The way's end is planned anew in every control period, as a platform tilts. Commands follow the way by its
+acceleration, a proportional and a derivative term, and the platform's own acceleration, differenced;
+attitude commands lead by the loop's time constant. The motors stop at `CUT` over the height at rest.
 
 Mellinger and Kumar, Minimum snap trajectory generation and control for quadrotors, ICRA 2011, for flat
 outputs; Mueller, Hehn and D'Andrea, A computationally efficient motion primitive, T-RO 31 (2015), for ways
@@ -26,17 +26,17 @@ from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.scene import compile_scene
 
 # Chosen by hand on starts that no scenario has.
-ABOVE = 0.45  # m over the deck, where the last way begins
-CLEAR = 0.35  # m over the deck's plane, that it keeps until then
+ABOVE = 0.45  # m over the platform, where the last way begins
+CLEAR = 0.35  # m over the platform's plane, that it keeps until then
 WAY = 0.9  # s it takes
-SINK = 0.25  # m/s into the deck at its end
+SINK = 0.25  # m/s into the platform at its end
 CUT = 0.015  # m over the height at rest
 NEAR, SLOW = 0.12, 0.35  # m and m/s from where the last way begins
 STIFFNESS, DAMPING = 9.0, 5.0  # 1/s2 and 1/s, of the errors that are steered against
 FARTHEST = 0.6  # m of error that is steered against at once
 LEAST = 0.15  # s: shorter ways are not planned anew
 _CALMING = 0.01  # of a normal that tilts to and fro, per period
-_FILTER = 0.3  # of the deck's differenced acceleration, per period
+_FILTER = 0.3  # of the platform's differenced acceleration, per period
 
 
 class Planner:
@@ -49,28 +49,31 @@ class Planner:
         self._rest = float(geometry.reach_below(geometry.shapes_of(compile_scene(vehicle)), part="feet"))
         self._left = np.empty(0)
 
-    def begin(self, ids: np.ndarray, deck: np.ndarray) -> None:
-        """Begin anew with the vehicles `ids` (k,), over decks (n, 12); at first with all of them."""
+    def begin(self, ids: np.ndarray, platform: np.ndarray) -> None:
+        """Begin anew with the vehicles `ids` (k,), over platforms (n, 12); at first with all of them."""
         if not len(self._left):
-            n = len(deck)
+            n = len(platform)
             self._left = np.empty(n)  # s until touching; inf: not on the last way yet
             self._stopped = np.empty(n, bool)
-            self._way = np.zeros((3, n, 3))  # place, velocity, acceleration on it, from the deck's centre
-            self._calm, self._deck_speed, self._deck_push, self._thrust = np.zeros((4, n, 3))
+            self._way = np.zeros((3, n, 3))  # place, velocity, acceleration on it, from the platform's centre
+            self._calm, self._platform_speed, self._platform_push, self._thrust = np.zeros((4, n, 3))
         self._left[ids], self._stopped[ids], self._way[:, ids] = np.inf, False, 0.0
-        self._calm[ids], self._deck_speed[ids] = surface.normals(deck[ids]), deck[ids, VX : VZ + 1]
-        self._deck_push[ids], self._thrust[ids] = 0.0, [0.0, 0.0, self._gravity]
+        self._calm[ids], self._platform_speed[ids] = (
+            surface.normals(platform[ids]),
+            platform[ids, VX : VZ + 1],
+        )
+        self._platform_push[ids], self._thrust[ids] = 0.0, [0.0, 0.0, self._gravity]
 
-    def __call__(self, t: float, state: np.ndarray, deck: np.ndarray) -> np.ndarray:
+    def __call__(self, t: float, state: np.ndarray, platform: np.ndarray) -> np.ndarray:
         """Commands (n, 4)."""
         if len(self._left) != len(state):
-            self.begin(np.arange(len(state)), deck)
-        speed = deck[:, VX : VZ + 1]
-        self._deck_push += _FILTER * ((speed - self._deck_speed) / self._period - self._deck_push)
-        self._deck_speed = speed.copy()
-        place = state[:, : Z + 1] - deck[:, : Z + 1]
+            self.begin(np.arange(len(state)), platform)
+        speed = platform[:, VX : VZ + 1]
+        self._platform_push += _FILTER * ((speed - self._platform_speed) / self._period - self._platform_push)
+        self._platform_speed = speed.copy()
+        place = state[:, : Z + 1] - platform[:, : Z + 1]
         velocity = state[:, VX : VZ + 1] - speed
-        normal = surface.normals(deck)
+        normal = surface.normals(platform)
 
         waiting = np.isinf(self._left)
         self._calm += _CALMING * (normal - self._calm)
@@ -91,14 +94,14 @@ class Planner:
         height = (place * normal).sum(axis=1) - self._rest
         behind += (waiting * np.maximum(0.0, CLEAR - height))[:, None] * normal
         wanted = STIFFNESS * behind + DAMPING * (np.where(waiting[:, None], 0.0, self._way[1]) - velocity)
-        wanted += np.where(waiting[:, None], 0.0, self._way[2]) + self._deck_push
+        wanted += np.where(waiting[:, None], 0.0, self._way[2]) + self._platform_push
         commands = self._commands(wanted, state[:, YAW])
         self._stopped |= ~waiting & ((height < CUT) | (self._left < 0.0))
         commands[self._stopped, 0] = 0.0
         return commands
 
     def _end(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Place, velocity and acceleration (n, 3) at the end of the way, from the deck's centre."""
+        """Place, velocity and acceleration (n, 3) at the end of the way, from the platform's centre."""
         down = np.array([0.0, 0.0, -self._gravity])
         along = (
             down - (normal @ down)[:, None] * normal
@@ -106,13 +109,13 @@ class Planner:
         return self._rest * normal, -SINK * normal, along
 
     def _entry(self, normal: np.ndarray) -> np.ndarray:
-        """Where the last way begins (n, 3): over the deck, and downhill of it, from where it is flown
+        """Where the last way begins (n, 3): over the platform, and downhill of it, from where it is flown
         uphill."""
         end, _, along = self._end(normal)
         return end + ABOVE * normal + 0.1 * WAY**2 * along
 
     def _follow(self, on: np.ndarray, normal: np.ndarray) -> None:
-        """Go on by a period on the ways of least jerk from where they are to where the decks are now."""
+        """Go on by a period on the ways of least jerk from where they are to where the platforms are now."""
         left = np.maximum(self._left, LEAST)
         left[~on] = 1.0
         end = np.array(self._end(normal))

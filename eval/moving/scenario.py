@@ -24,7 +24,7 @@ from inclined_landing.models.attitude import PITCH, YAW, Z
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.parameters import Vehicle
-from inclined_landing.models.plants.base import DECK_SIZE
+from inclined_landing.models.plants.base import PLATFORM_SIZE
 from inclined_landing.models.schema import Table
 
 Angle = Annotated[float, Meta(ge=-360, le=360)]  # deg
@@ -177,9 +177,9 @@ class Scenario(File, frozen=True, kw_only=True):
             frequency=np.broadcast_to(2.0 * math.pi / made.period, (n, 6, w)),
             phase=np.angle(waves) + 0.5 * math.pi,  # of a sine
         )
-        rest = np.zeros((n, DECK_SIZE))
+        rest = np.zeros((n, PLATFORM_SIZE))
         rest[:, Z], rest[:, PITCH], rest[:, YAW] = vehicle.platform_surface_height, self.inclination, azimuth
-        place += motion.decks(0.0, rest)[:, : Z + 1]
+        place += motion.platforms(0.0, rest)[:, : Z + 1]
         return Drawn(np.full(n, self.inclination), azimuth, motion, hover_states(place, vehicle))
 
 
@@ -187,7 +187,7 @@ class Scenario(File, frozen=True, kw_only=True):
 class Drawn:
     """n flights of a scenario, in the room."""
 
-    inclination: np.ndarray  # (n,) rad, of the decks without their waves
+    inclination: np.ndarray  # (n,) rad, of the platforms without their waves
     azimuth: np.ndarray  # (n,) rad
     motion: Motion
     start: np.ndarray  # (n, 13)

@@ -36,8 +36,8 @@ _EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # al
 
 def pose_at(flight: Track, k: int):
     """Return the pose of vehicle and platform at sample k, as renderers take it."""
-    deck = None if flight.deck is None else flight.deck[k]
-    return pose_from_state(flight.state[k], deck, has_base=flight.motion is None)
+    platform = None if flight.platform is None else flight.platform[k]
+    return pose_from_state(flight.state[k], platform, has_base=flight.motion is None)
 
 
 def caption(flight: Track, k: int) -> str:

@@ -41,20 +41,20 @@ def to_rest(flight: Flight) -> Flight:
     It goes on for up to 2 s after the goal, until the vehicle has not moved for 0.3 s. A flight that did not
     succeed, or whose task cuts no motors, comes back as it is.
     """
-    if not (flight.success and flight.task.cut_at_success and flight.deck is not None):
+    if not (flight.success and flight.task.cut_at_success and flight.platform is not None):
         return flight
     vehicle = flight.task.vehicle
     plant = MujocoPlant(1, vehicle, torque_needs_motors=True, moving=flight.motion is not None)
     place_platform(plant, flight, flight.t[-1])
     recorder = Recorder(plant, flight.state[-1:])
     period = plant.control_period
-    states, decks, settled, steps = [], [], 0, 0
+    states, platforms, settled, steps = [], [], 0, 0
     while steps < round(WATCH_TIME / period) and steps - settled < round(STILL_TIME / period):
         recorder.step(np.zeros((1, 4)))
         steps += 1
         states.append(plant.state[0].copy())
-        decks.append(plant.deck[0].copy())
-        if not still(plant.state, plant.deck)[0]:
+        platforms.append(plant.platform[0].copy())
+        if not still(plant.state, plant.platform)[0]:
             settled = steps
     cut = len(flight.t) - 1
     off = np.zeros((steps, flight.commands.shape[1]))
@@ -62,7 +62,7 @@ def to_rest(flight: Flight) -> Flight:
     extended = {
         "t": np.concatenate([flight.t, flight.t[-1] + period * np.arange(1, steps + 1)]),
         "state": np.concatenate([flight.state, states]),
-        "deck": np.concatenate([flight.deck, decks]),
+        "platform": np.concatenate([flight.platform, platforms]),
         "actions": np.pad(flight.actions, [(0, steps), (0, 0)], mode="edge"),
         "commands": commands,
         "reward": np.pad(flight.reward, (0, steps)),
@@ -85,6 +85,6 @@ def _outcome(recorder: Recorder) -> str:
         return "at rest on its feet"
     if touch[_FLOOR].any():
         return "fell to the floor"
-    if still(plant.state, plant.deck)[0]:
+    if still(plant.state, plant.platform)[0]:
         return "at rest, but not on its feet alone"
     return "still sliding" if touch[_SLAB].any() else "still moving"

@@ -33,7 +33,7 @@ class Touchdown:
     t: np.ndarray  # (T,) s since the flight's start
     state: np.ndarray  # (T, 13), columns of `models.attitude`
     commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s, that led to the state
-    deck: np.ndarray  # (T, 12), of the platform, see `Plant.deck`
+    platform: np.ndarray  # (T, 12), of the platform, see `Plant.platform`
     vehicle: Vehicle
     points: Sequence[np.ndarray]  # T arrays (k, 3) m, contacts that carry force
     forces: Sequence[np.ndarray]  # T arrays (k, 3) N, on the vehicle
@@ -43,7 +43,7 @@ class Touchdown:
     def net_forces(self) -> np.ndarray:
         """Net normal force and size of the net tangential force (T, 2) on the vehicle [N]."""
         # F_n = F . n, F_t = |F - F_n n|
-        total, normal = np.array([force.sum(axis=0) for force in self.forces]), surface.normals(self.deck)
+        total, normal = np.array([force.sum(axis=0) for force in self.forces]), surface.normals(self.platform)
         away = (total * normal).sum(axis=1)
         return np.stack([away, np.linalg.norm(total - away[:, None] * normal, axis=1)], axis=1)
 
@@ -70,19 +70,19 @@ def record_touchdown(flight: Flight) -> Touchdown:
     flight: of the landing or the touchdown task, nominal physics. Raises UserError for one without a
     platform, and where nothing touches it.
     """
-    if flight.deck is None:
+    if flight.platform is None:
         raise UserError("contact forces need a flight that touches something; this task has no platform")
     vehicle = flight.task.vehicle
     steps = resimulate(flight, CUT_TIME if flight.task.cut_at_success else 0.0)
-    assert steps.deck is not None
+    assert steps.platform is not None
     states, commands = steps.state[1:], steps.commands[:-1]
     points, forces = steps.points[1:], steps.forces[1:]
     touching = [k for k, force in enumerate(forces) if len(force)]
     if not touching:
         x, z = flight.state[0, [0, 2]]
         raise UserError(f"nothing touches in the flight from x {x:g}, z {z:g} m: no contact force to draw")
-    deck = steps.deck[1:]
-    _, velocity, _ = surface.relative(states, deck)
+    platform = steps.platform[1:]
+    _, velocity, _ = surface.relative(states, platform)
     moving = np.flatnonzero(np.linalg.norm(velocity, axis=1) > REST_SPEED)
     begin, settled = max(touching[0] - round(LEAD / STEP), 0), moving[-1] + 1
     part = slice(begin, settled + round(STILL_TIME / STEP))
@@ -90,7 +90,7 @@ def record_touchdown(flight: Flight) -> Touchdown:
         steps.t[1:][part],
         states[part],
         commands[part],
-        deck[part],
+        platform[part],
         vehicle,
         points[part],
         forces[part],

@@ -48,7 +48,7 @@ def render_touchdowns(
             frames = range(0, len(touchdown.t), every)
             for k in frames:
                 frame = renderer.render(
-                    pose_from_state(touchdown.state[k], touchdown.deck[k]),
+                    pose_from_state(touchdown.state[k], touchdown.platform[k]),
                     forces=list(zip(touchdown.points[k], metres_per_newton * touchdown.forces[k])),
                     caption=caption(touchdown, k),
                 )
@@ -61,7 +61,7 @@ def _touchdown_view(touchdown: Touchdown, width: int, height: int) -> View:
     """Return a view from the side and slightly above, at the first contact and the final place."""
     first = next(k for k, force in enumerate(touchdown.forces) if len(force))
     middle = 0.5 * (touchdown.state[first, :3] + touchdown.state[-1, :3])
-    target = middle + _AIM * surface.normals(touchdown.deck[first : first + 1])[0]
+    target = middle + _AIM * surface.normals(touchdown.platform[first : first + 1])[0]
     return look_at(middle + _FROM, target, width, height, fovy=33.0)
 
 
@@ -87,11 +87,11 @@ class Gauge:
         self._size = round(300 * unit), round(180 * unit)
         self._at = (round(16 * unit / _FINE),) * 2
         self._top = _nice(float(self._force.max()), up=True)
-        view = renderer.view(pose_from_state(touchdown.state[-1], touchdown.deck[-1]))
+        view = renderer.view(pose_from_state(touchdown.state[-1], touchdown.platform[-1]))
         depth = view.project(touchdown.state[-1:, :3])[1]
         self._pixels_per_newton = metres_per_newton / float(view.pixel_size(depth)[0])
         self._shaft = arrow_width(renderer.height)
-        self._back = self._draw_back(touchdown.weight * surface.normals(touchdown.deck[-1:])[0, 2])
+        self._back = self._draw_back(touchdown.weight * surface.normals(touchdown.platform[-1:])[0, 2])
 
     def _point(self, t: float, force: float) -> tuple[float, float]:
         """Return the panel coordinates of time [s] and force [N]."""

@@ -169,8 +169,8 @@ def report_of(command: str, policy: Policy, plant: str, seed: int) -> dict:
 
 def _in_plane(arrived: Sequence[Flight]) -> tuple[np.ndarray, np.ndarray]:
     """Return the last states (n, 13) of flights, turned to slopes of azimuth 0, and the inclinations."""
-    deck = np.array([f.deck[-1] for f in arrived if f.deck is not None])
-    return turned(np.array([f.state[-1] for f in arrived]), -deck[:, YAW]), deck[:, PITCH]
+    platform = np.array([f.platform[-1] for f in arrived if f.platform is not None])
+    return turned(np.array([f.state[-1] for f in arrived]), -platform[:, YAW]), platform[:, PITCH]
 
 
 def _entry(arrived: Sequence[Flight]) -> dict:

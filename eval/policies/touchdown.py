@@ -80,7 +80,7 @@ def land(policy: Policy, states: np.ndarray, friction: float, restitution: float
             cut |= entered
             commands[cut, PWM] = 0.0
         recorder.step(commands, np.flatnonzero(~ended))
-        holding = resting(plant.state, plant.deck, commands[:, PWM] == 0.0, plant.contacts)
+        holding = resting(plant.state, plant.platform, commands[:, PWM] == 0.0, plant.contacts)
         held = np.where(holding, held + 1, 0)
         rests = (held >= HOLD_STEPS) & ~ended
         time[rests] = tick * plant.control_period

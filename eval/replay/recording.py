@@ -86,7 +86,7 @@ def from_flight(flight: Flight, name: str, plant: str) -> Recording:
         touched = [k for k, force in enumerate(steps.forces) if len(force)]
         if touched:
             events.append((float(steps.t[touched[0]]), "first touch"))
-        moving = np.flatnonzero(~still(steps.state, steps.deck))
+        moving = np.flatnonzero(~still(steps.state, steps.platform))
         if len(steps.forces[-1]) and len(moving) and moving[-1] + 1 < len(steps.t):
             events.append((float(steps.t[moving[-1] + 1]), "at rest"))
     return Recording(
@@ -103,7 +103,7 @@ def from_flight(flight: Flight, name: str, plant: str) -> Recording:
         points=None if steps is None else steps.points,
         forces=None if steps is None else steps.forces,
         events=sorted(events),
-        azimuth=0.0 if flight.deck is None else float(flight.deck[0, YAW]),
+        azimuth=0.0 if flight.platform is None else float(flight.platform[0, YAW]),
         goal=task.goal_state,
         goal_size=task.goal_size,
     )

@@ -56,7 +56,7 @@ def play(window: Window, flight: Flight, plant: str, slow: float) -> None:
     """
     flight = to_rest(flight)
     steps = resimulate(flight) if plant == "mujoco" else flight
-    decks = [None] * len(steps.t) if steps.deck is None else steps.deck
+    platforms = [None] * len(steps.t) if steps.platform is None else steps.platform
     stride = max(1, round(1.0 / (_FPS * slow * (steps.t[1] - steps.t[0]))))
     rows = [*range(0, len(steps.t), stride), len(steps.t) - 1]
     waited = 0.0
@@ -65,9 +65,9 @@ def play(window: Window, flight: Flight, plant: str, slow: float) -> None:
             return
         text = f"t {steps.t[k]:.2f} s   PWM {steps.commands[k, 0]:.0f}"
         pause = slow * (steps.t[k] - waited)
-        window.show(steps.state[k], steps.commands[k], decks[k], text=text, seconds=pause)
+        window.show(steps.state[k], steps.commands[k], platforms[k], text=text, seconds=pause)
         waited = steps.t[k]
     for _ in range(round(_LINGERS * _FPS)):
         if not window.open:
             return
-        window.show(steps.state[-1], steps.commands[-1], decks[-1], text=text, seconds=1.0 / _FPS)
+        window.show(steps.state[-1], steps.commands[-1], platforms[-1], text=text, seconds=1.0 / _FPS)

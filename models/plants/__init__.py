@@ -20,7 +20,8 @@ The hybrid plant is the MuJoCo vehicle while a surface is within its reach, and 
 elsewhere: the same flights to 3.4e-5 m in 6 s, the same contacts, at a fraction of the time (`hybrid.py`).
 
 With `moving=True` the platforms of these two move by `set_motion(ids, motion)` (`models/motion.py`). They
-carry along what stands on them, and have no base. `deck` (n, 12) are the platforms' states in every plant.
+carry along what stands on them, and have no base. `platform` (n, 12) are the platforms' states in every
+plant.
 
 Both also have `set_contact(ids, ...)`: friction, restitution and contact time, foot height;
 and `torque_needs_motors`: with it, a vehicle under PWM 0 has no attitude torque, as motors make it.

@@ -18,7 +18,7 @@ from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle, check_vehicle, load_vehicle
 
 Attitude = Literal["rate_loop", "kinematic"]
-DECK_SIZE = WZ + 1  # columns of a vehicle's state but for the lag
+PLATFORM_SIZE = WZ + 1  # columns of a vehicle's state but for the lag
 # What all vehicles of a plant have in common: another slab is another scene, other commands another task.
 _SHARED = (
     *("slab_half_length", "platform_depth", "platform_thickness", "platform_max_inclination"),
@@ -120,8 +120,8 @@ class Plant:
         self.control_period = control_period or self.vehicle.command_control_period
         self.state = np.zeros((n, STATE_SIZE))
         self.contacts = Contacts(np.zeros((n, 3, 3), bool), np.zeros((n, 3, 3), bool), np.zeros((n, 3, 3)))
-        self.deck = np.zeros((n, DECK_SIZE))  # the platforms' own states, see `set_platform`
-        self.deck[:, Z], self.deck[:, PITCH] = (
+        self.platform = np.zeros((n, PLATFORM_SIZE))  # the platforms' own states, see `set_platform`
+        self.platform[:, Z], self.platform[:, PITCH] = (
             self.vehicle.platform_surface_height,
             self.vehicle.platform_inclination,
         )
@@ -149,7 +149,7 @@ class Plant:
             "near": c.near,
             "touch": c.touch,
             "force": c.force,
-            "deck": self.deck,
+            "deck": self.platform,
             "present": self.present,
             "perturbation": self.perturbation,
             **({"choice": self.choice} if self.pool else {}),
@@ -212,23 +212,23 @@ class Plant:
     @property
     def inclination(self) -> np.ndarray:
         """(n,) of the platforms [rad]."""
-        return self.deck[:, PITCH]
+        return self.platform[:, PITCH]
 
     @property
     def azimuth(self) -> np.ndarray:
         """(n,) by which the platforms are turned about the vertical [rad]."""
-        return self.deck[:, YAW]
+        return self.platform[:, YAW]
 
     def set_platform(self, ids, inclination, present=True, azimuth=0.0) -> None:
         """Inclination [rad] and presence of the platforms of the vehicles `ids`, turned by azimuth [rad].
 
-        `deck` (n, 12) then has their states, in the columns of a vehicle's: centre of the surface, velocity,
-        attitude, rates. The surface's attitude is Rz(yaw) Rx(roll) Ry(pitch), its inclination the pitch.
-        The platforms stand still until `set_motion`.
+        `platform` (n, 12) then has their states, in the columns of a vehicle's: centre of the surface,
+        velocity, attitude, rates. The surface's attitude is Rz(yaw) Rx(roll) Ry(pitch), its inclination the
+        pitch. The platforms stand still until `set_motion`.
         """
-        rows = np.zeros((len(self._height[ids]), DECK_SIZE))
+        rows = np.zeros((len(self._height[ids]), PLATFORM_SIZE))
         rows[:, Z], rows[:, PITCH], rows[:, YAW] = self._height[ids], inclination, azimuth
-        self.deck[ids] = rows
+        self.platform[ids] = rows
         self.present[ids] = present
 
     @property
@@ -246,9 +246,14 @@ class Plant:
             "the platforms of this plant stand still: make a mujoco or hybrid one with moving=True"
         )
 
-    def deck_at(self, times) -> np.ndarray:
-        """`deck` (n, 12) as it is at times (n,) or a number [s] since the vehicles' reset."""
-        return self.deck.copy()
+    @property
+    def deck(self) -> np.ndarray:
+        """Return the platforms' states by their old name."""
+        return self.platform
+
+    def platform_at(self, times) -> np.ndarray:
+        """`platform` (n, 12) as it is at times (n,) or a number [s] since the vehicles' reset."""
+        return self.platform.copy()
 
     def _platform_poses(self, ids) -> tuple[np.ndarray, np.ndarray]:
         """See `geometry.platform_poses`; of the vehicles `ids`."""

@@ -9,18 +9,18 @@ A vehicle is out of reach in a time step when the sphere around its shapes is fa
 than its centre can move in this step, by `_MARGIN`; slab and base count with the keep-out zone. The engine
 sees contacts at the beginning of a time step and at the three other stages of RK4, whose positions are
 within one step of the speeds of that step: the speeds at its two ends, plus their difference for what the
-acceleration does between. A moving deck is taken where it was at the period's beginning, and nearer by what
-any of its points can have moved since (`Decks.fastest`). So no contact that the engine would see is missed,
-and contacts, forces and the zone are always the engine's own.
+acceleration does between. A moving platform is taken where it was at the period's beginning, and nearer by
+what any of its points can have moved since (`Platforms.fastest`). So no contact that the engine would see is
+missed, and contacts, forces and the zone are always the engine's own.
 
 The equations fly only attitudes and rates for which they are as exact as the engine: roll short of the
 Euler angles' singularity at 90 deg, turns in a time step of less than `_TURN`. Torque limits, clamped
 commands, motors that are off, perturbations, disturbance and all effects are in the equations; delayed
 commands are written into the engine's history as the engine would write them. The engine flies all with
 kinematic attitude, the mode for exact comparison, and while its steps are recorded (`advance(record=...)`).
-It also flies vehicles with a ground effect over decks that can move, because the equations know the ground
-effect of a platform at rest only. The engine's delayed motion capture sensors, which nothing reads, are as
-old as its last step.
+It also flies vehicles with a ground effect over platforms that can move, because the equations know the
+ground effect of a platform at rest only. The engine's delayed motion capture sensors, which nothing reads,
+are as old as its last step.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _MARGIN = 1e-3  # m
 _LARGEST_ANGLE = 1.2  # rad, of roll and pitch: cos(roll) is far from 0
 # In a time step; RK4 is then within _TURN^5/120 = 1e-7 rad of the true attitude.
 _TURN = 0.1  # rad
-_NOTHING_MOVES = np.empty(0)  # the type of `Decks.fastest`, so that one compiled kernel serves both
+_NOTHING_MOVES = np.empty(0)  # the type of `Platforms.fastest`, so that one compiled kernel serves both
 _FIRST_RATE = 10  # entry of the integrated vector of `equations.pack_state`
 
 
@@ -52,7 +52,9 @@ class _Period(NamedTuple):
     commands: np.ndarray  # (substeps, n, 4) that act in each time step, or (1, n, 4) in all of them
     push: np.ndarray  # (n, 6) or STILL, see `equations.Conditions`
     torque_needs_motors: bool
-    deck_speed: np.ndarray  # (k,) m/s, see `Decks.fastest`, of the vehicles that fly; empty if none can move
+    platform_speed: (
+        np.ndarray
+    )  # (k,) m/s, see `Platforms.fastest`, of the vehicles that fly; empty if none can move
 
 
 class _Vehicles(NamedTuple):
@@ -74,7 +76,7 @@ class _Vehicles(NamedTuple):
 class _Platforms(NamedTuple):
     """Their platforms."""
 
-    deck: np.ndarray  # (n, 12)
+    platform: np.ndarray  # (n, 12)
     present: np.ndarray  # (n,) bool
     position: np.ndarray  # (n, b, 3) m, of the engine's mocap bodies
     bodies: np.ndarray  # (4,) which of them are geometry.PLATFORM_BODIES
@@ -128,7 +130,7 @@ class HybridPlant(MujocoPlant):
             model.actuator_history[:, 0],
             model.actuator_historyadr,
         )
-        self._platforms = _Platforms(self.deck, self.present, self._mocap_pos, np.array(self._mocap))
+        self._platforms = _Platforms(self.platform, self.present, self._mocap_pos, np.array(self._mocap))
         self._kernel_vehicles = _Vehicles(
             *(self._constants, self.perturbation, self.size, self.fleet, self._contact),
             *(self.foot_height, float(self.keep_out), model.actuator_ctrlrange),
@@ -151,13 +153,13 @@ class HybridPlant(MujocoPlant):
                 acting[k] = self.delays.acting(k * step, step)
         else:
             acting[0] = self._ctrl
-        deck_speed = self.decks.fastest(chosen) if self.decks else _NOTHING_MOVES
-        period = _Period(acting, push, self.torque_needs_motors, deck_speed)
+        platform_speed = self.platforms.fastest(chosen) if self.platforms else _NOTHING_MOVES
+        period = _Period(acting, push, self.torque_needs_motors, platform_speed)
         count = _fly(chosen, period, self._kernel_vehicles, self._platforms, self._engine, self._results)
         near = self._results.left[:count]
         if len(near):
             self._roll(None if len(near) == self.n else near)
-        self._place_decks(chosen)
+        self._place_platforms(chosen)
         self.delays.push_state(self.state, chosen)
         return {}
 
@@ -173,13 +175,13 @@ def _fly(ids, period, vehicles, platforms, engine, results):
     others are what it would have made of them, without a warm start of its solver, which had no contact.
     """
     dt, substeps, held = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
-    moving, steps = len(period.deck_speed) > 0, np.zeros(1, equations.STEP)
+    moving, steps = len(period.platform_speed) > 0, np.zeros(1, equations.STEP)
     poses = np.empty((len(platforms.bodies), 3))
     boxes, sizes = vehicles.fleet.box_centres, vehicles.fleet.box_sizes
     count = 0
     for row in range(len(ids)):
         i = ids[row]
-        d, present = platforms.deck[i], platforms.present[i]
+        d, present = platforms.platform[i], platforms.present[i]
         v = vehicles.constants[i if len(vehicles.constants) > 1 else 0]
         s = steps[0]
         y, u, ambient, torque_limits = s.y, s.command, s.ambient, s.torque_limits
@@ -199,7 +201,7 @@ def _fly(ids, period, vehicles, platforms, engine, results):
             poses[0, X], poses[0, Y], poses[0, Z] = d[X], d[Y], d[Z]
             if not present:
                 poses[0, Z] = geometry.PARKED
-            approach = dt * period.deck_speed[row]
+            approach = dt * period.platform_speed[row]
         ambient[equations.TIME], ambient[equations.VOLTAGE] = engine.time[i], math.nan
         ambient[equations.INCLINATION], ambient[equations.PRESENT] = d[PITCH], present
         ambient[equations.AZIMUTH] = d[YAW]

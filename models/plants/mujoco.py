@@ -31,7 +31,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.base import Attitude, Plant, Snapshot, sizes_differ
-from inclined_landing.models.plants.decks import Decks
+from inclined_landing.models.plants.platforms import Platforms
 from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.scene import build_spec, compile_scene
 
@@ -107,9 +107,9 @@ class MujocoPlant(Plant):
         self._ctrl, self._warmstart, self._time = bind("ctrl"), bind("qacc_warmstart"), bind("time")
         self._mocap_pos, self._mocap_quat = bind("mocap_pos"), bind("mocap_quat")
         self._mocap = [int(self.model.body(b).mocapid[0]) for b in geometry.PLATFORM_BODIES]
-        self.decks = None  # of a moving plant
+        self.platforms = None  # of a moving plant
         if moving:
-            self.decks = Decks(self.model, self.batch, self.vehicle, self.deck, self.substeps)
+            self.platforms = Platforms(self.model, self.batch, self.vehicle, self.platform, self.substeps)
         self._warning = self.batch.warning
         self._history = bind("history") if self.model.nhistory else None
         self._held = _held_histories(self.model) if self.model.nhistory else None
@@ -130,11 +130,11 @@ class MujocoPlant(Plant):
 
     def _arrays(self):
         own = {"engine": self.batch.state, "contact": self._contact}
-        return super()._arrays() | own | (self.decks.arrays() if self.decks else {})
+        return super()._arrays() | own | (self.platforms.arrays() if self.platforms else {})
 
     def _make_room(self, arrays):
-        if self.decks:
-            self.decks.make_room(arrays)
+        if self.platforms:
+            self.platforms.make_room(arrays)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Return to a snapshot of a plant of the same kind and size."""
@@ -205,9 +205,9 @@ class MujocoPlant(Plant):
     def set_platform(self, ids, inclination, present=True, azimuth=0.0) -> None:
         """See `Plant.set_platform`."""
         super().set_platform(ids, inclination, present, azimuth)
-        if self.decks:
-            self.decks.stop(ids, self.deck[ids])
-            self._place_decks(ids)
+        if self.platforms:
+            self.platforms.stop(ids, self.platform[ids])
+            self._place_platforms(ids)
             return
         position, quat = self._platform_poses(ids)
         for k, mocap in enumerate(self._mocap):
@@ -217,22 +217,22 @@ class MujocoPlant(Plant):
     @property
     def motion(self) -> Motion | None:
         """See `Plant.motion`."""
-        return self.decks.motion if self.decks else None
+        return self.platforms.motion if self.platforms else None
 
     def set_motion(self, ids, motion: Motion, time=0.0) -> None:
         """See `Plant.set_motion`."""
-        if self.decks is None:
+        if self.platforms is None:
             return super().set_motion(ids, motion, time)
-        self.decks.set(ids, motion, time)
-        self._place_decks(ids)
+        self.platforms.set(ids, motion, time)
+        self._place_platforms(ids)
 
-    def deck_at(self, times) -> np.ndarray:
-        """See `Plant.deck_at`."""
-        return self.decks.at(times) if self.decks else super().deck_at(times)
+    def platform_at(self, times) -> np.ndarray:
+        """See `Plant.platform_at`."""
+        return self.platforms.at(times) if self.platforms else super().platform_at(times)
 
-    def _place_decks(self, ids) -> None:
-        if self.decks:
-            self.decks.place(self._everyone[ids], self.present)
+    def _place_platforms(self, ids) -> None:
+        if self.platforms:
+            self.platforms.place(self._everyone[ids], self.present)
 
     def reset(self, ids, state: np.ndarray) -> None:
         """Put the vehicles `ids` into `state` (k, 13): pose, rates, lag; contacts, past commands cleared."""
@@ -245,7 +245,7 @@ class MujocoPlant(Plant):
         self._warmstart[ids] = 0.0
         self._time[ids] = 0.0
         self._warning[ids] = 0
-        self._place_decks(ids)
+        self._place_platforms(ids)
         self._begin(ids, state)
 
     def step(self, commands: np.ndarray, wanted: np.ndarray | None = None) -> None:
@@ -287,7 +287,7 @@ class MujocoPlant(Plant):
         if self.attitude == "kinematic":
             self._synchronise(own)
         seen = self._roll(ids, record)
-        self._place_decks(own)
+        self._place_platforms(own)
         self.delays.push_state(self.state, own)
         return seen
 
@@ -319,8 +319,8 @@ class MujocoPlant(Plant):
         stepped = self._everyone if ids is None else ids
         seen = {"sensordata": self._seen[: len(stepped)]}
         push: Any = {}
-        if self.decks:
-            push = {"control": self.decks.forces(stepped, self.present), "control_spec": _PUSH}
+        if self.platforms:
+            push = {"control": self.platforms.forces(stepped, self.present), "control_spec": _PUSH}
         if record:
             seen = self.batch.rollout(self.substeps, record=("sensordata", *record), ids=ids, **push)
         else:

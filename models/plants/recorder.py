@@ -94,7 +94,7 @@ class Recorder:
         moved = (np.ascontiguousarray(field[..., : _COLUMNS[name]]) for name, field in both.items())
         steps = Steps(self._clock(), seen["sensordata"], *moved)
         slab = plant.contact_sensors[SLAB]
-        _record(steps, own, slab, surface.normals(plant.deck), self.touch, *self._older, self.feet_force)
+        _record(steps, own, slab, surface.normals(plant.platform), self.touch, *self._older, self.feet_force)
         return steps
 
     def _clock(self) -> np.ndarray:
@@ -114,11 +114,11 @@ class Recorder:
 
         Of moving platforms: relative to their points where the vehicles are.
         """
-        deck = self.plant.deck_at(self.touch.time - self.plant.model.opt.timestep)
+        platform = self.plant.platform_at(self.touch.time - self.plant.model.opt.timestep)
         seen = np.zeros((self.plant.n, WZ + 1))
         seen[:, :VX], seen[:, VX : VZ + 1] = self.touch.qpos[:, :3], self.touch.qvel[:, :3]
-        _, velocity, _ = surface.relative(seen, deck)
-        normal = surface.normals(deck)
+        _, velocity, _ = surface.relative(seen, platform)
+        normal = surface.normals(platform)
         away = (velocity * normal).sum(axis=1)
         return -away, np.linalg.norm(velocity - away[:, None] * normal, axis=1)
 
@@ -126,12 +126,12 @@ class Recorder:
         """(n,) bool: still now, and in the last control period feet and nothing else on the slab alone."""
         touch = self.plant.contacts.touch
         on_feet = touch[:, 0, FEET] & (touch.sum(axis=(1, 2)) == 1)
-        return still(self.plant.state, self.plant.deck) & on_feet
+        return still(self.plant.state, self.plant.platform) & on_feet
 
 
-def still(state: np.ndarray, deck: np.ndarray | None) -> np.ndarray:
-    """(n,) bool for states (n, 13): slower than REST_SPEED and REST_RATE, relative to decks (n, 12)."""
-    around = np.zeros((len(state), WZ + 1)) if deck is None else deck
+def still(state: np.ndarray, platform: np.ndarray | None) -> np.ndarray:
+    """(n,) bool for states (n, 13): slower than REST_SPEED and REST_RATE, relative to platforms (n, 12)."""
+    around = np.zeros((len(state), WZ + 1)) if platform is None else platform
     _, velocity, rate = surface.relative(state, around)
     return (np.linalg.norm(velocity, axis=1) < REST_SPEED) & (np.linalg.norm(rate, axis=1) < REST_RATE)
 

@@ -106,8 +106,8 @@ ANSWERS = {
 
 
 def answered(value):
-    controller = _Told(lambda t, state, deck: value, "mine", load_vehicle())
-    commands = controller(0.0, StepContext(np.stack([STATE, STATE]), None, deck=np.zeros((2, 12))))
+    controller = _Told(lambda t, state, platform: value, "mine", load_vehicle())
+    commands = controller(0.0, StepContext(np.stack([STATE, STATE]), None, platform=np.zeros((2, 12))))
     assert commands.shape == (2, 4) and np.isfinite(commands).all()
 
 

@@ -82,7 +82,7 @@ def can_be_simulated(study: Study) -> None:
 
 
 def can_be_landed_on(scenario: Scenario) -> None:
-    """Its decks stay finite, and there is time to rest for as long as is asked."""
+    """Its platforms stay finite, and there is time to rest for as long as is asked."""
     drawn = scenario.draw(load_vehicle(), 2)
     assert all(np.isfinite(array).all() for array in (drawn.start, drawn.azimuth, *drawn.motion.at(1.0)))
     assert scenario.success.hold < scenario.success.within

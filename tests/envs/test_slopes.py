@@ -17,7 +17,7 @@ from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, START_CLEARANCE, Conditions
 from inclined_landing.models.attitude import PITCH, ROLL, VX, YAW, X, Y, Z
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.plants.base import DECK_SIZE
+from inclined_landing.models.plants.base import PLATFORM_SIZE
 from inclined_landing.models.surface import turned
 
 STEEP = math.radians(50)
@@ -28,11 +28,11 @@ SPACE = make_task("landing", steepest=0.5, dimensions=3, random_yaw=True)
 PLANE_DIGEST, SPACE_DIGEST = "c9354facd7c69359", "5cf7c8bcbcd0bae6"  # of the frozen starts
 
 
-def decks(inclination, azimuth):
-    """Decks (n, 12) that stand still."""
-    deck = np.zeros((len(inclination), DECK_SIZE))
-    deck[:, Z], deck[:, PITCH], deck[:, YAW] = 1.15, inclination, azimuth
-    return deck
+def platforms(inclination, azimuth):
+    """Platforms (n, 12) that stand still."""
+    platform = np.zeros((len(inclination), PLATFORM_SIZE))
+    platform[:, Z], platform[:, PITCH], platform[:, YAW] = 1.15, inclination, azimuth
+    return platform
 
 
 def test_slopes_are_drawn_evenly_and_starts_are_clear():
@@ -61,22 +61,22 @@ def test_slopes_are_drawn_evenly_and_starts_are_clear():
 @given(st.floats(0, 0.5), st.floats(-3, 3), st.floats(-3, 3), st.integers(0, 10**6))
 def test_what_is_seen_and_judged_does_not_depend_on_where_the_slope_faces(slope, azimuth, yaw, seed):
     rng = np.random.default_rng(seed)
-    goal = SPACE.goal_on(decks([slope], [0.0])[0])
+    goal = SPACE.goal_on(platforms([slope], [0.0])[0])
     state = np.tile(goal, (8, 1))
     state[:, :8] += rng.normal(size=(8, 8)) * [0.08, 0.08, 0.08, 0.8, 0.8, 0.8, 0.02, 0.02]
     state[0] = goal
-    deck, other = decks([slope] * 8, [0.0] * 8), decks([slope] * 8, [azimuth] * 8)
+    platform, other = platforms([slope] * 8, [0.0] * 8), platforms([slope] * 8, [azimuth] * 8)
     moved = turned(state, np.full(8, azimuth))
-    seen = SPACE.observe(StepContext(state, deck=deck))
-    np.testing.assert_allclose(SPACE.observe(StepContext(moved, deck=other)), seen, atol=1e-5)  # float32
-    inside = SPACE.in_goal(state, 0.1, deck)
+    seen = SPACE.observe(StepContext(state, platform=platform))
+    np.testing.assert_allclose(SPACE.observe(StepContext(moved, platform=other)), seen, atol=1e-5)  # float32
+    inside = SPACE.in_goal(state, 0.1, platform)
     assert inside[0] and (SPACE.in_goal(moved, 0.1, other) == inside).all()
 
 
 @pytest.mark.parametrize("inclination", [-STEEP, -0.3, 0.0, STEEP])
 def test_goal_lies_along_the_normal_with_the_papers_half_widths(inclination):
-    deck = decks([inclination], [0.0])
-    goal = PLANE.goal_on(deck[0])
+    platform = platforms([inclination], [0.0])
+    goal = PLANE.goal_on(platform[0])
     height = goal[X] * math.sin(inclination) + (goal[Z] - 1.15) * math.cos(inclination)
     assert height == pytest.approx(GOAL_HEIGHT) and goal[PITCH] == inclination
     for column, width in (
@@ -92,7 +92,7 @@ def test_goal_lies_along_the_normal_with_the_papers_half_widths(inclination):
             for share, inside in ((0.999, True), (1.001, False)):
                 state = goal.copy()
                 state[column] += sign * share * width
-                assert PLANE.in_goal(state[None], 0.1, deck)[0] == inside
+                assert PLANE.in_goal(state[None], 0.1, platform)[0] == inside
 
 
 def test_the_plain_task_is_as_it_was():

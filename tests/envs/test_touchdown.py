@@ -42,7 +42,9 @@ def judge(state=None, action=IDLE, touching=((0, 0),), force=WEIGHT, held=0, con
         contacts.force[0][pair] = force
     count, start = np.ones(1, int), task.start(state)
     records = start, count, 9 * count, np.array([held])
-    return task.evaluate(StepContext(state, contacts, action[None], *records, deck=start.decks(task.vehicle)))
+    return task.evaluate(
+        StepContext(state, contacts, action[None], *records, platform=start.platforms(task.vehicle))
+    )
 
 
 def terms(evaluation) -> dict:

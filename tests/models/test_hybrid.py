@@ -72,7 +72,7 @@ def many_effects(delays: bool):
 
 
 def motions(n: int, seed: int) -> Motion:
-    """Of n decks: travel of up to 2 m/s, swings of up to 0.3 m and 0.4 rad, the fastest at 8 rad/s."""
+    """Of n platforms: travel of up to 2 m/s, swings of up to 0.3 m and 0.4 rad, the fastest at 8 rad/s."""
     rng = np.random.default_rng(seed)
     size = rng.uniform(0, 1, (n, 6, 2)) * [[0.15]] * (rng.uniform(size=(n, 1, 1)) < 0.7)
     size[:, 3:5] *= 1.3
@@ -121,7 +121,7 @@ def test_every_control_step_is_the_engines(case, seed):
         hybrid.perturb(lag_scale=0.7, drag_change=0.5, gain_scale=1.2, time_constant_scale=0.8)
     if foot is not None:
         hybrid.set_contact(np.arange(n), foot_height=foot)
-    if hybrid.decks:
+    if hybrid.platforms:
         hybrid.set_motion(np.arange(n), motions(n, seed))
     hybrid.reset(np.arange(n), population(n, seed))
     flown = commands(steps, n, seed, smooth)

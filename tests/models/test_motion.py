@@ -1,4 +1,4 @@
-"""Motions of decks: speeds are the derivatives of places, points of a deck move as a rigid body."""
+"""Motions of platforms: speeds are the derivatives of places, points of a platform move as a rigid body."""
 
 import numpy as np
 import pytest
@@ -34,27 +34,27 @@ def test_rates_are_derivatives():
         np.testing.assert_allclose((after[order] - before[order]) / (2 * H), now[order + 1], atol=NEAR)
 
 
-def test_points_of_a_deck_move_with_it():
+def test_points_of_a_platform_move_with_it():
     motion, rest, local = motions(8), rests(8), np.array([0.4, -0.2, -0.01])
 
     def point(time):
-        deck = motion.decks(time, rest)
-        return deck, np.array([d[: Z + 1] + rotation(*d[ROLL : YAW + 1]) @ local for d in deck])
+        platform = motion.platforms(time, rest)
+        return platform, np.array([d[: Z + 1] + rotation(*d[ROLL : YAW + 1]) @ local for d in platform])
 
-    (_, before), (deck, now), (_, after) = (point(2.0 + shift) for shift in (-H, 0.0, H))
+    (_, before), (platform, now), (_, after) = (point(2.0 + shift) for shift in (-H, 0.0, H))
     carried = np.zeros((8, 13))
     carried[:, : Z + 1], carried[:, VX : VZ + 1] = now, (after - before) / (2 * H)
-    np.testing.assert_allclose(relative(carried, deck)[1], 0.0, atol=NEAR)
+    np.testing.assert_allclose(relative(carried, platform)[1], 0.0, atol=NEAR)
 
 
-def test_selection_and_assignment_keep_each_decks_motion():
+def test_selection_and_assignment_keep_each_platforms_motion():
     few, many = motions(3, waves=2), motions(2, waves=4, seed=1)
     mixed, rest = Motion.still(5), rests(5)
     mixed[[0, 2, 4]], mixed[np.array([False, True, False, True, False])] = few, many
-    places = mixed.decks(1.3, rest)
-    np.testing.assert_array_equal(places[[0, 2, 4]], few.decks(1.3, rest[[0, 2, 4]]))
-    np.testing.assert_array_equal(places[[1, 3]], mixed[1:4:2].decks(1.3, rest[[1, 3]]))
-    np.testing.assert_array_equal(Motion.still(5).decks(9.0, rest), rest)
+    places = mixed.platforms(1.3, rest)
+    np.testing.assert_array_equal(places[[0, 2, 4]], few.platforms(1.3, rest[[0, 2, 4]]))
+    np.testing.assert_array_equal(places[[1, 3]], mixed[1:4:2].platforms(1.3, rest[[1, 3]]))
+    np.testing.assert_array_equal(Motion.still(5).platforms(9.0, rest), rest)
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_selection_and_assignment_keep_each_decks_motion():
 )
 def test_what_is_no_motion_is_refused(change):
     parts = dict(zip(("velocity", "amplitude", "frequency", "phase"), Motion.still(2).arrays))
-    with pytest.raises(UserError, match=r"motion|deck"):
+    with pytest.raises(UserError, match=r"motion|platform"):
         Motion(**(parts | change))
 
 
@@ -79,5 +79,5 @@ def test_columns():
     motion = Motion.still(1)
     motion.amplitude[0, MODES.index("pitch")], motion.phase[:] = 0.1, np.pi / 2
     motion.amplitude[0, MODES.index("surge")] = 0.2
-    deck = motion.decks(0.0, rests(1))[0]
-    assert deck[X] == 0.2 and deck[PITCH] == pytest.approx(0.4)
+    platform = motion.platforms(0.0, rests(1))[0]
+    assert platform[X] == 0.2 and platform[PITCH] == pytest.approx(0.4)

@@ -10,40 +10,43 @@ RNG = np.random.default_rng(5)
 
 
 def somewhere(n):
-    """States (n, 13) of vehicles and decks (n, 12), any heading, attitudes up to 0.6 rad."""
-    state, deck = RNG.normal(0.0, 1.0, (n, 13)), RNG.normal(0.0, 1.0, (n, 12))
-    for row in (state, deck):
+    """States (n, 13) of vehicles and platforms (n, 12), any heading, attitudes up to 0.6 rad."""
+    state, platform = RNG.normal(0.0, 1.0, (n, 13)), RNG.normal(0.0, 1.0, (n, 12))
+    for row in (state, platform):
         row[:, [ROLL, PITCH]] = RNG.uniform(-0.6, 0.6, (n, 2))
         row[:, YAW] = RNG.uniform(-np.pi, np.pi, n)
-    return state, deck
+    return state, platform
 
 
 def test_turned_together_vehicle_and_surface_look_the_same():
     """To rounding: numbers of size 3 pass a handful of operations."""
-    state, deck = somewhere(200)
+    state, platform = somewhere(200)
     turn = RNG.uniform(-np.pi, np.pi, 200)
-    platform = np.concatenate([deck, np.zeros((200, 1))], axis=1)
+    platform = np.concatenate([platform, np.zeros((200, 1))], axis=1)
     both = surface.turned(state, turn), surface.turned(platform, turn)[:, :12]
-    assert np.abs(surface.heading_frame(*both) - surface.heading_frame(state, deck)).max() < 1e-13
-    lengths = np.linalg.norm(surface.deck_motion(deck)[:, :3], axis=1)
-    assert lengths == pytest.approx(np.linalg.norm(deck[:, 3:6], axis=1), abs=1e-13)
+    assert np.abs(surface.heading_frame(*both) - surface.heading_frame(state, platform)).max() < 1e-13
+    lengths = np.linalg.norm(surface.platform_motion(platform)[:, :3], axis=1)
+    assert lengths == pytest.approx(np.linalg.norm(platform[:, 3:6], axis=1), abs=1e-13)
 
 
 def test_the_seen_attitude_has_the_vehicles_thrust_axis():
-    state, deck = somewhere(200)
-    seen = surface.heading_frame(state, deck)
-    angles = np.column_stack([seen[:, [ROLL, PITCH]], deck[:, YAW]])
+    state, platform = somewhere(200)
+    seen = surface.heading_frame(state, platform)
+    angles = np.column_stack([seen[:, [ROLL, PITCH]], platform[:, YAW]])
     own = rotations(np.ascontiguousarray(state[:, ROLL : YAW + 1]))[:, :, Z]
     assert np.abs(rotations(angles)[:, :, Z] - own).max() < 1e-13
     same = state.copy()
-    same[:, YAW] = deck[:, YAW]
-    assert np.abs(surface.heading_frame(same, deck)[:, [ROLL, PITCH]] - state[:, [ROLL, PITCH]]).max() < 1e-13
+    same[:, YAW] = platform[:, YAW]
+    assert (
+        np.abs(surface.heading_frame(same, platform)[:, [ROLL, PITCH]] - state[:, [ROLL, PITCH]]).max()
+        < 1e-13
+    )
 
 
 def test_commands_lead_to_the_attitude_that_was_meant():
     """Where no limit is met: a vehicle with gain times the turned command shows gain times the meant one."""
-    state, deck = somewhere(200)
+    state, platform = somewhere(200)
     meant, gain = RNG.uniform(-0.4, 0.4, (200, 2)), 1.1
-    state[:, [ROLL, PITCH]] = gain * surface.vehicle_commands(meant, gain, 1.0, state, deck)
-    assert np.abs(surface.heading_frame(state, deck)[:, [ROLL, PITCH]] - gain * meant).max() < 1e-13
-    assert np.abs(surface.vehicle_commands(meant, gain, 0.1, state, deck)).max() <= 0.1
+    state[:, [ROLL, PITCH]] = gain * surface.vehicle_commands(meant, gain, 1.0, state, platform)
+    assert np.abs(surface.heading_frame(state, platform)[:, [ROLL, PITCH]] - gain * meant).max() < 1e-13
+    assert np.abs(surface.vehicle_commands(meant, gain, 0.1, state, platform)).max() <= 0.1

@@ -34,7 +34,7 @@ def test_the_lesson_is_the_motor_cut():
     task = landing.task
     over = at_rest(task, np.array([task.goal_position, (0.0, 1.20), (1.5, 1.8)]))
     over[0, PITCH] = task.inclination
-    context = StepContext(over, deck=task.start(over).decks(task.vehicle))
+    context = StepContext(over, platform=task.start(over).platforms(task.vehicle))
     lesson = warm_start.lesson(context, landing)
     assert (lesson[:2, 0] < IDLE_ACTION).all() and lesson[2, 0] > IDLE_ACTION
     held = lesson[0, 1] * landing.task.vehicle.command_angle_limit * landing.task.vehicle.attitude_gain

@@ -1,4 +1,4 @@
-"""The frozen benchmark of moving decks: its files, its scorer, controllers of others."""
+"""The frozen benchmark of moving platforms: its files, its scorer, controllers of others."""
 
 import hashlib
 import json
@@ -194,7 +194,7 @@ def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
 
 
 def test_who_does_nothing_does_not_land(tmp_path):
-    """A vehicle whose motors are off falls to the floor, or onto the deck it started over."""
+    """A vehicle whose motors are off falls to the floor, or onto the platform it started over."""
     file = tmp_path / "still.py"
     file.write_text("import numpy as np\ndef off(t, state, deck): return np.zeros((len(state), 4))\n")
     found = controllers.find(f"{file}:off", VEHICLE)
@@ -237,5 +237,5 @@ def test_a_filmed_flight_is_the_scored_one_and_rides_along():
     flight, scored = ride(scenario, planner), fly(scenario, planner, 1).iloc[0]
     assert flight.success and flight.duration == pytest.approx(scored["time"], abs=0.021)
     assert flight.t[-1] >= scored["time"] + RIDE - 0.03
-    _, velocity, _ = surface.relative(flight.state[-1:], flight.deck[-1:])
+    _, velocity, _ = surface.relative(flight.state[-1:], flight.platform[-1:])
     assert np.linalg.norm(velocity) < 0.05 < np.linalg.norm(flight.state[-1, 3:6])

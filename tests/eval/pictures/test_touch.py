@@ -50,13 +50,13 @@ def test_forces_begin_with_the_touch_and_end_with_the_weight(touchdown):
     net = touchdown.net_forces
     before = round(LEAD / STEP)
     assert not net[:before].any() and net[before, 0] > 0
-    alpha = abs(touchdown.deck[0, PITCH])
+    alpha = abs(touchdown.platform[0, PITCH])
     # Still for 0.12 s; the thrust that decays with 60 ms still carries a few percent.
     assert net[-1] == pytest.approx([WEIGHT * np.cos(alpha), WEIGHT * np.sin(alpha)], rel=0.1)
     for points, forces in zip(touchdown.points, touchdown.forces):
         assert points.shape == forces.shape
     # On the slab: sunk in by less than 5 mm.
-    [normal] = surface.normals(touchdown.deck[:1])
+    [normal] = surface.normals(touchdown.platform[:1])
     points = np.concatenate(touchdown.points) - [0, 0, V.platform_surface_height]
     assert np.abs(points @ normal).max() < 0.005
     assert touchdown.largest_force < net[:, 0].max()

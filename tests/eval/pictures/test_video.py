@@ -119,8 +119,8 @@ def test_a_landing_goes_on_to_rest_with_its_motors_cut(landed):
     task = flight.task
     judged = cut_motors(flight.state[-1:], flight.inclination, task.vehicle)
     assert whole.at_rest == judged.at_rest[0] and whole.ending == "at rest on its feet"
-    assert still(whole.state, whole.deck)[whole.settled :].all()
-    assert not still(whole.state, whole.deck)[whole.settled - 1]
+    assert still(whole.state, whole.platform)[whole.settled :].all()
+    assert not still(whole.state, whole.platform)[whole.settled - 1]
     # Feet sink in by less than 5 mm, over a base of some 7 cm: below 0.1 rad.
     assert whole.state[-1, 7] == pytest.approx(flight.inclination, abs=0.05)
     normal_height = whole.state[-1, :3] - [0, 0, task.vehicle.platform_surface_height]

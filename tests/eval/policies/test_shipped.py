@@ -79,7 +79,7 @@ def test_setpoint_is_reached():
 
 
 @pytest.mark.parametrize("name", MOVING)
-def test_it_lands_on_decks_that_travel(name):
+def test_it_lands_on_platforms_that_travel(name):
     """The first 16 flights of a frozen scenario, always the same; all land where it was made."""
     found = controllers.find(name, vehicle_flown())
     assert fly(read_scenario("travel_050_cm_s"), found, 16)["at_rest"].sum() >= 14

@@ -69,7 +69,7 @@ def test_a_landing_is_followed_to_rest(landing):
     """At the end the slope carries the weight: the forces sum to it within the trembling of 0.02 m/s, 5 %."""
     steps = resimulate(to_rest(landing))
     assert steps.t[-1] > landing.duration + 0.3
-    assert still(steps.state, steps.deck)[-1] and not steps.commands[-1].any()
+    assert still(steps.state, steps.platform)[-1] and not steps.commands[-1].any()
     weight = V.body_mass * V.environment_gravity
     net = np.mean([force.sum(axis=0) for force in steps.forces[-20:]], axis=0)
     np.testing.assert_allclose(net, [0, 0, weight], atol=0.05 * weight)

@@ -23,7 +23,7 @@ TAU = V.contact_solref[0]  # s, time constant of the contact
 
 
 def motion(n: int = 1, travel=(0.0, 0.0, 0.0), **waves) -> Motion:
-    """The same for n decks; a wave is its mode's amplitude, frequency, phase."""
+    """The same for n platforms; a wave is its mode's amplitude, frequency, phase."""
     moves = Motion.still(n)
     moves.velocity[:] = travel
     for mode, values in waves.items():
@@ -33,16 +33,16 @@ def motion(n: int = 1, travel=(0.0, 0.0, 0.0), **waves) -> Motion:
 
 
 def standing(plant, moves: Motion, *, inclination=0.0, azimuth=0.0, above=0.0) -> MujocoPlant:
-    """The plant's vehicles on their decks, moving with them, motors off; `above` [m] the surface."""
+    """The plant's vehicles on their platforms, moving with them, motors off; `above` [m] the surface."""
     ids = np.arange(plant.n)
     plant.set_platform(ids, inclination, azimuth=azimuth)
     plant.set_motion(ids, moves)
     plant.reset(ids, plant.state)  # time 0
-    state, deck = np.zeros((plant.n, 13)), plant.deck
-    state[:, :LAG] = deck
-    state[:, : Z + 1] += (plant.foot_height + above) * normals(deck)
-    lever = state[:, : Z + 1] - deck[:, : Z + 1]
-    turning = np.array([rotation(*d[ROLL : ROLL + 3]) @ d[9:12] for d in deck])
+    state, platform = np.zeros((plant.n, 13)), plant.platform
+    state[:, :LAG] = platform
+    state[:, : Z + 1] += (plant.foot_height + above) * normals(platform)
+    lever = state[:, : Z + 1] - platform[:, : Z + 1]
+    turning = np.array([rotation(*d[ROLL : ROLL + 3]) @ d[9:12] for d in platform])
     state[:, VX : VZ + 1] += np.cross(turning, lever)
     plant.reset(ids, state)
     return plant
@@ -59,8 +59,8 @@ SWELL = {
 
 
 @pytest.mark.parametrize("integrator", ["RK4", "implicitfast"])
-def test_a_deck_follows_its_motion_under_a_hard_touchdown(integrator):
-    """At every step of the engine, within the error of one control period, see `plants/decks.py`.
+def test_a_platform_follows_its_motion_under_a_hard_touchdown(integrator):
+    """At every step of the engine, within the error of one control period, see `plants/platforms.py`.
 
     J T h^2 / 12 with J = amplitude frequency^3, and what the impulse of the touchdown, m v (1 + restitution)
     and a weight, gives an inertia of 1e5: at most 1e-6 of speed, for one period.
@@ -81,8 +81,8 @@ def test_a_deck_follows_its_motion_under_a_hard_touchdown(integrator):
         seen = plant.advance(np.zeros((2, 4)), record=("qpos",))["qpos"]
         strongest = max(strongest, plant.contacts.force[0].max())
         for k in range(5):
-            deck = moves.decks(begun + (k + 1) * STEP, plant.decks.rest)
-            expected = deck[:, [X, Y, Z, 8, ROLL, PITCH]]
+            platform = moves.platforms(begun + (k + 1) * STEP, plant.platforms.rest)
+            expected = platform[:, [X, Y, Z, 8, ROLL, PITCH]]
             worst = np.maximum(worst, np.abs(seen[:, k, 7:] - expected).max(axis=0))
         assert np.abs(seen[0, :, 7:] - seen[1, :, 7:]).max() < PERIOD * 1e-6
     assert strongest > 20 * MASS * G
@@ -123,7 +123,7 @@ def test_landings_are_the_same_seen_from_a_moving_frame(kind):
 
 
 @pytest.mark.parametrize("integrator", ["RK4", "implicitfast"])
-def test_force_on_a_heaving_deck(integrator):
+def test_force_on_a_heaving_platform(integrator):
     """m (g + a), which the contact follows with its time constant: late by 2 tau, times m da/dt."""
     size, turn = 0.25, 4.0
     plant = MujocoPlant(1, moving=True, integrator=integrator, threads=1)
@@ -139,7 +139,7 @@ def test_force_on_a_heaving_deck(integrator):
 
 
 def test_impulses_of_contacts_explain_the_motion():
-    """m dv = impulse - m g dt in every engine step of a drop onto a level deck, to rounding."""
+    """m dv = impulse - m g dt in every engine step of a drop onto a level platform, to rounding."""
     plant = MujocoPlant(1, CALM, moving=True, control_period=STEP, threads=1)
     standing(plant, motion(travel=(0.5, 0.2, 0.0), heave=SWELL["heave"]), above=0.01)
     met = 0.0
@@ -155,7 +155,7 @@ def test_impulses_of_contacts_explain_the_motion():
 
 
 def slip(acceleration, friction: float, seconds: float) -> float:
-    """Largest distance [m] that a mass slides on a level deck of a given acceleration(t) [m/s2]."""
+    """Largest distance [m] that a mass slides on a level platform of a given acceleration(t) [m/s2]."""
     dt, speed, place, farthest = 1e-4, 0.0, 0.0, 0.0
     for k in range(round(seconds / dt)):
         pull, hold = -acceleration(k * dt), friction * G * dt
@@ -168,7 +168,7 @@ def slip(acceleration, friction: float, seconds: float) -> float:
 
 @pytest.mark.parametrize("mode", ["surge", "sway"])
 @pytest.mark.parametrize("share", [0.9, 1.3])
-def test_a_deck_that_accelerates_faster_than_friction_slides_away(mode, share):
+def test_a_platform_that_accelerates_faster_than_friction_slides_away(mode, share):
     """With 0.9 mu g it carries the vehicle along, with 1.3 mu g as Coulomb friction says."""
     friction, turn = 0.3, 3.0
     size = share * friction * G / turn**2
@@ -179,7 +179,7 @@ def test_a_deck_that_accelerates_faster_than_friction_slides_away(mode, share):
     farthest = 0.0
     for _ in range(100):
         plant.step(OFF)
-        place, _, _ = relative(plant.state, plant.deck)
+        place, _, _ = relative(plant.state, plant.platform)
         farthest = max(farthest, np.hypot(*place[0, :2]))
     expected = slip(lambda t: -size * turn**2 * math.sin(turn * t), friction, 2.0)
     # 0.1 mm/s of creep, and feet that settle into the surface by tau^2 g = 1 mm before they hold.
@@ -188,7 +188,7 @@ def test_a_deck_that_accelerates_faster_than_friction_slides_away(mode, share):
 
 
 @pytest.mark.parametrize("mode", ["roll", "pitch"])
-def test_on_a_tilting_deck_it_slips_where_the_tangent_is_the_friction(mode):
+def test_on_a_tilting_platform_it_slips_where_the_tangent_is_the_friction(mode):
     """Tilting at 0.12 rad/s it reaches 5 mm/s after the time in which g rate t^2/2 does: 0.011 rad later."""
     friction, turn = 0.3, 0.3
     plant = MujocoPlant(1, moving=True, threads=1)
@@ -196,24 +196,24 @@ def test_on_a_tilting_deck_it_slips_where_the_tangent_is_the_friction(mode):
     standing(plant, motion(**{mode: (0.5, turn, 0.0)}))
     for _ in range(200):
         plant.step(OFF)
-        _, velocity, _ = relative(plant.state, plant.deck)
+        _, velocity, _ = relative(plant.state, plant.platform)
         if np.linalg.norm(velocity) > 5e-3:
             break
-    angle, rate = math.acos(normals(plant.deck)[0, 2]), 0.5 * turn * math.cos(turn * 2.0)
+    angle, rate = math.acos(normals(plant.platform)[0, 2]), 0.5 * turn * math.cos(turn * 2.0)
     late = rate * math.sqrt(2 * 5e-3 / (G * rate))
     assert math.atan(friction) < angle < math.atan(friction) + 1.5 * late
 
 
 def test_standing_on_a_swell_it_rides_along():
-    """On a deck that moves in all ways the vehicle stays where it stands, to 0.1 mm/s of creep."""
+    """On a platform that moves in all ways the vehicle stays where it stands, to 0.1 mm/s of creep."""
     plant = standing(MujocoPlant(1, moving=True, threads=1), motion(travel=(0.5, 0.2, 0.0), **{
         mode: (0.3 * size, turn, phase) for mode, (size, turn, phase) in SWELL.items()}))  # fmt: skip
-    deck, state = plant.deck[0].copy(), plant.state[0].copy()
-    place = rotation(*deck[6:9]).T @ (state[:3] - deck[:3])
+    platform, state = plant.platform[0].copy(), plant.state[0].copy()
+    place = rotation(*platform[6:9]).T @ (state[:3] - platform[:3])
     for _ in range(150):
         plant.step(OFF)
-    deck, state = plant.deck[0], plant.state[0]
-    now = rotation(*deck[6:9]).T @ (state[:3] - deck[:3])
+    platform, state = plant.platform[0], plant.state[0]
+    now = rotation(*platform[6:9]).T @ (state[:3] - platform[:3])
     assert np.abs(now - place)[:2].max() < 3e-4 and plant.contacts.touch[0, 0, 0]
 
 
@@ -227,7 +227,9 @@ def test_restored_it_goes_on_bit_for_bit(kind):
     for _ in range(2):
         for _ in range(20):
             plant.step(np.zeros((n, 4)))
-        seen.append(np.concatenate([plant.state.ravel(), plant.deck.ravel(), plant.contacts.force.ravel()]))
+        seen.append(
+            np.concatenate([plant.state.ravel(), plant.platform.ravel(), plant.contacts.force.ravel()])
+        )
         wider = Motion.still(2, waves=3)
         wider.amplitude[:] = 0.1
         plant.set_platform(ids[:2], 0.3)
@@ -239,12 +241,15 @@ def test_restored_it_goes_on_bit_for_bit(kind):
 def test_a_platform_set_anew_stands_still():
     plant = standing(MujocoPlant(2, moving=True, threads=1), motion(2, travel=(1.0, 0, 0)))
     plant.step(np.zeros((2, 4)))
-    assert plant.deck[:, X] == pytest.approx([0.02, 0.02]) and plant.deck[:, VX].tolist() == [1.0, 1.0]
-    np.testing.assert_array_equal(plant.deck_at(0.02), plant.deck)
+    assert plant.platform[:, X] == pytest.approx([0.02, 0.02]) and plant.platform[:, VX].tolist() == [
+        1.0,
+        1.0,
+    ]
+    np.testing.assert_array_equal(plant.platform_at(0.02), plant.platform)
     plant.set_platform([1], 0.2, azimuth=0.5)
     plant.step(np.zeros((2, 4)))
-    assert plant.deck[0, X] == pytest.approx(0.04)
-    assert plant.deck[1].tolist() == [0, 0, V.platform_surface_height, 0, 0, 0, 0, 0.2, 0.5, 0, 0, 0]
+    assert plant.platform[0, X] == pytest.approx(0.04)
+    assert plant.platform[1].tolist() == [0, 0, V.platform_surface_height, 0, 0, 0, 0, 0.2, 0.5, 0, 0, 0]
     plant.set_platform([1], 0.2, False)
     falling = plant.state.copy()
     falling[:, [X, Z]] = 0.0, 1.3

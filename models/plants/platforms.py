@@ -1,14 +1,14 @@
 """The platforms of a moving plant in the engine: bodies with joints, which follow a motion.
 
-Between two control ticks the engine moves a deck itself, under the acceleration that its motion has in the
-middle of each time step of h; at the ticks it is put where it should be. From there to the next tick, T
+Between two control ticks the engine moves a platform itself, under the acceleration that its motion has in
+the middle of each time step of h; at the ticks it is put where it should be. From there to the next tick, T
 later, RK4 is off by at most J T h^2 / 12, J the largest third derivative of the motion: by micrometres. Its
 speed is off by J h^2 / 8 within a time step, and at a step's end by T h^2 / 24 of the fourth derivative.
-Single-step integrators move with the speed of a step's end; the deck is then given speeds that belong half
-a step earlier and accelerations of the steps' beginnings, which is as exact, and is how they move what
+Single-step integrators move with the speed of a step's end; the platform is then given speeds that belong
+half a step earlier and accelerations of the steps' beginnings, which is as exact, and is how they move what
 stands on it.
 
-The joints' inertia is practically infinite, so that contacts do not move a deck.
+The joints' inertia is practically infinite, so that contacts do not move a platform.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _JOINTS = ("x", "y", "z", "roll", "pitch", "yaw")  # of models/scene.py, in the 
 
 
 class _Clock(NamedTuple):
-    """Times of the decks' motions, and when the engine asks for them."""
+    """Times of the platforms' motions, and when the engine asks for them."""
 
     now: np.ndarray  # (n,) s, times of the motions
     step: float  # s, of the engine
@@ -39,7 +39,7 @@ class _Clock(NamedTuple):
 
 
 class _Joints(NamedTuple):
-    """The decks' joints in the engine's arrays, in the order of motion.MODES."""
+    """The platforms' joints in the engine's arrays, in the order of motion.MODES."""
 
     qpos: np.ndarray  # (n, nq)
     qvel: np.ndarray  # (n, nv)
@@ -49,18 +49,18 @@ class _Joints(NamedTuple):
     inertia: float  # kg, kg m2
 
 
-class Decks:
+class Platforms:
     """Platforms of n simulations of a scene that was built with `moving`.
 
-    deck (n, 12): the plant's array of their states, kept up to date here.
+    platform (n, 12): the plant's array of their states, kept up to date here.
     """
 
-    def __init__(self, model: mujoco.MjModel, batch, vehicle: Vehicle, deck: np.ndarray, substeps: int):
-        n = len(deck)
+    def __init__(self, model: mujoco.MjModel, batch, vehicle: Vehicle, platform: np.ndarray, substeps: int):
+        n = len(platform)
         self.motion = Motion.still(n)
-        self.rest = deck.copy()
+        self.rest = platform.copy()
         self.begun = np.zeros(n)  # s, time of the motions at the vehicles' reset
-        self._deck = deck
+        self._platform = platform
         joints = [model.joint(f"deck_{name}") for name in _JOINTS]
         dofs = np.array([int(joint.dofadr[0]) for joint in joints])
         self._joints = _Joints(
@@ -88,26 +88,26 @@ class Decks:
         self.motion = Motion.still(len(self.rest), arrays["deck_amplitude"].shape[2])
 
     def stop(self, ids, rest: np.ndarray) -> None:
-        """Stop the decks `ids` at `rest` (k, 12)."""
+        """Stop the platforms `ids` at `rest` (k, 12)."""
         self.rest[ids], self.begun[ids] = rest, 0.0
         self.motion[ids] = Motion.still(len(rest))
 
     def set(self, ids, moves: Motion, time=0.0) -> None:
         """See `Plant.set_motion`; raises UserError for another number of motions."""
         if len(moves) != len(self.rest[ids]):
-            raise UserError(f"{len(self.rest[ids])} decks need as many motions, not {len(moves)}")
+            raise UserError(f"{len(self.rest[ids])} platforms need as many motions, not {len(moves)}")
         self.motion[ids], self.begun[ids] = moves, time
 
     def at(self, times) -> np.ndarray:
-        """Return states (n, 12) of the decks at times (n,) or a number [s] since the vehicles' reset."""
-        return self.motion.decks(times + self.begun, self.rest)
+        """Return states (n, 12) of the platforms at times (n,) or a number [s] since the vehicles' reset."""
+        return self.motion.platforms(times + self.begun, self.rest)
 
     def place(self, ids: np.ndarray, present: np.ndarray) -> None:
-        """Put the decks `ids` where their motions have them now, in the engine and in `deck`."""
-        _place(ids, self._clock(), present, self.motion.arrays, self.rest, self._deck, self._joints)
+        """Put the platforms `ids` where their motions have them now, in the engine and in `platform`."""
+        _place(ids, self._clock(), present, self.motion.arrays, self.rest, self._platform, self._joints)
 
     def forces(self, ids: np.ndarray, present: np.ndarray) -> np.ndarray:
-        """Return forces (k, substeps, nv) that move the decks `ids` through the period that begins."""
+        """Return forces (k, substeps, nv) that move the platforms `ids` through the period that begins."""
         out = self._forces[: len(ids)]
         _forces(ids, self._clock(), present, self.motion.arrays, self._joints, out)
         return out
@@ -116,7 +116,8 @@ class Decks:
         return _Clock(self._time + self.begun, self._step, self._late)
 
     def fastest(self, ids: np.ndarray) -> np.ndarray:
-        """Return a bound (k,) of the speed [m/s] of any point of the decks `ids` in the period that begins.
+        """Return a bound (k,) of the speed [m/s] of any point of the platforms `ids` in the period that
+        begins.
 
         The speed of the centre now and what the largest acceleration of its motion adds, and as much for the
         angles, each of which turns about an axis, times the reach of the slab.
@@ -128,14 +129,16 @@ class Decks:
 
 
 @numba.njit(cache=True)
-def _place(ids, clock, present, waves, rest, deck, joints):
-    """Write the decks' states into `deck`, and positions, speeds and forces into the engine's arrays."""
+def _place(ids, clock, present, waves, rest, platform, joints):
+    """Write the platforms' states into `platform`, and positions, speeds and forces into the engine's
+    arrays.
+    """
     qpos, qvel, force, positions, dofs, inertia = joints
     now, then, middle = np.empty((3, 6)), np.empty((3, 6)), np.empty((3, 6))
     for i in ids:
         t = clock.now[i]
         motion.displacement(i, t, waves, now)
-        motion.write_state(now, rest[i], deck[i])
+        motion.write_state(now, rest[i], platform[i])
         if not present[i]:
             for k in range(6):
                 qpos[i, positions[k]] = qvel[i, dofs[k]] = force[i, dofs[k]] = 0.0

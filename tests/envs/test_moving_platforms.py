@@ -1,4 +1,4 @@
-"""Tasks over decks that move: everything is relative to the deck."""
+"""Tasks over moving platforms: everything is relative to the platform."""
 
 import dataclasses
 import math
@@ -30,46 +30,48 @@ def on_feet(n: int) -> Contacts:
 
 
 def a_moment(rng: np.random.Generator, n: int = 8) -> tuple[np.ndarray, np.ndarray]:
-    """States (n, 13) and decks (n, 12) in any motion."""
+    """States (n, 13) and platforms (n, 12) in any motion."""
     return rng.normal(0.0, 0.3, (n, 13)), rng.normal(0.0, 0.3, (n, 12))
 
 
 @given(SPEEDS, st.integers(0, 1000))
 @settings(max_examples=30, deadline=None)
 def test_rest_and_what_is_seen_are_the_same_in_a_moving_room(speed, seed):
-    """Galilean invariance; but for the deck's own velocity, which is observed as it is."""
-    state, deck = a_moment(np.random.default_rng(seed))
-    state[:4, VX : VZ + 1] = deck[:4, VX : VZ + 1] + 0.02  # some are slow
-    faster, faster_deck = state.copy(), deck.copy()
-    for array in (faster, faster_deck):
+    """Galilean invariance; but for the platform's own velocity, which is observed as it is."""
+    state, platform = a_moment(np.random.default_rng(seed))
+    state[:4, VX : VZ + 1] = platform[:4, VX : VZ + 1] + 0.02  # some are slow
+    faster, faster_platform = state.copy(), platform.copy()
+    for array in (faster, faster_platform):
         array[:, VX : VZ + 1] += speed
     idle = np.ones(len(state), bool)
-    slow = resting(state, deck, idle, on_feet(8), speed=0.5, rate=2.0)
-    assert (slow == resting(faster, faster_deck, idle, on_feet(8), speed=0.5, rate=2.0)).all()
-    seen, again = (TASK.observe(StepContext(s, deck=d)) for s, d in ((state, deck), (faster, faster_deck)))
-    own = TASK.observation_names.index("deck vx")
+    slow = resting(state, platform, idle, on_feet(8), speed=0.5, rate=2.0)
+    assert (slow == resting(faster, faster_platform, idle, on_feet(8), speed=0.5, rate=2.0)).all()
+    seen, again = (
+        TASK.observe(StepContext(s, platform=d)) for s, d in ((state, platform), (faster, faster_platform))
+    )
+    own = TASK.observation_names.index("platform vx")
     np.testing.assert_allclose(seen[:, :own], again[:, :own], atol=1e-5)  # float32 at 3 m/s
     np.testing.assert_allclose(seen[:, own + 3 :], again[:, own + 3 :], atol=1e-6)
 
 
-def test_who_stands_on_a_turning_deck_rests_though_it_moves_in_the_room():
-    """Known truth: a point fixed to a rigid deck has v + w x r and the deck's own rates."""
+def test_who_stands_on_a_turning_platform_rests_though_it_moves_in_the_room():
+    """Known truth: a point fixed to a rigid platform has v + w x r and the platform's own rates."""
     rng = np.random.default_rng(3)
-    _, deck = a_moment(rng, 1)
-    turn = rotation(*deck[0, ROLL : YAW + 1])
+    _, platform = a_moment(rng, 1)
+    turn = rotation(*platform[0, ROLL : YAW + 1])
     arm = turn @ [0.2, -0.1, 0.02]
     state = np.zeros((1, 13))
-    state[0, : Z + 1] = deck[0, : Z + 1] + arm
-    state[0, VX : VZ + 1] = deck[0, VX : VZ + 1] + np.cross(turn @ deck[0, WX : WZ + 1], arm)
-    state[0, ROLL : YAW + 1], state[0, WX : WZ + 1] = deck[0, ROLL : YAW + 1], deck[0, WX : WZ + 1]
+    state[0, : Z + 1] = platform[0, : Z + 1] + arm
+    state[0, VX : VZ + 1] = platform[0, VX : VZ + 1] + np.cross(turn @ platform[0, WX : WZ + 1], arm)
+    state[0, ROLL : YAW + 1], state[0, WX : WZ + 1] = platform[0, ROLL : YAW + 1], platform[0, WX : WZ + 1]
     idle = np.ones(1, bool)
     assert np.linalg.norm(state[0, VX : VZ + 1]) > 0.2
-    assert resting(state, deck, idle, on_feet(1)).all()
-    deck[0, WX] += 1.1
-    assert not resting(state, deck, idle, on_feet(1)).any()
+    assert resting(state, platform, idle, on_feet(1)).all()
+    platform[0, WX] += 1.1
+    assert not resting(state, platform, idle, on_feet(1)).any()
 
 
-def test_over_decks_that_stand_still_a_moving_plant_judges_as_the_plain_one():
+def test_over_platforms_that_stand_still_a_moving_plant_judges_as_the_plain_one():
     """Onto the same slopes with motors idle, in both plants: the same rewards and success."""
     outcomes = []
     for task in (make_task("touchdown", dimensions=3), make_task("touchdown", dimensions=3, fastest=0.0)):
@@ -86,7 +88,7 @@ def test_over_decks_that_stand_still_a_moving_plant_judges_as_the_plain_one():
     np.testing.assert_allclose(reward, again, atol=0.05)
 
 
-def test_starts_are_clear_of_decks_that_move_and_at_rest_in_the_room():
+def test_starts_are_clear_of_platforms_that_move_and_at_rest_in_the_room():
     start = TASK.sample(np.random.default_rng(0), 200)
     assert len(start.motion) == 200 and (start.state[:, VX : VZ + 1] == 0.0).all()
     assert (TASK.start_clearance(start) >= 0.05).all()
@@ -105,26 +107,26 @@ def test_the_swell_keeps_within_what_it_says():
     assert not any(array.any() for array in still)
 
 
-def test_close_starts_move_along_with_their_decks():
+def test_close_starts_move_along_with_their_platforms():
     task = make_task("touchdown", dimensions=3, fastest=2.0, swell=1.0, steepest=0.35)
     task.conditions = Conditions(close=1.0)
     start = task.sample(np.random.default_rng(2), 100)
-    deck = start.decks(task.vehicle)
-    apart = start.state[:, : Z + 1] - deck[:, : Z + 1]
+    platform = start.platforms(task.vehicle)
+    apart = start.state[:, : Z + 1] - platform[:, : Z + 1]
     assert np.linalg.norm(apart, axis=1).max() < 0.6  # 0.25 m along, half the depth across, 0.27 m up
     # At most 0.8 m/s into and 0.5 m/s along the slope, relative to it.
-    relative = np.linalg.norm(start.state[:, VX : VZ + 1] - deck[:, VX : VZ + 1], axis=1)
+    relative = np.linalg.norm(start.state[:, VX : VZ + 1] - platform[:, VX : VZ + 1], axis=1)
     assert relative.max() <= math.hypot(0.8, 0.5) + 1e-9
 
 
 def test_the_arena_is_carried_along():
-    """A vehicle over a deck 20 m away is in the middle of its arena; the room itself ends at 3.4 m."""
-    state, deck = np.zeros((1, 13)), np.zeros((1, 12))
-    state[0, :3], deck[0, :3] = (20.0, -8.0, 1.5), (20.0, -8.0, 1.15)
-    assert not TASK.near_bounds(TASK.in_arena(StepContext(state, deck=deck)))[0]
+    """A vehicle over a platform 20 m away is in the middle of its arena; the room itself ends at 3.4 m."""
+    state, platform = np.zeros((1, 13)), np.zeros((1, 12))
+    state[0, :3], platform[0, :3] = (20.0, -8.0, 1.5), (20.0, -8.0, 1.15)
+    assert not TASK.near_bounds(TASK.in_arena(StepContext(state, platform=platform)))[0]
     assert TASK.near_bounds(state)[0]
     still = make_task("touchdown", dimensions=3)
-    assert still.near_bounds(still.in_arena(StepContext(state, deck=deck)))[0]
+    assert still.near_bounds(still.in_arena(StepContext(state, platform=platform)))[0]
 
 
 def test_the_law_that_training_begins_with_lands():
@@ -135,7 +137,7 @@ def test_the_law_that_training_begins_with_lands():
     law, success = Descent(env.task), np.zeros(32, bool)
     env.reset()
     for _ in range(250):
-        step = env.step(law(StepContext(env.plant.state, deck=env.plant.deck), -1.0), ~success)
+        step = env.step(law(StepContext(env.plant.state, platform=env.plant.platform), -1.0), ~success)
         success |= step.success
     assert success.mean() > 0.8  # 256 others: 1.00, and 1.00 at 2 m/s in a swell of 1
 
@@ -155,20 +157,20 @@ def test_options_that_fit_nothing_are_sentences(options, said):
         make_task("touchdown", **options)
 
 
-def test_a_plain_plant_cannot_move_its_decks():
+def test_a_plain_plant_cannot_move_its_platforms():
     task = make_task("landing", dimensions=3, fastest=1.0)
     env = BatchEnv(task, make_plant("hybrid", 2, task.vehicle, threads=1), seed=0)
     with pytest.raises(UserError, match="moving=True"):
         env.reset()
 
 
-def test_a_policy_of_a_still_deck_is_refused_over_moving_ones():
+def test_a_policy_of_a_still_platform_is_refused_over_moving_ones():
     with pytest.raises(UserError, match="trained with"):
         load_policy("touchdown", TASK)
 
 
-def test_given_starts_stand_over_decks_that_stand_still():
+def test_given_starts_stand_over_platforms_that_stand_still():
     start = TASK.start(TASK.states_at([(0.0, 0.0, 2.0)]))
     assert start.motion is None and dataclasses.is_dataclass(start)
-    deck = start.decks(TASK.vehicle)[0]
-    assert (deck[VX : VZ + 1] == 0.0).all() and deck[PITCH] == TASK.inclination
+    platform = start.platforms(TASK.vehicle)[0]
+    assert (platform[VX : VZ + 1] == 0.0).all() and platform[PITCH] == TASK.inclination
