@@ -27,9 +27,10 @@ OLDEST := 3.11.0
 MACHINE := $(shell uname -m)
 GLIBC := 2.27
 # The type checker does not see through the editable installation: it gets the folders as the package.
+PACKAGES := models envs eval train
 TYPES = mkdir -p .venv/types/inclined_landing && touch .venv/types/inclined_landing/__init__.py \
-  && ln -sfn $(CURDIR)/models $(CURDIR)/envs .venv/types/inclined_landing \
-  && MYPYPATH=.venv/types $(BIN)/mypy --cache-dir .venv/mypy -p inclined_landing.models -p inclined_landing.envs
+  && ln -sfn $(PACKAGES:%=$(CURDIR)/%) .venv/types/inclined_landing \
+  && MYPYPATH=.venv/types $(BIN)/mypy --cache-dir .venv/mypy $(PACKAGES:%=-p inclined_landing.%)
 SOURCES := pyproject.toml constraints.txt models/crazyflie.toml $(wildcard models/plugin/*)
 
 .PHONY: install demo test test-all lint bench diagram docs wheel release lock

@@ -79,7 +79,7 @@ class Found:
                 (variant, *(_cell(result.of(variant, name)) for name in recipe.numbers))
                 for variant in recipe.variants
             ]
-        rows = [
+        rows: list[tuple[str, ...]] = [
             (m.variant, m.number.title, m.words, m.interval_words, bar_words(m.number), VERDICTS[m.met])
             for m in result.measured
         ]
@@ -155,7 +155,9 @@ def html(found: list[Found]) -> str:
 def markdown(found: list[Found]) -> str:
     """The same for the documentation; pictures lie in the folder `beyond` beside it."""
     lines = [f"# {TITLE}", "", INTRODUCTION, ""]
-    rows = [(f"[{one.recipe.title}](#{one.anchor})", one.answer, one.verdict) for one in found]
+    rows: list[tuple[str, ...]] = [
+        (f"[{one.recipe.title}](#{one.anchor})", one.answer, one.verdict) for one in found
+    ]
     lines += _table(("what", "answer", "bars"), rows)
     for one in found:
         recipe = one.recipe
