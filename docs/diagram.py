@@ -1,6 +1,6 @@
 """Draws docs/architecture.svg from the imports: make diagram.
 
-Boxes are the floors of the package and the rooms of eval; an arrow says that one imports another. An arrow is
+Boxes are the packages and the subpackages of eval; an arrow says that one imports another. An arrow is
 left out where others lead there anyway. The whole list of imports stands in the file as a comment, and a test
 compares it with the code.
 """

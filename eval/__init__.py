@@ -1,1 +1,1 @@
-"""Evaluation, in rooms: each holds the commands of `landing-eval` that it is named for."""
+"""Evaluation: each subpackage holds commands of `landing-eval`, in modules of the same names."""

@@ -1,4 +1,4 @@
-"""One self-contained HTML page: the templates of all rooms extend `page.html.j2` and share its parts."""
+"""One self-contained HTML page: all templates extend `page.html.j2` and share its parts."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ VERDICTS = {True: ("holds", "hold"), False: ("fails", "fail")}  # of one claim a
 
 
 def render(package: str, template: str, **content) -> str:
-    """A room's template filled in; what it extends or imports may also be one of this room."""
+    """Return a package's template filled in; it may extend or import templates of this package."""
 
     def source(name: str) -> str | None:
-        for room in (package, __package__):
-            file = resources.files(room).joinpath(name)
+        for owner in (package, __package__):
+            file = resources.files(owner).joinpath(name)
             if file.is_file():
                 return file.read_text("utf-8")
         return None

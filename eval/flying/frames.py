@@ -1,6 +1,7 @@
-"""Frames and signs between the house and a Crazyflie.
+"""Frames and signs between this package and a Crazyflie.
 
-House: world z up, angles of R = Rz(yaw) Rx(roll) Ry(pitch), positive pitch accelerates +x, positive roll -y.
+This package: world z up, angles of R = Rz(yaw) Rx(roll) Ry(pitch), positive pitch accelerates +x, positive
+roll -y.
 
 Crazyflie: angles of R = Rz(yaw) Ry(pitch) Rx(roll), in degrees. cflib's `send_setpoint` packs -pitch, and the
 firmware keeps pitch inverted in its attitude loop and in the log variable `stateEstimate.pitch`

@@ -1,4 +1,4 @@
-"""Readers of flight logs: what is written comes back, in the house's units and convention."""
+"""Readers of flight logs: what is written comes back, in this package's units and convention."""
 
 import gzip
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`landing-eval slopes`, and what other commands make of policies that observe the slope."""
+"""`robustness --over slopes`, and what other commands make of policies that observe the slope."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""`landing-eval vehicles`: policies on named and on drawn vehicles."""
+"""`robustness --over vehicles`: policies on named and on drawn vehicles."""
 
 import json
 

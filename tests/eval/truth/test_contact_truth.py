@@ -1,4 +1,4 @@
-"""Contact against mechanics and against measured touchdowns; `landing-eval contact-truth`."""
+"""Contact against mechanics and against measured touchdowns; `validate contact`."""
 
 import gzip
 import json
