@@ -103,7 +103,7 @@ def _touchdown(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]
     """Write touchdown.json of `final.zip` against the policy that training went on from."""
     final, origin = load(folder / "final.zip"), load(metrics["config"]["start_from"])
     if origin.task.name == final.task.name:  # the comparison is with a motor cut, whatever came in between
-        origin = load(final.task.training.start_from)
+        origin = load(final.task.training.start_from or final.task.name)
     table = touchdown.evaluate(final, origin)
     storage.write_json(folder / "touchdown.json", table)
     metrics["success"] = {"final": touchdown.overall(table, "touchdown")}

@@ -79,7 +79,7 @@ class Found:
                 (variant, *(_cell(result.of(variant, name)) for name in recipe.numbers))
                 for variant in recipe.variants
             ]
-        rows = [
+        rows: list[tuple[str, ...]] = [
             (m.variant, m.number.title, m.words, m.interval_words, bar_words(m.number), VERDICTS[m.met])
             for m in result.measured
         ]
@@ -227,7 +227,7 @@ def _write_pictures(found: list[Found], folder: Path) -> list[Path]:
     return paths
 
 
-def _table(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+def _table(heads: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> list[str]:
     """Lines of a Markdown table; links stay links."""
     lines = [heads, ("---",) * len(heads), *rows]
     return [f"| {' | '.join(map(_text, row))} |" for row in lines]

@@ -112,7 +112,8 @@ def of_runs(recipe: Recipe, sweep: Path, here: Path) -> dict[tuple[str, int], Jo
 def of_all(recipe: Recipe, sweep: Path, here: Path) -> Job:
     """What is made once of all runs; {run} is the first one."""
     runs = [run_name(variant, seed) for variant, seed in recipe.runs()]
-    names = {"run": "{run}", "sweep": "{sweep}", "here": "{here}", "runs": [f"{{sweep}}/{r}" for r in runs]}
+    names: dict[str, str | list[str]] = {name: f"{{{name}}}" for name in ("run", "sweep", "here")}
+    names["runs"] = [f"{{sweep}}/{run}" for run in runs]
     commands = tuple(("landing-eval", *filled(words, names)) for words in recipe.together)
     taken = frozenset((*runs, STEPS, RESULT, f"{recipe.name}.toml"))
     return Job(TOGETHER, commands, sweep / runs[0], sweep, here, taken)

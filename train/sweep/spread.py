@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
 from inclined_landing.envs.shared import cluster
@@ -32,7 +32,7 @@ class Place:
     threads: int  # of each
 
 
-def spread(todo: Mapping[Key, Job], place: Place, children: Children) -> Iterator[tuple[Key, list[Step]]]:
+def spread(todo: Mapping[Key, Job], place: Place, children: Children) -> Generator[tuple[Key, list[Step]]]:
     """Yield the jobs with their steps, as they end; those first with which nothing is left to do.
 
     Raises UserError for a job that could not be carried out.
