@@ -44,7 +44,7 @@ class Curriculum(Protocol):
         """Return the conditions of the next episodes; None where the task has none."""
 
     def stages(self) -> list[tuple[str, Any]]:
-        """Return titles and conditions of some moments, for the figure of the curriculum, if it has stages."""
+        """Return titles and conditions of some moments, for a figure; none without stages."""
 
     def episode(self, success: bool, length: int) -> None:
         """Take note of the end of a training episode."""
