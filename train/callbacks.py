@@ -34,7 +34,7 @@ class Clock:
         self._name, self._since, self._cpu_since = name, now, cpu
 
     def total(self) -> float:
-        """Seconds charged to anything so far."""
+        """Return the seconds charged to anything so far."""
         self.switch(self._name)
         return sum(self.spent.values())
 

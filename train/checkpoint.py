@@ -67,7 +67,7 @@ def read(path: Path) -> Checkpoint:
 
 
 def refused(path: Path, why: str) -> UserError:
-    """The sentence for a checkpoint that cannot be continued."""
+    """Return the error for a checkpoint that cannot be continued."""
     return UserError(f"checkpoint {path} {shown(why, 120)}; begin a new run with another --out")
 
 
@@ -89,7 +89,7 @@ def check_names(found: dict, needed, what: str) -> None:
 
 
 def check_number(value, name: str, low: float, high: float, whole: bool = True):
-    """`value`; raises UserError unless it is a (whole) number from `low` to `high`."""
+    """Return `value`; raises UserError unless it is a (whole) number from `low` to `high`."""
     kinds = int if whole else (int, float)
     if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:
         raise UserError(f"{name} is {shown(repr(value), 40)}, not a number from {low:g} to {high:g}")

@@ -18,8 +18,11 @@ if TYPE_CHECKING:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Entry point; returns the exit code: 2 for wrong input, 3 for a run that ended without the success
-    that was to end it, 130 and 143 after Ctrl-C and SIGTERM."""
+    """Run `landing-train` and return its exit code.
+
+    2 for wrong input, 3 for a run that ended without the success that was to end it, 130 and 143 after Ctrl-C
+    and SIGTERM.
+    """
     caught: list[int] = []
     begun: list[TrainConfig] = []
 
@@ -41,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _train(arguments: list[str] | None, begun: list[TrainConfig]) -> int:
-    """The work of `main`; the configuration of the run is noted in `begun`."""
+    """Do the work of `main` and return the exit code; the configuration of the run is noted in `begun`."""
     words = sys.argv[1:] if arguments is None else arguments
     if words and words[0] == "--version":
         print(command_line.versions("landing-train"))
@@ -99,7 +102,7 @@ def _report(run: Run, metrics: dict) -> None:
 
 @contextlib.contextmanager
 def _signals(caught: list[int]) -> Iterator[None]:
-    """SIGTERM ends the work as Ctrl-C does, by KeyboardInterrupt; the signal is noted in `caught`."""
+    """Let SIGTERM end the work as Ctrl-C does, by KeyboardInterrupt; the signal is noted in `caught`."""
 
     def stop(number, frame):
         caught.append(number)

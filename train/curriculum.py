@@ -41,38 +41,38 @@ class Curriculum(Protocol):
         """0 easiest, 1 the task itself."""
 
     def conditions(self) -> Any:
-        """Conditions of the next episodes; None where the task has none."""
+        """Return the conditions of the next episodes; None where the task has none."""
 
     def stages(self) -> list[tuple[str, Any]]:
-        """Title and conditions of some moments, for the figure of the curriculum; none without stages."""
+        """Return titles and conditions of some moments, for a figure; none without stages."""
 
     def episode(self, success: bool, length: int) -> None:
-        """A training episode has ended."""
+        """Take note of the end of a training episode."""
 
     def advance(self, steps: int) -> None:
-        """A rollout has ended; `steps` environment steps have been made so far."""
+        """Take note of the end of a rollout, after `steps` environment steps in all."""
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
-        """Share of the initial learning rate at `steps` of `total`; None: the run ends when it succeeds."""
+        """Return the share of the initial learning rate at `steps` of `total`; None: until success."""
 
     def skip(self) -> None:
-        """Training goes on from a policy of the task: a curriculum that follows success begins at its end."""
+        """Begin at the end of a curriculum that follows success, as the policy has learned the task."""
 
     def gamma(self, steps: int) -> float:
-        """Discount factor of the next rollout, after `steps` environment steps."""
+        """Return the discount factor of the next rollout, after `steps` environment steps."""
 
     def log(self) -> dict[str, float]:
-        """Numbers for the learning curves."""
+        """Return numbers for the learning curves."""
 
     def state(self) -> dict:
-        """Everything `restore` needs, JSON types only."""
+        """Return everything `restore` needs, JSON types only."""
 
     def restore(self, state: dict) -> None:
         """Continue from a `state`."""
 
 
 def settling(steps: int) -> float:
-    """Share of the learning rate `steps` after the task was complete, in a run that ends when it succeeds.
+    """Return the share of the learning rate `steps` after the task was complete, in a run ended by success.
 
     Falls linearly, as policies that learn at full rate to their end are brittle, and stays at a tenth, as
     nobody knows when that end comes.
@@ -81,7 +81,7 @@ def settling(steps: int) -> float:
 
 
 def rising_gamma(steps: int) -> float:
-    """The paper's discount after `steps` environment steps: from 0.97 to 0.99 over 800 000."""
+    """Return the paper's discount after `steps` environment steps: from 0.97 to 0.99 over 800 000."""
     return 0.97 + 0.02 * min(1.0, steps / 800_000)
 
 
@@ -126,7 +126,7 @@ class NoCurriculum:
 
 
 def _stage(c: Conditions) -> dict[str, float]:
-    """What the learning curves show of landing conditions."""
+    """Return what the learning curves show of landing conditions."""
     return {name: getattr(c, name) for name in ("start_reach", "tilt", "goal_size", "platform")}
 
 
@@ -178,7 +178,7 @@ class AdaptiveCurriculum:
         )
 
     def stages(self) -> list[tuple[str, Conditions]]:
-        """Four levels of a curriculum of this kind."""
+        """Return four levels of a curriculum of this kind."""
         other, moments = AdaptiveCurriculum(), []
         for level in (0.0, 0.25, 0.6, 1.0):
             other.level = level
@@ -187,7 +187,7 @@ class AdaptiveCurriculum:
 
     @property
     def success(self) -> float:
-        """Success rate of the window, 0 while it is empty."""
+        """Return the success rate of the window, 0 while it is empty."""
         return float(np.mean(self._recent)) if self._recent else 0.0
 
     def episode(self, success: bool, length: int) -> None:
@@ -286,7 +286,7 @@ class PaperCurriculum:
         )
 
     def stages(self) -> list[tuple[str, Conditions]]:
-        """Four moments of the schedule at the usual length of episodes."""
+        """Return four moments of the schedule at the usual length of episodes."""
         other, moments = PaperCurriculum(), []
         for episodes, tilting, steps, title in (
             (0, 0, 0, "0 k steps"),
@@ -419,14 +419,14 @@ class Changed:
         return self._but(self._whole.conditions())
 
     def stages(self) -> list[tuple[str, Any]]:
-        """The curriculum's, changed."""
+        """Return the curriculum's, changed."""
         return [(title, self._but(conditions)) for title, conditions in self._whole.stages()]
 
     def gamma(self, steps: int) -> float:
         return rising_gamma(steps) if self._rising else self._whole.gamma(steps)
 
     def log(self) -> dict[str, float]:
-        """The curriculum's, changed."""
+        """Return the curriculum's, changed."""
         shown_as, conditions = self._whole.log(), self.conditions()
         return shown_as | {name: getattr(conditions, name) for name in self._left_out if name in shown_as}
 
@@ -448,7 +448,7 @@ _CURRICULA: dict[str, Callable[[float], Curriculum]] = {
 
 
 def make_curriculum(name: str, task: str, gamma: float | str, without: str = "") -> Curriculum:
-    """A curriculum by name, one of those that the task names.
+    """Return a curriculum by name, one of those that the task names.
 
     gamma: the discount, or "paper" for one that rises as the paper's. without: parts to leave out, as
     "tilt,goal".

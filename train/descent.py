@@ -34,7 +34,7 @@ class Descent:
         self._drag = -v.drag_coefficients[0] * turning / v.body_mass  # 1/s
 
     def __call__(self, context: StepContext, idle: float) -> np.ndarray:
-        """Actions (n, a) in n states, over their platforms; idle: that of stopped motors."""
+        """Return actions (n, a) in n states over their platforms; idle: that of stopped motors."""
         seen = surface.heading_frame(context.state, context.platform)
         beside = np.hypot(seen[:, X], seen[:, Y])
         place = seen[:, : Z + 1].copy()

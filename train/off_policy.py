@@ -18,7 +18,7 @@ KINDS: dict[str, type[OffPolicyAlgorithm]] = {"sac": SAC, "td3": TD3}
 
 
 def build_model(config: TrainConfig, env: BatchVecEnv) -> OffPolicyAlgorithm:
-    """A new model: 64x64 ReLU as in the policies of PPO, scaled observation, Adam.
+    """Return a new model: 64x64 ReLU as in the policies of PPO, scaled observation, Adam.
 
     After each step of all vehicles come `gradient_steps` updates: fewer than samples, as is usual with many
     parallel environments, since an update takes longer than the step. Episodes that are cut are bootstrapped

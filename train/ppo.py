@@ -50,7 +50,7 @@ def check_memory(config: TrainConfig) -> None:
 
 
 def training_environment(config: TrainConfig) -> BatchVecEnv:
-    """The vehicles a run trains on, in the plant the configuration names."""
+    """Return the vehicles a run trains on, in the plant the configuration names."""
     options = {"keep_out": config.keep_out}
     if config.plant != "analytic":
         options |= {"integrator": config.integrator, "threads": config.threads}
@@ -63,7 +63,7 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
 
 
 def drawn(config: TrainConfig, vehicle: Vehicle, seed: int, count: int = POOL) -> dict[str, Any]:
-    """Options of a plant with `count` vehicles that a randomised run draws from `seed`; {} for other runs."""
+    """Return options of a plant with `count` vehicles that a randomised run draws from `seed`, else {}."""
     if config.randomise is None:
         return {}
     pool = read_ranges(config.randomise).draw(vehicle, seed, count)
@@ -72,7 +72,7 @@ def drawn(config: TrainConfig, vehicle: Vehicle, seed: int, count: int = POOL) -
 
 
 def build_task(config: TrainConfig) -> Task:
-    """The task with the configured vehicle, platform and action map."""
+    """Return the task with the configured vehicle, platform and action map."""
     vehicle, options = load_vehicle(config.vehicle), config.task_options()
     if "inclination" in options:
         try:
@@ -87,12 +87,12 @@ def build_task(config: TrainConfig) -> Task:
 
 
 def evaluation_seed(config: TrainConfig) -> int:
-    """Seed of the periodic evaluation's starts: never those of training, never the frozen grid."""
+    """Return the seed of the periodic evaluation's starts: never those of training or the frozen grid."""
     return _EVALUATION_SEED + config.seed
 
 
 def build_model(config: TrainConfig, env: BatchVecEnv) -> PPO:
-    """A new PPO: 64x64 tanh, scaled observation, Adam."""
+    """Return a new PPO: 64x64 tanh, scaled observation, Adam."""
     set_torch_up()
     kind = FastPPO if config.update == "fast" else PPO
     model = kind("MlpPolicy", env, seed=config.seed, **_arguments(config, env.env.task))
@@ -102,7 +102,7 @@ def build_model(config: TrainConfig, env: BatchVecEnv) -> PPO:
 
 
 def ppo_kwargs(task: Task) -> dict:
-    """What `landing-train` gives to Stable-Baselines3's PPO for a task, for 64 environments.
+    """Return what `landing-train` gives to Stable-Baselines3's PPO for a task, for 64 environments.
 
     `PPO("MlpPolicy", env, **ppo_kwargs(task))`; rewards are scaled by 0.1, in the environment.
     """
@@ -112,7 +112,7 @@ def ppo_kwargs(task: Task) -> dict:
 
 
 def scaled_observation(task: Task) -> dict:
-    """The part of `policy_kwargs` that has observations scaled inside the network, of PPO, SAC or TD3."""
+    """Return the part of `policy_kwargs` (PPO, SAC or TD3) that scales observations inside the network."""
     scaling = {"centre": input_centre(task).tolist(), "scale": input_scale(task).tolist()}
     return {"features_extractor_class": ScaledObservation, "features_extractor_kwargs": scaling}
 
@@ -138,12 +138,12 @@ def _arguments(config: TrainConfig, task: Task) -> dict:
 
 
 def initial_gamma(config: TrainConfig) -> float:
-    """The discount of the first rollout; the curriculum says the others."""
+    """Return the discount of the first rollout; the curriculum says the others."""
     return rising_gamma(0) if config.gamma == RISING else config.gamma
 
 
 def set_torch_up() -> None:
-    """Small networks on a CPU: one thread is faster than two, denormals and checks cost time."""
+    """Set PyTorch up for small networks on a CPU: one thread is faster, denormals and checks cost time."""
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
     torch.distributions.Distribution.set_default_validate_args(False)
@@ -155,7 +155,7 @@ def save_model(model: PPO, path) -> None:
 
 
 def training_state(model: PPO, env: BatchVecEnv) -> tuple[dict, dict[str, np.ndarray]]:
-    """What an exact continuation needs: numbers (JSON types) and arrays."""
+    """Return what an exact continuation needs: numbers (JSON types) and arrays."""
     batch = env.env
     _, key, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002 (SB3 shuffles with it)
     numbers = {
@@ -177,7 +177,7 @@ def training_state(model: PPO, env: BatchVecEnv) -> tuple[dict, dict[str, np.nda
 
 
 def _arrays(model: PPO, env: BatchVecEnv) -> dict[str, np.ndarray]:
-    """The arrays that a new model has as well."""
+    """Return the arrays that a new model has as well."""
     batch = env.env
     parts = {"policy": {name: tensor.numpy() for name, tensor in model.policy.state_dict().items()}}
     parts |= {"plant": batch.plant.save().arrays, "episodes": batch.episode_state()}

@@ -25,7 +25,7 @@ class _Random:
         self.task, self._rng = task, rng
 
     def predict(self, observation: np.ndarray) -> np.ndarray:
-        """Actions (n, a) in [-1, 1]."""
+        """Return actions (n, a) in [-1, 1]."""
         return self._rng.uniform(-1.0, 1.0, (len(observation), len(self.task.action_names)))
 
 

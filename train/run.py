@@ -115,7 +115,7 @@ class Run:
         self.metrics = self._finished() if self._begun >= 0 else None
 
     def _make(self, config: TrainConfig, fresh: bool) -> None:
-        """Vehicles, model, curriculum and judge as they are at the beginning."""
+        """Make vehicles, model, curriculum and evaluator as they are at the beginning."""
         self.env = ppo.training_environment(config)
         self.teacher = None
         if config.start_from and fresh:
@@ -155,7 +155,7 @@ class Run:
                 raise UserError(f"{error}; {self._left()}") from error
 
     def _begin(self) -> None:
-        """From the beginning, perhaps of a run that was stopped before its first checkpoint."""
+        """Begin from nothing, perhaps a run that was stopped before its first checkpoint."""
         if not self.resumed:
             storage.write_json(self.folder / RECORD, self.record)
         for file, given in self.config.copied().items():
@@ -218,7 +218,7 @@ class Run:
             model.logger.close()
 
     def _end(self) -> dict:
-        """The last evaluation, checkpoint, policy and metrics."""
+        """Write the last evaluation, checkpoint, policy and metrics, and return the metrics."""
         self.check_weights()
         self.clock.switch("evaluation")
         steps = self.model.num_timesteps
@@ -234,14 +234,14 @@ class Run:
         return metrics
 
     def _left(self) -> str:
-        """What is left of a run that cannot go on."""
+        """Return a sentence on what is left of a run that cannot go on."""
         steps, folder = self.model.num_timesteps, shown(self.folder, 100)
         if not self.config.resumable:
             return f"{folder} stays as it is after {steps} steps; nothing goes on from it"
         return f"after {steps} steps; {folder} has a checkpoint: with the task corrected, --resume goes on"
 
     def _finished(self) -> dict | None:
-        """metrics.json of a run that has come to its end."""
+        """Return metrics.json of a run that has come to its end, otherwise None."""
         if not (self.folder / "final.zip").is_file() or not self._over():
             return None
         try:
@@ -256,7 +256,7 @@ class Run:
         return self._reached() or self.model.num_timesteps >= self.config.most_steps()
 
     def _reached(self) -> bool:
-        """Do the last two evaluations, both of them after the curriculum, reach what was asked for."""
+        """Return whether the last two evaluations, both after the curriculum, reach the success asked for."""
         config, last = self.config, self.evaluations[-2:]
         if config.success is None or len(last) < 2 or self.model.num_timesteps < config.min_steps:
             return False
@@ -264,7 +264,7 @@ class Run:
         return all(e["steps"] in complete and e["score"] >= config.success for e in last)
 
     def _ended(self) -> str:
-        """How the run ended, in one sentence."""
+        """Return how the run ended, in one sentence."""
         config, steps = self.config, self.model.num_timesteps
         if config.success is None:
             return f"{'ended' if self._over() else 'stopped'} after {steps} of {config.steps} steps"
@@ -277,7 +277,7 @@ class Run:
         return f"ended without {asked}: after {steps} steps{most} {last}, and {level}"
 
     def _as_recorded(self) -> dict:
-        """The configuration as run.json has it; only the limits of time may be others."""
+        """Return the configuration as run.json has it; only the limits of time may be others."""
         limits = ("max_seconds", "max_cpu_seconds")
         return self.record["config"] | {name: getattr(self.config, name) for name in limits}
 
@@ -290,14 +290,14 @@ class Run:
             )
 
     def policy_file(self) -> bytes:
-        """The present policy with its stamp, as a file."""
+        """Return the present policy with its stamp, as a file."""
         with storage.scratch(self.folder / "policy.zip") as path:
             ppo.save_model(self.model, path)
             stamp(path, self.stamp())
             return path.read_bytes()
 
     def stamp(self) -> dict:
-        """What a policy file says of itself."""
+        """Return what a policy file says of itself."""
         config = self.config
         return {
             "task": self.env.env.task.name,
@@ -314,12 +314,12 @@ class Run:
         }
 
     def _vehicle(self) -> dict:
-        """In what the vehicle is not the shipped one, JSON types only."""
+        """Return the entries in which the vehicle is not the shipped one, JSON types only."""
         shipped, own = (dataclasses.asdict(v) for v in (load_vehicle(), self.env.env.task.vehicle))
         return json.loads(storage.to_json({k: value for k, value in own.items() if value != shipped[k]}))
 
     def _ranges(self) -> dict:
-        """What differs from episode to episode, as the file says it."""
+        """Return what differs from episode to episode, as the file says it."""
         return {} if self.config.randomise is None else read_ranges(self.config.randomise).given
 
     def _evaluate_or_end(self, iteration: int) -> None:
@@ -351,7 +351,7 @@ class Run:
         self.clock.switch("training")
 
     def film(self, iteration: int) -> None:
-        """A video of one flight."""
+        """Write a video of one flight."""
         self.clock.switch("video")
         policy = self._policy()
         plant = make_plant("mujoco", 1, policy.task.vehicle, **policy.task.plant_options)
@@ -361,7 +361,7 @@ class Run:
         self.clock.switch("training")
 
     def _in_time(self, iteration: int) -> bool:
-        """False, with a checkpoint, when the wall time or the CPU time is used up."""
+        """Return False, with a checkpoint, when the wall time or the CPU time is used up."""
         limits = (self.config.max_seconds, self.config.max_cpu_seconds)
         used = (self.clock.total(), self.clock.cpu)
         if not any(limit is not None and time >= limit for time, limit in zip(used, limits)):
@@ -371,7 +371,7 @@ class Run:
         return False
 
     def checkpoint(self, iteration: int) -> None:
-        """Everything that a continuation needs, in one file that appears whole; then the curves.
+        """Write everything that a continuation needs, in one file that appears whole; then the curves.
 
         A replay buffer is too large for that: of such a run only the curves.
         """
@@ -397,7 +397,7 @@ class Run:
             storage.write_text(self.folder / f"{name}.csv", _csv(rows))
 
     def _read_checkpoint(self) -> Checkpoint | None:
-        """The checkpoint of the run to resume; None if it was stopped before the first."""
+        """Return the checkpoint of the run to resume; None if it was stopped before the first."""
         path = self.folder / CHECKPOINT
         if os.path.lexists(path):
             return checkpoint.read(path)
@@ -442,7 +442,7 @@ class Run:
         self._begun = steps // self._per_iteration
 
     def _restore_histories(self, state: dict, steps: int) -> None:
-        """One row for each iteration until now, and one for each evaluation."""
+        """Restore one row for each iteration until now, and one for each evaluation."""
         common = {"steps", "training_seconds", "cpu_seconds"}
         columns = common | {"episode_reward", "episode_length", *self.curriculum.log()}
         for name in ("history", "evaluations"):
@@ -477,7 +477,7 @@ class Run:
         self.curriculum.restore(state)
 
     def _policy(self) -> Policy:
-        """The present policy, as it will be read from its file."""
+        """Return the present policy, as it will be read from its file."""
         with storage.scratch(self.folder / "current.zip") as path:
             ppo.save_model(self.model, path)
             return load_policy(path, self._judge.task)
@@ -658,7 +658,7 @@ def _check_same(config: TrainConfig, begun: TrainConfig) -> None:
 
 
 def _refused(path: Path, error: UserError) -> UserError:
-    """The sentence for a run.json that cannot be continued."""
+    """Return the error for a run.json that cannot be continued."""
     why = shown(error, 120)
     return UserError(f"run record {path} cannot be continued: {why}; begin a new run with another --out")
 
@@ -674,7 +674,7 @@ def _check_new(folder: Path) -> None:
 
 
 def _record(config: TrainConfig) -> dict:
-    """What run.json says of a new run."""
+    """Return the content of run.json of a new run."""
     return {
         "config": config.as_json(),
         "command": shlex.join(["landing-train", *sys.argv[1:]]),

@@ -47,7 +47,7 @@ _RATE, _NOISE = 1e-3, 0.2
 
 
 def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
-    """The policy to go on from: one for `task`, or for the task whose policy its training begins with.
+    """Return the policy to go on from: one for `task`, or for the task whose policy its training begins with.
 
     name: a file or a shipped one, or `descent.NAME` for the law; vehicle: the run's, where it is not the
     shipped one. Raises UserError for any other policy.
@@ -69,33 +69,18 @@ def take_over(model: PPO, policy: Policy) -> None:
     """Copy a policy's weights into the model's actor; raises UserError if they do not fit.
 
     Of a policy for the same task the exploration noise too, and the critic if it is in the file. The model
-    may be given a longer history than the policy: what is new to it counts nothing at first. Where the task
-    commands other thrust for an action, the last layer is rewritten: action a becomes gain a + offset, and
-    the same PWM. Only what was beyond the old span, and cut there, is then cut at the new one.
+    may be given a longer history than the policy: the weights of its new inputs are 0 at first. Where the
+    task commands other thrust for an action, the last layer is rewritten: action a becomes gain a + offset,
+    and the same PWM. Only what was beyond the old span, and cut there, is then cut at the new one.
     """
     actor = [layer for layer in model.policy.mlp_extractor.policy_net if isinstance(layer, torch.nn.Linear)]
     actor.append(model.policy.action_net)
     task = model.env.env.task
-    shapes = [(layer.in_features, layer.out_features) for layer in actor]
-    if policy.task.history > task.history:
-        raise UserError(f"policy {policy.path} goes on with --history {policy.task.history} or more")
-    if policy.task.observe_vehicle != task.observe_vehicle:
-        how = "with" if policy.task.observe_vehicle else "without"
-        raise UserError(f"policy {policy.path} goes on {how} --observe-vehicle")
-    if policy.task.observe_vehicle and policy.task.history != task.history:
-        raise UserError(f"policy {policy.path} is told its vehicle, and goes on with its own history only")
-    if policy.task.per_vehicle_hover != task.per_vehicle_hover:
-        raise UserError(f"policy {policy.path} goes on with its own PWM at action 0 only")
-    known = len(policy.centre)
-    more = (task.history - policy.task.history) * (len(task.observation_names) + len(task.action_names))
+    _check_task(policy, task)
+    new_inputs = (task.history - policy.task.history) * (len(task.observation_names) + len(task.action_names))
     first, *others = policy.weights
-    weights = [np.pad(first, ((0, more), (0, 0))), *others]
-    if [w.shape for w in weights] != shapes or policy.activation != "Tanh" or policy.squashed:
-        raise UserError(f"policy {policy.path} has another network than training uses: {shapes} is needed")
-    same = np.array_equal(policy.centre, np.float32(input_centre(task)[:known]))
-    same &= np.array_equal(policy.scale, np.float32(input_scale(task)[:known]))
-    if not same:
-        raise UserError(f"policy {policy.path} was trained with another scaling of observations")
+    weights = [np.pad(first, ((0, new_inputs), (0, 0))), *others]
+    _check_network(policy, task, [w.shape for w in weights], [(x.in_features, x.out_features) for x in actor])
     gain, offset = task.thrust_of(policy.task)
     row = task.action_names.index("thrust") if (gain, offset) != (1.0, 0.0) else None
     if row is not None and policy.task.history:
@@ -107,23 +92,52 @@ def take_over(model: PPO, policy: Policy) -> None:
         if row is not None:
             actor[-1].weight[row] *= gain
             actor[-1].bias[row] = gain * actor[-1].bias[row] + offset
-        if policy.task.name != task.name:
-            return
-        found = tensors(policy.path)
-        for name, own in model.policy.state_dict().items():
-            if name == "log_std" or "value_net" in name:
-                value = torch.as_tensor(found[name]) if name in found else own
-                if name == "mlp_extractor.value_net.0.weight" and value.ndim == 2:
-                    value = torch.nn.functional.pad(value, (0, more))
-                if value.shape != own.shape:
-                    raise UserError(f"policy {policy.path} has another {name} than training uses")
-                own.copy_(value)
-        if row is not None:
-            model.policy.log_std[row] += np.log(gain)
+        if policy.task.name == task.name:
+            _take_exploration_and_critic(model, policy, new_inputs)
+            if row is not None:
+                model.policy.log_std[row] += np.log(gain)
+
+
+def _check_task(policy: Policy, task: Task) -> None:
+    """Raise UserError where `task` gives its policies less than `policy` was trained with, or another PWM."""
+    before = policy.task
+    if before.history > task.history:
+        raise UserError(f"policy {policy.path} goes on with --history {before.history} or more")
+    if before.observe_vehicle != task.observe_vehicle:
+        how = "with" if before.observe_vehicle else "without"
+        raise UserError(f"policy {policy.path} goes on {how} --observe-vehicle")
+    if before.observe_vehicle and before.history != task.history:
+        raise UserError(f"policy {policy.path} is told its vehicle, and goes on with its own history only")
+    if before.per_vehicle_hover != task.per_vehicle_hover:
+        raise UserError(f"policy {policy.path} goes on with its own PWM at action 0 only")
+
+
+def _check_network(policy: Policy, task: Task, shapes: list[tuple], wanted: list[tuple]) -> None:
+    """Raise UserError where the policy's network is not the model's; shapes: of the layers' weights."""
+    if shapes != wanted or policy.activation != "Tanh" or policy.squashed:
+        raise UserError(f"policy {policy.path} has another network than training uses: {wanted} is needed")
+    known = len(policy.centre)
+    centre, scale = np.float32(input_centre(task)[:known]), np.float32(input_scale(task)[:known])
+    if not (np.array_equal(policy.centre, centre) and np.array_equal(policy.scale, scale)):
+        raise UserError(f"policy {policy.path} was trained with another scaling of observations")
+
+
+def _take_exploration_and_critic(model: PPO, policy: Policy, new_inputs: int) -> None:
+    """Copy the standard deviation of the actions, and the critic if it is in the policy's file."""
+    found = tensors(policy.path)
+    for name, own in model.policy.state_dict().items():
+        if name != "log_std" and "value_net" not in name:
+            continue
+        value = torch.as_tensor(found[name]) if name in found else own
+        if name == "mlp_extractor.value_net.0.weight" and value.ndim == 2:
+            value = torch.nn.functional.pad(value, (0, new_inputs))
+        if value.shape != own.shape:
+            raise UserError(f"policy {policy.path} has another {name} than training uses")
+        own.copy_(value)
 
 
 def lesson(context: StepContext, landing: Policy) -> np.ndarray:
-    """Actions (n, a) to imitate in n states, over their platforms."""
+    """Return the actions (n, a) to imitate in n states, over their platforms."""
     task = landing.task
     v, state, platform = task.vehicle, context.state, context.platform
     action = landing.predict(task.observe(context)).astype(float)
@@ -143,7 +157,7 @@ def lesson(context: StepContext, landing: Policy) -> np.ndarray:
 
 
 def teach(model: PPO, env: BatchEnv, teacher: Policy | Descent, seed: int) -> None:
-    """What a task needs besides the teacher's weights: in touchdown, cutting the motors; or the whole law."""
+    """Teach what a task needs besides the teacher's weights: in touchdown the motor cut, or the whole law."""
     if isinstance(teacher, Descent):
         teach_law(model, env, lambda context: teacher(context, _IDLE), seed, _ROUNDS_OF_LAW)
     elif isinstance(env.task, InclinedTouchdown) and teacher.task.name != env.task.name:

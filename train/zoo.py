@@ -41,12 +41,12 @@ class TaskCurriculum(CurriculumCallback):
 
 
 def scaled(reward: float) -> float:
-    """A reward as PPO sees it."""
+    """Return a reward as PPO sees it."""
     return REWARD_SCALE["ppo"] * reward
 
 
 def _parameters(name: str, steps: int) -> dict[str, Any]:
-    """Of one task: the samples of a rollout are those of `landing-train`, from fewer environments."""
+    """Return those of one task: rollouts as long as those of `landing-train`, of fewer environments."""
     task = make_task(name)
     arguments = ppo_kwargs(task)
     arguments["n_steps"] *= _VEHICLES // _ENVIRONMENTS

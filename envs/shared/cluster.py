@@ -48,7 +48,7 @@ def _prepare(address: str | None) -> None:
 
 
 def import_ray(option: str = "Ray"):
-    """The package ray; raises UserError where it is not installed."""
+    """Return the package ray; raises UserError where it is not installed."""
     try:
         import ray
 
@@ -74,18 +74,18 @@ class Cluster(Executor):
         self._versions = runs.packages()
 
     def submit(self, function: Callable, /, *arguments: Any) -> Future:  # type: ignore[override]
-        """The future result of a call; functions and arguments have to be picklable."""
+        """Return the future result of a call; functions and arguments have to be picklable."""
         remote = self._remote.options(name=function.__name__)
         return remote.remote(self._versions, function, *arguments).future()
 
     def share(self, value: Any) -> Any:
-        """What stands for `value` among arguments, so that it is sent to a machine once."""
+        """Return what stands for `value` among arguments, so that it is sent to a machine once."""
         return self._ray.put(value)
 
 
 @contextlib.contextmanager
 def connected(address: str | None) -> Iterator[Cluster]:
-    """The cluster at the address HOST:PORT; without one, Ray is started on this machine and for it alone.
+    """Yield the cluster at the address HOST:PORT; without one, Ray is started for this machine alone.
 
     Raises UserError where it cannot be reached, and for calls that it could not carry out. Calls under way
     end with the context.
@@ -126,7 +126,7 @@ def _own_signals() -> Iterator[None]:
 
 
 def _called(versions: dict, function: Callable, *arguments: Any) -> Any:
-    """The call, on a machine of the cluster."""
+    """Return what a call returns, on a machine of the cluster."""
     for name, own in runs.packages().items():
         if own != versions[name]:
             raise UserError(

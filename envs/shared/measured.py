@@ -46,17 +46,17 @@ class Measured:
 
     @property
     def present(self) -> list[float]:
-        """The values that are there."""
+        """Return the values that are there."""
         return [value for value in self.values if value is not None]
 
     @property
     def median(self) -> float | None:
-        """Of the values, missing ones being the worst; None where one of them decides."""
+        """Return the median, missing values being the worst; None where one of them decides."""
         return _finite(np.median(self._ranked))
 
     @property
     def held(self) -> float | None:
-        """What is held against the bar: median, mean or worst, as the recipe says; None: never."""
+        """Return what is held against the bar: median, mean or worst, as the recipe says; None: never."""
         if self.number.over == "median":
             return self.median
         if self.number.over == "mean":
@@ -65,7 +65,7 @@ class Measured:
 
     @property
     def met(self) -> bool | None:
-        """Is the bar met; None where there is none."""
+        """Return whether the bar is met; None where there is none."""
         if self.number.bar is None:
             return None
         if self.held is None:
@@ -74,13 +74,13 @@ class Measured:
 
     @property
     def words(self) -> str:
-        """Median and range with the unit: "99.6 (99.2 to 100) %"."""
+        """Return median and range with the unit: "99.6 (99.2 to 100) %"."""
         unit = f" {self.number.unit}" if self.number.unit != "1" and self.present else ""
         return f"{self.range_words}{unit}{self.never_words}"
 
     @property
     def range_words(self) -> str:
-        """Median and range: "99.6 (99.2 to 100)"; of true and false the share alone."""
+        """Return median and range: "99.6 (99.2 to 100)"; of true and false the share alone."""
         if not self.present:
             return "–"
         if self.kind == "share":
@@ -92,20 +92,20 @@ class Measured:
 
     @property
     def never_words(self) -> str:
-        """How many seeds never got there: ", never in 1 of 3"."""
+        """Return how many seeds never got there: ", never in 1 of 3"."""
         missing = len(self.values) - len(self.present)
         return f", never in {missing} of {len(self.values)}" if missing else ""
 
     @property
     def interval_words(self) -> str:
-        """Mean and interval: "99.5 [98.9, 99.9]"."""
+        """Return mean and interval: "99.5 [98.9, 99.9]"."""
         if self.mean is None:
             return "–"
         ends = "" if self.interval is None else f" [{', '.join(map(rounded, self.interval))}]"
         return rounded(self.mean) + ends
 
     def record(self) -> dict:
-        """Plain data; `read` gives it back."""
+        """Return plain data; `read` gives it back."""
         entry: dict[str, Any] = {"variant": self.variant} if self.variant else {}
         values = [math.nan if value is None else value for value in self.values]
         entry |= {"number": self.number.name, "kind": self.kind, "values": values}
@@ -166,7 +166,7 @@ class Result:
 
     @property
     def cost(self) -> str:
-        """What the runs took, and on which machine, in one sentence."""
+        """Return what the runs took, and on which machine, in one sentence."""
         cpu, wall = (
             _range([getattr(ran, name) for ran in self.runs]) for name in ("cpu_seconds", "wall_seconds")
         )
@@ -176,11 +176,11 @@ class Result:
         )
 
     def of(self, variant: str, number: str) -> Measured:
-        """One of `measured`."""
+        """Return one of `measured`."""
         return next(m for m in self.measured if (m.variant, m.number.name) == (variant, number))
 
     def record(self) -> dict[str, Any]:
-        """Plain data; `read` gives it back."""
+        """Return plain data; `read` gives it back."""
         runs = [
             {key: value for key, value in structs.asdict(ran).items() if value != ""} for ran in self.runs
         ]
@@ -195,14 +195,14 @@ class Result:
 
 
 def bar_words(number: Number) -> str:
-    """The bar and what is held against it: "worst at least 99"."""
+    """Return the bar and what is held against it: "worst at least 99"."""
     if number.bar is None:
         return "–"
     return f"{number.over} {'at most' if number.better == 'lower' else 'at least'} {rounded(number.bar)}"
 
 
 def take(number: Number, folder: Path) -> tuple[Kind, Any]:
-    """Kind and raw value of a number of one run; raises UserError where its file does not have it."""
+    """Return kind and raw value of a number of one run; raises UserError where its file does not have it."""
     path = folder / number.file
     value = storage.read_json(path, f"number {number.name}: file")
     for k, step in enumerate(number.path):
@@ -224,7 +224,7 @@ def take(number: Number, folder: Path) -> tuple[Kind, Any]:
 
 
 def sum_up(variant: str, number: Number, taken: list[tuple[Kind, Any]]) -> Measured:
-    """A number over the seeds, from what `take` gave for each; raises UserError where kinds differ."""
+    """Return a number over the seeds, from what `take` gave for each; raises UserError where kinds differ."""
     kinds: set[Kind] = {kind for kind, value in taken if value is not None} or {"number"}
     if len(kinds) > 1:
         raise UserError(f"number {number.name} is {' in one run and '.join(sorted(kinds))} in another")
@@ -252,7 +252,7 @@ def sum_up(variant: str, number: Number, taken: list[tuple[Kind, Any]]) -> Measu
 
 
 def read(recipe: Recipe, data: Any) -> Result:
-    """The table [result] of a recipe; raises UserError where there is none, or one that does not fit."""
+    """Return the table [result] of a recipe; raises UserError where it is missing or wrong."""
     if not isinstance(data, dict):
         raise UserError(
             f"recipe {recipe.name}: it has no [result] yet; landing-train sweep --record writes it"
@@ -284,7 +284,7 @@ def _read(recipe: Recipe, data: dict) -> Result:
 
 
 def _is_sweep(command: str) -> bool:
-    """Would a shell run `landing-train sweep`, and nothing else: people copy it from the page."""
+    """Return whether a shell would run `landing-train sweep` and nothing else: it is copied from the page."""
     try:
         words = shlex.split(command)
     except ValueError:

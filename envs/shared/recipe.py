@@ -67,7 +67,7 @@ class Number(Entry, frozen=True, kw_only=True):
     path: tuple[str | int, ...]
 
     def of(self, variant: str) -> Number:
-        """The number as it is for a variant, which may have no bar to meet."""
+        """Return the number as it is for a variant, which may have no bar to meet."""
         if not self.bar_for or variant in self.bar_for:
             return self
         return structs.replace(self, bar=None)
@@ -102,12 +102,12 @@ class Recipe(File, frozen=True, kw_only=True):
     numbers: dict[str, Number]
 
     def runs(self) -> list[tuple[str, int]]:
-        """Variant and seed of every run, all variants of a seed after each other."""
+        """Return variant and seed of every run, all variants of a seed after each other."""
         return [(variant, seed) for seed in self.seeds for variant in self.variants]
 
 
 def run_name(variant: str, seed: int) -> str:
-    """The folder of a run in the folder of its sweep."""
+    """Return the name of a run's folder in the folder of its sweep."""
     return f"{variant}-{seed}" if variant else f"seed-{seed}"
 
 
@@ -121,7 +121,7 @@ def read_recipe(path: str | Path) -> Recipe:
 
 
 def filled(words: Iterable[str], names: Mapping[str, str | list[str]]) -> list[str]:
-    """A command with its names in braces filled in; a name that is a list stands as a word of its own."""
+    """Return a command with its names in braces filled in; a name that is a list is a word of its own."""
     texts = {name: text for name, text in names.items() if isinstance(text, str)}
     result = []
     for word in words:
@@ -134,7 +134,7 @@ def filled(words: Iterable[str], names: Mapping[str, str | list[str]]) -> list[s
 
 
 def named_in(answer: str) -> list[str]:
-    """The names in braces of an answer; raises UserError for braces that hold none."""
+    """Return the names in braces of an answer; raises UserError for braces that hold none."""
     try:
         found = list(string.Formatter().parse(answer))
     except ValueError as error:

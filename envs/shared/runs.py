@@ -80,7 +80,7 @@ def hand_over(
 
 @contextlib.contextmanager
 def held(folder: Path, log: Path | None = None, patience: float = 0.0) -> Iterator[int]:
-    """The run folder for this process alone, and for those that it gives the descriptor that it gets.
+    """Lock the run folder for this process, and for those that it gives the descriptor it gets.
 
     log: the file that is opened, to append to it: a folder is not locked for other machines that share it.
     patience: for how long [s] another process is waited for. Raises UserError when it still works there.
@@ -113,7 +113,7 @@ def _locked(handle: int) -> bool:
 
 @contextlib.contextmanager
 def staged_run(path: str | Path) -> Iterator[Path]:
-    """A folder to write a run into; when everything is written, it becomes `path`.
+    """Yield a folder to write a run into; when everything is written, it becomes `path`.
 
     An empty folder that is there already, perhaps a mounted one or the one that the shell is in, stays and
     gets the files. On any error, an interruption included, nothing of the run stays. Raises UserError where
@@ -140,7 +140,7 @@ def staged_run(path: str | Path) -> Iterator[Path]:
 
 
 def versions() -> dict[str, str | int | None]:
-    """Versions, source revision and machine, for the record of a run; imports nothing heavy."""
+    """Return versions, source revision and machine, for the record of a run; imports nothing heavy."""
     result: dict[str, str | int | None] = {"python": platform.python_version(), **packages()}
     result["git revision"] = git_revision()
     result["system"] = platform.platform()
@@ -150,7 +150,7 @@ def versions() -> dict[str, str | int | None]:
 
 
 def packages() -> dict[str, str | None]:
-    """Versions of the packages that a result depends on; None where one is not installed."""
+    """Return versions of the packages that a result depends on; None where one is not installed."""
     result: dict[str, str | None] = {}
     for package in _PACKAGES:
         try:
@@ -161,7 +161,7 @@ def packages() -> dict[str, str | None]:
 
 
 def git_revision() -> str | None:
-    """Commit of the sources, with `+changes` when files differ from it; None outside a clone."""
+    """Return the commit of the sources, with `+changes` when files differ; None outside a clone."""
     from inclined_landing import models
 
     for folder in map(Path, models.__path__):
@@ -186,7 +186,7 @@ def _git(root: Path, *arguments: str) -> str:
 
 
 def cpu_name() -> str:
-    """The processor's name, as well as the system tells it."""
+    """Return the processor's name, as well as the system tells it."""
     with contextlib.suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines():
             if line.startswith("model name"):

@@ -10,7 +10,7 @@ _PIPED_WIDTH = 120  # columns, where the output is no terminal
 
 
 def printer(console: Console | None = None) -> Console:
-    """A console that prints text as it is; into a pipe or a file in lines of a fixed width."""
+    """Return a console that prints text as it is; into a pipe or a file in lines of a fixed width."""
     console = console or Console(markup=False, highlight=False)
     if not console.is_terminal:
         console.width = _PIPED_WIDTH
@@ -18,7 +18,7 @@ def printer(console: Console | None = None) -> Console:
 
 
 def new_table(title: str | None, *columns: str, left: int = 1) -> Table:
-    """An empty table; the first `left` columns stand to the left, the others, with numbers, to the right."""
+    """Return an empty table; its first `left` columns are left-aligned, the others, with numbers, right."""
     result = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold")
     for k, column in enumerate(columns):
         result.add_column(column, justify="left" if k < left else "right")
@@ -26,7 +26,7 @@ def new_table(title: str | None, *columns: str, left: int = 1) -> Table:
 
 
 def share_cell(proportion: dict) -> str:
-    """A share with its interval [%], as `statistics.proportion` gives it."""
+    """Return a share with its interval [%], as `statistics.proportion` gives it."""
     if proportion["share"] is None:
         return "-"
     low, high = proportion["interval"]
@@ -36,7 +36,7 @@ def share_cell(proportion: dict) -> str:
 def spread_cell(
     spread: dict, digits: int = 2, factor: float = 1.0, ends: tuple[str, str] = ("p5", "p95")
 ) -> str:
-    """A median with the ends of its range, as `statistics.spread` gives them."""
+    """Return a median with the ends of its range, as `statistics.spread` gives them."""
     if spread["median"] is None:
         return "-"
     middle, low, high = (f"{factor * spread[key]:,.{digits}f}" for key in ("median", *ends))

@@ -44,19 +44,19 @@ class Found:
 
     @property
     def answer(self) -> str:
-        """The answer in one sentence, its numbers filled in; "" where the recipe has none."""
+        """Return the answer in one sentence, its numbers filled in; "" where the recipe has none."""
         texts = {f"{m.variant}.{m.number.name}".removeprefix("."): m.words for m in self.result.measured}
         parts = string.Formatter().parse(self.recipe.answer)
         return "".join(text + ("" if name is None else texts[name]) for text, name, _, _ in parts)
 
     @property
     def anchor(self) -> str:
-        """Of its section, as Markdown makes it of the title."""
+        """Return the anchor of its section, as Markdown makes it of the title."""
         return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", self.recipe.title.lower()).strip())
 
     @property
     def verdict(self) -> str:
-        """How many of its bars are met."""
+        """Return how many of its bars are met."""
         bars = [m.met for m in self.result.measured if m.met is not None]
         if not bars:
             return "no bar was set"
@@ -64,7 +64,7 @@ class Found:
 
     @property
     def heads(self) -> tuple[str, ...]:
-        """Headings of its table."""
+        """Return the headings of its table."""
         if self._by_variant:
             return ("variant", *map(_heading, self.recipe.numbers.values()))
         variant = ("variant",) if "" not in self.recipe.variants else ()
@@ -72,7 +72,7 @@ class Found:
 
     @property
     def rows(self) -> list[tuple[str, ...]]:
-        """Its table: a row for each variant, or for each number of each."""
+        """Return its table: a row for each variant, or for each number of each."""
         recipe, result = self.recipe, self.result
         if self._by_variant:
             return [
@@ -91,7 +91,7 @@ class Found:
 
     @property
     def runs(self) -> str:
-        """How often it was done, and what that took."""
+        """Return how often it was done, and what that took."""
         seeds = self.recipe.seeds
         named = ", ".join(map(str, seeds[:12])) + (" ..." if len(seeds) > 12 else "")
         variants = f"{len(self.recipe.variants)} variants. " if len(self.recipe.variants) > 1 else ""
@@ -133,7 +133,7 @@ def write_page(sweeps: Sequence[Path], out: Path | None, site: Path | None) -> N
 
 
 def html(found: list[Found]) -> str:
-    """The page, with its pictures in it."""
+    """Return the page, with its pictures in it."""
     kinds = {".png": "image/png", ".gif": "image/gif"}
     pictures = {
         (one.recipe.name, suffix): f"data:{kinds[suffix]};base64,{base64.b64encode(data).decode('ascii')}"
@@ -153,7 +153,7 @@ def html(found: list[Found]) -> str:
 
 
 def markdown(found: list[Found]) -> str:
-    """The same for the documentation; pictures lie in the folder `beyond` beside it."""
+    """Return the same for the documentation; pictures lie in the folder `beyond` beside it."""
     lines = [f"# {TITLE}", "", INTRODUCTION, ""]
     rows: list[tuple[str, ...]] = [
         (f"[{one.recipe.title}](#{one.anchor})", one.answer, one.verdict) for one in found
@@ -172,7 +172,7 @@ def markdown(found: list[Found]) -> str:
 
 
 def _find(path: Path, pictures: Path | None) -> Found:
-    """What there is of a sweep: its folder, or a recipe with a result. pictures: where more of it may be."""
+    """Return what there is of a sweep: its folder, or a recipe with a result. pictures: where more may be."""
     if not path.is_dir():
         recipe = read_recipe(path)
         return Found(recipe, measured.read(recipe, recipe.result), _kept(recipe.name, pictures))
@@ -207,7 +207,7 @@ def _cell(m: Measured) -> str:
 
 
 def _kept(name: str, folder: Path | None) -> dict[str, bytes]:
-    """The pictures that the documentation has of a recipe."""
+    """Return the pictures that the documentation has of a recipe."""
     files = {} if folder is None else {suffix: folder / f"{name}{suffix}" for suffix in LARGEST}
     return {suffix: _picture(file, suffix) for suffix, file in files.items() if file.is_file()}
 
@@ -220,7 +220,7 @@ def _picture(path: Path, suffix: str) -> bytes:
 
 
 def _write_pictures(found: list[Found], folder: Path) -> list[Path]:
-    """The pictures as files, named after their recipes."""
+    """Write the pictures as files, named after their recipes, and return their paths."""
     paths = []
     for one in found:
         for suffix, data in one.pictures.items():
@@ -229,14 +229,14 @@ def _write_pictures(found: list[Found], folder: Path) -> list[Path]:
     return paths
 
 
-def _table(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
-    """Lines of a Markdown table; links stay links."""
+def _table(heads: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> list[str]:
+    """Return lines of a Markdown table; links stay links."""
     lines = [heads, ("---",) * len(heads), *rows]
     return [f"| {' | '.join(map(_text, row))} |" for row in lines]
 
 
 def _text(text: str) -> str:
-    """Text of a recipe as Markdown shows it: no HTML, no code, no columns."""
+    """Return text of a recipe as Markdown shows it: no HTML, no code, no columns."""
     for mark in "\\`<>|*":
         text = text.replace(mark, f"&#{ord(mark)};")
     return text

@@ -84,12 +84,12 @@ def _panel(axes, number: Number, found: list[Measured]) -> None:
 
 
 def _wrapped(number: Number) -> str:
-    """The title of a panel, in lines as long as it is wide."""
+    """Return the title of a panel, in lines as long as it is wide."""
     return textwrap.fill(number.title, 26)
 
 
 def _worse_end(number: Number, found: list[Measured]) -> float:
-    """Where a seed stands that never got there."""
+    """Return the place of a seed that never got there."""
     present = [value for measured in found for value in measured.present] or [0.0, 1.0]
     low, high = min(present), max(present)
     aside = 0.12 * (high - low or abs(high) or 1.0)

@@ -40,7 +40,7 @@ class _Call:
 
     @property
     def out(self) -> Path | None:
-        """What it writes, from the folder of its job on; None: nothing, or the run folder."""
+        """Return what it writes, from the folder of its job on; None: nothing, or the run folder."""
         out = self.given.get("out")
         return None if out is None or self.config is not None else self.job.inside(out)
 
@@ -73,7 +73,7 @@ def check(recipe: Recipe, runs: Runs, last: Job, allowed: Sequence[str] = ()) ->
 
 @contextlib.contextmanager
 def _saying(words: Sequence[str]) -> Iterator[None]:
-    """A UserError says which command it is about."""
+    """Let a UserError say which command it is about."""
     try:
         yield
     except (UserError, SystemExit) as error:
@@ -86,7 +86,7 @@ def _shown(words: Sequence[str]) -> str:
 
 
 def _calls(job: Job) -> Iterator[_Call]:
-    """The commands of a job, parsed: options have their types and ranges; nothing is read or imported."""
+    """Yield the commands of a job, parsed: options have their types and ranges; nothing is imported."""
     for words in job.commands:
         program, *rest = job.filled(words)
         with _saying(words), contextlib.redirect_stdout(io.StringIO()):  # --help
@@ -119,13 +119,13 @@ def _check_python(calls: Sequence[_Call], allowed: Sequence[str]) -> None:
 
 
 def _python(text: str) -> tuple[str, str]:
-    """Where Python is, and its name in there: a file may be written in several ways."""
+    """Return where Python is, and its name in there: a file may be written in several ways."""
     source, _, name = text.rpartition(":")
     return (str(Path(source).resolve()) if source.endswith(".py") else source), name
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """All texts in the options of a command."""
+    """Yield all texts in the options of a command."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping):

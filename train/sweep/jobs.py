@@ -47,25 +47,25 @@ class Job:
 
     @property
     def folder(self) -> Path:
-        """Where its commands write: the run folder, or that of the sweep."""
+        """Return where its commands write: the run folder, or that of the sweep."""
         return self.sweep if self.name == TOGETHER else self.run
 
     @property
     def record(self) -> Path:
-        """The file that says what is done."""
+        """Return the file that says what is done."""
         return self.sweep / STEPS / f"{self.name}.json"
 
     @property
     def log(self) -> Path:
-        """What its commands printed."""
+        """Return the file of what its commands printed."""
         return self.record.with_suffix(".log")
 
     def filled(self, words: Sequence[str]) -> list[str]:
-        """A command as it is run."""
+        """Return a command as it is run."""
         return filled(words, {"run": str(self.run), "sweep": str(self.sweep), "here": str(self.here)})
 
     def inside(self, out: Path) -> Path | None:
-        """`out` from the folder of the job on; None where its commands may not write, also by a link."""
+        """Return `out` from the folder of the job on; None where its commands may not write."""
         root = self.sweep.resolve() / self.folder.relative_to(self.sweep)
         try:
             below = out.resolve().relative_to(root)
@@ -88,12 +88,12 @@ class Step:
 
     @property
     def done(self) -> bool:
-        """Is its result there."""
+        """Return whether its result is there."""
         return self.code in DONE
 
 
 def of_runs(recipe: Recipe, sweep: Path, here: Path) -> dict[tuple[str, int], Job]:
-    """The runs of a recipe by variant and seed."""
+    """Return the runs of a recipe by variant and seed."""
     made = {}
     for variant, seed in recipe.runs():
         names = {"run": "{run}", "sweep": "{sweep}", "here": "{here}", "seed": str(seed), "variant": variant}
@@ -110,7 +110,7 @@ def of_runs(recipe: Recipe, sweep: Path, here: Path) -> dict[tuple[str, int], Jo
 
 
 def of_all(recipe: Recipe, sweep: Path, here: Path) -> Job:
-    """What is made once of all runs; {run} is the first one."""
+    """Return the job that is done once of all runs; {run} is the first one."""
     runs = [run_name(variant, seed) for variant, seed in recipe.runs()]
     names: dict[str, str | list[str]] = {name: f"{{{name}}}" for name in ("run", "sweep", "here")}
     names["runs"] = [f"{{sweep}}/{run}" for run in runs]
@@ -120,7 +120,7 @@ def of_all(recipe: Recipe, sweep: Path, here: Path) -> Job:
 
 
 def read(job: Job) -> list[Step]:
-    """The steps of a job as they stand, one for each command.
+    """Return the steps of a job as they stand, one for each command.
 
     Raises UserError for a damaged record, and for a training that was begun with other words.
     """
@@ -140,7 +140,7 @@ def read(job: Job) -> list[Step]:
 
 
 def work(job: Job, children: Children, threads: int, patience: float = 0.0) -> list[Step]:
-    """Do what is left of a job, until a command fails; returns its steps.
+    """Do what is left of a job, until a command fails, and return its steps.
 
     patience: for how long [s] another process that does the same job is waited for. Raises UserError when it
     still does.
@@ -165,7 +165,7 @@ def work(job: Job, children: Children, threads: int, patience: float = 0.0) -> l
 
 
 def failure(job: Job, steps: Sequence[Step]) -> str | None:
-    """What went wrong, in one sentence; None where nothing did."""
+    """Return what went wrong, in one sentence; None where nothing did."""
     wrong = next((step for step in steps if not step.done), None)
     if wrong is None:
         return None
@@ -177,7 +177,7 @@ def failure(job: Job, steps: Sequence[Step]) -> str | None:
 
 
 def _prepared(job: Job, step: Step, threads: int) -> list[str]:
-    """The command of a step as it is run now: resumed, or with room made for what it writes."""
+    """Return the command of a step as it is run now: resumed, or with room made for what it writes."""
     words = job.filled(step.words)
     if step.words[0] == "landing-train":
         if not _keeps_checkpoints(job.run):
@@ -192,14 +192,14 @@ def _prepared(job: Job, step: Step, threads: int) -> list[str]:
 
 
 def _out(words: Sequence[str]) -> str | None:
-    """What the last --out of a command says."""
+    """Return the last --out of a command."""
     found = [word.partition("=")[2] for word in words if word.startswith("--out=")]
     found += [value for word, value in itertools.pairwise(words) if word == "--out"]
     return found[-1] if found else None
 
 
 def _keeps_checkpoints(run: Path) -> bool:
-    """Can a training be resumed: not one with a replay buffer, which is begun again."""
+    """Return whether a training can be resumed: one with a replay buffer is begun again."""
     try:
         return storage.read_json(run / "run.json", "run record")["config"]["algorithm"] == "ppo"
     except (UserError, KeyError, TypeError):

@@ -32,7 +32,7 @@ def write(path: Path, result: dict) -> None:
 
 
 def _rows(entries: list[dict]):
-    """A list with a table in each line."""
+    """Return a list with a table in each line."""
     import tomlkit
 
     array = tomlkit.array()
@@ -45,7 +45,7 @@ def _rows(entries: list[dict]):
 
 
 def _plain(value):
-    """Numbers with the digits that say something."""
+    """Return numbers with six digits, the noise of clocks and loads left out."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
     if isinstance(value, (list, tuple)):

@@ -61,7 +61,7 @@ def spread(todo: Mapping[Key, Job], place: Place, children: Children) -> Generat
 
 
 def _on_worker(job: Job, place: str) -> list[Step]:
-    """Do a job on a machine of the cluster, perhaps for the second time: after the loss of the first machine.
+    """Do a job on a machine of the cluster, perhaps again after the loss of the first machine.
 
     place: the folder from which the words of the recipe name files.
     """
