@@ -26,10 +26,11 @@ PYTEST = $(BIN)/pytest -n logical --maxprocesses 8 --dist worksteal
 OLDEST := 3.11.0
 MACHINE := $(shell uname -m)
 GLIBC := 2.27
+PACKAGES := models envs eval train
 # The type checker does not see through the editable installation: it gets the folders as the package.
 TYPES = mkdir -p .venv/types/inclined_landing && touch .venv/types/inclined_landing/__init__.py \
-  && ln -sfn $(CURDIR)/models $(CURDIR)/envs .venv/types/inclined_landing \
-  && MYPYPATH=.venv/types $(BIN)/mypy --cache-dir .venv/mypy -p inclined_landing.models -p inclined_landing.envs
+  && ln -sfn $(addprefix $(CURDIR)/,$(PACKAGES)) .venv/types/inclined_landing \
+  && MYPYPATH=.venv/types $(BIN)/mypy --cache-dir .venv/mypy $(addprefix -p inclined_landing.,$(PACKAGES))
 SOURCES := pyproject.toml constraints.txt models/crazyflie.toml $(wildcard models/plugin/*)
 
 .PHONY: install demo test test-all lint bench diagram docs wheel release lock
