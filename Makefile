@@ -29,8 +29,8 @@ GLIBC := 2.27
 # The type checker does not see through the editable installation: it gets the folders as the package.
 PACKAGES := models envs eval train
 TYPES = mkdir -p .venv/types/inclined_landing && touch .venv/types/inclined_landing/__init__.py \
-  && ln -sfn $(PACKAGES:%=$(CURDIR)/%) .venv/types/inclined_landing \
-  && MYPYPATH=.venv/types $(BIN)/mypy --cache-dir .venv/mypy $(PACKAGES:%=-p inclined_landing.%)
+  && ln -sfn $(addprefix $(CURDIR)/,$(PACKAGES)) .venv/types/inclined_landing \
+  && MYPYPATH=.venv/types $(BIN)/mypy --cache-dir .venv/mypy $(addprefix -p inclined_landing.,$(PACKAGES))
 SOURCES := pyproject.toml constraints.txt models/crazyflie.toml $(wildcard models/plugin/*)
 
 .PHONY: install demo test test-all lint bench diagram docs wheel release lock
