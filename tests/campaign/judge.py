@@ -327,7 +327,7 @@ def _check_sentence(sentence: str, case: Case, path: Path, folder: Path) -> None
         raise Wrong(f"{case.name}: not one printable line: {sentence[:500]!r}")
     if len(plain) > LONGEST_SENTENCE:
         raise Wrong(f"{case.name}: {len(plain)} characters: {plain}")
-    if LEAKS.search(re.sub(r" raised \w+: .*", "", plain)):  # what code of others raised is quoted
+    if LEAKS.search(re.sub(r" (raised \w+:|returned) .*", "", plain)):  # by code of others, and quoted
         raise Wrong(f"{case.name}: leaks words of Python: {sentence}")
     named = case.named if case.named is not None else path.name
     if named not in sentence:
