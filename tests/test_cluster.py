@@ -23,6 +23,7 @@ import psutil
 import pytest
 import tomlkit
 
+from tests.eval.landings.test_run import STUDY as SMALL
 from tests.training import assert_same_policy
 
 pytestmark = pytest.mark.slow
@@ -31,19 +32,7 @@ if not hasattr(pytest.importorskip("ray", reason="Ray is not installed (extra `r
 
 HEAD, OTHER = "127.0.0.2", "127.0.0.3"
 PATIENCE = 240.0  # s for anything
-STUDY = """\
-title = "Tiny"
-question = "Is a landing lost?"
-sampling = "latin-hypercube"
-samples = 5000
-seed = 5
-maps = [["inclination", "friction"]]
-[simulation]
-duration = 0.4
-[parameters]
-inclination = { from = 10, to = 50, unit = "deg" }
-friction = { from = 0.2, to = 1.4, unit = "1" }
-"""
+STUDY = SMALL.replace("samples = 24", "samples = 5000")
 VEHICLE = """\
 based_on = "crazyflie-2.1"
 [body]

@@ -66,53 +66,22 @@ MEMORY = 3 * 2**30  # bytes of address space on top of what the test process has
 
 # One of each kind of wrong value; generators spell them as TOML, JSON or options.
 EVIL: dict[str, object] = {
-    "nan": math.nan,
-    "infinite": math.inf,
-    "minus infinite": -math.inf,
-    "zero": 0,
-    "minus zero": -0.0,
-    "minus one": -1,
-    "tiny": 1e-300,
-    "denormal": 5e-324,
-    "huge": 1e300,
-    "million": 1e6,
-    "minus million": -1e6,
-    "2^63": 2**63,
-    "400 digits": int("9" * 400),
-    "true": True,
-    "text": "heavy",
-    "empty text": "",
-    "number as text": "1.0",
-    "long text": "x" * 2000,
+    "nan": math.nan, "infinite": math.inf, "minus infinite": -math.inf, "zero": 0, "minus zero": -0.0,
+    "minus one": -1, "tiny": 1e-300, "denormal": 5e-324, "huge": 1e300, "million": 1e6, "minus million": -1e6,
+    "2^63": 2**63, "400 digits": int("9" * 400), "true": True, "date": datetime.date(2020, 1, 1),
+    "text": "heavy", "empty text": "", "number as text": "1.0", "long text": "x" * 2000,
     "control characters": "a\nb\x1b[31m\u202e",
-    "date": datetime.date(2020, 1, 1),
-    "empty list": [],
-    "list of one": [1.0],
-    "list of two": [1.0, 2.0],
-    "list of three": [1.0, 2.0, 3.0],
-    "list of four": [1.0, 2.0, 3.0, 4.0],
-    "list with text": [1.0, "x"],
-    "list with nan": [math.nan, math.nan, math.nan],
-    "huge list": [0.5] * 500,
-    "list of lists": [[1.0, 2.0], [3.0, 4.0]],
-    "nested": [[[[[[[[[[1.0]]]]]]]]]],
-    "empty table": {},
-    "table": {"value": 1.0},
-}
+    "empty list": [], "list of one": [1.0], "list of two": [1.0, 2.0], "list of three": [1.0, 2.0, 3.0],
+    "list of four": [1.0, 2.0, 3.0, 4.0], "list with text": [1.0, "x"], "list with nan": [math.nan] * 3,
+    "huge list": [0.5] * 500, "list of lists": [[1.0, 2.0], [3.0, 4.0]], "nested": [[[[[[[[[[1.0]]]]]]]]]],
+    "empty table": {}, "table": {"value": 1.0},
+}  # fmt: skip
 # What a text file may hold that is neither TOML nor JSON of the right kind.
 TEXTS: dict[str, bytes] = {
-    "empty": b"",
-    "white": b"\n" * 1000,
-    "noise": b"\xff" * 999,
-    "zero bytes": bytes(999),
-    "list": b"[1]",
-    "null": b"null",
-    "number": b"1",
-    "table": b"{}",
-    "nested": b"[" * 100_000,
-    "nested tables": b'{"a":' * 20_000,
-    "XML": b"<mujoco/>",
-}
+    "empty": b"", "white": b"\n" * 1000, "noise": b"\xff" * 999, "zero bytes": bytes(999), "list": b"[1]",
+    "null": b"null", "number": b"1", "table": b"{}", "nested": b"[" * 100_000,
+    "nested tables": b'{"a":' * 20_000, "XML": b"<mujoco/>",
+}  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
