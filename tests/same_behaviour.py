@@ -78,8 +78,9 @@ def _run(module: str, words: list[str]) -> subprocess.CompletedProcess[str]:
     if module == PROOF:
         from inclined_landing import models
 
-        place = Path(next(iter(models.__path__))).resolve().parent
-        module = PROOF if (place / "tests" / "proof").is_dir() else EVAL
+        roots = [Path(path).resolve().parent for path in models.__path__]
+        place = next((root for root in roots if (root / "tests" / "proof").is_dir()), None)
+        module = EVAL if place is None else PROOF
     return subprocess.run([sys.executable, "-m", module, *words], capture_output=True, text=True, cwd=place)
 
 
