@@ -34,7 +34,6 @@ NEEDED = {
     "figure whole": ("landing", "--whole", "--out", "{place}/out.png"),
     "replay": ("landing", "{place}/log.csv", "--out", "{place}/out.html"),
     "replay window": ("landing", "--window"),
-    "beyond": (RECIPE, "--out", "{place}/out"),
     "curves": ("{place}", "--out", "{place}/out.png"),
     "validate": ("equivalence", "--out", "{place}/out"),
     "validate contact": ("contact", "--out", "{place}/out"),

@@ -85,7 +85,7 @@ def options_that(keep: Callable[[str, Option], bool]) -> st.SearchStrategy[tuple
 
 
 def is_text(option: str, about: Option) -> bool:
-    return about.kind is not bool and not about.number and option not in ("out", "site", "gamma")
+    return about.kind is not bool and not about.number and option not in ("out", "site", "page", "gamma")
 
 
 def number(where: tuple[str, str], value: str) -> Case:
@@ -121,7 +121,7 @@ def idle(where: tuple[str, str], data) -> Case:
 def output(where: tuple[str, str], what: str) -> Case:
     """What a command writes into, where nothing can be written: it is said before any work."""
     name, option = where
-    if what in FOLDERS and (name == "figure" or option == "site"):
+    if what in FOLDERS and (name == "figure" or option in ("site", "page")):
         what = "under a file"
     suffix = "" if what in NO_NAMES else SUFFIX.get(name, "")
     return refused(f"{name} {option} {what}", name, [f"--{option}={OUTPUTS[what]}{suffix}"])
@@ -170,7 +170,9 @@ KINDS = {
     "idle": st.builds(idle, options_that(is_text), st.data()),
     "commands": st.sampled_from((*NAMES, "x" * 5000, "")).map(command_of),
     "outputs": st.builds(
-        output, options_that(lambda option, _: option in ("out", "site")), st.sampled_from(list(OUTPUTS))
+        output,
+        options_that(lambda option, _: option in ("out", "site", "page")),
+        st.sampled_from(list(OUTPUTS)),
     ),
     "files": st.builds(given_file, st.sampled_from(ZIPS), WITH_POLICY)
     | st.builds(
