@@ -380,7 +380,7 @@ def _relevant_subsets(problem: Problem, local: LinearGaussian, names: EffectSet)
     at, covariance = local.bounded_mode(names), local.change(names)[1]
     errors = np.sqrt(np.maximum(covariance.diagonal(), 1e-12))
     result: dict[EffectSet, float] = {frozenset(): 1.0}
-    for name in names:
+    for name in sorted(names):  # the order of sets differs from process to process
         within = 1.0
         for k in local.index([name]):
             if not local.columns[k].form:
