@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from inclined_landing.eval.gap.report.words import residual_sentences
 from inclined_landing.eval.gap.result import Diagnosis, PlantGap
 from inclined_landing.eval.logs.alignment import Estimate, PoseAlignment
 from inclined_landing.models.parameters import Vehicle
@@ -42,7 +43,7 @@ def fleet(s: Fleet) -> str:
     lines += ["", *disturbances(d), "", *sets(d), ""]
     lines += ["Named on all flights: " + named(d)]
     lines += ["Named on first halves: " + named(s.first), "Named on second halves: " + named(s.second), ""]
-    return "\n".join([*lines, d.residual.text, ""])
+    return "\n".join([*lines, *residual_sentences(d), ""])
 
 
 def disturbances(d: Diagnosis) -> list[str]:
