@@ -71,40 +71,39 @@ def judged(logs, vehicle: Vehicle, values, heldout: Sequence[FlightLog] = ()) ->
     The gap is that on `heldout`; without, every flight is judged with the others fitted.
     """
     problem = Problem(prepare_all(logs, vehicle, False, []), vehicle, LIBRARY)
-    fit = _refit(problem, values)
+    fit, inflation = _refit(problem, values)
     corrected = problem.corrected(fit.values)
     starts = rollout.RolloutWindows.of(
         prepare_all(heldout, vehicle, False, []) if heldout else problem.flights
     )
     floor = rollout.noise_floor(starts, corrected)
-    after = corrected if heldout else _left_out(problem, fit)
+    after = corrected if heldout else _left_out(problem, fit, inflation)
     return rollout.plant_gap(starts, vehicle, after, "analytic", floor), corrected
 
 
-def _refit(problem: Problem, values, prior=None) -> LeastSquaresFit:
-    """Fitted twice, the second time with every channel divided by the squared error that the first leaves."""
+def _refit(problem: Problem, values, prior=None) -> tuple[LeastSquaresFit, np.ndarray]:
+    """Return a fit with weights divided by the squared errors (6,) of a first fit, and these errors."""
     first = fit_least_squares(problem, values, np.ones(6), prior=prior)
     squares = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in problem.white_errors_at(first.values)])
     freedom = np.maximum(1.0, (problem.weight * problem.rows[:, None]).sum(axis=0))
     inflation = np.maximum(1.0, (problem.weight * squares).sum(axis=0) / freedom)
-    return fit_least_squares(problem, first.values, inflation, prior=prior)
+    return fit_least_squares(problem, first.values, inflation, prior=prior), inflation
 
 
-def _left_out(problem: Problem, fit: LeastSquaresFit) -> list[Vehicle]:
+def _left_out(problem: Problem, fit: LeastSquaresFit, inflation: np.ndarray) -> list[Vehicle]:
     """For every flight, the vehicle with the effects fitted to the other flights."""
     vehicles = []
     for flight in problem.flights:
         others = [f for f in problem.flights if f is not flight] or problem.flights
-        rest = fit_least_squares(Problem(others, problem.vehicle, LIBRARY), fit.values, fit.inflation)
+        rest = fit_least_squares(Problem(others, problem.vehicle, LIBRARY), fit.values, inflation)
         vehicles.append(problem.corrected(rest.values))
     return vehicles
 
 
 def _fit(logs, vehicle: Vehicle, values) -> dict[tuple[str, str], tuple[float, float]]:
     problem = Problem(prepare_all(logs, vehicle, False, []), vehicle, LIBRARY)
-    fit = _refit(
-        problem, values, prior=slab_deviations
-    )  # effects that are nearly alike would not move without
+    # Without a prior, effects that are nearly collinear would not move.
+    fit, _ = _refit(problem, values, prior=slab_deviations)
     # A reference is where another parameter acts about: at another one that and others are as good.
     linear = fit.linear
     own = [k for k, c in enumerate(linear.columns) if not problem.parameter(c).is_reference]
