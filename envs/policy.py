@@ -27,11 +27,11 @@ from inclined_landing.envs.tasks import TASKS, Task, known, make_task, task_clas
 from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre, resolve_pwm_span
 from inclined_landing.envs.tasks.options import fields_of
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
+from inclined_landing.envs.weights import STAMP
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
-STAMP = "inclined_landing.json"
 _FOLDER = Path(str(resources.files("inclined_landing.envs") / "shipped"))
 # One of every shipping task, called like it; and more of them, called like their files.
 SHIPPED = tuple(
@@ -42,8 +42,6 @@ SHIPPED = tuple(
 )
 _ACTIVATIONS = ("Tanh", "ReLU")  # index is the code in the compiled loop
 _LIMIT = 10.0  # of `features.ScaledObservation`
-_WEIGHTS = "policy.pth"  # member with the network
-_LARGEST_TABLE = 10_000_000  # bytes of the header and of the stamp
 # Beyond, sums of products could overflow.
 _LARGEST_WEIGHT, _DEEPEST, _WIDEST = 1e6, 16, 8192
 
@@ -188,7 +186,7 @@ def stamp(path: str | Path, metadata: dict) -> None:
     missing = [key for key in ("task", "task_options") if key not in metadata]
     if missing:
         raise UserError(f"the stamp of {path} lacks {' and '.join(missing)}")
-    with _open(path) as source, storage.atomic(path) as part:
+    with weights.open_policy(path) as source, storage.atomic(path) as part:
         if STAMP not in source.namelist():
             shutil.copyfile(path, part)
         else:
@@ -235,10 +233,8 @@ def load_policy(
     PWM of the stamp, its options of slopes, dimensions and angles, and its one inclination, or the one given.
     """
     path = locate(path)
-    with _open(path) as archive:
-        metadata = _read_stamp(archive, path)
-        data = _read_table(archive, "data", path)
-        network = _actor(_read_tensors(archive, path), data, path)
+    file = weights.read_file(path)
+    metadata, network = _checked(file.stamp, path), _actor(file.tensors, file.header, path)
     wanted = task if task is None or isinstance(task, str) else task.name
     if isinstance(task, str):
         task_class(task)  # is there one of this name
@@ -281,8 +277,7 @@ def history_length(path: str | Path) -> int:
 
 def _stamp_of(path: str | Path) -> dict:
     path = locate(path)
-    with _open(path) as archive:
-        return _read_stamp(archive, path)
+    return _checked(weights.read_stamp(path), path)
 
 
 def observes_vehicle(path: str | Path) -> bool:
@@ -299,9 +294,7 @@ def action_map(path: str | Path) -> tuple[float | str, float]:
 
 def tensors(path: str | Path) -> dict[str, np.ndarray]:
     """Return all tensors of a policy file by SB3's names, the critic and the exploration noise included."""
-    path = locate(path)
-    with _open(path) as archive:
-        return _read_tensors(archive, path)
+    return weights.read_file(locate(path)).tensors
 
 
 def _action_map(options: dict) -> tuple[float | str, float]:
@@ -392,29 +385,8 @@ def _build_task(name, metadata, vehicle, slope, path) -> Task:
         raise UserError(f"policy {path}: {error}") from error
 
 
-def _open(path: Path) -> zipfile.ZipFile:
-    archive = weights.open_zip(storage.read_bytes(path, "policy", weights.LARGEST), f"policy {path}")
-    missing = {"data", _WEIGHTS} - set(archive.namelist())
-    if missing:
-        raise UserError(
-            f"policy {path} is not a Stable-Baselines3 policy: the zip lacks " + " and ".join(sorted(missing))
-        )
-    return archive
-
-
-def _read_table(archive: zipfile.ZipFile, name: str, path: Path) -> dict:
-    content = weights.read_member(archive, name, f"policy {path}", _LARGEST_TABLE)
-    value = storage.parse_json(content, f"policy {path}: {name} in it")
-    if not isinstance(value, dict):
-        raise UserError(f"policy {path}: {name} in it is not a table")
-    return value
-
-
-def _read_stamp(archive: zipfile.ZipFile, path: Path) -> dict:
-    """Return the stamp; empty for a plain SB3 file. Its values are validated."""
-    if STAMP not in archive.namelist():
-        return {}
-    metadata = _read_table(archive, STAMP, path)
+def _checked(metadata: dict, path: Path) -> dict:
+    """Return the stamp of a policy file, whose values are validated."""
     if not _shallow(metadata, 5):
         raise UserError(f"policy {path}: {STAMP} in it is nested too deeply")
     name, options = metadata.get("task"), metadata.get("task_options", {})
@@ -452,15 +424,6 @@ def _shallow(value, levels: int) -> bool:
             _shallow(x, levels - 1) for x in (value.values() if isinstance(value, dict) else value)
         )
     return True
-
-
-def _read_tensors(archive: zipfile.ZipFile, path: Path) -> dict[str, np.ndarray]:
-    """Return the network's tensors by name."""
-    content = weights.read_member(archive, _WEIGHTS, f"policy {path}")
-    tensors = weights.read_tensors(content, f"policy {path}: {_WEIGHTS} in it")
-    if not all(np.isfinite(array).all() for array in tensors.values()):
-        raise UserError(f"policy {path} has weights that are NaN or infinite")
-    return tensors
 
 
 # Which tensors make up the actor that answers without noise: of PPO and A2C, of SAC, of TD3 and DDPG.

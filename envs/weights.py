@@ -1,4 +1,4 @@
-"""Reader of the tensors in a policy file, without torch and without running anything from the file.
+"""Reader of a policy file: stamp, header and tensors, without torch and without running anything from it.
 
 Stable-Baselines3 keeps the network as a zip that torch writes: `data.pkl`, a pickle that says how tensors
 lie in storages, and one member for each storage. The pickle is not loaded: the few instructions that torch
@@ -15,13 +15,18 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
+STAMP = "inclined_landing.json"  # member that says what the policy was trained for; a plain SB3 file has none
 LARGEST = 100_000_000  # bytes of a policy file, and of any member
+_LARGEST_TABLE = 10_000_000  # bytes of the header and of the stamp
+_HEADER, _NETWORK = "data", "policy.pth"  # members that Stable-Baselines3 writes
 _PICKLE = 1_000_000  # bytes of data.pkl
 _MEMBERS = 4096  # of a file, those of zips inside it counted too
 _DIMENSIONS = 8
@@ -30,6 +35,53 @@ _DAMAGED = (
     *(zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, struct.error),
     *(OSError, EOFError, ValueError, RuntimeError, KeyError, IndexError, OverflowError),
 )
+
+
+class PolicyFile(NamedTuple):
+    """What a policy file holds, unchecked but for the tensors, which are finite."""
+
+    stamp: dict
+    header: dict
+    tensors: dict[str, np.ndarray]
+
+
+def read_file(path: Path) -> PolicyFile:
+    """Return the content of a policy file; raises UserError where it is none or damaged."""
+    with open_policy(path) as archive:
+        stamp, header = _read_table(archive, STAMP, path), _read_table(archive, _HEADER, path)
+        content = read_member(archive, _NETWORK, f"policy {path}")
+    tensors = read_tensors(content, f"policy {path}: {_NETWORK} in it")
+    if not all(np.isfinite(array).all() for array in tensors.values()):
+        raise UserError(f"policy {path} has weights that are NaN or infinite")
+    return PolicyFile(stamp, header, tensors)
+
+
+def read_stamp(path: Path) -> dict:
+    """Return the stamp of a policy file; empty for a plain Stable-Baselines3 file."""
+    with open_policy(path) as archive:
+        return _read_table(archive, STAMP, path)
+
+
+def open_policy(path: Path) -> zipfile.ZipFile:
+    """Return the zip of a policy file; raises UserError where it is none."""
+    archive = open_zip(storage.read_bytes(path, "policy", LARGEST), f"policy {path}")
+    missing = {_HEADER, _NETWORK} - set(archive.namelist())
+    if missing:
+        raise UserError(
+            f"policy {path} is not a Stable-Baselines3 policy: the zip lacks " + " and ".join(sorted(missing))
+        )
+    return archive
+
+
+def _read_table(archive: zipfile.ZipFile, name: str, path: Path) -> dict:
+    """Return a member that is a table of JSON; empty where it is missing."""
+    if name not in archive.namelist():
+        return {}
+    content = read_member(archive, name, f"policy {path}", _LARGEST_TABLE)
+    value = storage.parse_json(content, f"policy {path}: {name} in it")
+    if not isinstance(value, dict):
+        raise UserError(f"policy {path}: {name} in it is not a table")
+    return value
 
 
 def open_zip(content: bytes, what: str) -> zipfile.ZipFile:

@@ -16,32 +16,26 @@ With ``--effects`` the frozen grid (or the random starts) alone, once for every 
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Annotated, Any
 
-import numpy as np
 import pandas as pd
 import tyro
 
-from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared import runs
-from inclined_landing.envs.tasks import Start
-from inclined_landing.envs.tasks.base import joined
 from inclined_landing.eval.base.conditions import fly_all
 from inclined_landing.eval.base.options import Flag, Flat, Flown, NewFolder, Seed
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.policies import success_table
 from inclined_landing.eval.policies.evaluators import evaluator_of, report_of
-from inclined_landing.models.attitude import LAG
+from inclined_landing.eval.policies.flying import FlownAt, fly, fly_scaled, groups_of
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
-from inclined_landing.models.plants import make_plant
 
 Scales = Annotated[
     tuple[tuple[float, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X [X ...]")
@@ -61,7 +55,8 @@ def evaluate(
     plant: "mujoco", "hybrid" or "analytic", always the plain one (no keep-out zone, RK4 at 4 ms).
     disturbance: fly in that of the task's vehicle, always the same. seed: of the random starts.
     """
-    return _evaluate(policy, plant, thrust_scales, disturbance, seed)[0]
+    flown = fly_scaled(policy, plant, thrust_scales, disturbance=disturbance, seed=seed)
+    return _report(policy, plant, seed, disturbance, flown)
 
 
 def command(
@@ -104,41 +99,27 @@ def command(
         raise UserError(
             "--disturbance needs a --vehicle whose table [disturbance] is not all 0; this one's air is still"
         )
-    report: dict[str, Any]
-    flights: list[tuple[float, str, Flight]] | None = None
+    files = {}
     if effects:
         report = evaluate_effects(loaded, plant=flown.plant, seed=seed)
     else:
-        report, flights = _evaluate(loaded, flown.plant, scales, disturbance, seed)
+        found = fly_scaled(loaded, flown.plant, scales, disturbance=disturbance, seed=seed)
+        files["flights.csv"] = _flights_csv(found)
+        report = _report(loaded, flown.plant, seed, disturbance, found)
     report["vehicle"] = str(flown.vehicle) if flown.vehicle is not None else "crazyflie.toml"
-    files = None if flights is None else {"flights.csv": _flights_csv(flights)}
     runs.hand_over(report, success_table.show, json, out, files)
 
 
-def _evaluate(
-    policy: Policy, plant: str, thrust_scales: Sequence[float], disturbance: bool, seed: int
-) -> tuple[dict[str, Any], list[tuple[float, str, Flight]]]:
-    """Return the report, and every flight with its thrust scale and group of starts."""
+def _report(
+    policy: Policy, plant: str, seed: int, disturbance: bool, flown: Sequence[FlownAt]
+) -> dict[str, Any]:
+    """Return the report on flights."""
     task, evaluator = policy.task, evaluator_of(policy.task)
-    groups = evaluator.groups(task, seed)
-    names = np.repeat(list(groups), [len(starts) for starts in groups.values()]).tolist()
-    starts = joined(list(groups.values()))
-
-    def fly_scaled(scale: float) -> list[Flight]:
-        fleet = make_plant(plant, len(starts), task.vehicle, disturbance=0 if disturbance else None)
-        if scale != 1.0:
-            fleet.perturb(thrust_scale=scale)
-        return record_flights(policy, fleet, starts, steps=task.judged_steps)
-
-    conditions, rows = [], []
-    found = fly_all({(f"thrust scale {scale}",): partial(fly_scaled, scale) for scale in thrust_scales})
-    for scale in thrust_scales:
-        flights = found[f"thrust scale {scale}",]
-        flown = {name: [f for f, group in zip(flights, names) if group == name] for name in groups}
-        conditions.append({"thrust_scale": float(scale), **evaluator.condition(task, flown, scale)})
-        rows += [(scale, name, flight) for name, flight in zip(names, flights)]
+    conditions = [
+        {"thrust_scale": one.thrust_scale, **evaluator.condition(task, one.flights, one.cut)} for one in flown
+    ]
     report = report_of("success", policy, plant, seed) | {"paper": evaluator.paper, "conditions": conditions}
-    return report | ({"disturbance": True} if disturbance else {}), rows
+    return report | ({"disturbance": True} if disturbance else {})
 
 
 def evaluate_effects(policy: Policy, *, plant: str = "mujoco", seed: int = 0) -> dict[str, Any]:
@@ -149,10 +130,10 @@ def evaluate_effects(policy: Policy, *, plant: str = "mujoco", seed: int = 0) ->
     others fly from random starts. plant: "mujoco", "hybrid" or "analytic". seed: of the random starts.
     """
     task, evaluator = policy.task, evaluator_of(policy.task)
-    starts = evaluator.groups(task, seed)[evaluator.frozen]
+    starts = groups_of(task, seed)[evaluator.frozen]
 
     def count(vehicle: Vehicle) -> dict[str, Any]:
-        return evaluator.effect(task, fly(policy, plant, vehicle, starts), vehicle)
+        return evaluator.effect(task, *fly(policy, plant, vehicle, starts))
 
     vehicles = {"none": task.vehicle}
     vehicles |= {name: effect.apply(task.vehicle, effect.plausible) for name, effect in LIBRARY.items()}
@@ -174,34 +155,21 @@ def sizes(effect: Effect, values: Mapping[str, float]) -> dict[str, dict[str, An
     return {name: {"value": value, "unit": units[name]} for name, value in values.items()}
 
 
-def fly(policy: Policy, plant: str, vehicle: Vehicle, starts: Start) -> list[Flight]:
-    """Return flights of `vehicle`, of which the policy knows nothing, from `starts` of its own vehicle."""
-    task, starts = policy.task, dataclasses.replace(starts, state=starts.state.copy())
-    starts.state[:, LAG] *= task.vehicle.thrust_lag_rate / vehicle.thrust_lag_rate  # the same load
-    tilt = vehicle.platform_inclination - task.vehicle.platform_inclination
-    fleet = make_plant(plant, len(starts), vehicle)
-    return record_flights(policy, _Tilted(fleet, tilt) if tilt else fleet, starts, steps=task.judged_steps)
-
-
-class _Tilted:
-    """A plant whose platforms are inclined by `tilt` [rad] more than the task sets them."""
-
-    def __init__(self, plant: Any, tilt: float):
-        self._plant, self._tilt = plant, tilt
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._plant, name)
-
-    def set_platform(self, ids, inclination, present=True, azimuth=0.0) -> None:
-        """Set the platforms as the plant does, inclined by more."""
-        self._plant.set_platform(ids, np.asarray(inclination) + self._tilt, present, azimuth)
-
-
-def _flights_csv(flights: Sequence[tuple[float, str, Flight]]) -> str:
+def _flights_csv(flown: Sequence[FlownAt]) -> str:
     """Return one row per flight; times in s, positions in m."""
     columns = "thrust_scale starts x y z success touched time end_x end_y end_z".split()
     rows = [
-        (scale, group, *f.state[0, :3], int(f.success), int(f.touched), f.duration, *f.state[-1, :3])
-        for scale, group, f in flights
+        (
+            at.thrust_scale,
+            group,
+            *f.state[0, :3],
+            int(f.success),
+            int(f.touched),
+            f.duration,
+            *f.state[-1, :3],
+        )
+        for at in flown
+        for group, flights in at.flights.items()
+        for f in flights
     ]
     return pd.DataFrame(rows, columns=columns).to_csv(index=False, float_format="%.6g")

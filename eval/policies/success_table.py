@@ -56,7 +56,6 @@ _CAPTIONS = {
 
 def show(report: dict) -> None:
     """Print the report of `success.evaluate` or of `success.evaluate_effects`."""
-    console = printer()
     kind = report["table"]
     labels: tuple[str, ...]
     blocks: list[list[tuple[tuple[str, ...], dict]]]
@@ -78,7 +77,8 @@ def show(report: dict) -> None:
         labels = ("thrust",)
         blocks = [[((_thrust(condition),), condition) for condition in report["conditions"]]]
     shown = [column for column in _COLUMNS[kind] if column[1] in blocks[0][0][1]]
-    table = new_table(_title(report), *labels, *(name for name, *_ in shown), left=len(labels))
+    title, console = _title(report), printer()
+    table = new_table(title, *labels, *(name for name, *_ in shown), left=len(labels))
     for block in blocks:
         for label, row in block:
             table.add_row(*label, *(text(row[key]) for _, key, text in shown))

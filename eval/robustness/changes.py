@@ -21,7 +21,8 @@ from inclined_landing.envs.shared.statistics import mean
 from inclined_landing.envs.tasks import Start
 from inclined_landing.eval.base.conditions import fly_all
 from inclined_landing.eval.policies.evaluators import evaluator_of
-from inclined_landing.eval.policies.success import fly, sizes
+from inclined_landing.eval.policies.flying import fly, groups_of
+from inclined_landing.eval.policies.success import sizes
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
@@ -97,8 +98,7 @@ def evaluate(
             )
         if not math.isclose(policy.task.inclination, first.inclination):
             raise UserError(f"policies {names[0]} and {name} are for platforms of different inclination")
-    evaluator = evaluator_of(first)
-    starts = evaluator.groups(first, 0)[evaluator.frozen][::every]
+    starts = groups_of(first, 0)[evaluator_of(first).frozen][::every]
     cases = conditions(thrusts, effects)
     vehicles = {case.words: case.vehicle(first.vehicle) for case in cases}
     flown = fly_all(
@@ -138,8 +138,8 @@ def evaluate(
 
 def _count(policy: Policy, plant: str, vehicle: Vehicle, starts: Start) -> tuple[dict, list[bool]]:
     """Return the outcome of the policy's flights, and which of them are strict successes."""
-    flights = fly(policy, plant, vehicle, starts)
-    return evaluator_of(policy.task).effect(policy.task, flights, vehicle), [f.strict for f in flights]
+    flights, cut = fly(policy, plant, vehicle, starts)
+    return evaluator_of(policy.task).effect(policy.task, flights, cut), [f.strict for f in flights]
 
 
 def _differences(cases: Sequence[Condition], landed: np.ndarray) -> list[dict[str, Any]]:

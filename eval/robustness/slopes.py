@@ -23,7 +23,8 @@ from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.envs.shared.tables import share_cell, spread_cell
 from inclined_landing.envs.tasks import Start, Task, make_task
 from inclined_landing.eval.base.claims import Section, Table
-from inclined_landing.eval.base.conditions import fly_all, outcome
+from inclined_landing.eval.base.conditions import fly_all
+from inclined_landing.eval.policies.evaluators import outcome
 from inclined_landing.eval.policies.success_table import slope_words
 from inclined_landing.models.attitude import YAW
 from inclined_landing.models.errors import UserError

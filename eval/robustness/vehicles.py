@@ -24,7 +24,8 @@ from inclined_landing.envs.shared.tables import share_cell
 from inclined_landing.envs.tasks.landing import START_CLEARANCE
 from inclined_landing.envs.vehicle_parameters import NAMES, vehicle_parameters
 from inclined_landing.eval.base.claims import Section, Table
-from inclined_landing.eval.base.conditions import fly_all, outcome
+from inclined_landing.eval.base.conditions import fly_all
+from inclined_landing.eval.policies.evaluators import outcome
 from inclined_landing.eval.robustness.entries import Entry
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG

@@ -13,7 +13,7 @@ from inclined_landing.envs.shared import statistics
 from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
-from inclined_landing.eval.policies import evaluators, motors_cut, success, success_table
+from inclined_landing.eval.policies import evaluators, flying, motors_cut, success, success_table
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ
 from inclined_landing.models.effects import LIBRARY
@@ -292,7 +292,7 @@ def test_a_tilted_platform_is_tilted_for_the_plant_alone(landing, few, monkeypat
         inclinations.append(flights[0].inclination)
         return flights
 
-    monkeypatch.setattr(success, "record_flights", recorded)
+    monkeypatch.setattr(flying, "record_flights", recorded)
     success.evaluate_effects(Constant(landing, 0.0, 0.0), plant="analytic")
     assert inclinations == pytest.approx([ALPHA, ALPHA, ALPHA, ALPHA + 0.05])
 
