@@ -170,6 +170,8 @@ def _table(path: Path) -> pa.Table:
 
 def _read(path: Path, landings: range) -> pa.Table | None:
     """Return the table in `path` if it is there, undamaged, and holds these landings."""
+    if path.exists() and not path.is_file():  # a pipe would never end
+        return None
     try:
         table = _table(path)
         numbers = table["landing"].to_numpy()
