@@ -44,10 +44,6 @@ COMMANDS = {
     "video": ("pictures", "Video of flights, one after the other."),
     "replay": ("", "Flights of policies and logs in 3D: as one page for the browser, or in a window."),
     "curves": ("pictures", "Learning curves of training runs of one task; seeds with median and range."),
-    "beyond": (
-        "sweeps",
-        "The results of sweeps on one page; now landing-train sweep SWEEP [SWEEP ...] --page DIR.",
-    ),
     "validate": ("truth", "Is the vehicle the paper's model, and is contact right? A page of claims."),
     "landings": ("", "Landing study: thousands of touchdowns over friction, speeds ..., each classified."),
     "logs": ("", "What flight logs hold and whether they can be believed, in words."),
@@ -131,6 +127,10 @@ def _run(words: list[str]) -> int | None:
         now = f"landing-eval {name} is now: landing-eval {OLD_NAMES[name]}"
         print(f"{now}; the old name works until the next release", file=sys.stderr)
     name, *rest = renamed(words) or [""]
+    if name == "beyond":  # of the last release, now landing-train sweep --page
+        from inclined_landing.eval.sweeps.beyond import command
+
+        return parse(bound(command), "landing-eval beyond", rest)()
     if name in MOVED:
         raise UserError(f"{name} is now run from a clone of the repository: python -m tests.proof {name}")
     if name not in COMMANDS:

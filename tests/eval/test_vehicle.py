@@ -18,7 +18,6 @@ NO_VEHICLE = {
     "demo",
     "export",
     "curves",
-    "beyond",
     "logs",
     "effects",
     "gap-example",

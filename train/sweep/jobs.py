@@ -12,6 +12,10 @@ import itertools
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta, structs
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.recipe import Recipe, filled, run_name
@@ -28,6 +32,7 @@ OTHERS = (
     *("vehicle.toml", "randomise.toml", "learning.csv", "evaluations.csv", "tensorboard", "videos"),
     *("checkpoint.pt", "best.zip", "final.zip"),
 )
+Amount = Annotated[float, Meta(ge=0)]
 DONE = (0, 3)  # exit codes of a command with a result: 3 says that it is not the one that was hoped for
 
 
@@ -74,17 +79,16 @@ class Job:
         return below if below.parts and below.parts[0] not in self.taken else None
 
 
-@dataclasses.dataclass
-class Step:
+class Step(msgspec.Struct, forbid_unknown_fields=True):
     """A command of a job as the record has it."""
 
-    words: list[str]
-    attempts: int = 0
+    words: Annotated[list[str], Meta(min_length=1)]
+    attempts: Annotated[int, Meta(ge=0)] = 0
     code: int | None = None  # None: it has not ended
-    cpu_seconds: float = 0.0  # of all attempts that ended
-    wall_seconds: float = 0.0
-    load: float = 0.0  # of the machine when it ended
-    versions: dict[str, str] = dataclasses.field(default_factory=dict)  # and what it ran with, and on
+    cpu_seconds: Amount = 0.0  # of all attempts that ended
+    wall_seconds: Amount = 0.0
+    load: Amount = 0.0  # of the machine when it ended
+    versions: dict[str, str] = {}  # and what it ran with, and on
 
     @property
     def done(self) -> bool:
@@ -211,29 +215,14 @@ def _versions() -> dict[str, str]:
 
 
 def _write(job: Job, steps: Sequence[Step]) -> None:
-    storage.write_json(job.record, [dataclasses.asdict(step) for step in steps])
+    storage.write_json(job.record, [structs.asdict(step) for step in steps])
 
 
 def _recorded(path: Path) -> list[Step]:
+    """Return the steps of a record; raises UserError for a damaged one."""
     if not path.exists():
         return []
-    data = storage.read_json(path, "record", storage.LARGEST)
     try:
-        if not isinstance(data, list):
-            raise ValueError
-        return [_step(entry) for entry in data]
-    except (TypeError, KeyError, ValueError) as error:
+        return msgspec.convert(storage.read_json(path, "record", storage.LARGEST), list[Step])
+    except msgspec.ValidationError as error:
         raise UserError(f"record {path} is damaged; choose another --out") from error
-
-
-def _step(entry: dict) -> Step:
-    step = Step(**entry)
-    numbers = (step.attempts, step.cpu_seconds, step.wall_seconds, step.load)
-    good = isinstance(step.words, list) and step.words and all(isinstance(w, str) for w in step.words)
-    good = (
-        good and isinstance(step.versions, dict) and all(isinstance(v, str) for v in step.versions.values())
-    )
-    good = good and all(type(n) in (int, float) and n >= 0 for n in numbers)
-    if not good or type(step.code) not in (int, type(None)):
-        raise ValueError
-    return step
