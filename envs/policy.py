@@ -1,4 +1,4 @@
-"""Policy files: Stable-Baselines3 zips with a stamp that says what they were trained for.
+"""Policy files: Stable-Baselines3 zips with metadata: what they were trained for.
 
 A policy file is what `PPO.save` writes plus one entry, `inclined_landing.json`: task, task
 options, plant, seed, steps, command, versions. Reading it runs no code from the file: only the
@@ -27,7 +27,7 @@ from inclined_landing.envs.tasks import TASKS, Task, known, make_task, task_clas
 from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre, resolve_pwm_span
 from inclined_landing.envs.tasks.options import fields_of
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
-from inclined_landing.envs.weights import STAMP
+from inclined_landing.envs.weights import METADATA
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -64,7 +64,7 @@ class Policy:
     """The deterministic actor of a policy file; `load_policy` makes one."""
 
     task: Task
-    metadata: dict  # the stamp; empty for a plain SB3 file
+    metadata: dict  # empty for a plain SB3 file
     path: Path
     centre: np.ndarray  # (o,) subtracted from the observation
     scale: np.ndarray  # (o,) that the difference is divided by
@@ -177,25 +177,25 @@ def _forward(rows, network):
     return result
 
 
-def stamp(path: str | Path, metadata: dict) -> None:
-    """Write `metadata` into the SB3 zip at `path`, replacing an earlier stamp; whole or not at all.
+def write_metadata(path: str | Path, metadata: dict) -> None:
+    """Write `metadata` into the SB3 zip at `path`, replacing earlier ones; whole or not at all.
 
     metadata must name the task in "task" and its options in "task_options".
     """
     path = Path(path)
     missing = [key for key in ("task", "task_options") if key not in metadata]
     if missing:
-        raise UserError(f"the stamp of {path} lacks {' and '.join(missing)}")
+        raise UserError(f"the metadata of {path} lacks {' and '.join(missing)}")
     with weights.open_policy(path) as source, storage.atomic(path) as part:
-        if STAMP not in source.namelist():
+        if METADATA not in source.namelist():
             shutil.copyfile(path, part)
         else:
             with zipfile.ZipFile(part, "w") as target:
                 for entry in source.infolist():
-                    if entry.filename != STAMP:
+                    if entry.filename != METADATA:
                         target.writestr(entry, source.read(entry))
         with zipfile.ZipFile(part, "a", zipfile.ZIP_DEFLATED) as target:
-            target.writestr(STAMP, storage.to_json(metadata))
+            target.writestr(METADATA, storage.to_json(metadata))
 
 
 def locate(name: str | Path) -> Path:
@@ -224,17 +224,17 @@ def load_policy(
     """Read a policy file, or a shipped policy by name.
 
     task: the task it must be for, by name or as an object, such as that of an environment (which then is
-        the policy's task as it is); needed when the file has no stamp. By name, and by default, the task is
-        built from the stamp.
+        the policy's task as it is); needed when the file has none. By name, and by default, the task is
+        built from the metadata.
     vehicle, inclination, azimuth [rad]: of the task that is built, where they differ from the training's.
         What PWM an action commands stays what it was in training, or, with `pwm_centre="own"`, is about the
         hover of each vehicle.
     Raises UserError when the file is not such a policy or does not fit the task: a task object must have the
-    PWM of the stamp, its options of slopes, dimensions and angles, and its one inclination, or the one given.
+    metadata's PWM, options of slopes, dimensions and angles, and its one inclination, or the one given.
     """
     path = locate(path)
     file = weights.read_file(path)
-    metadata, network = _checked(file.stamp, path), _actor(file.tensors, file.header, path)
+    metadata, network = _checked(file.metadata, path), _actor(file.tensors, file.header, path)
     wanted = task if task is None or isinstance(task, str) else task.name
     if isinstance(task, str):
         task_class(task)  # is there one of this name
@@ -264,32 +264,32 @@ def load_policy(
 
 
 def trained_task(path: str | Path) -> str | None:
-    """Return the task that the stamp of a policy file, or of a shipped policy, names; None for a plain SB3
+    """Return the task that the metadata of a policy file, or of a shipped policy, names; None for a plain SB3
     file.
     """
-    return _stamp_of(path).get("task")
+    return _metadata_of(path).get("task")
 
 
 def history_length(path: str | Path) -> int:
     """Return how many past steps a policy file, or a shipped policy, observes; 0 for a plain SB3 file."""
-    return _stamp_of(path).get("task_options", {}).get("history", 0)
+    return _metadata_of(path).get("task_options", {}).get("history", 0)
 
 
-def _stamp_of(path: str | Path) -> dict:
+def _metadata_of(path: str | Path) -> dict:
     path = locate(path)
-    return _checked(weights.read_stamp(path), path)
+    return _checked(weights.read_metadata(path), path)
 
 
 def observes_vehicle(path: str | Path) -> bool:
     """Return whether a policy, of a file or shipped, observes its vehicle's parameters; False for a plain SB3
     file.
     """
-    return bool(_stamp_of(path).get("task_options", {}).get("observe_vehicle", False))
+    return bool(_metadata_of(path).get("task_options", {}).get("observe_vehicle", False))
 
 
 def action_map(path: str | Path) -> tuple[float | str, float]:
     """Return PWM at action 0 (or "own") and span of a policy file, or of a shipped policy, as in training."""
-    return _action_map(_stamp_of(path).get("task_options", {}))
+    return _action_map(_metadata_of(path).get("task_options", {}))
 
 
 def tensors(path: str | Path) -> dict[str, np.ndarray]:
@@ -298,7 +298,7 @@ def tensors(path: str | Path) -> dict[str, np.ndarray]:
 
 
 def _action_map(options: dict) -> tuple[float | str, float]:
-    """Return PWM at action 0 and span from the stamp's options. Names refer to the shipped vehicle.
+    """Return PWM at action 0 and span from the metadata's options. Names refer to the shipped vehicle.
 
     But "own" is a word for every vehicle.
     """
@@ -386,14 +386,14 @@ def _build_task(name, metadata, vehicle, slope, path) -> Task:
 
 
 def _checked(metadata: dict, path: Path) -> dict:
-    """Return the stamp of a policy file, whose values are validated."""
+    """Return the metadata of a policy file, whose values are validated."""
     if not _shallow(metadata, 5):
-        raise UserError(f"policy {path}: {STAMP} in it is nested too deeply")
+        raise UserError(f"policy {path}: {METADATA} in it is nested too deeply")
     name, options = metadata.get("task"), metadata.get("task_options", {})
     if name is not None and not (isinstance(name, str) and len(name) < 100):
         raise _unknown_task(metadata, path)
     if not isinstance(options, dict):
-        raise UserError(f"policy {path}: task_options in its {STAMP} is not a table")
+        raise UserError(f"policy {path}: task_options in its {METADATA} is not a table")
     for option, value in options.items():
         number = isinstance(value, (int, float)) and abs(value) < 1e9
         if not (number or value is None or (isinstance(value, str) and len(value) < 100)):
@@ -413,7 +413,7 @@ def _unknown_task(metadata: dict, path: Path) -> UserError:
             f"that code, name it: --task {shown(source, 60)}"
         )
     return UserError(
-        f"policy {path}: {STAMP} in it names an unknown task, {shown(name, 40)}; "
+        f"policy {path}: {METADATA} in it names an unknown task, {shown(name, 40)}; "
         f"known are {' and '.join(TASKS)}"
     )
 

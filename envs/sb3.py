@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 from inclined_landing.envs.batch import BatchEnv, check_seed
-from inclined_landing.envs.policy import stamp
+from inclined_landing.envs.policy import write_metadata
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks.base import OWN
 from inclined_landing.models.errors import UserError, optional, shown
@@ -20,11 +20,11 @@ with optional():
 
 
 def save_policy(model, path: str | Path) -> None:
-    """Save a Stable-Baselines3 model trained on a `BatchVecEnv`, with the stamp for `load_policy`."""
+    """Save a Stable-Baselines3 model trained on a `BatchVecEnv`, with the metadata for `load_policy`."""
     task = model.get_env().env.task
     model.save(path, exclude=["lr_schedule"])  # perhaps of a callback, and not needed
     action_map = {"pwm_centre": OWN if task.per_vehicle_hover else task.pwm_centre, "pwm_span": task.pwm_span}
-    stamp(
+    write_metadata(
         Path(path).with_suffix(".zip"),
         {
             "task": task.name,

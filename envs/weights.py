@@ -1,4 +1,4 @@
-"""Reader of a policy file: stamp, header and tensors, without torch and without running anything from it.
+"""Reader of a policy file: metadata, header, tensors, without torch and without running anything from it.
 
 Stable-Baselines3 keeps the network as a zip that torch writes: `data.pkl`, a pickle that says how tensors
 lie in storages, and one member for each storage. The pickle is not loaded: the few instructions that torch
@@ -23,9 +23,9 @@ import numpy as np
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
-STAMP = "inclined_landing.json"  # member that says what the policy was trained for; a plain SB3 file has none
+METADATA = "inclined_landing.json"  # member: what the policy was trained for; a plain SB3 file has none
 LARGEST = 100_000_000  # bytes of a policy file, and of any member
-_LARGEST_TABLE = 10_000_000  # bytes of the header and of the stamp
+_LARGEST_TABLE = 10_000_000  # bytes of the header and of the metadata
 _HEADER, _NETWORK = "data", "policy.pth"  # members that Stable-Baselines3 writes
 _PICKLE = 1_000_000  # bytes of data.pkl
 _MEMBERS = 4096  # of a file, those of zips inside it counted too
@@ -40,7 +40,7 @@ _DAMAGED = (
 class PolicyFile(NamedTuple):
     """What a policy file holds, unchecked but for the tensors, which are finite."""
 
-    stamp: dict
+    metadata: dict
     header: dict
     tensors: dict[str, np.ndarray]
 
@@ -48,18 +48,18 @@ class PolicyFile(NamedTuple):
 def read_file(path: Path) -> PolicyFile:
     """Return the content of a policy file; raises UserError where it is none or damaged."""
     with open_policy(path) as archive:
-        stamp, header = _read_table(archive, STAMP, path), _read_table(archive, _HEADER, path)
+        metadata, header = _read_table(archive, METADATA, path), _read_table(archive, _HEADER, path)
         content = read_member(archive, _NETWORK, f"policy {path}")
     tensors = read_tensors(content, f"policy {path}: {_NETWORK} in it")
     if not all(np.isfinite(array).all() for array in tensors.values()):
         raise UserError(f"policy {path} has weights that are NaN or infinite")
-    return PolicyFile(stamp, header, tensors)
+    return PolicyFile(metadata, header, tensors)
 
 
-def read_stamp(path: Path) -> dict:
-    """Return the stamp of a policy file; empty for a plain Stable-Baselines3 file."""
+def read_metadata(path: Path) -> dict:
+    """Return the metadata of a policy file; empty for a plain Stable-Baselines3 file."""
     with open_policy(path) as archive:
-        return _read_table(archive, STAMP, path)
+        return _read_table(archive, METADATA, path)
 
 
 def open_policy(path: Path) -> zipfile.ZipFile:

@@ -34,7 +34,7 @@ from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from torch.utils.tensorboard import SummaryWriter
 
 from inclined_landing.envs.flights import record_flight, record_flights
-from inclined_landing.envs.policy import Policy, load_policy, stamp
+from inclined_landing.envs.policy import Policy, load_policy, write_metadata
 from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.tasks import is_path
@@ -290,13 +290,13 @@ class Run:
             )
 
     def policy_file(self) -> bytes:
-        """Return the present policy with its stamp, as a file."""
+        """Return the present policy with its metadata, as a file."""
         with storage.scratch(self.folder / "policy.zip") as path:
             ppo.save_model(self.model, path)
-            stamp(path, self.stamp())
+            write_metadata(path, self.metadata())
             return path.read_bytes()
 
-    def stamp(self) -> dict:
+    def metadata(self) -> dict:
         """Return what a policy file says of itself."""
         config = self.config
         return {

@@ -1,6 +1,6 @@
 """The contract of an export: what each number that goes in or out is, and where the policy comes from.
 
-`contract.json` is made from the task, the policy and its stamp; `contract.schema.json` says its form, and
+`contract.json` is made from the task, the policy and its metadata; `contract.schema.json` says its form, and
 `words` is the same for people.
 """
 
@@ -54,7 +54,7 @@ _QUANTITIES = {
     "lag": ("state of the thrust's lag", None),
     "feet": ("do the feet touch the slab, 0 or 1", None),
 }
-_TRAINING = ("seed", "steps", "plant", "curriculum", "command", "ranges", "versions")  # of the stamp
+_TRAINING = ("seed", "steps", "plant", "curriculum", "command", "ranges", "versions")  # of the metadata
 
 
 def load(name: str, task: str | None = None, vehicle: Vehicle | None = None) -> Policy:
@@ -217,9 +217,9 @@ def _vehicle(policy: Policy) -> dict:
 
 
 def _trained_vehicle(policy: Policy) -> Vehicle:
-    """Return the shipped vehicle with the differences in the stamp; raise UserError for invalid ones."""
+    """Return the shipped vehicle with the differences in the metadata; raise UserError for invalid ones."""
     entry, shipped = policy.metadata["vehicle"], load_vehicle()
-    what = f"policy {policy.path}: the vehicle in its stamp"
+    what = f"policy {policy.path}: the vehicle in its metadata"
     if not isinstance(entry, Mapping):
         raise UserError(f"{what} is not a table")
     if unknown := [name for name in entry if name not in vars(shipped)]:

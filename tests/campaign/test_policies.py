@@ -23,7 +23,7 @@ import torch
 from hypothesis import given
 
 from inclined_landing.envs.flights import record_flights
-from inclined_landing.envs.policy import STAMP, load_policy
+from inclined_landing.envs.policy import METADATA, load_policy
 from inclined_landing.envs.policy import tensors as tensors_of
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval.machine import benchmark
@@ -44,7 +44,7 @@ from tests.campaign.judge import (
 GOOD = (resources.files("inclined_landing.envs") / "shipped" / "landing.zip").read_bytes()
 with zipfile.ZipFile(io.BytesIO(GOOD)) as archive:
     MEMBERS = {name: archive.read(name) for name in archive.namelist()}
-STAMPED, DATA = json.loads(MEMBERS[STAMP]), json.loads(MEMBERS["data"])
+TABLES, DATA = json.loads(MEMBERS[METADATA]), json.loads(MEMBERS["data"])
 WEIGHTS = "policy.pth"
 TENSORS = torch.load(io.BytesIO(MEMBERS[WEIGHTS]), weights_only=True)
 
@@ -80,7 +80,7 @@ def with_member(name: str, content: bytes) -> bytes:
 
 
 def headers(member: str) -> st.SearchStrategy[Case]:
-    """The stamp or SB3's header with an entry wrong, or another text in its place."""
+    """The metadata or SB3's header with an entry wrong, or another text in its place."""
     good = MEMBERS[member]
     deep = b', "x": ' + b"[" * 500 + b"]" * 500 + b"}"
     more = {
@@ -308,7 +308,7 @@ def member(name: str, way: str) -> Case:
 
 STORAGES = st.tuples(st.integers(3, 14), st.sampled_from((0, 6, 1_000_000)))
 KINDS = {
-    "stamp": headers(STAMP),
+    "metadata": headers(METADATA),
     "header": headers("data"),
     "tensors": st.builds(
         tensor, st.sampled_from(list(TENSORS)), st.sampled_from([*SHAPES, "missing", "renamed"])

@@ -9,7 +9,14 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.gym_env import InclinedLandingEnv, InclinedLandingVectorEnv  # type: ignore
 from inclined_landing.envs.history import input_centre, input_names, input_scale
-from inclined_landing.envs.policy import Policy, history_length, load_policy, locate, stamp, trained_task
+from inclined_landing.envs.policy import (
+    Policy,
+    history_length,
+    load_policy,
+    locate,
+    trained_task,
+    write_metadata,
+)
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.eval.policies import touchdown
@@ -139,7 +146,7 @@ def test_an_episode_goes_on_from_its_record_with_its_history():
 
 def test_a_policy_is_not_flown_without_its_history(tmp_path):
     path = shutil.copy(locate("landing"), tmp_path / "h.zip")
-    stamp(path, {"task": "landing", "task_options": {"pwm_centre": "hover", "history": 2}})
+    write_metadata(path, {"task": "landing", "task_options": {"pwm_centre": "hover", "history": 2}})
     assert history_length(path) == 2 and trained_task(path) == "landing"
     with pytest.raises(
         UserError, match=r"is given 2 past steps, and the landing task here has 0; .*history=2"

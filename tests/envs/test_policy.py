@@ -16,7 +16,7 @@ from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
-STAMP = {"task": "landing", "task_options": {"pwm_centre": "hover"}, "seed": 3}
+METADATA = {"task": "landing", "task_options": {"pwm_centre": "hover"}, "seed": 3}
 
 
 class Spaces(gym.Env):
@@ -32,10 +32,10 @@ def model(observations=5, actions=2, **policy_kwargs) -> PPO:
     return PPO("MlpPolicy", env, seed=0, device="cpu", policy_kwargs=policy_kwargs)
 
 
-def saved(path, network: PPO, stamp=STAMP):
+def saved(path, network: PPO, metadata=METADATA):
     network.save(path)
-    if stamp is not None:
-        policy.stamp(path, stamp)
+    if metadata is not None:
+        policy.write_metadata(path, metadata)
     return path
 
 
@@ -111,10 +111,10 @@ def test_hand_made_network(tmp_path):
     np.testing.assert_array_equal(loaded.predict(np.ones((2, 5))), [[0.25, 1.0]] * 2)
 
 
-def test_the_stamp_builds_the_task(tmp_path):
+def test_the_metadata_builds_the_task(tmp_path):
     path = saved(tmp_path / "p.zip", model())
     loaded = policy.load_policy(path)
-    assert loaded.metadata == STAMP and loaded.name == "p"
+    assert loaded.metadata == METADATA and loaded.name == "p"
     assert loaded.task.name == "landing"
     assert loaded.task.pwm_centre == load_vehicle().hover_pwm
     tilted = policy.load_policy(path, inclination=-0.2)
@@ -131,22 +131,22 @@ def test_another_vehicle_keeps_the_action_map_of_training(tmp_path):
 
 def test_a_stamped_file_is_still_sb3s_and_can_be_stamped_again(tmp_path):
     path = saved(tmp_path / "p.zip", model())
-    policy.stamp(path, STAMP | {"seed": 4})
+    policy.write_metadata(path, METADATA | {"seed": 4})
     with zipfile.ZipFile(path) as archive:
-        assert archive.namelist().count(policy.STAMP) == 1
-        assert json.loads(archive.read(policy.STAMP))["seed"] == 4
+        assert archive.namelist().count(policy.METADATA) == 1
+        assert json.loads(archive.read(policy.METADATA))["seed"] == 4
     assert PPO.load(path, device="cpu").observation_space.shape == (5,)
     assert [p.name for p in tmp_path.iterdir()] == ["p.zip"]
 
 
-def test_a_stamp_must_name_its_task(tmp_path):
+def test_metadata_must_name_its_task(tmp_path):
     model().save(tmp_path / "p.zip")
     with pytest.raises(UserError, match="lacks task_options"):
-        policy.stamp(tmp_path / "p.zip", {"task": "landing"})
+        policy.write_metadata(tmp_path / "p.zip", {"task": "landing"})
 
 
 def test_a_plain_sb3_file_needs_the_task(tmp_path):
-    path = saved(tmp_path / "p.zip", model(), stamp=None)
+    path = saved(tmp_path / "p.zip", model(), metadata=None)
     with pytest.raises(UserError, match="does not say which task"):
         policy.load_policy(path)
     assert policy.load_policy(path, "landing").metadata == {}
@@ -223,10 +223,10 @@ def other_activation(path):
     saved(path, model(activation_fn=torch.nn.SiLU))
 
 
-def damaged_stamp(path):
-    saved(path, model(), stamp=None)
+def damaged_metadata(path):
+    saved(path, model(), metadata=None)
     with zipfile.ZipFile(path, "a") as archive:
-        archive.writestr(policy.STAMP, "{")
+        archive.writestr(policy.METADATA, "{")
 
 
 def unknown_option(path):
@@ -247,7 +247,7 @@ def unknown_option(path):
         (damaged, "policy.pth in it is not a zip file"),
         (discrete_actions, "not a PPO, SAC or TD3 policy"),
         (other_activation, "SiLU"),
-        (damaged_stamp, "inclined_landing.json in it is not JSON"),
+        (damaged_metadata, "inclined_landing.json in it is not JSON"),
         (unknown_option, "colour"),
     ],
 )

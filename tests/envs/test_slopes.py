@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import inclined_landing  # noqa: F401 (registers the environments)
 from inclined_landing.envs import load_policy, make_batch, starts
-from inclined_landing.envs.policy import locate, stamp
+from inclined_landing.envs.policy import locate, write_metadata
 from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, START_CLEARANCE, Conditions
 from inclined_landing.models.attitude import PITCH, ROLL, VX, YAW, X, Y, Z
@@ -155,7 +155,7 @@ def test_wrong_options_are_refused_by_a_sentence(options, sentence):
 def test_a_policy_of_other_options_is_refused(tmp_path, trained, name):
     path = tmp_path / "policy.zip"
     path.write_bytes(locate("landing").read_bytes())
-    stamp(path, {"task": "landing", "task_options": trained})
+    write_metadata(path, {"task": "landing", "task_options": trained})
     with pytest.raises(UserError, match=f"was trained with {name}=.*give it {name}="):
         load_policy(path, make_task("landing"))
 

@@ -9,7 +9,7 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.gym_env import InclinedLandingEnv  # type: ignore[attr-defined]
 from inclined_landing.envs.history import input_centre, input_names, input_scale
-from inclined_landing.envs.policy import Policy, load_policy, locate, observes_vehicle, stamp
+from inclined_landing.envs.policy import Policy, load_policy, locate, observes_vehicle, write_metadata
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.envs.vehicle_parameters import NAMES, UNITS, vehicle_parameters
@@ -115,7 +115,7 @@ def test_action_0_is_the_hover_of_each_vehicle():
 
 def stamped(folder, **options):
     path = shutil.copy(locate("landing"), folder / "policy.zip")
-    stamp(path, {"task": "landing", "task_options": options})
+    write_metadata(path, {"task": "landing", "task_options": options})
     return path
 
 

@@ -180,12 +180,16 @@ def test_stock_sb3_loads_the_policy_too(landing_run):
     np.testing.assert_allclose(action, load_policy(path).predict(observation), atol=1e-5)
 
 
-def test_the_stamp_says_what_the_policy_was_trained_for(landing_run):
-    stamp = load_policy(landing_run[0] / "final.zip").metadata
-    assert stamp["task"] == "landing" and stamp["plant"] == "hybrid" and stamp["curriculum"] == "adaptive"
-    assert stamp["seed"] == 3 and stamp["steps"] == 512
-    assert stamp["task_options"]["pwm_centre"] == "hover"
-    assert stamp["command"].startswith("landing-train") and stamp["versions"]["mujoco"] == "4.0.0"
+def test_the_metadata_says_what_the_policy_was_trained_for(landing_run):
+    metadata = load_policy(landing_run[0] / "final.zip").metadata
+    assert (
+        metadata["task"] == "landing"
+        and metadata["plant"] == "hybrid"
+        and metadata["curriculum"] == "adaptive"
+    )
+    assert metadata["seed"] == 3 and metadata["steps"] == 512
+    assert metadata["task_options"]["pwm_centre"] == "hover"
+    assert metadata["command"].startswith("landing-train") and metadata["versions"]["mujoco"] == "4.0.0"
 
 
 def test_a_run_trains_evaluates_and_resumes_with_its_own_vehicle(tmp_path):

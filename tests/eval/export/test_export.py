@@ -22,7 +22,7 @@ from markdown_it import MarkdownIt
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.history import History, input_centre, input_names, input_scale
-from inclined_landing.envs.policy import Policy, load_policy, locate, stamp
+from inclined_landing.envs.policy import Policy, load_policy, locate, write_metadata
 from inclined_landing.envs.tasks import Start, Task, make_task
 from inclined_landing.envs.tasks.base import COLUMNS
 from inclined_landing.eval import cli
@@ -346,14 +346,16 @@ def markdown_of(path):
     return types, ["".join(child.content for child in token.children or ()) for token in tokens]
 
 
-def test_names_and_stamps_do_not_become_markdown_or_html(tmp_path):
-    """Whatever the file is called and the stamp says: the page of a harmless one, with other words."""
+def test_names_and_metadata_do_not_become_markdown_or_html(tmp_path):
+    """Whatever the file is called and the metadata say: the page of a harmless one, with other words."""
     pages = {}
     for k, words in enumerate(("harmless", HOSTILE)):
         path = tmp_path / f"{words.replace('/', '')}.zip"
         shutil.copyfile(locate("landing"), path)
         metadata = load_policy(str(path)).metadata
-        stamp(path, metadata | {"command": words, "plant": words, "curriculum": {words: 1}, "seed": words})
+        write_metadata(
+            path, metadata | {"command": words, "plant": words, "curriculum": {words: 1}, "seed": words}
+        )
         policy = contract.load(str(path))
         write(policy, "c", tmp_path / str(k))
         pages[k] = [markdown_of(tmp_path / str(k) / name) for name in ("contract.md", "README.md")]
@@ -375,7 +377,7 @@ def test_markdown_shows_a_value_letter_by_letter(value):
         assert "".join(child.content for child in line.children) == f"{shown(value)}, b"
 
 
-def test_the_contract_is_the_task_the_stamp_and_the_vehicle():
+def test_the_contract_is_the_task_the_metadata_and_the_vehicle():
     policy = contract.load("landing")
     terms, task = contract.describe(policy, Network.from_policy(policy)), policy.task
     assert terms["control_period"] == load_vehicle().command_control_period
@@ -670,7 +672,7 @@ def test_policies_of_sac_and_of_another_vehicle(tmp_path):
     path = tmp_path / "sac.zip"
     network.save(path)
     vehicle = {"command_control_period": 0.04, "body_mass": 0.035}
-    stamp(path, {"task": "landing", "task_options": {"pwm_centre": 40000.0}, "vehicle": vehicle})
+    write_metadata(path, {"task": "landing", "task_options": {"pwm_centre": 40000.0}, "vehicle": vehicle})
     policy = contract.load(str(path))
     assert policy.task.vehicle.body_mass == 0.035 and policy.task.pwm_centre == 40000.0
     terms = write(policy, "c", tmp_path / "out")
@@ -689,7 +691,7 @@ def test_policies_of_sac_and_of_another_vehicle(tmp_path):
         ({"body_mass": -1.0}, "body.mass is -1"),
         ({"body_mass": "heavy"}, "body.mass"),
     ):
-        stamp(path, {"task": "landing", "task_options": {}, "vehicle": wrong})
+        write_metadata(path, {"task": "landing", "task_options": {}, "vehicle": wrong})
         with pytest.raises(UserError, match=sentence):
             contract.load(str(path))
     elu = SAC(

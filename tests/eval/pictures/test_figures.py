@@ -424,7 +424,7 @@ def hover_policy(tmp_path_factory):
         for parameter in network.policy.parameters():
             parameter.zero_()
     network.save(path)
-    policy.stamp(path, {"task": "landing", "task_options": {"pwm_centre": "hover"}})
+    policy.write_metadata(path, {"task": "landing", "task_options": {"pwm_centre": "hover"}})
     return str(path)
 
 

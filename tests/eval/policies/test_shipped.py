@@ -19,7 +19,7 @@ LANDING = [name for name in SHIPPED if trained_task(name) == "landing" and name 
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_stamp_says_how_it_was_made(name):
+def test_metadata_say_how_it_was_made(name):
     metadata = load_policy(name).metadata
     assert name == metadata["task"] or name.startswith(f"{metadata['task']}-")
     assert metadata["command"].startswith("landing-train")
