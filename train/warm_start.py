@@ -107,7 +107,9 @@ def _check_task(policy: Policy, task: Task) -> None:
         how = "with" if before.observe_vehicle else "without"
         raise UserError(f"policy {policy.path} goes on {how} --observe-vehicle")
     if before.observe_vehicle and before.history != task.history:
-        raise UserError(f"policy {policy.path} is told its vehicle, and goes on with its own history only")
+        raise UserError(
+            f"policy {policy.path} observes its vehicle's parameters, and goes on with its own history only"
+        )
     if before.per_vehicle_hover != task.per_vehicle_hover:
         raise UserError(f"policy {policy.path} goes on with its own PWM at action 0 only")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from collections.abc import Sequence
 
@@ -26,7 +27,7 @@ class Drawing:
     show_vehicle: bool
 
 
-class SceneRenderer:
+class SceneRenderer(abc.ABC):
     """Base of the renderers: picture size, camera and the model of the latest platform."""
 
     closed = False
@@ -118,20 +119,25 @@ class SceneRenderer:
         self._prepare(model)
         self._platform = pose.platform_key
 
+    @abc.abstractmethod
     def _move_platform(self, pose: Pose) -> None:
-        raise NotImplementedError
+        """Move the platform of the prepared model."""
 
+    @abc.abstractmethod
     def _prepare(self, model: mujoco.MjModel) -> None:
-        raise NotImplementedError
+        """Take a new model."""
 
+    @abc.abstractmethod
     def _draw(self, pose: Pose, drawing: Drawing) -> np.ndarray:
-        raise NotImplementedError
+        """Return the frame (height, width, 3) uint8 without a caption."""
 
+    @abc.abstractmethod
     def _view(self, pose: Pose) -> View:
-        raise NotImplementedError
+        """Return the view of the camera at a pose."""
 
+    @abc.abstractmethod
     def close(self) -> None:
-        """Free the renderer's resources; by default nothing."""
+        """Free the renderer's resources; it draws no more."""
 
     def __enter__(self):
         return self

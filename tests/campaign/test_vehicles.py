@@ -65,7 +65,7 @@ def corner(seed: int) -> Case:
     return spoilt(f"corner {seed}", *values)
 
 
-def headed(section: str, head: str) -> Case:
+def with_head(section: str, head: str) -> Case:
     """A table that stands there last, twice, or in a list."""
     rest = {name: other for name, other in TABLES.items() if name != section}
     text = f"{spelt(rest)}\n{head.format(section)}{spelt(TABLES[section])}"
@@ -85,7 +85,7 @@ HEADS = ("[{}]\n", "[{0}]\n[{0}]\n", "[[{}]]\n")
 VEHICLES = st.one_of(
     st.sampled_from(EDGES).map(lambda e: edge(*e)),
     st.integers(0, 9999).map(corner),
-    st.builds(headed, st.sampled_from(list(TABLES)), st.sampled_from(HEADS)),
+    st.builds(with_head, st.sampled_from(list(TABLES)), st.sampled_from(HEADS)),
     st.sampled_from(constants()).map(renamed),
 )
 
