@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from inclined_landing.eval.logs.limits import LARGEST_VALUE
 from inclined_landing.eval.logs.log import COMMANDS, GAP_SECONDS, GAP_STEPS, FlightLog
 from inclined_landing.eval.logs.mapping import Channel
-from inclined_landing.eval.logs.units import QUATERNION
+from inclined_landing.eval.logs.units import QUATERNION, REQUESTS, ROTOR_SPEEDS
 from inclined_landing.models.errors import UserError
 
 _POSITION = ("x", "y", "z")
@@ -61,6 +61,11 @@ def assemble(
     notes += _describe_rows(channels, t, complete)
     velocity = _interpolate_fully(channels, _VELOCITY, t[complete], "velocity", notes)
     voltage = _interpolate_fully(channels, ("vbat",), t[complete], "battery voltage", notes, longest=1.5)
+    requests, complete_requests = _hold_all(channels, REQUESTS, t[complete])
+    if requests is not None and not complete_requests:
+        notes.append("the requests of the motors are not logged throughout and are not used")
+        requests = None
+    speeds = _interpolate_fully(channels, ROTOR_SPEEDS, t[complete], "rotor speed", notes)
     if "cmd_yaw" in channels and "cmd_yaw_rate" not in channels:
         notes.append("yaw is commanded as an angle; no yaw rate command was logged and none is made up")
 
@@ -84,8 +89,21 @@ def assemble(
         velocity=velocity,
         voltage=None if voltage is None else voltage[:, 0],
         contact=commands["contact"][complete] > 0.5 if "contact" in commands else None,
+        requests=requests,
+        rotor_speed=speeds,
+        thrust_is_measured=channels["cmd_thrust_pwm"].measured,
         notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def _hold_all(
+    channels: Mapping[str, Channel], keys: tuple[str, ...], t: np.ndarray
+) -> tuple[np.ndarray | None, bool]:
+    """Return (m, k) held at t where all of `keys` are logged, and whether they are from the first t on."""
+    if not all(key in channels for key in keys):
+        return None, False
+    parts = [_hold(channels[key], t) for key in keys]
+    return np.stack([value for value, _ in parts], axis=1), all(started.all() for _, started in parts)
 
 
 def _interpolate_pose(
@@ -195,7 +213,7 @@ def _clean(key: str, channel: Channel, notes: list[str]) -> Channel:
     later = np.r_[True, np.diff(t) > 0]
     if not later.all():
         notes.append(f"{int((~later).sum())} rows of {channel.column} repeat an instant and were dropped")
-    return Channel(t[later], value[later], channel.column)
+    return Channel(t[later], value[later], channel.column, channel.measured)
 
 
 def _find_outliers(value: np.ndarray, finite: np.ndarray, possible: tuple[float, float]) -> np.ndarray:

@@ -15,6 +15,9 @@ COMMANDS = ("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate")
 # A hole in the record is a step in time this many times the usual one, and at least this long (s).
 GAP_STEPS = 5.0
 GAP_SECONDS = 0.1
+_BY_ROW = (
+    *("t", "position", "attitude", "command", "velocity", "voltage", "contact", "requests", "rotor_speed"),
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,12 +41,18 @@ class FlightLog:
     velocity: np.ndarray | None = None  # (m, 3) m/s, world frame, only if logged
     voltage: np.ndarray | None = None  # (m,) V
     contact: np.ndarray | None = None  # (m,) bool
+    # (m, 4) PWM that the controller asked of motors M1 to M4, before battery compensation
+    requests: np.ndarray | None = None
+    rotor_speed: np.ndarray | None = None  # (m, 4) rad/s of rotors M1 to M4, as measured
+    # Whether the thrust command is that of the measured rotor speeds, which lag behind no command.
+    thrust_is_measured: bool = False
     notes: tuple[str, ...] = ()  # what reader and checks want a person to know
 
     def __post_init__(self):
         m = len(self.t)
         shapes = {"t": (m,), "position": (m, 3), "attitude": (m, 3), "command": (m, 4)}
         shapes |= {"velocity": (m, 3), "voltage": (m,), "contact": (m,)}
+        shapes |= {"requests": (m, 4), "rotor_speed": (m, 4)}
         for field, shape in shapes.items():
             value = getattr(self, field)
             if value is None:
@@ -86,8 +95,7 @@ class FlightLog:
 
     def rows(self, selection) -> FlightLog:
         """Return the rows of a slice, an index array or a mask."""
-        fields = ("t", "position", "attitude", "command", "velocity", "voltage", "contact")
-        changed = {f: getattr(self, f)[selection] for f in fields if getattr(self, f) is not None}
+        changed = {f: getattr(self, f)[selection] for f in _BY_ROW if getattr(self, f) is not None}
         return dataclasses.replace(self, **changed)
 
     def between(self, start: float, stop: float) -> FlightLog:
@@ -130,6 +138,8 @@ class FlightLog:
             velocity=linear(self.velocity),
             voltage=linear(self.voltage),
             contact=None if self.contact is None else self.contact[held],
+            requests=None if self.requests is None else self.requests[held],
+            rotor_speed=linear(self.rotor_speed),
         )
 
     def noted(self, *notes: str) -> FlightLog:

@@ -21,15 +21,21 @@ from inclined_landing.models import schema, storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.schema import Table
 
+FULL_COMMAND = 65535.0  # PWM
 DEEPEST = 20  # mapping files that inherit one another
 
 
 class Source(Table, frozen=True):
-    """Where one canonical column comes from: value = sign * factor(unit) * column + add, at t - late."""
+    """Where one canonical column comes from: value = sign * factor(unit) * column + add, at t - late.
+
+    With `full`, a thrust command: value = 65535 column/full, and of rotor speeds 65535 mean(column^2)/full^2.
+    """
 
     column: str | None = None  # or, of several:
     mean: tuple[str, ...] | None = None
     sum: tuple[str, ...] | None = None
+    mean_square: tuple[str, ...] | None = None  # of measured rotor speeds
+    full: Annotated[float, Meta(gt=0.0, le=limits.LARGEST_VALUE)] | None = None  # in the file's own unit
     unit: str | None = None
     sign: float = 1.0
     add: Annotated[float, Meta(ge=-limits.LARGEST_VALUE, le=limits.LARGEST_VALUE)] = 0.0
@@ -38,7 +44,7 @@ class Source(Table, frozen=True):
     @property
     def columns(self) -> tuple[str, ...]:
         """Return the names of the columns that the value is made of."""
-        return self.mean or self.sum or (self.column or "",)
+        return self.mean or self.sum or self.mean_square or (self.column or "",)
 
 
 class ColumnMap(Table, frozen=True):
@@ -68,6 +74,7 @@ class Channel:
     t: np.ndarray
     value: np.ndarray
     column: str  # its name in the file, for messages
+    measured: bool = False  # of a thrust command: whether it is that of measured rotor speeds
 
 
 @cache
@@ -193,11 +200,14 @@ def _channel(
             continue
         unit = given.get(canonical) or record.units.get(found[0]) or source.unit
         scale = 1.0 if unit is None else units.factor(canonical, unit, record.path)
+        if source.full is not None:
+            scale = FULL_COMMAND / source.full ** (2 if source.mean_square else 1)
         value = record.columns[found[0]]
         if source.column is None:
-            value = np.sum([record.columns[name] for name in found], axis=0)
-            value = value / len(found) if source.mean else value
-            kind = "mean" if source.mean else "sum"
+            power = 2 if source.mean_square else 1
+            value = np.sum([record.columns[name] ** power for name in found], axis=0)
+            value = value if source.sum else value / len(found)
+            kind = "sum" if source.sum else "mean" if source.mean else "mean square"
             notes.append(f"{canonical} is derived: the {kind} of {', '.join(found)}")
         if np.isnan(value).all():
             continue  # a column of empty cells was not logged
@@ -211,7 +221,8 @@ def _channel(
             raise UserError(
                 f"{record.path}: column {'+'.join(found)} ({canonical}) holds no number of a flight"
             )
-        return Channel(time - source.late, value, "+".join(found))
+        measured = source.mean_square is not None
+        return Channel(time - source.late, value, "+".join(found), measured)
     return None
 
 
@@ -257,10 +268,14 @@ def _parse(where: str, data: dict, heirs: tuple[Path, ...]) -> ColumnMap:
 
 
 def _check_source(source: Source, canonical: str, where: str) -> None:
-    if [source.column, source.mean, source.sum].count(None) != 2:
-        raise UserError(f"{where} needs exactly one of column, mean, sum")
+    if [source.column, source.mean, source.sum, source.mean_square].count(None) != 3:
+        raise UserError(f"{where} needs exactly one of column, mean, sum, mean_square")
     if not all(source.columns):
-        raise UserError(f"{where}: column, mean and sum must name columns")
+        raise UserError(f"{where}: column, mean, sum and mean_square must name columns")
+    if source.full is not None and (canonical != "cmd_thrust_pwm" or source.unit is not None):
+        raise UserError(f"{where}: full is for cmd_thrust_pwm, in place of a unit")
+    if source.mean_square is not None and source.full is None:
+        raise UserError(f"{where}: mean_square needs full, the rotor speed at the full command")
     if source.unit is not None:
         units.factor(canonical, source.unit, where)
     if source.sign not in (1, -1):

@@ -14,7 +14,7 @@ from inclined_landing.eval.logs import mapping as mappings
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
 from inclined_landing.eval.logs.mapping import ColumnMap
 from inclined_landing.eval.logs.record import Record
-from inclined_landing.eval.logs.units import COLUMNS, factor
+from inclined_landing.eval.logs.units import COLUMNS, REQUESTS, ROTOR_SPEEDS, factor
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
@@ -58,6 +58,9 @@ def write_log(path: str | Path, log: FlightLog) -> None:
         table |= dict(zip(("vx", "vy", "vz"), log.velocity.T))
     if log.voltage is not None:
         table["vbat"] = log.voltage
+    for names, values in ((REQUESTS, log.requests), (ROTOR_SPEEDS, log.rotor_speed)):
+        if values is not None:
+            table |= dict(zip(names, values.T))
     if log.contact is not None:
         table["contact"] = log.contact.astype(int)
     with storage.atomic(path) as part:

@@ -7,6 +7,8 @@ import math
 from inclined_landing.models.errors import UserError, shown
 
 QUATERNION = ("qw", "qx", "qy", "qz")
+REQUESTS = ("m1_cmd", "m2_cmd", "m3_cmd", "m4_cmd")
+ROTOR_SPEEDS = ("m1_speed", "m2_speed", "m3_speed", "m4_speed")
 
 # Canonical column -> quantity. The canonical unit is the one with factor 1 below.
 COLUMNS = {
@@ -20,6 +22,8 @@ COLUMNS = {
     "cmd_yaw_rate": "angular rate",
     "vbat": "voltage",
     "contact": "flag",
+    **dict.fromkeys(REQUESTS, "pwm"),
+    **dict.fromkeys(ROTOR_SPEEDS, "rotor speed"),
 }
 
 _DEGREE = math.pi / 180
@@ -29,6 +33,7 @@ UNITS = {
     "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
     "angle": {"rad": 1.0, "deg": _DEGREE},
     "angular rate": {"rad/s": 1.0, "deg/s": _DEGREE},
+    "rotor speed": {"rad/s": 1.0, "rpm": math.pi / 30},
     "number": {"1": 1.0, "-": 1.0, "": 1.0},
     "pwm": {"PWM": 1.0, "fraction": 65535.0, "%": 655.35, "percent": 655.35},
     "voltage": {"V": 1.0, "mV": 1e-3},
