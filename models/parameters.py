@@ -157,6 +157,10 @@ class Vehicle:
         """Return the PWM at which the transfer function carries the weight (about 34 100)."""
         return self.body_mass * self.environment_gravity / self.thrust_per_pwm
 
+    def without_thrust_lag(self) -> Vehicle:
+        """Return the vehicle with the same steady thrust, all of it at once."""
+        return self.changed(thrust_state_gain=0.0, thrust_direct_gain=self.thrust_per_pwm)
+
     @property
     def hover_lag(self) -> float:
         """Return the lag state Omega in hover [PWM s]."""

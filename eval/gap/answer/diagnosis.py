@@ -41,7 +41,7 @@ from inclined_landing.eval.gap.search import (
 from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
 from inclined_landing.eval.gap.search.fit import fit_least_squares
 from inclined_landing.eval.gap.search.posterior import slab_deviations
-from inclined_landing.eval.gap.search.prediction import CHANNELS
+from inclined_landing.eval.gap.search.prediction import channels_of
 from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
@@ -222,8 +222,19 @@ def _data_notes(problem: Problem) -> list[str]:
     seconds = sum(len(f.starts) * f.rows * f.dt for f in problem.flights)
     if seconds < 20.0:
         notes.append(f"{seconds:.0f} s of usable flight only: small effects cannot be seen")
+    if not problem.logged[:, :2].any():
+        notes.append("roll or pitch not logged: only the motion up and down can be judged")
+    if not problem.logged[:, 3:5].any():
+        notes.append(
+            "attitude commands not logged: the attitude loops cannot be judged, and translation is predicted "
+            "along the measured attitude"
+        )
     if not problem.logged[:, 5].any():
         notes.append("yaw or its command not logged: the yaw channel was left out")
+    if problem.flights[0].thrust_is_measured:
+        notes.append(
+            "the thrust is that of the measured rotor speeds: how the motors answer cannot be judged"
+        )
     return notes
 
 
@@ -234,7 +245,7 @@ def _regime_errors(problem: Problem, before, after) -> tuple[RegimeError, ...]:
     regimes = np.concatenate([f.regimes for f in problem.flights])
     rows = []
     for name, member in [("all", np.ones(len(regimes), bool)), *zip(REGIMES, regimes.T)]:
-        for k, channel in enumerate(CHANNELS):
+        for k, channel in enumerate(channels_of(problem)):
             w = member & (problem.logged[:, k] > 0.0)
             if w.any():
                 worse, better = (float(np.sqrt((x[w, k] ** 2).mean())) for x in (first, second))

@@ -203,7 +203,7 @@ def _compared_series(flights: list[MeasuredFlight], before: Vehicle, after: Sequ
             series = [flight.velocity[:, k], *rates]
             parts.setdefault(axis, []).append([s[first + n] - s[first] for s in series])
         rows = flight.usable
-        for k, angle in enumerate(("roll", "pitch")):
+        for k, angle in enumerate(("roll", "pitch")) if flight.has_angle_commands else ():
             series = [flight.attitude[:, k], *(p[:, 3 + k] for p in predictions)]
             parts.setdefault(angle, []).append([s[rows] for s in series])
     return {c: tuple(np.concatenate(x) for x in zip(*rows)) for c, rows in parts.items()}

@@ -19,7 +19,7 @@ from inclined_landing.eval.gap.search.contact import ContactPosterior
 from inclined_landing.eval.gap.search.evidence import Problem, Values
 from inclined_landing.eval.gap.search.fit import dersimonian_laird
 from inclined_landing.eval.gap.search.posterior import EffectSet
-from inclined_landing.eval.gap.search.prediction import CHANNELS
+from inclined_landing.eval.gap.search.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, SetPosterior
 from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
 
@@ -124,9 +124,9 @@ def disturbances(problem: Problem, noise_model: NoiseModel) -> dict[str, Disturb
             size_ci95=(float(noise_model.size_ci95[0, k]), float(noise_model.size_ci95[1, k])),
             time=float(noise_model.time[k]),
             time_ci95=(float(noise_model.time_ci95[0, k]), float(noise_model.time_ci95[1, k])),
-            unit="m/s2" if k < 3 else "rad/s2",
+            unit=UNITS_OF[channel],
         )
-        for k, channel in enumerate(CHANNELS)
+        for k, channel in enumerate(channels_of(problem))
         if problem.logged[:, k].any()
     }
 

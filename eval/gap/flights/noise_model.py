@@ -15,7 +15,6 @@ from scipy.linalg import eigh
 
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 
-UNITS = ("m/s2",) * 3 + ("rad/s2",) * 3
 TIMES = np.geomspace(0.05, 1.6, 6)  # s
 # Grid of sizes, as shares of the size at which the disturbance alone would explain the errors.
 SIZE_FACTORS = np.geomspace(0.02, 3.0, 36)
@@ -25,19 +24,19 @@ BOOTSTRAP_SAMPLES = 200
 
 @dataclasses.dataclass(frozen=True)
 class NoiseModel:
-    """Ornstein-Uhlenbeck disturbance in x, y, z [m/s2], roll, pitch and yaw [rad/s2]."""
+    """Ornstein-Uhlenbeck disturbance in x, y, z [m/s2], roll, pitch, yaw [rad/s2] and requests [1]."""
 
-    size: np.ndarray  # (6,) standard deviation
-    size_ci95: np.ndarray  # (2, 6)
-    time: np.ndarray  # (6,) s, correlation time
-    time_ci95: np.ndarray  # (2, 6)
-    noise: np.ndarray  # (6,) measurement noise over that estimated from each log, at least 0.7
+    size: np.ndarray  # (C,) standard deviation
+    size_ci95: np.ndarray  # (2, C)
+    time: np.ndarray  # (C,) s, correlation time
+    time_ci95: np.ndarray  # (2, C)
+    noise: np.ndarray  # (C,) measurement noise over that estimated from each log, at least 0.7
 
     @staticmethod
-    def none() -> NoiseModel:
+    def none(channels: int) -> NoiseModel:
         """Return zero disturbance and the noise estimated from the logs."""
-        zero = np.zeros(6)
-        return NoiseModel(zero, np.zeros((2, 6)), np.full(6, 0.3), np.full((2, 6), 0.3), np.ones(6))
+        zero, time = np.zeros((2, channels)), np.full((2, channels), 0.3)
+        return NoiseModel(zero[0], zero, time[0], time, np.ones(channels))
 
 
 def estimate(
@@ -46,23 +45,23 @@ def estimate(
     weights: Sequence[np.ndarray] | None = None,
     seed: int = 0,
 ) -> NoiseModel:
-    """Return the maximum-likelihood noise model of errors (m, 6), measured minus predicted, of flights.
+    """Return the maximum-likelihood noise model of errors (m, C), measured minus predicted, of flights.
 
-    weights (w, 6) of the windows of every flight: inverse variance ratio by other errors; None: 1.
+    weights (w, C) of the windows of every flight: inverse variance ratio by other errors; None: 1.
     """
     windows = [f.cut(e) for f, e in zip(flights, errors)]
     if weights is not None:
         windows = [w * np.sqrt(counts)[:, None] for w, counts in zip(windows, weights)]
-    columns = [_fit_channel(flights, windows, c, seed) for c in range(6)]
+    columns = [_fit_channel(flights, windows, c, seed) for c in range(flights[0].channels)]
     size, size_ends, time, time_ends, noise = (np.array(x) for x in zip(*columns))
     return NoiseModel(size, size_ends.T, time, time_ends.T, noise)
 
 
 def _fit_channel(flights, windows, channel: int, seed: int):
     """Return (size, its interval, correlation time, its interval, noise factor) of a channel."""
-    if channel == 5 and not any(f.has_yaw for f in flights):
+    parts = [_simultaneous_modes(f, w, channel) for f, w in zip(flights, windows) if f.logged[channel]]
+    if not parts:
         return 0.0, (0.0, 0.0), 0.3, (0.3, 0.3), 1.0
-    parts = [_simultaneous_modes(f, w, channel) for f, w in zip(flights, windows)]
     # The size at which the disturbance alone, of a medium correlation time, would explain the errors.
     middle = len(TIMES) // 2
     typical = np.median([z.mean() / v.mean() for v, z, _ in (p[middle] for p in parts)])

@@ -4,7 +4,8 @@ applied.
 The error of a perfect model over a window is a line in time (unknown start position and velocity), plus
 position noise, plus the double integral of an acceleration: white noise fed in through the measured attitude,
 and the disturbance, an Ornstein-Uhlenbeck process. Errors in roll, pitch and yaw are white noise, the free
-response of their loop, and its response to a disturbance in angular acceleration.
+response of their loop, and its response to a disturbance in angular acceleration. Errors in the requests of
+the motors are white noise and a disturbance of their own, with no start state.
 """
 
 from __future__ import annotations
@@ -16,20 +17,22 @@ from scipy.linalg import cholesky, null_space, solve_triangular
 
 from inclined_landing.models.parameters import Vehicle
 
-CHANNELS = 6
-
 
 @dataclasses.dataclass(frozen=True)
 class ErrorResponses:
     """Linear responses of a window's error to noise and disturbance, for one length and vehicle."""
 
-    projection: tuple[np.ndarray, ...]  # of 6 (rows, q): onto what no start state explains, q = rows - 2
-    impulse: tuple[np.ndarray, ...]  # of 6 (rows, rows): of the error to a unit acceleration in every step
+    # C channels: the pose (6), and where the motors' requests are logged their differences (3).
+    projection: tuple[np.ndarray, ...]  # of C (rows, q): onto what no start state explains, q = rows - 2
+    impulse: tuple[np.ndarray, ...]  # of C (rows, rows): of the error to a unit acceleration in every step
     dt: float
 
     @staticmethod
-    def of(rows: int, dt: float, vehicle: Vehicle) -> ErrorResponses:
-        """Return the responses for windows of `rows` samples dt apart, attitude loops as of `vehicle`."""
+    def of(rows: int, dt: float, vehicle: Vehicle, requests: bool = False) -> ErrorResponses:
+        """Return the responses for windows of `rows` samples dt apart, attitude loops as of `vehicle`.
+
+        requests: whether there are channels of motor requests.
+        """
         # Responses to an acceleration held over a step dt, h(t) - h(t - dt), with the step responses h:
         #   position t^2/2;  tilt (1 - m_0(t)) / (a b);  yaw [t - (1 - exp(-B t)) / B] / B
         t = np.arange(rows) * dt
@@ -50,9 +53,10 @@ class ErrorResponses:
         tilt = np.stack(modes(t), axis=1)
         turn = np.stack([np.ones(rows), np.exp(-turn_bandwidth * t)], axis=1)
         line, tilt, turn = (null_space(x.T) for x in (line, tilt, turn))
-        return ErrorResponses(
-            (line,) * 3 + (tilt,) * 2 + (turn,), (moved,) * 3 + (tilted,) * 2 + (turned,), dt
-        )
+        free, fed = (line,) * 3 + (tilt,) * 2 + (turn,), (moved,) * 3 + (tilted,) * 2 + (turned,)
+        if requests:  # no start state; two rows fewer, as many numbers as the other channels have
+            free, fed = free + (np.eye(rows, rows - 2),) * 3, fed + (np.eye(rows),) * 3
+        return ErrorResponses(free, fed, dt)
 
     def noise(self, channel: int, noise: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         """Return the covariance (q, q) of a channel's error by measurement noise (see `Whitening.of`)."""
@@ -92,8 +96,8 @@ def _of_loop(vehicle: Vehicle):
 class Whitening:
     """Whitening matrices (inverse Cholesky factors) for windows of one length and one noise model."""
 
-    matrices: np.ndarray  # (6, q, rows): q = rows - 2 white numbers of unit variance for each channel
-    unit_response: np.ndarray  # (6, q) the whitened error of a unit amplitude of each channel
+    matrices: np.ndarray  # (C, q, rows): q = rows - 2 white numbers of unit variance for each channel
+    unit_response: np.ndarray  # (C, q) the whitened error of a unit amplitude of each channel
 
     @staticmethod
     def of(
@@ -103,9 +107,9 @@ class Whitening:
         size: np.ndarray | None = None,
         time: np.ndarray | None = None,
     ) -> Whitening:
-        """Return the whitening for noise (6,) of the pose [m, rad] and (3,) of the acceleration [m/s2].
+        """Return the whitening for noise (C,) of every channel and (3,) of the acceleration [m/s2].
 
-        size, time (6,): of the disturbance in every channel [m/s2, rad/s2], [s]; None: no disturbance.
+        size, time (C,): of the disturbance in every channel [m/s2, rad/s2], [s]; None: no disturbance.
         """
         # C = L L';  W = L^-1 N',  so that W e is white with unit variance
         factors = []
@@ -119,20 +123,21 @@ class Whitening:
             factors.append(solve_triangular(factor, free.T, lower=True))
         rows = factors[0].shape[1]
         t = np.arange(rows) * error_responses.dt
-        unit = [0.5 * t * t] * 3 + [np.ones(rows)] * 2 + [t / t[-1]]
+        level = np.ones(rows)
+        unit = [0.5 * t * t] * 3 + [level] * 2 + [t / t[-1]] + [level] * (len(factors) - 6)
         matrices = np.array(factors)
         return Whitening(matrices, np.einsum("cqk,ck->cq", matrices, np.array(unit)))
 
     def __call__(self, windows: np.ndarray) -> np.ndarray:
-        """Return the white errors (w, 6, q) of windows (w, rows, 6)."""
+        """Return the white errors (w, C, q) of windows (w, rows, C)."""
         return np.matmul(self.matrices, windows.transpose(2, 1, 0)).transpose(2, 0, 1)
 
     def amplitudes(self, white: np.ndarray) -> np.ndarray:
-        """Return the constant acceleration [m/s2] or angle [rad] (w, 6) that fits each window's error."""
+        """Return the constant acceleration [m/s2] or angle [rad] (w, C) that fits each window's error."""
         # Generalised least squares with the white unit response r:  x = r'e / r'r,  var x = 1 / r'r
         return np.einsum("wcq,cq->wc", white, self.unit_response) / self.power
 
     @property
     def power(self) -> np.ndarray:
-        """Return the inverse variance (6,) of `amplitudes` under noise and disturbance alone."""
+        """Return the inverse variance (C,) of `amplitudes` under noise and disturbance alone."""
         return np.einsum("cq,cq->c", self.unit_response, self.unit_response)

@@ -15,7 +15,7 @@ from scipy.signal import savgol_filter
 
 from inclined_landing.eval.gap.flights.whitening import ErrorResponses, Whitening
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models.attitude import rotations, tilted
+from inclined_landing.models.attitude import body_accelerations, rotations, tilted
 from inclined_landing.models.equations import AMBIENT_SIZE
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
@@ -33,6 +33,11 @@ IDLE = 0.3
 GROUND_HEIGHT = 0.02
 # Lower bounds of the noise estimate, for smoothed logs: m, rad.
 LEAST_POSITION_NOISE, LEAST_ANGLE_NOISE = 1e-4, 3e-4
+LEAST_REQUEST_NOISE = 1e-3  # of the sum of all requests
+YAW = 5  # channel
+# Signs of the motors M1 (front right), M2 (back right), M3 (back left) and M4 (front left) in a positive
+# torque about the body's x, y and z axes (M2 and M4 turn clockwise).
+REQUEST_SIGNS = np.array([[-1.0, -1.0, 1.0, 1.0], [-1.0, 1.0, 1.0, -1.0], [-1.0, 1.0, -1.0, 1.0]])
 
 
 @dataclasses.dataclass(eq=False)
@@ -46,14 +51,14 @@ class MeasuredFlight:
     attitude: np.ndarray  # (m, 3)
     velocity: np.ndarray  # (m, 3) smoothed derivative
     command: np.ndarray  # (m, 4)
-    has_yaw: bool
+    logged: np.ndarray  # (C,) bool: which channels can be compared
     voltage: np.ndarray | None
     middle_position: np.ndarray  # (m - 1, 3) in the middle of every step
     middle_velocity: np.ndarray
     middle_attitude: np.ndarray
     middle_rotation: np.ndarray  # (m - 1, 3, 3)
     ambient: np.ndarray  # (m - 1, 5)
-    noise: np.ndarray  # (6,) standard deviation of the measured pose
+    noise: np.ndarray  # (C,) standard deviation of the measured pose, and of the requests
     starts: np.ndarray  # (w,) first row of every window
     rows: int  # per window
     regimes: np.ndarray  # (w, len(REGIMES)) bool
@@ -63,6 +68,8 @@ class MeasuredFlight:
     error_responses: ErrorResponses
     whitening: Whitening
     usable: np.ndarray  # (m,) bool: measured, flying, not touching
+    thrust_is_measured: bool  # whether the thrust command is that of measured rotor speeds: without a lag
+    requests: MotorRequests | None  # None: not logged
     _without_tilt: dict = dataclasses.field(default_factory=dict, repr=False)
 
     @property
@@ -71,14 +78,51 @@ class MeasuredFlight:
         return len(self.t)
 
     @property
+    def channels(self) -> int:
+        """Return the number of channels C: 6 of the pose, and 3 of the motors' requests if logged."""
+        return len(self.logged)
+
+    @property
+    def has_yaw(self) -> bool:
+        """Return whether heading and yaw rate command were logged."""
+        return bool(self.logged[YAW])
+
+    @property
+    def has_angle_commands(self) -> bool:
+        """Return whether both attitude commands were logged."""
+        return bool(self.logged[YAW - 2 : YAW].all())
+
+    @property
     def yaw_rate_command(self) -> np.ndarray | None:
         """Return the commanded yaw rate (m,) [rad/s], None where it or the heading was not logged."""
         return self.command[:, 3] if self.has_yaw else None
 
     @property
-    def measured(self) -> np.ndarray:
+    def pose(self) -> np.ndarray:
         """Return the measured pose (m, 6)."""
         return np.hstack([self.position, self.attitude])
+
+    @property
+    def measured(self) -> np.ndarray:
+        """Return what is predicted, as measured (m, C): the pose and the motors' requests."""
+        return self.pose if self.requests is None else np.hstack([self.pose, self.requests.differences])
+
+    def without_requests(self) -> MeasuredFlight:
+        """Return the flight without what its motors were requested to give."""
+        if self.requests is None:
+            return self
+        responses = ErrorResponses(
+            self.error_responses.projection[:6], self.error_responses.impulse[:6], self.dt
+        )
+        noise = self.noise[:6]
+        return dataclasses.replace(
+            self,
+            requests=None,
+            logged=self.logged[:6],
+            noise=noise,
+            error_responses=responses,
+            whitening=Whitening.of(responses, noise, self.acceleration_noise),
+        )
 
     def rewhiten(self, error_responses: ErrorResponses, noise_model) -> None:
         """Whiten with a `NoiseModel`: measurement noise and disturbance."""
@@ -104,6 +148,31 @@ class MeasuredFlight:
         return values[self.starts[:, None] + np.arange(self.rows)]
 
 
+@dataclasses.dataclass(frozen=True)
+class MotorRequests:
+    """What was requested of the motors M1 to M4 along a flight, and how the vehicle turned."""
+
+    differences: np.ndarray  # (m, 3) in roll, pitch and yaw, over the sum of all four: see `REQUEST_SIGNS`
+    angular_acceleration: np.ndarray  # (m, 3) rad/s2 about the body's axes, smoothed
+
+    @staticmethod
+    def of(log: FlightLog, attitude: np.ndarray, dt: float, half: int) -> MotorRequests | None:
+        """Return the requests of a log on an even grid; None where they were not logged, or all zero.
+
+        attitude (m, 3), yaw continuous; half: rows to either side of a sample, for accelerations.
+        """
+        if log.requests is None or not np.any(log.requests):
+            return None
+        # d = sum_i s_i r_i / sum_i r_i
+        total = np.maximum(log.requests.sum(axis=1, keepdims=True), 1.0)
+        differences = log.requests @ REQUEST_SIGNS.T / total
+        rates, second = (savgol_filter(attitude, 2 * half + 1, 3, deriv=k, delta=dt, axis=0) for k in (1, 2))
+        turning = np.empty_like(attitude)
+        for k, (angles, rate, acceleration) in enumerate(zip(attitude, rates, second)):
+            turning[k] = body_accelerations(angles[0], angles[1], tuple(rate), tuple(acceleration))
+        return MotorRequests(differences, turning)
+
+
 def remove_tilt(attitude: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
     """Return the attitudes (m, 3) of a vehicle measured with a tilt (roll, pitch) [rad] of motion capture."""
     # Ry(-pitch) Rx(-roll) undoes Rx(roll) Ry(pitch).
@@ -119,10 +188,11 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     platform: the slab of the vehicle file stands there (for the ground effect); else the floor only.
     Raises UserError, naming the flight, when there is too little to use.
     """
-    missing = [n for n in log.missing if n not in ("cmd_yaw_rate", "yaw")]
+    optional = {"roll", "pitch", "yaw", "cmd_roll", "cmd_pitch", "cmd_yaw_rate"}
+    missing = [n for n in log.missing if n not in optional]
     if missing:
         lacking = ", ".join(missing)
-        raise UserError(f"{log.name}: {lacking} not logged; the gap workflow needs pose and commands")
+        raise UserError(f"{log.name}: {lacking} not logged; the gap workflow needs pose and thrust command")
     gaps = np.stack([log.t[log.gap_starts], log.t[log.gap_starts + 1]], axis=1)
     log = _resampled(log)
     dt = float(np.median(np.diff(log.t)))
@@ -132,18 +202,20 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     rows = max(8, round(WINDOW / dt))
     if m < max(2 * half + 3, 2 * rows):
         raise UserError(f"{log.name}: {log.duration:.2f} s of flight; at least {2 * WINDOW:g} s are needed")
-    yaw_known = "yaw" not in log.missing
-    attitude = log.attitude.copy()
-    if not yaw_known:
-        attitude[:, 2] = 0.0
+    angle_known = ~np.isnan(log.attitude).any(axis=0)
+    attitude = np.where(angle_known, log.attitude, 0.0)
     attitude[:, 2] = np.unwrap(attitude[:, 2])
     velocity = savgol_filter(log.position, 2 * half + 1, 2, deriv=1, delta=dt, axis=0)
-    has_yaw = yaw_known and not np.isnan(log.command[:, 3]).any()
+    commanded = ~np.isnan(log.command).any(axis=0)
     command = np.where(np.isnan(log.command), 0.0, log.command)
-    noise = np.maximum(
-        measurement_noise(np.hstack([log.position, attitude])),
-        [LEAST_POSITION_NOISE] * 3 + [LEAST_ANGLE_NOISE] * 3,
-    )
+    requests = MotorRequests.of(log, attitude, dt, half)
+    seen, least = [log.position, attitude], [LEAST_POSITION_NOISE] * 3 + [LEAST_ANGLE_NOISE] * 3
+    # Without one tilt angle the thrust's horizontal part is unknown; its vertical part hardly differs.
+    logged = [*[angle_known[:2].all()] * 2, True, *(angle_known & commanded[1:])]
+    if requests is not None:
+        seen, least = [*seen, requests.differences], least + [LEAST_REQUEST_NOISE] * 3
+        logged += [True] * 3
+    noise = np.maximum(measurement_noise(np.hstack(seen)), least)
     middle = [0.5 * (a[1:] + a[:-1]) for a in (log.position, velocity, attitude)]
     ambient = np.zeros((m - 1, AMBIENT_SIZE))
     ambient[:, 0] = 0.5 * (t[1:] + t[:-1])
@@ -160,7 +232,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
             f"({100 * usable.mean():.0f} % of its rows are in flight)"
         )
     acceleration_noise = _acceleration_noise(noise, attitude[usable], vehicle)
-    error_responses = ErrorResponses.of(rows, dt, vehicle)
+    error_responses = ErrorResponses.of(rows, dt, vehicle, requests is not None)
     flight = MeasuredFlight(
         name=log.name,
         dt=dt,
@@ -169,7 +241,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
         attitude=attitude,
         velocity=velocity,
         command=command,
-        has_yaw=has_yaw,
+        logged=np.array(logged, bool),
         voltage=log.voltage,
         middle_position=middle[0],
         middle_velocity=middle[1],
@@ -184,6 +256,8 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
         error_responses=error_responses,
         whitening=Whitening.of(error_responses, noise, acceleration_noise),
         usable=usable,
+        thrust_is_measured=log.thrust_is_measured,
+        requests=requests,
     )
     flight.regimes = _regimes(flight, vehicle, platform)
     return flight
@@ -217,6 +291,12 @@ def prepare_all(
         notes += [f"{log.name}: {note}" for note in log.notes]
     if not flights:
         raise UserError("; ".join(refused))
+    if len({f.thrust_is_measured for f in flights}) > 1:
+        raise UserError(
+            "some flights have the thrust by measured rotor speeds, others by command: take one of them"
+        )
+    if any(f.requests is None for f in flights):
+        flights = [f.without_requests() for f in flights]
     notes += [f"left out: {reason}" for reason in refused]
     return flights
 
@@ -233,8 +313,8 @@ def measurement_noise(values: np.ndarray) -> np.ndarray:
 def in_free_flight(log: FlightLog, vehicle: Vehicle) -> np.ndarray:
     """Return which rows (m,) are in free flight: thrust commanded, no contact, not on the ground."""
     dt = float(np.median(np.diff(log.t)))
-    bad = np.isnan(log.position).any(axis=1) | np.isnan(log.attitude[:, :2]).any(axis=1)
-    bad |= np.isnan(log.command[:, :3]).any(axis=1)
+    bad = np.isnan(log.position).any(axis=1) | np.isnan(log.attitude[:, :2]).all(axis=1)
+    bad |= np.isnan(log.command[:, 0])
     bad |= log.command[:, 0] < IDLE * vehicle.hover_pwm
     if log.contact is not None:
         bad |= log.contact
@@ -290,7 +370,7 @@ def _regimes(flight: MeasuredFlight, vehicle: Vehicle, platform: bool) -> np.nda
     speed = flight.cut(flight.velocity)
     horizontal = np.hypot(speed[..., 0], speed[..., 1]).mean(axis=1)
     vertical = np.abs(speed[..., 2]).mean(axis=1)
-    angles = flight.cut(flight.command[:, 1:3])
+    angles = flight.cut(flight.command[:, 1:3] if flight.has_angle_commands else flight.attitude[:, :2])
     lag = max(1, round(0.1 / flight.dt))
     stepped = np.abs(angles[:, lag:] - angles[:, :-lag]).max(axis=(1, 2)) > 0.12
     height = flight.position[:, 2].copy()

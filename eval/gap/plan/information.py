@@ -20,7 +20,7 @@ from inclined_landing.eval.gap.plan.setpoints import Setpoints
 from inclined_landing.eval.gap.result import ScoredSet
 from inclined_landing.eval.gap.search.evidence import Candidates, Column, Problem, Values
 from inclined_landing.eval.gap.search.posterior import BETWEEN, SPIKE
-from inclined_landing.eval.gap.search.prediction import predict
+from inclined_landing.eval.gap.search.prediction import CHANNELS, predict
 from inclined_landing.eval.gap.search.sets import PRIOR_EMPTY, SetPosterior
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import Vehicle
@@ -70,7 +70,8 @@ def set_hypotheses(problem: Problem, found: SetPosterior) -> tuple[list[ScoredSe
             standard_errors[name][parameter] = known.error
         hypotheses.append(ScoredSet(names, scored.probability, values, standard_errors))
     noise = np.median([f.noise for f in problem.flights], axis=0) * found.noise_model.noise
-    return hypotheses, NoiseLevels(noise, found.noise_model.size, found.noise_model.time, found.inflation)
+    levels = noise, found.noise_model.size, found.noise_model.time, found.inflation
+    return hypotheses, NoiseLevels(*(of[: len(CHANNELS)] for of in levels))
 
 
 def unidentifiable_sets(problem: Problem, found: SetPosterior) -> list[ScoredSet]:

@@ -17,7 +17,7 @@ from inclined_landing.eval.gap.flights.noise_model import NoiseModel
 from inclined_landing.eval.gap.flights.whitening import ErrorResponses
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.search import form
-from inclined_landing.eval.gap.search.prediction import YAW_CHANNEL, predict, same_translation, translated
+from inclined_landing.eval.gap.search.prediction import predict, same_translation, translated
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.effects.effect import OFF
 from inclined_landing.models.parameters import Vehicle
@@ -41,6 +41,15 @@ class Column:
     parameter: str
     fixed: tuple[tuple[str, float], ...] = ()  # other parameters of the effect at which it is taken
     form: str = ""  # name of a model error of the effect (`search.form`), in place of a parameter
+
+
+# Channels of effects -> channels of a flight.
+CHANNEL_GROUPS = {
+    "translation": slice(0, 3),
+    "attitude": slice(3, 5),
+    "yaw": slice(5, 6),
+    "requests": slice(6, 9),
+}
 
 
 class Candidates:
@@ -174,7 +183,9 @@ class Problem(Candidates):
         self.vehicle = vehicle
         self.reference = reference  # posterior of the vehicle's identification; None: its constants are exact
         self.wide_model_errors = False  # whether model errors have their full prior width without a reference
-        ignored = {"touchdown"} if any(f.has_yaw for f in flights) else {"touchdown", "yaw"}
+        self.channels = self.flights[0].channels  # C: 6 of the pose, and 3 of motor requests where logged
+        logged = np.array([f.logged for f in self.flights])
+        ignored = {"touchdown"} | {name for name, of in CHANNEL_GROUPS.items() if not logged[:, of].any()}
         self.library = {
             name: effect.beside(vehicle)
             for name, effect in library.items()
@@ -185,9 +196,8 @@ class Problem(Candidates):
         self.group_of = _groups(self.flights)
         self.groups = int(self.group_of.max()) + 1
         self.rows = np.array([f.rows - 2 for f in self.flights])[self.flight_of]  # white numbers of a channel
-        # Weights (w, 6), zero for channels that were not logged.
-        self.logged = np.ones((len(self.flight_of), 6))
-        self.logged[~np.array([f.has_yaw for f in self.flights])[self.flight_of], YAW_CHANNEL] = 0.0
+        # Weights (w, C), zero for channels that were not logged.
+        self.logged = logged[self.flight_of].astype(float)
         self.weight = self.logged.copy()
         # By (effect, parameter): between-flight standard deviation, number of collinear columns, number of
         # flights that excite it.
@@ -202,7 +212,8 @@ class Problem(Candidates):
     def rewhiten(self, noise_model: NoiseModel, vehicle: Vehicle) -> None:
         """Whiten with the estimated noise and disturbance; the attitude loops are those of `vehicle`."""
         for flight in self.flights:
-            flight.rewhiten(ErrorResponses.of(flight.rows, flight.dt, vehicle), noise_model)
+            requests = flight.requests is not None
+            flight.rewhiten(ErrorResponses.of(flight.rows, flight.dt, vehicle, requests), noise_model)
 
     def vehicle_prior(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
         """Return the prior of the vehicle's errors theta along `columns`: mean (P,), covariance (P, P).
@@ -216,11 +227,11 @@ class Problem(Candidates):
         return np.zeros(len(columns)), np.diag(np.square(sd))
 
     def white_errors(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
-        """Return the white errors (w, 6, q) of every flight, each with its vehicle."""
+        """Return the white errors (w, C, q) of every flight, each with its vehicle."""
         return list(self._pool.map(self.white_errors_of, range(len(self.flights)), vehicles))
 
     def white_errors_at(self, values: Values) -> list[np.ndarray]:
-        """Return the white errors (w, 6, q) of every flight with effects at `values`."""
+        """Return the white errors (w, C, q) of every flight with effects at `values`."""
         if any(values.get(BASE, {}).values()):
             self.form_jacobian(self.flights[0])
 
@@ -230,7 +241,7 @@ class Problem(Candidates):
         return list(self._pool.map(of, self.flights))
 
     def predicted(self, flight: MeasuredFlight, values: Values) -> np.ndarray:
-        """Return the predicted pose (m, 6) of a flight with effects and model errors at `values`."""
+        """Return the predicted prediction (m, C) of a flight with effects and model errors at `values`."""
         return self._with_model_errors(flight, predict(flight, self.corrected(values)), values)
 
     def compute_form_jacobians(self, vehicle: Vehicle) -> None:
@@ -243,21 +254,21 @@ class Problem(Candidates):
         self._form_jacobians = list(self._pool.map(of, self.flights))
 
     def form_jacobian(self, flight: MeasuredFlight) -> np.ndarray:
-        """Return the Jacobian (F, m, 6) of a flight's prediction in the base model's errors."""
+        """Return the Jacobian (F, m, C) of a flight's prediction in the base model's errors."""
         if self._form_jacobians is None:
             self.compute_form_jacobians(self.vehicle)
         assert self._form_jacobians is not None
         return self._form_jacobians[self.flights.index(flight)]
 
     def _with_model_errors(self, flight: MeasuredFlight, predicted: np.ndarray, values: Values) -> np.ndarray:
-        """Return the predicted pose (m, 6) with the base model's errors at their weights in `values`."""
+        """Return a prediction (m, C) with the base model's errors at their weights in `values`."""
         weights = values.get(BASE, {})
         if not any(weights.values()):
             return predicted
         return predicted + np.tensordot([weights[f] for f in form.BASE], self.form_jacobian(flight), axes=1)
 
     def white_errors_of(self, k: int, vehicle: Vehicle) -> np.ndarray:
-        """Return the white errors (w, 6, q) of one vehicle on the flight k."""
+        """Return the white errors (w, C, q) of one vehicle on the flight k."""
         flight = self.flights[k]
         return flight.whitening(flight.cut(flight.measured - predict(flight, vehicle)))
 
@@ -280,7 +291,7 @@ class Problem(Candidates):
     def jacobian(
         self, values: Values, columns: Sequence[Column]
     ) -> Callable[[MeasuredFlight], list[np.ndarray]]:
-        """Return a function of a flight: pose (m, 6) at `values`, then the Jacobian's columns."""
+        """Return a function of a flight: prediction (m, C) at `values`, then the Jacobian's columns."""
         vehicle, order = self.corrected(values), list(form.BASE)
         differences = {c: self.one_sided_difference(values, c) for c in columns if not c.form}
         with_errors = {c.effect for c in columns if c.form} - {BASE}
@@ -307,9 +318,9 @@ class Problem(Candidates):
     def linearise(self, values: Values, columns: Sequence[Column], inflation: np.ndarray) -> Linearisation:
         """Return the Gram matrices of white errors and Jacobian at `values`.
 
-        inflation (6,): variance inflation of every channel.
+        inflation (C,): variance inflation of every channel.
         """
-        share = np.sqrt(self.weight / inflation)  # (w, 6) weighted least squares
+        share = np.sqrt(self.weight / inflation)  # (w, C) weighted least squares
         a, b = np.zeros((self.groups, len(columns), len(columns))), np.zeros((self.groups, len(columns)))
         c = np.zeros(self.groups)
 
@@ -320,7 +331,7 @@ class Problem(Candidates):
         def of(k: int) -> None:
             flight, own = self.flights[k], self.flight_of == k
             here, *jacobian = jacobian_of(flight)
-            stack = np.stack([flight.measured - here, *jacobian])  # (1 + P, m, 6): [e, J]
+            stack = np.stack([flight.measured - here, *jacobian])  # (1 + P, m, C): [e, J]
             groups = self.group_of[own]
             for channel, matrix in enumerate(flight.whitening.matrices):
                 live = np.flatnonzero(np.ptp(stack[:, :, channel], axis=1))

@@ -16,19 +16,33 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS
 from inclined_landing.models.attitude import PWM, euler_rates, tilted
 from inclined_landing.models.delays import averages
 from inclined_landing.models.equations import angle_steps, lag_step, pack, wrench, yaw_steps
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import NEUTRAL
 
-CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")
+CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")  # of the pose
+REQUEST_CHANNELS = ("roll request", "pitch request", "yaw request")
+# Of a disturbance in a channel.
+UNITS_OF = {
+    **dict.fromkeys(CHANNELS[:3], "m/s2"),
+    **dict.fromkeys(CHANNELS[3:], "rad/s2"),
+    **dict.fromkeys(REQUEST_CHANNELS, "1"),
+}
 ROLL_CHANNEL, YAW_CHANNEL = 3, 5
 _NEUTRAL = np.array(NEUTRAL)
+LEAST_LOAD = 0.3  # share of the weight that the motors carry at least while requests are compared
 
 
 # Fields of a vehicle that leave translation and moments as they are.
 _LOOPS = ("attitude_", "effects_attitude_", "effects_estimator_lean", "effects_yaw_drift")
+
+
+def channels_of(flights) -> tuple[str, ...]:
+    """Return the names of the channels (C,) of flights, or of a problem."""
+    return CHANNELS if flights.channels == len(CHANNELS) else CHANNELS + REQUEST_CHANNELS
 
 
 def same_translation(one: Vehicle, other: Vehicle) -> bool:
@@ -38,7 +52,8 @@ def same_translation(one: Vehicle, other: Vehicle) -> bool:
 
 
 def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
-    """Return the predicted pose (m, 6) of `vehicle` along a `MeasuredFlight`: x, y, z, roll, pitch, yaw.
+    """Return what is predicted (m, C) of `vehicle` along a `MeasuredFlight`: x, y, z, roll, pitch, yaw, and
+    the differences of the motors' requests where they were logged.
 
     like: the result of `translated` for a vehicle with the same translation.
 
@@ -53,7 +68,7 @@ def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None
     tilt = vehicle.effects_mocap_tilt
     if any(tilt):
         _, rotation, start = flight.without_tilt(tilt)
-    out = np.empty((flight.samples, 6))
+    out = np.empty((flight.samples, flight.channels))
     out[:, :3], twist = translated(flight, vehicle) if like is None else like
     lean = vehicle.effects_estimator_lean
     if lean:  # the angle at which the loops come to rest moves with the speed: a twist that holds it there
@@ -65,13 +80,41 @@ def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None
         out[:, ROLL_CHANNEL + k] = angle_steps(k, angles[k], twist[:, k], start[k], dt, packed)
     out[:, YAW_CHANNEL] = yaw_steps(angles[2], dt, packed)
     if any(tilt):
-        tilted(out[:, ROLL_CHANNEL:].copy(), *tilt, out[:, ROLL_CHANNEL:])
+        angles_of = slice(ROLL_CHANNEL, YAW_CHANNEL + 1)
+        tilted(out[:, angles_of].copy(), *tilt, out[:, angles_of])
+    if flight.requests is not None:
+        out[:, YAW_CHANNEL + 1 :] = requested_differences(flight, vehicle)
     return out
+
+
+def requested_differences(flight, vehicle: Vehicle) -> np.ndarray:
+    """Return the differences (m, 3) of the motors' requests in roll, pitch and yaw that the motion needs.
+
+    They are relative to the sum of all four; see `REQUEST_SIGNS`.
+    """
+    # With the centre of mass at (x, y), the torques over arm times thrust F that the rotors must give:
+    #   t_roll = J_x p'/(arm F) + y/arm,  t_pitch = J_y q'/(arm F) - x/arm,  t_yaw = imbalance
+    # and the request of a motor that has lost the share l_i:  r_i ~ (1 + sum_k s_ki t_k) / (1 - l_i)
+    thrust = np.maximum(
+        vehicle.thrust_per_pwm * flight.command[:, PWM],
+        LEAST_LOAD * vehicle.body_mass * vehicle.environment_gravity,
+    )
+    lever, turning = vehicle.rotor_arm * thrust, flight.requests.angular_acceleration
+    offset = np.array(vehicle.effects_com_offset) / vehicle.rotor_arm
+    wanted = np.zeros((flight.samples, 3))
+    wanted[:, 0] = vehicle.body_inertia[0] * turning[:, 0] / lever + offset[1]
+    wanted[:, 1] = vehicle.body_inertia[1] * turning[:, 1] / lever - offset[0]
+    wanted[:, 2] = getattr(vehicle, "effects_yaw_imbalance", 0.0)
+    requested = (1.0 + wanted @ REQUEST_SIGNS) / (
+        1.0 - np.array(getattr(vehicle, "effects_rotor_loss", (0.0,) * 4))
+    )
+    return requested @ REQUEST_SIGNS.T / requested.sum(axis=1, keepdims=True)
 
 
 def translated(flight, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     """Return positions (m, 3) from rest at zero, and angular accelerations (m - 1, 3) of roll, pitch, yaw."""
     late, dt, tilt = vehicle.effects_mocap_delay, flight.dt, vehicle.effects_mocap_tilt
+    vehicle = vehicle.without_thrust_lag() if flight.thrust_is_measured else vehicle
     pwm = averages(flight.command[:, PWM], dt, vehicle.effects_thrust_delay + late)
     attitude, rotation = flight.middle_attitude, flight.middle_rotation
     if any(tilt):

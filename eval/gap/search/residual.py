@@ -20,10 +20,12 @@ from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.result import Dependence, ResidualAnalysis
 from inclined_landing.eval.gap.search.evidence import Problem, Values
 from inclined_landing.eval.gap.search.posterior import EffectSet, LinearGaussian
-from inclined_landing.eval.gap.search.prediction import CHANNELS
+from inclined_landing.eval.gap.search.prediction import CHANNELS, UNITS_OF, channels_of
 from inclined_landing.models.parameters import Vehicle
 
-UNITS = {"x": "m/s2", "y": "m/s2", "z": "m/s2", "roll": "rad", "pitch": "rad", "yaw": "rad"}
+UNITS = {
+    channel: "rad" if unit == "rad/s2" else unit for channel, unit in UNITS_OF.items()
+}  # of `equivalent_sizes`
 TARGETS = (*CHANNELS, "forward", "left")
 SIGNIFICANCE = 0.02  # family-wise
 FLIPS = 400  # random sign flips
@@ -36,7 +38,6 @@ VELOCITY_LAGS = (0.15, 0.3, 0.5)  # s
 TIME = "flight time"
 BINS = 8
 HORIZON = 1.0  # s, over which a function displaces the vehicle
-UNITS_OF = ("m/s2",) * 3 + ("rad/s2",) * 3
 EXPECTED_SIZE = {"m/s2": 0.01, "rad/s2": 0.3}  # least prior standard deviation of a function
 
 
@@ -44,9 +45,9 @@ EXPECTED_SIZE = {"m/s2": 0.01, "rad/s2": 0.3}  # least prior standard deviation 
 class Residual:
     """White residuals of a fit, with its disturbance level and variance inflation."""
 
-    errors: list[np.ndarray]  # white (w, 6, q) of every flight
-    size: np.ndarray  # (6,) of the disturbance [m/s2, rad/s2]
-    inflation: np.ndarray  # (6,)
+    errors: list[np.ndarray]  # white (w, C, q) of every flight
+    size: np.ndarray  # (C,) of the disturbance [m/s2, rad/s2, 1]
+    inflation: np.ndarray  # (C,)
 
     @staticmethod
     def by(
@@ -114,7 +115,7 @@ class ReferenceResidual:
 
 
 def equivalent_sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return every window's error (w, 6) as a constant acceleration or angle, and its variance."""
+    """Return every window's error (w, C) as a constant acceleration or angle, and its variance."""
     value = np.concatenate([f.whitening.amplitudes(x) for f, x in zip(problem.flights, white)])
     variance = np.concatenate(
         [np.tile(1.0 / f.whitening.power, (len(x), 1)) for f, x in zip(problem.flights, white)]
@@ -222,7 +223,7 @@ def analyse_residual(
     """Return the residual's size by channel and its significant functions; vehicle: the corrected one."""
     value, variance = equivalent_sizes(problem, residual.errors)
     size = {}
-    for k, channel in enumerate(CHANNELS):
+    for k, channel in enumerate(channels_of(problem)):
         w = problem.logged[:, k] > 0.0
         if w.any():
             size[channel] = float(np.sqrt(max(0.0, (value[w, k] ** 2 - variance[w, k]).mean())))
@@ -255,7 +256,7 @@ def _functions(
     for name, (_, arrays) in inputs.items():
         features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, arrays)]
         for target in TARGETS:
-            if target != "yaw" or problem.logged[:, 5].any():
+            if problem.logged[:, _channels(target)].any():
                 known = repeating.weights.get((target, name)) if repeating else None
                 result.append(_fit(problem, residual, target, name, features, block_of, known))
     return result
@@ -277,7 +278,7 @@ def _dependence(
         spread, centres, means = _binned(x, value)
         if spread > best:
             input_name, best, curve = name, spread, (centres, means)
-    unit = UNITS_OF[CHANNELS.index(function.target)] if function.target in CHANNELS else UNITS_OF[0]
+    unit = UNITS_OF.get(function.target, UNITS_OF["x"])
     channels = _channels(function.target)
     weight = problem.weight / residual.inflation
     total = sum(
@@ -392,7 +393,7 @@ def _fit(problem, residual: Residual, target: str, name: str, features, block_of
                 error = error - slopes @ known
             np.add.at(b, k, np.einsum("wqd,wq->wd", slopes, error, optimize=True))
     # Prior of the weights N(0, size^2), size that of the disturbance:  ridge = 1 / size^2
-    expected = max(float(residual.size[list(channels)].max()), EXPECTED_SIZE[UNITS_OF[channels[0]]])
+    expected = max(float(residual.size[list(channels)].max()), EXPECTED_SIZE[UNITS_OF[CHANNELS[channels[0]]]])
     ridge = 1.0 / expected**2
     fold_of = np.array([problem.group_of[np.argmax(block_of == k)] for k in range(len(b))])
     return _RidgeRegression(target, name, a, b, fold_of, ridge, gain_matrix(a, b, fold_of, ridge))

@@ -74,7 +74,7 @@ class RolloutWindows:
 
     def measured(self) -> np.ndarray:
         """Return the measured pose (n, rows + 1, 6)."""
-        return self.gather([f.measured for f in self.flights], self.rows + 1)
+        return self.gather([f.pose for f in self.flights], self.rows + 1)
 
 
 def _filter_lengths(dt: float) -> tuple[int, int]:
@@ -106,7 +106,7 @@ def start_state_noise(flight: MeasuredFlight) -> np.ndarray:
         np.linalg.norm(savgol_coeffs(n, 2, deriv=d, delta=dt))
         for n, d in ((wide, 0), (wide, 1), (narrow, 0), (narrow, 1))
     ]
-    p, a = flight.noise[:3], flight.noise[3:]
+    p, a = flight.noise[:3], flight.noise[3:6]
     return np.concatenate([factor[0] * p, factor[1] * p, factor[2] * a, factor[3] * a])
 
 
@@ -130,8 +130,11 @@ def simulate(
 ) -> np.ndarray:
     """Return the simulated pose (n, rows + 1, 6) of every window.
 
-    disturbance: (n, 12) added to position, velocity, attitude and body rates of the start states.
+    Flights without attitude commands follow the measured attitude, by the equations in either plant.
+    perturbation: (n, 12) added to position, velocity, attitude and body rates of the start states.
     """
+    if starts.flights[0].thrust_is_measured:
+        vehicle = vehicle.without_thrust_lag()
     driven = [delayed_commands(f.command, f.dt, vehicle) for f in starts.flights]
     commands = starts.gather([c for c, _ in driven])
     state = starts.gather([smoothed_states(f) for f in starts.flights], 1)[:, 0]
@@ -152,6 +155,11 @@ def simulate(
     if any(tilt):
         for window in pose:
             tilted(window[:, 3:].copy(), *tilt, window[:, 3:])
+    without_commands = [k for k, f in enumerate(starts.flights) if not f.has_angle_commands]
+    driven_by_attitude = np.isin(starts.flight_of, without_commands)
+    if driven_by_attitude.any():
+        pose[driven_by_attitude, :, :3] = along_measured_attitude(starts, vehicle)[driven_by_attitude]
+        pose[driven_by_attitude, :, 3:] = starts.measured()[driven_by_attitude, :, 3:]
     return pose
 
 
@@ -213,7 +221,7 @@ _POSE = [0, 1, 2, 6, 7, 8]
 
 def position_error(simulated: np.ndarray, measured: np.ndarray) -> np.ndarray:
     """Return the root mean square distance (rows,) [m] over windows, after every step."""
-    return np.sqrt(((simulated - measured)[:, 1:, :3] ** 2).sum(axis=2).mean(axis=0))
+    return np.sqrt(((simulated[..., :3] - measured[..., :3])[:, 1:] ** 2).sum(axis=2).mean(axis=0))
 
 
 def noise_floor(starts: RolloutWindows, vehicle: Vehicle, seed: int = 0) -> np.ndarray:
@@ -231,8 +239,16 @@ def noise_floor(starts: RolloutWindows, vehicle: Vehicle, seed: int = 0) -> np.n
 
 def translation_error(starts: RolloutWindows, vehicle: Vehicle) -> np.ndarray:
     """Return the position error (rows,) [m] with the measured attitude in place of the simulated one."""
-    squares = np.zeros((len(starts), starts.rows))
-    time = np.arange(1, starts.rows + 1) * starts.dt
+    return position_error(along_measured_attitude(starts, vehicle), starts.measured())
+
+
+def along_measured_attitude(starts: RolloutWindows, vehicle: Vehicle) -> np.ndarray:
+    """Return the positions (n, rows + 1, 3) of every window, driven by the measured attitude.
+
+    Axes along which the motion cannot be predicted are as measured.
+    """
+    moved = np.empty((len(starts), starts.rows + 1, 3))
+    time = np.arange(starts.rows + 1) * starts.dt
     for k, flight in enumerate(starts.flights):
         own = np.flatnonzero(starts.flight_of == k)
         if not len(own):
@@ -243,9 +259,10 @@ def translation_error(starts: RolloutWindows, vehicle: Vehicle) -> np.ndarray:
         for i in own:
             a = starts.first[i]
             line = start[a, :3] + time[:, None] * (start[a, VX : VX + 3] - rate[a])
-            moved = predicted[a + 1 : a + 1 + starts.rows] - predicted[a] + line
-            squares[i] = ((moved - flight.position[a + 1 : a + 1 + starts.rows]) ** 2).sum(axis=1)
-    return np.sqrt(squares.mean(axis=0))
+            moved[i] = predicted[a : a + 1 + starts.rows] - predicted[a] + line
+            unknown = ~flight.logged[:3]
+            moved[i][:, unknown] = flight.position[a : a + 1 + starts.rows, unknown]
+    return moved
 
 
 def plant_gap(

@@ -127,11 +127,11 @@ def _most_probable(problem: Problem, scored: Sequence[SetProbability]) -> Effect
 def fit_jointly(problem: Problem, names: Sequence[str]) -> tuple[LeastSquaresFit, NoiseModel]:
     """Return the joint fit of effects and the noise model, estimated in alternation."""
     values: FittedValues = {name: {} for name in (*names, BASE)}
-    noise_model = NoiseModel.none()
+    noise_model = NoiseModel.none(problem.channels)
     for _ in range(ALTERNATIONS):
         before = noise_model
         fit = fit_least_squares(
-            problem, values, np.ones(6), iterations=3, tolerance=5.0, prior=_joint_fit_prior
+            problem, values, np.ones(problem.channels), iterations=3, tolerance=5.0, prior=_joint_fit_prior
         )
         values, vehicle = fit.values, problem.corrected(fit.values)
         predicted = [problem.predicted(f, values) for f in problem.flights]
@@ -161,7 +161,7 @@ def model_error_weights(
 ) -> None:
     """Set every window's weight, the inverse variance by a multiplicative model error (maximum likelihood).
 
-    predicted, errors: (m, 6) of every flight.
+    predicted, errors: (m, C) of every flight.
     """
 
     def mean_square(values: Sequence[np.ndarray]) -> np.ndarray:
@@ -170,7 +170,7 @@ def model_error_weights(
 
     # Heteroscedastic normal errors: in a window of q white numbers with predicted mean square E,
     #   var = 1 + f^2 E,   -2 log p = sum_w q [log var + e^2 / var];   f of every channel minimises it.
-    signal, error = mean_square(predicted), mean_square(errors)  # (w, 6)
+    signal, error = mean_square(predicted), mean_square(errors)  # (w, C)
     variance = 1.0 + MODEL_ERRORS[:, None, None] ** 2 * signal
     deviance = (problem.rows[:, None] * problem.logged * (np.log(variance) + error / variance)).sum(axis=1)
     best = np.argmin(deviance, axis=0)
@@ -178,12 +178,12 @@ def model_error_weights(
 
 
 def autocorrelation_inflation(problem: Problem, values: Values) -> np.ndarray:
-    """Return the variance inflation (6,) by the autocorrelation of successive windows."""
+    """Return the variance inflation (C,) by the autocorrelation of successive windows."""
     # Effective sample size n_eff = n / (1 + 2 sum_k rho_k) (Gelman et al., BDA3, 11.5), with the
     # autocorrelation rho_k = sum_w x_w x_(w+k) / sum_w x_w^2 of the windows' standardised amplitudes x.
     white = problem.white_errors_at(values)
-    inflation = np.ones(6)
-    for channel in range(6):
+    inflation = np.ones(problem.channels)
+    for channel in range(problem.channels):
         total, lagged = 0.0, np.zeros(LAGS)
         for flight, errors in zip(problem.flights, white):
             x = flight.whitening.amplitudes(errors)[:, channel] * np.sqrt(flight.whitening.power[channel])
