@@ -14,7 +14,7 @@ from inclined_landing.eval.gap.answer.named import (
     disturbances,
     joint_sets,
     named_effects,
-    probable_effects,
+    relevant_values,
 )
 from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE, Landing, landings_of
 from inclined_landing.eval.gap.flights.windows import REGIMES, prepare_all
@@ -38,9 +38,9 @@ from inclined_landing.eval.gap.search import (
     sets,
     touchdown_simulation,
 )
-from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
+from inclined_landing.eval.gap.search.evidence import Problem, Values, identifiable_effects
 from inclined_landing.eval.gap.search.fit import fit_least_squares
-from inclined_landing.eval.gap.search.posterior import slab_deviations
+from inclined_landing.eval.gap.search.posterior import EffectSet, slab_deviations
 from inclined_landing.eval.gap.search.prediction import channels_of
 from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.logs import FlightLog
@@ -86,9 +86,16 @@ def diagnose(
     clock("name")
     inconsistent = heterogeneity.inconsistent_flights(problem, found.linear, found.joint)
     notes[:0] = map(heterogeneity.summary_line, inconsistent)
-    values = sets.posterior_mode(problem, found.local, probable_effects(found))
-    if not problem.identified:  # far from the nominal vehicle, spikes of other effects would take a share
-        values = fit_least_squares(problem, values, found.inflation, prior=slab_deviations).values
+    local = found.local.with_wide_slabs()
+
+    def fitted_values(names: EffectSet) -> Values:
+        values = sets.posterior_mode(problem, local, names)
+        if problem.identified:
+            return values
+        # Far from the nominal vehicle, spikes of other effects would take a share.
+        return fit_least_squares(problem, values, found.inflation, prior=slab_deviations).values
+
+    values = relevant_values(problem, found, fitted_values)
     effects, corrected = named_effects(problem, found, values), problem.corrected(values)
     residuals = residual.Residual.by(
         problem, found.local, found.names, found.at, found.noise_model.size, found.inflation
@@ -101,10 +108,7 @@ def diagnose(
     else:
         test, after = (
             problem,
-            [
-                problem.corrected(v)
-                for v in sets.leave_one_out(problem, found.local, frozenset(values), values)
-            ],
+            [problem.corrected(v) for v in sets.leave_one_out(problem, local, frozenset(values), values)],
         )
     where = _regime_errors(test, test.white_errors([vehicle] * len(after)), test.white_errors(after))
     clock("where")

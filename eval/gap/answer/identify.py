@@ -19,17 +19,30 @@ from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare_all
 from inclined_landing.eval.gap.result import Disturbance, InconsistentFlights
 from inclined_landing.eval.gap.search import heterogeneity
-from inclined_landing.eval.gap.search.evidence import BASE, Problem, Values, identifiable_effects
+from inclined_landing.eval.gap.search.evidence import (
+    BASE,
+    FittedValues,
+    Problem,
+    Values,
+    identifiable_effects,
+)
 from inclined_landing.eval.gap.search.fit import fit_least_squares
 from inclined_landing.eval.gap.search.posterior import (
     LinearGaussian,
     ParameterEstimate,
+    confounding,
     estimate_between_flight_deviations,
+    excitation,
     slab_deviations,
 )
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.gap.search.reference import Reference
-from inclined_landing.eval.gap.search.sets import autocorrelation_inflation, fit_jointly, leave_one_out
+from inclined_landing.eval.gap.search.sets import (
+    autocorrelation_inflation,
+    fit_jointly,
+    leave_one_out,
+    posterior_mode,
+)
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, FittedConstant
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -39,6 +52,9 @@ PAPER = {name: getattr(load_vehicle(), name) for name in ("attitude_gain", "atti
 PAPER["fit"] = 85.3
 FIT_HORIZON = 1.0  # s, of the velocity changes in the fit of x, y and z
 UNIDENTIFIABLE = 0.7  # posterior over prior standard deviation above which an effect is not identifiable
+MIXED_ROUNDS = 8  # of the fit beside random effects of the flights
+STEP_SHARES = (1.0, 0.5, 0.25, 0.1)  # of a Newton step, the first that decreases the deviance
+DEVIANCE_TOLERANCE = 1.0
 ROUGH = 0.2  # above which it is poorly identified
 CONFOUNDED = 0.8  # posterior correlation above which two effects are confounded
 
@@ -128,11 +144,15 @@ def identify(
     values = fit_least_squares(
         problem, {n: fit.values[n] for n in problem.library}, inflation, prior=slab_deviations
     ).values
-    near = problem.linearise(values, problem.columns([*problem.library, BASE]), inflation)
+    columns = problem.columns([*problem.library, BASE])
+    near = problem.linearise(values, columns, inflation)
     inconsistent = heterogeneity.inconsistent_flights(problem, near, values)
     notes[:0] = map(heterogeneity.summary_line, inconsistent)
+    problem.confounded = confounding(near)
     problem.between = estimate_between_flight_deviations(problem, near)
-    local = LinearGaussian.of(problem, near, values)
+    problem.excitation = excitation(problem, near)
+    values = _mixed_effects_fit(problem, values, inflation)
+    local = LinearGaussian.of(problem, problem.linearise(values, columns, inflation), values)
     result = problem.corrected({n: v for n, v in values.items() if n not in places})
     reference, identifiable = _vehicle_posterior(problem, result, inflation, noise_model.size)
     for one in identifiable:
@@ -159,6 +179,40 @@ def identify(
         notes=tuple(notes),
         inconsistent_flights=inconsistent,
     )
+
+
+def _mixed_effects_fit(problem: Problem, values: FittedValues, inflation: np.ndarray) -> FittedValues:
+    """Return the posterior mode of all effects beside random effects of the flights, without model errors.
+
+    Pooled least squares would take what differs between flights, a fresher battery say, for the slope of the
+    thrust over its command. Newton's method with step halving.
+    """
+    names = frozenset(problem.library)
+    columns = problem.columns(problem.library)
+
+    def linearised(at: Values) -> LinearGaussian:
+        return LinearGaussian.of(problem, problem.linearise(at, columns, inflation), at)
+
+    local = linearised(values)
+    for _ in range(MIXED_ROUNDS):
+        here = problem.coordinates(values, columns)
+        change = problem.coordinates(posterior_mode(problem, local, names), columns) - here
+        for share in STEP_SHARES:
+            trial = problem.values_at(names, columns, here + share * change)
+            there = linearised(trial)
+            gain = _deviance(local) - _deviance(there)
+            if gain > 0.0:
+                values, local = trial, there
+                break
+        if gain < DEVIANCE_TOLERANCE:
+            break
+    return values
+
+
+def _deviance(local: LinearGaussian) -> float:
+    """Return -2 log posterior at the linearisation point, random effects marginalised."""
+    # c + x' V^-1 x,  V the slabs' covariance
+    return float(local.c.sum() + local.at @ np.linalg.solve(local.slab, local.at))
 
 
 def _vehicle_posterior(problem: Problem, vehicle: Vehicle, inflation, size):

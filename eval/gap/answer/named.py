@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Callable
 
 import numpy as np
 from scipy import stats
@@ -24,6 +25,7 @@ from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, SetPosterio
 from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
 
 NAMED = 0.75  # probability of an effect that is named; calibrated on development families
+RELEVANT = 0.05  # share of the squared error in a channel that an effect must explain to be named
 LIKELY = 0.03  # probability of an effect that counts as confounded with another
 CREDIBLE = 0.95  # probability of the sets in which confounded effects are searched
 
@@ -50,6 +52,26 @@ def named_effects(problem: Problem, found: SetPosterior, values: Values) -> tupl
 def probable_effects(found: SetPosterior) -> EffectSet:
     """Return the effects of the best set of probability >= NAMED, confounded ones added."""
     return frozenset(n for n in found.names if found.probability(n, *confounded_with(found, n)) >= NAMED)
+
+
+def relevant_values(problem: Problem, found: SetPosterior, fit: Callable[[EffectSet], Values]) -> Values:
+    """Return the values of the probable effects that matter: RELEVANT of the squared error in a channel.
+
+    With many flights a change too small to matter is certain. fit: values of a set of effects.
+    """
+    names = probable_effects(found)
+    while True:
+        values = fit(names)
+        after = squares_by_channel(problem, found, values)
+        logged = after > 0.0
+        # R^2 = increase without it / (rest + increase), in the channel where it is largest
+        shares = {}
+        for name, lost in squared_error_increase(problem, found, values).items():
+            shares[name] = float(np.max(lost[logged] / np.maximum(after + lost, 1e-9)[logged], initial=0.0))
+        least = min(shares, key=lambda name: shares[name], default="")
+        if not least or shares[least] >= RELEVANT:
+            return values
+        names -= {least}
 
 
 def confounded_with(found: SetPosterior | ContactPosterior, name: str) -> tuple[str, ...]:
@@ -86,7 +108,7 @@ def squared_error_increase(problem: Problem, found: SetPosterior, values: Values
 
 def _estimates(problem: Problem, found: SetPosterior, values: Values) -> dict[str, dict[str, Estimate]]:
     """Return effect -> parameter -> its estimate, the other effects marginalised."""
-    sized = found.local.estimates(values)
+    sized = found.local.with_wide_slabs().estimates(values)
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
     for name in values:

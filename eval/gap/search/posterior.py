@@ -253,6 +253,13 @@ class LinearGaussian:
             problem, columns, at, a, b, c, unit, slab, bounds, off, known, between, flight_a, flight_b
         )
 
+    def with_wide_slabs(self) -> LinearGaussian:
+        """Return the model with slabs LARGE times as wide, for the sizes of effects that are named.
+
+        The usual slab would leave to the errors of the identified vehicle a share of every large effect.
+        """
+        return dataclasses.replace(self, slab=LARGE**2 * self.slab)
+
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Return the indices of the columns of the effects `names`."""
         names = set(names)
