@@ -61,10 +61,11 @@ _PHI, _THETA, _PSI, _OMEGA, _RATES, _SIZE = 6, 7, 8, 9, 10, 13
 AMBIENT_SIZE = 5
 TIME, VOLTAGE, INCLINATION, PRESENT, AZIMUTH = range(AMBIENT_SIZE)
 STILL = np.empty((0, 6))  # no push; None would be another type, and compile everything once more
+_DERIVED = ("slab_half_length", "thrust_centre")  # properties of a vehicle that the kernels take too
 # Entries of [effects] that are no terms here: what other entries refer to, and what the plants do.
 _NO_TERMS = frozenset(
     "battery_reference voltage_reference voltage_open voltage_drop voltage_discharge "
-    "ground_fading thrust_delay attitude_delay mocap_tilt mocap_delay".split()
+    "ground_fading yaw_imbalance thrust_delay attitude_delay mocap_tilt mocap_delay".split()
 )
 
 
@@ -109,8 +110,9 @@ def _layout() -> tuple[Callable, Callable, np.dtype]:
         tables.setdefault(table, []).append((entry, float, np.shape(getattr(shipped, field.name))))
     names = [f"{table}_{entry}" for table in tables for entry, *_ in tables[table]]
     terms = [f"effects_{entry}" for entry, *_ in tables["effects"] if entry not in _NO_TERMS]
-    layout = np.dtype([*tables.items(), ("slab_half_length", float), ("any_effect", float)])
-    return attrgetter(*names, "slab_half_length"), attrgetter(*terms), layout
+    more = [(name, float, np.shape(getattr(shipped, name))) for name in _DERIVED]
+    layout = np.dtype([*tables.items(), *more, ("any_effect", float)])
+    return attrgetter(*names, *_DERIVED), attrgetter(*terms), layout
 
 
 def pack(vehicle: Vehicle) -> np.ndarray:
@@ -309,6 +311,13 @@ def powered_thrust(thrust, lag, time, voltage, v):
     return (thrust + v.effects.thrust_bias) * fade(time, v) * sag * supply(voltage, lag, time, v)
 
 
+@numba.njit(cache=True, inline="always")
+def intact(v):
+    """Return the share of the thrust that the rotors have not lost."""
+    loss = v.effects.rotor_loss
+    return 1.0 - 0.25 * (loss[0] + loss[1] + loss[2] + loss[3])
+
+
 @numba.njit(cache=True)
 def _hover_pwm(low, high, vehicle, p):
     """Return the PWM between two bounds whose steady thrust is the weight; the upper one where none is."""
@@ -317,7 +326,7 @@ def _hover_pwm(low, high, vehicle, p):
     for _ in range(60):  # halves: to 1e-13 of what lies between
         pwm = 0.5 * (low + high)
         lag = pwm / v.thrust.lag_rate
-        if powered_thrust(total_thrust(lag, pwm, v, p), lag, 0.0, math.nan, v) < weight:
+        if powered_thrust(total_thrust(lag, pwm, v, p), lag, 0.0, math.nan, v) * intact(v) < weight:
             low = pwm
         else:
             high = pwm
@@ -423,17 +432,17 @@ def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
     k = v.drag.coefficients
     out[0], out[1], out[2] = k[0] * speed * bx, k[1] * speed * by, k[2] * speed * bz
     if v.any_effect != 0.0:
-        # F (1 + lift (b_x^2 + b_y^2)) max(0, 1 - inflow b_z)
+        # F (1 - mean loss) (1 + lift (b_x^2 + b_y^2)) max(0, 1 - inflow b_z)
         lift = 1.0 + v.effects.translational_lift * (bx * bx + by * by)
-        thrust *= lift * max(0.0, 1.0 - v.effects.axial_inflow * bz)
+        thrust *= intact(v) * lift * max(0.0, 1.0 - v.effects.axial_inflow * bz)
         if v.effects.ground_effect != 0.0:
             extra, out[3], out[4] = ground_effect(
                 position, r, thrust, ambient[INCLINATION], ambient[PRESENT], ambient[AZIMUTH], v
             )
             thrust += extra
-        # Thrust beside the centre of mass: tau = (-c_y F, c_x F)
-        out[3] -= v.effects.com_offset[1] * thrust
-        out[4] += v.effects.com_offset[0] * thrust
+        # Thrust at (x, y) from the centre of mass, which is at c: tau = (y F, -x F)
+        out[3] += (v.thrust_centre[1] - v.effects.com_offset[1]) * thrust
+        out[4] -= (v.thrust_centre[0] - v.effects.com_offset[0]) * thrust
         # Body drag: f = -c |b| b
         drag = -v.effects.body_drag * math.sqrt(bx * bx + by * by + bz * bz)
         out[0] += drag * bx

@@ -130,6 +130,8 @@ class Vehicle:
     effects_axial_inflow: float
     effects_ground_effect: float
     effects_ground_fading: float
+    effects_rotor_loss: tuple[float, float, float, float]
+    effects_yaw_imbalance: float
     effects_com_offset: tuple[float, float]
     effects_thrust_delay: float
     effects_attitude_delay: float
@@ -160,6 +162,14 @@ class Vehicle:
     def without_thrust_lag(self) -> Vehicle:
         """Return the vehicle with the same steady thrust, all of it at once."""
         return self.changed(thrust_state_gain=0.0, thrust_direct_gain=self.thrust_per_pwm)
+
+    @property
+    def thrust_centre(self) -> tuple[float, float]:
+        """Return where the thrust of all rotors acts [m], x forward and y left of their middle."""
+        # (sum x_i (1 - loss_i), sum y_i (1 - loss_i)) / sum (1 - loss_i)
+        one, two, three, four = (1.0 - loss for loss in self.effects_rotor_loss)
+        arm = self.rotor_arm / (one + two + three + four)
+        return arm * (one - two - three + four), arm * (three + four - one - two)
 
     @property
     def hover_lag(self) -> float:

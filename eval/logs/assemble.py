@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -9,9 +10,21 @@ from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.logs.limits import LARGEST_VALUE
-from inclined_landing.eval.logs.log import COMMANDS, GAP_SECONDS, GAP_STEPS, FlightLog
+from inclined_landing.eval.logs.log import (
+    COMMANDS,
+    GAP_SECONDS,
+    GAP_STEPS,
+    REPEATED,
+    FlightLog,
+    repeated_share,
+)
 from inclined_landing.eval.logs.mapping import Channel
-from inclined_landing.eval.logs.units import QUATERNION, REQUESTS, ROTOR_SPEEDS
+from inclined_landing.eval.logs.units import (
+    COMMANDED_QUATERNION,
+    QUATERNION,
+    REQUESTS,
+    ROTOR_SPEEDS,
+)
 from inclined_landing.models.errors import UserError
 
 _POSITION = ("x", "y", "z")
@@ -25,7 +38,7 @@ _PLAUSIBLE = {
     **dict.fromkeys(("roll", "pitch"), (-np.pi - 0.01, np.pi + 0.01)),
     **dict.fromkeys(("cmd_roll", "cmd_pitch"), (-np.pi / 2, np.pi / 2)),
     "yaw": (-100.0, 100.0),
-    **dict.fromkeys(QUATERNION, (-1.1, 1.1)),
+    **dict.fromkeys((*QUATERNION, *COMMANDED_QUATERNION), (-1.1, 1.1)),
     "cmd_thrust_pwm": (-0.5, 65535.5),
     "cmd_yaw_rate": (-15.0, 15.0),
     "vbat": (-1.0, 100.0),
@@ -47,11 +60,14 @@ def assemble(
     notes = list(notes)
     channels = {key: _clean(key, channel, notes) for key, channel in channels.items()}
     quaternion = all(key in channels for key in QUATERNION)
+    if all(key in channels for key in COMMANDED_QUATERNION):
+        channels |= _commanded_angles(path, channels, euler)
     _require_columns(path, channels, quaternion)
     for key in ("roll", "pitch", "yaw", "cmd_roll", "cmd_pitch"):
         if key in channels:
             _check_angle(path, key, channels[key])
 
+    channels |= _without_repeats(channels, notes)
     t = channels["x"].t
     pose, near = _interpolate_pose(channels, t, quaternion)
     commands, started = _hold_commands(channels, t)
@@ -94,6 +110,37 @@ def assemble(
         thrust_is_measured=channels["cmd_thrust_pwm"].measured,
         notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def _commanded_angles(path: str, channels: Mapping[str, Channel], euler: str) -> dict[str, Channel]:
+    """Return roll and pitch commands from a commanded quaternion, in the mapping's own convention."""
+    parts = [channels[key] for key in COMMANDED_QUATERNION]
+    angles = _from_quaternion(path, np.stack([_hold(c, parts[0].t)[0] for c in parts], axis=1))
+    if euler == "ZYX":
+        yaw, pitch, roll = Rotation.from_euler("ZXY", angles[:, [2, 0, 1]]).as_euler("ZYX").T
+        angles = np.stack([roll, pitch, yaw], axis=1)
+    return {
+        f"cmd_{name}": Channel(parts[0].t, angles[:, k], parts[0].column)
+        for k, name in enumerate(("roll", "pitch"))
+    }
+
+
+def _without_repeats(channels: Mapping[str, Channel], notes: list[str]) -> dict[str, Channel]:
+    """Return the position without rows that repeat it, where it was measured less often than written."""
+    axes = [channels[key] for key in _POSITION]
+    t = axes[0].t
+    if len(t) < 20 or any(len(c.t) != len(t) or not np.array_equal(c.t, t) for c in axes):
+        return {}
+    position = np.stack([c.value for c in axes], axis=1)
+    share = repeated_share(position)
+    if share <= REPEATED:
+        return {}
+    new = np.r_[True, (np.diff(position, axis=0) != 0.0).any(axis=1)]
+    notes.append(
+        f"position repeats its last value in {100 * share:.0f} % of the rows in motion: it was measured less "
+        "often than written, and only new values are used"
+    )
+    return {key: dataclasses.replace(c, t=t[new], value=c.value[new]) for key, c in zip(_POSITION, axes)}
 
 
 def _hold_all(

@@ -20,8 +20,9 @@ _FEWEST_ROWS = 100  # of a flight without mapping
 def read(path: Path) -> Record:
     """Read a table with one header line and, optionally, a line of units under it.
 
-    `.gz` is unpacked on the way; comma, semicolon or tab separate. Text columns become NaN: none is
-    ever asked for. Raises UserError for what is not such a table, and for text among numbers.
+    `.gz` is unpacked on the way; comma, semicolon or tab separate. A column of lists becomes one for each of
+    their numbers. Text columns become NaN: none is ever asked for.
+    Raises UserError for what is not such a table, and for text among numbers.
     """
     data = read_table(path)
     try:
@@ -54,7 +55,11 @@ def read(path: Path) -> Record:
         raise UserError(f"{path}: rows of different length ({str(error).strip()})") from error
     except pandas.errors.EmptyDataError as error:
         raise UserError(f"{path}: a header and no rows") from error
-    return Record(str(path), {name: _numbers(path, table[name], bool(units)) for name in header}, units=units)
+    columns: dict[str, np.ndarray] = {}
+    for name in header:
+        parts = _parts(path, table[name])
+        columns |= {key: _numbers(path, part, bool(units)) for key, part in parts.items()}
+    return Record(str(path), columns, units=units)
 
 
 def read_columns(path: Path, names: Sequence[str]) -> pandas.DataFrame:
@@ -91,6 +96,18 @@ def _header(path: Path, line: str, separator: str) -> list[str]:
             raise UserError(f"{path}: column {shown(name)} appears twice")
         seen.add(name)
     return names
+
+
+def _parts(path: Path, column: pandas.Series) -> dict[str, pandas.Series]:
+    """Return a column by its name; one of lists, as `[0.1, 0.2]`, as NAME.0, NAME.1 and so on."""
+    name = str(column.name)
+    if pandas.api.types.is_numeric_dtype(column) or not str(column.head(1).squeeze()).startswith("["):
+        return {name: column}
+    plain = column.astype("string").str.replace(r"[\[\]\s]", "", regex=True)
+    parts = plain.str.split(",", expand=True)
+    if parts.shape[1] > MOST_COLUMNS or parts.isna().to_numpy().any():
+        raise UserError(f"{path}: the lists in column {shown(name)} are not all of one length")
+    return {f"{name}.{k}": parts[k].rename(f"{name}.{k}") for k in parts}
 
 
 def _numbers(path: Path, column: pandas.Series, has_units: bool) -> np.ndarray:

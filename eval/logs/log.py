@@ -13,8 +13,21 @@ MEASURED = ("x", "y", "z", "roll", "pitch", "yaw")
 COMMANDS = ("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate")
 
 # A hole in the record is a step in time this many times the usual one, and at least this long (s).
+REPEATED = 0.2  # share of repeated positions above which they were measured less often than written
 GAP_STEPS = 5.0
 GAP_SECONDS = 0.1
+
+
+def repeated_share(position: np.ndarray) -> float:
+    """Return the share of the rows in motion that repeat the position (m, 3) before them."""
+    ahead = 10
+    if len(position) <= 2 * ahead:
+        return 0.0
+    moving = np.abs(position[ahead:] - position[:-ahead]).max(axis=1) > 0.02
+    repeated = (np.diff(position, axis=0) == 0).all(axis=1)[: len(moving)]
+    return float((repeated & moving).sum() / max(np.sum(moving), 1))
+
+
 _BY_ROW = (
     *("t", "position", "attitude", "command", "velocity", "voltage", "contact", "requests", "rotor_speed"),
 )

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from msgspec import Meta, field, structs
@@ -28,13 +28,15 @@ DEEPEST = 20  # mapping files that inherit one another
 class Source(Table, frozen=True):
     """Where one canonical column comes from: value = sign * factor(unit) * column + add, at t - late.
 
-    With `full`, a thrust command: value = 65535 column/full, and of rotor speeds 65535 mean(column^2)/full^2.
+    With `full`, a thrust command or request: value = 65535 column/full, and of rotor speeds
+    65535 mean(column^2)/full^2.
     """
 
     column: str | None = None  # or, of several:
     mean: tuple[str, ...] | None = None
     sum: tuple[str, ...] | None = None
     mean_square: tuple[str, ...] | None = None  # of measured rotor speeds
+    measured: bool = False  # of a thrust command: that of measured rotor speeds
     full: Annotated[float, Meta(gt=0.0, le=limits.LARGEST_VALUE)] | None = None  # in the file's own unit
     unit: str | None = None
     sign: float = 1.0
@@ -47,6 +49,39 @@ class Source(Table, frozen=True):
         return self.mean or self.sum or self.mean_square or (self.column or "",)
 
 
+class AttitudePid(Table, frozen=True):
+    """Gains of an onboard attitude controller from whose set-points and output the attitude follows."""
+
+    kp: Annotated[float, Meta(gt=0.0, le=1000.0)]  # 1/s
+    ki: Annotated[float, Meta(ge=0.0, le=1000.0)]  # 1/s2
+    roll: tuple[Source, Source]  # set-point [angle] and commanded rate [angular rate]
+    pitch: tuple[Source, Source]
+
+
+class Mixer(Table, frozen=True):
+    """Outputs of the rate controllers, which the firmware adds up to the requests of the motors."""
+
+    thrust: str
+    roll: str
+    pitch: str
+    yaw: str
+
+    # Requests of M1 to M4:  thrust + signs (roll, pitch, yaw), in the frame of the firmware.
+    SIGNS: ClassVar = ((-0.5, 0.5, 1.0), (-0.5, -0.5, -1.0), (0.5, -0.5, 1.0), (0.5, 0.5, -1.0))
+
+    def requests(self, record: Record, names: Sequence[str]) -> dict[str, Channel]:
+        """Return the requests of a record; none where a column is missing."""
+        found = [find(names, name, record.path) for name in (self.thrust, self.roll, self.pitch, self.yaw)]
+        if None in found:
+            return {}
+        thrust, *torques = (record.columns[str(name)] for name in found)
+        time = record.times[str(found[0])]
+        return {
+            key: Channel(time, thrust + sum(s * x for s, x in zip(signs, torques)), "+".join(map(str, found)))
+            for key, signs in zip(units.REQUESTS, self.SIGNS)
+        }
+
+
 class ColumnMap(Table, frozen=True):
     """A mapping file, read."""
 
@@ -55,6 +90,8 @@ class ColumnMap(Table, frozen=True):
     inherit: str = ""  # a mapping whose columns are taken too
     euler: Literal["ZXY", "ZYX"] = "ZXY"
     notes: tuple[str, ...] = ()
+    attitude_pid: AttitudePid | None = None  # where roll and pitch were not logged
+    mixer: Mixer | None = None  # where the requests of the motors were not logged
     refuse: str | None = None
     columns: dict[str, str | Source | tuple[str | Source, ...]] = field(
         default_factory=dict
@@ -182,7 +219,38 @@ def apply(
         channel = _channel(canonical, column_map, record, names, given, time, notes)
         if channel is not None:
             channels[canonical] = channel
+    if column_map.attitude_pid is not None:
+        channels |= _attitude(column_map.attitude_pid, record, names, notes)
+    if column_map.mixer is not None:
+        channels |= column_map.mixer.requests(record, names)
     return channels, notes
+
+
+def _attitude(pid: AttitudePid, record: Record, names: list[str], notes: list[str]) -> dict[str, Channel]:
+    """Return roll and pitch from what an attitude controller was given and what it commanded.
+
+    Raises UserError where these are not in the record.
+    """
+    result = {}
+    for angle, (setpoint, rate) in (("roll", pid.roll), ("pitch", pid.pitch)):
+        values = []
+        for source, canonical in ((setpoint, angle), (rate, "cmd_yaw_rate")):
+            name = find(names, source.columns[0], record.path)
+            if name is None:
+                raise UserError(f"{record.path}: no column {source.columns[0]}")
+            unit = source.unit or next(iter(units.UNITS[units.COLUMNS[canonical]]))
+            values.append(source.sign * units.factor(canonical, unit, record.path) * record.columns[name])
+            time = record.times[name]
+        # r = kp e + ki I,  dI/dt = e:  the error is e = (r - ki I)/kp, the angle set-point - e
+        wanted, commanded = values
+        error, integral = np.zeros(len(time)), 0.0
+        step = np.diff(time, append=time[-1])
+        for k in range(len(time)):
+            error[k] = (commanded[k] - pid.ki * integral) / pid.kp
+            integral += error[k] * step[k]
+        result[angle] = Channel(time, wanted - error, name)
+    notes.append("roll and pitch are derived: from set-point and output of the attitude controller")
+    return result
 
 
 def _channel(
@@ -221,7 +289,7 @@ def _channel(
             raise UserError(
                 f"{record.path}: column {'+'.join(found)} ({canonical}) holds no number of a flight"
             )
-        measured = source.mean_square is not None
+        measured = source.measured or source.mean_square is not None
         return Channel(time - source.late, value, "+".join(found), measured)
     return None
 
@@ -272,8 +340,8 @@ def _check_source(source: Source, canonical: str, where: str) -> None:
         raise UserError(f"{where} needs exactly one of column, mean, sum, mean_square")
     if not all(source.columns):
         raise UserError(f"{where}: column, mean, sum and mean_square must name columns")
-    if source.full is not None and (canonical != "cmd_thrust_pwm" or source.unit is not None):
-        raise UserError(f"{where}: full is for cmd_thrust_pwm, in place of a unit")
+    if source.full is not None and (units.COLUMNS[canonical] != "pwm" or source.unit is not None):
+        raise UserError(f"{where}: full is for a thrust command or a request, in place of a unit")
     if source.mean_square is not None and source.full is None:
         raise UserError(f"{where}: mean_square needs full, the rotor speed at the full command")
     if source.unit is not None:

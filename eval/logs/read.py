@@ -47,13 +47,18 @@ def read_log(
 
 
 def write_log(path: str | Path, log: FlightLog) -> None:
-    """Write the documented CSV (gzipped if the name ends in .gz), whole or not at all.
+    """Write the documented CSV (gzipped if the name ends in .gz), whole or not at all."""
+    with storage.atomic(path) as part:
+        log_table(log).to_csv(part, index=False)
 
-    Columns that were not logged are left out.
-    """
+
+def log_table(log: FlightLog) -> pandas.DataFrame:
+    """Return a flight in the documented columns, without those that were not logged."""
     names = ("t", *MEASURED, *COMMANDS)
     table = dict(zip(names, np.c_[log.t, log.position, log.attitude, log.command].T))
     table = {key: value for key, value in table.items() if not np.isnan(value).all()}
+    if log.thrust_is_measured:
+        table["measured_thrust_pwm"] = table.pop("cmd_thrust_pwm")
     if log.velocity is not None:
         table |= dict(zip(("vx", "vy", "vz"), log.velocity.T))
     if log.voltage is not None:
@@ -63,8 +68,7 @@ def write_log(path: str | Path, log: FlightLog) -> None:
             table |= dict(zip(names, values.T))
     if log.contact is not None:
         table["contact"] = log.contact.astype(int)
-    with storage.atomic(path) as part:
-        pandas.DataFrame(table).to_csv(part, index=False)
+    return pandas.DataFrame(table)
 
 
 def _read(paths: list[Path], chosen: str | Path | None, units: dict[str, str], name: str) -> FlightLog:

@@ -7,6 +7,7 @@ import math
 from inclined_landing.models.errors import UserError, shown
 
 QUATERNION = ("qw", "qx", "qy", "qz")
+COMMANDED_QUATERNION = ("cmd_qw", "cmd_qx", "cmd_qy", "cmd_qz")
 REQUESTS = ("m1_cmd", "m2_cmd", "m3_cmd", "m4_cmd")
 ROTOR_SPEEDS = ("m1_speed", "m2_speed", "m3_speed", "m4_speed")
 
@@ -19,6 +20,7 @@ COLUMNS = {
     **dict.fromkeys(QUATERNION, "number"),
     "cmd_thrust_pwm": "pwm",
     **dict.fromkeys(("cmd_roll", "cmd_pitch", "cmd_yaw"), "angle"),
+    **dict.fromkeys(COMMANDED_QUATERNION, "number"),
     "cmd_yaw_rate": "angular rate",
     "vbat": "voltage",
     "contact": "flag",

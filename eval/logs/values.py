@@ -9,7 +9,15 @@ from scipy.ndimage import median_filter
 
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
 from inclined_landing.eval.logs.limits import FEWEST_PER_SECOND, MOST_PER_SECOND
-from inclined_landing.eval.logs.log import COMMANDS, GAP_SECONDS, GAP_STEPS, MEASURED, FlightLog
+from inclined_landing.eval.logs.log import (
+    COMMANDS,
+    GAP_SECONDS,
+    GAP_STEPS,
+    MEASURED,
+    REPEATED,
+    FlightLog,
+    repeated_share,
+)
 
 SHORTEST = 1.0  # s: below, not even one prediction window with room for delays
 SHORT_FLIGHT = 5.0  # s
@@ -108,14 +116,8 @@ def _check_position(log: FlightLog) -> Iterator[Finding]:
         often = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
         text = f"position jumps for good {often} at t = {log.t[jumps[0]]:.2f} s"
         yield limit("x, y, z", f"{text}: the rows around are left out", rows=tuple(map(int, near)))
-    moving = (
-        np.abs(log.position[10:] - log.position[:-10]).max(axis=1) > 0.02
-        if len(log) > 20
-        else np.zeros(0, bool)
-    )
-    repeated = (np.diff(log.position, axis=0) == 0).all(axis=1)[: len(moving)]
-    share = float((repeated & moving).sum() / max(np.sum(moving), 1))
-    if share > 0.2:
+    share = repeated_share(log.position)
+    if share > REPEATED:
         yield limit(
             "x, y, z",
             f"position repeats its last value in {100 * share:.0f} % of the rows in motion: "

@@ -14,13 +14,23 @@ its family; new physics needs a field with its entry in the vehicle file, a line
 
 from collections.abc import Mapping
 
-from inclined_landing.models.effects import air, attitude, battery, body, contact, delays, motor, platform
+from inclined_landing.models.effects import (
+    air,
+    attitude,
+    battery,
+    body,
+    contact,
+    delays,
+    motor,
+    platform,
+    rotors,
+)
 from inclined_landing.models.effects import thrust as _thrust
 from inclined_landing.models.effects.effect import CHANNELS, REGIMES, Effect, FittedConstant, Parameter
 from inclined_landing.models.errors import UserError, choices
 from inclined_landing.models.parameters import Vehicle
 
-_FAMILIES = (_thrust, battery, motor, body, air, delays, attitude, contact, platform)
+_FAMILIES = (_thrust, battery, motor, rotors, body, air, delays, attitude, contact, platform)
 LIBRARY: dict[str, Effect] = {effect.name: effect for family in _FAMILIES for effect in family.EFFECTS}
 
 

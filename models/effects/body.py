@@ -33,11 +33,18 @@ EFFECTS = (
             Parameter("y", "m", 0.0, (-0.015, 0.015), -0.001, 1e-4),
         ),
         regimes=("climb", "hover", "attitude_step"),
-        confused_with=("attitude_trim", "wind"),
+        confused_with=(
+            "attitude_trim",
+            "wind",
+            "weak_rotor_1",
+            "weak_rotor_2",
+            "weak_rotor_3",
+            "weak_rotor_4",
+        ),
         remedy="Balance the vehicle on two fingers under the motor arms and shift the battery. Climbs with "
         "changing thrust tell it from a trim, which does not grow with the thrust.",
-        channels=("attitude",),
+        channels=("attitude", "requests"),
         apply=added("effects_com_offset", "x", "y"),
-        says="the thrust acts {x} forward and {y} left of the centre of mass",
+        says="the centre of mass sits {x} forward and {y} left of the middle of the rotors",
     ),
 )

@@ -229,7 +229,7 @@ class Effect:
 
 
 REGIMES = ("hover", "climb", "lateral", "attitude_step", "near_surface", "low_battery", "touchdown")
-CHANNELS = ("translation", "attitude", "yaw", "touchdown")
+CHANNELS = ("translation", "attitude", "yaw", "requests", "touchdown")
 
 
 def scaled(*fields: str, parameter: str = "scale"):

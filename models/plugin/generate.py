@@ -12,7 +12,7 @@ import tomllib
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-_WORDS = {">": "greater than", ">=": "at least", "<=": "at most", "!=": "other than"}
+_WORDS = {">": "greater than", "<": "less than", ">=": "at least", "<=": "at most", "!=": "other than"}
 
 
 class Attribute:

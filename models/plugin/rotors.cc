@@ -39,6 +39,20 @@ void AirVelocity(const mjModel* m, const mjData* d, int body, mjtNum air[3]) {
   mju_mulMatTVec3(air, d->xmat + 9 * body, relative);
 }
 
+// Share of the thrust that the rotors have not lost.
+mjtNum Intact(const RotorsConfig& config) {
+  const auto [one, two, three, four] = config.rotor_loss;
+  return 1 - 0.25 * (one + two + three + four);
+}
+
+// Where the thrust of all rotors acts, x forward and y left of their middle [m].
+void ThrustCentre(const RotorsConfig& config, mjtNum centre[2]) {
+  const auto [one, two, three, four] = config.rotor_loss;
+  const mjtNum arm = config.arm / (4 * Intact(config));
+  centre[0] = arm * (two + three - one - four);
+  centre[1] = arm * (one + two - three - four);
+}
+
 // Thrust times this, by the air that the rotors meet.
 mjtNum Inflow(const RotorsConfig& config, const mjtNum air[3]) {
   return (1 + config.translational_lift * (air[0] * air[0] + air[1] * air[1])) *
@@ -146,7 +160,7 @@ void ComputeThrust(const mjModel* m, mjData* d, const RotorsConfig& config, int 
     mjtNum* force = d->actuator_force + m->actuator_outadr[i];
     *force = 0;
     if (!ActuatorEnabled(m, i)) continue;
-    *force = ThrustOf(m, d, config, i);
+    *force = ThrustOf(m, d, config, i) * Intact(config);
     if (config.InAir()) {
       mjtNum air[3], torque[2];
       AirVelocity(m, d, BodyOf(m, i), air);
@@ -164,20 +178,25 @@ void ComputePassive(const mjModel* m, mjData* d, const RotorsConfig& config, int
     const mjtNum thrust = ThrustOf(m, d, config, i);
     const mjtNum relative = 1 + m->actuator_biasprm[i * mjNBIAS + 1];
     const mjtNum speed = config.SpeedSum(thrust) * relative;
-    if (speed == 0 && config.body_drag == 0 && config.ground_effect == 0) continue;
+    mjtNum centre[2];
+    ThrustCentre(config, centre);
+    const bool beside = centre[0] != 0 || centre[1] != 0;
+    if (speed == 0 && config.body_drag == 0 && config.ground_effect == 0 && !beside) continue;
     const int body = BodyOf(m, i);
     mjtNum air[3], local[3], force[3], torque[3] = {0, 0, 0};
     AirVelocity(m, d, body, air);
     const mjtNum body_drag = config.body_drag == 0 ? 0 : config.body_drag * mju_norm3(air);
     for (int k = 0; k < 3; ++k) local[k] = air[k] * (config.drag[k] * speed) - air[k] * body_drag;
     mju_mulMatVec3(force, d->xmat + 9 * body, local);
-    if (config.ground_effect != 0) {
-      mjtNum moment[3] = {0, 0, 0};
-      GroundEffect(m, d, config, body, thrust * Inflow(config, air), moment);
+    if (config.ground_effect != 0 || beside) {
+      mjtNum moment[3] = {0, 0, 0}, lift = thrust * Intact(config) * Inflow(config, air);
+      if (config.ground_effect != 0) lift += GroundEffect(m, d, config, body, lift, moment);
+      moment[0] += centre[1] * lift;
+      moment[1] -= centre[0] * lift;
       mju_mulMatVec3(torque, d->xmat + 9 * body, moment);
     }
-    mj_applyFT(m, d, force, config.ground_effect != 0 ? torque : nullptr, d->xipos + 3 * body, body,
-               d->qfrc_passive);
+    mj_applyFT(m, d, force, config.ground_effect != 0 || beside ? torque : nullptr, d->xipos + 3 * body,
+               body, d->qfrc_passive);
   }
 }
 

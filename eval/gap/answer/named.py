@@ -25,7 +25,7 @@ from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, SetPosterio
 from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
 
 NAMED = 0.75  # probability of an effect that is named; calibrated on development families
-RELEVANT = 0.05  # share of the squared error in a channel that an effect must explain to be named
+RELEVANT = 0.03  # share of the squared error in a channel that an effect must explain to be named
 LIKELY = 0.03  # probability of an effect that counts as confounded with another
 CREDIBLE = 0.95  # probability of the sets in which confounded effects are searched
 

@@ -107,6 +107,11 @@ class MeasuredFlight:
         """Return what is predicted, as measured (m, C): the pose and the motors' requests."""
         return self.pose if self.requests is None else np.hstack([self.pose, self.requests.differences])
 
+    @property
+    def request_differences(self) -> np.ndarray | None:
+        """Return the differences of the motors' requests (m, 3), None where they were not logged."""
+        return None if self.requests is None else self.requests.differences
+
     def without_requests(self) -> MeasuredFlight:
         """Return the flight without what its motors were requested to give."""
         if self.requests is None:

@@ -116,7 +116,13 @@ class ModelDiscrimination(Candidates):
         total = sum(h.probability for h in hypotheses)
         self.hypotheses = [dataclasses.replace(h, probability=h.probability / total) for h in hypotheses]
         self.vehicle, self.noise_levels = vehicle, noise_levels
-        self.library = {n: e for n, e in library.items() if not e.contact}
+        proposed = {name for h in hypotheses for name in h.effects}
+        # What only the requests of the motors show: flights that are planned have none.
+        self.library = {
+            n: e
+            for n, e in library.items()
+            if not e.contact and (n in proposed or "requests" not in e.channels or not e.requires)
+        }
         self.vehicles = [self.corrected(h.values) for h in self.hypotheses]
         best = max(self.hypotheses, key=lambda h: h.probability)
         self.base = self.corrected(best.values)

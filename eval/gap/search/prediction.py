@@ -104,10 +104,8 @@ def requested_differences(flight, vehicle: Vehicle) -> np.ndarray:
     wanted = np.zeros((flight.samples, 3))
     wanted[:, 0] = vehicle.body_inertia[0] * turning[:, 0] / lever + offset[1]
     wanted[:, 1] = vehicle.body_inertia[1] * turning[:, 1] / lever - offset[0]
-    wanted[:, 2] = getattr(vehicle, "effects_yaw_imbalance", 0.0)
-    requested = (1.0 + wanted @ REQUEST_SIGNS) / (
-        1.0 - np.array(getattr(vehicle, "effects_rotor_loss", (0.0,) * 4))
-    )
+    wanted[:, 2] = vehicle.effects_yaw_imbalance
+    requested = (1.0 + wanted @ REQUEST_SIGNS) / (1.0 - np.array(vehicle.effects_rotor_loss))
     return requested @ REQUEST_SIGNS.T / requested.sum(axis=1, keepdims=True)
 
 

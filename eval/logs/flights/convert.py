@@ -19,11 +19,13 @@ import numpy as np
 import pandas
 
 from inclined_landing.eval.logs import csv_file, limits, sd_card
+from inclined_landing.eval.logs.read import log_table, read_log
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.errors import UserError, shown
 
 _UNITS = {"deg": math.pi / 180.0, "g": 9.80665, "mV": 1e-3}
 _MOST_PWM = 65535
+_DECIMALS = 6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,7 +40,8 @@ class PublicSet:
     cite: str
     path: str  # regular expression of a file's path
     name: str  # of the flight, by the groups of `path`
-    columns: Mapping[str, Mapping]
+    columns: Mapping[str, Mapping] = dataclasses.field(default_factory=dict)
+    mapping: str = ""  # in place of columns: the shipped mapping that reads its files
     unit_length: tuple[str, ...] = ()  # columns of a quaternion, to be normalised
     zeros_mean_not_logged: tuple[str, ...] = ()
     segments: Mapping[str, tuple[float, float]] | None = None  # by the file's name: from, to [s]
@@ -63,6 +66,10 @@ def convert(name: str, path: Path) -> tuple[str, pandas.DataFrame, list[str]]:
         raise UserError(f"{shown(path, 250)}: the path of a file of {name} ends like {known.files}")
     if limits.check_file(path):
         raise UserError(f"{path}: a folder, not a file")
+    flight = match.expand(known.name)
+    if known.mapping:
+        log = read_log(path, mapping=known.mapping, name=flight, check=False)
+        return flight, log_table(log).round(_DECIMALS), list(log.notes)
     record = sd_card.read(path) if sd_card.is_sd_card_log(path) else csv_file.read(path)
     notes = list(record.notes)
     table = pandas.DataFrame({c: _column(name, of, path, record) for c, of in known.columns.items()})
@@ -92,7 +99,7 @@ def convert(name: str, path: Path) -> tuple[str, pandas.DataFrame, list[str]]:
         notes.append(f"zero throughout: {', '.join(idle)}; not logged, left empty")
         table[idle] = np.nan
     decimals = {c: of["decimals"] for c, of in known.columns.items() if "decimals" in of}
-    return match.expand(known.name), table.round(decimals), notes
+    return flight, table.round(decimals), notes
 
 
 def _column(name: str, of: Mapping, path: Path, record: Record) -> np.ndarray | pandas.Series | float:

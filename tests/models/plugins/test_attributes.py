@@ -29,6 +29,7 @@ V = dataclasses.replace(
     effects_axial_inflow=0.02,
     effects_ground_effect=2.0,
     effects_ground_fading=2.0,
+    effects_rotor_loss=(0.02, 0.05, 0.01, 0.1),
     effects_attitude_trim=(0.02, -0.01),
     effects_estimator_lean=0.02,
     effects_yaw_drift=0.1,

@@ -1,0 +1,58 @@
+"""Effects of single rotors: visible where the requests of all four motors were logged."""
+
+from collections.abc import Mapping
+
+from inclined_landing.models.effects.effect import Effect, Parameter, added
+from inclined_landing.models.parameters import Vehicle
+
+_PLACES = ("front right", "back right", "back left", "front left")
+_NAMES = tuple(f"weak_rotor_{k}" for k in range(1, 5))
+
+
+def _weak_rotor(k: int) -> Effect:
+    """Return the effect of the rotor M1 to M4, k from 0."""
+
+    def apply(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
+        # Losses of one rotor multiply: 1 - loss
+        losses = list(vehicle.effects_rotor_loss)
+        losses[k] = 1.0 - (1.0 - losses[k]) * (1.0 - values.get("loss", 0.0))
+        return vehicle.changed(effects_rotor_loss=tuple(losses))
+
+    return Effect(
+        name=_NAMES[k],
+        description=f"The rotor of motor M{k + 1} ({_PLACES[k]}) gives less thrust than the others at the "
+        "same request: a cut or worn propeller, a weak motor. The controller asks more of it, and some of "
+        "the others for the balance of the yawing moment, which a weight at its arm leaves as it is.",
+        formula="f_i = F_t/4 (1 - loss) of this rotor; request r_i ~ (1 + relative torques)/(1 - loss)",
+        source="momentum theory: thrust with the fourth power of the propeller's diameter; CrazyPAD, data "
+        "2024: propellers cut by up to 8 mm",
+        parameters=(Parameter("loss", "1", 0.0, (-0.4, 0.6), 0.12, 0.01),),
+        regimes=("hover", "climb", "lateral"),
+        confused_with=(*(n for n in _NAMES if n != _NAMES[k]), "com_offset", "yaw_imbalance", "thrust_scale"),
+        remedy=f"Replace the propeller of M{k + 1}, and clean or replace its motor.",
+        channels=("translation", "attitude", "requests"),
+        apply=apply,
+        says=f"the {_PLACES[k]} rotor has lost a share of {{loss}} of its thrust",
+        requires={"request_differences": 0.0},
+    )
+
+
+EFFECTS = (
+    *(_weak_rotor(k) for k in range(4)),
+    Effect(
+        name="yaw_imbalance",
+        description="The motors that turn one way are asked for more than the others while the vehicle keeps "
+        "its heading: propellers of unequal drag, motors mounted askew. It moves nothing.",
+        formula="(r_2 + r_4 - r_1 - r_3) / (r_1 + r_2 + r_3 + r_4) = share in hover",
+        source="balance of the turning moment; up to 0.1 in the CrazyPAD flights",
+        parameters=(Parameter("share", "1", 0.0, (-0.3, 0.3), 0.03, 0.003),),
+        regimes=("hover",),
+        confused_with=_NAMES,
+        remedy="Nothing is lost but range of control. Exchange propellers of the two directions, set the "
+        "motors upright.",
+        channels=("requests",),
+        apply=added("effects_yaw_imbalance", "share"),
+        says="the requests of the motors differ in yaw by a share of {share}",
+        requires={"request_differences": 0.0},
+    ),
+)
