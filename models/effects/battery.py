@@ -64,6 +64,7 @@ EFFECTS = (
         "command by nominal over measured voltage.",
         channels=("translation",),
         apply=lambda vehicle, values: with_sag(vehicle, values.get("sag", 0.0), values.get("reference")),
+        of_the_drive=True,
         says="the thrust sags under load (sag {sag}, right at a load of {reference})",
     ),
     Effect(
@@ -88,6 +89,7 @@ EFFECTS = (
         "firmware's battery compensation.",
         channels=("translation",),
         apply=_voltage,
+        of_the_drive=True,
         says="the thrust follows the battery voltage by {sensitivity} (right at {reference})",
         requires={"voltage": 0.02},
     ),

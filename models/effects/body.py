@@ -29,8 +29,8 @@ EFFECTS = (
         formula="torque = (-y F_t, x F_t, 0); stiffness = inertia bandwidth/time_constant",
         source="rigid-body mechanics",
         parameters=(
-            Parameter("x", "m", 0.0, (-0.015, 0.015), 0.001, 1e-4),
-            Parameter("y", "m", 0.0, (-0.015, 0.015), -0.001, 1e-4),
+            Parameter("x", "m", 0.0, (-0.015, 0.015), 0.001, 1e-4, placement=1e-3),
+            Parameter("y", "m", 0.0, (-0.015, 0.015), -0.001, 1e-4, placement=1e-3),
         ),
         regimes=("climb", "hover", "attitude_step"),
         confused_with=(

@@ -34,6 +34,7 @@ EFFECTS = (
         "predict the state by the delay before computing a command.",
         channels=("translation",),
         apply=added("effects_thrust_delay", "delay"),
+        of_the_drive=True,
         says="thrust commands act {delay} after they were sent",
     ),
     Effect(

@@ -34,6 +34,7 @@ class FittedConstant:
         return 1.0
 
 
+_WITH_THE_MASS = ("N", "kg", "kg/m")  # units of parameters whose sizes go with the vehicle's mass
 OFF = 8.0  # negligible sizes by which the reference of an effect may well be off
 
 
@@ -53,11 +54,15 @@ class Parameter:
     plausible: float  # a value that a real vehicle may well have
     negligible: float  # distance from neutral, in the unit, that nobody needs to correct
     one_signed: bool = False  # below neutral lies no physical cause, only room for the noise of a fit
-    adds_to: str = ""  # field of Vehicle of which, one-signed, there may be less if there is some already
+    # Field of Vehicle, or `field.k` for its number k, of which, one-signed, there may be less where there is some.
+    adds_to: str = ""
     is_reference: bool = False  # where another parameter acts about; no size of its own, any value is neutral
     constant: FittedConstant | None = None
     # By how much [unit] what fits best varies with how one vehicle is flown: no loop is quite of its form.
     manoeuvre: float = 0.0
+    # By how much [unit] it differs between flights of one vehicle; counts where the requests of the motors show
+    # it: a battery never sits twice in one place.
+    placement: float = 0.0
     step: float = 0.0  # over which a fit takes slopes; 0: negligible
 
     @property
@@ -92,9 +97,29 @@ class Parameter:
         """Return the parameter with the bounds and sizes that apply to `vehicle`.
 
         An effect that the vehicle has already may also shrink, down to none. Sizes of a factor on a time or a
-        drag are absolute: as many ms as for the shipped vehicle, not the same share.
+        drag are absolute: as many ms as for the shipped vehicle, not the same share. Forces, masses and drag
+        coefficients grow with the vehicle's mass.
         """
-        own = float(getattr(vehicle, self.adds_to)) if self.adds_to else 0.0
+        if self.unit in _WITH_THE_MASS:
+            return self._scaled(vehicle.body_mass / _shipped().body_mass)._beside(vehicle)
+        return self._beside(vehicle)
+
+    def _scaled(self, times: float) -> Parameter:
+        """Return the parameter with all sizes `times` as large."""
+        return dataclasses.replace(
+            self,
+            bounds=(self.bounds[0] * times, self.bounds[1] * times),
+            plausible=self.plausible * times,
+            negligible=self.negligible * times,
+            manoeuvre=self.manoeuvre * times,
+            placement=self.placement * times,
+        )
+
+    def _beside(self, vehicle: Vehicle) -> Parameter:
+        field, _, part = self.adds_to.partition(".")
+        own = 0.0
+        if field:
+            own = float(getattr(vehicle, field)[int(part)] if part else getattr(vehicle, field))
         if self.one_signed and own > 0.0:
             return dataclasses.replace(self, bounds=(self.neutral - own, self.bounds[1]), one_signed=False)
         if not self.is_factor or self.constant is None:
@@ -162,6 +187,7 @@ class Effect:
     says: str  # part of a sentence; {parameter} stands for its value with unit
     # Log channel (or `yaw_rate_command`) -> least change over the flights for it to be identifiable.
     requires: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    of_the_drive: bool = False  # acts between the thrust command and the speed of the rotors
     scales_thrust: bool = False  # free flight shows the ratio of thrust to mass alone
     # Effects that MuJoCo's contact model changes along with it but real feet do not: they may be as far off.
     couples_with: tuple[str, ...] = ()
@@ -218,6 +244,13 @@ class Effect:
     def contact(self) -> bool:
         """Whether it shows in touchdowns only."""
         return self.channels == ("touchdown",)
+
+    def seen_in_requests(self) -> Effect:
+        """Return the effect for flights whose logs have the requests of the motors."""
+        parameters = (
+            dataclasses.replace(p, manoeuvre=max(p.manoeuvre, p.placement)) for p in self.parameters
+        )
+        return dataclasses.replace(self, parameters=tuple(parameters))
 
     def beside(self, vehicle: Vehicle) -> Effect:
         """Return the effect with the bounds and sizes that apply to `vehicle`."""

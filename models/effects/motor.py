@@ -32,6 +32,7 @@ EFFECTS = (
         "to tell a lag from a pure delay.",
         channels=("translation",),
         apply=_lag,
+        of_the_drive=True,
         says="the motors need {scale} times the modelled time to follow",
     ),
     Effect(
@@ -50,6 +51,7 @@ EFFECTS = (
         "equal lag.",
         channels=("translation",),
         apply=added("effects_spin_down", "excess"),
+        of_the_drive=True,
         says="the motors' time constant grows by a share of {excess} while they slow down",
     ),
 )

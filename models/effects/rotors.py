@@ -26,7 +26,14 @@ def _weak_rotor(k: int) -> Effect:
         formula="f_i = F_t/4 (1 - loss) of this rotor; request r_i ~ (1 + relative torques)/(1 - loss)",
         source="momentum theory: thrust with the fourth power of the propeller's diameter; CrazyPAD, data "
         "2024: propellers cut by up to 8 mm",
-        parameters=(Parameter("loss", "1", 0.0, (-0.4, 0.6), 0.12, 0.01),),
+        parameters=(
+            Parameter(
+                *("loss", "1", 0.0, (-0.03, 0.6), 0.12, 0.01),
+                one_signed=True,
+                adds_to=f"effects_rotor_loss.{k}",
+                placement=0.02,
+            ),
+        ),
         regimes=("hover", "climb", "lateral"),
         confused_with=(*(n for n in _NAMES if n != _NAMES[k]), "com_offset", "yaw_imbalance", "thrust_scale"),
         remedy=f"Replace the propeller of M{k + 1}, and clean or replace its motor.",
@@ -45,7 +52,7 @@ EFFECTS = (
         "its heading: propellers of unequal drag, motors mounted askew. It moves nothing.",
         formula="(r_2 + r_4 - r_1 - r_3) / (r_1 + r_2 + r_3 + r_4) = share in hover",
         source="balance of the turning moment; up to 0.1 in the CrazyPAD flights",
-        parameters=(Parameter("share", "1", 0.0, (-0.3, 0.3), 0.03, 0.003),),
+        parameters=(Parameter("share", "1", 0.0, (-0.3, 0.3), 0.03, 0.003, placement=0.015),),
         regimes=("hover",),
         confused_with=_NAMES,
         remedy="Nothing is lost but range of control. Exchange propellers of the two directions, set the "

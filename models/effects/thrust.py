@@ -42,6 +42,7 @@ EFFECTS = (
         "firmware's base thrust.",
         channels=("translation",),
         apply=added("effects_thrust_bias", "force"),
+        of_the_drive=True,
         says="a constant {force} is added to the thrust, whatever the command",
         scales_thrust=True,
     ),
@@ -68,6 +69,7 @@ EFFECTS = (
         apply=lambda vehicle, values: with_sag(
             vehicle, -values.get("curvature", 0.0), values.get("reference")
         ),
+        of_the_drive=True,
         says="the thrust bends up with the command (curvature {curvature}, right at a load of {reference})",
     ),
     Effect(
@@ -83,6 +85,7 @@ EFFECTS = (
         "command for it.",
         channels=("translation",),
         apply=added("effects_thrust_fade", "rate"),
+        of_the_drive=True,
         says="the thrust falls by {rate} of flight",
     ),
 )

@@ -86,16 +86,16 @@ def diagnose(
     clock("name")
     inconsistent = heterogeneity.inconsistent_flights(problem, found.linear, found.joint)
     notes[:0] = map(heterogeneity.summary_line, inconsistent)
-    local = found.local.with_wide_slabs()
 
     def fitted_values(names: EffectSet) -> Values:
-        values = sets.posterior_mode(problem, local, names)
+        values = sets.posterior_mode(problem, found.local.with_wide_slabs(names), names)
         if problem.identified:
             return values
         # Far from the nominal vehicle, spikes of other effects would take a share.
         return fit_least_squares(problem, values, found.inflation, prior=slab_deviations).values
 
     values = relevant_values(problem, found, fitted_values)
+    local = found.local.with_wide_slabs(frozenset(values))
     effects, corrected = named_effects(problem, found, values), problem.corrected(values)
     residuals = residual.Residual.by(
         problem, found.local, found.names, found.at, found.noise_model.size, found.inflation

@@ -108,7 +108,7 @@ def squared_error_increase(problem: Problem, found: SetPosterior, values: Values
 
 def _estimates(problem: Problem, found: SetPosterior, values: Values) -> dict[str, dict[str, Estimate]]:
     """Return effect -> parameter -> its estimate, the other effects marginalised."""
-    sized = found.local.with_wide_slabs().estimates(values)
+    sized = found.local.with_wide_slabs(frozenset(values)).estimates(values)
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
     for name in values:

@@ -17,7 +17,7 @@ from inclined_landing.eval.gap.flights.noise_model import NoiseModel
 from inclined_landing.eval.gap.flights.whitening import ErrorResponses
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.search import form
-from inclined_landing.eval.gap.search.prediction import predict, same_translation, translated
+from inclined_landing.eval.gap.search.prediction import CHANNELS, predict, same_translation, translated
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.effects.effect import OFF
 from inclined_landing.models.parameters import Vehicle
@@ -192,6 +192,8 @@ class Problem(Candidates):
             if set(effect.channels) - ignored
             and all(getattr(f, channel) is not None for f in flights for channel in effect.requires)
         }
+        if self.channels > len(CHANNELS):
+            self.library = {name: effect.seen_in_requests() for name, effect in self.library.items()}
         self.flight_of = np.concatenate([np.full(len(f.starts), k) for k, f in enumerate(self.flights)])
         self.group_of = _groups(self.flights)
         self.groups = int(self.group_of.max()) + 1
@@ -367,7 +369,10 @@ def identifiable_effects(
 ) -> tuple[dict[str, Effect], list[str]]:
     """Return the effects whose required log channels were logged and excited, and notes on the others."""
     kept, notes = {}, []
+    measured = any(f.thrust_is_measured for f in flights)
     for name, effect in library.items():
+        if measured and effect.of_the_drive:
+            continue  # the speeds of the rotors are given
         why = {_why_unidentifiable(channel, least, flights) for channel, least in effect.requires.items()} - {
             ""
         }

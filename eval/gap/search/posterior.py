@@ -253,12 +253,15 @@ class LinearGaussian:
             problem, columns, at, a, b, c, unit, slab, bounds, off, known, between, flight_a, flight_b
         )
 
-    def with_wide_slabs(self) -> LinearGaussian:
-        """Return the model with slabs LARGE times as wide, for the sizes of effects that are named.
+    def with_wide_slabs(self, names: EffectSet) -> LinearGaussian:
+        """Return the model with slabs LARGE times as wide for large effects of a set, for their sizes.
 
         The usual slab would leave to the errors of the identified vehicle a share of every large effect.
         """
-        return dataclasses.replace(self, slab=LARGE**2 * self.slab)
+        large = np.abs(self.bounded_mode(names)) > np.sqrt(self.slab.diagonal())
+        large &= np.isin(np.arange(len(self.columns)), self.index(names))
+        wide = np.where(large, LARGE, 1.0)
+        return dataclasses.replace(self, slab=np.outer(wide, wide) * self.slab)
 
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Return the indices of the columns of the effects `names`."""

@@ -62,6 +62,7 @@ def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None
     (mocap_tilt) is taken off the attitude that drives the translation, and put on that of the loops.
     """
     late = vehicle.effects_mocap_delay
+    vehicle, given = as_flown(flight, vehicle), vehicle
     dt, packed = flight.dt, pack(vehicle)
     angles = [averages(flight.command[:, k], dt, vehicle.effects_attitude_delay + late) for k in (1, 2, 3)]
     rotation, start = flight.middle_rotation, flight.attitude[0]
@@ -83,8 +84,21 @@ def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None
         angles_of = slice(ROLL_CHANNEL, YAW_CHANNEL + 1)
         tilted(out[:, angles_of].copy(), *tilt, out[:, angles_of])
     if flight.requests is not None:
-        out[:, YAW_CHANNEL + 1 :] = requested_differences(flight, vehicle)
+        out[:, YAW_CHANNEL + 1 :] = requested_differences(flight, given)
     return out
+
+
+def as_flown(flight, vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle without what a flight's log shows otherwise.
+
+    Measured rotor speeds lag behind nothing. Where the requests of the motors were logged, these show a
+    thrust beside the centre of mass: a controller that asks for them leaves nothing of it in the attitude.
+    """
+    if flight.thrust_is_measured:
+        vehicle = vehicle.without_thrust_lag()
+    if flight.requests is not None:
+        vehicle = vehicle.changed(effects_com_offset=vehicle.thrust_centre)
+    return vehicle
 
 
 def requested_differences(flight, vehicle: Vehicle) -> np.ndarray:
@@ -112,7 +126,7 @@ def requested_differences(flight, vehicle: Vehicle) -> np.ndarray:
 def translated(flight, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     """Return positions (m, 3) from rest at zero, and angular accelerations (m - 1, 3) of roll, pitch, yaw."""
     late, dt, tilt = vehicle.effects_mocap_delay, flight.dt, vehicle.effects_mocap_tilt
-    vehicle = vehicle.without_thrust_lag() if flight.thrust_is_measured else vehicle
+    vehicle = as_flown(flight, vehicle)
     pwm = averages(flight.command[:, PWM], dt, vehicle.effects_thrust_delay + late)
     attitude, rotation = flight.middle_attitude, flight.middle_rotation
     if any(tilt):

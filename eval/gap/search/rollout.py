@@ -16,7 +16,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 
 from inclined_landing.eval.gap.flights.windows import SMOOTHING, MeasuredFlight, prepare, remove_tilt
 from inclined_landing.eval.gap.result import PlantGap
-from inclined_landing.eval.gap.search.prediction import predict
+from inclined_landing.eval.gap.search.prediction import as_flown, predict
 from inclined_landing.models import equations
 from inclined_landing.models.attitude import LAG, PWM, ROLL, STATE_SIZE, VX, WX, body_rates, tilted
 from inclined_landing.models.delays import averages
@@ -133,8 +133,7 @@ def simulate(
     Flights without attitude commands follow the measured attitude, by the equations in either plant.
     perturbation: (n, 12) added to position, velocity, attitude and body rates of the start states.
     """
-    if starts.flights[0].thrust_is_measured:
-        vehicle = vehicle.without_thrust_lag()
+    vehicle = as_flown(starts.flights[0], vehicle)
     driven = [delayed_commands(f.command, f.dt, vehicle) for f in starts.flights]
     commands = starts.gather([c for c, _ in driven])
     state = starts.gather([smoothed_states(f) for f in starts.flights], 1)[:, 0]
