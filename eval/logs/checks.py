@@ -80,7 +80,7 @@ def _list_names(names: list[str]) -> str:
 
 def _hover_commands(logs: Sequence[FlightLog]) -> tuple[list[float], str]:
     """Return the hover command of each flight (NaN where it cannot be estimated), and its unit."""
-    plain = [_hover_command(log) for log in logs]
+    plain = [hover_command(log) for log in logs]
     if not np.isfinite(plain).all():
         return plain, "PWM"
     # Thrust follows the voltage across the motors, unless the command was compensated for it: the
@@ -91,13 +91,13 @@ def _hover_commands(logs: Sequence[FlightLog]) -> tuple[list[float], str]:
             return plain, "PWM"
         command = log.command.copy()
         command[:, 0] *= log.voltage / NOMINAL_VOLTAGE
-        supplied.append(_hover_command(dataclasses.replace(log, command=command)))
+        supplied.append(hover_command(dataclasses.replace(log, command=command)))
     if np.nanstd(supplied) / np.nanmean(supplied) < np.nanstd(plain) / np.nanmean(plain):
         return supplied, f"PWM at {NOMINAL_VOLTAGE:g} V"
     return plain, "PWM"
 
 
-def _hover_command(log: FlightLog) -> float:
+def hover_command(log: FlightLog) -> float:
     """Return the command at a specific force of one g, from a linear fit over the rows in the air."""
     parts = motion.motion(log)
     if not parts:

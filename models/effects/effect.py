@@ -54,14 +54,14 @@ class Parameter:
     plausible: float  # a value that a real vehicle may well have
     negligible: float  # distance from neutral, in the unit, that nobody needs to correct
     one_signed: bool = False  # below neutral lies no physical cause, only room for the noise of a fit
-    # Field of Vehicle, or `field.k` for its number k, of which, one-signed, there may be less where there is some.
+    # Field of Vehicle, or `field.k` for its number k: one-signed, there may be less of it where there is some.
     adds_to: str = ""
     is_reference: bool = False  # where another parameter acts about; no size of its own, any value is neutral
     constant: FittedConstant | None = None
     # By how much [unit] what fits best varies with how one vehicle is flown: no loop is quite of its form.
     manoeuvre: float = 0.0
-    # By how much [unit] it differs between flights of one vehicle; counts where the requests of the motors show
-    # it: a battery never sits twice in one place.
+    # By how much [unit] it differs between flights of one vehicle, where the requests of the motors show it: a
+    # battery never sits twice in one place.
     placement: float = 0.0
     step: float = 0.0  # over which a fit takes slopes; 0: negligible
 

@@ -226,7 +226,7 @@ def test_no_flight_where_none_is_needed_or_none_tells(tmp_path, capsys):
         ),
         (
             {"sets": [{"effects": ["wind"], "probability": 1.0, "values": {"wind": {"x": 90.0}}}]},
-            "sets[0].values.wind.x is 90 m/s; it must be from -4 to 4",
+            "sets[0].values.wind.x is 90 m/s; it must be from -20 to 20",
         ),
         ({"noise": {"x": -1.0}}, "[noise] x must be a number of at least 1e-09, not -1.0"),
         (

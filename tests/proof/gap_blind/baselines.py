@@ -79,7 +79,7 @@ def tune(flights: Sequence[FlightLog], vehicle: Vehicle) -> dict[str, dict[str, 
     """Effect -> parameter -> value for TUNED, those that differ from nominal."""
     problem = Problem(prepare_all(flights, vehicle, False, []), vehicle, LIBRARY)
     names = [name for name in TUNED if name in problem.library]
-    fit = fit_least_squares(problem, {name: {} for name in names}, np.ones(6), iterations=15)
+    fit = fit_least_squares(problem, {name: {} for name in names}, np.ones(problem.channels), iterations=15)
     error = np.sqrt(np.diag(fit.linear.covariance()))
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     found: dict[str, dict[str, float]] = {}

@@ -1,0 +1,68 @@
+"""`causes`: known causes in real flights of five laboratories against the names that the gap workflow gives."""
+
+from __future__ import annotations
+
+import json
+import sys
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError
+
+from . import page
+from .rows import Row, answer, known_rows
+
+
+def command(
+    data: tyro.conf.Positional[Path],
+    /,
+    out: Path,
+    *,
+    half: Literal["development", "heldout", "both"] = "development",
+    only: tuple[str, ...] = (),
+    processes: Annotated[int, tyro.conf.arg(metavar="INT")] = 2,
+) -> None:
+    """Known causes in real flights of five laboratories: is the right one named, and how large (minutes)?
+
+    Args:
+        data: folder with the clones of the five repositories (`landing-eval logs --public` says which).
+        out: folder for table.md, causes.json, figures and report.html; rows that are in it are kept.
+        half: flights that the workflow was looked at with, or those that were held out.
+        only: names of repositories.
+        processes: rows at a time.
+    """
+    rows = [r for r in known_rows() if half in (r.half, "both") and (not only or r.set in only)]
+    if not rows:
+        known = sorted({r.set for r in known_rows()})
+        raise UserError(f"no rows; --only takes {', '.join(known)}, and some have no held-out half")
+    if not 1 <= processes <= 64:
+        raise UserError(f"--processes must lie from 1 to 64, not {processes}")
+    if not data.is_dir():
+        raise UserError(f"{data}: no folder; it must hold the clones of the repositories")
+    folder = out / "rows"
+    if out.exists() and not out.is_dir():
+        raise UserError(f"{out} is a file; give a folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    missing = [r for r in rows if not (folder / f"{r.key}.json").exists()]
+    with ProcessPoolExecutor(processes) as pool:
+        jobs = {pool.submit(_row, data, row): row for row in missing}
+        for job in as_completed(jobs):
+            row, result = jobs[job], job.result()
+            storage.write_text(folder / f"{row.key}.json", storage.to_json(result))
+            print(page.line(result), file=sys.stderr)
+    results = [json.loads((folder / f"{r.key}.json").read_text("utf-8")) for r in rows]
+    page.write(out, results)
+    print(page.summary_text(results))
+    print(out / "report.html")
+
+
+def _row(data: Path, row: Row) -> dict:
+    """Return the answer to a row, or why there is none."""
+    try:
+        return answer(data, row)
+    except UserError as error:
+        return {"set": row.set, "name": row.name, "kind": row.kind, "half": row.half, "error": str(error)}
