@@ -55,6 +55,9 @@ class Parameter:
     one_signed: bool = False  # below neutral lies no physical cause, only room for the noise of a fit
     adds_to: str = ""  # field of Vehicle of which, one-signed, there may be less if there is some already
     is_reference: bool = False  # where another parameter acts about; no size of its own, any value is neutral
+    # A reference about both ends of which two sizes together do what one does about a value between.
+    linear: bool = True
+    scales_with: str = ""  # field of Vehicle: bounds and sizes, here the shipped vehicle's, go with it
     constant: FittedConstant | None = None
     # By how much [unit] what fits best varies with how one vehicle is flown: no loop is quite of its form.
     manoeuvre: float = 0.0
@@ -91,9 +94,19 @@ class Parameter:
     def beside(self, vehicle: Vehicle) -> Parameter:
         """Return the parameter with the bounds and sizes that apply to `vehicle`.
 
-        An effect that the vehicle has already may also shrink, down to none. Sizes of a factor on a time or a
+        An effect that the vehicle has already may also shrink, down to none. A load's mass is a share of the
+        vehicle's. Sizes of a factor on a time or a
         drag are absolute: as many ms as for the shipped vehicle, not the same share.
         """
+        if self.scales_with:
+            times = getattr(vehicle, self.scales_with) / getattr(_shipped(), self.scales_with)
+            return dataclasses.replace(
+                self,
+                bounds=(times * self.bounds[0], times * self.bounds[1]),
+                plausible=times * self.plausible,
+                negligible=times * self.negligible,
+                scales_with="",
+            ).beside(vehicle)
         own = float(getattr(vehicle, self.adds_to)) if self.adds_to else 0.0
         if self.one_signed and own > 0.0:
             return dataclasses.replace(self, bounds=(self.neutral - own, self.bounds[1]), one_signed=False)
@@ -184,8 +197,8 @@ class Effect:
 
     @property
     def reference(self) -> Parameter | None:
-        """The parameter that the others act about, if there is one."""
-        return next((p for p in self.parameters if p.is_reference), None)
+        """The parameter that the others act about, if there is one in which the effect is linear."""
+        return next((p for p in self.parameters if p.is_reference and p.linear), None)
 
     def at_ends(self, value: float, reference: float) -> tuple[float, float]:
         """Return sizes about the lowest and the highest reference that together equal this one."""
